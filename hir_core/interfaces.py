@@ -1,0 +1,99 @@
+"""The abstract base class of each kind of component; a class built from its config: `Class(config)`."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hir_core.capture import Camera, Capture, View
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+    from torch import Tensor
+
+    from hir_core.scene import EnvironmentMap, Material, Mesh, Scene
+
+    Energy: TypeAlias = Callable[[Scene], Float[Tensor, ""]]
+
+
+class CaptureReader(ABC):
+    """Reads one format of capture and converts its axes to ours."""
+
+    @abstractmethod
+    def matches(self, path: Path) -> bool:
+        """Cheaply: is `path` a capture of this format?"""
+
+    @abstractmethod
+    def splits(self, path: Path) -> list[str]:
+        """Names of the splits that the capture holds; a format without splits has only "train"."""
+
+    @abstractmethod
+    def read(self, path: Path, split: str = "train") -> Capture:
+        """Reads cameras and names of one split; pixels are read later. Malformed files raise `CaptureError`."""
+
+
+class MaskSource(ABC):
+    """Separates the object from its background."""
+
+    @abstractmethod
+    def masks(self, capture: Capture, scene: Scene | None) -> list[NDArray[np.float32] | None]:
+        """One soft mask (H W, 0…1) for each view, None where it has none to offer."""
+
+
+class Initializer(ABC):
+    """One link of the chain that finds cameras, points and a first surface."""
+
+    @abstractmethod
+    def initialize(self, capture: Capture, scene: Scene | None, workspace: Path) -> tuple[Capture, Scene | None]:
+        """What it was given, with what it found; `workspace` is a folder of its own that survives a resume."""
+
+
+class GeometryRenderer(ABC):
+    """Differentiable silhouettes of a mesh."""
+
+    @abstractmethod
+    def prepare(self, views: Sequence[View], downsample: int = 1) -> Any:
+        """Targets of those views' masks, on no particular device; anything indexable by a list of view numbers."""
+
+    @abstractmethod
+    def render(self, mesh: Mesh, cameras: Sequence[Camera]) -> Float[Tensor, "B H W"]:
+        """Antialiased coverage in 0…1, differentiable in the positions where the trait `differentiable` says so."""
+
+    @abstractmethod
+    def overlap(self, mesh: Mesh, targets: Any) -> tuple[Float[Tensor, " B"], Float[Tensor, " B"]]:
+        """For each target: area of the silhouette and of its intersection with the mask, in pixels; differentiable."""
+
+
+class PreparedReflectance(ABC):
+    """A scene's fixed geometry and a capture's cameras, with all that can be computed once."""
+
+    @abstractmethod
+    def radiance(
+        self, material: Material, environment: EnvironmentMap, pixels: Int[Tensor, "B 3"]
+    ) -> Float[Tensor, "B 3"]:
+        """Linear radiance through pixels (view, x, y), differentiable in what the renderer's traits name."""
+
+
+class ReflectanceRenderer(ABC):
+    """Differentiable shading. Traits: what it is differentiable in (`material`, `environment`, `mesh`), `stochastic`."""
+
+    @abstractmethod
+    def prepare(self, scene: Scene, capture: Capture, downsample: int = 1) -> PreparedReflectance:
+        """Caches what fixed geometry allows."""
+
+    @abstractmethod
+    def render(self, scene: Scene, camera: Camera) -> Float[Tensor, "H W 4"]:
+        """Linear premultiplied colour and antialiased coverage."""
+
+
+class Regularizer(ABC):
+    """A term of a stage's loss, unweighted; the core multiplies it by its weight."""
+
+    @abstractmethod
+    def prepare(self, scene: Scene) -> Energy:
+        """Caches what is constant in a stage and returns the term as a function of the scene."""

@@ -1,0 +1,19 @@
+"""Fixtures that several test rooms share."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="session")
+def shared() -> Path:
+    """The folder of test data that is too large for the repository; tests that need it skip where it is missing."""
+    folder = Path(os.environ.get("HIR_SHARED", ROOT.parent / "shared"))
+    if not folder.is_dir():
+        pytest.skip(f"test data not found at {folder}; set HIR_SHARED to its folder")
+    return folder
