@@ -1,0 +1,212 @@
+"""The settings of a run: presets, TOML files and `--set`, merged in that order and checked."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from hir_core.errors import ConfigError
+from hir_core.options import build_options
+
+if TYPE_CHECKING:
+    from hir_core.manager import PluginManager
+
+Tables = dict[str, dict[str, Any]]
+"""Options of components, keyed by component."""
+
+
+@dataclass(frozen=True)
+class GeometrySettings:
+    """How the mesh is fitted to the masks."""
+
+    renderer: str = "contour"
+    """Geometry renderer."""
+    regularizers: dict[str, dict[str, Any] | Literal[False]] = field(default_factory=dict)
+    """Weight and options of each term, `false` to leave one out."""
+    downsample: int = 1
+    """The masks are used at 1/`downsample` of their resolution."""
+    iterations: int = 300
+    """Optimisation steps at each level."""
+    views_per_step: int = 8
+    learning_rate: float = 0.01
+    """Step size as a fraction of the object's radius."""
+    parameterization: Literal["vertices", "large_steps"] = "large_steps"
+    """What Adam moves: vertex positions, or their LargeSteps preconditioning (Nicolet et al. 2021)."""
+    smoothness: float = 19.0
+    """LargeSteps: λ of (I + λL)."""
+    remesh: bool = True
+    """Go from coarse to fine with isotropic remeshing between levels."""
+    triangles: int = 0
+    """Target number of triangles; 0 derives it from the images' resolution."""
+    start_radius: float = 0.0
+    """Scale the start mesh to this radius during the stage and back after it; 0 leaves it."""
+    enabled: bool = True
+
+
+@dataclass(frozen=True)
+class AtlasSettings:
+    """How the mesh is unwrapped."""
+
+    texture_size: int = 0
+    """Side of the square textures; 0 derives it from the pixels that see the surface."""
+    padding: int = 4
+    """Texels between charts."""
+
+
+@dataclass(frozen=True)
+class ReflectanceSettings:
+    """How material and light are fitted."""
+
+    renderer: str = "transport_ggx"
+    """Reflectance renderer of the fit."""
+    method: Literal["gradient", "alternating"] = "alternating"
+    """Adam on all parameters, or closed-form alternation with gradient steps where the renderer can."""
+    model: str = "auto"
+    """`auto` lets held-out views decide; or a rung: `diffuse`, `specular`, `specular_map`, `roughness_map`."""
+    brdf: Literal["auto", "paper", "dielectric"] = "auto"
+    regularizers: dict[str, dict[str, Any] | Literal[False]] = field(default_factory=dict)
+    """Weight and options of each term, `false` to leave one out."""
+    downsample: int = 1
+    iterations: int = 300
+    iterations_per_view: int = 0
+    """When set, replaces `iterations` by this many for each view (the paper: 400)."""
+    learning_rate: float = 0.02
+    learning_rate_end: float = 1.0
+    """Factor by which the rate has fallen at the end (cosine)."""
+    batch: Literal["pixels", "views"] = "pixels"
+    """A step sees random pixels of all views, or one whole view."""
+    batch_pixels: int = 16384
+    rgb_weight: float = 1.0
+    """Weight of the photometric term."""
+    loss_space: Literal["linear", "srgb"] = "srgb"
+    """Space in which fit and photograph are compared."""
+    environment_height: int = 32
+    """Rows of the light's lat-long image; it has twice (paper: four times) as many columns."""
+    environment_width: int = 64
+    environment_start: float = 0.5
+    """Radiance of every texel at first."""
+    roughness_start: float = 0.2
+    diffuse_start: float = 0.5
+    specular_start: float = 0.04
+    light_frame: Literal["auto", "world", "camera"] = "auto"
+    """Whether the light stands in the world or is carried by the camera (turntable, flash)."""
+    known_environment: str = ""
+    """A lat-long file that is the light, in the capture's axes, `FILE` or `FILE*STRENGTH`; it is then not fitted."""
+    polish: int = 0
+    """Steps of path-traced polish after the fit; kept only when held-out views gain."""
+    enabled: bool = True
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """All settings of a run; `hir config show` prints them."""
+
+    preset: str = "fast"
+    initializers: tuple[str, ...] | Literal["auto"] = "auto"
+    """The chain that finds cameras, points and a surface."""
+    masks: tuple[str, ...] | Literal["auto"] = "auto"
+    """Mask sources, asked in this order."""
+    reader: str = "auto"
+    initializer: Tables = field(default_factory=dict)
+    """Options of each initializer."""
+    mask_source: Tables = field(default_factory=dict)
+    """Options of each mask source."""
+    geometry_renderer: Tables = field(default_factory=dict)
+    """Options of each geometry renderer."""
+    reflectance_renderer: Tables = field(default_factory=dict)
+    """Options of each reflectance renderer."""
+    exporter: Tables = field(default_factory=dict)
+    """Options of each export format."""
+    geometry: GeometrySettings = field(default_factory=GeometrySettings)
+    atlas: AtlasSettings = field(default_factory=AtlasSettings)
+    reflectance: ReflectanceSettings = field(default_factory=ReflectanceSettings)
+    export: tuple[str, ...] = ("glb", "usdz", "usda", "hdr", "exr")
+    """Formats written at the end of a run."""
+    device: str = "auto"
+    """`cpu`, `cuda`, or `auto`: cuda where there is one."""
+    seed: int = 0
+    deterministic: bool = False
+    """Same files for the same input, seed and device; slower, one thread where that is what it takes."""
+    plugins: tuple[str, ...] = ()
+    """Plugin files or modules beside the installed ones."""
+
+
+def load_config(
+    plugins: PluginManager,
+    preset: str = "",
+    file: Path | None = None,
+    assignments: Sequence[str] = (),
+    **overrides: Any,
+) -> RunConfig:
+    """Merges preset, TOML file, `--set key=value` and keyword overrides, later ones winning; checks every key."""
+    from_file = read_toml(file) if file else {}
+    assigned: dict[str, Any] = {}
+    for assignment in assignments:
+        assign(assigned, assignment)
+    preset = preset or assigned.get("preset") or from_file.get("preset") or RunConfig.preset
+    settings: dict[str, Any] = read_toml(plugins.preset(preset))
+    for layer in (from_file, assigned, {k: v for k, v in overrides.items() if v is not None}):
+        settings = merge(settings, layer)
+    settings["preset"] = preset
+    config = build_options(RunConfig, settings, "settings")
+    _check_components(config, plugins)
+    return config
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """A TOML file as a table; what is wrong with it is said with its name and line."""
+    try:
+        with path.open("rb") as stream:
+            return tomllib.load(stream)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: not valid TOML: {error}") from None
+
+
+def assign(table: dict[str, Any], assignment: str) -> None:
+    """Applies `a.b.c=value` to a nested table; the value is TOML, a bare word is a string."""
+    key, equals, text = assignment.partition("=")
+    if not equals or not key.strip():
+        raise ConfigError(f"--set {assignment!r}: write it as key=value, such as geometry.iterations=100")
+    try:
+        value = tomllib.loads(f"value = {text.strip()}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text.strip()
+    *parents, leaf = [part.strip() for part in key.split(".")]
+    for parent in parents:
+        table = table.setdefault(parent, {})
+        if not isinstance(table, dict):
+            raise ConfigError(f"--set {assignment!r}: {parent!r} was set to a value before; it is a table here")
+    table[leaf] = value
+
+
+def merge(base: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
+    """Tables merge key by key; anything else is replaced."""
+    merged = dict(base)
+    for key, value in change.items():
+        old = merged.get(key)
+        merged[key] = merge(old, value) if isinstance(old, Mapping) and isinstance(value, Mapping) else value
+    return merged
+
+
+def _check_components(config: RunConfig, plugins: PluginManager) -> None:
+    """Names and options of all components are checked before anything runs."""
+    tables = ("initializer", "mask_source", "geometry_renderer", "reflectance_renderer", "exporter")
+    for kind in tables:
+        for name, options in getattr(config, kind).items():
+            build_options(plugins.find(kind, name).component.config, options, f"{kind} {name!r}")
+    for stage in (config.geometry, config.reflectance):
+        for name, options in stage.regularizers.items():
+            found = plugins.find("regularizer", name)
+            if options is not False:
+                build_options(found.component.config, {k: v for k, v in options.items() if k != "weight"},
+                              f"regularizer {name!r}")
+    plugins.find("geometry_renderer", config.geometry.renderer)
+    plugins.find("reflectance_renderer", config.reflectance.renderer)
+    for kind, names in (("initializer", config.initializers), ("mask_source", config.masks), ("exporter", config.export)):
+        for name in () if names == "auto" else names:
+            plugins.find(kind, name)

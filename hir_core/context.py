@@ -1,0 +1,33 @@
+"""What a stage is given beside its input and its settings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hir_core.progress import Progress
+
+if TYPE_CHECKING:
+    from hir_core.manager import PluginManager
+
+
+def _silent(_: object) -> None:
+    """Nobody listens."""
+
+
+@dataclass(frozen=True)
+class StageContext:
+    """Where a stage runs, who listens, and where it may keep files."""
+
+    plugins: PluginManager
+    workspace: Path
+    """A folder of the stage's own; what is left there survives a resume."""
+    device: str = "cpu"
+    seed: int = 0
+    deterministic: bool = False
+    report: Callable[[Progress], None] = field(default=_silent)
+    """Told of progress; cheap, throttles by itself."""
+    warn: Callable[[str], None] = field(default=_silent)
+    """One sentence that advises; shown to the user and written into run.json."""
