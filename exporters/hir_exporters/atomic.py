@@ -100,7 +100,9 @@ def _named_errors(destination: Path) -> Iterator[None]:
         yield
     except OSError as error:
         reason = error.strerror or str(error) or type(error).__name__
-        raise ExportError(f"cannot write {destination}: {reason}; check the folder, its rights and free space") from error
+        raise ExportError(
+            f"cannot write {destination}: {reason}; check the folder, its rights and free space"
+        ) from error
 
 
 def _flush_file(path: Path) -> None:

@@ -1,7 +1,7 @@
 """Radiance RGBE (.hdr) bytes: three mantissas and one shared exponent a pixel (Ward, Real Pixels, Graphics Gems II).
 
-A value is `mantissa * 2^(exponent - 136)`, as stb_image, three.js, Mitsuba and Blender read it; mantissas are rounded, so the
-relative error of a pixel's largest channel is at most 1/256.
+A value is `mantissa * 2^(exponent - 136)`, as stb_image, three.js, Mitsuba and Blender read it; mantissas are rounded,
+so the relative error of a pixel's largest channel is at most 1/256.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ class RgbeError(ValueError):
 
 
 def encode_rgbe(radiance: NDArray[np.floating]) -> bytes:
-    """The bytes of a .hdr file for finite radiance (H, W, 3); negative values become 0, huge ones the largest there is."""
+    """The bytes of a .hdr file for finite radiance (H, W, 3); negative values become 0, huge ones the largest."""
     height, width, _ = radiance.shape
     pixels = _to_rgbe(np.asarray(radiance, dtype=np.float64))
     header = f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n".encode("ascii")
@@ -65,7 +65,7 @@ def _to_rgbe(radiance: NDArray[np.float64]) -> NDArray[np.uint8]:
 
 
 def _literal_scanlines(pixels: NDArray[np.uint8]) -> bytes:
-    """New-style scanlines that hold only literal blocks: noise-like radiance does not compress, and bytes stay simple."""
+    """New-style scanlines that hold only literal blocks: radiance with noise hardly compresses."""
     height, width, _ = pixels.shape
     planar = np.ascontiguousarray(pixels.transpose(0, 2, 1))
     parts = [np.broadcast_to(np.array([2, 2, width >> 8, width & 255], np.uint8), (height, 4))]

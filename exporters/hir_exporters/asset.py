@@ -1,0 +1,264 @@
+"""The asset that exporters see: a mesh, its physical material, the light it was seen under. numpy only.
+
+Lists and arrays of any real type are taken and kept as contiguous float32 / int32; `validate_asset` checks the rest.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, DTypeLike, NDArray
+
+from hir_exporters.conventions import ALPHA_MIN
+from hir_exporters.errors import InputError
+
+MODELS: Final = ("paper", "dielectric")
+"""BRDF models of a material; `hir_exporters.brdf` holds their formulas."""
+
+PAPER_SPECULAR_MAX: Final = 4 / np.pi
+"""Largest specular albedo of the `paper` model: its authors divide the lobe by pi where we divide by 4."""
+
+_UNIT_TOLERANCE = 1e-2
+
+
+@dataclass(frozen=True, eq=False)
+class AssetMesh:
+    """Triangles with one vertex for each pair of position and UV; counter-clockwise is outside."""
+
+    positions: NDArray[np.float32]
+    """(V, 3), world, +Y up."""
+    normals: NDArray[np.float32]
+    """(V, 3), unit."""
+    uvs: NDArray[np.float32]
+    """(V, 2), origin top-left as in glTF."""
+    faces: NDArray[np.int32]
+    """(F, 3) vertex indices."""
+    tangents: NDArray[np.float32] | None = None
+    """(V, 4) MikkTSpace tangent and sign of the bitangent, or None: exporters compute them where they are needed."""
+
+    def __post_init__(self) -> None:
+        _set(self, "positions", _array("mesh.positions", self.positions, np.float32))
+        _set(self, "normals", _array("mesh.normals", self.normals, np.float32))
+        _set(self, "uvs", _array("mesh.uvs", self.uvs, np.float32))
+        _set(self, "faces", _indices("mesh.faces", self.faces))
+        if self.tangents is not None:
+            _set(self, "tangents", _array("mesh.tangents", self.tangents, np.float32))
+
+
+@dataclass(frozen=True, eq=False)
+class AssetMaterial:
+    """Parameters of a BRDF, all linear; each a texture (row 0 at v = 0, the top) or one value for the whole surface."""
+
+    model: Literal["paper", "dielectric"]
+    diffuse_albedo: NDArray[np.float32]
+    """(H, W, 3) or (3,), 0..1."""
+    specular_albedo: NDArray[np.float32]
+    """(H, W, 3) or (3,): the lobe's factor in `paper` (0..4/pi), reflectance at normal incidence in `dielectric`."""
+    roughness: NDArray[np.float32]
+    """(H, W) or (): GGX width alpha, ALPHA_MIN..1, not its square root."""
+    normal: NDArray[np.float32] | None = None
+    """(H, W, 3) unit vectors in tangent space, +Y up, or None."""
+    observed: NDArray[np.bool_] | None = None
+    """(H, W) texels that some view saw, or None where that is not known."""
+
+    def __post_init__(self) -> None:
+        for name in ("diffuse_albedo", "specular_albedo", "roughness", "normal"):
+            value = getattr(self, name)
+            if value is not None:
+                _set(self, name, _array(f"material.{name}", value, np.float32))
+        if self.observed is not None:
+            _set(self, "observed", _array("material.observed", self.observed, np.bool_))
+
+
+@dataclass(frozen=True, eq=False)
+class AssetEnvironment:
+    """Distant light as a lat-long image (`hir_exporters.conventions`)."""
+
+    radiance: NDArray[np.float32]
+    """(H, W, 3), linear, not negative."""
+    to_world: NDArray[np.float64] = field(default_factory=lambda: np.eye(3))
+    """(3, 3) rotation from the map's axes to those of `frame`."""
+    frame: Literal["world", "camera"] = "world"
+    """Whether the light stands in the world or travels with the camera."""
+
+    def __post_init__(self) -> None:
+        _set(self, "radiance", _array("environment.radiance", self.radiance, np.float32))
+        _set(self, "to_world", _array("environment.to_world", self.to_world, np.float64))
+
+
+@dataclass(frozen=True, eq=False)
+class Asset:
+    """All that exporters see."""
+
+    mesh: AssetMesh
+    material: AssetMaterial
+    environment: AssetEnvironment | None = None
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    """JSON-able facts of where the asset comes from; written into the exported files."""
+    name: str = "asset"
+
+
+def validate_asset(asset: Asset) -> None:
+    """Raise `InputError` naming the first field that no exporter could write and what it should be."""
+    _validate_mesh(asset.mesh)
+    _validate_material(asset.material)
+    if asset.environment is not None:
+        _validate_environment(asset.environment)
+    if not isinstance(asset.name, str) or not asset.name.strip() or len(asset.name) > 200:
+        raise InputError("name is not a text of 1 to 200 characters")
+    try:
+        json.dumps(dict(asset.provenance), allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"provenance cannot be written as JSON ({error}); keep to text, finite numbers, lists"
+        ) from error
+
+
+def textures(material: AssetMaterial) -> Iterator[tuple[str, NDArray[np.float32]]]:
+    """Name and value of each parameter that is a texture rather than a constant or absent."""
+    for name in ("diffuse_albedo", "specular_albedo", "roughness", "normal"):
+        value = getattr(material, name)
+        if value is not None and value.ndim >= 2:
+            yield name, value
+
+
+def describe(asset: Asset) -> dict[str, Any]:
+    """JSON-able summary: counts, bounds, which parameters are textures and how large, the light's size."""
+    mesh, material, environment = asset.mesh, asset.material, asset.environment
+    sizes = {name: f"{value.shape[1]} x {value.shape[0]}" for name, value in textures(material)}
+    parameters = {}
+    for name in ("diffuse_albedo", "specular_albedo", "roughness", "normal"):
+        value = getattr(material, name)
+        parameters[name] = None if value is None else sizes.get(name, value.tolist())
+    return {
+        "name": asset.name,
+        "vertices": len(mesh.positions),
+        "triangles": len(mesh.faces),
+        "bounds": [mesh.positions.min(axis=0).tolist(), mesh.positions.max(axis=0).tolist()],
+        "model": material.model,
+        **parameters,
+        "observed": None if material.observed is None else round(float(material.observed.mean()), 4),
+        "environment": None
+        if environment is None
+        else {
+            "size": f"{environment.radiance.shape[1]} x {environment.radiance.shape[0]}",
+            "frame": environment.frame,
+            "mean_radiance": environment.radiance.mean(axis=(0, 1), dtype=np.float64).tolist(),
+        },
+    }
+
+
+def _validate_mesh(mesh: AssetMesh) -> None:
+    count = len(mesh.positions)
+    if mesh.positions.size == 0 or mesh.faces.size == 0:
+        raise InputError("mesh.faces holds no triangles; an asset needs at least one")
+    _check_shape("mesh.positions", mesh.positions, (None, 3))
+    _check_shape("mesh.faces", mesh.faces, (None, 3))
+    _check_shape("mesh.normals", mesh.normals, (count, 3))
+    _check_shape("mesh.uvs", mesh.uvs, (count, 2))
+    for name in ("positions", "normals", "uvs"):
+        _check_finite(f"mesh.{name}", getattr(mesh, name))
+    low, high = int(mesh.faces.min()), int(mesh.faces.max())
+    if low < 0 or high >= count:
+        raise InputError(f"mesh.faces has the index {low if low < 0 else high}, outside of the {count} vertices")
+    _check_unit("mesh.normals", mesh.normals)
+    if mesh.tangents is not None:
+        _check_shape("mesh.tangents", mesh.tangents, (count, 4))
+        _check_finite("mesh.tangents", mesh.tangents)
+        _check_unit("mesh.tangents", mesh.tangents[:, :3])
+        if not (np.abs(mesh.tangents[:, 3]) == 1).all():
+            raise InputError("mesh.tangents has a fourth component that is neither 1 nor -1")
+
+
+def _validate_material(material: AssetMaterial) -> None:
+    if material.model not in MODELS:
+        raise InputError(f"material.model is {material.model!r}; known are {', '.join(MODELS)}")
+    specular_limit = PAPER_SPECULAR_MAX if material.model == "paper" else 1.0
+    for name, limit in (("diffuse_albedo", 1.0), ("specular_albedo", specular_limit)):
+        value = getattr(material, name)
+        if value.shape != (3,):
+            _check_shape(f"material.{name}", value, (None, None, 3), "(H, W, 3) or (3,)")
+        _check_range(f"material.{name}", value, 0.0, limit)
+    if material.roughness.ndim != 0:
+        _check_shape("material.roughness", material.roughness, (None, None), "(H, W) or one number")
+    _check_range("material.roughness", material.roughness, ALPHA_MIN, 1.0)
+    if material.normal is not None:
+        _check_shape("material.normal", material.normal, (None, None, 3))
+        _check_finite("material.normal", material.normal)
+        _check_unit("material.normal", material.normal.reshape(-1, 3))
+    if material.observed is not None:
+        _check_shape("material.observed", material.observed, (None, None))
+
+
+def _validate_environment(environment: AssetEnvironment) -> None:
+    _check_shape("environment.radiance", environment.radiance, (None, None, 3))
+    _check_finite("environment.radiance", environment.radiance)
+    if environment.radiance.min() < 0:
+        raise InputError("environment.radiance has negative values; clip them to 0")
+    _check_shape("environment.to_world", environment.to_world, (3, 3))
+    _check_finite("environment.to_world", environment.to_world)
+    off = np.abs(environment.to_world @ environment.to_world.T - np.eye(3)).max()
+    if off > 1e-4 or np.linalg.det(environment.to_world) < 0:
+        raise InputError("environment.to_world is not a rotation: its rows must be orthonormal, its determinant 1")
+    if environment.frame not in ("world", "camera"):
+        raise InputError(f"environment.frame is {environment.frame!r}; it is 'world' or 'camera'")
+
+
+def _check_shape(name: str, value: NDArray[Any], shape: tuple[int | None, ...], wanted: str = "") -> None:
+    fits = value.ndim == len(shape) and all(
+        want is None or have == want for have, want in zip(value.shape, shape, strict=False)
+    )
+    if not fits:
+        names = wanted or "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
+        raise InputError(f"{name} has the shape {value.shape}; it must be {names}")
+    if value.size == 0:
+        raise InputError(f"{name} is empty")
+
+
+def _check_finite(name: str, value: NDArray[Any]) -> None:
+    bad = value.size - int(np.isfinite(value).sum())
+    if bad:
+        raise InputError(f"{name} holds {bad} NaN or infinite values; remove or replace them")
+
+
+def _check_range(name: str, value: NDArray[Any], low: float, high: float) -> None:
+    _check_finite(name, value)
+    slack = 1e-6  # one float32 rounding of a value at the border
+    if value.min() < low * (1 - slack) - slack * (low == 0) or value.max() > high * (1 + slack):
+        raise InputError(
+            f"{name} goes from {value.min():.6g} to {value.max():.6g}; it must be from {low:.4g} to {high:.4g}"
+        )
+
+
+def _check_unit(name: str, vectors: NDArray[np.float32]) -> None:
+    length = np.linalg.norm(vectors.astype(np.float64), axis=-1)
+    bad = int((np.abs(length - 1) > _UNIT_TOLERANCE).sum())
+    if bad:
+        raise InputError(f"{name} has {bad} vectors that are not of length 1; normalise them")
+
+
+def _array(name: str, value: ArrayLike, dtype: DTypeLike) -> NDArray[Any]:
+    try:
+        with np.errstate(over="ignore"):  # a float64 beyond float32 becomes infinite, which validate_asset reports
+            return np.ascontiguousarray(value, dtype=dtype) if np.ndim(value) else np.asarray(value, dtype=dtype)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} is not an array of numbers ({error})") from error
+
+
+def _indices(name: str, value: ArrayLike) -> NDArray[np.int32]:
+    array = np.asarray(value)
+    if array.size == 0:
+        return np.zeros((0, 3), dtype=np.int32) if array.ndim != 2 else array.astype(np.int32)
+    if not np.issubdtype(array.dtype, np.integer):
+        raise InputError(f"{name} holds {array.dtype}; vertex indices are integers")
+    if int(array.max()) > np.iinfo(np.int32).max or int(array.min()) < np.iinfo(np.int32).min:
+        raise InputError(f"{name} has an index that does not fit into 32 bits")
+    return np.ascontiguousarray(array, dtype=np.int32)
+
+
+def _set(instance: object, name: str, value: object) -> None:
+    object.__setattr__(instance, name, value)  # the one way to fill in a frozen dataclass

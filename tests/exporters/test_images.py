@@ -1,0 +1,159 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hir_exporters import images
+from hir_exporters.errors import ExportError, InputError
+from hir_exporters.rgbe import decode_rgbe, encode_rgbe
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+
+def picture(height: int, width: int, seed: int = 0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return (rng.random((height, width, 3)) * np.exp(rng.normal(0, 4, (height, width, 1)))).astype(np.float32)
+
+
+@pytest.mark.parametrize("channels", [1, 2, 3, 4])
+def test_png_holds_its_8_bit_codes(tmp_path: Path, channels: int) -> None:
+    codes = np.random.default_rng(0).integers(0, 256, (5, 7, channels), dtype=np.uint8)
+    images.write_png(tmp_path / "a.png", codes)
+    np.testing.assert_array_equal(images.read_ldr(tmp_path / "a.png"), codes.astype(np.float32) / np.float32(255))
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_png_holds_its_16_bit_codes(tmp_path: Path, channels: int) -> None:
+    codes = np.random.default_rng(0).integers(0, 65536, (6, 3, channels), dtype=np.uint16)
+    images.write_png(tmp_path / "a.png", codes)
+    with Image.open(tmp_path / "a.png") as image:
+        image.load()  # Pillow checks every CRC and unfilters the rows
+        assert image.size == (3, 6)
+    if channels == 1:
+        np.testing.assert_array_equal(images.read_ldr(tmp_path / "a.png") * np.float32(65535), codes)
+    else:
+        assert np.abs(images.read_ldr(tmp_path / "a.png") * 65535 - codes).max() <= 257
+
+
+def test_floats_are_rounded_to_the_nearest_code() -> None:
+    np.testing.assert_array_equal(images.quantize(np.arange(256) / 255), np.arange(256))
+    np.testing.assert_array_equal(images.quantize(np.array([-1, 2.0])), [0, 255])
+    with pytest.raises(ExportError, match="NaN"):
+        images.quantize(np.array([np.nan]))
+
+
+def test_palettes_cmyk_and_one_bit_become_plain(tmp_path: Path) -> None:
+    source = Image.new("RGB", (4, 2), (255, 0, 0))
+    for name, image, channels in [
+        ("p.png", source.convert("P"), 3), ("c.jpg", source.convert("CMYK"), 3), ("b.png", source.convert("1"), 1),
+    ]:  # fmt: skip
+        image.save(tmp_path / name)
+        assert images.read_ldr(tmp_path / name).shape == (2, 4, channels)
+
+
+@pytest.mark.parametrize("shape", [(4, 8), (3, 200), (5, 3), (1, 1), (2, 40000)])
+def test_radiance_file_keeps_each_pixel_within_half_a_step(tmp_path: Path, shape: tuple[int, int]) -> None:
+    radiance = picture(*shape)
+    images.write_hdr(tmp_path / "a.hdr", radiance)
+    read = images.read_hdr(tmp_path / "a.hdr")
+    assert (np.abs(read - radiance).max(-1) <= radiance.max(-1) / 256 * (1 + 1e-6)).all()
+    images.write_hdr(tmp_path / "b.hdr", read)
+    np.testing.assert_array_equal(images.read_hdr(tmp_path / "b.hdr"), read)
+
+
+@given(st.floats(0, 1e38), st.floats(0, 1))
+@settings(max_examples=200)
+def test_radiance_codes_are_right_at_any_magnitude(value: float, fraction: float) -> None:
+    pixel = np.array([[[value, value * fraction, 0.0]]], dtype=np.float32)
+    decoded = decode_rgbe(encode_rgbe(pixel))
+    assert np.abs(decoded - pixel).max() <= max(pixel.max() / 256, 2.0**-129)
+
+
+def test_old_and_new_run_lengths_and_flips_are_read() -> None:
+    pixels = np.array([[[128, 64, 32, 129]] * 5 + [[200, 0, 0, 130]] * 5], dtype=np.uint8)
+    flat = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 1 +X 10\n" + pixels.tobytes()
+    old = b"#?RGBE\nFORMAT=32-bit_rle_rgbe\n\n-Y 1 +X 10\n" + bytes(
+        [128, 64, 32, 129, 1, 1, 1, 4, 200, 0, 0, 130, 1, 1, 1, 4]
+    )
+    runs = b"".join(bytes([128 + 5, a, 128 + 5, b]) for a, b in zip(pixels[0, 0], pixels[0, 9], strict=True))
+    new = b"#?RADIANCE\n\n-Y 1 +X 10\n" + bytes([2, 2, 0, 10]) + runs
+    expected = decode_rgbe(flat)
+    np.testing.assert_array_equal(expected[0, 0], [1.0, 0.5, 0.25])
+    np.testing.assert_array_equal(decode_rgbe(old), expected)
+    np.testing.assert_array_equal(decode_rgbe(new), expected)
+    np.testing.assert_array_equal(decode_rgbe(flat.replace(b"+X 10", b"-X 10")), expected[:, ::-1])
+    np.testing.assert_array_equal(decode_rgbe(flat.replace(b"\n\n", b"\nEXPOSURE=2\n\n")), expected / 2)
+
+
+def test_radiance_file_agrees_with_another_reader(shared: Path) -> None:
+    cv2 = pytest.importorskip("cv2", reason="opencv is the independent reader")
+    path = shared / "envmaps" / "park.hdr"
+    np.testing.assert_array_equal(images.read_hdr(path), cv2.imread(str(path), cv2.IMREAD_UNCHANGED)[..., ::-1])
+
+
+@pytest.mark.parametrize("channels", [1, 3, 4])
+def test_exr_holds_float32_exactly(tmp_path: Path, channels: int) -> None:
+    pixels = np.random.default_rng(0).normal(0, 1e6, (5, 9, channels)).astype(np.float32)
+    images.write_exr(tmp_path / "a.exr", pixels)
+    np.testing.assert_array_equal(images.read_exr(tmp_path / "a.exr"), pixels)
+    if channels != 4:
+        np.testing.assert_array_equal(images.read_hdr(tmp_path / "a.exr"), np.broadcast_to(pixels, (5, 9, 3)))
+
+
+@pytest.mark.parametrize("writer", ["write_hdr", "write_exr", "write_png"])
+def test_bytes_repeat(tmp_path: Path, writer: str) -> None:
+    pixels = np.clip(picture(16, 32), 0, 1)
+    for name in "ab":
+        getattr(images, writer)(tmp_path / name, pixels)
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_non_finite_radiance_is_refused_both_ways(tmp_path: Path, value: float) -> None:
+    import OpenEXR
+
+    bad = np.full((2, 2, 3), value, np.float32)
+    for write in (images.write_hdr, images.write_exr):
+        with pytest.raises(ExportError, match="bad"):
+            write(tmp_path / "bad", bad)
+    OpenEXR.File({"type": OpenEXR.scanlineimage}, {"RGB": bad}).write(str(tmp_path / "bad.exr"))
+    with pytest.raises(InputError, match=r"bad\.exr holds 12 NaN"):
+        images.read_hdr(tmp_path / "bad.exr")
+
+
+@pytest.mark.parametrize("suffix", ["png", "jpg", "hdr", "exr"])
+def test_truncated_and_scrambled_files_name_themselves(tmp_path: Path, suffix: str) -> None:
+    good = tmp_path / f"good.{suffix}"
+    pixels = np.clip(picture(24, 24), 0, 1)
+    if suffix == "jpg":
+        Image.fromarray(images.quantize(pixels)).save(good)
+    else:
+        {"png": images.write_png, "hdr": images.write_hdr, "exr": images.write_exr}[suffix](good, pixels)
+    read = images.read_ldr if suffix in ("png", "jpg") else images.read_hdr
+    data = good.read_bytes()
+    bad = tmp_path / f"bad.{suffix}"
+    for cut in (0, 3, 20, len(data) // 2):
+        bad.write_bytes(data[:cut])
+        with pytest.raises(InputError, match=f"bad.{suffix}"):
+            read(bad)
+    rng = np.random.default_rng(1)
+    for _ in range(40):
+        scrambled = bytearray(data)
+        for index in rng.integers(0, len(data), 6):
+            scrambled[index] = rng.integers(256)
+        bad.write_bytes(scrambled)
+        try:
+            assert np.isfinite(read(bad)).all()
+        except InputError as error:
+            assert f"bad.{suffix}" in str(error)
+
+
+def test_a_huge_header_is_refused_before_anything_is_decoded(tmp_path: Path) -> None:
+    (tmp_path / "a.hdr").write_bytes(b"#?RADIANCE\n\n-Y 99999999 +X 99999999\n")
+    (tmp_path / "b.hdr").write_bytes(b"#?RADIANCE\n\n-Y 9000 +X 9000\n\x02\x02\x23\x28")
+    Image.new("1", (16384, 16384)).save(tmp_path / "c.png")
+    for name, read in (("a.hdr", images.read_hdr), ("b.hdr", images.read_hdr), ("c.png", images.read_ldr)):
+        with pytest.raises(InputError, match=name):
+            read(tmp_path / name)
+    with pytest.raises(InputError, match="not there"):
+        images.read_ldr(tmp_path / "none.png")
