@@ -1,0 +1,196 @@
+"""Captures described by transforms.json: NeRF-synthetic, nerfstudio, instant-ngp (docs/captures.md)."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any, Final, Literal, final
+
+from hir_core.capture import Camera, Capture, EnvironmentSource, View
+from hir_core.errors import CaptureError
+from hir_core.interfaces import CaptureReader
+from hir_core.plugin import NoOptions
+from hir_plugins.readers.camera_axes import (
+    BLENDER_FROM_LATLONG,
+    OPENCV_FROM_OPENGL,
+    WORLD_FROM_Z_UP,
+    camera_matrix,
+    rigid,
+    rigid_inverse,
+)
+from hir_plugins.readers.capture_paths import existing_photo, inside, number, read_json, unique_names
+from hir_plugins.readers.lens import make_lens
+from hir_plugins.readers.photo_file import PhotoFile, photo_size
+
+_RADIAL: Final = ("k1", "k2", "p1", "p2", "k3")
+_FISHEYE: Final = ("k1", "k2", "k3", "k4")
+_SPLIT_LISTS: Final = {"train": "train_filenames", "val": "val_filenames", "test": "test_filenames"}
+
+
+@final
+class TransformsJsonReader(CaptureReader):
+    """Reads `transforms_<split>.json`, or `transforms.json` as the training split; world +Z up, cameras as OpenGL's."""
+
+    def __init__(self, config: NoOptions) -> None:
+        del config
+
+    def matches(self, path: Path) -> bool:
+        """A folder with such a file, or the file itself; nothing is opened."""
+        return bool(_files(path))
+
+    def splits(self, path: Path) -> list[str]:
+        """The splits' names, train and test first; only a lone transforms.json is opened, for its lists of names."""
+        files = _files(path)
+        found = set(files)
+        if list(files) == ["train"]:
+            content = read_json(files["train"])
+            listed = {split for split, key in _SPLIT_LISTS.items() if content.get(key)}
+            found |= listed if "train" in listed else set()
+        order = {"train": 0, "test": 1, "val": 2}
+        return sorted(found, key=lambda split: (order.get(split, 3), split))
+
+    def read(self, path: Path, split: str = "train") -> Capture:
+        """Cameras, names and sizes (from the images' headers) of one split; opens no other split's file."""
+        files = _files(path)
+        source = files.get(split) or (files["train"] if list(files) == ["train"] else None)
+        if source is None:
+            known = ", ".join(sorted(files)) or "none"
+            raise CaptureError(f"{path} has no split {split!r} (transforms_{split}.json); there are: {known}")
+        content = read_json(source)
+        frames = _frames_of_split(content, split, source, own_file=split in files)
+        folder = source.parent
+        photos = [existing_photo(folder, _text(f, "file_path", source, i), source) for i, f in frames]
+        views = tuple(
+            _view(content, frame, source, index, photo, name)
+            for (index, frame), photo, name in zip(frames, photos, unique_names(photos, folder), strict=True)
+        )
+        return Capture(
+            path=path,
+            views=views,
+            split=split,
+            world_from_source=WORLD_FROM_Z_UP.copy(),
+            environment=_environment(content, source),
+            reader="transforms_json",
+        )
+
+
+def _files(path: Path) -> dict[str, Path]:
+    """Split names and their files."""
+    if path.is_file():
+        named = path.name.startswith("transforms") and path.suffix == ".json"
+        return {path.stem.partition("transforms_")[2] or "train": path} if named else {}
+    found = {f.stem.partition("transforms_")[2]: f for f in sorted(path.glob("transforms_*.json")) if f.is_file()}
+    whole = path / "transforms.json"
+    if "train" not in found and whole.is_file():
+        found["train"] = whole
+    return found
+
+
+def _frames_of_split(
+    content: dict[str, Any], split: str, source: Path, own_file: bool
+) -> list[tuple[int, dict[str, Any]]]:
+    frames = content.get("frames")
+    if not isinstance(frames, list) or not frames or not all(isinstance(f, dict) for f in frames):
+        raise CaptureError(f"{source} has no frames; it needs a list 'frames' of objects with 'file_path' and "
+                           "'transform_matrix'")
+    numbered = list(enumerate(frames))
+    names = content.get(_SPLIT_LISTS.get(split, ""))
+    if isinstance(names, list) and names:
+        chosen = [(i, f) for i, f in numbered if f.get("file_path") in names]
+    else:
+        chosen = numbered if own_file else []
+    if not chosen:
+        raise CaptureError(f"{source} lists no frame of the split {split!r}")
+    return chosen
+
+
+def _view(
+    content: dict[str, Any], frame: dict[str, Any], source: Path, index: int, photo: Path, name: str
+) -> View:
+    owner = f"{source}, frame {index}"
+    merged = {**content, **frame}
+    camera_to_source = rigid(frame.get("transform_matrix"), owner)
+    world_from_camera = WORLD_FROM_Z_UP @ camera_to_source @ OPENCV_FROM_OPENGL
+    named_size = number(merged, "w", owner), number(merged, "h", owner)
+    width, height = photo_size(photo)
+    orient = False
+    if named_size == (height, width) and width != height:
+        # the cameras were solved on the picture turned upright
+        turned = photo_size(photo, orient=True)
+        orient, (width, height) = turned == named_size, turned
+    fx, fy, cx, cy = _intrinsics(merged, owner, width, height)
+    kind: Literal["radial", "fisheye"] = "radial"
+    model = merged.get("camera_model", "OPENCV")
+    if model == "OPENCV_FISHEYE" or merged.get("is_fisheye"):
+        kind = "fisheye"
+    elif model not in ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "RADIAL", "SIMPLE_RADIAL", "FULL_OPENCV"):
+        raise CaptureError(f"{owner}: camera model {model!r} is not known; undistort the images to PINHOLE")
+    keys = _FISHEYE if kind == "fisheye" else _RADIAL
+    coefficients = tuple(number(merged, key, owner, 0.0) or 0.0 for key in keys)
+    if kind == "radial" and any(merged.get(key) for key in ("k4", "k5", "k6")):
+        coefficients += tuple(number(merged, key, owner, 0.0) or 0.0 for key in ("k4", "k5", "k6"))
+    try:
+        lens = make_lens((fx, fy, cx, cy), coefficients, kind, width, height)
+    except CaptureError as error:
+        raise CaptureError(f"{owner}: {error}") from None
+    mask_name = frame.get("mask_path")
+    mask_path = existing_photo(source.parent, str(mask_name), source) if mask_name else None
+    camera = Camera(
+        intrinsics=camera_matrix(*(lens.pinhole if lens else (fx, fy, cx, cy))),
+        world_to_camera=rigid_inverse(world_from_camera),
+        width=width,
+        height=height,
+    )
+    read = PhotoFile(photo, mask_path, orient=orient, lens=lens, width=width, height=height)
+    return View(name=name, camera=camera, read=read, path=photo)
+
+
+def _intrinsics(table: dict[str, Any], owner: str, width: int, height: int) -> tuple[float, float, float, float]:
+    """fx, fy, cx, cy for the image as it is on disk, scaled where the file speaks of a larger or smaller one."""
+    named_width = number(table, "w", owner, width) or width
+    named_height = number(table, "h", owner, height) or height
+    scale_x, scale_y = width / named_width, height / named_height
+    if abs(scale_x / scale_y - 1) > 0.02:
+        raise CaptureError(f"{owner}: the image is {width}×{height}, the camera's {named_width:g}×{named_height:g}: "
+                           "they differ in shape, so the image was cropped or turned")
+    fx, fy = number(table, "fl_x", owner), number(table, "fl_y", owner)
+    if fx is None:
+        angle = number(table, "camera_angle_x", owner)
+        if angle is None or not 0 < angle < math.pi:
+            raise CaptureError(f"{owner}: neither 'fl_x' nor a 'camera_angle_x' between 0 and π is given")
+        fx = 0.5 * named_width / math.tan(0.5 * angle)
+    if fy is None:
+        angle = number(table, "camera_angle_y", owner)
+        # one angle alone means square pixels
+        fy = 0.5 * named_height / math.tan(0.5 * angle) if angle and 0 < angle < math.pi else fx
+    if fx <= 0 or fy <= 0:
+        raise CaptureError(f"{owner}: the focal length {fx:g}, {fy:g} is not positive")
+    cx = number(table, "cx", owner, named_width / 2)
+    cy = number(table, "cy", owner, named_height / 2)
+    assert cx is not None and cy is not None
+    return fx * scale_x, fy * scale_y, cx * scale_x, cy * scale_y
+
+
+def _environment(content: dict[str, Any], source: Path) -> EnvironmentSource | None:
+    entry = content.get("environment")
+    if entry is None:
+        return None
+    if not isinstance(entry, dict) or not isinstance(entry.get("file_path"), str):
+        raise CaptureError(f"{source}: 'environment' needs an object with 'file_path' and 'strength'")
+    strength = number(entry, "strength", f"{source}, environment", 1.0)
+    assert strength is not None
+    if strength < 0:
+        raise CaptureError(f"{source}: the environment's strength {strength:g} is negative")
+    # named, not opened: a fit must not depend on it
+    return EnvironmentSource(
+        path=inside(source.parent, entry["file_path"], source),
+        strength=strength,
+        source_from_environment=BLENDER_FROM_LATLONG.copy(),
+    )
+
+
+def _text(frame: dict[str, Any], key: str, source: Path, index: int) -> str:
+    value = frame.get(key)
+    if not isinstance(value, str):
+        raise CaptureError(f"{source}, frame {index}: {key!r} is {value!r}, not a file name")
+    return value
