@@ -136,6 +136,7 @@ class RunConfig:
 
 def load_config(
     plugins: PluginManager,
+    /,
     preset: str = "",
     file: Path | None = None,
     assignments: Sequence[str] = (),

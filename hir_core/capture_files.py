@@ -1,0 +1,137 @@
+"""What a run keeps of its capture: cameras, masks and points that initializers found, and a mark of the input."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from hir_exporters.atomic import atomic_path
+
+from hir_core.capture import Camera, Capture, OrientedPoints, View
+from hir_core.errors import InputError
+from hir_core.run_directory import read_json, write_json
+
+
+def fingerprint(capture: Capture) -> str:
+    """Hash of all that a fit may look at: each view's name, camera, exposure and file. Nothing else is opened."""
+    digest = hashlib.blake2b(digest_size=16)
+    digest.update(repr((capture.split, capture.light_frame, capture.reader)).encode())
+    digest.update(np.ascontiguousarray(capture.world_from_source, dtype=np.float64).tobytes())
+    for view in capture.views:
+        digest.update(repr((view.name, view.exposure, camera_document(view.camera))).encode())
+        if view.path is not None:
+            with open(view.path, "rb") as stream:
+                digest.update(hashlib.file_digest(stream, "blake2b").digest())
+    return digest.hexdigest()
+
+
+def camera_document(camera: Camera | None) -> dict[str, Any] | None:
+    """A camera as JSON, every digit of it."""
+    if camera is None:
+        return None
+    return {
+        "width": camera.width,
+        "height": camera.height,
+        "K": np.asarray(camera.intrinsics, dtype=np.float64).tolist(),
+        "distortion": [float(k) for k in camera.distortion],
+        "world_to_camera": np.asarray(camera.world_to_camera, dtype=np.float64).tolist(),
+    }
+
+
+def camera_from_document(document: Mapping[str, Any], source: str) -> Camera:
+    """The inverse of `camera_document`; what is wrong is an error that names `source`."""
+    try:
+        intrinsics = np.array(document["K"], dtype=np.float64)
+        pose = np.array(document["world_to_camera"], dtype=np.float64)
+        width, height = int(document["width"]), int(document["height"])
+        distortion = tuple(float(k) for k in document.get("distortion", ()))
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"{source}: a camera is malformed ({type(error).__name__}: {error})") from error
+    finite = all(np.isfinite(a).all() for a in (intrinsics, pose, np.array(distortion)))
+    if intrinsics.shape != (3, 3) or pose.shape != (4, 4) or width < 1 or height < 1 or not finite:
+        raise InputError(f"{source}: a camera needs a finite K (3×3), world_to_camera (4×4) and a size of at least 1×1")
+    return Camera(intrinsics, pose, width, height, distortion)
+
+
+def save_capture(capture: Capture, folder: Path) -> None:
+    """Writes what `restore_capture` needs: everything but the photographs."""
+    views = [{"name": v.name, "camera": camera_document(v.camera), "exposure": v.exposure} for v in capture.views]
+    arrays = {f"mask_{i}": v.mask for i, v in enumerate(capture.views) if v.mask is not None}
+    if capture.points is not None:
+        named = {
+            "positions": capture.points.positions,
+            "normals": capture.points.normals,
+            "colors": capture.points.colors,
+        }
+        arrays |= {f"points_{name}": np.asarray(value) for name, value in named.items() if value is not None}
+    with atomic_path(folder / "capture.npz") as temporary:
+        np.savez_compressed(temporary, **arrays)  # type: ignore[arg-type]
+    write_json(
+        folder / "capture.json",
+        {
+            "views": views,
+            "world_from_source": capture.world_from_source,
+            "light_frame": capture.light_frame,
+        },
+    )
+
+
+def restore_capture(capture: Capture, folder: Path) -> Capture:
+    """The capture that `save_capture` saw; `capture` gives the photographs, by name."""
+    document = read_json(folder / "capture.json")
+    known = {view.name: view for view in capture.views}
+    views: list[View] = []
+    with np.load(folder / "capture.npz", allow_pickle=False) as arrays:
+        for i, entry in enumerate(document["views"]):
+            if entry["name"] not in known:
+                raise InputError(f"{folder / 'capture.json'} names {entry['name']!r}, which {capture.path} lacks")
+            camera = entry["camera"]
+            views.append(
+                replace(
+                    known[entry["name"]],
+                    camera=None if camera is None else camera_from_document(camera, str(folder / "capture.json")),
+                    mask=arrays.get(f"mask_{i}"),
+                    exposure=float(entry["exposure"]),
+                )
+            )
+        points = None
+        if "points_positions" in arrays:
+            points = OrientedPoints(
+                **{
+                    name: arrays[f"points_{name}"]
+                    for name in ("positions", "normals", "colors")
+                    if f"points_{name}" in arrays
+                }
+            )
+    return replace(
+        capture,
+        views=tuple(views),
+        points=points,
+        light_frame=document["light_frame"],
+        world_from_source=np.array(document["world_from_source"], dtype=np.float64),
+    )
+
+
+def write_cameras(path: Path, capture: Capture, all_names: Sequence[str]) -> None:
+    """capture/cameras.json: every view that was read, in the world of `capture`; those without a camera say so."""
+    known = {view.name: view for view in capture.views}
+    views = []
+    for name in all_names:
+        camera = known[name].camera if name in known else None
+        views.append(
+            {"name": name, "split": capture.split, "registered": camera is not None} | (camera_document(camera) or {})
+        )
+    write_json(path, {"axes": "right-handed, +Y up; cameras: OpenCV, pixel centres at .5", "views": views})
+
+
+def read_cameras(path: Path) -> dict[str, Camera]:
+    """The registered cameras of capture/cameras.json, by name."""
+    document = read_json(path)
+    views = document.get("views")
+    if not isinstance(views, list) or not all(isinstance(v, dict) for v in views):
+        raise InputError(f"{path} has no list of views")
+    return {str(v.get("name")): camera_from_document(v, str(path)) for v in views if v.get("registered") is True}

@@ -1,0 +1,56 @@
+"""`hir config`: what the settings are and what they may be."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import click
+
+from hir_core.cli.options import plugin_option, settings_options
+
+
+@click.group("config")
+def config_group() -> None:
+    """Shows settings."""
+
+
+@config_group.command("show")
+@settings_options
+@plugin_option
+def show_command(
+    preset: str, config_file: Path | None, assignments: tuple[str, ...], plugin_files: tuple[str, ...]
+) -> None:
+    """Prints all settings as TOML, after preset, file and --set are merged; feed it back with --config."""
+    import tomli_w
+
+    from hir_core.config import load_config
+    from hir_core.manager import PluginManager
+
+    plugins = PluginManager.discover(plugin_files)
+    config = load_config(plugins, preset, config_file, assignments, plugins=plugin_files or None)
+    click.echo(tomli_w.dumps(_plain(asdict(config))), nl=False)
+
+
+@config_group.command("schema")
+@plugin_option
+def schema_command(plugin_files: tuple[str, ...]) -> None:
+    """Prints the JSON schema of the settings and of every component's options."""
+    from hir_core.config import RunConfig
+    from hir_core.manager import PluginManager
+    from hir_core.options import options_schema
+
+    plugins = PluginManager.discover(plugin_files)
+    components: dict[str, dict[str, Any]] = {}
+    for r in plugins.components():
+        components.setdefault(r.kind, {})[r.component.name] = options_schema(r.component.config)
+    click.echo(json.dumps({"settings": options_schema(RunConfig), "components": components}, indent=2))
+
+
+def _plain(value: Any) -> Any:
+    """TOML has lists but no tuples."""
+    if isinstance(value, dict):
+        return {k: _plain(v) for k, v in value.items()}
+    return [_plain(v) for v in value] if isinstance(value, list | tuple) else value

@@ -1,0 +1,57 @@
+"""`hir plugins`."""
+
+from __future__ import annotations
+
+import json
+
+import click
+
+from hir_core.cli.options import plugin_option
+
+
+@click.command("plugins")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@plugin_option
+def plugins_command(as_json: bool, plugin_files: tuple[str, ...]) -> None:
+    """Lists every component that is installed, and what to install for those that cannot run."""
+    from hir_core.manager import PluginManager
+
+    manager = PluginManager.discover(plugin_files)
+    rows = [
+        {
+            "kind": r.kind,
+            "name": r.component.name,
+            "summary": r.component.summary,
+            "distribution": r.distribution,
+            "version": r.version,
+            "traits": sorted(r.component.traits),
+            "missing": list(r.missing),
+            "install": r.install_command if r.missing else None,
+        }
+        for r in manager.components()
+    ]
+    if as_json:
+        presets = {name: str(path) for name, path in manager.presets().items()}
+        click.echo(json.dumps({"components": rows, "presets": presets, "problems": manager.problems}, indent=2))
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("kind", "name", "what it does", "from", "state", box=None, padding=(0, 2, 0, 0))
+    previous = ""
+    for row in rows:
+        kind = str(row["kind"])
+        state = f"needs {', '.join(row['missing'])}: {row['install']}" if row["missing"] else "installed"
+        table.add_row(
+            "" if kind == previous else kind.replace("_", " "),
+            str(row["name"]),
+            str(row["summary"]),
+            f"{row['distribution']} {row['version']}".strip(),
+            state.replace("[", "\\["),
+        )
+        previous = kind
+    console = Console(highlight=False)
+    console.print(table)
+    console.print(f"presets: {', '.join(manager.presets()) or 'none'}")
+    for problem in manager.problems:
+        click.echo(f"hir: plugin problem: {problem}", err=True)

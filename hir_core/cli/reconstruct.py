@@ -1,0 +1,102 @@
+"""`hir reconstruct`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from hir_core.cli.options import FOLDER, loudness_options, plugin_option, settings_options
+from hir_core.run_directory import STAGES
+
+
+@click.command("reconstruct")
+@click.argument("capture", type=FOLDER)
+@click.option("-o", "--output", "run", type=FOLDER, required=True, metavar="RUN", help="The folder of the run.")
+@settings_options
+@click.option("--device", type=click.Choice(["auto", "cpu", "cuda"]), help="auto takes CUDA where there is one.")
+@click.option("--resume", is_flag=True, help="Continue: reuse finished stages whose settings and input are unchanged.")
+@click.option("--until", type=click.Choice(STAGES), help="Stop after this stage.")
+@click.option("--triangles", type=click.IntRange(min=0), help="Triangles of the mesh; 0 derives them from the views.")
+@click.option("--texture-size", type=click.IntRange(min=0), help="Side of the textures; 0 derives it from the views.")
+@click.option("--seed", type=click.IntRange(min=0), help="Seed of all random numbers.")
+@click.option("--deterministic", is_flag=True, help="The same files for the same input and machine; slower.")
+@plugin_option
+@loudness_options
+def reconstruct_command(
+    capture: Path,
+    run: Path,
+    preset: str,
+    config_file: Path | None,
+    assignments: tuple[str, ...],
+    device: str | None,
+    resume: bool,
+    until: str | None,
+    triangles: int | None,
+    texture_size: int | None,
+    seed: int | None,
+    deterministic: bool,
+    plugin_files: tuple[str, ...],
+    quiet: bool,
+    verbose: bool,
+) -> None:
+    """Turns the photographs of CAPTURE into a mesh, textures and a light, in the folder RUN."""
+    from hir_core.cli.progress_bar import ProgressBar
+    from hir_core.manager import PluginManager
+
+    chosen = list(assignments)
+    if triangles is not None:
+        chosen.append(f"geometry.triangles={triangles}")
+    if texture_size is not None:
+        chosen.append(f"atlas.texture_size={texture_size}")
+    overrides: dict[str, Any] = {"seed": seed, "deterministic": deterministic or None, "plugins": plugin_files or None}
+    _check_heavy_packages()
+    plugins = PluginManager.discover(plugin_files)
+    for problem in plugins.problems:
+        click.echo(f"hir: plugin problem: {problem}", err=True)
+    from hir_core.pipeline import reconstruct
+
+    with ProgressBar(quiet=quiet) as bar:
+        result = reconstruct(
+            capture,
+            run,
+            preset=preset,
+            config=config_file,
+            assignments=chosen,
+            device=device,
+            resume=resume,
+            until=until,
+            plugins=plugins,
+            on_progress=bar.update,
+            on_message=bar.message,
+            **overrides,
+        )
+    if not quiet:
+        _summary(result)
+
+
+def _check_heavy_packages() -> None:
+    """One sentence before anything is imported, where the extra is not installed at all."""
+    from importlib.util import find_spec
+
+    from hir_core.errors import MissingExtraError
+
+    missing = [name for name in ("torch", "jaxtyping") if find_spec(name) is None]
+    if missing:
+        raise MissingExtraError(
+            f"hir reconstruct needs {', '.join(missing)}; install it with: "
+            "pip install 'hir[reconstruct]' "
+            "(in a checkout: pip install -e '.[reconstruct]')"
+        )
+
+
+def _summary(result: Any) -> None:
+    directory = result.directory
+    lines = [("asset", directory.scene), ("files", directory.exports), ("report", directory.path / "report.html")]
+    for name, path in lines:
+        if path.exists():
+            click.echo(f"{name:>8}  {path}")
+    if directory.exports.is_dir():
+        for file in sorted(directory.exports.iterdir()):
+            click.echo(f"{'':>8}  {file.name}  {file.stat().st_size / 1e6:.2f} MB")

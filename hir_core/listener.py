@@ -1,0 +1,82 @@
+"""Gathers what a stage reports and passes it on in blocks, at most four times a second."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from hir_exporters.atomic import atomic_path
+
+from hir_core.progress import Progress
+
+if TYPE_CHECKING:
+    from hir_core.manager import PluginManager
+
+INTERVAL_SECONDS = 0.25
+
+
+class Listener:
+    """The `report` of one stage; keeps the curves of its scalars."""
+
+    def __init__(self, stage: str, plugins: PluginManager, on_progress: Callable[[Progress], None] | None) -> None:
+        self._stage = stage
+        self._plugins = plugins
+        self._on_progress = on_progress
+        self._curves: dict[str, list[np.ndarray]] = {}
+        self._steps: dict[str, list[np.ndarray]] = {}
+        self._waiting: dict[str, list[np.ndarray]] = {}
+        self._last: Progress | None = None
+        self._told = 0.0
+        self.seconds: list[tuple[int, float]] = []
+        """Pairs of step and seconds since the stage began, one for each block."""
+
+    def report(self, progress: Progress) -> None:
+        """Takes one block of a stage."""
+        for name, values in progress.scalars.items():
+            block = np.atleast_1d(np.asarray(values, dtype=np.float64))
+            self._waiting.setdefault(name, []).append(block)
+            self._curves.setdefault(name, []).append(block)
+            self._steps.setdefault(name, []).append(np.arange(progress.step - len(block) + 1, progress.step + 1))
+        self._last = replace(progress, stage=self._stage)
+        now = time.monotonic()
+        if now - self._told >= INTERVAL_SECONDS or progress.step >= progress.steps:
+            self._tell(now)
+
+    def close(self, seconds: float) -> None:
+        """Passes on what still waits, and the end of the stage."""
+        last = self._last or Progress(self._stage, 1, 1, seconds)
+        self._last = replace(last, step=last.steps, seconds=seconds)
+        self._tell(time.monotonic())
+
+    def write(self, path: Path) -> None:
+        """Writes the curves: for each scalar its values and the steps they belong to; nothing where there are none."""
+        if not self._curves:
+            return
+        arrays = {name: np.concatenate(blocks) for name, blocks in self._curves.items()}
+        arrays |= {f"{name}@step": np.concatenate(blocks) for name, blocks in self._steps.items()}
+        with atomic_path(path) as temporary:
+            np.savez(temporary, **arrays)  # type: ignore[arg-type]
+
+    def _tell(self, now: float) -> None:
+        if self._last is None:
+            return
+        self._told = now
+        told = replace(self._last, scalars={name: np.concatenate(b) for name, b in self._waiting.items()})
+        self._waiting = {}
+        self.seconds.append((told.step, round(told.seconds, 3)))
+        if self._on_progress is not None:
+            self._on_progress(told)
+        self._plugins.notify("hir_progress", progress=told)
+
+
+def read_curves(path: Path) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Steps and values of each scalar of a stage; empty where none were kept."""
+    if not path.exists():
+        return {}
+    with np.load(path, allow_pickle=False) as arrays:
+        names = [n for n in arrays.files if not n.endswith("@step")]
+        return {n: (arrays[f"{n}@step"], arrays[n]) for n in names}

@@ -1,0 +1,270 @@
+"""The run, from a folder of photographs to an asset and its files (DESIGN section 5)."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hir_core.capture import Capture
+from hir_core.capture_files import fingerprint, restore_capture, save_capture, write_cameras
+from hir_core.config import RunConfig, load_config
+from hir_core.context import StageContext
+from hir_core.errors import CaptureError
+from hir_core.initialize import initialize
+from hir_core.manager import PluginManager
+from hir_core.pixel_cache import PixelCache
+from hir_core.readers import read_capture
+from hir_core.run_directory import RunDirectory, claimed_run
+from hir_core.session import Session, StopRun, check_until, resolve_device
+
+if TYPE_CHECKING:
+    from hir_exporters.asset import Asset
+
+    from hir_core.progress import Progress
+    from hir_core.scene import Scene
+
+
+@dataclass(frozen=True)
+class Run:
+    """What `reconstruct` returns."""
+
+    directory: RunDirectory
+    reused: tuple[str, ...]
+    """Stages that were read from an earlier run."""
+
+    @property
+    def path(self) -> Path:
+        """The run's folder."""
+        return self.directory.path
+
+    @property
+    def asset(self) -> Asset:
+        """The finished asset; an error where the run stopped before `bake`."""
+        from hir_exporters.scene_files import load_scene
+
+        return load_scene(self.directory.scene)
+
+
+def reconstruct(
+    capture: str | Path,
+    run: str | Path,
+    *,
+    preset: str = "",
+    config: RunConfig | str | Path | None = None,
+    assignments: Sequence[str] = (),
+    device: str | None = None,
+    resume: bool = False,
+    until: str | None = None,
+    plugins: PluginManager | None = None,
+    on_progress: Callable[[Progress], None] | None = None,
+    on_message: Callable[[str], None] | None = None,
+    **overrides: Any,
+) -> Run:
+    """Turns the photographs of `capture` into an asset in the folder `run`.
+
+    `config` is a TOML file or a finished `RunConfig`; `assignments` are `key=value` as after `--set`; further keyword
+    arguments are top-level settings. `on_message` gets one sentence at a time. Raises `HirError` with one sentence.
+    """
+    last = check_until(until)
+    plugins = plugins or PluginManager.discover()
+    if not isinstance(config, RunConfig):
+        file = None if config is None else Path(config)
+        config = load_config(plugins, preset, file, assignments, device=device, **overrides)
+    found = resolve_device(config.device)
+    with claimed_run(run, resume) as directory:
+        session = Session(config, plugins, directory, found, last, on_progress, on_message)
+        with contextlib.suppress(StopRun):
+            run_stages(Path(capture), session)
+        session.finish()
+        if directory.scene.is_dir():
+            from hir_core.report import write_report
+
+            write_report(directory, plugins, on_message=on_message)
+    return Run(directory, tuple(session.reused))
+
+
+def run_stages(path: Path, session: Session) -> Asset:
+    """A folder ─ reader ─► capture ─ initializers ─► mesh ─ fits ─► scene ─ bake ─► asset ─► files."""
+    config = session.config
+    capture, photographs = open_capture(path, session)
+    capture, scene = initializer_stage(capture, session)
+    write_cameras(session.directory.cameras, capture.transformed(asset_from_working(session)), photographs)
+    scene = geometry_stage(scene, capture, session)
+    scene = atlas_stage(scene, capture, session)
+    scene = reflectance_stage(scene, capture, session)
+    asset = bake_stage(scene, capture, session)
+    return export_stage(asset, config, session)
+
+
+def open_capture(path: Path, session: Session) -> tuple[Capture, list[str]]:
+    """The train split, decoded at most once, and the names of its photographs; starts the session's records."""
+    capture = read_capture(path, "train", session.plugins, session.config.reader)
+    if not capture.views:
+        raise CaptureError(f"{path} holds no photographs to fit; is it the folder of a capture?")
+    mark = fingerprint(capture)
+    session.key = mark
+    session.start(
+        {
+            "path": str(path.resolve()),
+            "name": path.resolve().name,
+            "reader": capture.reader,
+            "split": capture.split,
+            "views": len(capture.views),
+            "fingerprint": mark,
+        }
+    )
+    return PixelCache().wrap(capture), [view.name for view in capture.views]
+
+
+def initializer_stage(capture: Capture, session: Session) -> tuple[Capture, Scene]:
+    """Cameras, masks and a first mesh, in the working frame: the object centred at the origin, of radius 1."""
+    from hir_core.scene_store import load_stage_scene, save_stage_scene
+
+    config, plugins = session.config, session.plugins
+
+    def compute(context: StageContext) -> tuple[tuple[Capture, Scene], dict[str, Any]]:
+        return initialize(capture, config, context)
+
+    def save(value: tuple[Capture, Scene], folder: Path) -> None:
+        save_capture(value[0], folder)
+        save_stage_scene(value[1], folder / "scene")
+
+    def load(folder: Path) -> tuple[Capture, Scene]:
+        return restore_capture(capture, folder), load_stage_scene(folder / "scene", session.device)
+
+    chain = config.initializers if config.initializers != "auto" else plugins.suggest_initializers(capture)
+    settings = [list(chain), config.masks, config.initializer, config.mask_source]
+    fitted, scene = session.stage("initializer", settings, compute, save, load, scene_of=lambda value: value[1])
+    report = session.document["stages"]["initializer"]["report"]
+    session.document["asset_from_working"] = np.linalg.inv(np.array(report["working_from_asset"])).tolist()
+    session.document["asset_from_source"] = (
+        np.array(session.document["asset_from_working"]) @ fitted.world_from_source
+    ).tolist()
+    return fitted, scene
+
+
+def geometry_stage(scene: Scene, capture: Capture, session: Session) -> Scene:
+    """The mesh that explains the masks."""
+    from hir_core.geometry import fit_geometry
+
+    settings = session.config.geometry
+    if not settings.enabled:
+        return _pass_through("geometry", scene, session)
+    used = session.config.geometry_renderer.get(settings.renderer, {})
+    return _scene_stage(
+        "geometry", [asdict(settings), used], session, lambda context: fit_geometry(scene, capture, settings, context)
+    )
+
+
+def atlas_stage(scene: Scene, capture: Capture, session: Session) -> Scene:
+    """Texture coordinates, and the photographs' colours baked where the stage can."""
+    from hir_core.atlas import unwrap
+
+    settings = session.config.atlas
+    return _scene_stage("atlas", settings, session, lambda context: unwrap(scene, capture, settings, context))
+
+
+def reflectance_stage(scene: Scene, capture: Capture, session: Session) -> Scene:
+    """Material and light that explain the photographs."""
+    from hir_core.reflectance import fit_reflectance
+
+    settings = session.config.reflectance
+    if not settings.enabled:
+        return _pass_through("reflectance", scene, session)
+    light = Path(settings.known_environment.rpartition("*")[0] or settings.known_environment)
+    known = _file_hash(light) if settings.known_environment else ""
+    used = [asdict(settings), known, session.config.reflectance_renderer]
+    return _scene_stage(
+        "reflectance", used, session, lambda context: fit_reflectance(scene, capture, settings, context)
+    )
+
+
+def bake_stage(scene: Scene, capture: Capture, session: Session) -> Asset:
+    """The asset in the place and scale of the capture's own files (+Y up), written to `scene/`."""
+    from hir_exporters.scene_files import load_scene, save_scene
+
+    from hir_core.bake import bake
+    from hir_core.working_frame import move_scene
+
+    name = str(session.document["capture"]["name"])
+
+    def compute(_: StageContext) -> tuple[Asset, dict[str, Any]]:
+        from hir_exporters.asset import describe
+
+        asset = bake(move_scene(scene, asset_from_working(session)), name=name, provenance=provenance(session))
+        return asset, describe(asset)
+
+    def save(asset: Asset, _: Path) -> None:
+        save_scene(asset, session.directory.scene)
+
+    return session.stage("bake", name, compute, save, lambda _: load_scene(session.directory.scene), lambda _: scene)
+
+
+def export_stage(asset: Asset, config: RunConfig, session: Session) -> Asset:
+    """The asset in every format of the settings, in `exports/`."""
+    from hir_core.export import export_asset
+
+    def compute(context: StageContext) -> tuple[Asset, dict[str, Any]]:
+        reports = export_asset(asset, config.export, session.directory.exports, session.plugins, config.exporter)
+        for name, report in reports.items():
+            for warning in report.warnings:
+                context.warn(f"{name}: {warning}")
+        return asset, {
+            name: {"files": [file.name for file in report.files], "residuals": dict(report.residuals)}
+            for name, report in reports.items()
+        }
+
+    settings = [list(config.export), config.exporter]
+    return session.stage("export", settings, compute, lambda *_: None, lambda _: asset, lambda _: None)
+
+
+def asset_from_working(session: Session) -> np.ndarray:
+    """4×4 similarity from the frame of the fits to that of the asset."""
+    return np.array(session.document["asset_from_working"], dtype=np.float64)
+
+
+def provenance(session: Session) -> dict[str, Any]:
+    """What the asset's own files say of where they come from; nothing that differs between two equal runs."""
+    document = session.document
+    return {
+        "generator": f"hir {document['versions'].get('hir', '')}".strip(),
+        "capture": document["capture"]["name"],
+        "fingerprint": document["capture"]["fingerprint"],
+        "preset": session.config.preset,
+        "seed": session.config.seed,
+    }
+
+
+def _scene_stage(
+    name: str, settings: Any, session: Session, compute: Callable[[StageContext], tuple[Scene, Any]]
+) -> Scene:
+    """A stage whose result is a scene alone."""
+    from hir_core.scene_store import load_stage_scene, save_stage_scene
+
+    return session.stage(
+        name,
+        settings,
+        compute,
+        save=lambda scene, folder: save_stage_scene(scene, folder / "scene"),
+        load=lambda folder: load_stage_scene(folder / "scene", session.device),
+    )
+
+
+def _pass_through(name: str, scene: Scene, session: Session) -> Scene:
+    """A stage that the settings leave out."""
+    return _scene_stage(name, "left out", session, lambda _: (scene, {"enabled": False}))
+
+
+def _file_hash(path: Path) -> str:
+    import hashlib
+
+    try:
+        with open(path, "rb") as stream:
+            return hashlib.file_digest(stream, "blake2b").hexdigest()
+    except OSError as error:
+        raise CaptureError(f"reflectance.known_environment: {path} cannot be read: {error.strerror}") from error

@@ -1,0 +1,195 @@
+"""The machinery around the stages of a run: what is reused, who listens, what is written and timed."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import random
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field, is_dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from hir_core.config import RunConfig
+from hir_core.context import StageContext
+from hir_core.errors import ConfigError
+from hir_core.listener import Listener
+from hir_core.machine import describe_machine, peak_memory_bytes, versions
+from hir_core.manager import PluginManager
+from hir_core.run_directory import STAGES, RunDirectory, StageRecord, jsonable
+
+Value = TypeVar("Value")
+Report = Mapping[str, Any]
+
+
+class StopRun(Exception):  # noqa: N818 - not an error: `--until` was reached
+    """The last stage that was asked for is done."""
+
+
+@dataclass
+class Session:
+    """One call of `reconstruct`: settings, plugins, folder and listeners, and the records that grow stage by stage."""
+
+    config: RunConfig
+    plugins: PluginManager
+    directory: RunDirectory
+    device: str
+    until: str = "export"
+    on_progress: Callable[[Any], None] | None = None
+    on_message: Callable[[str], None] | None = None
+    key: str = ""
+    """Hash of all that the next stage's input depends on."""
+    reused: list[str] = field(default_factory=list)
+    document: dict[str, Any] = field(default_factory=dict)
+    """run.json so far."""
+    timings: dict[str, Any] = field(default_factory=dict)
+    """timings.json so far."""
+
+    def start(self, capture: Mapping[str, Any]) -> None:
+        """Writes run.json and timings.json as they are before the first stage, and tells the observers."""
+        self.document = {
+            "capture": dict(capture),
+            "settings": asdict(self.config),
+            "seed": self.config.seed,
+            "versions": versions(),
+            "plugins": [
+                f"{r.kind} {r.component.name} ({r.distribution} {r.version})".strip() for r in self.plugins.components()
+            ],
+            "plugin_problems": list(self.plugins.problems),
+            "stages": {},
+            "metrics": {},
+        }
+        old = self.directory.read_timings()
+        self.timings = {"machine": describe_machine(self.device), "started": _now(), "stages": old.get("stages", {})}
+        self._write()
+        self.plugins.notify("hir_run_started", config=self.config, run_folder=self.directory.path)
+
+    def stage(
+        self,
+        name: str,
+        settings: Any,
+        compute: Callable[[StageContext], tuple[Value, Report]],
+        save: Callable[[Value, Path], None],
+        load: Callable[[Path], Value],
+        scene_of: Callable[[Value], Any] = lambda value: value,
+    ) -> Value:
+        """The result of a stage: read where a finished one of the same settings and input exists, else computed."""
+        self.key = _hash(self.key, name, settings, self.config.seed, self.config.deterministic)
+        record = self.directory.record(name)
+        if record is not None and record.finished and record.key == self.key:
+            value = load(self.directory.stage(name))
+            self.reused.append(name)
+            self._say(f"{name}: reused, its settings and input are unchanged")
+        else:
+            value, record = self._run(name, compute, save)
+            self.plugins.notify("hir_stage_finished", stage=name, scene=scene_of(value), report=record.report)
+        self.document["stages"][name] = {"report": record.report, "warnings": record.warnings}
+        self._write()
+        if name == self.until:
+            raise StopRun
+        return value
+
+    def finish(self) -> None:
+        """Dates the end of the run."""
+        self.timings["finished"] = _now()
+        self.timings["seconds"] = sum(s.get("seconds", 0.0) for s in self.timings["stages"].values())
+        self._write()
+
+    def _run(
+        self, name: str, compute: Callable[[StageContext], tuple[Value, Report]], save: Callable[[Value, Path], None]
+    ) -> tuple[Value, StageRecord]:
+        if self.directory.record(name) is not None:
+            self._say(f"{name}: done again, its settings or input changed or it was interrupted")
+        workspace = self.directory.begin(name, self.key)
+        warnings: list[str] = []
+
+        def warn(sentence: str) -> None:
+            if sentence not in warnings:
+                warnings.append(sentence)
+                self._say(f"{name}: warning: {sentence}")
+
+        listener = Listener(name, self.plugins, self.on_progress)
+        context = StageContext(
+            plugins=self.plugins,
+            workspace=workspace,
+            device=self.device,
+            seed=self.config.seed,
+            deterministic=self.config.deterministic,
+            report=listener.report,
+            warn=warn,
+        )
+        seed_everything(self.config.seed, self.config.deterministic)
+        started = time.perf_counter()
+        value, report = compute(context)
+        seconds = time.perf_counter() - started
+        listener.close(seconds)
+        folder = self.directory.stage(name)
+        save(value, folder)
+        listener.write(folder / "curves.npz")
+        record = StageRecord(name, self.key, True, jsonable(report), tuple(warnings))
+        self.directory.finish(record)
+        self.timings["stages"][name] = {
+            "seconds": round(seconds, 3),
+            "peak_memory_bytes": peak_memory_bytes(),
+            "finished": _now(),
+            "progress": listener.seconds,
+        }
+        self._say(f"{name}: {seconds:.1f} s")
+        return value, record
+
+    def _write(self) -> None:
+        self.directory.write_run(self.document)
+        self.directory.write_timings(self.timings)
+
+    def _say(self, sentence: str) -> None:
+        if self.on_message is not None:
+            self.on_message(sentence)
+
+
+def seed_everything(seed: int, deterministic: bool) -> None:
+    """The same random numbers for a stage whether the stages before it ran in this process or were read from disk."""
+    import torch
+
+    random.seed(seed)
+    np.random.seed(seed % (1 << 32))
+    torch.manual_seed(seed)
+    if deterministic:
+        torch.use_deterministic_algorithms(True, warn_only=True)
+        # atomics and reductions of several threads add in any order
+        torch.set_num_threads(1)
+
+
+def resolve_device(device: str) -> str:
+    """`cpu` or `cuda`: what `auto` means here; an error where CUDA is asked for and there is none."""
+    import torch
+
+    if device not in ("auto", "cpu", "cuda"):
+        raise ConfigError(f"device {device!r} is not known; it is auto, cpu or cuda")
+    if device == "auto":
+        return "cuda" if torch.cuda.is_available() else "cpu"
+    if device == "cuda" and not torch.cuda.is_available():
+        raise ConfigError("device cuda: torch sees no CUDA device; use --device cpu (`hir doctor` says what is found)")
+    return device
+
+
+def check_until(until: str | None) -> str:
+    """A stage's name, the last one by default."""
+    if until is None:
+        return STAGES[-1]
+    if until not in STAGES:
+        raise ConfigError(f"there is no stage {until!r}; the stages are: {', '.join(STAGES)}")
+    return until
+
+
+def _hash(*parts: Any) -> str:
+    plain = [asdict(p) if is_dataclass(p) and not isinstance(p, type) else p for p in parts]
+    text = json.dumps(jsonable(plain), sort_keys=True)
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")
