@@ -1,0 +1,293 @@
+"""Isotropic remeshing (Botsch & Kobbelt 2004): split, collapse, flip, relax, each as a few passes over whole arrays.
+
+Operations that touch the same neighbourhood exclude each other within a pass (the one of the lowest rank wins), so a pass
+over arrays does what one at a time would. Collapses keep the topology: a closed manifold mesh stays one, handles included.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Positions = NDArray[np.float64]
+Faces = NDArray[np.int64]
+
+SPLIT, COLLAPSE = 4 / 3, 4 / 5
+"""Edges longer or shorter than these multiples of the target change (Botsch & Kobbelt 2004)."""
+
+TURN = 0.3
+"""A collapse or flip may not turn a triangle's normal further than this cosine."""
+
+
+def remesh(positions: Positions, faces: Faces, edge_length: float, rounds: int = 4) -> tuple[Positions, Faces]:
+    """A mesh of the same surface and topology with edges near `edge_length`; vertices lie on the surface given.
+
+    Positions come back in float64. An empty mesh, or one without area, comes back as it is. Edges of more than two faces
+    and the rims of open meshes are left where they are.
+    """
+    edge_length = float(edge_length)
+    if len(faces) == 0 or not np.isfinite(edge_length) or edge_length <= 0 or not np.isfinite(positions).all():
+        return positions.astype(np.float64), faces.astype(np.int64)
+    surface = _Surface(positions, faces)
+    x, f = _compact(positions.astype(np.float64), faces[_proper(faces)].astype(np.int64))
+    if len(f) == 0:
+        return positions.astype(np.float64), faces.astype(np.int64)
+    for _ in range(rounds):
+        x, f = _split_long(x, f, edge_length * SPLIT)
+        x, f = _collapse_short(x, f, edge_length)
+        f = _flip(x, f)
+        x = surface.nearest(_relax(x, f))
+    return x, f
+
+
+def mean_edge_length(positions: Positions, faces: Faces) -> float:
+    """Mean over all corners of all triangles; 0 for an empty mesh."""
+    if len(faces) == 0:
+        return 0.0
+    p = positions[faces]
+    return float(np.linalg.norm(p - np.roll(p, 1, axis=1), axis=2).mean())
+
+
+def surface_area(positions: Positions, faces: Faces) -> float:
+    """Sum of the triangles' areas."""
+    p = positions[faces].astype(np.float64)
+    return float(0.5 * np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1).sum())
+
+
+class _Surface:
+    """Nearest points on the surface that a remeshing started from."""
+
+    def __init__(self, positions: Positions, faces: Faces) -> None:
+        import open3d
+
+        # open3d works in float32: about the centre nothing is lost
+        self._center = 0.5 * (positions.min(axis=0) + positions.max(axis=0))
+        self._tensor = open3d.core.Tensor
+        self._scene = open3d.t.geometry.RaycastingScene(nthreads=0)
+        self._scene.add_triangles(self._tensor((positions - self._center).astype(np.float32)),
+                                  self._tensor(faces.astype(np.uint32)))
+
+    def nearest(self, points: Positions) -> Positions:
+        found = self._scene.compute_closest_points(self._tensor((points - self._center).astype(np.float32)))
+        moved = found["points"].numpy().astype(np.float64) + self._center
+        return np.where(np.isfinite(moved), moved, points)
+
+
+@dataclass(frozen=True)
+class _Edges:
+    ends: NDArray[np.int64]
+    """E 2, lower index first."""
+    of_corner: NDArray[np.int64]
+    """F 3: the edge from corner k to corner k + 1."""
+    faces: NDArray[np.int64]
+    """E 2: its first two faces, −1 where there is none."""
+    count: NDArray[np.int64]
+    """Faces of each edge."""
+
+
+def _edges(faces: Faces, vertices: int) -> _Edges:
+    start, end = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
+    key = np.minimum(start, end) * vertices + np.maximum(start, end)
+    unique, inverse, count = np.unique(key, return_inverse=True, return_counts=True)
+    order = np.argsort(inverse, kind="stable")
+    first = np.concatenate([[0], np.cumsum(count)[:-1]])
+    pair = np.full((len(unique), 2), -1, dtype=np.int64)
+    pair[:, 0] = order[first] // 3
+    twice = count > 1
+    pair[twice, 1] = order[first[twice] + 1] // 3
+    return _Edges(np.stack([unique // vertices, unique % vertices], axis=1), inverse.reshape(-1, 3), pair, count)
+
+
+def _proper(faces: Faces) -> NDArray[np.bool_]:
+    return (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+
+
+def _compact(positions: Positions, faces: Faces) -> tuple[Positions, Faces]:
+    used, inverse = np.unique(faces, return_inverse=True)
+    return positions[used], inverse.reshape(-1, 3)
+
+
+def _lengths(positions: Positions, ends: NDArray[np.int64]) -> NDArray[np.float64]:
+    return np.asarray(np.linalg.norm(positions[ends[:, 1]] - positions[ends[:, 0]], axis=1))
+
+
+def _normals(positions: Positions, faces: Faces) -> Positions:
+    p = positions[faces]
+    n = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    length = np.linalg.norm(n, axis=1, keepdims=True)
+    return np.where(length > 0, n / np.maximum(length, np.finfo(float).tiny), 0.0)
+
+
+def _split_long(x: Positions, f: Faces, limit: float) -> tuple[Positions, Faces]:
+    """Halves long edges until none is left; a triangle with one, two or three halved edges becomes two, three or four."""
+    for _ in range(12):
+        edges = _edges(f, len(x))
+        long = _lengths(x, edges.ends) > limit
+        if not long.any():
+            break
+        number = np.full(len(long), -1, dtype=np.int64)
+        number[long] = len(x) + np.arange(long.sum())
+        x = np.concatenate([x, 0.5 * (x[edges.ends[long, 0]] + x[edges.ends[long, 1]])])
+        middle = number[edges.of_corner]
+        halved = middle >= 0
+        parts = [f[~halved.any(axis=1)]]
+        amount = halved.sum(axis=1)
+        one = amount == 1
+        a, b, c, ab, _, _ = _turned(f[one], middle[one], halved[one].argmax(axis=1))
+        parts += [np.stack([a, ab, c], 1), np.stack([ab, b, c], 1)]
+        two = amount == 2
+        a, b, c, _, bc, ca = _turned(f[two], middle[two], (~halved[two]).argmax(axis=1))
+        parts.append(np.stack([bc, c, ca], 1))
+        # the quad a b bc ca along its shorter diagonal
+        straight = (np.linalg.norm(x[a] - x[bc], axis=1) <= np.linalg.norm(x[b] - x[ca], axis=1))[:, None]
+        parts += [np.where(straight, np.stack([a, b, bc], 1), np.stack([a, b, ca], 1)),
+                  np.where(straight, np.stack([a, bc, ca], 1), np.stack([b, bc, ca], 1))]
+        three = amount == 3
+        (a, b, c), (ab, bc, ca) = f[three].T, middle[three].T
+        parts += [np.stack(t, 1) for t in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
+        f = np.concatenate(parts)
+    return x, f
+
+
+def _turned(faces: Faces, middle: NDArray[np.int64], first: NDArray[np.int64]) -> tuple[NDArray[np.int64], ...]:
+    turn = (np.arange(3)[None] + first[:, None]) % 3
+    return (*np.take_along_axis(faces, turn, 1).T, *np.take_along_axis(middle, turn, 1).T)
+
+
+def _collapse_short(x: Positions, f: Faces, length: float) -> tuple[Positions, Faces]:
+    """Merges the ends of short edges where topology and orientation allow, an independent set at a time."""
+    for _ in range(60):
+        edges = _edges(f, len(x))
+        chosen = _collapsible(x, f, edges, length)
+        if len(chosen) == 0:
+            break
+        a, b = edges.ends[chosen].T
+        x[a] = 0.5 * (x[a] + x[b])
+        target = np.arange(len(x))
+        target[b] = a
+        f = target[f]
+        before = len(f)
+        x, f = _compact(x, f[_proper(f)])
+        if before - len(f) < 0.002 * before:
+            break
+    return x, f
+
+
+def _collapsible(x: Positions, f: Faces, edges: _Edges, length: float) -> NDArray[np.int64]:
+    size = _lengths(x, edges.ends)
+    rim = np.zeros(len(x), dtype=bool)
+    rim[edges.ends[edges.count != 2].reshape(-1)] = True
+    valence = np.bincount(edges.ends.reshape(-1), minlength=len(x))
+    candidate = (size < COLLAPSE * length) & ~rim[edges.ends].any(axis=1)
+    candidate[candidate] = _link_condition(f, edges, np.flatnonzero(candidate), valence, len(x))
+    index = np.flatnonzero(candidate)
+    if len(index) == 0:
+        return index
+    index = index[_keeps_shape(x, f, edges.ends[index], SPLIT * length)]
+    # lowest rank among all that touch the neighbours of either end
+    rank = np.full(len(edges.ends), np.iinfo(np.int64).max)
+    rank[index[np.argsort(size[index], kind="stable")]] = np.arange(len(index))
+    near = np.full(len(x), np.iinfo(np.int64).max)
+    np.minimum.at(near, edges.ends[index].reshape(-1), rank[index].repeat(2))
+    wide = near.copy()
+    np.minimum.at(wide, edges.ends[:, 0], near[edges.ends[:, 1]])
+    np.minimum.at(wide, edges.ends[:, 1], near[edges.ends[:, 0]])
+    return index[rank[index] == wide[edges.ends[index]].min(axis=1)]
+
+
+def _link_condition(f: Faces, edges: _Edges, index: NDArray[np.int64], valence: NDArray[np.int64],
+                    vertices: int) -> NDArray[np.bool_]:
+    """Only the two opposite corners may neighbour both ends (else a handle closes), and both must keep three neighbours."""
+    from scipy.sparse import csr_matrix
+
+    a, b = edges.ends[index].T
+    both = np.concatenate([edges.ends, edges.ends[:, ::-1]])
+    adjacency = csr_matrix((np.ones(len(both), dtype=np.int32), (both[:, 0], both[:, 1])), shape=(vertices, vertices))
+    common = np.asarray(adjacency[a].multiply(adjacency[b]).sum(axis=1)).reshape(-1)
+    opposite = np.stack([f[edges.faces[index, k]].sum(axis=1) - a - b for k in (0, 1)], axis=1)
+    return (common == 2) & (opposite[:, 0] != opposite[:, 1]) & (valence[opposite] > 4).all(axis=1)
+
+
+def _keeps_shape(x: Positions, f: Faces, ends: NDArray[np.int64], longest: float) -> NDArray[np.bool_]:
+    """Whether merging each pair at its middle turns no triangle around it and makes no edge longer than `longest`."""
+    corner = f.reshape(-1)
+    order = np.argsort(corner, kind="stable")
+    start = np.searchsorted(corner[order], np.arange(len(x) + 1))
+    good = np.ones(len(ends), dtype=bool)
+    middle = 0.5 * (x[ends[:, 0]] + x[ends[:, 1]])
+    for side in (0, 1):
+        vertex = ends[:, side]
+        count = start[vertex + 1] - start[vertex]
+        pair = np.repeat(np.arange(len(ends)), count)
+        offset = np.arange(len(pair)) - (np.cumsum(count) - count)[pair]
+        slot = order[start[vertex[pair]] + offset]
+        face, k = slot // 3, slot % 3
+        others = np.stack([f[face, (k + 1) % 3], f[face, (k + 2) % 3]], axis=1)
+        removed = (others == ends[pair, 1 - side][:, None]).any(axis=1)
+        p, q = x[others[:, 0]], x[others[:, 1]]
+        old = np.cross(p - x[vertex[pair]], q - x[vertex[pair]])
+        new = np.cross(p - middle[pair], q - middle[pair])
+        size = np.linalg.norm(old, axis=1) * np.linalg.norm(new, axis=1)
+        bad = ((old * new).sum(axis=1) <= TURN * size) | (np.linalg.norm(p - middle[pair], axis=1) > longest)
+        good[pair[bad & ~removed]] = False
+    return good
+
+
+def _flip(x: Positions, f: Faces, passes: int = 4) -> Faces:
+    """Flips edges where that brings valences nearer to six (four on a rim) and folds nothing."""
+    for _ in range(passes):
+        edges = _edges(f, len(x))
+        inner = np.flatnonzero(edges.count == 2)
+        if len(inner) == 0:
+            break
+        left, right = edges.faces[inner].T
+        k = (edges.of_corner[left] == inner[:, None]).argmax(axis=1)
+        j = (edges.of_corner[right] == inner[:, None]).argmax(axis=1)
+        a, b, c = (np.take_along_axis(f[left], ((k + i) % 3)[:, None], 1)[:, 0] for i in range(3))
+        d = np.take_along_axis(f[right], ((j + 2) % 3)[:, None], 1)[:, 0]
+        # both triangles must run opposite ways along the edge: else the mesh is not oriented there
+        oriented = np.take_along_axis(f[right], j[:, None], 1)[:, 0] == b
+        ideal = np.full(len(x), 6)
+        ideal[edges.ends[edges.count != 2].reshape(-1)] = 4
+        excess = np.bincount(edges.ends.reshape(-1), minlength=len(x)) - ideal
+        gain = 2 * (excess[a] + excess[b] - excess[c] - excess[d]) - 4
+        old1, old2 = _normals(x, f[left]), _normals(x, f[right])
+        new1, new2 = np.stack([a, d, c], 1), np.stack([d, b, c], 1)
+        mean = old1 + old2
+        mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-30)
+        flat = ((_normals(x, new1) * mean).sum(1) > 0.7) & ((_normals(x, new2) * mean).sum(1) > 0.7)
+        key = edges.ends[:, 0] * len(x) + edges.ends[:, 1]
+        new_key = np.minimum(c, d) * len(x) + np.maximum(c, d)
+        fresh = key[np.searchsorted(key, new_key).clip(max=len(key) - 1)] != new_key
+        index = np.flatnonzero((gain > 0) & flat & fresh & oriented & (c != d))
+        if len(index) == 0:
+            break
+        quad = np.stack([a, b, c, d], 1)[index]
+        rank = np.empty(len(index), dtype=np.int64)
+        rank[np.argsort(-gain[index], kind="stable")] = np.arange(len(index))
+        lowest = np.full(len(x), np.iinfo(np.int64).max)
+        np.minimum.at(lowest, quad.reshape(-1), rank.repeat(4))
+        index = index[(lowest[quad] == rank[:, None]).all(axis=1)]
+        f = f.copy()
+        f[left[index]], f[right[index]] = new1[index], new2[index]
+    return f
+
+
+def _relax(x: Positions, f: Faces) -> Positions:
+    """Moves each vertex in its tangent plane to the mean of its neighbours; rims stay."""
+    edges = _edges(f, len(x))
+    a, b = edges.ends.T
+    total = np.zeros_like(x)
+    np.add.at(total, a, x[b])
+    np.add.at(total, b, x[a])
+    degree = np.bincount(edges.ends.reshape(-1), minlength=len(x))[:, None]
+    step = total / np.maximum(degree, 1) - x
+    normal = np.zeros_like(x)
+    p = x[f]
+    np.add.at(normal, f.reshape(-1), np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]).repeat(3, axis=0))
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.finfo(float).tiny)
+    step -= normal * (step * normal).sum(axis=1, keepdims=True)
+    step[edges.ends[edges.count != 2].reshape(-1)] = 0
+    return x + 0.7 * step
