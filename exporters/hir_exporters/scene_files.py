@@ -97,15 +97,26 @@ def _load_material(folder: Path, table: dict[str, Any]) -> AssetMaterial:
     model = table.get("model")
     if model not in MODELS:
         raise InputError(f"{source}: material.model is {model!r}; known are {', '.join(MODELS)}")
-    values = {name: _load_map(folder, name, table.get(name), channels) for name, channels in _MAPS.items()}
-    for name in ("diffuse_albedo", "specular_albedo", "roughness"):
-        if values[name] is None:
-            raise InputError(f"{source}: material.{name} is missing; give a file or a constant")
-    observed = values.pop("observed")
-    return AssetMaterial(model=model, **values, observed=None if observed is None else observed > 0.5)  # type: ignore[arg-type]
+    observed = _load_map(folder, "observed", table.get("observed"))
+    return AssetMaterial(
+        model=model,
+        diffuse_albedo=_load_needed_map(folder, "diffuse_albedo", table),
+        specular_albedo=_load_needed_map(folder, "specular_albedo", table),
+        roughness=_load_needed_map(folder, "roughness", table),
+        normal=_load_map(folder, "normal", table.get("normal")),
+        observed=None if observed is None else observed > 0.5,
+    )
 
 
-def _load_map(folder: Path, name: str, value: object, channels: int) -> NDArray[Any] | None:
+def _load_needed_map(folder: Path, name: str, table: dict[str, Any]) -> NDArray[Any]:
+    value = _load_map(folder, name, table.get(name))
+    if value is None:
+        raise InputError(f"{folder / 'scene.json'}: material.{name} is missing; give a file or a constant")
+    return value
+
+
+def _load_map(folder: Path, name: str, value: object) -> NDArray[Any] | None:
+    channels = _MAPS[name]
     if value is None:
         return None
     if isinstance(value, str):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -85,3 +86,21 @@ def textured_asset() -> Asset:
 def constant_asset() -> Asset:
     """A grey `paper` sphere without textures or light."""
     return Asset(sphere_mesh(), AssetMaterial("paper", [0.5, 0.4, 0.3], [0.2, 0.2, 0.2], 0.25), name="ball")
+
+
+@pytest.fixture(scope="session")
+def make_sphere() -> Callable[..., AssetMesh]:
+    """`sphere_mesh`, for tests that need another size."""
+    return sphere_mesh
+
+
+@pytest.fixture(scope="session")
+def make_texture() -> Callable[..., np.ndarray]:
+    """`smooth_texture`, for tests that build materials."""
+    return smooth_texture
+
+
+@pytest.fixture(scope="session")
+def six_colors() -> np.ndarray:
+    """`axis_map` at 64 x 128."""
+    return axis_map(64)

@@ -1,0 +1,88 @@
+"""Textures and constants side by side: resizing, matching sizes, taking samples, encoding to 8 bits."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hir_exporters.conventions import linear_to_srgb
+
+Array = NDArray[np.floating]
+
+
+def resize(texture: Array, height: int, width: int) -> Array:
+    """(H, W) or (H, W, C) at another size: area average where it shrinks, linear interpolation where it grows."""
+    from PIL import Image
+
+    if texture.shape[:2] == (height, width):
+        return texture
+    smaller = height < texture.shape[0] or width < texture.shape[1]
+    method = Image.Resampling.BOX if smaller else Image.Resampling.BILINEAR
+    planes = texture[..., None] if texture.ndim == 2 else texture
+    resized = [
+        np.asarray(Image.fromarray(np.ascontiguousarray(planes[..., k])).resize((width, height), method))
+        for k in range(planes.shape[2])
+    ]
+    return np.stack(resized, axis=-1).reshape(height, width, *texture.shape[2:])
+
+
+def limit_size(texture: Array, largest: int) -> Array:
+    """The texture with neither side above `largest`, its proportions kept."""
+    height, width = texture.shape[:2]
+    scale = largest / max(height, width)
+    if scale >= 1:
+        return texture
+    return resize(texture, max(1, round(height * scale)), max(1, round(width * scale)))
+
+
+def common_size(*values: Array, channels: tuple[int, ...]) -> tuple[int, int] | None:
+    """Largest height and width among the values that are textures; `channels[i]` is 1 where a colour ends the shape."""
+    sizes = [value.shape[:2] for value, c in zip(values, channels, strict=True) if value.ndim - c == 2]
+    return (max(h for h, _ in sizes), max(w for _, w in sizes)) if sizes else None
+
+
+def constant_if_uniform(value: Array, channels: int) -> Array:
+    """A texture all of whose texels are equal as one value; others, and constants, as they are."""
+    if value.ndim - channels != 2:
+        return value
+    first = value[0, 0]
+    return np.asarray(first) if (value == first).all() else value
+
+
+def sample_texels(value: Array, color: bool, places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Nearest texels (T, 3) or (T,) at `places` (T, 2) in [0, 1), x then y; constants repeat."""
+    if value.ndim - color != 2:
+        return np.broadcast_to(value.astype(np.float64), (len(places), *value.shape)).copy()
+    column = (places[:, 0] * value.shape[1]).astype(np.int64)
+    row = (places[:, 1] * value.shape[0]).astype(np.int64)
+    return value[row, column].astype(np.float64)
+
+
+def srgb8(linear: Array) -> NDArray[np.uint8]:
+    """8-bit sRGB codes of linear values, clipped to [0, 1]: through a table of 65536 steps, at most 0.06 codes off."""
+    return _srgb_codes()[unorm(linear, 65535).astype(np.uint16)]
+
+
+def unorm8(values: Array) -> NDArray[np.uint8]:
+    """8-bit codes of values in [0, 1], clipped and rounded."""
+    return unorm(values, 255).astype(np.uint8)
+
+
+def unorm(values: Array, largest: int) -> Array:
+    """Values in [0, 1] as floats in 0..largest + 0.5, ready to be cut off to whole codes."""
+    clipped = np.clip(values, 0.0, 1.0)
+    clipped *= clipped.dtype.type(largest)
+    clipped += clipped.dtype.type(0.5)
+    return clipped
+
+
+def normal_to_unorm8(normal: Array) -> NDArray[np.uint8]:
+    """Unit vectors (H, W, 3) as 8-bit codes, 127.5 being 0."""
+    return unorm8(normal * np.float32(0.5) + np.float32(0.5))
+
+
+@cache
+def _srgb_codes() -> NDArray[np.uint8]:
+    return (linear_to_srgb(np.arange(65536) / 65535) * 255 + 0.5).astype(np.uint8)

@@ -1,0 +1,179 @@
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hir_exporters import brdf, brdf_slice, engine_models, materials
+from hir_exporters.asset import AssetMaterial
+
+Texture = Callable[..., np.ndarray]
+
+GREY_PAPER = AssetMaterial("paper", [0.5, 0.4, 0.3], [0.2] * 3, 0.25)
+COLOR_PAPER = AssetMaterial("paper", [0.3, 0.2, 0.1], [0.5, 0.3, 0.2], 0.1)
+PLASTIC = AssetMaterial("dielectric", [0.5, 0.4, 0.3], [0.04] * 3, 0.25)
+COATED = AssetMaterial("dielectric", [0.5, 0.4, 0.3], [0.07, 0.06, 0.05], 0.25)
+GOLD = AssetMaterial("dielectric", [0.0] * 3, [0.9, 0.7, 0.3], 0.2)
+
+
+def test_slice_agrees_with_the_models_themselves() -> None:
+    alpha = np.array([0.05, 0.4])
+    tested = brdf_slice.brdf_slice(alpha)
+    # Directions rebuilt from the lobe and the Schlick term are not needed: an energy check fixes the weights instead.
+    for t in range(2):
+        for o, cos_o in enumerate(brdf_slice.VIEW_COSINES):
+            lobe = (tested.lobe * tested.weight)[t, o].mean()
+            np.testing.assert_allclose(lobe, sum(brdf.albedo_terms(cos_o, alpha[t])), atol=0.03)
+            np.testing.assert_allclose(tested.weight[t, o].mean() / np.pi, 1.0, atol=0.05)
+
+
+def test_paper_model_is_exact_by_the_ratified_text_for_grey_specular() -> None:
+    surface = materials.to_gltf(GREY_PAPER, "khr")
+    assert surface.residual < 1e-6
+    assert surface.ior == 1000 and surface.ior != 0
+    np.testing.assert_allclose(surface.specular_weight, 0.2)
+    np.testing.assert_allclose(surface.specular_color, 1.00401, atol=1e-5)
+    np.testing.assert_allclose(surface.base_color, np.array([0.5, 0.4, 0.3]) / 0.8, rtol=1e-6)
+
+
+def test_colored_paper_specular_is_exact_in_blender_and_near_by_the_text() -> None:
+    assert materials.to_gltf(COLOR_PAPER, "blender").residual < 1e-6
+    assert 0.01 < materials.to_gltf(COLOR_PAPER, "khr").residual < 0.05
+
+
+def test_glass_like_dielectric_needs_no_extension() -> None:
+    for profile in ("khr", "blender", "metalrough"):
+        surface = materials.to_gltf(PLASTIC, profile)
+        assert (surface.ior, float(surface.metallic), float(surface.specular_weight)) == (1.5, 0.0, 1.0)
+        np.testing.assert_array_equal(surface.specular_color, 1)
+        np.testing.assert_array_equal(surface.base_color, PLASTIC.diffuse_albedo)
+        assert surface.residual < 0.03  # 1 - E against 1 - F: the diffuse part's share
+
+
+def test_dielectric_lobe_is_exact_with_extensions() -> None:
+    surface = materials.to_gltf(COATED, "khr")
+    np.testing.assert_allclose(surface.specular_color * 0.04, COATED.specular_albedo, rtol=1e-6)
+    tested = brdf_slice.brdf_slice([0.25])
+    black = np.zeros((1, 3))
+    written = engine_models.gltf_brdf(
+        tested, black, np.zeros(1), np.ones(1), surface.specular_color[None].astype(float), surface.ior
+    )
+    wanted = brdf_slice.model_brdf(tested, "dielectric", black, COATED.specular_albedo[None].astype(float))
+    np.testing.assert_allclose(written, wanted, rtol=1e-6)
+    assert surface.residual < materials.to_gltf(COATED, "metalrough").residual
+
+
+@pytest.mark.parametrize("profile", ["khr", "blender", "metalrough"])
+def test_metal_is_metal_in_every_profile(profile: str) -> None:
+    surface = materials.to_gltf(GOLD, profile)
+    assert float(surface.metallic) == 1.0 and surface.residual < 1e-6
+    np.testing.assert_allclose(surface.base_color, [0.9, 0.7, 0.3], atol=1e-6)
+
+
+def test_metalness_is_a_map_where_only_a_part_is_metal() -> None:
+    specular = np.full((16, 16, 3), 0.04, np.float32)
+    diffuse = np.full((16, 16, 3), 0.4, np.float32)
+    specular[:, 8:], diffuse[:, 8:] = [0.9, 0.7, 0.3], 0.0
+    surface = materials.to_gltf(AssetMaterial("dielectric", diffuse, specular, 0.3), "khr")
+    np.testing.assert_array_equal(surface.metallic[:, :8], 0)
+    np.testing.assert_array_equal(surface.metallic[:, 8:], 1)
+    assert surface.residual < 0.03
+
+
+@pytest.mark.parametrize("material", [GREY_PAPER, COLOR_PAPER, COATED])
+def test_metal_rough_fit_is_the_least_squares_optimum(material: AssetMaterial) -> None:
+    """No nearby base colour, metalness or both has a smaller error on the slice."""
+    surface = materials.to_gltf(material, "metalrough")
+    tested = brdf_slice.brdf_slice([float(material.roughness)])
+    wanted = brdf_slice.model_brdf(
+        tested,
+        material.model,
+        material.diffuse_albedo[None].astype(float),
+        material.specular_albedo[None].astype(float),
+    )
+
+    def error(base: np.ndarray, metallic: float) -> float:
+        one = np.ones(1)
+        written = engine_models.gltf_brdf(tested, base[None], metallic * one, one, np.ones((1, 3)), 1.5)
+        return brdf_slice.relative_error(tested, written, wanted)
+
+    base, metallic = surface.base_color.astype(float), float(surface.metallic)
+    best = error(base, metallic)
+    assert best == pytest.approx(surface.residual, rel=1e-5)
+    for channel in range(3):
+        for step in (-0.02, 0.02):
+            moved = base.copy()
+            moved[channel] += step
+            assert error(moved, metallic) > best
+    rng = np.random.default_rng(0)
+    for _ in range(300):  # 0.05 is the grid of the search over metalness
+        m = float(np.clip(metallic + rng.choice([-0.1, -0.05, 0.05, 0.1]), 0, 1))
+        if m != metallic:
+            assert error(np.clip(base + rng.normal(0, 0.05, 3), 0, 1), m) > best * 0.999
+
+
+def test_specular_workflow_fit_is_the_least_squares_optimum() -> None:
+    surface = materials.to_specular_workflow(GREY_PAPER)
+    tested = brdf_slice.brdf_slice([0.25])
+    wanted = brdf_slice.model_brdf(tested, "paper", np.array([[0.5, 0.4, 0.3]]), np.full((1, 3), 0.2))
+    diffuse, specular = surface.diffuse.astype(float), surface.specular.astype(float)
+    for d, s in [(0.01, 0), (-0.01, 0), (0, 0.01), (0, -0.01)]:
+        moved = engine_models.specular_workflow_brdf(tested, diffuse[None] + d, specular[None] + s)
+        assert brdf_slice.relative_error(tested, moved, wanted) > surface.residual
+    assert surface.residual < materials.to_gltf(GREY_PAPER, "metalrough").residual * 1.02
+
+
+def test_usd_metallic_uses_the_ior_of_a_grey_dielectric() -> None:
+    surface = materials.to_usd_metallic(dataclasses.replace(PLASTIC, specular_albedo=np.float32([0.08] * 3)))
+    np.testing.assert_allclose(engine_models.ior_to_f0(surface.ior), 0.08, rtol=1e-6)
+    assert float(surface.metallic) == 0
+
+
+@pytest.mark.parametrize("profile", ["khr", "blender", "metalrough", "unity-legacy"])
+@pytest.mark.parametrize("model", ["paper", "dielectric"])
+def test_textures_convert_to_what_their_texels_convert_to(model: str, profile: str, make_texture: Texture) -> None:
+    material = AssetMaterial(
+        model,
+        make_texture(8, 3, 0.1, 0.7),
+        make_texture(8, 3, 0.02, 0.09, 1),
+        make_texture(8, 1, 0.1, 0.6, 2)[..., 0],
+    )
+    whole = materials.to_gltf(material, profile)
+    texel = dataclasses.replace(
+        material,
+        diffuse_albedo=material.diffuse_albedo[3, 5],
+        specular_albedo=material.specular_albedo[3, 5],
+        roughness=material.roughness[3, 5],
+    )
+    alone = materials.to_gltf(texel, profile)
+    for field in dataclasses.fields(alone):
+        value, expected = getattr(whole, field.name), getattr(alone, field.name)
+        if field.name in ("residual", "warnings", "ior"):
+            continue
+        color = expected.ndim == 1
+        np.testing.assert_allclose(
+            value[3, 5] if value.ndim - color == 2 else value, expected, atol=2e-5, err_msg=field.name
+        )
+
+
+def test_uniform_textures_become_constants_and_maps_of_different_size_combine(make_texture: Texture) -> None:
+    material = AssetMaterial("paper", np.full((4, 4, 3), 0.25), make_texture(8, 3, 0.1, 0.2), np.full((2, 2), 0.3))
+    surface = materials.to_gltf(material, "khr")
+    assert surface.base_color.shape == (8, 8, 3) and surface.roughness.shape == () and surface.specular_weight.ndim == 2
+
+
+def test_too_much_light_is_a_warning_with_its_share() -> None:
+    surface = materials.to_gltf(AssetMaterial("paper", [0.9] * 3, [0.5] * 3, 0.3), "khr")
+    assert surface.base_color.max() == 1 and "100.0%" in surface.warnings[0]
+
+
+@pytest.mark.parametrize("alpha", [1e-4, 1e-3, 1.0])
+@pytest.mark.parametrize("specular", [0.0, 1e-6, 1.0])
+@pytest.mark.parametrize("model", ["paper", "dielectric"])
+def test_corners_of_the_parameters_stay_finite(model: str, specular: float, alpha: float) -> None:
+    for diffuse in (0.0, 1.0):
+        material = AssetMaterial(model, [diffuse] * 3, [specular, specular / 2, 0], alpha)
+        surfaces = [materials.to_gltf(material, p) for p in ("khr", "blender", "metalrough", "unity-legacy")]
+        for surface in [*surfaces, materials.to_usd_metallic(material)]:
+            for field in dataclasses.fields(surface):
+                if field.name != "warnings":
+                    assert np.isfinite(getattr(surface, field.name)).all(), field.name
