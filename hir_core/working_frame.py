@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from hir_core.capture import Array
 from hir_core.errors import StageError
 from hir_core.scene import Mesh, Scene
 
@@ -31,7 +32,7 @@ def unit_similarity(mesh: Mesh) -> NDArray[np.float64]:
     return similarity
 
 
-def move_scene(scene: Scene, new_from_old: NDArray[np.float64]) -> Scene:
+def move_scene(scene: Scene, new_from_old: Array) -> Scene:
     """The scene after a scale and translation of the world (no rotation, so its light stays as it is)."""
     positions = scene.mesh.positions.detach().cpu().numpy().astype(np.float64)
     moved = positions @ new_from_old[:3, :3].T + new_from_old[:3, 3]

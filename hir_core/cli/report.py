@@ -1,0 +1,27 @@
+"""`hir report`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from hir_core.cli.options import FOLDER, loudness_options, plugin_option
+
+
+@click.command("report")
+@click.argument("run", type=FOLDER)
+@plugin_option
+@loudness_options
+def report_command(run: Path, plugin_files: tuple[str, ...], quiet: bool, verbose: bool) -> None:
+    """Renders the pictures of RUN again and writes its report.html."""
+    from hir_core.manager import PluginManager
+    from hir_core.run_directory import open_run
+
+    directory = open_run(run)
+    plugins = PluginManager.discover(plugin_files)
+    from hir_core.report import write_report
+
+    page = write_report(directory, plugins)
+    if not quiet:
+        click.echo(str(page))

@@ -1,0 +1,240 @@
+"""`hir evaluate`: a run against photographs it never saw, under its own light or another (DESIGN section 9)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from hir_exporters.images import read_exr, write_exr, write_png
+from numpy.typing import NDArray
+
+from hir_core.capture import Array, Capture, EnvironmentSource, View
+from hir_core.capture_files import restore_capture
+from hir_core.errors import CaptureError, InputError
+from hir_core.export import file_stem
+from hir_core.metrics import (
+    OBJECT_COVERAGE,
+    ChannelScale,
+    Image,
+    Lpips,
+    compare,
+    composite,
+    find_lpips,
+    mean,
+    psnr,
+    unassociate,
+)
+from hir_core.readers import find_reader
+from hir_core.reference import (
+    OpenRun,
+    light_of,
+    open_for_rendering,
+    parse_light,
+    reference_renderer,
+    render_view,
+    same_light,
+)
+from hir_core.run_directory import RunDirectory, claimed_run, write_json
+
+if TYPE_CHECKING:
+    from hir_core.manager import PluginManager
+    from hir_core.scene import Scene
+
+Told = Callable[[int, int, str], None]
+
+
+@dataclass(frozen=True)
+class Question:
+    """What is compared with what."""
+
+    split: str = "test"
+    capture: Path | None = None
+    """The run's own where it is None."""
+    relight: str = ""
+    """`FILE` or `FILE*STRENGTH`, in the capture's axes; replaces the light."""
+    renderer: str = ""
+    """Reflectance renderer; the reference one where it is empty."""
+    options: dict[str, Any] | None = None
+    """Options of the renderer."""
+    device: str = "cpu"
+    download: bool = False
+    """Fetch LPIPS's weights where they are missing."""
+
+
+def evaluate_run(
+    directory: RunDirectory, question: Question, plugins: PluginManager, told: Told | None = None
+) -> dict[str, Any]:
+    """Figures of one run on one split; also written to `evaluation/<split>/` with a picture of each view."""
+    run = open_for_rendering(directory, question.device)
+    path = question.capture or run.capture_path
+    capture = split_in_working_frame(run, path, question.split, plugins)
+    scene, light = _lit(run, path, capture, question, plugins)
+    renderer_name, renderer = reference_renderer(plugins, question.renderer, question.options)
+    perceptual, missing = find_lpips(question.download)
+    folder = directory.evaluation(_label(question))
+
+    scale = ChannelScale()
+    names = [file_stem(view.name) for view in capture.views]
+    if len(set(names)) < len(names):
+        names = [f"{i:04d}_{name}" for i, name in enumerate(names)]
+    views: list[dict[str, Any]] = []
+    for i, (view, name) in enumerate(zip(capture.views, names, strict=True)):
+        started = time.perf_counter()
+        camera = capture.cameras[i]
+        fit = render_view(renderer, scene, camera, view.name)
+        fit[..., :3] *= view.exposure
+        seconds = time.perf_counter() - started
+        truth = masked_pixels(view)
+        inside = (truth.mask > OBJECT_COVERAGE) & ~truth.saturated
+        scale.add(unassociate(fit)[0][inside], truth.color_linear[inside])
+        write_exr(folder / f"{name}.exr", fit)
+        views.append(
+            {"name": view.name, "file": f"{name}.exr", "seconds": round(seconds, 3)} | _figures(fit, truth, perceptual)
+        )
+        _write_pictures(folder, name, fit, truth)
+        if told is not None:
+            told(i + 1, len(names), f"{views[-1]['psnr']['object']:.2f} dB")
+    for entry, view, name in zip(views, capture.views, names, strict=True):
+        entry["psnr_scaled"] = _scaled(read_exr(folder / f"{name}.exr"), masked_pixels(view), scale.value)
+
+    result = {
+        "run": str(directory.path),
+        "capture": str(path),
+        "split": question.split,
+        "light": light,
+        "renderer": renderer_name,
+        **_means(views),
+        "scale": scale.value.tolist(),
+        "lpips_missing": missing or None,
+        "views": views,
+    }
+    write_json(folder / "metrics.json", result)
+    if path.resolve() == run.capture_path.resolve():
+        _record(directory, _label(question), result)
+    return result
+
+
+def split_in_working_frame(run: OpenRun, path: Path, split: str, plugins: PluginManager) -> Capture:
+    """A split of a capture, in the working frame; the train split has the cameras and masks that the run found."""
+    if split != "train" or path.resolve() != run.capture_path.resolve():
+        capture = run.read(path, split, plugins)
+    else:
+        _, reader = find_reader(path, plugins, run.document["capture"].get("reader", "auto"))
+        capture = restore_capture(reader.read(path, split), run.directory.stage("initializer"))
+    if not capture.views:
+        raise CaptureError(f"{path}: split {split!r} has no views")
+    return capture
+
+
+@dataclass(frozen=True)
+class Truth:
+    """A photograph whose object is known."""
+
+    color_linear: Image
+    mask: Image
+    saturated: NDArray[np.bool_]
+
+    @property
+    def picture(self) -> Image:
+        """Composited over black (`hir_core.metrics`)."""
+        return composite(self.color_linear, self.mask)
+
+
+def masked_pixels(view: View) -> Truth:
+    """The photograph with its mask; an error where it has none, for then the background would count as the object."""
+    pixels = view.pixels()
+    if pixels.mask is None:
+        raise CaptureError(f"view {view.name} has no mask, so its background cannot be told from the object; add alpha")
+    return Truth(pixels.color_linear, pixels.mask, pixels.saturated)
+
+
+def _lit(
+    run: OpenRun, path: Path, capture: Capture, question: Question, plugins: PluginManager
+) -> tuple[Scene, dict[str, Any]]:
+    """The scene under the light that the question asks for, and what that light is."""
+    source = capture.environment
+    if question.relight:
+        file, strength = parse_light(question.relight)
+        axes = _environment_axes(path, capture, run, plugins)
+        source = EnvironmentSource(file, strength, axes)
+    elif source is None or _is_training_light(path, source, run, plugins):
+        return run.scene, {"fitted": True}
+    if source.path.suffix.lower() not in (".hdr", ".exr"):
+        raise InputError(f"{source.path}: a light is a lat-long .hdr or .exr file")
+    light = light_of(source, capture.world_from_source, question.device)
+    return run.lit_by(light), {"fitted": False, "file": source.path.name, "strength": source.strength}
+
+
+def _environment_axes(path: Path, capture: Capture, run: OpenRun, plugins: PluginManager) -> Array:
+    """3×3 of `EnvironmentSource`: as the split or train says; the asset's axes where a capture names no light."""
+    if capture.environment is not None:
+        return capture.environment.source_from_environment
+    _, reader = find_reader(path, plugins)
+    train = reader.read(path, "train").environment if "train" in reader.splits(path) else None
+    if train is not None:
+        return train.source_from_environment
+    linear = capture.world_from_source[:3, :3]
+    return np.asarray(linear.T / np.cbrt(np.linalg.det(linear)))
+
+
+def _is_training_light(path: Path, source: EnvironmentSource, run: OpenRun, plugins: PluginManager) -> bool:
+    _, reader = find_reader(path, plugins)
+    if "train" not in reader.splits(path):
+        return False
+    return same_light(source, reader.read(path, "train").environment)
+
+
+def _figures(fit: Image, truth: Truth, perceptual: Lpips | None) -> dict[str, Any]:
+    color, coverage = unassociate(fit)
+    return compare(composite(color, coverage), truth.picture, truth.mask, perceptual).document()
+
+
+def _scaled(fit: Image, truth: Truth, scale: np.ndarray) -> dict[str, Any]:
+    color, coverage = unassociate(fit)
+    picture = composite((color * scale).astype(np.float32), coverage)
+    true = truth.picture
+    return {"frame": psnr(picture, true), "object": psnr(picture, true, truth.mask > OBJECT_COVERAGE)}
+
+
+def _means(views: list[dict[str, Any]]) -> dict[str, Any]:
+    def both(key: str) -> dict[str, Any]:
+        return {part: mean([view[key][part] for view in views]) for part in ("frame", "object")}
+
+    return {
+        "psnr": both("psnr"),
+        "psnr_scaled": both("psnr_scaled"),
+        "ssim": mean([view["ssim"] for view in views]),
+        "lpips": mean([view["lpips"] for view in views]),
+    }
+
+
+def _write_pictures(folder: Path, name: str, fit: Image, truth: Truth) -> None:
+    color, coverage = unassociate(fit)
+    picture, true = composite(color, coverage), truth.picture
+    write_png(folder / f"{name}_fit.png", picture)
+    write_png(folder / f"{name}_true.png", true)
+    write_png(folder / f"{name}_difference.png", difference_picture(picture, true))
+
+
+def difference_picture(fit: Image, truth: Image) -> Image:
+    """Where they differ, five times enlarged: grey is equal, brighter where the fit is brighter."""
+    return np.asarray(np.clip(0.5 + 2.5 * (fit - truth), 0.0, 1.0), dtype=np.float32)
+
+
+def _label(question: Question) -> str:
+    if not question.relight:
+        return question.split
+    return f"{question.split}-{file_stem(Path(question.relight.rpartition('*')[0] or question.relight).stem)}"
+
+
+def _record(directory: RunDirectory, label: str, result: dict[str, Any]) -> None:
+    """Adds the means to run.json."""
+    kept = ("psnr", "psnr_scaled", "scale", "ssim", "lpips", "light", "renderer")
+    with claimed_run(directory.path, resume=True):
+        document = directory.read_run()
+        document["metrics"] = dict(document.get("metrics", {})) | {label: {key: result[key] for key in kept}}
+        directory.write_run(document)

@@ -1,0 +1,97 @@
+"""The pictures of a report: photographs beside their fit, the light, the textures."""
+
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from hir_exporters.atomic import atomic_directory
+from hir_exporters.conventions import linear_to_srgb
+from hir_exporters.images import write_png
+from hir_exporters.scene_files import load_scene
+
+from hir_core.evaluate import Truth, difference_picture, masked_pixels, split_in_working_frame
+from hir_core.export import file_stem
+from hir_core.metrics import OBJECT_COVERAGE, Image, composite, psnr, unassociate
+from hir_core.reference import open_for_rendering, reference_renderer, render_view
+from hir_core.run_directory import RunDirectory
+
+if TYPE_CHECKING:
+    from hir_core.manager import PluginManager
+
+VIEWS = 4
+"""Photographs that a report shows, spread over the capture."""
+
+
+def write_pictures(
+    directory: RunDirectory, plugins: PluginManager, on_message: Callable[[str], None] | None = None
+) -> list[dict[str, Any]]:
+    """Fills `report/` as a whole with PNGs and returns what the views are: name, figures and file names."""
+    run = open_for_rendering(directory)
+    capture = split_in_working_frame(run, run.capture_path, "train", plugins)
+    _, renderer = reference_renderer(plugins)
+    shown = []
+    with atomic_directory(directory.report) as place:
+        for i in spread(len(capture.views), VIEWS):
+            view = capture.views[i]
+            if view.pixels().mask is None:
+                if on_message is not None:
+                    on_message(f"report: {view.name} has no mask and is not shown")
+                continue
+            fit = render_view(renderer, run.scene, capture.cameras[i], view.name)
+            fit[..., :3] *= view.exposure
+            shown.append({"name": view.name} | _view_pictures(place, file_stem(view.name), fit, masked_pixels(view)))
+        for name, picture in asset_pictures(directory.scene).items():
+            write_png(place / f"{name}.png", picture)
+    return shown
+
+
+def spread(count: int, wanted: int) -> list[int]:
+    """`wanted` numbers of range(count), evenly apart."""
+    return sorted({round(i * (count - 1) / max(wanted - 1, 1)) for i in range(min(count, wanted))})
+
+
+def asset_pictures(scene: Path) -> dict[str, Image]:
+    """Light and textures of a scene folder, as sRGB pictures; a constant becomes a small square of its value."""
+    asset = load_scene(scene)
+    pictures: dict[str, Image] = {}
+    if asset.environment is not None:
+        pictures["light"] = light_picture(asset.environment.radiance)
+    material = asset.material
+    pictures["albedo"] = np.asarray(linear_to_srgb(as_map(material.diffuse_albedo, 3)), dtype=np.float32)
+    specular = as_map(material.specular_albedo, 3)
+    # a reflectance of a few hundredths is black to the eye: brightest to white
+    pictures["specular"] = np.asarray(linear_to_srgb(specular / max(float(specular.max()), 1e-6)), dtype=np.float32)
+    pictures["roughness"] = as_map(np.sqrt(material.roughness), 1)
+    if material.normal is not None:
+        pictures["normal"] = (material.normal * 0.5 + 0.5).astype(np.float32)
+    return {name: np.clip(picture, 0, 1) for name, picture in pictures.items()}
+
+
+def as_map(value: Image, channels: int) -> Image:
+    """(H, W, C) of a texture or a constant."""
+    array = np.asarray(value, dtype=np.float32)
+    if array.ndim >= 2:
+        return array.reshape(*array.shape[:2], channels)
+    return np.broadcast_to(array.reshape(-1), (32, 32, channels)).copy()
+
+
+def light_picture(radiance: Image) -> Image:
+    """A lat-long light as a picture: the exposure puts its 95th percentile at 0.8, so suns saturate."""
+    level = float(np.quantile(radiance.mean(axis=2), 0.95))
+    picture = np.asarray(linear_to_srgb(np.clip(radiance * (0.8 / max(level, 1e-6)), 0, 1)), dtype=np.float32)
+    enlarge = max(1, 512 // picture.shape[1])
+    return picture.repeat(enlarge, axis=0).repeat(enlarge, axis=1)
+
+
+def _view_pictures(place: Path, name: str, fit: Image, truth: Truth) -> dict[str, Any]:
+    color, coverage = unassociate(fit)
+    picture, true = composite(color, coverage), truth.picture
+    files = {kind: f"{name}_{kind}.png" for kind in ("true", "fit", "difference")}
+    write_png(place / files["true"], true)
+    write_png(place / files["fit"], picture)
+    write_png(place / files["difference"], difference_picture(picture, true))
+    return files | {"frame": psnr(picture, true), "object": psnr(picture, true, truth.mask > OBJECT_COVERAGE)}

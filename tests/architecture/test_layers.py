@@ -1,0 +1,108 @@
+"""Nothing imports upwards, and what must start fast imports nothing heavy."""
+
+from __future__ import annotations
+
+import ast
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+LAYERS = {
+    "hir_exporters": ROOT / "exporters" / "hir_exporters",
+    "hir_core": ROOT / "hir_core",
+    "hir_plugins": ROOT / "hir_plugins",
+}
+MAY_IMPORT = {"hir_exporters": set(), "hir_core": {"hir_exporters"}, "hir_plugins": {"hir_exporters", "hir_core"}}
+HEAVY = ("torch", "mitsuba", "drjit", "open3d", "pycolmap", "xatlas")
+
+
+def imported_packages(path: Path) -> set[str]:
+    """Top-level names of all that a file imports, inside functions too."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name.partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            found.add(node.module.partition(".")[0])
+    return found
+
+
+@pytest.mark.parametrize("layer", LAYERS)
+def test_nothing_imports_upwards(layer: str) -> None:
+    files = sorted(LAYERS[layer].rglob("*.py"))
+    assert files, layer
+    others = set(LAYERS) - {layer} - MAY_IMPORT[layer]
+    wrong = [f"{f.relative_to(ROOT)}: {name}" for f in files for name in imported_packages(f) & others]
+    assert wrong == []
+
+
+def test_core_never_names_the_built_in_plugins() -> None:
+    wrong = [f for f in LAYERS["hir_core"].rglob("*.py") if "hir_plugins" in f.read_text(encoding="utf-8")]
+    assert wrong == []
+
+
+def test_the_sdk_needs_no_torch() -> None:
+    heavy = {*HEAVY, "jaxtyping", "pluggy", "pydantic", "click", "rich"}
+    wrong = [
+        f"{f.name}: {name}" for f in LAYERS["hir_exporters"].rglob("*.py") for name in imported_packages(f) & heavy
+    ]
+    assert wrong == []
+
+
+def modules_after(code: str) -> set[str]:
+    """Top-level modules that are loaded once `code` ran in a process of its own."""
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-c",
+            f"{code}\nimport sys, json; print('\\n' + json.dumps(sorted(m for m in sys.modules if '.' not in m)))",
+        ],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return set(json.loads(done.stdout.splitlines()[-1]))
+
+
+def run_hir(*words: str) -> str:
+    """Code that runs `hir` with these words and goes on."""
+    lines = (
+        "from hir_core.cli import main",
+        "try:",
+        f"    main({list(words)!r})",
+        "except SystemExit as stop:",
+        "    assert stop.code == 0, stop.code",
+    )
+    return "\n".join(lines)
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "import hir_exporters",
+        "import hir_core, hir_plugins",
+        run_hir("--help"),
+        run_hir("reconstruct", "--help"),
+        run_hir("export", "--help"),
+        run_hir("plugins", "--json"),
+        run_hir("config", "show"),
+        run_hir("--version"),
+    ],
+    ids=["hir_exporters", "packages", "help", "reconstruct help", "export help", "plugins", "config", "version"],
+)
+def test_starts_light(code: str) -> None:
+    assert modules_after(code).isdisjoint(HEAVY)
+
+
+def test_hir_plugins_takes_a_second_or_less() -> None:
+    best = float("inf")
+    for _ in range(3):  # others may use the machine: the best of three is what it takes
+        started = time.perf_counter()
+        subprocess.run([sys.executable, "-m", "hir_core.cli", "plugins"], capture_output=True, check=True)
+        best = min(best, time.perf_counter() - started)
+    assert best <= 1.0

@@ -1,0 +1,184 @@
+"""Plugins are found, conflicts and broken plugins are named with the distribution that made them, the rest goes on."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import types
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from hir_core.errors import ConfigError, MissingExtraError, PluginError
+from hir_core.manager import KINDS, PluginManager
+from hir_core.plugin import Component, hookimpl
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of a component made for tests."""
+
+    strength: float = 1.0
+
+
+class Thing:
+    """What a component builds."""
+
+    def __init__(self, config: Options) -> None:
+        self.config = config
+
+
+def plugin_of(*components: Component, hook: str = "hir_register_regularizers") -> object:
+    """A plugin object that registers `components` through one hook."""
+
+    def register() -> list[Component]:
+        return list(components)
+
+    return types.SimpleNamespace(__name__="made_here", **{hook: hookimpl(register)})
+
+
+def component(name: str = "thing", **changes: object) -> Component:
+    """A component whose implementation is `Thing`."""
+    return Component(**{"name": name, "target": f"{__name__}:Thing", "config": Options} | changes)  # type: ignore[arg-type]
+
+
+@pytest.fixture(autouse=True)
+def importable(monkeypatch: pytest.MonkeyPatch) -> None:
+    # importlib mode does not put test modules on sys.path, and components name their classes by import string
+    monkeypatch.setitem(sys.modules, __name__, sys.modules.get(__name__, types.ModuleType(__name__)))
+    monkeypatch.setattr(sys.modules[__name__], "Thing", Thing, raising=False)
+
+
+def test_built_ins_load_without_a_problem() -> None:
+    manager = PluginManager.discover()
+    assert manager.problems == []
+    kinds = {registered.kind for registered in manager.components()}
+    assert kinds == set(KINDS), "every kind of plugin has a built-in"
+
+
+def test_create_builds_from_checked_options() -> None:
+    manager = PluginManager()
+    manager.register(plugin_of(component()), "one", "1.0")
+    assert manager.create("regularizer", "thing", {"strength": 2}).config == Options(2.0)
+    with pytest.raises(ConfigError, match=r"regularizer 'thing'.*unknown option 'strenght'.*strength"):
+        manager.create("regularizer", "thing", {"strenght": 2})
+    with pytest.raises(ConfigError, match="strength"):
+        manager.create("regularizer", "thing", {"strength": float("nan")})
+
+
+def test_unknown_name_lists_the_known_ones() -> None:
+    manager = PluginManager()
+    manager.register(plugin_of(component("a"), component("b")), "one", "1.0")
+    with pytest.raises(PluginError, match="no regularizer named 'c'; there are: a, b"):
+        manager.find("regularizer", "c")
+
+
+def test_name_conflict_names_both_distributions_and_keeps_the_first() -> None:
+    manager = PluginManager()
+    manager.register(plugin_of(component()), "one", "1.0")
+    manager.register(plugin_of(component(), component("other")), "two", "2.0")
+    assert manager.find("regularizer", "thing").distribution == "one"
+    assert manager.find("regularizer", "other").distribution == "two"
+    (problem,) = manager.problems
+    assert "two" in problem and "one" in problem and "'thing'" in problem
+
+
+@pytest.mark.parametrize(
+    ("plugin", "said"),
+    [
+        (plugin_of(hook="hir_register_regularizer"), "hir_register_regularizer"),
+        (plugin_of(component(api=99)), "interface 99"),
+        (plugin_of("laplacian"), "a Component is needed"),  # type: ignore[arg-type]
+        (
+            types.SimpleNamespace(__name__="raises", hir_register_regularizers=hookimpl(lambda: 1 / 0)),
+            "ZeroDivisionError",
+        ),
+    ],
+    ids=["misspelt hook", "wrong interface", "no component", "raises"],
+)
+def test_broken_plugin_is_reported_and_stops_nothing(plugin: object, said: str) -> None:
+    manager = PluginManager()
+    manager.register(plugin, "broken", "1.0")
+    manager.register(plugin_of(component()), "sound", "1.0")
+    (problem,) = manager.problems
+    assert "broken" in problem and said in problem
+    assert [r.component.name for r in manager.components()] == ["thing"]
+
+
+def test_missing_extra_names_the_command() -> None:
+    manager = PluginManager()
+    manager.register(plugin_of(component(requires=("no_such_module",), extra="reconstruct")), "hir", "1.0")
+    with pytest.raises(
+        MissingExtraError, match=r"needs no_such_module; install it with: pip install 'hir\[reconstruct\]'"
+    ):
+        manager.create("regularizer", "thing")
+
+
+def test_observer_that_raises_is_reported_once_and_the_others_are_told() -> None:
+    told: list[str] = []
+
+    def broken(stage: str) -> None:
+        raise RuntimeError("no disk")
+
+    def sound(stage: str) -> None:
+        told.append(stage)
+
+    manager = PluginManager()
+    manager.register(types.SimpleNamespace(__name__="sound", hir_stage_finished=hookimpl(sound)), "one", "1")
+    manager.register(types.SimpleNamespace(__name__="broken", hir_stage_finished=hookimpl(broken)), "two", "1")
+    for stage in ("geometry", "atlas"):
+        manager.notify("hir_stage_finished", stage=stage, scene=None, report={})
+    assert told == ["geometry", "atlas"]
+    (problem,) = manager.problems
+    assert "two:broken" in problem and "no disk" in problem
+
+
+def test_document_edit_that_raises_is_an_error_naming_the_plugin() -> None:
+    def edit(document: object) -> None:
+        raise RuntimeError("half done")
+
+    manager = PluginManager()
+    manager.register(types.SimpleNamespace(__name__="vendor", hir_gltf_document=hookimpl(edit)), "studio", "1")
+    with pytest.raises(PluginError, match="studio:vendor: hir_gltf_document raised RuntimeError: half done"):
+        manager.edit("hir_gltf_document", object(), None, "document")
+
+
+def test_plugin_file_is_loaded_by_path_and_a_broken_one_is_an_error(tmp_path: Path) -> None:
+    good = tmp_path / "mine.py"
+    good.write_text(
+        "from hir_core.plugin import Component, hookimpl\n"
+        "@hookimpl\n"
+        "def hir_register_regularizers():\n"
+        "    return [Component(name='mine', target='hir_plugin_mine:Mine')]\n"
+        "class Mine:\n"
+        "    def __init__(self, config): pass\n"
+    )
+    manager = PluginManager.discover((str(good),))
+    assert type(manager.create("regularizer", "mine")).__name__ == "Mine"
+    (tmp_path / "bad.py").write_text("import no_such_module_at_all\n")
+    with pytest.raises(PluginError, match=r"bad\.py.*no_such_module_at_all"):
+        PluginManager.discover((str(tmp_path / "bad.py"),))
+
+
+def test_two_entry_points_of_one_name_are_both_loaded(tmp_path: Path) -> None:
+    """pluggy's own loader drops the second silently."""
+    for number in (1, 2):
+        (tmp_path / f"dist{number}_plugin.py").write_text(
+            "from hir_core.plugin import Component, hookimpl\n"
+            "@hookimpl\n"
+            "def hir_register_regularizers():\n"
+            f"    return [Component(name='from_dist{number}', target='dist{number}_plugin:X')]\n"
+        )
+        info = tmp_path / f"dist{number}-1.0.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: dist{number}\nVersion: 1.0\n")
+        (info / "entry_points.txt").write_text(f"[hir]\nsame_name = dist{number}_plugin\n")
+    code = (
+        f"import sys; sys.path.insert(0, {str(tmp_path)!r})\n"
+        "from hir_core.manager import PluginManager\n"
+        "m = PluginManager.discover(); assert not m.problems, m.problems\n"
+        "print(*[(r.component.name, r.distribution) for r in m.components('regularizer') if 'dist' in r.distribution])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "('from_dist1', 'dist1') ('from_dist2', 'dist2')"

@@ -1,0 +1,114 @@
+"""The figures against scikit-image, and the one definition that all of them share."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hir_exporters.conventions import linear_to_srgb
+from skimage.metrics import peak_signal_noise_ratio, structural_similarity
+
+from hir_core import metrics
+
+
+@pytest.fixture
+def pictures() -> tuple[np.ndarray, np.ndarray]:
+    generator = np.random.default_rng(1)
+    truth = generator.random((40, 56, 3)).astype(np.float32)
+    return np.clip(truth + generator.normal(0, 0.05, truth.shape), 0, 1).astype(np.float32), truth
+
+
+def test_psnr_is_that_of_scikit_image(pictures: tuple[np.ndarray, np.ndarray]) -> None:
+    fit, truth = pictures
+    # the 8-bit range and 0…1 give the same dB
+    expected = peak_signal_noise_ratio(truth.astype(np.float64) * 255, fit.astype(np.float64) * 255, data_range=255)
+    assert metrics.psnr(fit, truth) == pytest.approx(expected, abs=1e-9)
+
+
+def test_object_psnr_counts_pixels_of_true_coverage_above_half(pictures: tuple[np.ndarray, np.ndarray]) -> None:
+    fit, truth = pictures
+    coverage = np.zeros(truth.shape[:2], np.float32)
+    coverage[:10], coverage[10:20], coverage[20:] = 1.0, 0.5, 0.2
+    figures = metrics.compare(fit, truth, coverage)
+    expected = peak_signal_noise_ratio(truth[:10].astype(np.float64), fit[:10].astype(np.float64), data_range=1)
+    assert figures.object == pytest.approx(expected, abs=1e-9)
+    assert figures.frame == metrics.psnr(fit, truth)
+
+
+def test_ssim_is_that_of_wang_et_al(pictures: tuple[np.ndarray, np.ndarray]) -> None:
+    fit, truth = pictures
+    channels = [
+        structural_similarity(
+            truth[..., c].astype(np.float64),
+            fit[..., c].astype(np.float64),
+            data_range=1.0,
+            gaussian_weights=True,
+            sigma=1.5,
+            use_sample_covariance=False,
+        )
+        for c in range(3)
+    ]
+    assert metrics.ssim(fit, truth) == pytest.approx(np.mean(channels), abs=1e-12)
+    assert metrics.ssim(truth, truth) == pytest.approx(1.0)
+    assert metrics.ssim(fit[:8], truth[:8]) is None, "smaller than the window"
+
+
+def test_composite_is_srgb_times_coverage_not_srgb_of_the_product() -> None:
+    color = np.full((1, 1, 3), 0.25, np.float32)
+    picture = metrics.composite(color, np.full((1, 1), 0.5, np.float32))
+    assert picture[0, 0, 0] == pytest.approx(float(linear_to_srgb(0.25)) * 0.5, abs=1e-6)
+    assert picture[0, 0, 0] != pytest.approx(float(linear_to_srgb(0.125)), abs=0.05)
+
+
+def test_composite_clips_before_coverage() -> None:
+    """A highlight of radiance 8 under half coverage is half white, as a camera with alpha has it."""
+    picture = metrics.composite(np.full((1, 1, 3), 8.0, np.float32), np.full((1, 1), 0.5, np.float32))
+    np.testing.assert_allclose(picture[0, 0], 0.5, atol=1e-6)
+
+
+def test_each_side_has_its_own_coverage() -> None:
+    """A silhouette that is one row too large costs on the frame, though the true mask would hide it."""
+    color = np.ones((16, 16, 3), np.float32)
+    true_mask, fit_mask = np.zeros((2, 16, 16), np.float32)
+    true_mask[:8], fit_mask[:9] = 1, 1
+    figures = metrics.compare(metrics.composite(color, fit_mask), metrics.composite(color, true_mask), true_mask)
+    assert figures.object == metrics.PSNR_MAX
+    assert figures.frame == pytest.approx(10 * np.log10(16), abs=1e-4)
+
+
+def test_a_render_is_unassociated_before_it_is_encoded() -> None:
+    premultiplied = np.array([[[0.1, 0.2, 0.0, 0.5], [0.0, 0.0, 0.0, 0.0]]], np.float32)
+    color, coverage = metrics.unassociate(premultiplied)
+    np.testing.assert_allclose(color[0], [[0.2, 0.4, 0.0], [0.0, 0.0, 0.0]], rtol=1e-6)
+    np.testing.assert_array_equal(coverage[0], np.array([0.5, 0.0], np.float32))
+
+
+def test_nothing_non_finite_leaves() -> None:
+    wild = np.array([[[np.nan, np.inf, -np.inf]]], np.float32)
+    assert np.isfinite(metrics.composite(wild, np.array([[np.nan]], np.float32))).all()
+    empty = np.zeros((0, 3), np.float32)
+    assert metrics.psnr(empty, empty) is None
+    assert metrics.mean([]) is None and metrics.mean([None, 2.0]) == 2.0
+
+
+def test_channel_scale_is_the_least_squares_one() -> None:
+    generator = np.random.default_rng(2)
+    fit = generator.random((200, 3))
+    truth = fit * [2.0, 0.5, 1.0] + generator.normal(0, 0.01, fit.shape)
+    scale = metrics.ChannelScale()
+    for part in np.array_split(np.arange(200), 7):
+        scale.add(fit[part], truth[part])
+    expected = [np.linalg.lstsq(fit[:, [c]], truth[:, c], rcond=None)[0][0] for c in range(3)]
+    np.testing.assert_allclose(scale.value, expected, rtol=1e-12)
+    np.testing.assert_array_equal(metrics.ChannelScale().value, np.ones(3))
+
+
+def test_missing_lpips_weights_are_said_and_nothing_is_fetched(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: object
+) -> None:
+    pytest.importorskip("lpips")
+    import torch
+
+    monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path))
+    found, why = metrics.find_lpips()
+    assert found is None
+    assert "weights are not at" in why and "--download" in why

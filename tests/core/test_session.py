@@ -1,0 +1,130 @@
+"""Stages are reused when nothing they depend on changed, and done again when something did."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hir_core.config import RunConfig
+from hir_core.context import StageContext
+from hir_core.errors import StageError
+from hir_core.listener import Listener, read_curves
+from hir_core.manager import PluginManager
+from hir_core.progress import Progress
+from hir_core.run_directory import RunDirectory
+from hir_core.session import Session, StopRun
+
+NAMES = ("initializer", "geometry", "atlas")
+
+
+class Chain:
+    """Three stages that each append a word; counts what is computed."""
+
+    def __init__(
+        self, folder: Path, config: RunConfig | None = None, key: str = "input", until: str = "export"
+    ) -> None:
+        self.messages: list[str] = []
+        self.computed: list[str] = []
+        self.session = Session(
+            config or RunConfig(), PluginManager(), RunDirectory(folder), "cpu", until, None, self.messages.append, key
+        )
+
+    def run(self, fail: str = "", **settings: Any) -> str:
+        self.session.start({"path": "somewhere", "name": "it"})
+        text = ""
+        for name in NAMES:
+
+            def compute(context: StageContext, name: str = name, text: str = text) -> tuple[str, dict[str, Any]]:
+                (context.workspace / "checkpoint").write_text(name)
+                if name == fail:
+                    raise StageError("the disk is full")
+                self.computed.append(name)
+                context.warn(f"{name} is thin")
+                return text + name[0], {"length": len(text) + 1}
+
+            text = self.session.stage(
+                name,
+                settings.get(name, {}),
+                compute,
+                save=lambda value, folder: (folder / "result").write_text(value) and None,
+                load=lambda folder: (folder / "result").read_text(),
+            )
+        return text
+
+
+def test_second_run_reuses_every_stage_and_says_so(tmp_path: Path) -> None:
+    assert Chain(tmp_path).run() == "iga"
+    again = Chain(tmp_path)
+    assert again.run() == "iga"
+    assert again.computed == [] and again.session.reused == list(NAMES)
+    assert sum("reused" in message for message in again.messages) == 3
+    assert again.session.document["stages"]["atlas"] == {"report": {"length": 3}, "warnings": ("atlas is thin",)}
+
+
+@pytest.mark.parametrize(
+    ("changed", "done_again"),
+    [("initializer", ["initializer", "geometry", "atlas"]), ("geometry", ["geometry", "atlas"]), ("atlas", ["atlas"])],
+)
+def test_changed_setting_invalidates_exactly_the_stages_that_depend_on_it(
+    tmp_path: Path, changed: str, done_again: list[str]
+) -> None:
+    Chain(tmp_path).run()
+    again = Chain(tmp_path)
+    again.run(**{changed: {"iterations": 3}})
+    assert again.computed == done_again
+
+
+def test_input_and_seed_invalidate_everything(tmp_path: Path) -> None:
+    Chain(tmp_path).run()
+    other = Chain(tmp_path, key="other photographs")
+    other.run()
+    assert other.computed == list(NAMES)
+    seeded = Chain(tmp_path, config=replace(RunConfig(), seed=1), key="other photographs")
+    seeded.run()
+    assert seeded.computed == list(NAMES)
+
+
+def test_failed_stage_is_done_again_with_what_it_left_and_those_before_are_reused(tmp_path: Path) -> None:
+    with pytest.raises(StageError):
+        Chain(tmp_path).run(fail="atlas")
+    work = RunDirectory(tmp_path).stage("atlas") / "work" / "checkpoint"
+    assert work.exists(), "an interrupted stage keeps its checkpoints"
+    again = Chain(tmp_path)
+    again.run()
+    assert again.computed == ["atlas"]
+
+
+def test_until_stops_after_the_stage(tmp_path: Path) -> None:
+    chain = Chain(tmp_path, until="geometry")
+    with pytest.raises(StopRun):
+        chain.run()
+    assert chain.computed == ["initializer", "geometry"]
+    assert RunDirectory(tmp_path).record("atlas") is None
+
+
+def test_run_json_is_the_same_for_the_same_run_and_timings_hold_the_rest(tmp_path: Path) -> None:
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+        Chain(tmp_path / name).run()
+    assert (tmp_path / "one" / "run.json").read_bytes() == (tmp_path / "two" / "run.json").read_bytes()
+    timings = RunDirectory(tmp_path / "one").read_timings()
+    assert set(timings["stages"]) == set(NAMES) and "cores" in timings["machine"]
+
+
+def test_listener_tells_in_blocks_and_keeps_every_scalar(tmp_path: Path) -> None:
+    told: list[Progress] = []
+    listener = Listener("geometry", PluginManager(), told.append)
+    for step in range(1, 1001):
+        listener.report(Progress("", step, 1000, step * 1e-4, {"loss": np.array([1 / step])}))
+    listener.close(0.1)
+    assert len(told) < 10, "1000 steps in far less than a second are at most four blocks a second, first and last"
+    assert told[-1].step == 1000 and told[0].stage == "geometry"
+    assert sum(len(p.scalars.get("loss", ())) for p in told) == 1000
+    listener.write(tmp_path / "curves.npz")
+    steps, values = read_curves(tmp_path / "curves.npz")["loss"]
+    np.testing.assert_array_equal(steps, np.arange(1, 1001))
+    np.testing.assert_allclose(values, 1 / np.arange(1, 1001))
