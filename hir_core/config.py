@@ -30,6 +30,8 @@ class GeometrySettings:
     """The masks are used at 1/`downsample` of their resolution."""
     iterations: int = 300
     """Optimisation steps at each level."""
+    iterations_per_view: int = 0
+    """When set, replaces `iterations` by this many for each view (the paper: 200)."""
     views_per_step: int = 8
     learning_rate: float = 0.01
     """Step size as a fraction of the object's radius."""
