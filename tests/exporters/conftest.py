@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import shutil
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
@@ -104,3 +106,14 @@ def make_texture() -> Callable[..., np.ndarray]:
 def six_colors() -> np.ndarray:
     """`axis_map` at 64 x 128."""
     return axis_map(64)
+
+
+@pytest.fixture(scope="session")
+def node_tools() -> Path:
+    """The folder of the node programs that check our files, with their packages installed."""
+    if shutil.which("node") is None or shutil.which("npm") is None:
+        pytest.skip("node and npm are not installed; the glTF validator and the reference tangents need them")
+    tools = REPOSITORY / "tools"
+    if not (tools / "node_modules" / "gltf-validator").is_dir() or not (tools / "node_modules" / "mikktspace").is_dir():
+        subprocess.run(["sh", str(tools / "setup_validators.sh")], check=True, timeout=300)
+    return tools
