@@ -139,13 +139,13 @@ def find_lpips(download: bool = False) -> tuple[Lpips | None, str]:
 
     if find_spec("lpips") is None or find_spec("torchvision") is None:
         return None, "LPIPS is left out: it needs lpips and torchvision; install them with: pip install 'hir[evaluate]'"
-    weights = backbone_weights()
-    if not weights.is_file() and not download:
-        return None, f"LPIPS is left out: its backbone's weights are not at {weights}; --download fetches them"
     try:
+        weights = backbone_weights()
+        if not weights.is_file() and not download:
+            return None, f"LPIPS is left out: its backbone's weights are not at {weights}; --download fetches them"
         return _load_lpips(), ""
-    except Exception as error:  # torchvision raises whatever the network raises
-        return None, f"LPIPS is left out: its backbone's weights cannot be loaded ({type(error).__name__}: {error})"
+    except Exception as error:  # whatever the network raises, or a torchvision that does not fit torch
+        return None, f"LPIPS is left out: it cannot be loaded ({type(error).__name__}: {error})"
 
 
 def backbone_weights() -> Path:

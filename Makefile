@@ -1,0 +1,41 @@
+# Everything a person types. Each target makes its environment first and says what it installs.
+PYTHON := .venv/bin/python
+HIR := .venv/bin/hir
+DEMO := demo
+
+.PHONY: demo test test-all lint clean setup setup-test help
+
+help:
+	@echo "make demo      reconstruct the sample capture, export it, say where the files are"
+	@echo "make test      every test that is quick"
+	@echo "make test-all  the slow ones too"
+	@echo "make lint      ruff and mypy"
+	@echo "make clean     remove .venv and what the demo made"
+
+setup:
+	@tools/setup.sh run
+
+setup-test:
+	@tools/setup.sh test
+
+demo: setup
+	@$(HIR) reconstruct examples/sample_capture -o $(DEMO)/run --resume
+	@$(HIR) export $(DEMO)/run -f glb -f usdz -f obj -o $(DEMO)/files -q
+	@$(HIR) evaluate $(DEMO)/run --split test
+	@echo
+	@echo "files:   $(CURDIR)/$(DEMO)/files"
+	@ls -1 $(DEMO)/files
+	@echo "report:  $(CURDIR)/$(DEMO)/run/report.html"
+
+test: setup-test
+	@$(PYTHON) -m pytest
+
+test-all: setup-test
+	@$(PYTHON) -m pytest -m "not gpu"
+
+lint: setup-test
+	@$(PYTHON) -m ruff check .
+	@$(PYTHON) -m mypy
+
+clean:
+	rm -rf .venv $(DEMO)
