@@ -1,10 +1,44 @@
-"""Descriptors of the built-in initializers."""
+"""Descriptors of the built-in initializers, and which of them suit a capture."""
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from hir_core.plugin import Component, hookimpl
+from hir_plugins.initializers.options import MeshFileOptions, VisualHullOptions
+
+if TYPE_CHECKING:
+    from hir_core.capture import Capture
+
+VISUAL_HULL = Component(
+    name="visual_hull",
+    target="hir_plugins.initializers.visual_hull:VisualHull",
+    config=VisualHullOptions,
+    summary="The largest object that fits all masks; needs cameras and masks.",
+    requires=("torch", "jaxtyping", "open3d", "cv2", "skimage"),
+    extra="reconstruct",
+    traits=frozenset({"needs_cameras", "needs_masks", "makes_surface"}),
+)
+
+MESH_FILE = Component(
+    name="mesh_file",
+    target="hir_plugins.initializers.mesh_file:MeshFile",
+    config=MeshFileOptions,
+    summary="A mesh that already exists, from any format that trimesh reads.",
+    requires=("torch", "jaxtyping", "open3d"),
+    extra="reconstruct",
+    traits=frozenset({"makes_surface"}),
+)
 
 
 @hookimpl
 def hir_register_initializers() -> list[Component]:
-    return []
+    return [VISUAL_HULL, MESH_FILE]
+
+
+@hookimpl
+def hir_suggest_initializers(capture: Capture) -> list[str] | None:
+    """The visual hull for captures that come with cameras."""
+    if capture.views and all(view.camera is not None for view in capture.views):
+        return ["visual_hull"]
+    return None

@@ -1,0 +1,42 @@
+"""Options of the built-in initializers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True)
+class VisualHullOptions:
+    """How the hull of the masks is carved."""
+
+    pixels_per_voxel: float = 2.0
+    """Side of a voxel in pixels of the photographs, at the object's distance."""
+    max_resolution: int = 256
+    """Most voxels along the longest side of the object's box, 16 to 1024."""
+    tolerated_views: int = 0
+    """A place is carved only when more than this many masks say that it is background."""
+    min_views: int = 0
+    """A place that fewer photographs show is background; 0 means half as many as show the object's best seen place."""
+    drop_bad_views: bool = True
+    """Leave out masks that cut away what nearly all others keep, and say which."""
+    min_component: float = 0.02
+    """Pieces with less than this share of the largest piece's area are dropped."""
+    vertex_colors: bool = True
+    """Colour the vertices from the photographs that see them."""
+
+
+@dataclass(frozen=True)
+class MeshFileOptions:
+    """A mesh that already exists: a scan, a photogrammetry mesh, a model."""
+
+    path: str = ""
+    """The mesh: glTF, OBJ, PLY, STL, OFF or another format that trimesh reads; relative to the working folder or the
+    capture."""
+    axes: Literal["auto", "source", "world"] = "auto"
+    """Axes of the file: `source`, those of the capture's own files; `world`, right-handed with +Y up, as in a run's
+    results; `auto` takes glTF for `world` and all others for `source`."""
+    transform: tuple[float, ...] = ()
+    """A 4×4 similarity in rows (16 numbers) applied to the file's vertices first."""
+    vertex_colors: bool = True
+    """Colour the vertices from the photographs where the file has no colours."""

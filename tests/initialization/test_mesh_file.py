@@ -1,0 +1,119 @@
+"""Meshes from files: axes, texture coordinates, broken ones."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from hir_core.capture import Capture
+from hir_core.errors import CaptureError, ConfigError
+from hir_core.scene import Mesh
+from hir_plugins.initializers.mesh_file import MeshFile
+from hir_plugins.initializers.options import MeshFileOptions
+from hir_plugins.readers.camera_axes import WORLD_FROM_Z_UP
+
+OBJ = """
+v 0 0 0
+v 1 0 0
+v 0 1 0
+v 0 0 2
+vt 0 0
+vt 1 0
+vt 0.25 0.75
+vt 0.5 0.5
+f 1/1 3/3 2/2
+f 1/1 2/2 4/4
+f 1/4 4/2 3/3
+f 2/1 3/3 4/4
+"""
+
+
+@pytest.fixture
+def capture(tmp_path: Path) -> Capture:
+    (tmp_path / "mesh.obj").write_text(OBJ)
+    return Capture(tmp_path, (), world_from_source=WORLD_FROM_Z_UP.copy())
+
+
+def load(capture: Capture, path: str | Path = "mesh.obj", **options: object) -> Mesh:
+    _, scene = MeshFile(MeshFileOptions(path=str(path), **options)).initialize(capture, None, capture.path)  # type: ignore[arg-type]
+    assert scene is not None
+    return scene.mesh
+
+
+def test_axes_of_the_capture_and_welded_seams(capture: Capture) -> None:
+    mesh = load(capture)
+    corners = {tuple(np.round(p, 6).tolist()) for p in mesh.positions.numpy()}
+    # (x, y, z) -> (x, z, -y)
+    assert corners == {(0, 0, 0), (1, 0, 0), (0, 0, -1), (0, 2, 0)}
+    assert mesh.topology.edges.shape[0] == 6 and len(mesh.faces) == 4
+    volume = trimesh.Trimesh(mesh.positions.numpy(), mesh.faces.numpy(), process=False).volume
+    np.testing.assert_allclose(volume, 1 / 3, rtol=1e-6)
+
+
+def test_texture_coordinates_have_their_origin_top_left(capture: Capture) -> None:
+    mesh = load(capture)
+    assert mesh.uvs is not None and mesh.topology.uv_faces is not None
+    found = {}
+    for face, uv_face in zip(mesh.faces.numpy(), mesh.topology.uv_faces.numpy(), strict=True):
+        for vertex, uv in zip(face, uv_face, strict=True):
+            found.setdefault(tuple(np.round(mesh.positions[vertex].numpy(), 6).tolist()), set()).add(
+                tuple(np.round(mesh.uvs[uv].numpy(), 6).tolist())
+            )
+    assert found[(0, 0, -1)] == {(0.25, 0.25)}
+    assert found[(0, 0, 0)] == {(0, 1), (0.5, 0.5)}
+
+
+def test_gltf_is_y_up(capture: Capture) -> None:
+    box = trimesh.creation.box((1, 2, 3))
+    box.export(capture.path / "box.glb")
+    for axes, size in (("auto", [1, 2, 3]), ("source", [1, 3, 2])):
+        positions = load(capture, "box.glb", axes=axes).positions.numpy()
+        np.testing.assert_allclose(np.ptp(positions, axis=0), size, rtol=1e-6)
+
+
+def test_a_transform_comes_first(capture: Capture) -> None:
+    scale = (2.0, 0, 0, 5, 0, 2, 0, 0, 0, 0, 2, 0, 0, 0, 0, 1)
+    np.testing.assert_allclose(load(capture, transform=scale).positions.numpy().max(axis=0), [7, 4, 0], atol=1e-6)
+    mirror = (-1.0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1)
+    mesh = load(capture, transform=mirror)
+    assert trimesh.Trimesh(mesh.positions.numpy(), mesh.faces.numpy(), process=False).volume > 0
+    for wrong in ((1.0,), (1.0, 0, 0, 0, 0, 2, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1), (0.0,) * 16):
+        with pytest.raises(ConfigError, match="transform"):
+            load(capture, transform=wrong)
+
+
+def test_vertex_colours_are_linear(capture: Capture) -> None:
+    box = trimesh.creation.box()
+    box.visual.vertex_colors = np.tile([188, 0, 255, 255], (8, 1))
+    box.export(capture.path / "box.ply")
+    colors = load(capture, "box.ply").vertex_colors
+    assert colors is not None
+    np.testing.assert_allclose(colors.numpy(), np.tile([0.5029, 0, 1], (8, 1)), atol=1e-3)
+
+
+def test_files_that_are_no_meshes(capture: Capture, shared: Path) -> None:
+    with pytest.raises(ConfigError, match="path=FILE"):
+        load(capture, "")
+    with pytest.raises(ConfigError, match="nowhere"):
+        load(capture, "nowhere.ply")
+    hostile = sorted(p for p in (shared / "hostile" / "meshes").rglob("*") if p.is_file())
+    assert hostile
+    for path in hostile:
+        try:
+            mesh = load(capture, path)
+        except CaptureError as error:
+            assert path.name in str(error) and "\n" not in str(error)
+        else:
+            assert np.isfinite(mesh.positions.numpy()).all() and len(mesh.faces) > 0
+            assert int(mesh.faces.min()) >= 0 and int(mesh.faces.max()) < len(mesh.positions)
+
+
+def test_any_world_keeps_its_precision(capture: Capture) -> None:
+    far = np.eye(4)
+    far[:3, 3] = [1000.0, 0, 0]
+    moved = load(replace(capture, world_from_source=far @ capture.world_from_source))
+    assert moved.topology.edges.shape[0] == 6
