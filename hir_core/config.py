@@ -35,14 +35,20 @@ class GeometrySettings:
     views_per_step: int = 8
     learning_rate: float = 0.01
     """Step size as a fraction of the object's radius."""
+    learning_rate_end: float = 1.0
+    """Factor by which the rate has fallen at the end of each level (cosine)."""
     parameterization: Literal["vertices", "large_steps"] = "large_steps"
     """What Adam moves: vertex positions, or their LargeSteps preconditioning (Nicolet et al. 2021)."""
     smoothness: float = 19.0
     """LargeSteps: λ of (I + λL)."""
     remesh: bool = True
     """Go from coarse to fine with isotropic remeshing between levels."""
+    levels: int = 3
+    """With `remesh`: meshes of a sixteenth, a quarter and all of the triangles are fitted, for 3."""
     triangles: int = 0
     """Target number of triangles; 0 derives it from the images' resolution."""
+    held_out: float = 0.08
+    """Share of the train views that only judge when to stop; none when there are fewer than ten."""
     start_radius: float = 0.0
     """Scale the start mesh to this radius during the stage and back after it; 0 leaves it."""
     enabled: bool = True

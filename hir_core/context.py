@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from hir_core.progress import Progress
 
@@ -24,6 +24,8 @@ class StageContext:
     plugins: PluginManager
     workspace: Path
     """A folder of the stage's own; what is left there survives a resume."""
+    options: Mapping[str, Mapping[str, Mapping[str, Any]]] = field(default_factory=dict)
+    """Options of renderers: kind, name, option."""
     device: str = "cpu"
     seed: int = 0
     deterministic: bool = False

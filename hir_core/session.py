@@ -116,6 +116,10 @@ class Session:
         context = StageContext(
             plugins=self.plugins,
             workspace=workspace,
+            options={
+                "geometry_renderer": self.config.geometry_renderer,
+                "reflectance_renderer": self.config.reflectance_renderer,
+            },
             device=self.device,
             seed=self.config.seed,
             deterministic=self.config.deterministic,

@@ -3,15 +3,18 @@
 
 from __future__ import annotations
 
-from typing import final
+from typing import TYPE_CHECKING, final
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from hir_core.interfaces import Energy, Regularizer
+from hir_core.interfaces import Regularizer
 from hir_core.scene import Mesh, Scene
 from hir_plugins.regularizers.mesh_options import LaplacianOptions
+
+if TYPE_CHECKING:
+    from hir_core.interfaces import Energy
 
 
 @final

@@ -3,15 +3,18 @@
 
 from __future__ import annotations
 
-from typing import final
+from typing import TYPE_CHECKING, final
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from hir_core.interfaces import Energy, Regularizer
+from hir_core.interfaces import Regularizer
 from hir_core.plugin import NoOptions
 from hir_core.scene import Scene
+
+if TYPE_CHECKING:
+    from hir_core.interfaces import Energy
 
 
 @final

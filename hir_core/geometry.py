@@ -1,0 +1,261 @@
+"""The geometry stage: moves a mesh until its silhouettes are the masks."""
+# ruff: noqa: TID253 - the heavy side of hir imports this module
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from hir_core.capture import Camera, Capture
+from hir_core.config import GeometrySettings
+from hir_core.context import StageContext
+from hir_core.errors import StageError
+from hir_core.interfaces import GeometryRenderer
+from hir_core.large_steps import LargeSteps, UniformAdam
+from hir_core.mesh_checks import inspect_mesh
+from hir_core.mesh_transfer import remeshed
+from hir_core.optimize import Batches, OptimizationReport, Schedule, Terms, optimize
+from hir_core.remeshing import surface_area
+from hir_core.scene import Mesh, Scene
+from hir_core.silhouettes import SilhouetteTargets, intersection_over_union
+from hir_core.view_trust import ViewTrust
+from hir_core.working_frame import unit_similarity
+
+if TYPE_CHECKING:
+    from hir_core.interfaces import Energy
+
+EDGE_PIXELS = 4.0
+"""Edges of the final mesh, in pixels: a circle of 50 pixels radius is then off by 0.04 pixels."""
+
+TRIANGLES_MIN, TRIANGLES_MAX = 2_000, 400_000
+
+CHECK_STEPS = 25
+"""Held-out views are measured this often."""
+
+PATIENCE_CHECKS = 6
+"""A level ends when this many measurements in a row brought nothing."""
+
+
+def fit_geometry(
+    scene: Scene, capture: Capture, settings: GeometrySettings, context: StageContext
+) -> tuple[Scene, dict[str, Any]]:
+    """The scene with its mesh fitted to the masks of the capture's views, and what happened on the way.
+
+    The world is moved so that the start mesh is centred and of radius 1 (or `start_radius`) while the stage runs, in
+    float64, and moved back at the end. A start without triangles, or views without masks or cameras, are errors.
+    """
+    frame = _working_similarity(scene.mesh, settings.start_radius)
+    mesh = replace(scene.mesh, positions=_moved(scene.mesh.positions, frame))
+    capture = capture.transformed(frame)
+    options = context.options.get("geometry_renderer", {}).get(settings.renderer, {})
+    renderer: GeometryRenderer = context.plugins.create("geometry_renderer", settings.renderer, options)
+    targets = renderer.prepare(capture.views, settings.downsample)
+    if len(targets) == 0:
+        raise StageError("the geometry stage was given no views; name a capture with photographs")
+    fit = _Fit(renderer, targets, settings, context, _hold_out(len(targets), settings.held_out))
+    before = inspect_mesh(*_arrays(mesh))
+    first = fit.errors(mesh, list(range(len(targets))))
+    reports: list[dict[str, Any]] = []
+    curves: list[np.ndarray] = []
+    sizes = _level_sizes(mesh, targets, settings)
+    for level, triangles in enumerate(sizes):
+        if settings.remesh:
+            mesh = remeshed(mesh, triangles)
+        mesh, loop, held = _fit_level(mesh, fit, level, len(sizes))
+        curves.append(loop.curves.get("silhouette", np.zeros(0)))
+        reports.append({"triangles": len(mesh.faces), "steps": loop.steps, "held_out_error": held,
+                        "stopped_early": loop.stopped_early, "skipped_steps": loop.skipped})
+    after = inspect_mesh(*_arrays(mesh))
+    last = fit.errors(mesh, list(range(len(targets))))
+    names = [view.name for view in capture.views]
+    _advise(before, after, fit, names, context)
+    train = [i for i in range(len(targets)) if i not in set(fit.held)]
+    report = {
+        "iou_train": {"before": _mean_iou(first, train), "after": _mean_iou(last, train)},
+        "iou_held_out": {"before": _mean_iou(first, fit.held), "after": _mean_iou(last, fit.held)},
+        "views": {"train": len(train), "held_out": [names[i] for i in fit.held],
+                  "down_weighted": {names[i]: round(float(w), 4) for i, w in fit.trust.distrusted().items()}},
+        "mesh": {"before": before.as_dict(), "after": after.as_dict()},
+        "levels": reports,
+        "curves": {"silhouette": np.concatenate(curves).tolist() if curves else []},
+    }
+    moved = replace(mesh, positions=_moved(mesh.positions.detach(), np.linalg.inv(frame)))
+    return replace(scene, mesh=moved), report
+
+
+@dataclass
+class _Fit:
+    """What all levels share."""
+
+    renderer: GeometryRenderer
+    targets: SilhouetteTargets
+    settings: GeometrySettings
+    context: StageContext
+    held: list[int]
+
+    def __post_init__(self) -> None:
+        self.areas = self.targets.areas
+        self.train = [i for i in range(len(self.targets)) if i not in set(self.held)]
+        self.trust = ViewTrust(len(self.targets))
+
+    def iou(self, mesh: Mesh, views: list[int]) -> Float[Tensor, " B"]:
+        """IoU of each of the views named; differentiable."""
+        area, intersection = self.renderer.overlap(mesh, self.targets[views])
+        return intersection_over_union(area, intersection, self.areas[views].to(area.device))
+
+    def errors(self, mesh: Mesh, views: list[int]) -> dict[int, float]:
+        """1 − IoU of each view."""
+        found: dict[int, float] = {}
+        with torch.no_grad():
+            for i in range(0, len(views), 8):
+                part = views[i : i + 8]
+                found.update(zip(part, (1 - self.iou(mesh, part)).tolist(), strict=True))
+        return found
+
+
+def _fit_level(mesh: Mesh, fit: _Fit, level: int, levels: int) -> tuple[Mesh, OptimizationReport, float | None]:
+    """Fits one mesh of fixed topology; returns the state that the held-out views liked best."""
+    settings, context = fit.settings, fit.context
+    scene = Scene(mesh)
+    energies = _energies(scene, settings, context)
+    batches = Batches(len(fit.train), max(1, settings.views_per_step), context.seed + level)
+    steps = settings.iterations_per_view * len(fit.train) if settings.iterations_per_view else settings.iterations
+    radius = settings.start_radius or 1.0
+    rate = settings.learning_rate * radius
+    optimizer: torch.optim.Optimizer
+    if settings.parameterization == "large_steps":
+        large = LargeSteps(mesh.topology, len(mesh.positions), settings.smoothness)
+        unknown = large.encode(mesh.positions.detach()).requires_grad_(True)
+        decode: Callable[[Tensor], Tensor] = large.decode
+        optimizer = UniformAdam([unknown], rate)
+    else:
+        unknown = mesh.positions.detach().clone().requires_grad_(True)
+        decode = lambda positions: positions  # noqa: E731
+        optimizer = torch.optim.Adam([unknown], rate)
+
+    def loss(step: int) -> Terms:
+        current = mesh.with_positions(decode(unknown))
+        views = [fit.train[i] for i in batches(step)]
+        error = 1 - fit.iou(current, views)
+        weights = fit.trust.update(views, error.detach().cpu().numpy(), settled=level > 0 or step > steps // 2)
+        weight = torch.as_tensor(weights, dtype=error.dtype, device=error.device)
+        terms = {"silhouette": (weight * error).sum() / len(views)}
+        for name, (factor, energy) in energies.items():
+            terms[name] = factor * energy(replace(scene, mesh=current))
+        return terms
+
+    best = _Best(unknown)
+
+    def after_step(step: int) -> bool:
+        if not fit.held or (step + 1) % CHECK_STEPS:
+            return False
+        with torch.no_grad():
+            errors = fit.errors(mesh.with_positions(decode(unknown)), fit.held)
+        return best.offer(unknown, float(np.median(list(errors.values()))))
+
+    checkpoint = Path(context.workspace) / f"level_{level}.npz"
+    report = optimize(
+        loss, optimizer, Schedule(steps, end=settings.learning_rate_end), stage="geometry", report=context.report,
+        after_step=after_step, checkpoint=checkpoint, first_step=level * steps, total_steps=levels * steps,
+    )
+    with torch.no_grad():
+        return mesh.with_positions(decode(best.state if fit.held and best.seen else unknown).detach()), report, best.error
+
+
+class _Best:
+    """The state of the lowest held-out error so far."""
+
+    def __init__(self, state: Tensor) -> None:
+        self.state = state.detach().clone()
+        self.error: float | None = None
+        self.seen = False
+        self._idle = 0
+
+    def offer(self, state: Tensor, error: float) -> bool:
+        """Keeps the state if it is better; True when it is time to stop."""
+        self.seen = True
+        if self.error is None or error < self.error:
+            self._idle = 0 if self.error is None or error < 0.999 * self.error else self._idle + 1
+            self.state, self.error = state.detach().clone(), error
+        else:
+            self._idle += 1
+        return self._idle >= PATIENCE_CHECKS
+
+
+def _energies(scene: Scene, settings: GeometrySettings, context: StageContext) -> dict[str, tuple[float, Energy]]:
+    energies: dict[str, tuple[float, Energy]] = {}
+    for name, table in settings.regularizers.items():
+        if table is False:
+            continue
+        options: Mapping[str, Any] = {k: v for k, v in table.items() if k != "weight"}
+        weight = float(table.get("weight", 1.0))
+        if weight != 0:
+            energies[name] = weight, context.plugins.create("regularizer", name, options).prepare(scene)
+    return energies
+
+
+def _hold_out(views: int, share: float) -> list[int]:
+    """Views spread evenly over the capture's order."""
+    count = round(views * share) if views >= 10 else 0
+    return [int((i + 0.5) * views / count) for i in range(count)]
+
+
+def _working_similarity(mesh: Mesh, radius: float) -> np.ndarray:
+    similarity = unit_similarity(mesh)
+    if radius > 0:
+        similarity[:3] *= radius
+    return similarity
+
+
+def _moved(positions: Tensor, similarity: np.ndarray) -> Tensor:
+    points = positions.detach().cpu().numpy().astype(np.float64)
+    moved = points @ similarity[:3, :3].T + similarity[:3, 3]
+    return torch.from_numpy(moved.astype(np.float32)).to(positions.device)
+
+
+def _arrays(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
+    return mesh.positions.detach().cpu().numpy().astype(np.float64), mesh.faces.cpu().numpy()
+
+
+def _level_sizes(mesh: Mesh, targets: SilhouetteTargets, settings: GeometrySettings) -> list[int]:
+    """Triangles of each level, coarse to fine; one entry where nothing is remeshed."""
+    if not settings.remesh:
+        return [len(mesh.faces)]
+    final = settings.triangles
+    if final <= 0:
+        pixel = float(np.median([_pixel_size(mesh, camera) for camera in targets.cameras]))
+        final = int(surface_area(*_arrays(mesh)) / (np.sqrt(3) / 4 * (EDGE_PIXELS * pixel) ** 2))
+        final = min(max(final, TRIANGLES_MIN), TRIANGLES_MAX)
+    return [max(500, final // 4**k) if k else final for k in reversed(range(max(1, settings.levels)))]
+
+
+def _pixel_size(mesh: Mesh, camera: Camera) -> float:
+    """Width of a pixel at the middle of the mesh."""
+    positions = mesh.positions.detach().cpu().numpy().astype(np.float64)
+    middle = 0.5 * (positions.min(axis=0) + positions.max(axis=0))
+    depth = abs(float(camera.world_to_camera[2, :3] @ middle + camera.world_to_camera[2, 3]))
+    return depth / float(np.sqrt(abs(np.linalg.det(camera.intrinsics[:2, :2]))))
+
+
+def _mean_iou(errors: Mapping[int, float], views: list[int]) -> float | None:
+    return float(np.mean([1 - errors[i] for i in views])) if views else None
+
+
+def _advise(before: Any, after: Any, fit: _Fit, names: list[str], context: StageContext) -> None:
+    """Says aloud what a user should look at."""
+    for view, weight in fit.trust.distrusted().items():
+        context.warn(f"the mask of view {names[view]} contradicts the others and counts {weight:.0%}; look at it or leave it out")
+    if before.watertight and not after.watertight:
+        context.warn("the fitted mesh is no longer watertight; try fewer triangles or geometry.remesh=false")
+    if after.components != before.components:
+        context.warn(f"the fitted mesh has {after.components} components, its start had {before.components}")
+    if after.self_intersecting > before.self_intersecting:
+        context.warn(f"{after.self_intersecting} triangles of the fitted mesh pass through others "
+                     f"(the start: {before.self_intersecting}); a larger geometry.smoothness avoids that")

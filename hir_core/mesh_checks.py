@@ -1,0 +1,164 @@
+"""What a fit must not spoil: closedness, components, orientation, and surfaces that do not pass through themselves."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Positions = NDArray[np.float64]
+Faces = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class MeshState:
+    """Counts that tell a sound mesh from a spoilt one."""
+
+    vertices: int
+    triangles: int
+    components: int
+    watertight: bool
+    """Every edge has two triangles that run opposite ways along it."""
+    genus: int
+    """Handles of all components together; 0 where the mesh is not watertight."""
+    degenerate: int
+    """Triangles whose smallest height is below 1e-4 of their longest edge."""
+    folded: int
+    """Pairs of neighbouring triangles that fold back onto each other (more than 150°)."""
+    self_intersecting: int
+    """Triangles that another one passes through."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """For a report."""
+        return asdict(self)
+
+
+def inspect_mesh(positions: Positions, faces: Faces) -> MeshState:
+    """Counts of a mesh of any quality; an empty one is all zeros."""
+    positions, faces = np.asarray(positions, dtype=np.float64), np.asarray(faces, dtype=np.int64)
+    if len(faces) == 0:
+        return MeshState(len(positions), 0, 0, False, 0, 0, 0, 0)
+    p = positions[faces]
+    sides = np.linalg.norm(p - np.roll(p, 1, axis=1), axis=2).max(axis=1)
+    normals = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    doubled = np.linalg.norm(normals, axis=1)
+    degenerate = doubled <= 1e-4 * sides**2
+    closed, pairs, edges = _pairs(faces)
+    unit = normals / np.maximum(doubled, np.finfo(float).tiny)[:, None]
+    folded = ((unit[pairs[:, 0]] * unit[pairs[:, 1]]).sum(axis=1) < np.cos(np.deg2rad(150))) & (
+        ~degenerate[pairs].any(axis=1)
+    )
+    used = len(np.unique(faces))
+    components = count_components(faces)
+    genus = (2 * components - (used - edges + len(faces))) // 2 if closed else 0
+    return MeshState(used, len(faces), components, closed, int(genus), int(degenerate.sum()), int(folded.sum()),
+                     len(self_intersections(positions, faces)))
+
+
+def count_components(faces: Faces) -> int:
+    """Connected components of the vertices in use."""
+    return 0 if len(faces) == 0 else int(component_of_vertices(faces)[0])
+
+
+def component_of_vertices(faces: Faces) -> tuple[int, NDArray[np.int64]]:
+    """How many components, and the number of each vertex's own; unused vertices get −1."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    used, compact = np.unique(faces, return_inverse=True)
+    f = compact.reshape(-1, 3)
+    rows, columns = np.concatenate([f[:, 0], f[:, 1]]), np.concatenate([f[:, 1], f[:, 2]])
+    graph = coo_matrix((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(len(used), len(used)))
+    count, label = connected_components(graph, directed=False)
+    owner = np.full(int(used.max()) + 1, -1, dtype=np.int64)
+    owner[used] = label
+    return int(count), owner
+
+
+def _pairs(faces: Faces) -> tuple[bool, NDArray[np.int64], int]:
+    start, end = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
+    base = int(faces.max()) + 1
+    key = np.minimum(start, end) * base + np.maximum(start, end)
+    way = np.where(start < end, 1, -1)
+    unique, inverse, count = np.unique(key, return_inverse=True, return_counts=True)
+    closed = bool((count == 2).all() and (np.bincount(inverse, weights=way) == 0).all() and (start != end).all())
+    order = np.argsort(inverse, kind="stable")
+    first = np.concatenate([[0], np.cumsum(count)[:-1]])[count == 2]
+    return closed, np.stack([order[first], order[first + 1]], axis=1) // 3, len(unique)
+
+
+def self_intersections(positions: Positions, faces: Faces, batch: int = 400_000) -> NDArray[np.int64]:
+    """Indices of triangles pierced by an edge of a triangle that shares no vertex with them, or that pierce one so.
+
+    Exactly touching and coplanar triangles do not count. Candidates come from a grid whose cell is the largest triangle, so
+    one giant among many small ones costs time, not truth.
+    """
+    p = np.asarray(positions, dtype=np.float64)[faces]
+    if len(p) < 2 or not np.isfinite(p).all():
+        return np.zeros(0, dtype=np.int64)
+    low, high = p.min(axis=1), p.max(axis=1)
+    hit = np.zeros(len(faces), dtype=bool)
+    for first, second in _candidates(low, high, batch):
+        near = (low[first] <= high[second]).all(axis=1) & (low[second] <= high[first]).all(axis=1)
+        first, second = first[near], second[near]
+        shared = (faces[first][:, :, None] == faces[second][:, None, :]).any(axis=(1, 2))
+        first, second = first[~shared], second[~shared]
+        crossing = _pierces(p[first], p[second]) | _pierces(p[second], p[first])
+        hit[first[crossing]] = True
+        hit[second[crossing]] = True
+    return np.flatnonzero(hit)
+
+
+def _candidates(low: Positions, high: Positions, batch: int):  # type: ignore[no-untyped-def]
+    """Pairs (i < j) of boxes in the same cell of a grid, in batches; a pair may come more than once."""
+    size = float(np.quantile((high - low).max(axis=1), 0.98)) * 1.01
+    if size <= 0:
+        return
+    origin = low.min(axis=0)
+    first, last = ((low - origin) // size).astype(np.int64), ((high - origin) // size).astype(np.int64)
+    span = last - first + 1
+    amount = span.prod(axis=1)
+    owner = np.repeat(np.arange(len(low)), amount)
+    offset = np.arange(len(owner)) - np.repeat(np.cumsum(amount) - amount, amount)
+    s = span[owner]
+    cell = first[owner] + np.stack([offset % s[:, 0], offset // s[:, 0] % s[:, 1], offset // (s[:, 0] * s[:, 1])], 1)
+    key = (cell[:, 0] << 42) + (cell[:, 1] << 21) + cell[:, 2]
+    order = np.argsort(key, kind="stable")
+    key, owner = key[order], owner[order]
+    position = np.arange(len(key))
+    end = np.searchsorted(key, key, side="right")
+    partners = end - position - 1
+    total = np.cumsum(partners)
+    start = 0
+    while start < len(key):
+        base = total[start - 1] if start else 0
+        stop = max(start + 1, int(np.searchsorted(total, base + batch, side="right")))
+        count = partners[start:stop]
+        i = np.repeat(position[start:stop], count)
+        j = i + 1 + np.arange(len(i)) - np.repeat(np.cumsum(count) - count, count)
+        yield owner[i], owner[j]
+        start = stop
+
+
+def _pierces(edges_of: Positions, triangle: Positions) -> NDArray[np.bool_]:
+    """Whether an edge of each first triangle passes through the inside of the second (signs of volumes)."""
+    a, b, c = triangle[:, 0], triangle[:, 1], triangle[:, 2]
+    normal = np.cross(b - a, c - a)
+    height = ((edges_of - a[:, None]) * normal[:, None]).sum(axis=2)
+    result = np.zeros(len(edges_of), dtype=bool)
+    for k in range(3):
+        p, q = edges_of[:, k], edges_of[:, (k + 1) % 3]
+        across = np.flatnonzero(height[:, k] * height[:, (k + 1) % 3] < 0)
+        if len(across) == 0:
+            continue
+        direction = q[across] - p[across]
+        volumes = [
+            (np.cross(u[across] - p[across], v[across] - p[across]) * direction).sum(axis=1)
+            for u, v in ((a, b), (b, c), (c, a))
+        ]
+        inside = np.logical_or(np.logical_and.reduce([v > 0 for v in volumes]),
+                               np.logical_and.reduce([v < 0 for v in volumes]))
+        result[across[inside]] = True
+    return result
