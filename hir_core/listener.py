@@ -31,6 +31,7 @@ class Listener:
         self._waiting: dict[str, list[np.ndarray]] = {}
         self._last: Progress | None = None
         self._told = 0.0
+        self._started = time.perf_counter()
         self.seconds: list[tuple[int, float]] = []
         """Pairs of step and seconds since the stage began, one for each block."""
 
@@ -41,7 +42,8 @@ class Listener:
             self._waiting.setdefault(name, []).append(block)
             self._curves.setdefault(name, []).append(block)
             self._steps.setdefault(name, []).append(np.arange(progress.step - len(block) + 1, progress.step + 1))
-        self._last = replace(progress, stage=self._stage)
+        # a stage may count its seconds level by level; what is left follows from those of the whole stage
+        self._last = replace(progress, stage=self._stage, seconds=time.perf_counter() - self._started)
         now = time.monotonic()
         if now - self._told >= INTERVAL_SECONDS or progress.step >= progress.steps:
             self._tell(now)

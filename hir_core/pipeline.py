@@ -91,9 +91,11 @@ def reconstruct(
 def run_stages(path: Path, session: Session) -> Asset:
     """A folder ─ reader ─► capture ─ initializers ─► mesh ─ fits ─► scene ─ bake ─► asset ─► files."""
     config = session.config
-    capture, photographs = open_capture(path, session)
+    photographs = PixelCache()
+    capture, names = open_capture(path, photographs, session)
     capture, scene = initializer_stage(capture, session)
-    write_cameras(session.directory.cameras, capture.transformed(asset_from_working(session)), photographs)
+    write_cameras(session.directory.cameras, capture.transformed(asset_from_working(session)), names)
+    capture = photographs.undistort(capture)
     scene = geometry_stage(scene, capture, session)
     scene = atlas_stage(scene, capture, session)
     scene = reflectance_stage(scene, capture, session)
@@ -101,7 +103,7 @@ def run_stages(path: Path, session: Session) -> Asset:
     return export_stage(asset, config, session)
 
 
-def open_capture(path: Path, session: Session) -> tuple[Capture, list[str]]:
+def open_capture(path: Path, photographs: PixelCache, session: Session) -> tuple[Capture, list[str]]:
     """The train split, decoded at most once, and the names of its photographs; starts the session's records."""
     capture = read_capture(path, "train", session.plugins, session.config.reader)
     if not capture.views:
@@ -118,7 +120,7 @@ def open_capture(path: Path, session: Session) -> tuple[Capture, list[str]]:
             "fingerprint": mark,
         }
     )
-    return PixelCache().wrap(capture), [view.name for view in capture.views]
+    return photographs.wrap(capture), [view.name for view in capture.views]
 
 
 def initializer_stage(capture: Capture, session: Session) -> tuple[Capture, Scene]:

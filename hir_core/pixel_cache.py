@@ -30,6 +30,22 @@ class PixelCache:
         """The same capture, whose views read through this cache."""
         return replace(capture, views=tuple(replace(v, read=self._reader(v.name, v.read)) for v in capture.views))
 
+    def undistort(self, capture: Capture) -> Capture:
+        """The same capture, its photographs without lens distortion from here on: that too is done once."""
+        views = []
+        for view in capture.views:
+            if view.camera is not None and any(view.distortion):
+                self._forget(view.name)
+                plain = replace(view, mask=None)
+                view = replace(view, read=self._reader(f"{view.name} undistorted", plain.pixels), distortion=())
+            views.append(view)
+        return replace(capture, views=tuple(views))
+
+    def _forget(self, name: str) -> None:
+        with self._lock:
+            kept = self._kept.pop(name, None)
+            self._bytes -= 0 if kept is None else _size(kept)
+
     def _reader(self, name: str, read: Callable[[], Pixels]) -> Callable[[], Pixels]:
         # no eviction: stages go through the views in order, where dropping the oldest would never be a hit
         def cached() -> Pixels:

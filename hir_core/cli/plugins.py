@@ -51,6 +51,8 @@ def plugins_command(as_json: bool, plugin_files: tuple[str, ...]) -> None:
         )
         previous = kind
     console = Console(highlight=False)
+    if not console.is_terminal:
+        console = Console(highlight=False, width=200)  # into a file or a pipe: one line each
     console.print(table)
     console.print(f"presets: {', '.join(manager.presets()) or 'none'}")
     for problem in manager.problems:

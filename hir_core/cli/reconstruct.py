@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +51,9 @@ def reconstruct_command(
         chosen.append(f"geometry.triangles={triangles}")
     if texture_size is not None:
         chosen.append(f"atlas.texture_size={texture_size}")
-    overrides: dict[str, Any] = {"seed": seed, "deterministic": deterministic or None, "plugins": plugin_files or None}
+    if plugin_files:
+        chosen.append(f"plugins={json.dumps(plugin_files)}")
+    overrides: dict[str, Any] = {"seed": seed, "deterministic": deterministic or None}
     _check_heavy_packages()
     plugins = PluginManager.discover(plugin_files)
     for problem in plugins.problems:

@@ -1,10 +1,29 @@
-"""Descriptors of the built-in exporters."""
+"""Descriptors of the built-in exporters: one for each format of `hir_exporters`."""
 
 from __future__ import annotations
 
 from hir_core.plugin import Component, hookimpl
+from hir_exporters.formats import FORMATS
+
+TRAITS = {"glb": "gltf", "gltf": "gltf", "usda": "usd", "usdc": "usd", "usdz": "usd"}
+"""The document that plugins may change before its bytes are made."""
+
+REQUIRES = {"gltf": ("pygltflib",), "usd": ("pxr",)}
+
+
+def component(name: str) -> Component:
+    """The descriptor of one format."""
+    trait = TRAITS.get(name, "")
+    return Component(
+        name=name,
+        target=FORMATS[name].target,
+        config=FORMATS[name].config,
+        summary=FORMATS[name].summary,
+        requires=REQUIRES.get(trait, ()),
+        traits=frozenset({trait} - {""}),
+    )
 
 
 @hookimpl
 def hir_register_exporters() -> list[Component]:
-    return []
+    return [component(name) for name in FORMATS]
