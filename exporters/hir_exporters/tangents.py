@@ -45,7 +45,7 @@ def with_tangents(mesh: AssetMesh) -> AssetMesh:
     index[by_corner[kept]] = vertex_of[kept]
     index[by_corner[~kept]] = len(mesh.positions) + np.arange(int((~kept).sum()))
     source = np.concatenate([np.arange(len(mesh.positions)), vertex_of[~kept]])
-    vertex_tangents = np.tile(np.float32([1, 0, 0, 1]), (len(source), 1))
+    vertex_tangents = np.tile(np.array([1, 0, 0, 1], np.float32), (len(source), 1))
     vertex_tangents[index] = tangents.reshape(-1, 4)[first]
     return replace(
         mesh,
@@ -118,7 +118,7 @@ def _neighbours(corners: NDArray[np.int64], solid: NDArray[np.bool_]) -> tuple[N
     fresh[1:] = (low[1:] != low[:-1]) | (high[1:] != high[:-1]) | (backward[1:] != backward[:-1])
     rank = np.arange(len(edge)) - np.flatnonzero(fresh)[np.cumsum(fresh) - 1] if len(edge) else edge
     order = np.lexsort([backward, rank, high, low])
-    edge, low, high, rank, backward = (x[order] for x in (edge, low, high, rank, backward))
+    edge, low, high, rank, backward = edge[order], low[order], high[order], rank[order], backward[order]
     match = (low[1:] == low[:-1]) & (high[1:] == high[:-1]) & (rank[1:] == rank[:-1]) & (backward[1:] != backward[:-1])
     first, second = edge[:-1][match], edge[1:][match]
     ends = np.stack([np.stack([first, _next_corner(second)], -1), np.stack([_next_corner(first), second], -1)], axis=1)

@@ -1,0 +1,45 @@
+"""Upper bounds of what a target shows well, and bringing an asset below them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final, Literal
+
+from hir_exporters.asset import Asset, textures
+from hir_exporters.surface_images import limited
+
+BudgetName = Literal["none", "quicklook", "web", "desktop"]
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Most triangles, and most pixels on a texture's side."""
+
+    triangles: int
+    texture_size: int
+
+
+BUDGETS: Final[dict[str, Budget]] = {
+    "quicklook": Budget(100_000, 2048),
+    "web": Budget(100_000, 2048),
+    "desktop": Budget(1_000_000, 4096),
+}
+"""`quicklook`: AR Quick Look's advice of about 100k triangles and one set of 2048² textures; `web`: the same for phones."""
+
+
+def apply_budget(asset: Asset, name: BudgetName) -> tuple[Asset, tuple[str, ...]]:
+    """The asset within a budget, and a sentence for each thing that was reduced or could not be."""
+    if name == "none":
+        return asset, ()
+    budget = BUDGETS[name]
+    warnings: list[str] = []
+    largest = max((max(value.shape[:2]) for _, value in textures(asset.material)), default=0)
+    if largest > budget.texture_size:
+        warnings.append(f"textures were reduced from {largest} to {budget.texture_size} pixels for the {name} budget")
+        asset = replace(asset, material=limited(asset.material, budget.texture_size))
+    count = len(asset.mesh.faces)
+    if count > budget.triangles:
+        warnings.append(
+            f"{count} triangles are more than the {budget.triangles} of the {name} budget; simplify the mesh"
+        )
+    return asset, tuple(warnings)

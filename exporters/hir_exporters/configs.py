@@ -1,0 +1,69 @@
+"""Options of each file format, light enough to be imported by a plugin's descriptor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True)
+class GltfConfig:
+    """Options of .glb and .gltf."""
+
+    profile: Literal["khr", "blender", "metalrough", "unity-legacy"] = "khr"
+    """How the material is said: for readers of the ratified extensions, for Blender, for core readers, for glTFast."""
+    budget: Literal["none", "quicklook", "web", "desktop"] = "none"
+    """Bounds of a target: larger textures are reduced, too many triangles reported."""
+    max_texture_size: int = 4096
+    """Larger textures are reduced to this many pixels a side."""
+    image_format: Literal["png", "jpeg"] = "png"
+    """JPEG is smaller and loses detail; normal maps and alpha stay PNG."""
+    jpeg_quality: int = 92
+    """1 to 95."""
+    tangents: Literal["auto", "always", "never"] = "auto"
+    """Whether tangents are written: by default where there is a normal map."""
+    quantize: bool = False
+    """KHR_mesh_quantization: 16-bit positions, 8-bit normals and tangents, 16-bit UVs. Readers without it fail."""
+    environment: bool = True
+    """Write the environment beside the file as NAME.hdr."""
+
+
+@dataclass(frozen=True)
+class UsdConfig:
+    """Options of .usda and .usdc."""
+
+    workflow: Literal["metallic", "specular"] = "specular"
+    """Which workflow of UsdPreviewSurface; renderers know both, AR Quick Look only metallic."""
+    budget: Literal["none", "quicklook", "web", "desktop"] = "none"
+    """Bounds of a target: larger textures are reduced, too many triangles reported."""
+    max_texture_size: int = 4096
+    """Larger textures are reduced to this many pixels a side."""
+    meters_per_unit: float = 1.0
+    """Written into the file; positions are not changed."""
+    environment: bool = True
+    """Write the environment as NAME.hdr and NAME_lit.usda, a layer that adds a dome light to the asset."""
+
+
+@dataclass(frozen=True)
+class UsdzConfig(UsdConfig):
+    """Options of .usdz, a package for AR Quick Look and everything else that reads USD."""
+
+    workflow: Literal["metallic", "specular"] = "metallic"
+    budget: Literal["none", "quicklook", "web", "desktop"] = "quicklook"
+    max_texture_size: int = 2048
+
+
+@dataclass(frozen=True)
+class ObjConfig:
+    """Options of .obj with .mtl."""
+
+    max_texture_size: int = 4096
+    """Larger textures are reduced to this many pixels a side."""
+
+
+@dataclass(frozen=True)
+class EnvironmentConfig:
+    """Options of the environment as a lat-long image, .hdr or .exr."""
+
+    height: int = 0
+    """Rows of the image, which is twice as wide; 0 keeps the fitted resolution."""

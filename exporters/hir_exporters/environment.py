@@ -1,0 +1,135 @@
+"""Distant light: rotating and resampling lat-long images with their energy kept, spherical harmonics."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hir_exporters.asset import Asset, AssetEnvironment
+from hir_exporters.conventions import direction_to_latlong_uv, latlong_directions, latlong_solid_angles
+from hir_exporters.errors import ExportError
+
+Array = NDArray[np.float64]
+
+FIRST_VIEW_KEY = "first_view_to_world"
+"""Entry of an asset's provenance: rotation (3, 3) from the first view's camera axes to the world's."""
+
+
+def world_radiance(asset: Asset, height: int = 0) -> tuple[NDArray[np.float32], tuple[str, ...]]:
+    """The asset's light in world axes as a 2:1 lat-long image (H, 2H, 3), and warnings.
+
+    A light that travels with the camera is given as the first view saw it. `height` 0 keeps the resolution of the finer
+    axis. Raises `ExportError` where the asset has no light.
+    """
+    environment = asset.environment
+    no_warnings: tuple[str, ...] = ()
+    if environment is None:
+        raise ExportError(f"asset {asset.name!r} has no environment; its light cannot be written")
+    rotation, warnings = environment.to_world, no_warnings
+    if environment.frame == "camera":
+        rotation, warnings = _camera_rotation(environment, asset.provenance)
+    rows, columns = environment.radiance.shape[:2]
+    height = height or max(rows, -(-columns // 2))
+    radiance = rotate_latlong(resample_latlong(environment.radiance, height, 2 * height), rotation)
+    return radiance.astype(np.float32), warnings
+
+
+def resample_latlong(radiance: NDArray[np.floating], height: int, width: int) -> Array:
+    """The image at another size: the mean over each new pixel's solid angle, so the light's energy stays exactly."""
+    values = np.asarray(radiance, np.float64)
+    if values.shape[:2] == (height, width):
+        return values
+    down = _overlap(np.cos(np.linspace(np.pi, 0, values.shape[0] + 1)), np.cos(np.linspace(np.pi, 0, height + 1)))
+    across = _overlap(np.linspace(0, 1, values.shape[1] + 1), np.linspace(0, 1, width + 1))
+    return np.einsum("ij,jkc,lk->ilc", down[::-1, ::-1], values, across, optimize=True)
+
+
+def rotate_latlong(radiance: NDArray[np.floating], to_world: NDArray[np.floating]) -> Array:
+    """The image of the light turned by `to_world` (3, 3): what came from d now comes from `to_world @ d`.
+
+    Four bilinear samples a pixel; each channel is then scaled to the energy it had. No rotation changes nothing, and
+    turns about +Y by whole pixels move pixels without blurring them.
+    """
+    values, rotation = np.asarray(radiance, np.float64), np.asarray(to_world, np.float64)
+    height, width, _ = values.shape
+    if np.allclose(rotation @ [0, 1, 0], [0, 1, 0], atol=1e-12):
+        # About +Y the azimuth atan2(x, z) grows by the angle and u falls with it.
+        shift = -np.arctan2(rotation[0, 2], rotation[2, 2]) / (2 * np.pi) * width
+        if abs(shift - round(shift)) < 1e-9 * width:
+            return np.roll(values, round(shift), axis=1)
+    fine = latlong_directions(2 * height, 2 * width) @ rotation  # rows are directions: d @ R is R^T d
+    turned = _bilinear(values, direction_to_latlong_uv(fine)).reshape(height, 2, width, 2, -1)
+    weight = latlong_solid_angles(2 * height, 2 * width).reshape(height, 2, 1, 1, 1)
+    turned = (turned * weight).sum((1, 3)) / (2 * weight.sum(1)[:, :, 0])
+    before, after = mean_radiance(values), mean_radiance(turned)
+    return turned * np.where(after > 0, before / np.maximum(after, 1e-300), 1.0)
+
+
+def mean_radiance(radiance: NDArray[np.floating]) -> Array:
+    """Mean over the sphere of each channel (C,)."""
+    weight = latlong_solid_angles(*radiance.shape[:2])
+    return np.asarray((radiance * weight[..., None]).sum((0, 1)) / (weight.sum() * radiance.shape[1]), np.float64)
+
+
+def spherical_harmonics(radiance: NDArray[np.floating]) -> Array:
+    """Coefficients (9, 3) of radiance in the real basis, bands 0 to 2, m = -l .. l (Ramamoorthi, Hanrahan 2001)."""
+    height, width, _ = radiance.shape
+    weight = latlong_solid_angles(height, width)[..., None] * np.asarray(radiance, np.float64)
+    return np.einsum("hwk,hwc->kc", harmonic_basis(latlong_directions(height, width)), weight)
+
+
+def irradiance_harmonics(radiance: NDArray[np.floating]) -> Array:
+    """Coefficients (9, 3) of irradiance: radiance convolved with the clamped cosine, band by band (ibid., eq. 8)."""
+    bands = np.repeat([np.pi, 2 * np.pi / 3, np.pi / 4], [1, 3, 5])
+    return spherical_harmonics(radiance) * bands[:, None]
+
+
+def harmonic_basis(directions: Array) -> Array:
+    """The nine real spherical harmonics (..., 9) at unit directions (..., 3)."""
+    x, y, z = np.moveaxis(directions, -1, 0)
+    values = [
+        np.full_like(x, 0.5 * np.sqrt(1 / np.pi)),
+        np.sqrt(3 / (4 * np.pi)) * y,
+        np.sqrt(3 / (4 * np.pi)) * z,
+        np.sqrt(3 / (4 * np.pi)) * x,
+        0.5 * np.sqrt(15 / np.pi) * x * y,
+        0.5 * np.sqrt(15 / np.pi) * y * z,
+        0.25 * np.sqrt(5 / np.pi) * (3 * z * z - 1),
+        0.5 * np.sqrt(15 / np.pi) * x * z,
+        0.25 * np.sqrt(15 / np.pi) * (x * x - y * y),
+    ]
+    return np.stack(values, axis=-1)
+
+
+def _camera_rotation(environment: AssetEnvironment, provenance: Mapping[str, Any]) -> tuple[Array, tuple[str, ...]]:
+    try:
+        view = np.asarray(provenance.get(FIRST_VIEW_KEY), np.float64)
+    except (TypeError, ValueError):
+        view = np.zeros(0)
+    if view.shape == (3, 3) and np.abs(view @ view.T - np.eye(3)).max() < 1e-4:
+        warning = "the light travelled with the camera; it is written as the first view saw it"
+        return view @ environment.to_world, (warning,)
+    return environment.to_world, (
+        f"the light travelled with the camera; provenance has no {FIRST_VIEW_KEY!r}, so it is written in camera axes",
+    )
+
+
+def _overlap(old: Array, new: Array) -> Array:
+    """Share (new, old) of each old interval in each new one, rows summing to 1, both given by rising edges."""
+    low = np.maximum(old[None, :-1], new[:-1, None])
+    high = np.minimum(old[None, 1:], new[1:, None])
+    return np.maximum(high - low, 0.0) / (new[1:] - new[:-1])[:, None]
+
+
+def _bilinear(values: Array, uv: NDArray[np.floating]) -> Array:
+    """Samples (..., C) at lat-long coordinates: u wraps, v stops at the poles."""
+    height, width, _ = values.shape
+    x, y = uv[..., 0] * width - 0.5, np.clip(uv[..., 1] * height - 0.5, 0, height - 1)
+    x0, y0 = np.floor(x).astype(np.int64), np.minimum(np.floor(y).astype(np.int64), max(height - 2, 0))
+    fx, fy = (x - x0)[..., None], (y - y0)[..., None]
+    left, right, below = x0 % width, (x0 + 1) % width, np.minimum(y0 + 1, height - 1)
+    top = values[y0, left] * (1 - fx) + values[y0, right] * fx
+    return top * (1 - fy) + (values[below, left] * (1 - fx) + values[below, right] * fx) * fy

@@ -1,0 +1,46 @@
+"""The file formats by the name they have on the command line."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any, Final
+
+from hir_exporters.configs import EnvironmentConfig, GltfConfig, ObjConfig, UsdConfig, UsdzConfig
+from hir_exporters.errors import ExportError
+from hir_exporters.exporter import Exporter
+
+
+@dataclass(frozen=True)
+class Format:
+    """Where the exporter of a format is found and what it is configured with."""
+
+    target: str
+    """`module:Class`, imported when it is used."""
+    config: type
+    summary: str
+
+
+FORMATS: Final[dict[str, Format]] = {
+    "glb": Format("hir_exporters.gltf.exporter:GlbExporter", GltfConfig, "glTF 2.0 in one binary file."),
+    "gltf": Format("hir_exporters.gltf.exporter:GltfExporter", GltfConfig, "glTF 2.0 with textures as files."),
+    "usda": Format("hir_exporters.usd.exporter:UsdExporter", UsdConfig, "USD as text, with textures as files."),
+    "usdc": Format("hir_exporters.usd.exporter:UsdExporter", UsdConfig, "USD in binary, with textures as files."),
+    "usdz": Format("hir_exporters.usd.exporter:UsdzExporter", UsdzConfig, "USD in one package, for AR Quick Look."),
+    "obj": Format("hir_exporters.obj:ObjExporter", ObjConfig, "Wavefront OBJ with an MTL in its PBR dialect."),
+    "hdr": Format("hir_exporters.environment_files:HdrExporter", EnvironmentConfig, "The light, Radiance RGBE."),
+    "exr": Format("hir_exporters.environment_files:ExrExporter", EnvironmentConfig, "The light, OpenEXR float32."),
+}
+
+
+def create_exporter(name: str, config: Any = None) -> Exporter:
+    """The exporter of a format, with its default options where `config` is None.
+
+    Raises `ExportError` for a format that is not known and names those that are.
+    """
+    if name not in FORMATS:
+        raise ExportError(f"no format is called {name!r}; known are {', '.join(FORMATS)}")
+    module, _, attribute = FORMATS[name].target.partition(":")
+    exporter = getattr(import_module(module), attribute)(FORMATS[name].config() if config is None else config)
+    assert isinstance(exporter, Exporter)
+    return exporter

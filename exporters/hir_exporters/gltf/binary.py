@@ -1,0 +1,78 @@
+"""The binary side of a glTF document: buffer views, accessors, and the .glb container."""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from pygltflib import GLTF2
+
+ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
+_COMPONENTS = {"int8": 5120, "uint8": 5121, "int16": 5122, "uint16": 5123, "uint32": 5125, "float32": 5126}
+_TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
+
+
+class BinaryWriter:
+    """Appends data to a document's one buffer, with its views and accessors."""
+
+    def __init__(self, document: GLTF2) -> None:
+        self._document = document
+        self._chunks: list[bytes] = []
+        self._length = 0
+
+    def view(self, data: bytes, target: int | None = None, stride: int | None = None) -> int:
+        """Index of a new buffer view of `data`, aligned to four bytes."""
+        from pygltflib import BufferView
+
+        view = BufferView(buffer=0, byteOffset=self._length, byteLength=len(data), target=target, byteStride=stride)
+        self._document.bufferViews.append(view)
+        padded = data + b"\0" * (-len(data) % 4)
+        self._chunks.append(padded)
+        self._length += len(padded)
+        return len(self._document.bufferViews) - 1
+
+    def accessor(
+        self, values: NDArray[Any], target: int = ARRAY_BUFFER, normalized: bool = False, bounds: bool = False
+    ) -> int:
+        """Index of a new accessor of (N,) or (N, C) values; rows are padded to multiples of four bytes."""
+        from pygltflib import Accessor
+
+        rows = np.ascontiguousarray(values.reshape(len(values), -1))
+        width = rows.shape[1] * rows.dtype.itemsize
+        stride = None
+        if target == ARRAY_BUFFER and width % 4:
+            stride = width + -width % 4
+            padded = np.zeros((len(rows), stride), np.uint8)
+            padded[:, :width] = rows.view(np.uint8).reshape(len(rows), width)
+            data = padded.tobytes()
+        else:
+            data = rows.astype(rows.dtype.newbyteorder("<")).tobytes()
+        accessor = Accessor(
+            bufferView=self.view(data, target, stride),
+            byteOffset=0,
+            componentType=_COMPONENTS[rows.dtype.name],
+            normalized=normalized,
+            count=len(rows),
+            type=_TYPES[rows.shape[1]],
+        )
+        if bounds:
+            accessor.min, accessor.max = rows.min(axis=0).tolist(), rows.max(axis=0).tolist()
+        self._document.accessors.append(accessor)
+        return len(self._document.accessors) - 1
+
+    def data(self) -> bytes:
+        """Everything appended so far."""
+        return b"".join(self._chunks)
+
+
+def glb_bytes(json_text: bytes, binary: bytes) -> bytes:
+    """The .glb container (glTF 2.0, section 4.4) of a document and its buffer."""
+    json_chunk = json_text + b" " * (-len(json_text) % 4)
+    binary_chunk = binary + b"\0" * (-len(binary) % 4)
+    chunks = struct.pack("<I4s", len(json_chunk), b"JSON") + json_chunk
+    chunks += struct.pack("<I4s", len(binary_chunk), b"BIN\0") + binary_chunk
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks

@@ -1,0 +1,126 @@
+"""An asset as a typed glTF document (`pygltflib.GLTF2`), its buffer and its images."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from hir_exporters.asset import Asset, AssetMesh
+from hir_exporters.configs import GltfConfig
+from hir_exporters.gltf import ior, specular, specular_glossiness
+from hir_exporters.gltf.binary import BinaryWriter
+from hir_exporters.gltf.geometry import add_primitive
+from hir_exporters.gltf.images import add_textures
+from hir_exporters.gltf.quantization import add_quantized_primitive
+from hir_exporters.materials import MetallicSurface, SpecularSurface, to_gltf
+from hir_exporters.surface_images import EncodedImage, PackedSurface, encode_images, pack_surface
+from hir_exporters.tangents import with_tangents
+
+if TYPE_CHECKING:
+    from pygltflib import GLTF2
+
+GENERATOR = "hir_exporters"
+
+
+@dataclass(frozen=True)
+class Gathered:
+    """What is written of an asset: a mesh, a packed surface with its images, and what its conversion said."""
+
+    asset: Asset
+    mesh: AssetMesh
+    packed: PackedSurface
+    legacy: SpecularSurface | None
+    images: list[EncodedImage]
+    warnings: tuple[str, ...]
+    residuals: dict[str, float]
+
+
+def gather(asset: Asset, config: GltfConfig) -> Gathered:
+    """Convert the material, compute tangents where they are wanted, and encode the images."""
+    material = asset.material
+    wanted = config.tangents == "always" or (config.tangents == "auto" and material.normal is not None)
+    converted = to_gltf(material, config.profile)
+    legacy = converted if isinstance(converted, SpecularSurface) else None
+    base = converted if isinstance(converted, MetallicSurface) else to_gltf(material, "metalrough")
+    assert isinstance(base, MetallicSurface)
+    packed = pack_surface(base, material.normal)
+    pixels = {
+        "base_color": packed.base_color_image,
+        "occlusion_roughness_metallic": packed.orm_image,
+        "normal": packed.normal_image,
+        "specular": packed.specular_color_image
+        if packed.specular_weight_image is None
+        else packed.specular_weight_image,
+    }
+    named = [(name, image) for name, image in pixels.items() if image is not None]
+    if legacy is not None:
+        named += specular_glossiness.specular_glossiness_images(legacy).items()
+    return Gathered(
+        asset=asset,
+        mesh=with_tangents(asset.mesh) if wanted else asset.mesh,
+        packed=packed,
+        legacy=legacy,
+        images=encode_images(named, config.image_format, config.jpeg_quality),
+        warnings=converted.warnings,
+        residuals={config.profile: converted.residual, "metalrough": base.residual}
+        if legacy is not None
+        else {config.profile: converted.residual},
+    )
+
+
+def build_document(gathered: Gathered, config: GltfConfig, files_prefix: str | None) -> tuple[GLTF2, BinaryWriter]:
+    """The document and the writer of its buffer; images inside, or beside it as files that begin with `files_prefix`."""
+    from pygltflib import GLTF2, Attributes, Buffer, Mesh, Node, Scene
+    from pygltflib import Asset as Header
+
+    document = GLTF2(asset=Header(version="2.0", generator=GENERATOR))
+    document.extensionsUsed, document.extensionsRequired = [], []
+    if gathered.asset.provenance:
+        document.asset.extras = {"hir": dict(gathered.asset.provenance)}
+    writer = BinaryWriter(document)
+    node = Node(name=gathered.asset.name, mesh=0)
+    if config.quantize:
+        primitive = add_quantized_primitive(document, gathered.mesh, writer, 0, node)
+    else:
+        primitive = add_primitive(gathered.mesh, writer, 0)
+    if config.tangents == "never" or gathered.mesh.tangents is None:
+        assert isinstance(primitive.attributes, Attributes)
+        primitive.attributes.TANGENT = None
+    uvs = gathered.mesh.uvs
+    embedding = writer if files_prefix is None else None
+    atlas = bool(uvs.min() >= 0 and uvs.max() <= 1)
+    textures = add_textures(document, gathered.images, embedding, files_prefix or "", atlas)
+    document.meshes.append(Mesh(name=gathered.asset.name, primitives=[primitive]))
+    document.materials.append(_material(gathered, textures, document))
+    document.nodes.append(node)
+    document.scenes.append(Scene(nodes=[0]))
+    document.scene = 0
+    document.buffers.append(Buffer(byteLength=len(writer.data())))
+    return document, writer
+
+
+def _material(gathered: Gathered, textures: dict[str, int], document: GLTF2) -> Any:
+    from pygltflib import Material, NormalMaterialTexture, PbrMetallicRoughness, TextureInfo
+
+    packed = gathered.packed
+    core = PbrMetallicRoughness(
+        baseColorFactor=[*packed.base_color, 1.0], metallicFactor=packed.metallic, roughnessFactor=packed.roughness
+    )
+    material = Material(name=gathered.asset.name, pbrMetallicRoughness=core, alphaMode="OPAQUE", doubleSided=False)
+    if "base_color" in textures:
+        core.baseColorTexture = TextureInfo(index=textures["base_color"])
+    if "occlusion_roughness_metallic" in textures:
+        core.metallicRoughnessTexture = TextureInfo(index=textures["occlusion_roughness_metallic"])
+    if "normal" in textures:
+        material.normalTexture = NormalMaterialTexture(index=textures["normal"], scale=1.0)
+    extensions: dict[str, Any] = {}
+    if gathered.legacy is not None:
+        extensions[specular_glossiness.NAME] = specular_glossiness.specular_glossiness_extension(
+            gathered.legacy, textures
+        )
+    else:
+        extensions[specular.NAME] = specular.specular_extension(packed, textures)
+        extensions[ior.NAME] = ior.ior_extension(packed.ior)
+    material.extensions = {name: value for name, value in extensions.items() if value is not None}
+    document.extensionsUsed += list(material.extensions)
+    return material

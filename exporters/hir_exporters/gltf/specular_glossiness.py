@@ -1,0 +1,50 @@
+"""KHR_materials_pbrSpecularGlossiness, archived, but what Unity's glTFast reads instead of KHR_materials_specular."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hir_exporters.materials import SpecularSurface
+from hir_exporters.surface_images import pack_color, resize_codes
+from hir_exporters.texture_maps import unorm8
+
+NAME = "KHR_materials_pbrSpecularGlossiness"
+
+
+def specular_glossiness_images(surface: SpecularSurface) -> dict[str, NDArray[np.uint8]]:
+    """Images by texture name: diffuse (sRGB), and specular (sRGB) with glossiness 1 - sqrt(alpha) in alpha."""
+    images = {}
+    _, diffuse = pack_color(surface.diffuse)
+    if diffuse is not None:
+        images["diffuse"] = diffuse
+    factor, specular = pack_color(surface.specular)
+    if specular is None and surface.roughness.ndim == 0:
+        return images
+    glossiness = np.atleast_2d(unorm8(1 - surface.roughness))
+    if specular is None:
+        specular = np.full((1, 1, 3), 255, np.uint8)
+    height = max(specular.shape[0], glossiness.shape[0])
+    width = max(specular.shape[1], glossiness.shape[1])
+    planes = [resize_codes(specular, height, width), resize_codes(glossiness, height, width)[..., None]]
+    images["specular_glossiness"] = np.concatenate(planes, axis=-1)
+    return images
+
+
+def specular_glossiness_extension(surface: SpecularSurface, textures: Mapping[str, int]) -> dict[str, Any]:
+    """The extension's object: factors where a parameter is constant, textures where it is not."""
+    diffuse, specular = pack_color(surface.diffuse)[0], pack_color(surface.specular)[0]
+    textured = "specular_glossiness" in textures
+    value: dict[str, Any] = {
+        "diffuseFactor": [*diffuse, 1.0],
+        "specularFactor": list(specular),
+        "glossinessFactor": 1.0 if textured else 1.0 - float(surface.roughness),
+    }
+    if "diffuse" in textures:
+        value["diffuseTexture"] = {"index": textures["diffuse"]}
+    if textured:
+        value["specularGlossinessTexture"] = {"index": textures["specular_glossiness"]}
+    return value
