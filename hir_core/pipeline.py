@@ -152,11 +152,11 @@ def initializer_stage(capture: Capture, session: Session) -> tuple[Capture, Scen
 
 def geometry_stage(scene: Scene, capture: Capture, session: Session) -> Scene:
     """The mesh that explains the masks."""
-    from hir_core.geometry import fit_geometry
-
     settings = session.config.geometry
     if not settings.enabled:
         return _pass_through("geometry", scene, session)
+    from hir_core.geometry import fit_geometry
+
     used = session.config.geometry_renderer.get(settings.renderer, {})
     return _scene_stage(
         "geometry", [asdict(settings), used], session, lambda context: fit_geometry(scene, capture, settings, context)
@@ -173,11 +173,11 @@ def atlas_stage(scene: Scene, capture: Capture, session: Session) -> Scene:
 
 def reflectance_stage(scene: Scene, capture: Capture, session: Session) -> Scene:
     """Material and light that explain the photographs."""
-    from hir_core.reflectance import fit_reflectance
-
     settings = session.config.reflectance
     if not settings.enabled:
         return _pass_through("reflectance", scene, session)
+    from hir_core.reflectance import fit_reflectance
+
     light = Path(settings.known_environment.rpartition("*")[0] or settings.known_environment)
     known = _file_hash(light) if settings.known_environment else ""
     used = [asdict(settings), known, session.config.reflectance_renderer]
@@ -188,6 +188,7 @@ def reflectance_stage(scene: Scene, capture: Capture, session: Session) -> Scene
 
 def bake_stage(scene: Scene, capture: Capture, session: Session) -> Asset:
     """The asset in the place and scale of the capture's own files (+Y up), written to `scene/`."""
+    from hir_exporters.environment import FIRST_VIEW_KEY
     from hir_exporters.scene_files import load_scene, save_scene
 
     from hir_core.bake import bake
@@ -198,7 +199,10 @@ def bake_stage(scene: Scene, capture: Capture, session: Session) -> Asset:
     def compute(_: StageContext) -> tuple[Asset, dict[str, Any]]:
         from hir_exporters.asset import describe
 
-        asset = bake(move_scene(scene, asset_from_working(session)), name=name, provenance=provenance(session))
+        facts = provenance(session)
+        if scene.environment is not None and scene.environment.frame == "camera":
+            facts[FIRST_VIEW_KEY] = capture.cameras[0].world_to_camera[:3, :3].T.tolist()
+        asset = bake(move_scene(scene, asset_from_working(session)), name=name, provenance=facts)
         return asset, describe(asset)
 
     def save(asset: Asset, _: Path) -> None:
