@@ -213,10 +213,20 @@ def bake_stage(scene: Scene, capture: Capture, session: Session) -> Asset:
 
 def export_stage(asset: Asset, config: RunConfig, session: Session) -> Asset:
     """The asset in every format of the settings, in `exports/`."""
+    from hir_exporters.atomic import atomic_directory
+
     from hir_core.export import export_asset
 
+    def is_light(name: str) -> bool:
+        return "environment" in session.plugins.find("exporter", name).component.traits
+
     def compute(context: StageContext) -> tuple[Asset, dict[str, Any]]:
-        reports = export_asset(asset, config.export, session.directory.exports, session.plugins, config.exporter)
+        formats = [name for name in config.export if asset.environment is not None or not is_light(name)]
+        if len(formats) < len(config.export):
+            context.warn("the asset has no light, so its light is not exported")
+        # as a whole: files of formats that are no longer asked for do not stay
+        with atomic_directory(session.directory.exports) as place:
+            reports = export_asset(asset, formats, place, session.plugins, config.exporter) if formats else {}
         for name, report in reports.items():
             for warning in report.warnings:
                 context.warn(f"{name}: {warning}")

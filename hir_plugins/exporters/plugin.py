@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-from hir_core.plugin import Component, hookimpl
 from hir_exporters.formats import FORMATS
 
-TRAITS = {"glb": "gltf", "gltf": "gltf", "usda": "usd", "usdc": "usd", "usdz": "usd"}
-"""The document that plugins may change before its bytes are made."""
+from hir_core.plugin import Component, hookimpl
+
+TRAITS = {
+    **dict.fromkeys(("glb", "gltf"), "gltf"),
+    **dict.fromkeys(("usda", "usdc", "usdz"), "usd"),
+    **dict.fromkeys(("hdr", "exr"), "environment"),
+}
+"""The document that plugins may change before its bytes are made; or that the light alone is written."""
 
 REQUIRES = {"gltf": ("pygltflib",), "usd": ("pxr",)}
 
