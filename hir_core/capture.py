@@ -26,7 +26,7 @@ class Camera:
     width: int
     height: int
     distortion: tuple[float, ...] = ()
-    """OpenCV order k1 k2 p1 p2 [k3 …]; empty where there is none."""
+    """OpenCV order k1 k2 p1 p2 [k3 …]; empty where there is none, as in all views that built-in readers give."""
 
     @property
     def center(self) -> Array:
@@ -113,14 +113,21 @@ class View:
     read: Callable[[], Pixels]
     """Reads the file; readers give a picklable callable."""
     mask: NDArray[np.float32] | None = None
-    """A mask that replaces the file's own; set by mask sources."""
+    """A mask that replaces the file's own, of the picture without distortion; set by mask sources."""
+    distortion: tuple[float, ...] = ()
+    """OpenCV order k1 k2 p1 p2 [k3 …] of the photograph that `read` gives; `pixels` removes it, so that `camera` is a
+    pinhole with the same intrinsics."""
     exposure: float = 1.0
     """Gain of this photograph: its linear values are radiance × exposure."""
     path: Path | None = None
 
     def pixels(self, downsample: int = 1) -> Pixels:
-        """Linear colour, mask and saturation at 1/`downsample` of the resolution."""
+        """Linear colour, mask and saturation at 1/`downsample` of the resolution, without lens distortion."""
         pixels = self.read()
+        if self.camera is not None and any(self.distortion):
+            from hir_core.lens import camera_lens, undistort
+
+            pixels = undistort(pixels, camera_lens(self.camera, self.distortion))
         if self.mask is not None:
             if self.mask.shape != pixels.color_linear.shape[:2]:
                 raise CaptureError(f"the mask of {self.name} is {self.mask.shape[1]}×{self.mask.shape[0]}, "

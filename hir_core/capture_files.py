@@ -22,7 +22,7 @@ def fingerprint(capture: Capture) -> str:
     digest.update(repr((capture.split, capture.light_frame, capture.reader)).encode())
     digest.update(np.ascontiguousarray(capture.world_from_source, dtype=np.float64).tobytes())
     for view in capture.views:
-        digest.update(repr((view.name, view.exposure, camera_document(view.camera))).encode())
+        digest.update(repr((view.name, view.exposure, view.distortion, camera_document(view.camera))).encode())
         if view.path is not None:
             with open(view.path, "rb") as stream:
                 digest.update(hashlib.file_digest(stream, "blake2b").digest())
@@ -59,7 +59,10 @@ def camera_from_document(document: Mapping[str, Any], source: str) -> Camera:
 
 def save_capture(capture: Capture, folder: Path) -> None:
     """Writes what `restore_capture` needs: everything but the photographs."""
-    views = [{"name": v.name, "camera": camera_document(v.camera), "exposure": v.exposure} for v in capture.views]
+    views = [
+        {"name": v.name, "camera": camera_document(v.camera), "distortion": list(v.distortion), "exposure": v.exposure}
+        for v in capture.views
+    ]
     arrays = {f"mask_{i}": v.mask for i, v in enumerate(capture.views) if v.mask is not None}
     if capture.points is not None:
         named = {
@@ -95,6 +98,7 @@ def restore_capture(capture: Capture, folder: Path) -> Capture:
                     known[entry["name"]],
                     camera=None if camera is None else camera_from_document(camera, str(folder / "capture.json")),
                     mask=arrays.get(f"mask_{i}"),
+                    distortion=tuple(float(k) for k in entry["distortion"]),
                     exposure=float(entry["exposure"]),
                 )
             )
@@ -122,14 +126,15 @@ def write_cameras(path: Path, capture: Capture, all_names: Sequence[str]) -> Non
     views = []
     for name in all_names:
         camera = known[name].camera if name in known else None
-        views.append(
-            {"name": name, "split": capture.split, "registered": camera is not None} | (camera_document(camera) or {})
-        )
+        document = camera_document(camera)
+        if document is not None and known[name].distortion:
+            document["distortion"] = [float(k) for k in known[name].distortion]
+        views.append({"name": name, "split": capture.split, "registered": camera is not None} | (document or {}))
     write_json(path, {"axes": "right-handed, +Y up; cameras: OpenCV, pixel centres at .5", "views": views})
 
 
 def read_cameras(path: Path) -> dict[str, Camera]:
-    """The registered cameras of capture/cameras.json, by name."""
+    """The registered cameras of capture/cameras.json, by name; their `distortion` is that of the photographs on disk."""
     document = read_json(path)
     views = document.get("views")
     if not isinstance(views, list) or not all(isinstance(v, dict) for v in views):

@@ -1,10 +1,33 @@
-"""Descriptors of the built-in masks."""
+"""Descriptors of the built-in mask sources."""
 
 from __future__ import annotations
 
 from hir_core.plugin import Component, hookimpl
+from hir_plugins.masks.options import ColorKeyOptions, FolderOptions
+
+ALPHA = Component(
+    name="alpha",
+    target="hir_plugins.masks.alpha:Alpha",
+    summary="The alpha channel of the photographs, or the masks that their capture names.",
+    traits=frozenset({"automatic"}),
+)
+
+FOLDER = Component(
+    name="folder",
+    target="hir_plugins.masks.folder:Folder",
+    config=FolderOptions,
+    summary="A folder of masks, matched to the photographs by name.",
+    traits=frozenset({"automatic"}),
+)
+
+COLOR_KEY = Component(
+    name="color_key",
+    target="hir_plugins.masks.color_key:ColorKey",
+    config=ColorKeyOptions,
+    summary="A background of one colour: black, white, green or blue.",
+)
 
 
 @hookimpl
 def hir_register_mask_sources() -> list[Component]:
-    return []
+    return [ALPHA, FOLDER, COLOR_KEY]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from hir_core.capture import Pixels
 from hir_core.errors import CaptureError, InputError, MissingExtraError
-from hir_plugins.readers.lens import Lens, undistort
+from hir_core.lens import Lens, undistort
 
 SATURATED_LEVEL = 254 / 255
 """Encoded values from here up are taken for clipped, in any channel and at any bit depth."""
@@ -36,7 +36,7 @@ class PhotoFile:
     orient: bool = False
     """Turn the picture as its EXIF orientation says. Cameras solved by other programs are for pictures as stored."""
     lens: Lens | None = None
-    """Removes this lens's distortion: what comes out is a pinhole picture."""
+    """A fisheye, whose distortion a `Camera` cannot hold: what comes out is a pinhole picture."""
     width: int = 0
     """Checked against the file where it is not 0."""
     height: int = 0

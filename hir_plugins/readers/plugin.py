@@ -10,7 +10,13 @@ TRANSFORMS_JSON = Component(
     summary="NeRF-synthetic, nerfstudio and instant-ngp: transforms.json or one transforms_<split>.json a split.",
 )
 
+COLMAP_MODEL = Component(
+    name="colmap_model",
+    target="hir_plugins.readers.colmap_model:ColmapModelReader",
+    summary="A COLMAP model, text or binary, with the folder of its images.",
+)
+
 
 @hookimpl
 def hir_register_capture_readers() -> list[Component]:
-    return [TRANSFORMS_JSON]
+    return [TRANSFORMS_JSON, COLMAP_MODEL]

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any, Final, Literal, final
+from typing import Any, Final, final
 
-from hir_core.capture import Camera, Capture, EnvironmentSource, View
+from hir_core.capture import Capture, EnvironmentSource, View
 from hir_core.errors import CaptureError
 from hir_core.interfaces import CaptureReader
 from hir_core.plugin import NoOptions
@@ -14,16 +14,19 @@ from hir_plugins.readers.camera_axes import (
     BLENDER_FROM_LATLONG,
     OPENCV_FROM_OPENGL,
     WORLD_FROM_Z_UP,
-    camera_matrix,
     rigid,
     rigid_inverse,
 )
 from hir_plugins.readers.capture_paths import existing_photo, inside, number, read_json, unique_names
-from hir_plugins.readers.lens import make_lens
-from hir_plugins.readers.photo_file import PhotoFile, photo_size
+from hir_plugins.readers.lens_camera import LensCamera, make_view
+from hir_plugins.readers.mask_files import beside
+from hir_plugins.readers.photo_file import photo_size
 
-_RADIAL: Final = ("k1", "k2", "p1", "p2", "k3")
+_RADIAL: Final = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 _FISHEYE: Final = ("k1", "k2", "k3", "k4")
+_MODELS: Final = (
+    "OPENCV", "OPENCV_FISHEYE", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "RADIAL", "SIMPLE_RADIAL", "FULL_OPENCV",
+)  # fmt: skip
 _SPLIT_LISTS: Final = {"train": "train_filenames", "val": "val_filenames", "test": "test_filenames"}
 
 
@@ -111,64 +114,37 @@ def _view(
     merged = {**content, **frame}
     camera_to_source = rigid(frame.get("transform_matrix"), owner)
     world_from_camera = WORLD_FROM_Z_UP @ camera_to_source @ OPENCV_FROM_OPENGL
-    named_size = number(merged, "w", owner), number(merged, "h", owner)
-    width, height = photo_size(photo)
-    orient = False
-    if named_size == (height, width) and width != height:
-        # the cameras were solved on the picture turned upright
-        turned = photo_size(photo, orient=True)
-        orient, (width, height) = turned == named_size, turned
-    fx, fy, cx, cy = _intrinsics(merged, owner, width, height)
-    kind: Literal["radial", "fisheye"] = "radial"
-    model = merged.get("camera_model", "OPENCV")
-    if model == "OPENCV_FISHEYE" or merged.get("is_fisheye"):
-        kind = "fisheye"
-    elif model not in ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "RADIAL", "SIMPLE_RADIAL", "FULL_OPENCV"):
-        raise CaptureError(f"{owner}: camera model {model!r} is not known; undistort the images to PINHOLE")
-    keys = _FISHEYE if kind == "fisheye" else _RADIAL
-    coefficients = tuple(number(merged, key, owner, 0.0) or 0.0 for key in keys)
-    if kind == "radial" and any(merged.get(key) for key in ("k4", "k5", "k6")):
-        coefficients += tuple(number(merged, key, owner, 0.0) or 0.0 for key in ("k4", "k5", "k6"))
-    try:
-        lens = make_lens((fx, fy, cx, cy), coefficients, kind, width, height)
-    except CaptureError as error:
-        raise CaptureError(f"{owner}: {error}") from None
     mask_name = frame.get("mask_path")
-    mask_path = existing_photo(source.parent, str(mask_name), source) if mask_name else None
-    camera = Camera(
-        intrinsics=camera_matrix(*(lens.pinhole if lens else (fx, fy, cx, cy))),
-        world_to_camera=rigid_inverse(world_from_camera),
-        width=width,
-        height=height,
-    )
-    read = PhotoFile(photo, mask_path, orient=orient, lens=lens, width=width, height=height)
-    return View(name=name, camera=camera, read=read, path=photo)
+    mask = existing_photo(source.parent, str(mask_name), source) if mask_name else beside(photo, source.parent)
+    return make_view(name, photo, _lens(merged, owner, photo), rigid_inverse(world_from_camera), owner, mask)
 
 
-def _intrinsics(table: dict[str, Any], owner: str, width: int, height: int) -> tuple[float, float, float, float]:
-    """fx, fy, cx, cy for the image as it is on disk, scaled where the file speaks of a larger or smaller one."""
-    named_width = number(table, "w", owner, width) or width
-    named_height = number(table, "h", owner, height) or height
-    scale_x, scale_y = width / named_width, height / named_height
-    if abs(scale_x / scale_y - 1) > 0.02:
-        raise CaptureError(f"{owner}: the image is {width}×{height}, the camera's {named_width:g}×{named_height:g}: "
-                           "they differ in shape, so the image was cropped or turned")
+def _lens(table: dict[str, Any], owner: str, photo: Path) -> LensCamera:
+    fisheye = table.get("camera_model") == "OPENCV_FISHEYE" or table.get("is_fisheye") is True
+    model = table.get("camera_model", "OPENCV")
+    if model not in _MODELS:
+        raise CaptureError(f"{owner}: camera model {model!r} is not known; undistort the images to PINHOLE")
+    coefficients = tuple(number(table, key, owner, 0.0) or 0.0 for key in (_FISHEYE if fisheye else _RADIAL))
+    if fisheye:
+        coefficients = coefficients[:4]
+    elif not any(coefficients[5:]):
+        coefficients = coefficients[:5]
+    width, height = number(table, "w", owner), number(table, "h", owner)
+    if not width or not height:
+        width, height = photo_size(photo)
     fx, fy = number(table, "fl_x", owner), number(table, "fl_y", owner)
     if fx is None:
         angle = number(table, "camera_angle_x", owner)
         if angle is None or not 0 < angle < math.pi:
             raise CaptureError(f"{owner}: neither 'fl_x' nor a 'camera_angle_x' between 0 and π is given")
-        fx = 0.5 * named_width / math.tan(0.5 * angle)
+        fx = 0.5 * width / math.tan(0.5 * angle)
     if fy is None:
         angle = number(table, "camera_angle_y", owner)
         # one angle alone means square pixels
-        fy = 0.5 * named_height / math.tan(0.5 * angle) if angle and 0 < angle < math.pi else fx
-    if fx <= 0 or fy <= 0:
-        raise CaptureError(f"{owner}: the focal length {fx:g}, {fy:g} is not positive")
-    cx = number(table, "cx", owner, named_width / 2)
-    cy = number(table, "cy", owner, named_height / 2)
+        fy = 0.5 * height / math.tan(0.5 * angle) if angle and 0 < angle < math.pi else fx
+    cx, cy = number(table, "cx", owner, width / 2), number(table, "cy", owner, height / 2)
     assert cx is not None and cy is not None
-    return fx * scale_x, fy * scale_y, cx * scale_x, cy * scale_y
+    return LensCamera(fx, fy, cx, cy, width, height, coefficients, "fisheye" if fisheye else "radial")
 
 
 def _environment(content: dict[str, Any], source: Path) -> EnvironmentSource | None:

@@ -130,7 +130,7 @@ def test_float32_matrices_become_rotations(picture: Path) -> None:
         ({"fl_x": "80"}, "'fl_x'"),
         ({"fl_x": float("inf")}, "'fl_x'"),
         ({"fl_x": None}, "camera_angle_x"),
-        ({"fl_x": -3}, "not positive"),
+        ({"fl_x": -3}, "focal length -3"),
         ({"camera_model": "EQUIRECTANGULAR"}, "EQUIRECTANGULAR"),
         ({"k1": -50.0, "k2": 3.0}, "fold"),
         ({"environment": {"file_path": "../../sky.hdr"}}, "leads out"),

@@ -1,14 +1,15 @@
-"""Lens distortion: pictures are made pinhole where they are read, so nothing after the reader knows of lenses."""
+"""Lens distortion: pictures are made pinhole where their pixels are read, so nothing after that knows of lenses."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hir_core.capture import Array, Pixels
+from hir_core.capture import Array, Camera, Pixels
 from hir_core.errors import CaptureError, MissingExtraError
 
 
@@ -33,27 +34,32 @@ class Lens:
         return np.stack([x * fx + cx, y * fy + cy], axis=1)
 
 
-def make_lens(
-    intrinsics: tuple[float, float, float, float],
-    coefficients: tuple[float, ...],
-    model: Literal["radial", "fisheye"],
-    width: int,
-    height: int,
-) -> Lens | None:
-    """The lens whose pinhole picture shows as much as can be of the picture as taken; None where nothing is distorted.
+def camera_lens(camera: Camera, distortion: tuple[float, ...]) -> Lens:
+    """The lens in front of a pinhole camera: its picture without distortion has the same intrinsics.
 
-    The pinhole keeps the principal point and is zoomed until its border lies inside. Distortion that no zoom below 2
-    mends raises `CaptureError`.
+    Coefficients that fold the picture over itself raise `CaptureError`.
     """
-    if not any(coefficients):
-        if model == "radial":
-            return None
-        coefficients = (0.0, 0.0, 0.0, 0.0)
+    k = camera.intrinsics
+    intrinsics = (float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]))
+    lens = Lens(intrinsics, tuple(distortion), "radial", intrinsics)
+    if not _keeps_order(lens, camera.width, camera.height):
+        raise CaptureError(f"the distortion coefficients {distortion} fold the picture over itself; check them")
+    return lens
+
+
+def fisheye_lens(
+    intrinsics: tuple[float, float, float, float], coefficients: tuple[float, ...], width: int, height: int
+) -> Lens:
+    """The fisheye whose pinhole picture shows as much as can be of the picture as taken.
+
+    The pinhole keeps the principal point and is zoomed until its border lies inside. A picture that no zoom between a
+    quarter and 2 makes pinhole raises `CaptureError`.
+    """
     fx, fy, cx, cy = intrinsics
     low, high = 0.25, 2.0
 
     def fits(zoom: float) -> bool:
-        lens = Lens(intrinsics, coefficients, model, (fx * zoom, fy * zoom, cx, cy))
+        lens = Lens(intrinsics, coefficients, "fisheye", (fx * zoom, fy * zoom, cx, cy))
         border = lens.distort(_border(width, height))
         return bool(
             np.isfinite(border).all()
@@ -68,36 +74,44 @@ def make_lens(
     for _ in range(40):
         middle = (low + high) / 2
         low, high = (low, middle) if fits(middle) else (middle, high)
-    return Lens(intrinsics, coefficients, model, (fx * high, fy * high, cx, cy))
+    return Lens(intrinsics, coefficients, "fisheye", (fx * high, fy * high, cx, cy))
 
 
 def undistort(pixels: Pixels, lens: Lens) -> Pixels:
-    """The pinhole picture: bilinear in linear light; a pixel next to a clipped one counts as clipped."""
+    """The pinhole picture: bilinear in linear light; a pixel next to a clipped one counts as clipped.
+
+    Where the lens did not look (the corners, at a strong pincushion) the nearest pixel of its picture is repeated.
+    """
+    color = resample(pixels.color_linear, lens)
+    mask = None if pixels.mask is None else resample(pixels.mask, lens)
+    if mask is not None and pixels.mask is not None:
+        # weigh by the mask, so that the background does not bleed into the object's edge
+        weighted = resample(pixels.color_linear * pixels.mask[..., None], lens)
+        color = np.where(mask[..., None] > 1e-3, weighted / np.maximum(mask[..., None], 1e-3), color)
+    return Pixels(color, mask, resample(pixels.saturated.astype(np.float32), lens) > 0)
+
+
+def resample(image: NDArray[np.float32], lens: Lens) -> NDArray[np.float32]:
+    """The values of an image (H W or H W C), as taken, at the pinhole picture's pixels."""
     try:
         import cv2
     except ImportError:
         raise MissingExtraError("removing lens distortion needs opencv; install it with: "
                                 "pip install 'hir[reconstruct]'") from None
-    height, width = pixels.color_linear.shape[:2]
+    columns, rows = _lookup(lens, *image.shape[:2])
+    moved = cv2.remap(image, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(moved, dtype=np.float32)
+
+
+@lru_cache(maxsize=2)
+def _lookup(lens: Lens, height: int, width: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Columns and rows (H, W); kept, because most captures have one lens."""
     columns = np.arange(width, dtype=np.float64) + 0.5
     lookup = np.empty((height, width, 2), dtype=np.float32)
     for row in range(height):  # row by row: the float64 of a whole large picture would be gigabytes
         # OpenCV's pixel centres lie at whole numbers, ours at .5
         lookup[row] = lens.distort(np.stack([columns, np.full(width, row + 0.5)], axis=1)) - 0.5
-    columns_of, rows_of = lookup[..., 0].copy(), lookup[..., 1].copy()
-
-    def moved(image: NDArray[np.float32]) -> NDArray[np.float32]:
-        return np.asarray(
-            cv2.remap(image, columns_of, rows_of, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), dtype=np.float32
-        )
-
-    color = moved(pixels.color_linear)
-    mask = None if pixels.mask is None else moved(pixels.mask)
-    if mask is not None and pixels.mask is not None:
-        # weigh by the mask, so that the background does not bleed into the object's edge
-        weighted = moved(pixels.color_linear * pixels.mask[..., None])
-        color = np.where(mask[..., None] > 1e-3, weighted / np.maximum(mask[..., None], 1e-3), color)
-    return Pixels(color, mask, moved(pixels.saturated.astype(np.float32)) > 0)
+    return lookup[..., 0].copy(), lookup[..., 1].copy()
 
 
 def _radial(x: Array, y: Array, coefficients: tuple[float, ...]) -> tuple[Array, Array]:

@@ -1,0 +1,28 @@
+"""Masks that come with the photographs."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hir_core.capture import Capture
+from hir_core.interfaces import MaskSource
+from hir_core.plugin import NoOptions
+
+if TYPE_CHECKING:
+    from hir_core.scene import Scene
+
+
+@final
+class Alpha(MaskSource):
+    """The alpha channel, or the file that the capture's description names as the mask."""
+
+    def __init__(self, config: NoOptions) -> None:
+        del config
+
+    def masks(self, capture: Capture, scene: Scene | None) -> list[NDArray[np.float32] | None]:
+        """None where a photograph has no alpha channel."""
+        del scene
+        return [view.pixels().mask for view in capture.views]

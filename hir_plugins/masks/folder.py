@@ -1,0 +1,61 @@
+"""Masks from a folder of pictures."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hir_core.capture import Capture, View
+from hir_core.errors import CaptureError
+from hir_core.interfaces import MaskSource
+from hir_core.lens import camera_lens, resample
+from hir_plugins.masks.options import FolderOptions
+from hir_plugins.readers.capture_paths import PHOTO_SUFFIXES, inside
+from hir_plugins.readers.mask_files import beside, match_mask
+from hir_plugins.readers.photo_file import read_mask
+
+if TYPE_CHECKING:
+    from hir_core.scene import Scene
+
+
+@final
+class Folder(MaskSource):
+    """Matches the files of a folder to the photographs by name; soft edges stay soft."""
+
+    def __init__(self, config: FolderOptions) -> None:
+        self._config = config
+
+    def masks(self, capture: Capture, scene: Scene | None) -> list[NDArray[np.float32] | None]:
+        """None where a photograph has no mask; a folder that is named and fits no photograph is a `CaptureError`."""
+        del scene
+        found = [self._file(view, capture.path) for view in capture.views]
+        if self._config.path and not any(found):
+            raise CaptureError(f"{capture.path / self._config.path} holds no mask that is named like a photograph, "
+                               f"such as {capture.views[0].name}.png")
+        missing = [v.name for v, f in zip(capture.views, found, strict=True) if f is None]
+        if missing and len(missing) < len(found):
+            counts = f"{len(missing)} of {len(found)} photographs"
+            warnings.warn(f"{counts} have no mask, such as {missing[0]}", stacklevel=2)
+        return [None if f is None else self._mask(v, f) for v, f in zip(capture.views, found, strict=True)]
+
+    def _file(self, view: View, capture: Path) -> Path | None:
+        if view.path is None:
+            return None
+        if not self._config.path:
+            return beside(view.path, capture)
+        folder = inside(capture, self._config.path, Path("mask_source.folder.path"))
+        if not folder.is_dir():
+            raise CaptureError(f"mask_source.folder.path: {folder} is not a folder")
+        files = sorted(f for f in folder.rglob("*") if f.suffix.lower() in PHOTO_SUFFIXES)
+        return match_mask(view.path, files)
+
+    def _mask(self, view: View, path: Path) -> NDArray[np.float32]:
+        height, width = view.read().color_linear.shape[:2]
+        mask = read_mask(path, width, height)
+        if view.camera is not None and any(view.distortion):
+            mask = resample(mask, camera_lens(view.camera, view.distortion))
+        return 1 - mask if self._config.inverted else mask

@@ -1,0 +1,76 @@
+"""Captures that COLMAP solved: a sparse model and the images it was made from (docs/captures.md)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final, final
+
+import numpy as np
+
+from hir_core.capture import Capture
+from hir_core.errors import CaptureError
+from hir_core.interfaces import CaptureReader
+from hir_core.plugin import NoOptions
+from hir_plugins.readers.capture_paths import existing_photo, unique_names
+from hir_plugins.readers.colmap_files import read_cameras, read_images, read_points
+from hir_plugins.readers.lens_camera import make_view
+from hir_plugins.readers.mask_files import beside
+from hir_plugins.readers.upright import upright
+
+_MODELS: Final = ("sparse/0", "sparse", "colmap/sparse/0", "colmap/sparse", "dense/sparse", "colmap", "model", ".")
+_IMAGES: Final = ("images", "image", "input", "rgb", "photos", ".")
+
+
+@final
+class ColmapModelReader(CaptureReader):
+    """Reads cameras.{bin,txt}, images.{bin,txt} and points3D.{bin,txt}; the world is turned up-right."""
+
+    def __init__(self, config: NoOptions) -> None:
+        del config
+
+    def matches(self, path: Path) -> bool:
+        """A folder in which a model lies at one of the usual places."""
+        return _model_folder(path) is not None
+
+    def splits(self, path: Path) -> list[str]:
+        """Only "train": a model has no splits."""
+        return ["train"]
+
+    def read(self, path: Path, split: str = "train") -> Capture:
+        """Registered pictures with their cameras, and the sparse points."""
+        if split != "train":
+            raise CaptureError(f"{path} has no split {split!r}; a COLMAP model has only 'train'")
+        model = _model_folder(path)
+        if model is None:
+            raise CaptureError(f"{path} holds no COLMAP model (cameras and images as .bin or .txt)")
+        cameras, images = read_cameras(model), read_images(model)
+        folder = _image_folder(path, images[0].name)
+        photos = [existing_photo(folder, image.name, model) for image in images]
+        views = []
+        for image, photo, name in zip(images, photos, unique_names(photos, folder), strict=True):
+            if image.camera_id not in cameras:
+                raise CaptureError(f"{model}: {image.name!r} names camera {image.camera_id}, which is missing")
+            owner = f"{model}, picture {image.name!r}"
+            mask = beside(photo, path)
+            views.append(make_view(name, photo, cameras[image.camera_id], image.world_to_camera, owner, mask))
+        capture = Capture(
+            path=path, views=tuple(views), points=read_points(model), world_from_source=np.eye(4), reader="colmap_model"
+        )
+        return capture.transformed(upright([image.world_to_camera for image in images]))
+
+
+def _model_folder(path: Path) -> Path | None:
+    for name in _MODELS:
+        folder = path / name
+        for suffix in (".bin", ".txt"):
+            if (folder / f"cameras{suffix}").is_file() and (folder / f"images{suffix}").is_file():
+                return folder
+    return None
+
+
+def _image_folder(path: Path, first: str) -> Path:
+    for name in _IMAGES:
+        if (path / name / first).is_file():
+            return path / name
+    raise CaptureError(f"{path}: the image {first!r} of the COLMAP model is in none of the folders "
+                       f"{', '.join(_IMAGES)}; put the images into the folder 'images'")  # fmt: skip

@@ -1,0 +1,36 @@
+"""Which way is up where files do not say: the cameras tell, for people hold them level."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hir_core.capture import Array
+
+
+def upright(world_to_cameras: Sequence[Array]) -> Array:
+    """Rotation 4×4 that turns the cameras' common up to +Y.
+
+    Up is the direction to which the pictures' horizontal axes are most nearly at right angles, where it agrees with the
+    mean of the cameras' own ups within 45°; else that mean; else, for cameras without a common up, the first one's.
+    """
+    rights = np.array([pose[0, :3] for pose in world_to_cameras])
+    ups = np.array([-pose[1, :3] for pose in world_to_cameras])
+    mean = ups.mean(axis=0)
+    strength = float(np.linalg.norm(mean))
+    up = mean / strength if strength > 0.2 else ups[0] / np.linalg.norm(ups[0])
+    values, vectors = np.linalg.eigh(rights.T @ rights / len(rights))
+    candidate = vectors[:, 0] * np.sign(vectors[:, 0] @ up or 1.0)
+    # the horizontal axes must span a plane, or any direction across a line would do
+    if strength > 0.2 and candidate @ up > np.sqrt(0.5) and values[1] > 4 * values[0] + 1e-6:
+        up = candidate
+    backward = -world_to_cameras[0][2, :3]
+    # the first camera looks along -Z, as far as up allows
+    z = backward - (backward @ up) * up
+    if np.linalg.norm(z) < 1e-6:
+        z = np.cross(rights[0], up)
+    z = z / np.linalg.norm(z)
+    rotation = np.eye(4)
+    rotation[:3, :3] = np.stack([np.cross(up, z), up, z])
+    return rotation
