@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import lru_cache
+from functools import cache
 from typing import Any, TypeVar
 
 from hir_core.errors import ConfigError
@@ -27,12 +27,18 @@ def build_options(kind: type[Options], values: Mapping[str, Any], owner: str) ->
 
 def options_schema(kind: type) -> dict[str, Any]:
     """JSON schema of a configuration dataclass, with its attribute docstrings as descriptions."""
-    from pydantic import TypeAdapter
+    from pydantic import ConfigDict, TypeAdapter
 
-    return TypeAdapter(_validator(kind)).json_schema()
+    schema = TypeAdapter(_validator(kind)).json_schema()
+    # the checked class is a subclass without a body, so it has lost the docstrings of the first level
+    described = TypeAdapter(kind, config=ConfigDict(use_attribute_docstrings=True)).json_schema()
+    for name, field in described.get("properties", {}).items():
+        if "description" in field:
+            schema["properties"][name]["description"] = field["description"]
+    return schema
 
 
-@lru_cache(maxsize=None)
+@cache
 def _validator(kind: type) -> Any:
     from pydantic import ConfigDict
     from pydantic.dataclasses import dataclass
