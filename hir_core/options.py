@@ -27,11 +27,12 @@ def build_options(kind: type[Options], values: Mapping[str, Any], owner: str) ->
 
 def options_schema(kind: type) -> dict[str, Any]:
     """JSON schema of a configuration dataclass, with its attribute docstrings as descriptions."""
-    from pydantic import ConfigDict, TypeAdapter
+    from pydantic import ConfigDict, TypeAdapter, create_model
 
     schema = TypeAdapter(_validator(kind)).json_schema()
     # the checked class is a subclass without a body, so it has lost the docstrings of the first level
-    described = TypeAdapter(kind, config=ConfigDict(use_attribute_docstrings=True)).json_schema()
+    holder = create_model("Holder", __config__=ConfigDict(use_attribute_docstrings=True), held=(kind, ...))
+    described = holder.model_json_schema()["$defs"][kind.__name__]
     for name, field in described.get("properties", {}).items():
         if "description" in field:
             schema["properties"][name]["description"] = field["description"]
