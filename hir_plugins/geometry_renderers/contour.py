@@ -20,6 +20,7 @@ from hir_core.capture import Camera, View
 from hir_core.interfaces import GeometryRenderer
 from hir_core.scene import Mesh, Topology
 from hir_core.silhouettes import SilhouetteTargets
+from hir_plugins.geometry_renderers.mask_sums import ContourTargets, masks_at
 from hir_plugins.geometry_renderers.options import ContourOptions
 from hir_plugins.geometry_renderers.outline import CameraBatch, EdgeTable, Segments, find_segments
 from hir_plugins.geometry_renderers.scanlines import Crossings, find_crossings
@@ -33,8 +34,8 @@ class Contour(GeometryRenderer):
         self._config = config
         self._tables: WeakKeyDictionary[Topology, EdgeTable] = WeakKeyDictionary()
 
-    def prepare(self, views: Sequence[View], downsample: int = 1) -> SilhouetteTargets:
-        return SilhouetteTargets.from_views(views, downsample)
+    def prepare(self, views: Sequence[View], downsample: int = 1) -> ContourTargets:
+        return ContourTargets.of(SilhouetteTargets.from_views(views, downsample))
 
     def overlap(self, mesh: Mesh, targets: SilhouetteTargets) -> tuple[Float[Tensor, " B"], Float[Tensor, " B"]]:
         """Area and intersection with the mask in pixels, float64; the mask is interpolated linearly between pixel centres.
@@ -48,22 +49,20 @@ class Contour(GeometryRenderer):
         overlap = torch.zeros_like(area)
         if views == 0:
             return area, overlap
-        masks = _padded(targets.masks, mesh.positions.device)
+        sums = ContourTargets.of(targets).sums
         points = segments.points(mesh.positions.double())
         per_line = 1.0 / self._config.lines_per_pixel
         for axis in (0, 1):
             crossings = find_crossings(pixels, segments, cameras, axis, self._config.lines_per_pixel)
             sign = torch.where(crossings.leaving, per_line, -per_line).double()
-            to_place, coverage = _masks_along(masks if axis == 0 else masks.transpose(1, 2), crossings,
-                                              self._config.lines_per_pixel)
+            to_place, coverage = masks_at(sums, crossings, self._config.lines_per_pixel)
             # the mean of rows and columns
             area = area.index_add(0, crossings.view, 0.5 * sign * crossings.place)
             overlap = overlap.index_add(0, crossings.view, 0.5 * sign * to_place)
             if torch.is_grad_enabled() and mesh.positions.requires_grad:
-                motion = sign * self._motion(points, segments, crossings, cameras, pixels)
-                view = crossings.view[crossings.inside]
-                area = area.index_add(0, view, motion[crossings.inside])
-                overlap = overlap.index_add(0, view, (motion * coverage)[crossings.inside])
+                motion = sign * crossings.inside * self._motion(points, segments, crossings, cameras, pixels)
+                area = area.index_add(0, crossings.view, motion)
+                overlap = overlap.index_add(0, crossings.view, motion * coverage)
         return area, overlap
 
     def render(self, mesh: Mesh, cameras: Sequence[Camera]) -> Float[Tensor, "B H W"]:
@@ -97,15 +96,15 @@ class Contour(GeometryRenderer):
         if table is None:
             table = self._tables[mesh.topology] = EdgeTable.of(mesh.topology)
         segments = find_segments(positions, mesh.faces, table, batch)
-        ends = segments.points(positions)[segments.ends]
-        pixels = batch.project(ends.reshape(-1, 3), segments.view.repeat_interleave(2)).reshape(-1, 2, 2)
+        ends = segments.points(positions).index_select(0, segments.ends.reshape(-1))
+        pixels = batch.project(ends, segments.view.repeat_interleave(2)).reshape(-1, 2, 2)
         return batch, segments, pixels
 
     @staticmethod
     def _place(points: Tensor, segments: Segments, crossings: Crossings, cameras: CameraBatch) -> Tensor:
         """Where the line meets the edge, differentiable in the edge's ends."""
-        ends = points[segments.ends[crossings.segment]]
-        pixels = cameras.project(ends.reshape(-1, 3), crossings.view.repeat_interleave(2)).reshape(-1, 2, 2)
+        ends = points.index_select(0, segments.ends[crossings.segment].reshape(-1))
+        pixels = cameras.project(ends, crossings.view.repeat_interleave(2)).reshape(-1, 2, 2)
         (u0, u1), (v0, v1) = pixels[:, :, crossings.axis].unbind(1), pixels[:, :, 1 - crossings.axis].unbind(1)
         v = v0.detach() + crossings.at * (v1 - v0).detach()
         return u0 + (v - v0) / (v1 - v0) * (u1 - u0)
@@ -113,8 +112,8 @@ class Contour(GeometryRenderer):
     @staticmethod
     def _motion(points: Tensor, segments: Segments, crossings: Crossings, cameras: CameraBatch, pixels: Tensor) -> Tensor:
         """Zero, with the derivative of `place` times the squared component of the outline's normal along the line."""
-        ends = points[segments.ends[crossings.segment]]
-        moving = cameras.project(ends.reshape(-1, 3), crossings.view.repeat_interleave(2)).reshape(-1, 2, 2)
+        ends = points.index_select(0, segments.ends[crossings.segment].reshape(-1))
+        moving = cameras.project(ends, crossings.view.repeat_interleave(2)).reshape(-1, 2, 2)
         edge = pixels[crossings.segment]
         du, dv = (edge[:, 1] - edge[:, 0])[:, [crossings.axis, 1 - crossings.axis]].unbind(1)
         length2 = (du * du + dv * dv).clamp_min(torch.finfo(du.dtype).tiny)
@@ -129,36 +128,6 @@ class Contour(GeometryRenderer):
 
 _ANY = Camera(torch.eye(3).numpy(), torch.eye(4).numpy(), 1, 1)
 """Stands in for an empty list of cameras, so that shapes stay defined."""
-
-
-def _padded(masks: Sequence[Tensor], device: torch.device) -> Float[Tensor, "B H W"]:
-    height, width = max(m.shape[0] for m in masks), max(m.shape[1] for m in masks)
-    if all(m.shape == (height, width) for m in masks):
-        return torch.stack([m.to(device) for m in masks])
-    padded = torch.zeros((len(masks), height, width), device=device)
-    for canvas, mask in zip(padded, masks, strict=True):
-        canvas[: mask.shape[0], : mask.shape[1]] = mask.to(device)
-    return padded
-
-
-def _masks_along(masks: Float[Tensor, "B L N"], crossings: Crossings, lines_per_pixel: int) -> tuple[Tensor, Tensor]:
-    """For each crossing the integral of the mask from just before the line's start, and the mask itself."""
-    if lines_per_pixel == 1:
-        rows, line = masks, crossings.line
-    else:
-        centre = (torch.arange(masks.shape[1] * lines_per_pixel, device=masks.device) + 0.5) / lines_per_pixel - 0.5
-        low = centre.floor().clamp(0, masks.shape[1] - 1).long()
-        high = (low + 1).clamp_max(masks.shape[1] - 1)
-        share = (centre - low).clamp(0, 1)[None, :, None].to(masks)
-        rows, line = masks[:, low] * (1 - share) + masks[:, high] * share, crossings.line
-    padded = torch.cat([rows[..., :1], rows, rows[..., -1:]], dim=-1)
-    sums = torch.cumsum(0.5 * (padded[..., 1:] + padded[..., :-1]), dim=-1)
-    cell = (crossings.place + 0.5).floor().clamp(0, rows.shape[-1]).long()
-    within = crossings.place + 0.5 - cell
-    start, end = padded[crossings.view, line, cell].double(), padded[crossings.view, line, cell + 1].double()
-    before = torch.where(cell > 0, sums[crossings.view, line, (cell - 1).clamp_min(0)].double(), 0.0)
-    slope = end - start
-    return before + within * (start + 0.5 * within * slope), start + within * slope
 
 
 def _coverage(crossings: Crossings, place: Tensor, shape: tuple[int, int, int], lines_per_pixel: int) -> Tensor:

@@ -34,8 +34,8 @@ class EdgeTable:
     """For each edge (lower vertex first) up to two faces and, +1 or −1, the way each of them runs along it."""
 
     ends: Int[Tensor, "E 2"]
-    faces: Int[Tensor, "E 2"]
-    """Index F where there is no second face."""
+    faces: tuple[Int[Tensor, " E"], Int[Tensor, " E"]]
+    """First and second face; index F where there is no second."""
     ways: Int[Tensor, "E 2"]
     more: tuple[Int[Tensor, " M"], Int[Tensor, " M"], Int[Tensor, " M"]]
     """Edge, face and way of the third and further faces of non-manifold edges."""
@@ -58,7 +58,7 @@ class EdgeTable:
             here = rank == slot
             pair[edge[here], slot], ways[edge[here], slot] = face[here], way[here]
         rest = rank > 1
-        return cls(topology.edges, pair, ways, (edge[rest], face[rest], way[rest]))
+        return cls(topology.edges, (pair[:, 0].contiguous(), pair[:, 1].contiguous()), ways, (edge[rest], face[rest], way[rest]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,6 +117,13 @@ class CameraBatch:
         """Distance along each camera's axis."""
         return points @ self.projection[:, 2, :3].T + self.projection[:, 2, 3]
 
+    def all_see_front(self, positions: Float[Tensor, "V 3"]) -> bool:
+        """Whether the bounding box of the points lies in front of every camera, well beyond the near plane."""
+        low, high = positions.amin(0), positions.amax(0)
+        box = torch.cartesian_prod(*torch.stack([low, high], dim=1))
+        depth = self.depths(box)
+        return bool((depth.amin(0) > 2 * NEAR * depth.amax(0)).all())
+
     def _project_distorted(self, points: Tensor, view: Tensor) -> Tensor:
         rows = self.normalized[view]
         x, y, w = (_dot(rows[:, i], points) for i in range(3))
@@ -163,21 +170,23 @@ def find_segments(positions: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"], ta
     A triangle's side is decided in space, by the plane of the triangle and the camera's centre: one matrix product for
     all views. Where rounding errs, the triangle is a sliver thinner than the rounding itself, and the count stays whole.
     """
-    a, b, c = positions[faces].unbind(1)
+    a, b, c = positions.index_select(0, faces.reshape(-1)).reshape(-1, 3, 3).unbind(1)
     normals = torch.linalg.cross(b - a, c - a)
     side = normals @ cameras.centers.T - (normals * a).sum(1, keepdim=True)
     sign = torch.zeros((len(faces) + 1, len(cameras.centers)), dtype=torch.int8, device=positions.device)
     sign[:-1] = side.sign().to(torch.int8) * cameras.handedness
-    depth = cameras.depths(positions)
-    near = depth.amax(0).clamp_min(torch.finfo(depth.dtype).tiny) * NEAR if len(depth) else depth.new_zeros(depth.shape[1])
-    behind = depth <= near
     cuts = None
-    if bool(behind.any()):
+    if len(positions) and not cameras.all_see_front(positions):
+        depth = cameras.depths(positions)
+        near = depth.amax(0).clamp_min(torch.finfo(depth.dtype).tiny) * NEAR
+        behind = depth <= near
         corners_behind = behind[faces].sum(1)
         straddling = (corners_behind > 0) & (corners_behind < 3) & (sign[:-1] != 0)
         cuts = _cut_triangles(faces, depth, near, straddling, sign, len(positions))
         sign[:-1] *= corners_behind == 0
-    winding = sign[table.faces[:, 0]] * table.ways[:, :1] + sign[table.faces[:, 1]] * table.ways[:, 1:]
+    # index_select: several times faster than indexing where rows are a few bytes
+    winding = sign.index_select(0, table.faces[0]) * table.ways[:, :1]
+    winding += sign.index_select(0, table.faces[1]) * table.ways[:, 1:]
     edge, face, way = table.more
     if len(edge):
         winding.index_add_(0, edge, sign[face] * way[:, None])

@@ -1,0 +1,113 @@
+"""Masks with their running sums along rows and columns: the integral over any span is two look-ups."""
+# ruff: noqa: TID253 - implementation module
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from hir_core.capture import Camera
+from hir_core.silhouettes import SilhouetteTargets
+from hir_plugins.geometry_renderers.scanlines import Crossings
+
+
+@dataclass(frozen=True, eq=False)
+class MaskSums:
+    """One mask, interpolated linearly between pixel centres and constant beyond the outermost, cut to what is not zero."""
+
+    left: int
+    top: int
+    values: Float[Tensor, "h+2 w+2"]
+    """With one more pixel on each side."""
+    along_rows: Float[Tensor, "h+2 w+2"]
+    """Integral from the first centre to each centre, for each row."""
+    along_columns: Float[Tensor, "w+2 h+2"]
+
+    @classmethod
+    def of(cls, mask: Float[Tensor, "H W"]) -> MaskSums:
+        """Sums of a mask; an empty one keeps a single pixel."""
+        rows, columns = mask.any(dim=1).nonzero().reshape(-1), mask.any(dim=0).nonzero().reshape(-1)
+        top, bottom = (int(rows[0]), int(rows[-1]) + 1) if len(rows) else (0, 1)
+        left, right = (int(columns[0]), int(columns[-1]) + 1) if len(columns) else (0, 1)
+        # one pixel around what is not zero; at the image's border the outermost pixel is repeated instead
+        y = torch.arange(top - 1, bottom + 1).clamp(0, mask.shape[0] - 1)
+        x = torch.arange(left - 1, right + 1).clamp(0, mask.shape[1] - 1)
+        values = mask.index_select(0, y.to(mask.device)).index_select(1, x.to(mask.device)).float()
+        return cls(left, top, values, _running(values), _running(values.T))
+
+    def look_up(self, axis: int, place: Float[Tensor, " S"], across: Float[Tensor, " S"]) -> tuple[Tensor, Tensor]:
+        """Integral along the line up to `place` (from a start that is the same for the whole line), and the mask there.
+
+        `across` is the line's own coordinate; both in pixels of the whole image.
+        """
+        values = self.values if axis == 0 else self.values.T
+        sums = self.along_rows if axis == 0 else self.along_columns
+        origin, line_origin = (self.left, self.top) if axis == 0 else (self.top, self.left)
+        lines, size = values.shape
+        v = across - (line_origin - 0.5)
+        low = v.floor()
+        share = v - low
+        within_lines = (v > -1) & (v < lines)
+        low_line = low.long().clamp(0, lines - 1)
+        high_line = (low.long() + 1).clamp(0, lines - 1)
+        u = place - (origin - 0.5)
+        cell = u.floor().clamp(0, size - 2).long()
+        rest = u - cell
+        integral, value = torch.zeros_like(place), torch.zeros_like(place)
+        for line, weight in ((low_line, 1 - share), (high_line, share)):
+            start, end = values[line, cell].double(), values[line, cell + 1].double()
+            slope = end - start
+            # beyond the last centre the mask stays what it is there
+            r = rest.clamp(0, 1)
+            total = sums[line, cell].double() + r * (start + 0.5 * r * slope)
+            total = total + (rest - 1).clamp_min(0) * end + rest.clamp_max(0) * start
+            integral = integral + weight * total
+            value = value + weight * (start + r * slope)
+        return torch.where(within_lines, integral, 0.0), torch.where(within_lines, value, 0.0)
+
+    def to(self, device: torch.device) -> MaskSums:
+        """The same on a device."""
+        if self.values.device == device:
+            return self
+        return MaskSums(self.left, self.top, self.values.to(device), self.along_rows.to(device),
+                        self.along_columns.to(device))
+
+
+@dataclass(frozen=True, eq=False)
+class ContourTargets(SilhouetteTargets):
+    """Targets with the sums of their masks."""
+
+    sums: tuple[MaskSums, ...] = ()
+
+    @classmethod
+    def of(cls, targets: SilhouetteTargets) -> ContourTargets:
+        """Adds the sums; targets that have them come back as they are."""
+        if isinstance(targets, ContourTargets):
+            return targets
+        return cls(targets.cameras, targets.masks, tuple(MaskSums.of(m) for m in targets.masks))
+
+    def __getitem__(self, chosen: Iterable[int]) -> ContourTargets:
+        i = [int(k) for k in chosen]
+        cameras: tuple[Camera, ...] = tuple(self.cameras[k] for k in i)
+        return ContourTargets(cameras, tuple(self.masks[k] for k in i), tuple(self.sums[k] for k in i))
+
+
+def masks_at(sums: Sequence[MaskSums], crossings: Crossings, lines_per_pixel: int) -> tuple[Tensor, Tensor]:
+    """For each crossing the mask's integral along the line up to it, and the mask there; crossings are ordered by view."""
+    across = (crossings.line.to(crossings.place) + 0.5) / lines_per_pixel
+    count = torch.bincount(crossings.view, minlength=len(sums)).tolist()
+    parts = [
+        mask.to(p.device).look_up(crossings.axis, p, a)
+        for mask, p, a in zip(sums, crossings.place.split(count), across.split(count), strict=True)
+    ]
+    return torch.cat([p[0] for p in parts]), torch.cat([p[1] for p in parts])
+
+
+def _running(values: Float[Tensor, "L N"]) -> Float[Tensor, "L N"]:
+    # summed in float64: a float32 running sum over a wide image loses hundredths of a pixel
+    steps = 0.5 * (values[:, 1:] + values[:, :-1]).double()
+    return torch.cat([torch.zeros_like(values[:, :1]), torch.cumsum(steps, dim=1).float()], dim=1)
