@@ -24,7 +24,7 @@ BUDGETS: Final[dict[str, Budget]] = {
     "web": Budget(100_000, 2048),
     "desktop": Budget(1_000_000, 4096),
 }
-"""`quicklook`: AR Quick Look's advice of about 100k triangles and one set of 2048² textures; `web`: the same for phones."""
+"""`quicklook`: AR Quick Look's advice, 100k triangles and one set of 2048² textures; `web`: the same for phones."""
 
 
 def apply_budget(asset: Asset, name: BudgetName) -> tuple[Asset, tuple[str, ...]]:

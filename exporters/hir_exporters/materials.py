@@ -102,12 +102,7 @@ def to_specular_workflow(material: AssetMaterial) -> SpecularSurface:
     surface = SpecularSurface(
         constant_if_uniform(_clipped(diffuse), 1), constant_if_uniform(_clipped(specular), 1), _roughness(material), 0.0
     )
-    places, tested, wanted = _tested(material)
-    written = engines.specular_workflow_brdf(
-        tested, sample_texels(surface.diffuse, True, places), sample_texels(surface.specular, True, places)
-    )
-    residual = slices.relative_error(tested, written, wanted)
-    return replace(surface, residual=residual, warnings=_clip_warning(diffuse, "diffuse"))
+    return replace(surface, residual=specular_residual(material, surface), warnings=_clip_warning(diffuse, "diffuse"))
 
 
 def simplified(material: AssetMaterial) -> AssetMaterial:
@@ -206,9 +201,8 @@ def _surface(
     )
 
 
-def _measured(
-    material: AssetMaterial, surface: MetallicSurface, warnings: tuple[str, ...] = (), as_blender: bool = False
-) -> MetallicSurface:
+def metallic_residual(material: AssetMaterial, surface: MetallicSurface, as_blender: bool = False) -> float:
+    """Relative error on the BRDF slice of a surface, by glTF's ratified formula or as Blender reads ior 1000."""
     places, tested, wanted = _tested(material)
     base = sample_texels(surface.base_color, True, places)
     color = sample_texels(surface.specular_color, True, places)
@@ -218,7 +212,20 @@ def _measured(
         metallic = sample_texels(surface.metallic, False, places)
         weight = sample_texels(surface.specular_weight, False, places)
         written = engines.gltf_brdf(tested, base, metallic, weight, color, surface.ior)
-    return replace(surface, residual=slices.relative_error(tested, written, wanted), warnings=warnings)
+    return slices.relative_error(tested, written, wanted)
+
+
+def specular_residual(material: AssetMaterial, surface: SpecularSurface) -> float:
+    """Relative error on the BRDF slice of a surface in the specular workflow."""
+    places, tested, wanted = _tested(material)
+    diffuse, specular = (sample_texels(value, True, places) for value in (surface.diffuse, surface.specular))
+    return slices.relative_error(tested, engines.specular_workflow_brdf(tested, diffuse, specular), wanted)
+
+
+def _measured(
+    material: AssetMaterial, surface: MetallicSurface, warnings: tuple[str, ...] = (), as_blender: bool = False
+) -> MetallicSurface:
+    return replace(surface, residual=metallic_residual(material, surface, as_blender), warnings=warnings)
 
 
 def _tested(material: AssetMaterial) -> tuple[NDArray[np.float64], slices.BrdfSlice, NDArray[np.float64]]:

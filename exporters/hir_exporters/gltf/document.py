@@ -69,7 +69,7 @@ def gather(asset: Asset, config: GltfConfig) -> Gathered:
 
 
 def build_document(gathered: Gathered, config: GltfConfig, files_prefix: str | None) -> tuple[GLTF2, BinaryWriter]:
-    """The document and the writer of its buffer; images inside, or beside it as files that begin with `files_prefix`."""
+    """The document and its buffer's writer; images inside, or beside it as files that begin with `files_prefix`."""
     from pygltflib import GLTF2, Attributes, Buffer, Mesh, Node, Scene
     from pygltflib import Asset as Header
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def add_primitive(mesh: AssetMesh, writer: BinaryWriter, material: int) -> Primitive:
-    """Triangles with positions, normals, UVs and, where the mesh has them, tangents; float32, indices as small as fit."""
+    """Triangles with positions, normals, UVs and, where the mesh has them, tangents; indices as small as fit."""
     from pygltflib import Attributes, Primitive
 
     attributes = Attributes(

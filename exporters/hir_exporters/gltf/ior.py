@@ -1,4 +1,4 @@
-"""KHR_materials_ior: the index of refraction. 0, the extension's code for "no Fresnel", breaks readers and is never written."""
+"""KHR_materials_ior: the index of refraction. Never 0, its code for "no Fresnel": that breaks readers."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ NAME = "KHR_mesh_quantization"
 def add_quantized_primitive(
     document: GLTF2, mesh: AssetMesh, writer: BinaryWriter, material: int, node: Node
 ) -> Primitive:
-    """The primitive; `node` gets the translation and scale that undo the steps. Largest error: 1 / 65534 of the box's edge."""
+    """The primitive; `node` gets the translation and scale that undo the steps, which are 1/65534 of the box."""
     from pygltflib import Attributes, Primitive
 
     low, high = mesh.positions.min(axis=0).astype(np.float64), mesh.positions.max(axis=0).astype(np.float64)

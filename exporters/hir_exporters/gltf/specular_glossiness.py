@@ -21,7 +21,7 @@ def specular_glossiness_images(surface: SpecularSurface) -> dict[str, NDArray[np
     _, diffuse = pack_color(surface.diffuse)
     if diffuse is not None:
         images["diffuse"] = diffuse
-    factor, specular = pack_color(surface.specular)
+    _, specular = pack_color(surface.specular)
     if specular is None and surface.roughness.ndim == 0:
         return images
     glossiness = np.atleast_2d(unorm8(1 - surface.roughness))

@@ -1,0 +1,205 @@
+"""What a written file says when other libraries read it: trimesh and pygltflib for glTF, pxr for USD, Pillow for
+images.
+
+Nothing here is shared with the writers. The result is compared with the asset by `hir_exporters.verify`.
+"""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hir_exporters.conventions import srgb_to_linear
+from hir_exporters.errors import InputError
+from hir_exporters.materials import MetallicSurface, SpecularSurface
+
+
+@dataclass(frozen=True)
+class ReadBack:
+    """Corners and material as a reader of the file has them."""
+
+    corner_positions: NDArray[np.float64]
+    """(F, 3, 3)."""
+    corner_normals: NDArray[np.float64]
+    """(F, 3, 3)."""
+    corner_uvs: NDArray[np.float64]
+    """(F, 3, 2), origin top-left."""
+    surface: MetallicSurface
+    """What a reader that knows the extensions written sees; for USD what the metallic workflow says."""
+    legacy: SpecularSurface | None
+    """Specular-glossiness, or UsdPreviewSurface's specular workflow, where the file has it."""
+    normal: NDArray[np.float32] | None
+    """(H, W, 3) decoded tangent space normals."""
+
+
+def read_gltf(path: Path) -> ReadBack:
+    """A .glb or .gltf with one mesh and one material. Raises `InputError` naming the file where it cannot be read."""
+    import trimesh
+    from pygltflib import GLTF2
+
+    class Unquoting(trimesh.resolvers.FilePathResolver):
+        """trimesh looks for files under the names that a .gltf quotes for URIs."""
+
+        def get(self, name: str) -> bytes:
+            return bytes(super().get(unquote(name)))
+
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path} is not there")
+    try:
+        meshes: list[Any] = list(
+            trimesh.load_scene(path, process=False, resolver=Unquoting(str(path))).geometry.values()
+        )
+        if len(meshes) != 1:
+            raise InputError(f"{path} holds {len(meshes)} meshes where one was written")
+        [mesh] = meshes
+        faces = np.asarray(mesh.faces)
+        uvs = np.asarray(mesh.visual.uv) * [1, -1] + [0, 1]  # trimesh turns v upwards
+        surface, legacy, normal = _gltf_material(GLTF2().load(str(path)), path)
+        return ReadBack(mesh.vertices[faces], mesh.vertex_normals[faces], uvs[faces], surface, legacy, normal)
+    except InputError:
+        raise
+    except Exception as error:  # two libraries, each with many ways to fail on a broken file
+        raise InputError(f"{path} cannot be read back as glTF ({type(error).__name__}: {error})") from error
+
+
+def read_usd(path: Path) -> ReadBack:
+    """A .usda, .usdc or .usdz with one mesh and one UsdPreviewSurface. Raises `InputError` naming the file."""
+    from pxr import Tf, Usd, UsdGeom, UsdShade
+
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path} is not there")
+    try:
+        stage = Usd.Stage.Open(str(path))
+        meshes = [prim for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh)]
+        if len(meshes) != 1:
+            raise InputError(f"{path} holds {len(meshes)} meshes where one was written")
+        mesh = UsdGeom.Mesh(meshes[0])
+        faces = np.asarray(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 3)
+        st = np.asarray(UsdGeom.PrimvarsAPI(mesh).GetPrimvar("st").Get(), np.float64)
+        material, _ = UsdShade.MaterialBindingAPI(mesh).ComputeBoundMaterial()
+        shader, *_ = material.ComputeSurfaceSource()
+        surface, legacy, normal = _usd_material(UsdShade.Shader(shader))
+        positions, normals = (
+            np.asarray(attribute.Get(), np.float64)[faces]
+            for attribute in (mesh.GetPointsAttr(), mesh.GetNormalsAttr())
+        )
+        return ReadBack(positions, normals, st[faces] * [1, -1] + [0, 1], surface, legacy, normal)
+    except InputError:
+        raise
+    except (Tf.ErrorException, AttributeError, ValueError, IndexError, TypeError) as error:
+        raise InputError(f"{path} cannot be read back as USD ({type(error).__name__}: {error})") from error
+
+
+def _gltf_material(
+    document: Any, path: Path
+) -> tuple[MetallicSurface, SpecularSurface | None, NDArray[np.float32] | None]:
+    material = document.materials[0]
+    core, extensions = material.pbrMetallicRoughness, material.extensions or {}
+    specular = extensions.get("KHR_materials_specular", {})
+
+    def pixels(reference: Any) -> NDArray[np.float32] | None:
+        if reference is None:
+            return None
+        index = reference["index"] if isinstance(reference, dict) else reference.index
+        return _decoded(_gltf_image(document, document.textures[index].source, path))
+
+    packed = pixels(core.metallicRoughnessTexture)
+    weight, color = pixels(specular.get("specularTexture")), pixels(specular.get("specularColorTexture"))
+    surface = MetallicSurface(
+        base_color=_times(core.baseColorFactor[:3], _linear(pixels(core.baseColorTexture))),
+        metallic=_times(core.metallicFactor, None if packed is None else packed[..., 2]),
+        roughness=_times(core.roughnessFactor, None if packed is None else packed[..., 1]),
+        specular_weight=_times(specular.get("specularFactor", 1.0), None if weight is None else weight[..., 3]),
+        specular_color=_times(specular.get("specularColorFactor", [1.0] * 3), _linear(color)),
+        ior=extensions.get("KHR_materials_ior", {}).get("ior", 1.5),
+        residual=0.0,
+    )
+    legacy = None
+    if "KHR_materials_pbrSpecularGlossiness" in extensions:
+        old = extensions["KHR_materials_pbrSpecularGlossiness"]
+        image = pixels(old.get("specularGlossinessTexture"))
+        gloss = _times(old.get("glossinessFactor", 1.0), None if image is None else image[..., 3])
+        legacy = SpecularSurface(
+            _times(old["diffuseFactor"][:3], _linear(pixels(old.get("diffuseTexture")))),
+            _times(old["specularFactor"], _linear(image)),
+            1 - gloss,
+            residual=0.0,
+        )
+    normal = pixels(material.normalTexture)
+    return surface, legacy, None if normal is None else normal[..., :3] * 2 - 1
+
+
+def _usd_material(shader: Any) -> tuple[MetallicSurface, SpecularSurface | None, NDArray[np.float32] | None]:
+    def value(name: str, default: Any) -> NDArray[np.floating]:
+        source = shader.GetInput(name)
+        if not source:
+            return np.asarray(default, np.float32)
+        if not source.HasConnectedSource():
+            return np.asarray(source.Get(), np.float32)
+        connection, channel, _ = source.GetConnectedSource()
+        return _usd_texture(connection, str(channel))
+
+    white, black = [1.0] * 3, [0.0] * 3
+    roughness = value("roughness", 0.5)
+    surface = MetallicSurface(
+        value("diffuseColor", [0.18] * 3), value("metallic", 0.0), roughness, np.ones((), np.float32),
+        np.asarray(white, np.float32), float(value("ior", 1.5)), residual=0.0,
+    )  # fmt: skip
+    legacy = None
+    if int(value("useSpecularWorkflow", 0)):
+        legacy = SpecularSurface(surface.base_color, value("specularColor", black), roughness, residual=0.0)
+    normal = value("normal", [0.0, 0.0, 1.0])
+    return surface, legacy, normal.astype(np.float32) if normal.ndim == 3 else None
+
+
+def _usd_texture(connection: Any, channel: str) -> NDArray[np.floating]:
+    from pxr import Ar, UsdShade
+
+    node = UsdShade.Shader(connection.GetPrim())
+    asset = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(node.GetInput("file").Get().resolvedPath))
+    image = _decoded(bytes(asset.GetBuffer()))
+    scale, bias = node.GetInput("scale"), node.GetInput("bias")
+    if node.GetInput("sourceColorSpace").Get() == "sRGB":
+        image = srgb_to_linear(image)
+    count = image.shape[2]
+    if scale:
+        image = image * np.asarray(scale.Get(), np.float32)[:count] + np.asarray(bias.Get(), np.float32)[:count]
+    return image[..., :3] if channel == "rgb" else image[..., "rgba".index(channel)]
+
+
+def _gltf_image(document: Any, source: int, path: Path) -> bytes:
+    image = document.images[source]
+    if image.uri is not None:
+        file = path.with_name(unquote(image.uri))
+        if file.parent != path.parent or not file.is_file():
+            raise InputError(f"{path} names the image {image.uri!r}, which is not beside it")
+        return file.read_bytes()
+    view = document.bufferViews[image.bufferView]
+    start = view.byteOffset or 0
+    return bytes(document.binary_blob()[start : start + view.byteLength])
+
+
+def _decoded(data: bytes) -> NDArray[np.float32]:
+    from PIL import Image
+
+    with Image.open(io.BytesIO(data)) as image:
+        pixels = np.asarray(image)
+    pixels = pixels[..., None] if pixels.ndim == 2 else pixels
+    return pixels.astype(np.float32) / np.float32(255)
+
+
+def _linear(pixels: NDArray[np.float32] | None) -> NDArray[np.floating] | None:
+    return None if pixels is None else srgb_to_linear(pixels[..., :3])
+
+
+def _times(factor: Any, texture: NDArray[np.floating] | None) -> NDArray[np.floating]:
+    constant = np.asarray(factor, np.float32)
+    return constant if texture is None else texture * constant

@@ -1,0 +1,73 @@
+"""An asset as a USD stage: one mesh, one UsdPreviewSurface, metres and +Y up."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hir_exporters.asset import Asset
+from hir_exporters.conventions import flip_v
+from hir_exporters.gltf.geometry import unit
+from hir_exporters.usd.surface import UsdSurface, add_material
+
+if TYPE_CHECKING:
+    from pxr import Usd
+
+
+def build_stage(asset: Asset, surface: UsdSurface, textures: Mapping[str, str], meters_per_unit: float) -> Usd.Stage:
+    """A stage in memory; `textures` gives the asset path of each image of the surface by its name."""
+    from pxr import Kind, Sdf, Usd, UsdGeom, UsdShade
+
+    stage = Usd.Stage.CreateInMemory()
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    UsdGeom.SetStageMetersPerUnit(stage, meters_per_unit)
+    root = Sdf.Path("/" + prim_name(asset.name))
+    prim = UsdGeom.Xform.Define(stage, root).GetPrim()
+    Usd.ModelAPI(prim).SetKind(Kind.Tokens.component)
+    stage.SetDefaultPrim(prim)
+    if asset.provenance:
+        prim.SetCustomDataByKey("hir", _custom_data(asset.provenance))
+    mesh = _add_mesh(asset, stage, root.AppendChild("Geometry"))
+    material = add_material(surface, stage, root.AppendChild("Material"), textures)
+    UsdShade.MaterialBindingAPI.Apply(mesh).Bind(material)
+    return stage
+
+
+def prim_name(name: str) -> str:
+    """A valid prim name that looks like `name`."""
+    plain = re.sub(r"\W", "_", name, flags=re.ASCII)
+    return plain if re.match(r"[A-Za-z_]", plain) else f"_{plain}"
+
+
+def _add_mesh(asset: Asset, stage: Usd.Stage, path: Any) -> Any:
+    from pxr import Sdf, UsdGeom, Vt
+
+    mesh = UsdGeom.Mesh.Define(stage, path)
+    data = asset.mesh
+    mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(data.positions))
+    mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(data.faces), 3, np.int32)))
+    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(data.faces.reshape(-1)))
+    mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(unit(data.normals)))
+    mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    mesh.CreateOrientationAttr(UsdGeom.Tokens.rightHanded)
+    mesh.CreateExtentAttr(UsdGeom.PointBased.ComputeExtent(mesh.GetPointsAttr().Get()))
+    st = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex)
+    st.Set(Vt.Vec2fArray.FromNumpy(flip_v(data.uvs).astype(np.float32)))
+    return mesh.GetPrim()
+
+
+def _custom_data(value: Any) -> Any:
+    """JSON-able values as USD's dictionaries hold them: lists and null have no type there and become JSON text."""
+    import json
+
+    if isinstance(value, Mapping):
+        return {re.sub(r"[^\w]", "_", str(key)): _custom_data(entry) for key, entry in value.items()}
+    if isinstance(value, bool | str | float):
+        return value
+    if isinstance(value, int) and abs(value) < 2**31:
+        return value
+    return json.dumps(value, sort_keys=True)

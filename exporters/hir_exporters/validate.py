@@ -1,0 +1,73 @@
+"""Independent validators of written files: Khronos' for glTF (node), pxr's for USD."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from hir_exporters.errors import ExportError
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that a validator says about a file."""
+
+    file: Path
+    severity: Literal["error", "warning", "information"]
+    code: str
+    message: str
+
+
+def validate_gltf(files: Sequence[Path], tools: Path) -> list[Finding]:
+    """What Khronos' validator says of .glb and .gltf files; none is a clean file.
+
+    `tools` is the repository's folder of that name, after its setup_validators.sh ran. Raises `ExportError` where
+    node or the validator is missing.
+    """
+    node = shutil.which("node")
+    if node is None or not (tools / "node_modules" / "gltf-validator").is_dir():
+        raise ExportError(f"the glTF validator is not installed; install node and run {tools / 'setup_validators.sh'}")
+    command = [node, str(tools / "validate_gltf.cjs"), *map(str, files)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+    if done.returncode != 0:
+        raise ExportError(f"the glTF validator failed on {', '.join(map(str, files))}: {done.stderr.strip()}")
+    severities: tuple[Literal["error", "warning", "information"], ...] = (
+        "error",
+        "warning",
+        "information",
+        "information",
+    )
+    findings = []
+    for file, line in zip(files, done.stdout.splitlines(), strict=True):
+        for message in json.loads(line)["issues"]["messages"]:
+            where = message.get("pointer", "")
+            text = f"{message['message']} {where}".strip()
+            findings.append(Finding(Path(file), severities[message["severity"]], message["code"], text))
+    return findings
+
+
+def validate_usd(files: Sequence[Path]) -> list[Finding]:
+    """What all validators of pxr.UsdValidation say of USD files; none is a clean file."""
+    from pxr import Usd, UsdValidation
+
+    registry = UsdValidation.ValidationRegistry()
+    context = UsdValidation.ValidationContext(registry.GetOrLoadAllValidators())
+    kinds = UsdValidation.ValidationErrorType
+    findings = []
+    for file in files:
+        stage = Usd.Stage.Open(str(file))
+        if stage is None:
+            raise ExportError(f"{file} cannot be opened as USD")
+        for error in context.Validate(stage):
+            severity: Literal["error", "warning", "information"] = "information"
+            if error.GetType() == kinds.Error:
+                severity = "error"
+            elif error.GetType() == kinds.Warn:
+                severity = "warning"
+            findings.append(Finding(Path(file), severity, str(error.GetName()), str(error.GetMessage())))
+    return findings

@@ -1,0 +1,77 @@
+"""Checks of a written file against the asset it was written from, beginning with the bytes on disk."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hir_exporters.asset import Asset
+from hir_exporters.errors import ExportError
+from hir_exporters.materials import metallic_residual, specular_residual
+from hir_exporters.readback import ReadBack, read_gltf, read_usd
+
+
+@dataclass(frozen=True)
+class Verification:
+    """How far a file is from its asset."""
+
+    file: Path
+    positions: float
+    """Largest distance of a corner, relative to the bounding box's diagonal."""
+    uvs: float
+    """Largest difference of a texture coordinate."""
+    normals_degrees: float
+    """Largest angle between corner normals."""
+    brdf: float
+    """Relative error on the BRDF slice of the material as read back, 8-bit textures included."""
+    problems: tuple[str, ...]
+    """One sentence for each thing that a format should have kept and did not."""
+
+
+def verify_file(path: Path, asset: Asset, profile: str = "khr") -> Verification:
+    """Read `path` back and compare it with the asset. `profile` says whose formula reads the material of a glTF.
+
+    The asset must be the one that was written, with its textures already reduced where a budget did so: positions and
+    UVs are compared corner by corner. Raises `InputError` for files that cannot be read, `ExportError` for other
+    formats.
+    """
+    path = Path(path)
+    if path.suffix in (".glb", ".gltf"):
+        back = read_gltf(path)
+    elif path.suffix in (".usda", ".usdc", ".usdz"):
+        back = read_usd(path)
+    else:
+        raise ExportError(f"{path}: no independent reader checks {path.suffix!r} files")
+    return _compare(path, asset, back, profile)
+
+
+def _compare(path: Path, asset: Asset, back: ReadBack, profile: str) -> Verification:
+    mesh, problems = asset.mesh, []
+    if back.corner_positions.shape != (len(mesh.faces), 3, 3):
+        problems.append(f"{path.name} has {len(back.corner_positions)} triangles instead of {len(mesh.faces)}")
+        return Verification(path, 1.0, 1.0, 180.0, 1.0, tuple(problems))
+    size = float(np.linalg.norm(mesh.positions.max(axis=0) - mesh.positions.min(axis=0))) or 1.0
+    positions = float(np.abs(back.corner_positions - mesh.positions[mesh.faces]).max()) / size
+    uvs = float(np.abs(back.corner_uvs - mesh.uvs[mesh.faces]).max())
+    have, want = (
+        n / np.linalg.norm(n, axis=-1, keepdims=True)
+        for n in (back.corner_normals, mesh.normals[mesh.faces].astype(np.float64))
+    )
+    # From the chord: acos of a cosine near 1 would show rounding as hundredths of a degree.
+    normals = float(np.degrees(2 * np.arcsin(np.clip(np.linalg.norm(have - want, axis=-1) / 2, 0, 1))).max())
+    if back.legacy is not None:
+        brdf = specular_residual(asset.material, back.legacy)
+    else:
+        blender = profile == "blender" and asset.material.model == "paper"
+        brdf = metallic_residual(asset.material, back.surface, as_blender=blender)
+    if positions > 1e-4:
+        problems.append(f"{path.name}: positions moved by {positions:.2g} of the object's size")
+    if uvs > 1e-3:
+        problems.append(f"{path.name}: texture coordinates moved by {uvs:.2g}")
+    if normals > 2:
+        problems.append(f"{path.name}: normals turned by {normals:.2g} degrees")
+    if (back.normal is None) is not (asset.material.normal is None):
+        problems.append(f"{path.name}: the normal map is {'missing' if back.normal is None else 'one too many'}")
+    return Verification(path, positions, uvs, normals, brdf, tuple(problems))

@@ -1,0 +1,149 @@
+import dataclasses
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hir_exporters.asset import Asset, AssetMesh
+from hir_exporters.configs import UsdConfig, UsdzConfig
+from hir_exporters.errors import ExportError
+from hir_exporters.formats import create_exporter
+from hir_exporters.usd.package import usdz_bytes
+from hir_exporters.validate import validate_usd
+from hir_exporters.verify import verify_file
+
+FORMATS = ["usda", "usdc", "usdz"]
+
+
+@pytest.mark.parametrize("workflow", ["metallic", "specular"])
+@pytest.mark.parametrize("suffix", FORMATS)
+@pytest.mark.parametrize("kind", ["textured_asset", "constant_asset"])
+def test_files_are_clean_and_say_what_was_asked_for(
+    kind: str, suffix: str, workflow: str, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    asset = request.getfixturevalue(kind)
+    config = (UsdzConfig if suffix == "usdz" else UsdConfig)(workflow=workflow)
+    report = create_exporter(suffix, config).write(asset, tmp_path / f"x.{suffix}")
+    layers = [path for path in report.files if path.suffix.startswith(".usd")]
+    assert validate_usd(layers) == []
+    check = verify_file(tmp_path / f"x.{suffix}", asset)
+    assert check.problems == () and check.positions == 0 and check.normals_degrees < 1e-4
+    assert check.brdf == pytest.approx(report.residuals[f"usd-{workflow}"], abs=0.01)
+
+
+def test_the_other_validator_is_content_too(textured_asset: Asset, tmp_path: Path) -> None:
+    core = pytest.importorskip("omni.asset_validator", reason="omniverse-asset-validator needs Python < 3.13")
+    for suffix in FORMATS:
+        report = create_exporter(suffix).write(textured_asset, tmp_path / f"x.{suffix}")
+        for path in report.files:
+            if path.suffix.startswith(".usd"):
+                issues = core.ValidationEngine(init_rules=True).validate(str(path)).issues()
+                # That a text file is slower to load than a binary one is what was asked for.
+                told = [i for i in issues if i.severity != core.IssueSeverity.NONE and "Ascii" not in i.rule.__name__]
+                assert told == [], path.name
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_bytes_repeat_and_change_with_the_edit(textured_asset: Asset, suffix: str, tmp_path: Path) -> None:
+    def vendor(stage: object, asset: Asset) -> None:
+        stage.GetDefaultPrim().SetCustomDataByKey("acme", asset.name)
+
+    contents = []
+    for folder, edit in (("a", None), ("b", None), ("c", vendor)):
+        report = create_exporter(suffix).write(textured_asset, tmp_path / folder / f"x.{suffix}", edit)
+        contents.append({path.name: path.read_bytes() for path in report.files})
+        assert sorted(contents[-1]) == sorted(p.name for p in (tmp_path / folder).iterdir())
+    assert contents[0] == contents[1] != contents[2]
+
+
+def test_package_is_stored_aligned_and_without_lights(textured_asset: Asset, tmp_path: Path) -> None:
+    from pxr import Usd, UsdLux
+
+    create_exporter("usdz").write(textured_asset, tmp_path / "x.usdz")
+    data = (tmp_path / "x.usdz").read_bytes()
+    with zipfile.ZipFile(tmp_path / "x.usdz") as package:
+        assert package.testzip() is None
+        entries = package.infolist()
+    assert entries[0].filename == "sphere.usdc"
+    for entry in entries:
+        header = entry.header_offset
+        name, extra = (int.from_bytes(data[header + k : header + k + 2], "little") for k in (26, 28))
+        assert (header + 30 + name + extra) % 64 == 0 and entry.compress_type == zipfile.ZIP_STORED
+    stage = Usd.Stage.Open(str(tmp_path / "x.usdz"))
+    assert not [p for p in stage.Traverse() if p.HasAPI(UsdLux.LightAPI)]
+    assert stage.GetDefaultPrim().GetName() == "sphere"
+
+
+def test_package_holds_any_lengths_of_names_and_files(tmp_path: Path) -> None:
+    files = [(f"{'n' * length}.png", bytes([length]) * length * 3) for length in range(1, 140)] + [("ä.png", b"")]
+    path = tmp_path / "x.zip"
+    path.write_bytes(usdz_bytes(files))
+    with zipfile.ZipFile(path) as package:
+        assert package.testzip() is None
+        assert [(name, package.read(name)) for name in package.namelist()] == files
+
+
+def test_light_lies_beside_the_asset_the_right_way_round(textured_asset: Asset, tmp_path: Path) -> None:
+    from hir_exporters.images import read_hdr
+    from pxr import Usd, UsdGeom, UsdLux
+
+    create_exporter("usda").write(textured_asset, tmp_path / "x.usda")
+    stage = Usd.Stage.Open(str(tmp_path / "x_lit.usda"))
+    [light] = [UsdLux.DomeLight(p) for p in stage.Traverse() if p.IsA(UsdLux.DomeLight)]
+    assert light.GetTextureFormatAttr().Get() == "latlong"
+    assert UsdGeom.Xformable(light).GetLocalTransformation() == type(UsdGeom.Xformable(light).GetLocalTransformation())(
+        1
+    )
+    radiance = read_hdr(Path(light.GetTextureFileAttr().Get().resolvedPath))
+    height, width = radiance.shape[:2]
+    # UsdLux: +Y is the top, longitude 0 (the middle) +Z, a quarter to the left +X.
+    for row, column, color in [
+        (0, 0, [0, 1, 0]),
+        (height // 2, width // 2, [0, 0, 1]),
+        (height // 2, width // 4, [1, 0, 0]),
+    ]:
+        np.testing.assert_allclose(radiance[row, column], color, atol=0.01)
+    assert [p.GetName() for p in stage.Traverse() if p.IsA(UsdGeom.Mesh)] == ["Geometry"]
+
+
+def test_stage_says_its_axes_units_and_provenance(textured_asset: Asset, tmp_path: Path) -> None:
+    from pxr import Usd, UsdGeom
+
+    create_exporter("usdc", UsdConfig(meters_per_unit=0.01)).write(textured_asset, tmp_path / "x.usdc")
+    stage = Usd.Stage.Open(str(tmp_path / "x.usdc"))
+    assert UsdGeom.GetStageUpAxis(stage) == "Y" and UsdGeom.GetStageMetersPerUnit(stage) == 0.01
+    assert stage.GetDefaultPrim().GetCustomDataByKey("hir:source") == "test"
+
+
+@pytest.mark.parametrize("name", ["Kuh № 1", "1st", "a-b", "Environment", "  x ", "日本"])
+def test_any_name_is_a_prim_name(name: str, textured_asset: Asset, tmp_path: Path) -> None:
+    report = create_exporter("usdz").write(dataclasses.replace(textured_asset, name=name), tmp_path / "x.usdz")
+    assert validate_usd([path for path in report.files if path.suffix.startswith(".usd")]) == []
+
+
+def test_nested_provenance_is_kept(textured_asset: Asset, tmp_path: Path) -> None:
+    from pxr import Usd
+
+    provenance = {"run": {"seed": 3, "stages": ["a", None], "ok": True, "big": 2**40}, "x y": 0.5}
+    create_exporter("usda").write(dataclasses.replace(textured_asset, provenance=provenance), tmp_path / "x.usda")
+    stage = Usd.Stage.Open(str(tmp_path / "x.usda"))
+    data = stage.GetDefaultPrim().GetCustomDataByKey("hir")
+    assert data["run"]["seed"] == 3 and data["run"]["stages"] == '["a", null]' and data["x_y"] == 0.5
+
+
+def test_too_many_triangles_for_quick_look_are_a_warning(
+    constant_asset: Asset, make_sphere: Callable[..., AssetMesh], tmp_path: Path
+) -> None:
+    asset = dataclasses.replace(constant_asset, mesh=make_sphere(240, 240))
+    report = create_exporter("usdz").write(asset, tmp_path / "x.usdz")
+    assert any("100000" in warning for warning in report.warnings)
+
+
+@pytest.mark.parametrize(("format_name", "file"), [("usda", "x.glb"), ("usdz", "x.usda"), ("usda", "a@b.usda")])
+def test_names_that_usd_cannot_have_are_refused(
+    textured_asset: Asset, format_name: str, file: str, tmp_path: Path
+) -> None:
+    with pytest.raises(ExportError, match=file.replace(".", r"\.")):
+        create_exporter(format_name).write(textured_asset, tmp_path / file)
+    assert list(tmp_path.iterdir()) == []
