@@ -25,5 +25,5 @@ class SoftSilhouetteOptions:
     """A triangle whose own coverage is below this counts as nothing."""
     band: int = 0
     """Only pixels within this many pixels of the outline carry gradient; 0: all pixels."""
-    tile: int = 16
+    tile: int = 4
     """Side of the square tiles in which triangles are gathered."""
