@@ -40,3 +40,35 @@ class MeshFileOptions:
     """A 4×4 similarity in rows (16 numbers) applied to the file's vertices first."""
     vertex_colors: bool = True
     """Colour the vertices from the photographs where the file has no colours."""
+
+
+@dataclass(frozen=True)
+class ColmapOptions:
+    """How cameras are found."""
+
+    max_image_size: int = 1600
+    """Photographs are made a whole number of times smaller until their longer side is not above this."""
+    max_features: int = 4096
+    """Features a photograph at the first attempt; the next ones take twice as many."""
+    matching: Literal["auto", "exhaustive", "sequential", "vocabulary"] = "auto"
+    """Which pairs are compared; `auto`: all pairs up to 150 photographs, above that those that a vocabulary tree,
+    trained on the capture itself, finds alike. `sequential` suits a video."""
+    mapper: Literal["incremental", "global"] = "incremental"
+    camera: Literal["auto", "single", "each"] = "auto"
+    """Which photographs share a camera: those of one size, model and focal length, those of one size, or none."""
+    camera_model: Literal["PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"] = "SIMPLE_RADIAL"
+    focal_length: float = 0.0
+    """In pixels of the photographs; 0 takes it from EXIF, or guesses 1.2 times the longer side."""
+    refine_intrinsics: bool = True
+    """Let focal length and lens be solved; without it they stay as given."""
+    use_masks: bool = True
+    """Take features from inside the masks, where there are any: the background of a turntable misleads."""
+    retry: bool = True
+    """Try again, harder, when the photographs fall apart into fragments."""
+    enough: float = 0.9
+    """Share of the photographs in one piece with which an attempt counts as good."""
+    size: float = 1.0
+    """Length of the object's longest side, in metres, in the world that is made."""
+    threads: int = -1
+    """-1 for all."""
+    seed: int = 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from hir_core.plugin import Component, hookimpl
-from hir_plugins.initializers.options import MeshFileOptions, VisualHullOptions
+from hir_plugins.initializers.options import ColmapOptions, MeshFileOptions, VisualHullOptions
 
 if TYPE_CHECKING:
     from hir_core.capture import Capture
@@ -30,10 +30,20 @@ MESH_FILE = Component(
     traits=frozenset({"makes_surface"}),
 )
 
+COLMAP = Component(
+    name="colmap",
+    target="hir_plugins.initializers.colmap:Colmap",
+    config=ColmapOptions,
+    summary="Finds cameras and sparse points from photographs alone.",
+    requires=("torch", "jaxtyping", "pycolmap", "cv2"),
+    extra="reconstruct",
+    traits=frozenset({"finds_cameras"}),
+)
+
 
 @hookimpl
 def hir_register_initializers() -> list[Component]:
-    return [VISUAL_HULL, MESH_FILE]
+    return [VISUAL_HULL, MESH_FILE, COLMAP]
 
 
 @hookimpl

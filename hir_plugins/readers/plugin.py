@@ -16,7 +16,13 @@ COLMAP_MODEL = Component(
     summary="A COLMAP model, text or binary, with the folder of its images.",
 )
 
+PHOTOS = Component(
+    name="photos",
+    target="hir_plugins.readers.photos:PhotosReader",
+    summary="A plain folder of photographs, with masks beside them or without.",
+)
+
 
 @hookimpl
 def hir_register_capture_readers() -> list[Component]:
-    return [TRANSFORMS_JSON, COLMAP_MODEL]
+    return [TRANSFORMS_JSON, COLMAP_MODEL, PHOTOS]

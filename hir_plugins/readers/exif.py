@@ -1,0 +1,56 @@
+"""What a camera wrote into a photograph about itself."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+_FOCAL_LENGTH, _FOCAL_35MM = 0x920A, 0xA405
+_PIXELS_ACROSS, _PLANE_RESOLUTION, _PLANE_UNIT = 0xA002, 0xA20E, 0xA210
+_MODEL, _EXIF, _FLASH = 0x0110, 0x8769, 0x9209
+_UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
+
+
+@dataclass(frozen=True)
+class CameraRecord:
+    """Empty fields are what the photograph does not say."""
+
+    model: str = ""
+    focal_over_width: float = 0.0
+    """Focal length in widths of the picture (of its longer side, as the sensor lies)."""
+    flash: bool | None = None
+    """Whether the flash fired."""
+
+
+def camera_record(path: Path) -> CameraRecord:
+    """The EXIF record of a photograph; an empty one where there is none or it is broken."""
+    from PIL import Image
+
+    try:
+        with Image.open(path) as image:
+            exif = image.getexif()
+            model, table = str(exif.get(_MODEL, "")).strip("\0 "), dict(exif.get_ifd(_EXIF))
+    except Exception:  # decoders raise many types on broken records, which only cost the guess
+        return CameraRecord()
+    flash = table.get(_FLASH)
+    return CameraRecord(model, _focal_over_width(table), bool(flash & 1) if isinstance(flash, int) else None)
+
+
+def _focal_over_width(table: dict[int, Any]) -> float:
+    focal, across, resolution = (_number(table.get(k)) for k in (_FOCAL_LENGTH, _PIXELS_ACROSS, _PLANE_RESOLUTION))
+    unit = _UNIT_MM.get(int(_number(table.get(_PLANE_UNIT)) or 2), 25.4)
+    if focal and across and resolution:
+        # the size when taken, which a later resize leaves in the record, over the sensor's pixels per unit
+        return focal / (across / resolution * unit)
+    equivalent = _number(table.get(_FOCAL_35MM))
+    return equivalent / 36.0 if equivalent else 0.0
+
+
+def _number(value: Any) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError, ZeroDivisionError):
+        return 0.0
+    return number if math.isfinite(number) and number > 0 else 0.0

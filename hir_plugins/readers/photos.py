@@ -1,0 +1,73 @@
+"""A plain folder of photographs: no cameras, perhaps masks beside them."""
+
+from __future__ import annotations
+
+import warnings
+from collections import Counter
+from pathlib import Path
+from typing import Final, final
+
+from hir_core.capture import Capture, View
+from hir_core.errors import CaptureError
+from hir_core.interfaces import CaptureReader
+from hir_core.plugin import NoOptions
+from hir_plugins.readers.capture_paths import PHOTO_SUFFIXES, inside, unique_names
+from hir_plugins.readers.mask_files import beside
+from hir_plugins.readers.photo_file import PhotoFile, photo_size
+
+_FOLDERS: Final = (".", "images", "image", "photos", "input", "rgb", "Images", "JPEG", "DCIM")
+_CAMERA_FILES: Final = (
+    "transforms*.json", "cameras*.npz", "poses_bounds.npy", "*_par.txt", "sparse", "colmap", "cams",
+    "blended_images",
+)  # fmt: skip
+
+
+@final
+class PhotosReader(CaptureReader):
+    """Reads the photographs of a folder, turned upright as their EXIF record says; the world is for others to find."""
+
+    def __init__(self, config: NoOptions) -> None:
+        del config
+
+    def matches(self, path: Path) -> bool:
+        """A folder with two photographs and no file of cameras, which other readers know better."""
+        if not path.is_dir() or any(any(path.glob(pattern)) for pattern in _CAMERA_FILES):
+            return False
+        return len(_photos(path)) >= 2
+
+    def splits(self, path: Path) -> list[str]:
+        """Only "train"."""
+        return ["train"]
+
+    def read(self, path: Path, split: str = "train") -> Capture:
+        """All photographs, by name; those that are not of the usual size are named in a warning."""
+        if split != "train":
+            raise CaptureError(f"{path} has no split {split!r}; a folder of photographs has only 'train'")
+        photos = _photos(path)
+        if len(photos) < 2:
+            raise CaptureError(f"{path} holds {len(photos)} photographs; a reconstruction needs two, better 30")
+        sizes = {photo: photo_size(photo, orient=True) for photo in photos}
+        # upright and lying pictures of one camera belong together
+        (usual, _), *others = Counter(tuple(sorted(size)) for size in sizes.values()).most_common()
+        if others:
+            odd = [p.name for p, size in sizes.items() if tuple(sorted(size)) != usual]
+            warnings.warn(f"{len(odd)} of {len(photos)} photographs are not {usual[1]}×{usual[0]} as the others are, "
+                          f"such as {odd[0]}: they get cameras of their own", stacklevel=2)  # fmt: skip
+        names = unique_names(photos, path)
+        views = tuple(
+            View(name, None, PhotoFile(photo, beside(photo, path), orient=True), path=photo)
+            for photo, name in zip(photos, names, strict=True)
+        )
+        return Capture(path=path, views=views, reader="photos")
+
+
+def _photos(path: Path) -> list[Path]:
+    """Photographs in the folder itself or the first usual one inside of it; links that lead out are errors."""
+    for name in _FOLDERS:
+        folder = path / name
+        if not folder.is_dir():
+            continue
+        found = sorted(p for p in folder.iterdir() if p.suffix.lower() in PHOTO_SUFFIXES and p.is_file())
+        if len(found) >= 2:
+            return [inside(path, p.relative_to(path).as_posix(), path) for p in found]
+    return []

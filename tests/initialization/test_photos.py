@@ -1,0 +1,101 @@
+"""Plain folders of photographs, and what their cameras wrote about themselves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from hir_core.errors import CaptureError
+from hir_core.plugin import NoOptions
+from hir_plugins.readers.exif import camera_record
+from hir_plugins.readers.photos import PhotosReader
+
+READER = PhotosReader(NoOptions())
+
+
+def photo(path: Path, size: tuple[int, int] = (32, 24), orientation: int = 1, **tags: object) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    image = Image.new("RGB", size, (80, 90, 100))
+    exif = image.getexif()
+    exif[0x0112] = orientation
+    if tags:
+        exif[0x0110] = "Camera"
+        exif.get_ifd(0x8769).update({int(k[1:], 16): v for k, v in tags.items()})
+    image.save(path, exif=exif)
+
+
+def test_a_folder_of_photographs(tmp_path: Path) -> None:
+    assert not READER.matches(tmp_path)
+    photo(tmp_path / "images" / "b.jpg")
+    assert not READER.matches(tmp_path)
+    photo(tmp_path / "images" / "a.JPG", orientation=6)
+    (tmp_path / "images" / "notes.txt").write_text("x")
+    assert READER.matches(tmp_path)
+    capture = READER.read(tmp_path)
+    assert [v.name for v in capture.views] == ["a", "b"] and capture.views[0].camera is None
+    # lying on its side in the file, upright for us
+    assert capture.views[0].pixels().color_linear.shape == (32, 24, 3)
+    assert capture.views[1].pixels().color_linear.shape == (24, 32, 3)
+
+
+def test_a_folder_with_cameras_belongs_to_another_reader(tmp_path: Path) -> None:
+    for name in "ab":
+        photo(tmp_path / f"{name}.jpg")
+    assert READER.matches(tmp_path)
+    (tmp_path / "transforms.json").write_text("{}")
+    assert not READER.matches(tmp_path)
+
+
+def test_another_size_is_named(tmp_path: Path) -> None:
+    for name in "abc":
+        photo(tmp_path / f"{name}.jpg")
+    photo(tmp_path / "d.jpg", size=(24, 32))
+    photo(tmp_path / "e.jpg", size=(40, 24))
+    with pytest.warns(UserWarning, match=r"1 of 5 photographs .* such as e\.jpg"):
+        assert len(READER.read(tmp_path).views) == 5
+
+
+def test_links_out_of_the_folder_are_refused(tmp_path: Path) -> None:
+    photo(tmp_path / "outside.jpg")
+    photo(tmp_path / "capture" / "a.jpg")
+    (tmp_path / "capture" / "b.jpg").symlink_to(tmp_path / "outside.jpg")
+    with pytest.raises(CaptureError, match="leads out"):
+        READER.read(tmp_path / "capture")
+
+
+def test_masks_beside_the_folder(tmp_path: Path) -> None:
+    for name in ("IMG_1", "IMG_2"):
+        photo(tmp_path / "image" / f"{name}.jpg")
+    Image.new("L", (32, 24), 255).save(tmp_path / "image" / "x.png")
+    (tmp_path / "image" / "x.png").unlink()
+    (tmp_path / "mask").mkdir()
+    Image.new("L", (32, 24), 255).save(tmp_path / "mask" / "IMG_1.png")
+    masks = [v.pixels().mask for v in READER.read(tmp_path).views]
+    assert masks[0] is not None and masks[0].all() and masks[1] is None
+
+
+def test_the_focal_length_of_the_record(tmp_path: Path) -> None:
+    # 55 mm before a sensor of 4272 pixels at 4720.44 an inch: 22.987 mm
+    photo(tmp_path / "a.jpg", x920A=55.0, xA002=4272, xA20E=4720.441988950276, xA210=2)
+    np.testing.assert_allclose(camera_record(tmp_path / "a.jpg").focal_over_width, 55 / 22.9869, rtol=1e-4)
+    photo(tmp_path / "b.jpg", xA405=27, x9209=25)
+    record = camera_record(tmp_path / "b.jpg")
+    assert (record.focal_over_width, record.flash, record.model) == (0.75, True, "Camera")
+    photo(tmp_path / "c.jpg")
+    assert camera_record(tmp_path / "c.jpg").focal_over_width == 0
+    (tmp_path / "d.jpg").write_bytes(b"no picture")
+    assert camera_record(tmp_path / "d.jpg").flash is None
+
+
+def test_real_photographs(shared: Path) -> None:
+    skull = READER.read(shared / "photos" / "skull")
+    assert len(skull.views) == 66
+    record = camera_record(skull.views[0].path)  # type: ignore[arg-type]
+    # the solved focal length is 3230 pixels of 1424
+    np.testing.assert_allclose(record.focal_over_width * 1424, 3230, rtol=0.06)
+    assert record.flash
+    tankard = READER.read(shared / "photos" / "tankard")
+    assert len(tankard.views) == 69 and all(v.read.mask_path for v in tankard.views)  # type: ignore[attr-defined]
