@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import traceback
+import warnings
 from collections.abc import Sequence
 from importlib import import_module
 from typing import Any
@@ -73,6 +75,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """The entry point `hir`: exit code 0, 2 for what the user can mend, 130 when interrupted, 1 for a bug."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     verbose = "-v" in words or "--verbose" in words
+    if arguments is None and not verbose:
+        warnings.simplefilter("ignore")  # libraries advising their programmers
     try:
         code = cli.main(words, prog_name="hir", standalone_mode=False)
     except click.exceptions.Exit as stop:
@@ -91,6 +95,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except (KeyboardInterrupt, click.Abort):
         click.echo("hir: interrupted; a run continues where it was with --resume", err=True)
         code = INTERRUPTED
+        if arguments is None:  # a process of our own: tearing down compilers and thread pools takes seconds
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(code)
     except BrokenPipeError:
         sys.stderr.close()  # the reader of our output has left; Python would complain while it shuts down
         code = 1
