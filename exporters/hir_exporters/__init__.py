@@ -1,1 +1,52 @@
-"""Asset SDK of `hir`: physical assets in, glTF, USD and environment files out. Needs neither torch nor mitsuba."""
+"""Asset SDK of `hir`: physical assets in, glTF, USD and environment files out. Needs neither torch nor mitsuba.
+
+The public names below are loaded when they are first used: importing the package alone imports nothing.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from hir_exporters.asset import Asset, AssetEnvironment, AssetMaterial, AssetMesh, describe, validate_asset
+    from hir_exporters.errors import ExportError, HirError, InputError
+    from hir_exporters.exporter import Exporter, ExportReport
+    from hir_exporters.formats import FORMATS, create_exporter
+    from hir_exporters.scene_files import load_scene, save_scene
+    from hir_exporters.verify import verify_file
+
+__all__ = [
+    "FORMATS",
+    "Asset",
+    "AssetEnvironment",
+    "AssetMaterial",
+    "AssetMesh",
+    "ExportError",
+    "ExportReport",
+    "Exporter",
+    "HirError",
+    "InputError",
+    "create_exporter",
+    "describe",
+    "load_scene",
+    "save_scene",
+    "validate_asset",
+    "verify_file",
+]
+
+_HOMES = {
+    "asset": ("Asset", "AssetEnvironment", "AssetMaterial", "AssetMesh", "describe", "validate_asset"),
+    "errors": ("ExportError", "HirError", "InputError"),
+    "exporter": ("Exporter", "ExportReport"),
+    "formats": ("FORMATS", "create_exporter"),
+    "scene_files": ("load_scene", "save_scene"),
+    "verify": ("verify_file",),
+}
+
+
+def __getattr__(name: str) -> Any:
+    for module, names in _HOMES.items():
+        if name in names:
+            return getattr(import_module(f"{__name__}.{module}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

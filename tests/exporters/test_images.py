@@ -35,6 +35,21 @@ def test_png_holds_its_16_bit_codes(tmp_path: Path, channels: int) -> None:
         assert np.abs(images.read_ldr(tmp_path / "a.png") * 65535 - codes).max() <= 257
 
 
+@pytest.mark.parametrize("kind", ["noise", "waves", "flat"])
+@pytest.mark.parametrize("shape", [(1, 1, 3), (255, 3, 3), (256, 8, 4), (700, 9, 1), (2, 700, 3)])
+def test_another_decoder_reads_png_of_any_size_and_content(shape: tuple[int, ...], kind: str) -> None:
+    import io
+
+    y, x, c = np.indices(shape)
+    codes = {
+        "noise": np.random.default_rng(0).integers(0, 256, shape),
+        "waves": 128 + 100 * np.sin(x / 5 + y / 9 + c),
+        "flat": np.full(shape, 7),
+    }[kind].astype(np.uint8)
+    with Image.open(io.BytesIO(images.encode_png(codes))) as image:
+        np.testing.assert_array_equal(np.asarray(image).reshape(shape), codes)
+
+
 def test_floats_are_rounded_to_the_nearest_code() -> None:
     np.testing.assert_array_equal(images.quantize(np.arange(256) / 255), np.arange(256))
     np.testing.assert_array_equal(images.quantize(np.array([-1, 2.0])), [0, 255])
