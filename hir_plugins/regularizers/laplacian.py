@@ -41,7 +41,7 @@ def mesh_laplacian(mesh: Mesh, cotangent: bool = False, scale_free: bool = False
     """Sparse L (V V) and a weight for each vertex: the energy is `Σ w |(L V)_i|²`.
 
     Rows of L are `mean of the neighbours − vertex`, with equal or cotangent weights. `scale_free` chooses the weights that make
-    the sum an estimate of `∫ |Δx|² dA`. A vertex without neighbours, and one whose cotangents sum to nothing, has a row of zeros.
+    the sum an estimate of `∫ |Δx|² dA` (with equal weights only as far as the triangles are regular). A vertex without neighbours, and one whose cotangents sum to nothing, has a row of zeros.
     """
     count = len(mesh.positions)
     edges = mesh.topology.edges
@@ -59,14 +59,14 @@ def mesh_laplacian(mesh: Mesh, cotangent: bool = False, scale_free: bool = False
     if not scale_free:
         return matrix, torch.ones(count, dtype=dtype, device=device)
     area = _vertex_areas(mesh)
-    floor = area.mean().clamp_min(torch.finfo(torch.float64).tiny) * 0.05
-    if cotangent:
-        # Δx = (Σ w_ij (x_j − x_i)) / A with w the half sums of cotangents
-        scale = total.square() / area.clamp_min(floor)
-    else:
-        # on a regular triangulation the umbrella is A/(2√3)·Δx per vertex area A = √3/2 ℓ²
-        scale = 12.0 / area.clamp_min(floor)
-    return matrix, scale.to(dtype)
+    mean = area.mean() if count else area.sum()
+    if not bool(mean > 0):
+        return matrix, torch.zeros(count, dtype=dtype, device=device)
+    # Δx = (Σ w_ij (x_j − x_i)) / A with w the half sums of cotangents; on a regular triangulation the umbrella of equal
+    # weights is A/(2√3)·Δx. A needle's small area may not outweigh the rest of the mesh.
+    scale = (total.square() if cotangent else 12.0) / area.clamp_min(0.05 * mean)
+    largest = torch.finfo(dtype).max / 1e6
+    return matrix, scale.clamp_max(largest).to(dtype)
 
 
 def _cotangents(mesh: Mesh) -> Float[Tensor, " E"]:

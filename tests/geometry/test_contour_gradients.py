@@ -88,6 +88,6 @@ def test_render_and_overlap_move_alike() -> None:
         mesh = mesh_of(positions, faces, torch.float64, grad=True)
         value(mesh).backward()
         gradients.append(mesh.positions.grad.numpy())
-    for direction in smooth_directions(positions, 3, seed=2):
-        a, b = ((g * direction).sum() for g in gradients)
-        assert a == pytest.approx(b, rel=0.01)
+    slopes = np.array([[(g * d).sum() for g in gradients] for d in smooth_directions(positions, 4, seed=2)])
+    # two quadratures of one integral, of 16 lines a pixel
+    assert np.abs(slopes[:, 0] - slopes[:, 1]).max() < 0.01 * np.sqrt(np.mean(slopes**2))
