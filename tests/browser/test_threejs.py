@@ -91,7 +91,7 @@ def test_same_way_round_same_hand_same_channels(shots: list[tuple[np.ndarray, np
 def test_same_colours(shots: list[tuple[np.ndarray, np.ndarray]]) -> None:
     """Away from borders of colours: within 2 of 255 codes, and no channel brighter or darker by more than a hundredth.
 
-    Measured from the first side: 1.1, 1.5 and 0.8 codes, ratios 1.002, 1.000 and 1.002; with the light turned wrongly the
+    Measured from the first side: 1.1, 1.5 and 0.8 codes, ratios 1.002, 1.000, 1.002; with the light turned wrongly the
     worst channel is 15 codes off or more. What remains is three.js' prefiltering of the light.
     """
     for shown, ours in shots:
