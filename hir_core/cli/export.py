@@ -28,7 +28,7 @@ from hir_core.errors import ConfigError, InputError
     "assignments",
     multiple=True,
     metavar="KEY=VALUE",
-    help="An option of a format, such as glb.texture_size=1024.",
+    help="An option of a format, such as glb.max_texture_size=1024.",
 )
 @plugin_option
 @loudness_options
@@ -56,7 +56,7 @@ def export_command(
     for name, table in options.items():
         if not isinstance(table, dict):
             raise ConfigError(
-                f"--set {name}={table}: name the format and its option, such as --set glb.texture_size=1024"
+                f"--set {name}={table}: name the format and its option, such as --set glb.max_texture_size=1024"
             )
         plugins.find("exporter", name)
     asset = load_scene(scene_folder(run))
