@@ -1,0 +1,89 @@
+"""The reflectance renderer `mitsuba_ggx`."""
+# ruff: noqa: TID253 - the implementation of a renderer
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from hir_core.capture import Camera, Capture
+from hir_core.errors import ConfigError, StageError
+from hir_core.interfaces import ReflectanceRenderer
+from hir_core.scene import Mesh, Scene
+from hir_plugins.reflectance_renderers.mitsuba_ggx.options import MitsubaGGXOptions
+from hir_plugins.reflectance_renderers.mitsuba_ggx.variant import mitsuba_on
+
+if TYPE_CHECKING:
+    from hir_plugins.reflectance_renderers.mitsuba_ggx.prepared import PreparedMitsuba
+    from hir_plugins.reflectance_renderers.mitsuba_ggx.surface import Surface
+
+
+@final
+class MitsubaGGX(ReflectanceRenderer):
+    """Path tracing of the two BRDF models: unbiased values, and unbiased derivatives to material and light."""
+
+    def __init__(self, config: MitsubaGGXOptions) -> None:
+        for name in ("samples", "render_samples"):
+            if getattr(config, name) < 1:
+                raise ConfigError(f"reflectance_renderer.mitsuba_ggx.{name} must be at least 1")
+        if not 2 <= config.max_depth <= 16:
+            raise ConfigError("reflectance_renderer.mitsuba_ggx.max_depth must lie in 2 … 16 (2: direct light only)")
+        self._config = config
+        self._cached: tuple[Mesh, Surface] | None = None
+
+    def prepare(self, scene: Scene, capture: Capture, downsample: int = 1) -> PreparedMitsuba:
+        """Builds the acceleration structure for the cameras of a capture."""
+        cameras = [camera.downsampled(downsample) for camera in capture.cameras]
+        return self._prepare(scene, cameras)
+
+    def render(self, scene: Scene, camera: Camera) -> Float[Tensor, "H W 4"]:
+        """Linear premultiplied colour and coverage: mean radiance of the covered samples times their part of all.
+
+        The noise follows torch's generator.
+        """
+        if scene.material is None or scene.environment is None:
+            raise StageError("a render needs a material and a light; let the reflectance stage run")
+        prepared = self._prepare(scene, [camera])
+        seed = int(torch.randint(0, 2**31 - 1, (1,)))
+        samples = self._config.render_samples
+        device = scene.mesh.positions.device
+        pixels = _box(scene.mesh, camera).to(device)
+        seen = prepared.coverage(pixels, samples, seed) > 0
+        pixels = pixels[seen]
+        image = torch.zeros(camera.height, camera.width, 4, device=device)
+        traced = prepared.trace(scene.material, scene.environment, pixels, samples, seed)
+        color = torch.cat([traced.color * traced.coverage[:, None], traced.coverage[:, None]], dim=1)
+        image[pixels[:, 2], pixels[:, 1]] = color
+        return image
+
+    def _prepare(self, scene: Scene, cameras: list[Camera]) -> PreparedMitsuba:
+        device = str(scene.mesh.positions.device)
+        mitsuba_on(device)
+        from hir_plugins.reflectance_renderers.mitsuba_ggx.prepared import PreparedMitsuba
+        from hir_plugins.reflectance_renderers.mitsuba_ggx.surface import Surface
+
+        # views of one scene are rendered one after the other: keep its last acceleration structure
+        if self._cached is None or self._cached[0] is not scene.mesh:
+            self._cached = (scene.mesh, Surface(scene.mesh))
+        config = self._config
+        return PreparedMitsuba(
+            self._cached[1], cameras, config.samples, config.gradient_samples, config.max_depth,
+            lambda: mitsuba_on(device),
+        )  # fmt: skip
+
+
+def _box(mesh: Mesh, camera: Camera) -> Tensor:
+    """Pixels (0, x, y) that the bounds of the projected vertices touch; all of them when the camera is among them."""
+    projected, depth = camera.project(mesh.positions.detach().cpu().numpy().astype(np.float64))
+    if (depth <= 1e-6 * max(float(np.abs(depth).max()), 1e-30)).any():
+        low, high = np.array([0, 0]), np.array([camera.width, camera.height])
+    else:
+        limit = [camera.width, camera.height]
+        low = np.clip(np.floor(projected.min(axis=0)) - 1, 0, limit).astype(int)
+        high = np.clip(np.ceil(projected.max(axis=0)) + 1, 0, limit).astype(int)
+    y, x = torch.meshgrid(torch.arange(low[1], high[1]), torch.arange(low[0], high[0]), indexing="ij")
+    return torch.stack([torch.zeros_like(x), x, y], dim=-1).reshape(-1, 3)
