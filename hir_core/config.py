@@ -28,14 +28,14 @@ class GeometrySettings:
     """Weight and options of each term, `false` to leave one out."""
     downsample: int = 1
     """The masks are used at 1/`downsample` of their resolution."""
-    iterations: int = 300
+    iterations: int = 400
     """Optimisation steps at each level."""
     iterations_per_view: int = 0
     """When set, replaces `iterations` by this many for each view (the paper: 200)."""
     views_per_step: int = 8
     learning_rate: float = 0.01
     """Step size as a fraction of the object's radius."""
-    learning_rate_end: float = 1.0
+    learning_rate_end: float = 0.02
     """Factor by which the rate has fallen at the end of each level (cosine)."""
     parameterization: Literal["vertices", "large_steps"] = "large_steps"
     """What Adam moves: vertex positions, or their LargeSteps preconditioning (Nicolet et al. 2021)."""
@@ -43,12 +43,15 @@ class GeometrySettings:
     """LargeSteps: λ of (I + λL)."""
     remesh: bool = True
     """Go from coarse to fine with isotropic remeshing between levels."""
-    levels: int = 3
-    """With `remesh`: meshes of a sixteenth, a quarter and all of the triangles are fitted, for 3."""
+    levels: int = 0
+    """With `remesh`: meshes of a sixteenth, a quarter and all of the triangles are fitted, for 3. 0: 2 where the start's
+    silhouettes are near the masks, else 3."""
     triangles: int = 0
     """Target number of triangles; 0 derives it from the images' resolution."""
     held_out: float = 0.08
     """Share of the train views that only judge when to stop; none when there are fewer than ten."""
+    robust: bool = True
+    """Hear views less whose masks contradict the others, and name them."""
     start_radius: float = 0.0
     """Scale the start mesh to this radius during the stage and back after it; 0 leaves it."""
     enabled: bool = True
@@ -70,8 +73,8 @@ class ReflectanceSettings:
 
     renderer: str = "transport_ggx"
     """Reflectance renderer of the fit."""
-    method: Literal["gradient", "alternating"] = "alternating"
-    """Adam on all parameters, or closed-form alternation with gradient steps where the renderer can."""
+    method: Literal["solver", "gradient"] = "solver"
+    """The renderer's own solver where it has one, or gradient steps on textures and light through any renderer."""
     model: str = "auto"
     """`auto` lets held-out views decide; or a rung: `diffuse`, `specular`, `specular_map`, `roughness_map`."""
     brdf: Literal["auto", "paper", "dielectric"] = "auto"
@@ -91,9 +94,9 @@ class ReflectanceSettings:
     """Weight of the photometric term."""
     loss_space: Literal["linear", "srgb"] = "srgb"
     """Space in which fit and photograph are compared."""
-    environment_height: int = 32
+    environment_height: int = 64
     """Rows of the light's lat-long image; it has twice (paper: four times) as many columns."""
-    environment_width: int = 64
+    environment_width: int = 128
     environment_start: float = 0.5
     """Radiance of every texel at first."""
     roughness_start: float = 0.2

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from hir_core.scene import EnvironmentMap, Material, Mesh, Scene
+    from hir_core.selection import Rung
 
     Energy: TypeAlias = Callable[[Scene], Float[Tensor, ""]]
 
@@ -77,6 +78,28 @@ class PreparedReflectance(ABC):
         self, material: Material, environment: EnvironmentMap, pixels: Int[Tensor, "B 3"]
     ) -> Float[Tensor, "B 3"]:
         """Linear radiance through pixels (view, x, y), differentiable in what the renderer's traits name."""
+
+
+class ReflectanceSolver(PreparedReflectance):
+    """A prepared renderer that also fits by a method of its own, which knows more than gradients of `radiance`.
+
+    The core climbs the ladder of models with it; a fit is opaque to the core.
+    """
+
+    @abstractmethod
+    def fit(self, rung: Rung, start: Any, views: Sequence[int], effort: float, report: Callable[[float], None]) -> Any:
+        """Fits light and material of a rung to some views, from an earlier fit or None; `effort` 1 is a full fit.
+
+        `report` is told the share that is done, 0…1. The result never depends on views that are not named.
+        """
+
+    @abstractmethod
+    def errors(self, fit: Any, views: Sequence[int]) -> NDArray[np.float64]:
+        """Mean squared sRGB error over object pixels of each view."""
+
+    @abstractmethod
+    def scene(self, fit: Any, views: Sequence[int], report: Callable[[float], None]) -> tuple[Scene, dict[str, Any]]:
+        """The scene of a fit with textures at full resolution, solved from the pixels of `views`."""
 
 
 class ReflectanceRenderer(ABC):

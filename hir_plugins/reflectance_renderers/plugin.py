@@ -4,7 +4,30 @@ from __future__ import annotations
 
 from hir_core.plugin import Component, hookimpl
 
+from hir_plugins.reflectance_renderers.mitsuba_ggx.options import MitsubaGGXOptions
+from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
+
+TRANSPORT_GGX = Component(
+    name="transport_ggx",
+    target="hir_plugins.reflectance_renderers.transport_ggx.renderer:TransportGGX",
+    config=TransportGGXOptions,
+    summary="Cached light transport for frozen geometry: rays are traced once, steps are linear algebra.",
+    requires=("torch", "mitsuba"),
+    extra="reconstruct",
+    traits=frozenset({"material", "environment", "solver"}),
+)
+
+MITSUBA_GGX = Component(
+    name="mitsuba_ggx",
+    target="hir_plugins.reflectance_renderers.mitsuba_ggx.renderer:MitsubaGGX",
+    config=MitsubaGGXOptions,
+    summary="Path tracing of the same BRDFs: the unbiased reference of fits and of every evaluation.",
+    requires=("torch", "mitsuba"),
+    extra="reconstruct",
+    traits=frozenset({"material", "environment", "stochastic", "reference"}),
+)
+
 
 @hookimpl
 def hir_register_reflectance_renderers() -> list[Component]:
-    return []
+    return [TRANSPORT_GGX, MITSUBA_GGX]

@@ -1,0 +1,150 @@
+"""Material and light fitted by gradient steps through any reflectance renderer, textures and all."""
+# ruff: noqa: TID253 - part of the heavy side of hir
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from hir_core.capture import Capture
+from hir_core.config import ReflectanceSettings
+from hir_core.energies import Energies
+from hir_core.errors import StageError
+from hir_core.interfaces import PreparedReflectance
+from hir_core.optimize import Batches, Schedule, optimize
+from hir_core.scene import Scene
+
+if TYPE_CHECKING:
+    from hir_core.context import StageContext
+
+INSIDE = 0.99
+"""Mask from which a pixel shows the object alone."""
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectPixels:
+    """All pixels that show the object, as (view, x, y), with their colours."""
+
+    index: Int[Tensor, "N 3"]
+    color: Float[Tensor, "N 3"]
+    saturated: Bool[Tensor, "N 1"]
+    first: Sequence[int]
+    """Where each view begins; one more than views."""
+
+
+def object_pixels(capture: Capture, views: Sequence[int], downsample: int, device: str) -> ObjectPixels:
+    """Gathers the pixels of some views; an error where the masks leave none."""
+    index, color, saturated, first = [], [], [], [0]
+    for view in views:
+        pixels = capture.views[view].pixels(downsample)
+        mask = pixels.mask if pixels.mask is not None else np.ones(pixels.color_linear.shape[:2], np.float32)
+        rows, columns = np.nonzero(mask >= INSIDE)
+        index.append(np.stack([np.full(len(rows), view), columns, rows], axis=1))
+        color.append(np.nan_to_num(pixels.color_linear[rows, columns]) / capture.views[view].exposure)
+        saturated.append(pixels.saturated[rows, columns])
+        first.append(first[-1] + len(rows))
+    if first[-1] == 0:
+        raise StageError(f"{capture.path}: the masks leave no pixel of the object; look at them with: hir check")
+    return ObjectPixels(
+        torch.from_numpy(np.concatenate(index)).to(device),
+        torch.from_numpy(np.concatenate(color).astype(np.float32)).to(device),
+        torch.from_numpy(np.concatenate(saturated))[:, None].to(device),
+        first,
+    )
+
+
+def fit_by_gradient(
+    scene: Scene,
+    prepared: PreparedReflectance,
+    pixels: ObjectPixels,
+    settings: ReflectanceSettings,
+    energies: Energies,
+    context: StageContext,
+    *,
+    steps: int,
+    fit_light: bool = True,
+    fit_specular: bool = True,
+) -> tuple[Scene, dict[str, Any]]:
+    """Adam on textures and light, held in their physical range after each step.
+
+    The photometric term is `rgb_weight · ‖fit − photograph‖₁`, summed over the pixels of a step (Zhu et al. 2023).
+    """
+    assert scene.material is not None and scene.environment is not None
+    material, environment = scene.material, scene.environment
+    leaves = [material.diffuse_albedo, material.specular_albedo, material.roughness, environment.radiance]
+    wanted = [True, fit_specular, fit_specular, fit_light]
+    diffuse, specular, roughness, radiance = (
+        leaf.detach().clone().requires_grad_(want) for leaf, want in zip(leaves, wanted, strict=True)
+    )
+    parameters = [p for p in (diffuse, specular, roughness, radiance) if p.requires_grad]
+    optimizer = torch.optim.Adam(parameters, lr=settings.learning_rate)
+    limits = [(diffuse, 0.0, 1.0), (specular, 0.0, 1.0), (roughness, 0.01, 1.0), (radiance, 0.0, 1e5)]
+    draw = _Draw(pixels, settings, context.seed)
+
+    def current() -> Scene:
+        fitted = replace(material, diffuse_albedo=diffuse, specular_albedo=specular, roughness=roughness)
+        return replace(scene, material=fitted, environment=replace(environment, radiance=radiance))
+
+    def loss(step: int) -> dict[str, Tensor]:
+        rows = draw(step)
+        state = current()
+        assert state.material is not None and state.environment is not None
+        shown = prepared.radiance(state.material, state.environment, pixels.index[rows])
+        difference = _compared(shown, settings) - _compared(pixels.color[rows], settings)
+        # a clipped pixel says only that the truth is at least this bright
+        difference = torch.where(pixels.saturated[rows] & (difference > 0), torch.zeros_like(difference), difference)
+        return {"rgb": settings.rgb_weight * difference.abs().sum(), **energies(state)}
+
+    def hold(_: int) -> bool:
+        with torch.no_grad():
+            for value, low, high in limits:
+                value.clamp_(low, high)
+        return False
+
+    result = optimize(
+        loss, optimizer, Schedule(steps, end=settings.learning_rate_end), stage="reflectance", report=context.report,
+        after_step=hold, checkpoint=context.workspace / "gradient.npz",
+    )
+    done = current()
+    assert done.material is not None and done.environment is not None
+    finished = replace(
+        done.material, diffuse_albedo=diffuse.detach(), specular_albedo=specular.detach(), roughness=roughness.detach()
+    )
+    light = replace(done.environment, radiance=radiance.detach())
+    return replace(scene, material=finished, environment=light), {"steps": result.steps, "skipped": result.skipped}
+
+
+class _Draw:
+    """The pixels of each step: one whole view, or some pixels of all views."""
+
+    def __init__(self, pixels: ObjectPixels, settings: ReflectanceSettings, seed: int) -> None:
+        self._pixels = pixels
+        self._by_view = settings.batch == "views"
+        count = len(pixels.first) - 1 if self._by_view else 1
+        self._views = Batches(count, 1, seed)
+        self._size = settings.batch_pixels
+        self._seed = seed
+
+    def __call__(self, step: int) -> Tensor:
+        device = self._pixels.index.device
+        if self._by_view:
+            view = self._views(step)[0]
+            return torch.arange(self._pixels.first[view], self._pixels.first[view + 1], device=device)
+        total = len(self._pixels.index)
+        if self._size >= total:
+            return torch.arange(total, device=device)
+        generator = np.random.default_rng((self._seed, step))
+        return torch.from_numpy(generator.integers(0, total, self._size)).to(device)
+
+
+def _compared(linear: Tensor, settings: ReflectanceSettings) -> Tensor:
+    if settings.loss_space == "linear":
+        return linear
+    linear = linear.clamp_min(0)
+    return torch.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear.clamp_min(0.0031308) ** (1 / 2.4) - 0.055)

@@ -1,0 +1,176 @@
+"""Stage: material and light, by the renderer's own solver and a ladder of models, or by gradient steps."""
+# ruff: noqa: TID253 - part of the heavy side of hir
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import torch
+from hir_exporters.environment import resample_latlong, rotate_latlong
+from hir_exporters.images import read_hdr
+from torch import Tensor
+
+from hir_core.capture import Capture
+from hir_core.config import ReflectanceSettings
+from hir_core.energies import prepare_energies
+from hir_core.errors import ConfigError, StageError
+from hir_core.interfaces import PreparedReflectance, ReflectanceRenderer, ReflectanceSolver
+from hir_core.photometric import fit_by_gradient, object_pixels
+from hir_core.progress import Progress
+from hir_core.scene import EnvironmentMap, Material, Scene
+from hir_core.selection import Rung, climb, default_rung, forced_rung
+
+if TYPE_CHECKING:
+    from hir_core.context import StageContext
+
+TICKS = 1000
+"""Parts of the progress bar of a solver, which tells shares and not steps."""
+
+
+def fit_reflectance(
+    scene: Scene, capture: Capture, settings: ReflectanceSettings, context: StageContext
+) -> tuple[Scene, dict[str, Any]]:
+    """The scene with material and light that explain the photographs, and the ladder of models that led there."""
+    options = dict(context.options.get("reflectance_renderer", {}).get(settings.renderer, {}))
+    if settings.known_environment and "known_light" in _option_names(settings.renderer, context):
+        options["known_light"] = True
+    renderer: ReflectanceRenderer = context.plugins.create("reflectance_renderer", settings.renderer, options)
+    start = starting_scene(scene, capture, settings)
+    prepared = renderer.prepare(start, capture, settings.downsample)
+    if settings.method == "gradient" or not isinstance(prepared, ReflectanceSolver):
+        return _by_gradient(start, prepared, capture, settings, context)
+    return _by_solver(start, prepared, capture, settings, context)
+
+
+def starting_scene(scene: Scene, capture: Capture, settings: ReflectanceSettings) -> Scene:
+    """Constant light and lobe, the atlas stage's colours as albedo; a known light as it is."""
+    if scene.material is None or scene.mesh.uvs is None:
+        raise StageError("the reflectance stage needs texture coordinates and a base colour; let the atlas stage run")
+    device = scene.mesh.positions.device
+    rung = forced_rung(settings) or default_rung(settings)
+    diffuse = scene.material.diffuse_albedo
+    specular: Tensor = torch.full((3,), settings.specular_start, device=device)
+    if settings.method == "gradient" and rung.specular == "map" and diffuse.ndim == 3:
+        specular = specular.expand(diffuse.shape[0], diffuse.shape[1], 3).contiguous()
+    material = Material(
+        model="dielectric" if rung.brdf == "diffuse" else rung.brdf,
+        diffuse_albedo=diffuse if settings.method != "gradient" else torch.full_like(diffuse, settings.diffuse_start),
+        specular_albedo=specular,
+        roughness=torch.full((1,), settings.roughness_start, device=device),
+    )
+    size = (settings.environment_height, settings.environment_width)
+    if settings.known_environment:
+        environment = known_light(settings.known_environment, capture, size, str(device))
+    else:
+        radiance = torch.full((*size, 3), settings.environment_start, device=device)
+        frame: Literal["world", "camera"] = "camera" if settings.light_frame == "camera" else "world"
+        environment = EnvironmentMap(radiance, None, frame)
+    return replace(scene, material=material, environment=environment)
+
+
+def known_light(text: str, capture: Capture, size: tuple[int, int], device: str) -> EnvironmentMap:
+    """`FILE` or `FILE*STRENGTH`, given in the capture's axes, turned into the world and resampled to `size`."""
+    name, star, strength = text.rpartition("*")
+    path, factor = (Path(name), strength) if star else (Path(text), "1")
+    try:
+        scale = float(factor)
+    except ValueError:
+        raise ConfigError(f"reflectance.known_environment {text!r}: write FILE or FILE*STRENGTH") from None
+    radiance = read_hdr(path) * np.float32(scale)
+    rotation = capture.world_from_source[:3, :3]
+    rotation = rotation / np.cbrt(np.linalg.det(rotation))
+    source = capture.environment.source_from_environment if capture.environment is not None else np.eye(3)
+    turned = resample_latlong(rotate_latlong(radiance, rotation @ source), *size)
+    return EnvironmentMap(torch.from_numpy(turned.astype(np.float32)).to(device))
+
+
+def _by_solver(
+    scene: Scene, solver: ReflectanceSolver, capture: Capture, settings: ReflectanceSettings, context: StageContext
+) -> tuple[Scene, dict[str, Any]]:
+    views = len(capture.views)
+    began = time.perf_counter()
+    bar = _Bar(context, began)
+    fit, rung, steps = climb(solver, settings, views, lambda name, share: bar.tell(name, share, 0.6))
+    if not steps and forced_rung(settings) is None:
+        context.warn(f"{views} views are too few to hold some out, so the model was not chosen but set: {rung.name}; "
+                     "take at least 6 photographs to let them decide")
+    everything = list(range(views))
+    if steps:
+        bar.base = 0.6
+        fit = solver.fit(rung, fit, everything, 1.0, lambda share: bar.tell(f"{rung.name}, all views", share, 0.2))
+    bar.base = 0.8
+    fitted, facts = solver.scene(fit, everything, lambda share: bar.tell("textures", share, 0.2))
+    report: dict[str, Any] = {"rung": rung.name, "bounces": rung.bounces, "light_frame": rung.light_frame,
+                              "ladder": [step.row() for step in steps], **facts}
+    energies = prepare_energies(fitted, settings.regularizers, context)
+    if energies and settings.iterations:
+        pixels = object_pixels(capture, everything, settings.downsample, str(scene.mesh.positions.device))
+        fitted, refined = fit_by_gradient(
+            fitted, solver, pixels, settings, energies, context, steps=settings.iterations,
+            fit_light=not settings.known_environment, fit_specular=rung.brdf != "diffuse",
+        )
+        report["refinement"] = refined
+    return fitted, report | _light_report(fitted)
+
+
+def _by_gradient(
+    scene: Scene, prepared: PreparedReflectance, capture: Capture, settings: ReflectanceSettings, context: StageContext
+) -> tuple[Scene, dict[str, Any]]:
+    views = list(range(len(capture.views)))
+    pixels = object_pixels(capture, views, settings.downsample, str(scene.mesh.positions.device))
+    steps = settings.iterations_per_view * len(views) or settings.iterations
+    energies = prepare_energies(scene, settings.regularizers, context)
+    rung: Rung = forced_rung(settings) or default_rung(settings)
+    fitted, report = fit_by_gradient(
+        scene, prepared, pixels, settings, energies, context, steps=steps, fit_light=not settings.known_environment,
+        fit_specular=rung.brdf != "diffuse",
+    )
+    return fitted, {"rung": rung.name, "ladder": [], **report} | _light_report(fitted)
+
+
+def _light_report(scene: Scene) -> dict[str, Any]:
+    assert scene.environment is not None and scene.material is not None
+    radiance, material = scene.environment.radiance, scene.material
+    return {
+        "light_mean": [round(float(v), 5) for v in radiance.mean(dim=(0, 1))],
+        "light_max": round(float(radiance.max()), 4),
+        "brdf": material.model,
+        "specular_albedo": round(float(material.specular_albedo.mean()), 5),
+        "roughness_alpha": round(float(material.roughness.mean()), 5),
+    }
+
+
+def _option_names(renderer: str, context: StageContext) -> set[str]:
+    config = context.plugins.find("reflectance_renderer", renderer).component.config
+    return set(getattr(config, "__dataclass_fields__", {}))
+
+
+class _Bar:
+    """One progress bar over fits that each tell a share of themselves."""
+
+    def __init__(self, context: StageContext, began: float) -> None:
+        self._context = context
+        self._began = began
+        self._done = 0.0
+        self._name = ""
+        self._names: list[str] = []
+        self.base = 0.0
+
+    def tell(self, name: str, share: float, width: float) -> None:
+        """`width`: the part of the bar that belongs to all fits of this phase together."""
+        if name != self._name:
+            self._name = name
+            self._names.append(name)
+        # the number of rungs is not known beforehand: each takes a third of what is left of its phase
+        rung = len(self._names) - 1 if self.base == 0 else 0
+        left = (2 / 3) ** rung if self.base == 0 else 1.0
+        part = left / 3 if self.base == 0 else 1.0
+        inside = (1 - left) + part * share
+        self._done = max(self._done, self.base + width * inside)
+        step = min(TICKS, max(1, round(self._done * TICKS)))
+        seconds = time.perf_counter() - self._began
+        self._context.report(Progress("reflectance", step, TICKS, seconds, {}, name))

@@ -1,0 +1,239 @@
+"""Light and material fitted together on cached transport: a few hundred noise-free steps of Adam.
+
+Albedos, ρs and α live at the vertices of the refined surface (or are one value for all), the light in texels of its
+logarithm. Textures are solved afterwards at their own resolution (`textures.py`).
+"""
+# ruff: noqa: TID253
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from hir_plugins.reflectance_renderers.brdf import Model
+from hir_plugins.reflectance_renderers.transport_ggx.linear_map import LinearMap
+from hir_plugins.reflectance_renderers.transport_ggx.lobes import Lobes
+from hir_plugins.reflectance_renderers.transport_ggx.specular import SpecularBlock
+from hir_plugins.reflectance_renderers.transport_ggx.transport import Transport
+
+ALPHA_LOW = 0.01
+"""Narrowest lobe the cached directions resolve in a light of 64 rows."""
+REDRAW = 1.5
+"""Lobes are drawn anew when α has moved by this factor."""
+LIGHT_LIMIT = 1e5
+"""Radiance is held below this: a sun of 1e4 fits, an overflow does not."""
+
+
+@dataclass(frozen=True, eq=False)
+class Unknowns:
+    """What is fitted, each unconstrained: logarithm of the light, logits of albedos and width."""
+
+    light: Float[Tensor, "H W 3"]
+    diffuse: Float[Tensor, "V 3"]
+    specular: Float[Tensor, "#V C"] | None
+    width: Float[Tensor, "#V 1"] | None
+
+    @property
+    def radiance(self) -> Float[Tensor, "H W 3"]:
+        """The light."""
+        return self.light.clamp_max(torch.log(torch.tensor(LIGHT_LIMIT)).item()).exp()
+
+    @property
+    def diffuse_albedo(self) -> Float[Tensor, "V 3"]:
+        """ρd at vertices."""
+        return torch.sigmoid(self.diffuse)
+
+    @property
+    def specular_albedo(self) -> Float[Tensor, "#V C"]:
+        """ρs; one row where it is uniform."""
+        assert self.specular is not None
+        return torch.sigmoid(self.specular)
+
+    @property
+    def alpha(self) -> Float[Tensor, "#V 1"]:
+        """GGX width; one row where it is uniform."""
+        assert self.width is not None
+        return ALPHA_LOW + (1 - ALPHA_LOW) * torch.sigmoid(self.width)
+
+    def detached(self) -> Unknowns:
+        """A copy outside the graph."""
+        return Unknowns(*(None if v is None else v.detach().clone() for v in self._values))
+
+    @property
+    def _values(self) -> list[Tensor | None]:
+        return [self.light, self.diffuse, self.specular, self.width]
+
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Some pixels with everything that predicts them."""
+
+    lobes: Lobes | None
+    """None for a diffuse model."""
+    vertices: LinearMap
+    cells: LinearMap | None
+    direct: LinearMap | None
+    """Irradiance from the pyramid for each pixel, where the light moves with the camera."""
+    color_srgb: Float[Tensor, "P 3"]
+    saturated: Bool[Tensor, "P 1"]
+    view: Int[Tensor, " P"]
+
+
+def width_of(alpha: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
+    """The unconstrained value of a width α."""
+    return torch.logit(((alpha - ALPHA_LOW) / (1 - ALPHA_LOW)).clamp(1e-3, 1 - 1e-3))
+
+
+def predict(
+    transport: Transport, block: Block, specular: SpecularBlock | None, unknowns: Unknowns, bounces: int
+) -> Float[Tensor, "P 3"]:
+    """Linear radiance of the pixels of a block."""
+    albedo = unknowns.diffuse_albedo
+    if block.direct is not None:
+        sources = transport.sky_only(unknowns.radiance)
+        arriving = block.direct @ sources
+    else:
+        assert block.cells is not None
+        sources, irradiance = transport.sources(unknowns.radiance, albedo, bounces)
+        arriving = block.cells @ irradiance
+    diffuse = (block.vertices @ albedo) * arriving / torch.pi
+    if specular is None or unknowns.specular is None:
+        return diffuse
+    rho_s = at_pixels(block, unknowns.specular_albedo)
+    alpha = at_pixels(block, unknowns.alpha)
+    return diffuse * specular.diffuse_share(rho_s) + specular.radiance(sources, rho_s, alpha)
+
+
+def at_pixels(block: Block, values: Float[Tensor, "#V C"]) -> Float[Tensor, "#P C"]:
+    """Vertex values at the pixels of a block; a uniform value stays one row."""
+    return values if len(values) == 1 else block.vertices @ values
+
+
+def residual(block: Block, radiance: Float[Tensor, "P 3"]) -> Float[Tensor, "P 3"]:
+    """Fit minus photograph in sRGB; a clipped pixel never pulls the fit below white."""
+    difference = srgb(radiance) - block.color_srgb
+    return torch.where(block.saturated & (difference > 0), torch.zeros_like(difference), difference)
+
+
+def srgb(linear: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
+    """The sRGB curve, continued beyond 1, differentiable everywhere."""
+    linear = linear.clamp_min(0)
+    return torch.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear.clamp_min(0.0031308) ** (1 / 2.4) - 0.055)
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """How the unknowns are moved."""
+
+    steps: int
+    model: Model | Literal["diffuse"]
+    bounces: int
+    light_rate: float = 0.08
+    diffuse_rate: float = 0.06
+    specular_rate: float = 0.05
+    width_rate: float = 0.08
+    refresh: int = 15
+    """Steps between updates of the lobes to the current α."""
+    light_smoothness: float = 1e-4
+    map_smoothness: float = 3e-3
+    huber: float = 0.1
+    known_light: bool = False
+
+
+def fit(
+    transport: Transport,
+    blocks: Sequence[Block],
+    start: Unknowns,
+    settings: FitSettings,
+    edges: Int[Tensor, "E 2"],
+    on_step: Callable[[int, float], None],
+    redraw: Callable[[Unknowns], Sequence[Block]],
+) -> Unknowns:
+    """Runs Adam with a cosine schedule over the blocks in turn; `redraw` makes blocks for a state whose α moved far."""
+    unknowns = _leaves(start.detached(), settings)
+    groups = [
+        {"params": [p], "lr": rate}
+        for p, rate in (
+            (unknowns.light, settings.light_rate),
+            (unknowns.diffuse, settings.diffuse_rate),
+            (unknowns.specular, settings.specular_rate),
+            (unknowns.width, settings.width_rate),
+        )
+        if p is not None and p.requires_grad
+    ]
+    optimizer = torch.optim.Adam(groups, betas=(0.9, 0.99))
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, max(settings.steps, 1))
+    specular = specular_blocks(blocks, settings.model)
+    for step in range(settings.steps):
+        if step % settings.refresh == 0:
+            if _drifted(blocks[0], unknowns):
+                blocks = redraw(unknowns.detached())
+                specular = specular_blocks(blocks, settings.model)
+            refresh(blocks, specular, unknowns)
+        index = step % len(blocks)
+        optimizer.zero_grad()
+        radiance = predict(transport, blocks[index], specular[index], unknowns, settings.bounces)
+        difference = residual(blocks[index], radiance)
+        loss = torch.nn.functional.huber_loss(difference, torch.zeros_like(difference), delta=settings.huber)
+        total = loss + _smoothness(unknowns, settings, edges)
+        total.backward()
+        if not _finite(optimizer):
+            optimizer.zero_grad()
+            continue
+        optimizer.step()
+        schedule.step()
+        on_step(step, float(loss.detach()))
+    return unknowns.detached()
+
+
+def specular_blocks(blocks: Sequence[Block], model: str) -> list[SpecularBlock | None]:
+    """The specular matrices of each block; none for a diffuse model."""
+    return [None if b.lobes is None or model == "diffuse" else SpecularBlock(b.lobes, model) for b in blocks]  # type: ignore[arg-type]
+
+
+def _drifted(block: Block, unknowns: Unknowns) -> bool:
+    if block.lobes is None or unknowns.width is None:
+        return False
+    with torch.no_grad():
+        ratio = (at_pixels(block, unknowns.alpha) / block.lobes.drawn_alpha).log().abs().mean()
+    return float(ratio) > math.log(REDRAW)
+
+
+def refresh(blocks: Sequence[Block], specular: Sequence[SpecularBlock | None], unknowns: Unknowns) -> None:
+    """Brings the specular matrices to the current α."""
+    for block, matrices in zip(blocks, specular, strict=True):
+        if matrices is not None:
+            with torch.no_grad():
+                matrices.refresh(at_pixels(block, unknowns.alpha), at_pixels(block, unknowns.specular_albedo))
+
+
+def _leaves(unknowns: Unknowns, settings: FitSettings) -> Unknowns:
+    for value in (unknowns.diffuse, unknowns.specular, unknowns.width):
+        if value is not None:
+            value.requires_grad_()
+    unknowns.light.requires_grad_(not settings.known_light)
+    if settings.model == "diffuse":
+        return replace(unknowns, specular=None, width=None)
+    return unknowns
+
+
+def _smoothness(unknowns: Unknowns, settings: FitSettings, edges: Tensor) -> Tensor:
+    light = unknowns.light
+    energy = (light - light.roll(1, 1)).square().mean() + (light[1:] - light[:-1]).square().mean()
+    energy = settings.light_smoothness * energy
+    for value in (unknowns.specular, unknowns.width):
+        if value is not None and len(value) > 1:
+            energy = energy + settings.map_smoothness * (value[edges[:, 0]] - value[edges[:, 1]]).square().mean()
+    return energy
+
+
+def _finite(optimizer: torch.optim.Optimizer) -> bool:
+    gradients = [p.grad.sum() for g in optimizer.param_groups for p in g["params"] if p.grad is not None]
+    return bool(torch.isfinite(torch.stack(gradients)).all())

@@ -1,0 +1,52 @@
+"""Diffuse transport when the light moves with the camera: irradiance belongs to a pixel, not to a place."""
+# ruff: noqa: TID253
+
+from __future__ import annotations
+
+import math
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from hir_plugins.reflectance_renderers.transport_ggx.linear_map import LinearMap
+from hir_plugins.reflectance_renderers.transport_ggx.lobes import frame, points_of_square
+from hir_plugins.reflectance_renderers.transport_ggx.surface import SurfacePoints
+from hir_plugins.reflectance_renderers.transport_ggx.transport import Transport
+
+PIXELS_AT_ONCE = 1 << 16
+
+
+def pixel_irradiance(
+    transport: Transport, points: SurfacePoints, samples: int, rotation: Float[Tensor, "N 3 3"], seed: int = 0
+) -> LinearMap:
+    """Irradiance of each point as a matrix on the flattened pyramid (and zero columns for the cells), by cosine-
+    distributed directions with visibility, each read at the level of its share of the hemisphere."""
+    columns, values = [], []
+    for start in range(0, len(points), PIXELS_AT_ONCE):
+        part = points.take(torch.arange(len(points), device=points.face.device)[start : start + PIXELS_AT_ONCE])
+        index, weight = _rows(transport, part, samples, rotation, seed + start)
+        columns.append(index)
+        values.append(weight)
+    return LinearMap.from_rows(torch.cat(columns), torch.cat(values), transport.pyramid.texels + len(transport.cells))
+
+
+def _rows(
+    transport: Transport, points: SurfacePoints, samples: int, rotation: Tensor, seed: int
+) -> tuple[Tensor, Tensor]:
+    count, device = len(points), points.position.device
+    square = points_of_square(count, samples, seed, device)
+    radius, phi = square[..., 1].sqrt(), 2 * math.pi * square[..., 0]
+    height = (1 - square[..., 1]).clamp_min(0).sqrt()
+    local = torch.stack([radius * phi.cos(), radius * phi.sin(), height], dim=-1)
+    tangent, bitangent = frame(points.normal)
+    directions = local @ torch.stack([tangent, bitangent, points.normal], dim=1)
+    origin = points.position + transport.offset * (points.face_normal + points.normal)
+    origins = origin[:, None].expand(-1, samples, -1).reshape(-1, 3)
+    hidden = transport.tracer.occluded(origins.cpu().numpy(), directions.reshape(-1, 3).cpu().numpy())
+    lookup = (rotation[points.view][:, None] @ directions[..., None]).reshape(-1, 3)
+    solid_angle = math.pi / (samples * height.clamp_min(0.05))
+    index, weight = transport.pyramid.lookup(lookup, solid_angle.reshape(-1))
+    visible = torch.from_numpy(~hidden).to(device, torch.float32)
+    weight = weight * (visible * math.pi / samples)[:, None]
+    return index.reshape(count, -1), weight.reshape(count, -1)

@@ -1,0 +1,74 @@
+"""The pixels of a capture that a fit uses: inside the object, seen from not too grazing an angle."""
+# ruff: noqa: TID253
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from hir_core.capture import Capture
+from hir_plugins.reflectance_renderers.transport_ggx.surface import SurfacePoints, see
+from hir_plugins.reflectance_renderers.transport_ggx.transport import Transport
+
+INSIDE = 0.99
+"""Pixels whose 3×3 neighbourhood the mask covers at least this much: at the edge the background shines in."""
+GRAZING = 0.1
+"""Below this cosine a pixel covers too much of the surface, and normals are too uncertain, to teach anything."""
+
+
+@dataclass(frozen=True, eq=False)
+class Photographed:
+    """Surface points with the linear colours that photographs show there."""
+
+    points: SurfacePoints
+    color: Float[Tensor, "P 3"]
+    saturated: Bool[Tensor, "P 1"]
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def take(self, rows: Tensor) -> Photographed:
+        """Some of the points."""
+        return Photographed(self.points.take(rows), self.color[rows], self.saturated[rows])
+
+
+def photographed(
+    transport: Transport, capture: Capture, view: int, most: int, downsample: int, seed: int
+) -> Photographed:
+    """At most `most` pixels of one view, drawn at random from those that see the object."""
+    pixels = capture.views[view].pixels(downsample)
+    device = transport.surface.positions.device
+    inside = _inside(pixels.mask, pixels.color_linear.shape[:2])
+    rows, columns = np.nonzero(inside)
+    if len(rows) > most:
+        # the draw depends on the view alone: a fit does not change because another view is added
+        chosen = np.sort(np.random.default_rng((seed, view)).choice(len(rows), most, replace=False))
+        rows, columns = rows[chosen], columns[chosen]
+    index = torch.from_numpy(np.stack([np.full(len(rows), view), columns, rows], axis=1))
+    cameras = {view: capture.cameras[view].downsampled(downsample)}
+    points, found = see(transport.tracer, transport.surface, cameras, index)
+    found &= (points.normal * points.to_eye).sum(1) > GRAZING
+    kept = found.nonzero()[:, 0]
+    color = torch.from_numpy(pixels.color_linear[rows, columns]).to(device)
+    color = torch.nan_to_num(color, nan=0.0, posinf=0.0, neginf=0.0).clamp_min(0) / capture.views[view].exposure
+    saturated = torch.from_numpy(pixels.saturated[rows, columns]).to(device)[:, None]
+    return Photographed(points.take(kept), color[kept], saturated[kept])
+
+
+def _inside(mask: np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray:
+    from scipy.ndimage import minimum_filter
+
+    if mask is None:
+        return np.ones(shape, bool)
+    return np.asarray(minimum_filter(mask, size=3) >= INSIDE)
+
+
+def join(parts: list[Photographed]) -> Photographed:
+    """Several views' points, one behind the other."""
+    names = SurfacePoints.__dataclass_fields__
+    points = SurfacePoints(*(torch.cat([getattr(p.points, name) for p in parts]) for name in names))
+    return Photographed(points, torch.cat([p.color for p in parts]), torch.cat([p.saturated for p in parts]))

@@ -1,0 +1,62 @@
+"""`transport_ggx`: shading of frozen geometry by cached rays."""
+# ruff: noqa: TID253
+
+from __future__ import annotations
+
+from typing import final
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from hir_core.capture import Camera, Capture
+from hir_core.errors import StageError
+from hir_core.interfaces import ReflectanceRenderer
+from hir_core.scene import Scene
+from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
+from hir_plugins.reflectance_renderers.transport_ggx.shading import shade_points
+from hir_plugins.reflectance_renderers.transport_ggx.solver import TransportSolver
+from hir_plugins.reflectance_renderers.transport_ggx.surface import see
+from hir_plugins.reflectance_renderers.transport_ggx.transport import Transport, build_transport
+
+
+@final
+class TransportGGX(ReflectanceRenderer):
+    """Traces visibility once; then light and material enter by linear algebra (docs/reflectance.md)."""
+
+    def __init__(self, config: TransportGGXOptions) -> None:
+        self._options = config
+
+    def prepare(self, scene: Scene, capture: Capture, downsample: int = 1) -> TransportSolver:
+        """Caches transport for the scene's mesh and a light of the size of the scene's."""
+        return TransportSolver(self._transport(scene), scene, capture, downsample, self._options)
+
+    def render(self, scene: Scene, camera: Camera) -> Float[Tensor, "H W 4"]:
+        """Direct light with visibility; premultiplied colour and coverage of `supersampling`² rays a pixel."""
+        if scene.material is None or scene.environment is None:
+            raise StageError("the scene has no material or no light yet; run the reflectance stage first")
+        transport = self._transport(scene)
+        side = self._options.supersampling
+        fine = camera.downsampled(1)
+        scaled = torch.tensor([side, side, 1.0], dtype=torch.float64).diag().numpy() @ fine.intrinsics
+        fine = Camera(scaled, camera.world_to_camera, camera.width * side, camera.height * side)
+        y, x = torch.meshgrid(torch.arange(fine.height), torch.arange(fine.width), indexing="ij")
+        pixels = torch.stack([torch.zeros_like(x), x, y], dim=-1).reshape(-1, 3)
+        points, found = see(transport.tracer, transport.surface, {0: fine}, pixels)
+        seen = found.nonzero()[:, 0]
+        options = TransportGGXOptions(**{**self._options.__dict__, "samples": self._options.render_samples})
+        image = torch.zeros(len(pixels), 4, device=scene.mesh.positions.device)
+        for part in seen.split(1 << 17):
+            color = shade_points(transport, scene.material, scene.environment, {0: camera}, points.take(part), options)
+            image[part, :3] = color.to(image)
+            image[part, 3] = 1
+        return image.reshape(camera.height, side, camera.width, side, 4).mean(dim=(1, 3))
+
+    def _transport(self, scene: Scene) -> Transport:
+        if scene.environment is None:
+            raise StageError("the scene has no light; give it an environment map to start from")
+        height, width = scene.environment.radiance.shape[:2]
+        options = self._options
+        device = str(scene.mesh.positions.device)
+        size = (height, width)
+        return build_transport(scene.mesh, options.vertices, options.cells, size, options.diffuse_rows, device)

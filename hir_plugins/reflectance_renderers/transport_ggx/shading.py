@@ -1,0 +1,101 @@
+"""Radiance through arbitrary pixels from textures: the general form of what `joint` does in matrices."""
+# ruff: noqa: TID253
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from hir_core.capture import Camera
+from hir_core.scene import EnvironmentMap, Material, Texture
+from hir_plugins.reflectance_renderers.brdf import directional_albedo_terms
+from hir_plugins.reflectance_renderers.transport_ggx.joint import ALPHA_LOW
+from hir_plugins.reflectance_renderers.transport_ggx.moving_light import pixel_irradiance
+from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
+from hir_plugins.reflectance_renderers.transport_ggx.pyramid import resized
+from hir_plugins.reflectance_renderers.transport_ggx.surface import SurfacePoints, see
+from hir_plugins.reflectance_renderers.transport_ggx.textures import bilinear_texels
+from hir_plugins.reflectance_renderers.transport_ggx.transport import Transport
+
+
+def shade(
+    transport: Transport,
+    material: Material,
+    environment: EnvironmentMap,
+    cameras: Mapping[int, Camera],
+    pixels: Int[Tensor, "B 3"],
+    options: TransportGGXOptions,
+    offset: float = 0.5,
+) -> Float[Tensor, "B 3"]:
+    """Radiance through pixels (view, x, y), 0 where they miss; differentiable in material and light."""
+    points, found = see(transport.tracer, transport.surface, cameras, pixels, offset)
+    seen = found.nonzero()[:, 0]
+    value = shade_points(transport, material, environment, cameras, points.take(seen), options)
+    return torch.zeros(len(pixels), 3, dtype=value.dtype, device=value.device).index_copy(0, seen, value)
+
+
+def shade_points(
+    transport: Transport,
+    material: Material,
+    environment: EnvironmentMap,
+    cameras: Mapping[int, Camera],
+    points: SurfacePoints,
+    options: TransportGGXOptions,
+) -> Float[Tensor, "P 3"]:
+    """Radiance that leaves points towards the eye: direct light with visibility."""
+    if len(points) == 0:
+        return points.position.new_zeros(0, 3) + 0 * environment.radiance.sum()
+    rotation = _to_light(environment, cameras, points)
+    radiance = resized(environment.radiance.clamp_min(0), transport.pyramid)
+    needs_uv = any(t.ndim == 3 for t in (material.diffuse_albedo, material.specular_albedo, material.roughness))
+    uv = points.uvs(transport.surface) if needs_uv else points.position[:, :2]
+    diffuse, specular = sample(material.diffuse_albedo, uv), sample(material.specular_albedo, uv)
+    alpha = sample(material.roughness, uv).mean(dim=-1, keepdim=True).clamp(ALPHA_LOW, 1)
+    sources = transport.sky_only(radiance)
+    if rotation is None:
+        sky = transport.diffuse.sky @ transport.pyramid.flatten(radiance)[transport.level]
+        cells = transport.cells.of_vertex[transport.surface.faces[points.face]]
+        arriving = (sky[cells] * points.barycentric[..., None]).sum(1)
+    else:
+        arriving = pixel_irradiance(transport, points, options.diffuse_samples, rotation, options.seed) @ sources
+    value = diffuse * arriving / torch.pi
+    lobes = transport.lobes(points, alpha, options.samples, rotation, options.seed)
+    weight, grazing = lobes.weights(alpha)
+    light = sources[lobes.columns.long()].reshape(*lobes.n_wi.shape, 4, 3)
+    light = (light * lobes.bilinear.reshape(*lobes.n_wi.shape, 4, 1)).sum(2)
+    lobe = (light * weight[..., None]).sum(1)
+    if material.model == "paper":
+        return value + specular * lobe
+    schlick = (light * grazing[..., None]).sum(1)
+    a, b = directional_albedo_terms(lobes.n_wo[:, None], alpha)
+    return value * (1 - specular * a - b).clamp_min(0) + specular * (lobe - schlick) + schlick
+
+
+def sample(texture: Texture, uv: Float[Tensor, "P 2"]) -> Float[Tensor, "#P C"]:
+    """Bilinear lookup of a map; a constant is one row."""
+    if texture.ndim == 1:
+        return texture[None]
+    height, width, channels = texture.shape
+    index, weight = bilinear_texels(uv, height, width)
+    return (texture.reshape(-1, channels)[index] * weight[..., None].to(texture)).sum(1)
+
+
+def _to_light(
+    environment: EnvironmentMap, cameras: Mapping[int, Camera], points: SurfacePoints
+) -> Float[Tensor, "N 3 3"] | None:
+    """Rotations, per view, from the world to the map's axes; None where both are the same."""
+    device = points.position.device
+    to_map = None if environment.to_world is None else environment.to_world.T.to(device)
+    if environment.frame == "world":
+        if to_map is None or torch.equal(to_map, torch.eye(3, device=device)):
+            return None
+        return to_map.expand(max(cameras) + 1, 3, 3)
+    rotations = torch.zeros(max(cameras) + 1, 3, 3, device=device)
+    for view, camera in cameras.items():
+        rotations[view] = torch.from_numpy(camera.world_to_camera[:3, :3].copy()).to(rotations)
+    return rotations if to_map is None else to_map @ rotations
+
+

@@ -1,0 +1,191 @@
+"""Fits material and light on cached transport: the `ReflectanceSolver` of `transport_ggx`."""
+# ruff: noqa: TID253
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, final
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from numpy.typing import NDArray
+from torch import Tensor
+
+from hir_core.capture import Capture
+from hir_core.interfaces import ReflectanceSolver
+from hir_core.scene import EnvironmentMap, Material, Scene, Topology
+from hir_core.selection import Rung
+from hir_plugins.reflectance_renderers.transport_ggx import joint
+from hir_plugins.reflectance_renderers.transport_ggx.joint import Block, FitSettings, Unknowns
+from hir_plugins.reflectance_renderers.transport_ggx.moving_light import pixel_irradiance
+from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
+from hir_plugins.reflectance_renderers.transport_ggx.photographs import Photographed, join, photographed
+from hir_plugins.reflectance_renderers.transport_ggx.shading import shade
+from hir_plugins.reflectance_renderers.transport_ggx.texture_stage import solve_scene
+from hir_plugins.reflectance_renderers.transport_ggx.transport import Transport
+
+UPRIGHT = torch.diag(torch.tensor([1.0, -1.0, -1.0]))
+"""Axes of a light that the camera carries: y up and z backwards, so that the picture of the light is upright."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A fitted rung."""
+
+    rung: Rung
+    unknowns: Unknowns
+
+
+@final
+class TransportSolver(ReflectanceSolver):
+    """One scene's geometry and one capture's cameras, with transport cached."""
+
+    def __init__(
+        self, transport: Transport, scene: Scene, capture: Capture, downsample: int, options: TransportGGXOptions
+    ) -> None:
+        self._transport = transport
+        self._scene = scene
+        self._capture = capture
+        self._downsample = downsample
+        self._options = options
+        self._edges = Topology(transport.surface.faces).edges
+        self._samples: dict[int, Photographed] = {}
+        self._rotation = _camera_rotations(capture, transport.surface.positions.device)
+
+    def radiance(
+        self, material: Material, environment: EnvironmentMap, pixels: Int[Tensor, "B 3"]
+    ) -> Float[Tensor, "B 3"]:
+        """Radiance through pixels (view, x, y); 0 where they miss. Differentiable in material and light."""
+        cameras = {v: c.downsampled(self._downsample) for v, c in enumerate(self._capture.cameras)}
+        return shade(self._transport, material, environment, cameras, pixels, self._options)
+
+    def fit(
+        self, rung: Rung, start: Any, views: Sequence[int], effort: float, report: Callable[[float], None]
+    ) -> Fit:
+        """Adam on cached transport; a rung's new unknowns start from the values of the earlier fit."""
+        photographs = self._thinned(self._photographs(views), effort)
+        unknowns = self._begin(rung, start, photographs)
+        steps = max(1, round(self._options.steps * effort))
+        known = self._options.known_light
+        settings = FitSettings(steps, rung.brdf, rung.bounces, known_light=known,
+                               light_smoothness=self._options.light_smoothness)
+        blocks = self._blocks(photographs, rung, unknowns)
+        fitted = joint.fit(
+            self._transport, blocks, unknowns, settings, self._edges,
+            lambda step, _: report((step + 1) / steps), lambda state: self._blocks(photographs, rung, state),
+        )
+        return Fit(rung, fitted)
+
+    def errors(self, fit: Fit, views: Sequence[int]) -> NDArray[np.float64]:
+        """Mean squared sRGB error of each view's pixels; a clipped pixel that the fit makes brighter is right."""
+        photographs = self._photographs(views)
+        total = np.zeros(len(self._capture.views))
+        count = np.zeros(len(self._capture.views))
+        for block in self._blocks(photographs, fit.rung, fit.unknowns):
+            specular = joint.specular_blocks([block], fit.rung.brdf)
+            joint.refresh([block], specular, fit.unknowns)
+            with torch.no_grad():
+                radiance = joint.predict(self._transport, block, specular[0], fit.unknowns, fit.rung.bounces)
+                error = joint.residual(block, radiance.clamp(0, 1)).square().mean(dim=1).cpu().double().numpy()
+            view = block.view.cpu().numpy()
+            total += np.bincount(view, error, len(total))
+            count += np.bincount(view, minlength=len(count))
+        seen = [v for v in views if count[v] > 0]
+        return total[seen] / count[seen]
+
+    def scene(self, fit: Fit, views: Sequence[int], report: Callable[[float], None]) -> tuple[Scene, dict[str, Any]]:
+        """Textures solved from all pixels, light as fitted."""
+        moving = fit.rung.light_frame == "camera"
+        environment = EnvironmentMap(
+            fit.unknowns.radiance, UPRIGHT.to(fit.unknowns.light) if moving else None, fit.rung.light_frame
+        )
+        material, facts = solve_scene(
+            self._transport, self._scene, self._capture, views, self._downsample, fit.rung, fit.unknowns,
+            self._rotation if moving else None, self._options, report,
+        )
+        return replace(self._scene, material=material, environment=environment), facts
+
+    def _photographs(self, views: Sequence[int]) -> Photographed:
+        most = max(64, self._options.pixels // max(len(self._capture.views), 1))
+        for view in views:
+            if view not in self._samples:
+                self._samples[view] = photographed(
+                    self._transport, self._capture, view, most, self._downsample, self._options.seed
+                )
+        return join([self._samples[v] for v in views])
+
+    def _thinned(self, photographs: Photographed, effort: float) -> Photographed:
+        """Little effort looks at fewer pixels, too."""
+        share = min(1.0, 2 * effort)
+        if share == 1.0:
+            return photographs
+        generator = torch.Generator().manual_seed(self._options.seed)
+        return photographs.take((torch.rand(len(photographs), generator=generator) < share).nonzero()[:, 0])
+
+    def _blocks(self, photographs: Photographed, rung: Rung, unknowns: Unknowns) -> list[Block]:
+        count = max(1, math.ceil(len(photographs) / self._options.block_pixels))
+        order = torch.randperm(len(photographs), generator=torch.Generator().manual_seed(self._options.seed))
+        return [self._block(photographs.take(order[i::count]), rung, unknowns, i) for i in range(count)]
+
+    def _block(self, part: Photographed, rung: Rung, unknowns: Unknowns, seed: int) -> Block:
+        vertices, cells = self._transport.interpolation(part.points)
+        rotation = self._rotation if rung.light_frame == "camera" else None
+        direct = None
+        if rotation is not None:
+            direct = pixel_irradiance(self._transport, part.points, self._options.diffuse_samples, rotation, seed)
+        lobes = None
+        if rung.brdf != "diffuse":
+            alpha = unknowns.alpha.detach()
+            alpha = alpha if len(alpha) == 1 else vertices.matrix @ alpha
+            lobes = self._transport.lobes(part.points, alpha, self._options.samples, rotation, seed)
+        return Block(lobes, vertices, None if direct else cells, direct, joint.srgb(part.color), part.saturated,
+                     part.points.view)
+
+    def _begin(self, rung: Rung, start: Fit | None, photographs: Photographed) -> Unknowns:
+        """Unknowns of a rung, from an earlier fit or from the scene that was prepared."""
+        assert self._scene.material is not None and self._scene.environment is not None
+        if start is None:
+            light = self._scene.environment.radiance.clamp(1e-6, joint.LIGHT_LIMIT).log()
+            diffuse = self._albedo_of_photographs(photographs, rung, light.exp())
+            base = Unknowns(light, torch.logit(diffuse), None, None)
+        else:
+            base = start.unknowns
+        if rung.brdf == "diffuse":
+            return Unknowns(base.light, base.diffuse, None, None)
+        specular, width = base.specular, base.width
+        vertices = len(base.diffuse)
+        if specular is None or width is None:
+            rho = self._scene.material.specular_albedo.mean().clamp(1e-3, 0.999)
+            alpha = self._scene.material.roughness.mean().clamp(0.02, 0.98)
+            specular, width = torch.logit(rho).reshape(1, 1), joint.width_of(alpha).reshape(1, 1)
+        if rung.colored and specular.shape[1] == 1:
+            specular = specular.expand(-1, 3)
+        if rung.specular == "map" and len(specular) == 1:
+            specular = specular.expand(vertices, -1)
+        if rung.roughness == "map" and len(width) == 1:
+            width = width.expand(vertices, -1)
+        return Unknowns(base.light, base.diffuse, specular.contiguous(), width.contiguous())
+
+    def _albedo_of_photographs(self, photographs: Photographed, rung: Rung, light: Tensor) -> Float[Tensor, "V 3"]:
+        """Colour over irradiance at each vertex, held near the mean of all where few pixels see it."""
+        transport = self._transport
+        count = len(transport.surface.positions)
+        if len(photographs) == 0:
+            return torch.full((count, 3), 0.5, device=light.device)
+        block = self._block(photographs, replace(rung, brdf="diffuse"), Unknowns(light.log(), light, None, None), 0)
+        sources, irradiance = transport.sources(light, torch.zeros(count, 3, device=light.device), 0)
+        arriving = block.direct @ sources if block.direct is not None else block.cells @ irradiance  # type: ignore[operator]
+        shown = block.vertices.transposed @ photographs.color
+        white = block.vertices.transposed @ (arriving / torch.pi)
+        mean = photographs.color.mean(dim=0) / (arriving / torch.pi).mean(dim=0).clamp_min(1e-6)
+        weight = 0.05 * white.mean()
+        return ((shown + weight * mean) / (white + weight).clamp_min(1e-9)).clamp(0.02, 0.95)
+
+
+def _camera_rotations(capture: Capture, device: torch.device) -> Float[Tensor, "N 3 3"]:
+    """From the world to the axes of a light that each view's camera carries."""
+    rotations = np.stack([c.world_to_camera[:3, :3] for c in capture.cameras])
+    return UPRIGHT.to(device) @ torch.from_numpy(rotations.astype(np.float32)).to(device)

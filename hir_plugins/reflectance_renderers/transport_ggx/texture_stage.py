@@ -1,0 +1,157 @@
+"""From a fit at vertices to the textures of a material."""
+# ruff: noqa: TID253
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from hir_core.atlas import TexelSurface, dilate, fill_unobserved, texel_surface, texture_of_vertices
+from hir_core.capture import Capture
+from hir_core.scene import Material, Mesh, Scene, Topology
+from hir_core.selection import Rung
+from hir_plugins.reflectance_renderers.brdf import directional_albedo_terms
+from hir_plugins.reflectance_renderers.transport_ggx.joint import Unknowns
+from hir_plugins.reflectance_renderers.transport_ggx.moving_light import pixel_irradiance
+from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
+from hir_plugins.reflectance_renderers.transport_ggx.photographs import Photographed, photographed
+from hir_plugins.reflectance_renderers.transport_ggx.surface import Surface
+from hir_plugins.reflectance_renderers.transport_ggx.textures import (
+    TexelEquations,
+    bilinear_texels,
+    solve_texels,
+    srgb_slope,
+)
+from hir_plugins.reflectance_renderers.transport_ggx.transport import Transport
+
+PADDING = 8
+"""Rings of texels around charts that repeat their border, for filtering and mip maps."""
+HUBER_SRGB = 0.05
+DARKEST = 0.003
+"""Linear value below which the sRGB weight stops growing: noise rules there."""
+
+
+def solve_scene(
+    transport: Transport,
+    scene: Scene,
+    capture: Capture,
+    views: Sequence[int],
+    downsample: int,
+    rung: Rung,
+    unknowns: Unknowns,
+    rotation: Tensor | None,
+    options: TransportGGXOptions,
+    report: Callable[[float], None],
+) -> tuple[Material, dict[str, Any]]:
+    """The material of a fit; maps that the rung does not vary are constants."""
+    assert scene.material is not None
+    height, width = _size(scene.material)
+    mesh = _refined_mesh(transport.surface)
+    surface = texel_surface(mesh, (height, width))
+    with torch.no_grad():
+        sources, irradiance = _light(transport, unknowns, rung, rotation)
+        equations = []
+        most = max(64, options.texture_pixels // max(len(views), 1))
+        for done, view in enumerate(views):
+            part = photographed(transport, capture, view, most, downsample, options.seed + 1)
+            equations += _equations(
+                transport, part, unknowns, rung, sources, irradiance, rotation, options, (height, width)
+            )
+            report(0.8 * (done + 1) / len(views))
+        start = texture_of_vertices(mesh, unknowns.diffuse_albedo, surface)
+        start = dilate(start, surface.covered, 1)
+        diffuse, seen = solve_texels(equations, start, HUBER_SRGB)
+        observed = seen & surface.covered
+        report(0.9)
+
+        def finished(texture: Float[Tensor, "H W C"]) -> Float[Tensor, "H W C"]:
+            return dilate(fill_unobserved(texture, mesh, observed, surface), surface.covered, PADDING)
+
+        material = Material(
+            model="paper" if rung.brdf == "paper" else "dielectric",
+            diffuse_albedo=finished(diffuse),
+            specular_albedo=_map(mesh, surface, unknowns.specular_albedo, finished) if rung.brdf != "diffuse"
+            else diffuse.new_zeros(3),
+            roughness=_map(mesh, surface, unknowns.alpha, finished) if rung.brdf != "diffuse" else diffuse.new_ones(1),
+            observed=observed,
+        )
+        if rung.brdf == "diffuse":
+            # ρs = 0 is Lambert's law in the paper's model; `dielectric` would keep its grazing reflection
+            material = Material("paper", material.diffuse_albedo, material.specular_albedo, material.roughness,
+                                observed=observed)
+        report(1.0)
+    shown = int(observed.sum()) / max(int(surface.covered.sum()), 1)
+    return material, {"texture_equations": sum(len(e.gain) for e in equations), "observed": round(shown, 4)}
+
+
+def _equations(
+    transport: Transport,
+    part: Photographed,
+    unknowns: Unknowns,
+    rung: Rung,
+    sources: Tensor,
+    irradiance: Tensor,
+    rotation: Tensor | None,
+    options: TransportGGXOptions,
+    size: tuple[int, int],
+) -> list[TexelEquations]:
+    if len(part) == 0:
+        return []
+    points = part.points
+    corners = transport.surface.faces[points.face]
+
+    def at_points(values: Tensor) -> Tensor:
+        return values if len(values) == 1 else (values[corners] * points.barycentric[..., None]).sum(1)
+
+    if rotation is None:
+        arriving = (irradiance[transport.cells.of_vertex[corners]] * points.barycentric[..., None]).sum(1)
+    else:
+        arriving = pixel_irradiance(transport, points, options.diffuse_samples, rotation, options.seed).matrix @ sources
+    gain = arriving / torch.pi
+    specular = torch.zeros_like(gain)
+    if rung.brdf != "diffuse":
+        rho_s, alpha = at_points(unknowns.specular_albedo), at_points(unknowns.alpha)
+        lobes = transport.lobes(points, alpha, options.texture_samples, rotation, options.seed)
+        weight, grazing = lobes.weights(alpha)
+        light = (sources[lobes.columns.long()] * lobes.bilinear[..., None]).reshape(*weight.shape, 4, 3).sum(2)
+        lobe, schlick = (light * weight[..., None]).sum(1), (light * grazing[..., None]).sum(1)
+        specular = rho_s * lobe
+        if rung.brdf == "dielectric":
+            specular = rho_s * (lobe - schlick) + schlick
+            a, b = directional_albedo_terms(lobes.n_wo[:, None], alpha)
+            gain = gain * (1 - rho_s * a - b).clamp_min(0)
+    index, bilinear = bilinear_texels(points.uvs(transport.surface), *size)
+    importance = srgb_slope(part.color.clamp(DARKEST, 1)).square() * ~part.saturated
+    return [TexelEquations(index, bilinear, gain, part.color - specular, importance)]
+
+
+def _light(
+    transport: Transport, unknowns: Unknowns, rung: Rung, rotation: Tensor | None
+) -> tuple[Tensor, Tensor]:
+    if rotation is not None:
+        return transport.sky_only(unknowns.radiance), unknowns.radiance.new_zeros(0, 3)
+    return transport.sources(unknowns.radiance, unknowns.diffuse_albedo, rung.bounces)
+
+
+def _map(
+    mesh: Mesh, surface: TexelSurface, values: Float[Tensor, "#V C"], finished: Callable[[Tensor], Tensor]
+) -> Tensor:
+    if len(values) == 1:
+        return values[0].expand(3).clone() if values.shape[1] == 1 and values is not None else values[0].clone()
+    texture = finished(texture_of_vertices(mesh, values, surface))
+    return texture
+
+
+def _refined_mesh(surface: Surface) -> Mesh:
+    assert surface.corner_uvs is not None
+    corners = torch.arange(3 * len(surface.faces), device=surface.faces.device).reshape(-1, 3)
+    return Mesh(surface.positions, Topology(surface.faces, corners), surface.corner_uvs.reshape(-1, 2))
+
+
+def _size(material: Material) -> tuple[int, int]:
+    texture = material.diffuse_albedo
+    return (int(texture.shape[0]), int(texture.shape[1])) if texture.ndim == 3 else (1024, 1024)

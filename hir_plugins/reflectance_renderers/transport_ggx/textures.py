@@ -1,0 +1,110 @@
+"""Diffuse albedo at the texture's own resolution: with light and lobes known, a sparse least-squares problem.
+
+All photographs' pixels see the bilinear texture through a known gain, `I − S = (1 − E)·irradiance/π · ρd(u, v)`.
+Conjugate gradients solve it for all texels and channels at once; residuals are weighed as the eye (sRGB) and a robust
+loss weigh them (iteratively re-weighted least squares), and the vertex solution holds what no pixel sees.
+"""
+# ruff: noqa: TID253
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from hir_plugins.reflectance_renderers.transport_ggx.linear_map import LinearMap
+
+_PRIOR = 0.02
+"""Weight of the start where pixels are few, as a fraction of the mean weight of a seen texel."""
+_ROUNDS = 2
+_ITERATIONS = 12
+
+
+@dataclass(frozen=True, eq=False)
+class TexelEquations:
+    """One row per pixel: `gain · (texture at uv) = target`."""
+
+    index: Int[Tensor, "P 4"]
+    weight: Float[Tensor, "P 4"]
+    gain: Float[Tensor, "P 3"]
+    target: Float[Tensor, "P 3"]
+    importance: Float[Tensor, "P 3"]
+
+
+def bilinear_texels(
+    uv: Float[Tensor, "P 2"], height: int, width: int
+) -> tuple[Int[Tensor, "P 4"], Float[Tensor, "P 4"]]:
+    """Texels and weights of bilinear lookups; held at the border."""
+    x = (uv[:, 0].clamp(0, 1) * width - 0.5).clamp(0, width - 1)
+    y = (uv[:, 1].clamp(0, 1) * height - 0.5).clamp(0, height - 1)
+    x0, y0 = x.floor().clamp_max(max(width - 2, 0)), y.floor().clamp_max(max(height - 2, 0))
+    fx, fy = x - x0, y - y0
+    x0, y0 = x0.long(), y0.long()
+    x1, y1 = (x0 + 1).clamp_max(width - 1), (y0 + 1).clamp_max(height - 1)
+    index = torch.stack([y0 * width + x0, y0 * width + x1, y1 * width + x0, y1 * width + x1], dim=1)
+    weight = torch.stack([(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy], dim=1)
+    return index, weight
+
+
+def srgb_slope(linear: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
+    """Derivative of the sRGB curve."""
+    bright = 1.055 / 2.4 * linear.clamp_min(0.0031308) ** (1 / 2.4 - 1)
+    return torch.where(linear <= 0.0031308, torch.full_like(linear, 12.92), bright)
+
+
+def solve_texels(
+    equations: list[TexelEquations],
+    start: Float[Tensor, "H W 3"],
+    huber: float,
+    report: Callable[[int, int], None] = lambda step, steps: None,
+) -> tuple[Float[Tensor, "H W 3"], Bool[Tensor, "H W"]]:
+    """Albedo in 0…1 and the texels that some pixel sees with a weight."""
+    height, width, _ = start.shape
+    lookup = LinearMap.from_rows(
+        torch.cat([e.index for e in equations]), torch.cat([e.weight for e in equations]), height * width
+    )
+    gain = torch.cat([e.gain for e in equations])
+    target = torch.cat([e.target for e in equations])
+    importance = torch.cat([e.importance for e in equations])
+    texture = start.reshape(-1, 3).clone()
+    anchor = texture.clone()
+    seen = lookup.transposed @ torch.ones_like(gain[:, :1])
+    for round_ in range(_ROUNDS):
+        error = importance.sqrt() * (gain * (lookup.matrix @ texture) - target).abs()
+        robust = importance * (huber / error.clamp_min(huber))
+        normal = robust * gain * gain
+        diagonal = lookup.transposed @ normal
+        prior = _PRIOR * diagonal[seen[:, 0] > 0.5].mean(dim=0).clamp_min(1e-12) if bool((seen > 0.5).any()) else 1.0
+
+        def apply(x: Tensor, normal: Tensor = normal, prior: Tensor | float = prior) -> Tensor:
+            return lookup.transposed @ (normal * (lookup.matrix @ x)) + prior * x
+
+        right = lookup.transposed @ (robust * gain * target) + prior * anchor
+        texture = _conjugate_gradients(apply, right, texture, 1 / (diagonal + prior), _ITERATIONS)
+        texture = texture.clamp(0, 1)
+        report(round_ + 1, _ROUNDS)
+    return texture.reshape(height, width, 3), (seen > 0.25).reshape(height, width)
+
+
+def _conjugate_gradients(
+    apply: Callable[[Tensor], Tensor], right: Tensor, start: Tensor, preconditioner: Tensor, iterations: int
+) -> Tensor:
+    """Jacobi-preconditioned conjugate gradients, each column a system of its own."""
+    x = start
+    residual = right - apply(x)
+    z = preconditioner * residual
+    direction = z
+    rho = (residual * z).sum(0)
+    for _ in range(iterations):
+        image = apply(direction)
+        step = rho / (direction * image).sum(0).clamp_min(1e-30)
+        x = x + step * direction
+        residual = residual - step * image
+        z = preconditioner * residual
+        new = (residual * z).sum(0)
+        direction = z + (new / rho.clamp_min(1e-30)) * direction
+        rho = new
+    return x
