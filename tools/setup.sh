@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# Makes .venv and installs what is missing: `tools/setup.sh run` for reconstructing, `tools/setup.sh test` for testing too.
+# Makes .venv and installs what is missing: `tools/setup.sh run` for reconstructing, `tools/setup.sh test` for testing too;
+# `tools/setup.sh blender` makes .venv-blender for the slow test that opens exports in Blender.
 # System libraries come from apt, only as root or with a sudo that asks for nothing, and are named before they are installed.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -106,6 +107,17 @@ install_node() {
   (cd tools && npm ci --silent --no-fund --no-audit) || say "npm could not install them; tests that need them are skipped"
 }
 
+install_blender() {
+  command -v python3.11 >/dev/null || { say "bpy 5.0.1 needs Python 3.11, which is not there"; exit 1; }
+  say "installing Blender as a module into .venv-blender (about 1 GB)"
+  python3.11 -m venv .venv-blender
+  .venv-blender/bin/python -m pip install --quiet --disable-pip-version-check 'bpy==5.0.1' 'numpy<2'
+}
+
+if [ "$purpose" = blender ]; then
+  install_blender
+  exit
+fi
 install_packages
 install_python
 install_node

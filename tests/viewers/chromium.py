@@ -46,19 +46,21 @@ def find_browser() -> str:
     pytest.skip("no Chromium on the path: run tools/setup.sh test as root, or install chromium")
 
 
+def shot_document(camera: Camera) -> dict[str, object]:
+    """A camera as three.js and Blender want it: they look along -z with y up; matrices column by column."""
+    camera_to_world = np.linalg.inv(camera.world_to_camera) @ np.diag([1.0, -1, -1, 1])
+    return {
+        "width": camera.width,
+        "height": camera.height,
+        "fov_y_deg": float(np.degrees(2 * np.arctan(camera.height / (2 * camera.intrinsics[1, 1])))),
+        "camera_to_world_columns": camera_to_world.T.reshape(-1).tolist(),
+    }
+
+
 def picture_in_three(glb: Path, hdr: Path, camera: Camera, turn_y: float, seconds: float = 90) -> np.ndarray:
     """sRGB picture (H, W, 4), unassociated, of the asset as three.js shows it."""
     browser = find_browser()
-    intrinsics = camera.intrinsics
-    gl_from_cv = np.diag([1.0, -1, -1, 1])
-    camera_to_world = np.linalg.inv(camera.world_to_camera) @ gl_from_cv
-    shot = {
-        "width": camera.width,
-        "height": camera.height,
-        "fov_y_deg": float(np.degrees(2 * np.arctan(camera.height / (2 * intrinsics[1, 1])))),
-        "camera_to_world_columns": camera_to_world.T.reshape(-1).tolist(),
-        "turn_y": turn_y,
-    }
+    shot = shot_document(camera) | {"turn_y": turn_y}
     served = {
         "/": (HERE / "page.html").read_bytes(),
         "/shot.json": json.dumps(shot).encode(),
