@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from hir_core.plugin import Component, NoOptions, hookimpl
+from hir_plugins.regularizers.material_options import BilateralSpecularOptions, TotalVariationOptions
 from hir_plugins.regularizers.mesh_options import EdgeLengthOptions, LaplacianOptions
 
 LAPLACIAN = Component(
@@ -35,6 +36,26 @@ EDGE_LENGTH = Component(
     traits=frozenset({"differentiable", "rigid_invariant"}),
 )
 
+BILATERAL_SPECULAR = Component(
+    name="bilateral_specular",
+    target="hir_plugins.regularizers.bilateral_specular:BilateralSpecular",
+    config=BilateralSpecularOptions,
+    summary="Gives places that are near and of like diffuse colour like specular albedo (the paper's term).",
+    requires=("torch", "jaxtyping"),
+    extra="reconstruct",
+    traits=frozenset({"differentiable", "material"}),
+)
+
+TOTAL_VARIATION = Component(
+    name="total_variation",
+    target="hir_plugins.regularizers.total_variation:TotalVariation",
+    config=TotalVariationOptions,
+    summary="Keeps textures, and the light if asked, piecewise flat.",
+    requires=("torch", "jaxtyping"),
+    extra="reconstruct",
+    traits=frozenset({"differentiable", "material", "environment"}),
+)
+
 
 @hookimpl
 def hir_register_regularizers() -> list[Component]:
@@ -42,4 +63,6 @@ def hir_register_regularizers() -> list[Component]:
         LAPLACIAN,
         NORMAL_CONSISTENCY,
         EDGE_LENGTH,
+        BILATERAL_SPECULAR,
+        TOTAL_VARIATION,
     ]
