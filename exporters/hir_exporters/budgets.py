@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 from hir_exporters.asset import Asset, textures
+from hir_exporters.simplify import simplify
 from hir_exporters.surface_images import limited
 
 BudgetName = Literal["none", "quicklook", "web", "desktop"]
@@ -39,7 +40,6 @@ def apply_budget(asset: Asset, name: BudgetName) -> tuple[Asset, tuple[str, ...]
         asset = replace(asset, material=limited(asset.material, budget.texture_size))
     count = len(asset.mesh.faces)
     if count > budget.triangles:
-        warnings.append(
-            f"{count} triangles are more than the {budget.triangles} of the {name} budget; simplify the mesh"
-        )
+        asset = replace(asset, mesh=simplify(asset.mesh, budget.triangles))
+        warnings.append(f"triangles were reduced from {count} to {len(asset.mesh.faces)} for the {name} budget")
     return asset, tuple(warnings)

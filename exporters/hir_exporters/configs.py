@@ -13,7 +13,7 @@ class GltfConfig:
     profile: Literal["khr", "blender", "metalrough", "unity-legacy"] = "khr"
     """How the material is said: for readers of the ratified extensions, for Blender, for core readers, for glTFast."""
     budget: Literal["none", "quicklook", "web", "desktop"] = "none"
-    """Bounds of a target: larger textures are reduced, too many triangles reported."""
+    """Bounds of a target: what has more triangles or larger textures is reduced, and the report says so."""
     max_texture_size: int = 4096
     """Larger textures are reduced to this many pixels a side."""
     image_format: Literal["png", "jpeg"] = "png"
@@ -22,6 +22,8 @@ class GltfConfig:
     """1 to 95."""
     tangents: Literal["auto", "always", "never"] = "auto"
     """Whether tangents are written: by default where there is a normal map."""
+    lods: tuple[int, ...] = ()
+    """Further levels of detail as triangle counts, written beside the file as NAME_lod1, NAME_lod2 and so on."""
     quantize: bool = False
     """KHR_mesh_quantization: 16-bit positions, 8-bit normals and tangents, 16-bit UVs. Readers without it fail."""
     environment: bool = True
@@ -35,7 +37,7 @@ class UsdConfig:
     workflow: Literal["metallic", "specular"] = "specular"
     """Which workflow of UsdPreviewSurface; renderers know both, AR Quick Look only metallic."""
     budget: Literal["none", "quicklook", "web", "desktop"] = "none"
-    """Bounds of a target: larger textures are reduced, too many triangles reported."""
+    """Bounds of a target: what has more triangles or larger textures is reduced, and the report says so."""
     max_texture_size: int = 4096
     """Larger textures are reduced to this many pixels a side."""
     meters_per_unit: float = 1.0

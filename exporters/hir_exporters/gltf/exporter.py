@@ -16,8 +16,9 @@ from hir_exporters.configs import GltfConfig
 from hir_exporters.environment import world_radiance
 from hir_exporters.exporter import Edit, Exporter, ExportReport
 from hir_exporters.gltf.binary import glb_bytes
-from hir_exporters.gltf.document import build_document, gather
+from hir_exporters.gltf.document import Gathered, build_document, gather
 from hir_exporters.images import write_hdr
+from hir_exporters.simplify import simplify
 from hir_exporters.surface_images import limited
 
 if TYPE_CHECKING:
@@ -52,12 +53,32 @@ def _write(asset: Asset, destination: Path, config: GltfConfig, edit: Edit | Non
     asset, warnings = apply_budget(asset, config.budget)
     asset = replace(asset, material=limited(asset.material, config.max_texture_size))
     gathered = gather(asset, config)
+    warnings += gathered.warnings
+    files = _write_document(gathered, destination, config, edit, embed)
+    for level, triangles in enumerate(config.lods, start=1):
+        coarse = simplify(gathered.mesh, triangles)
+        if len(coarse.faces) > max(1.1 * triangles, triangles + 2):
+            warnings += (f"level of detail {level} has {len(coarse.faces)} triangles: seams and folds allow no fewer",)
+        path = destination.with_name(f"{destination.stem}_lod{level}{destination.suffix}")
+        # The same images again: a level of detail must be of use on its own.
+        files += _write_document(replace(gathered, mesh=coarse), path, config, edit, embed)
+    if config.environment and asset.environment is not None:
+        radiance, light_warnings = world_radiance(asset)
+        files.append(destination.with_suffix(".hdr"))
+        write_hdr(files[-1], radiance)
+        warnings += light_warnings
+    return ExportReport(tuple(files), warnings, gathered.residuals, time.perf_counter() - start)
+
+
+def _write_document(
+    gathered: Gathered, destination: Path, config: GltfConfig, edit: Edit | None, embed: bool
+) -> list[Path]:
     prefix = None if embed else f"{destination.stem}_"
     document, writer = build_document(gathered, config, prefix)
     if not embed:
         document.buffers[0].uri = quote(f"{destination.stem}.bin")
     if edit is not None:
-        edit(document, asset)
+        edit(document, gathered.asset)
 
     files = [destination]
     if embed:
@@ -70,13 +91,7 @@ def _write(asset: Asset, destination: Path, config: GltfConfig, edit: Edit | Non
         files.append(destination.with_suffix(".bin"))
         write_bytes_atomic(destination.with_suffix(".bin"), writer.data())
         write_bytes_atomic(destination, json_bytes(document, indent=2))
-    warnings += gathered.warnings
-    if config.environment and asset.environment is not None:
-        radiance, light_warnings = world_radiance(asset)
-        files.append(destination.with_suffix(".hdr"))
-        write_hdr(files[-1], radiance)
-        warnings += light_warnings
-    return ExportReport(tuple(files), warnings, gathered.residuals, time.perf_counter() - start)
+    return files
 
 
 def json_bytes(document: GLTF2, indent: int | None = None) -> bytes:

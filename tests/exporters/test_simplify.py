@@ -1,0 +1,106 @@
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from hir_exporters.asset import Asset, AssetMesh
+from hir_exporters.configs import GltfConfig
+from hir_exporters.formats import create_exporter
+from hir_exporters.readback import read_gltf
+from hir_exporters.simplify import simplify
+from hir_exporters.topology import weld
+
+Sphere = Callable[..., AssetMesh]
+
+
+def welded(mesh: AssetMesh) -> trimesh.Trimesh:
+    first, group = weld(mesh.positions)
+    return trimesh.Trimesh(mesh.positions[first], group[mesh.faces], process=False)
+
+
+def uv_areas(mesh: AssetMesh) -> np.ndarray:
+    a, b, c = mesh.uvs.astype(np.float64)[mesh.faces].transpose(1, 0, 2)
+    return (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+
+
+def closed(mesh: AssetMesh) -> AssetMesh:
+    """The poles of the UV sphere are points up to rounding; here they are exactly."""
+    positions = mesh.positions.copy()
+    positions[np.abs(positions) < 1e-6] = 0
+    return replace(mesh, positions=positions)
+
+
+@pytest.mark.parametrize("triangles", [2000, 600, 150])
+def test_a_closed_mesh_stays_closed_and_its_texture_unfolded(triangles: int, make_sphere: Sphere) -> None:
+    mesh = closed(make_sphere(40, 80, wobble=0.2))
+    assert welded(mesh).is_watertight
+    coarse = simplify(mesh, triangles)
+    result = welded(coarse)
+    assert triangles - 2 <= len(coarse.faces) <= triangles
+    assert result.is_watertight and result.is_winding_consistent and result.euler_number == 2
+    assert (uv_areas(coarse) * np.sign(uv_areas(mesh).sum()) >= 0).all()
+    # The sides of the seam move together: the texture is covered as before, but for straightened poles.
+    assert abs(uv_areas(coarse).sum()) > 0.9 * abs(uv_areas(mesh).sum())
+
+
+def test_it_is_the_same_surface_within_the_size_of_its_triangles(make_sphere: Sphere) -> None:
+    mesh = make_sphere(60, 120)
+    for triangles in (4000, 1000, 250):
+        coarse = simplify(mesh, triangles)
+        middles = coarse.positions[coarse.faces].mean(axis=1)
+        # The middle of an equilateral triangle of that area lies below the unit sphere by a sixth of its edge squared.
+        sag = 4 * (4 * np.pi / triangles) / np.sqrt(3) / 6
+        depth = 1 - np.linalg.norm(middles, axis=1)
+        assert depth.min() > -1e-6 and depth.mean() < 2 * sag and depth.max() < 12 * sag
+
+
+def test_flat_regions_go_first_and_corners_stay() -> None:
+    side = np.linspace(0, 1, 21)
+    x, y = (v.ravel() for v in np.meshgrid(side, side, indexing="ij"))
+    corner = np.arange(441).reshape(21, 21)
+    a, b, c, d = (v.ravel() for v in (corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]))
+    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+    plate = AssetMesh(np.stack([x, y, 0 * x], 1), [[0, 0, 1]] * 441, np.stack([x, 1 - y], 1), faces)
+    coarse = simplify(plate, 8)
+    assert len(coarse.faces) <= 8
+    assert welded(coarse).area == pytest.approx(1.0, abs=1e-6)
+    np.testing.assert_allclose(coarse.uvs, np.stack([coarse.positions[:, 0], 1 - coarse.positions[:, 1]], 1), atol=1e-6)
+
+
+def test_vertices_that_remain_are_vertices_that_were(make_sphere: Sphere) -> None:
+    mesh = make_sphere(30, 60)
+    coarse = simplify(mesh, 500)
+    before = {row.tobytes() for row in np.concatenate([mesh.positions, mesh.normals, mesh.uvs], axis=1)}
+    assert {row.tobytes() for row in np.concatenate([coarse.positions, coarse.normals, coarse.uvs], axis=1)} <= before
+
+
+def test_the_same_again_and_nothing_to_do(make_sphere: Sphere) -> None:
+    mesh = make_sphere(20, 40)
+    np.testing.assert_array_equal(simplify(mesh, 300).faces, simplify(mesh, 300).faces)
+    assert simplify(mesh, 10**6) is mesh
+
+
+@pytest.mark.parametrize(
+    "name", ["reference.obj", "fuze.obj", "not_convex.obj", "joined_tetrahedra.obj", "wallhole.obj"]
+)
+def test_meshes_of_others_never_break_it(name: str, shared: Path) -> None:
+    loaded = trimesh.load(shared / "hostile" / "meshes" / name, force="mesh", process=False)
+    count = len(loaded.vertices)
+    uvs = getattr(loaded.visual, "uv", None)
+    mesh = AssetMesh(
+        loaded.vertices, np.tile([0, 0, 1], (count, 1)), np.zeros((count, 2)) if uvs is None else uvs, loaded.faces
+    )
+    coarse = simplify(mesh, max(1, len(mesh.faces) // 4))
+    assert 0 < len(coarse.faces) <= len(mesh.faces) and coarse.faces.max() < len(coarse.positions)
+    assert np.isfinite(coarse.positions).all()
+
+
+@pytest.mark.parametrize("suffix", ["glb", "gltf"])
+def test_levels_of_detail_are_files_of_their_own(textured_asset: Asset, suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"x.{suffix}"
+    report = create_exporter(suffix, GltfConfig(lods=(200, 80))).write(textured_asset, path)
+    counts = [len(read_gltf(tmp_path / f"x{level}.{suffix}").corner_positions) for level in ("", "_lod1", "_lod2")]
+    assert counts[0] == len(textured_asset.mesh.faces) and 190 <= counts[1] <= 200 and 70 <= counts[2] <= 80
+    assert report.files[0] == path and all(file.is_file() for file in report.files)
