@@ -72,3 +72,46 @@ class ColmapOptions:
     threads: int = -1
     """-1 for all."""
     seed: int = 0
+
+
+@dataclass(frozen=True)
+class StereoOptions:
+    """How depth is measured and fused."""
+
+    max_image_size: int = 512
+    """Photographs are made a whole number of times smaller until their longer side is about this."""
+    neighbours: int = 6
+    """Photographs that each one is compared with."""
+    planes: int = 96
+    """Most depths that the first, coarsest sweep tries."""
+    window: int = 7
+    """Side of the compared windows in pixels, odd."""
+    levels: int = 3
+    """Coarse-to-fine levels, each twice the size of the one before."""
+    min_score: float = 0.5
+    """Least correlation of a depth that counts."""
+    min_views: int = 2
+    """Neighbours that must confirm a depth."""
+    max_pixels: float = 1.0
+    """How far apart, in pixels, agreeing depths may be."""
+    surface: Literal["auto", "hull", "poisson"] = "auto"
+    """`hull` carves the measured depths out of the visual hull; `poisson` fits a surface to the points alone; `auto`
+    takes `hull` where there are masks."""
+    vertex_colors: bool = True
+    """Colour the vertices from the photographs that see them."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where the sweep runs; `auto` takes a GPU where torch has one."""
+
+
+@dataclass(frozen=True)
+class PoissonOptions:
+    """A surface through oriented points (Kazhdan & Hoppe 2013, open3d)."""
+
+    depth: int = 0
+    """Depth of the octree; 0 derives it from the number of points."""
+    trim: float = 0.02
+    """Share of the vertices with the fewest points around them that is cut off; 0 keeps the surface closed."""
+    min_component: float = 0.05
+    """Pieces with less than this share of the largest piece's area are dropped."""
+    vertex_colors: bool = True
+    """Colour the vertices from the photographs that see them."""

@@ -5,7 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from hir_core.plugin import Component, hookimpl
-from hir_plugins.initializers.options import ColmapOptions, MeshFileOptions, VisualHullOptions
+from hir_plugins.initializers.options import (
+    ColmapOptions,
+    MeshFileOptions,
+    PoissonOptions,
+    StereoOptions,
+    VisualHullOptions,
+)
 
 if TYPE_CHECKING:
     from hir_core.capture import Capture
@@ -40,15 +46,37 @@ COLMAP = Component(
     traits=frozenset({"finds_cameras"}),
 )
 
+STEREO = Component(
+    name="stereo",
+    target="hir_plugins.initializers.stereo:Stereo",
+    config=StereoOptions,
+    summary="Measures depth in all photographs and carves it out of the visual hull.",
+    requires=("torch", "jaxtyping", "open3d", "cv2", "skimage"),
+    extra="reconstruct",
+    traits=frozenset({"needs_cameras", "makes_surface"}),
+)
+
+POISSON = Component(
+    name="poisson",
+    target="hir_plugins.initializers.poisson:Poisson",
+    config=PoissonOptions,
+    summary="A surface through the points that stereo measured.",
+    requires=("torch", "jaxtyping", "open3d"),
+    extra="reconstruct",
+    traits=frozenset({"needs_cameras", "makes_surface"}),
+)
+
 
 @hookimpl
 def hir_register_initializers() -> list[Component]:
-    return [VISUAL_HULL, MESH_FILE, COLMAP]
+    return [VISUAL_HULL, MESH_FILE, COLMAP, STEREO, POISSON]
 
 
 @hookimpl
 def hir_suggest_initializers(capture: Capture) -> list[str] | None:
-    """The visual hull for captures that come with cameras."""
-    if capture.views and all(view.camera is not None for view in capture.views):
+    """The visual hull; before it the search for cameras, where the capture has none."""
+    if not capture.views:
+        return None
+    if all(view.camera is not None for view in capture.views):
         return ["visual_hull"]
-    return None
+    return ["colmap", "visual_hull"]

@@ -25,3 +25,17 @@ class ColorKeyOptions:
     """The background's colour; `auto` takes the one that the pictures' borders have."""
     tolerance: float = 0.06
     """Distance in sRGB (0 to 1.7) from that colour below which a pixel is background."""
+
+
+@dataclass(frozen=True)
+class GrabCutOptions:
+    """Separates the object by colour, from where the reconstruction says that it is."""
+
+    max_image_size: int = 640
+    """The cut runs on photographs made smaller to about this longer side; its edge is refined at full size."""
+    rounds: int = 2
+    """How often the masks are cut, made consistent by their visual hull, and cut again."""
+    margin: float = 0.25
+    """How far beyond the reconstructed points, in their radius, the object may reach at first."""
+    agreement: float = 0.8
+    """Share of the photographs that show a place in which it must look like the object to belong to it."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hir_core.plugin import Component, hookimpl
-from hir_plugins.masks.options import ColorKeyOptions, FolderOptions
+from hir_plugins.masks.options import ColorKeyOptions, FolderOptions, GrabCutOptions
 
 ALPHA = Component(
     name="alpha",
@@ -27,7 +27,17 @@ COLOR_KEY = Component(
     summary="A background of one colour: black, white, green or blue.",
 )
 
+GRABCUT = Component(
+    name="grabcut",
+    target="hir_plugins.masks.grabcut:GrabCut",
+    config=GrabCutOptions,
+    summary="Cuts the object out by colour, from where the reconstructed points lie.",
+    requires=("cv2",),
+    extra="reconstruct",
+    traits=frozenset({"automatic", "needs_cameras"}),
+)
+
 
 @hookimpl
 def hir_register_mask_sources() -> list[Component]:
-    return [ALPHA, FOLDER, COLOR_KEY]
+    return [ALPHA, FOLDER, COLOR_KEY, GRABCUT]
