@@ -121,7 +121,7 @@ def restore_capture(capture: Capture, folder: Path) -> Capture:
 
 
 def write_cameras(path: Path, capture: Capture, all_names: Sequence[str]) -> None:
-    """capture/cameras.json: every view that was read, in the world of `capture`; those without a camera say so."""
+    """capture/cameras.json: every view that was read, in the world of `capture`; one without a camera says so."""
     known = {view.name: view for view in capture.views}
     views = []
     for name in all_names:
@@ -134,7 +134,7 @@ def write_cameras(path: Path, capture: Capture, all_names: Sequence[str]) -> Non
 
 
 def read_cameras(path: Path) -> dict[str, Camera]:
-    """The registered cameras of capture/cameras.json, by name; their `distortion` is that of the photographs on disk."""
+    """The registered cameras of capture/cameras.json, by name; `distortion` is that of the photographs on disk."""
     document = read_json(path)
     views = document.get("views")
     if not isinstance(views, list) or not all(isinstance(v, dict) for v in views):

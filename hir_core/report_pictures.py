@@ -50,8 +50,9 @@ def write_pictures(
 
 
 def spread(count: int, wanted: int) -> list[int]:
-    """`wanted` numbers of range(count), evenly apart."""
-    return sorted({round(i * (count - 1) / max(wanted - 1, 1)) for i in range(min(count, wanted))})
+    """At most `wanted` numbers of range(count), evenly apart from first to last."""
+    shown = min(count, wanted)
+    return sorted({round(i * (count - 1) / max(shown - 1, 1)) for i in range(shown)})
 
 
 def asset_pictures(scene: Path) -> dict[str, Image]:

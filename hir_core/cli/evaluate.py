@@ -17,7 +17,7 @@ from hir_core.errors import InputError
 @click.option("--split", default="test", show_default=True, help="The views to compare with.")
 @click.option("--relight", default="", metavar="FILE[*STRENGTH]", help="A lat-long light, in the capture's axes.")
 @click.option("--renderer", default="", metavar="NAME", help="The reference renderer unless another is named.")
-@click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Such as render_samples=256, of the renderer.")
+@click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Such as render_samples=256.")
 @click.option("--device", type=click.Choice(["auto", "cpu", "cuda"]), default="auto", show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON; a list of it for several runs.")
 @click.option("--download", is_flag=True, help="Fetch the weights that LPIPS needs where they are missing.")

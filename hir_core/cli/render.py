@@ -22,7 +22,7 @@ from hir_core.cli.options import FOLDER, loudness_options, plugin_option
 )
 @click.option("--relight", default="", metavar="FILE[*STRENGTH]", help="A lat-long light in the asset's axes (+Y up).")
 @click.option("--renderer", default="", metavar="NAME", help="The reference renderer unless another is named.")
-@click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Such as render_samples=256, of the renderer.")
+@click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Such as render_samples=256.")
 @click.option("-o", "--output", type=FOLDER, required=True, metavar="DIR", help="Where the pictures go.")
 @click.option("--exr", is_flag=True, help="Write linear premultiplied .exr beside each .png.")
 @plugin_option

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 import subprocess
 import tempfile
 import threading
@@ -11,7 +10,6 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import numpy as np
-import pytest
 from hir_exporters.images import read_ldr
 
 from hir_core.capture import Camera
@@ -19,31 +17,6 @@ from hir_core.capture import Camera
 HERE = Path(__file__).parent
 THREE = HERE.parents[1] / "tools" / "node_modules" / "three"
 TYPES = {".js": "text/javascript", ".json": "application/json", ".html": "text/html"}
-
-FLAGS = (
-    "--headless",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--use-gl=angle",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-)
-
-
-def find_browser() -> str:
-    """Chromium's program; the test skips where it or three.js is missing."""
-    if not THREE.is_dir():
-        pytest.skip("three.js is not installed: run tools/setup.sh test")
-    for name in ("chromium", "chromium-browser", "google-chrome"):
-        found = shutil.which(name)
-        if found:
-            return found
-    pytest.skip("no Chromium on the path: run tools/setup.sh test as root, or install chromium")
 
 
 def shot_document(camera: Camera) -> dict[str, object]:
@@ -57,9 +30,10 @@ def shot_document(camera: Camera) -> dict[str, object]:
     }
 
 
-def picture_in_three(glb: Path, hdr: Path, camera: Camera, turn_y: float, seconds: float = 90) -> np.ndarray:
+def picture_in_three(
+    chromium: list[str], glb: Path, hdr: Path, camera: Camera, turn_y: float, seconds: float = 90
+) -> np.ndarray:
     """sRGB picture (H, W, 4), unassociated, of the asset as three.js shows it."""
-    browser = find_browser()
     shot = shot_document(camera) | {"turn_y": turn_y}
     served = {
         "/": (HERE / "page.html").read_bytes(),
@@ -95,7 +69,7 @@ def picture_in_three(glb: Path, hdr: Path, camera: Camera, turn_y: float, second
     threading.Thread(target=server.serve_forever, daemon=True).start()
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         address = f"http://127.0.0.1:{server.server_port}/"
-        words = [browser, *FLAGS, f"--user-data-dir={profile}", address]
+        words = [*chromium, f"--user-data-dir={profile}", address]
         process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         try:
             came = answered.wait(seconds)

@@ -9,7 +9,7 @@ from hir_core.manager import PluginManager
 from hir_core.metrics import composite, unassociate
 from hir_core.render import orbit_cameras
 
-from .chromium import find_browser, picture_in_three
+from .chromium import THREE, picture_in_three
 from .octants import asset
 
 TURN_Y = -np.pi / 2
@@ -17,9 +17,10 @@ TURN_Y = -np.pi / 2
 
 
 @pytest.fixture(scope="module")
-def shots(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[np.ndarray, np.ndarray]]:
+def shots(chromium: list[str], tmp_path_factory: pytest.TempPathFactory) -> list[tuple[np.ndarray, np.ndarray]]:
     """Pairs of pictures over black (H, W, 3), three.js' and ours, from two sides."""
-    find_browser()
+    if not THREE.is_dir():
+        pytest.skip("three.js is not installed: run tools/setup.sh test")
     from hir_core.bake import scene_from_asset
     from hir_core.export import export_asset
     from hir_core.reference import reference_renderer, render_view
@@ -31,7 +32,7 @@ def shots(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[np.ndarray, np
     pairs = []
     for i in (0, 2):
         camera = orbit_cameras(6, 25.0, 256)[i]
-        shown = picture_in_three(folder / "octants.glb", folder / "octants.hdr", camera, TURN_Y)
+        shown = picture_in_three(chromium, folder / "octants.glb", folder / "octants.hdr", camera, TURN_Y)
         ours = composite(*unassociate(render_view(renderer, scene_from_asset(asset()), camera, f"shot {i}")))
         pairs.append((shown[..., :3] * shown[..., 3:], ours))
     return pairs
