@@ -33,7 +33,7 @@ class GeometrySettings:
     iterations_per_view: int = 0
     """When set, replaces `iterations` by this many for each view (the paper: 200)."""
     views_per_step: int = 8
-    learning_rate: float = 0.01
+    learning_rate: float = 0.03
     """Step size as a fraction of the object's radius."""
     learning_rate_end: float = 0.02
     """Factor by which the rate has fallen at the end of each level (cosine)."""
@@ -50,6 +50,8 @@ class GeometrySettings:
     """Target number of triangles; 0 derives it from the images' resolution."""
     held_out: float = 0.08
     """Share of the train views that only judge when to stop; none when there are fewer than ten."""
+    prune: bool = True
+    """Drop loose pieces of the start mesh that no mask needs."""
     robust: bool = True
     """Hear views less whose masks contradict the others, and name them."""
     start_radius: float = 0.0

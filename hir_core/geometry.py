@@ -19,12 +19,15 @@ from hir_core.context import StageContext
 from hir_core.errors import StageError
 from hir_core.interfaces import GeometryRenderer
 from hir_core.large_steps import LargeSteps, UniformAdam
-from hir_core.mesh_checks import inspect_mesh
+from hir_core.loose_pieces import without_loose_pieces
+from hir_core.mask_residue import NOTABLE, Residue, mask_residue
+from hir_core.mesh_checks import MeshState, inspect_mesh
 from hir_core.mesh_transfer import remeshed
 from hir_core.optimize import Batches, OptimizationReport, Schedule, Terms, optimize
 from hir_core.remeshing import surface_area
 from hir_core.scene import Mesh, Scene
 from hir_core.silhouettes import SilhouetteTargets, intersection_over_union
+from hir_core.untangling import untangle
 from hir_core.view_trust import ViewTrust
 from hir_core.working_frame import unit_similarity
 
@@ -35,6 +38,9 @@ EDGE_PIXELS = 4.0
 """Edges of the final mesh, in pixels: a circle of 50 pixels radius is then off by 0.04 pixels."""
 
 TRIANGLES_MIN, TRIANGLES_MAX = 2_000, 400_000
+
+NEAR_START = 0.1
+"""Below this median error (1 − IoU) a start counts as near."""
 
 CHECK_STEPS = 25
 """Held-out views are measured this often."""
@@ -62,26 +68,47 @@ def fit_geometry(
     fit = _Fit(renderer, targets, settings, context, _hold_out(len(targets), settings.held_out))
     before = inspect_mesh(*_arrays(mesh))
     first = fit.errors(mesh, list(range(len(targets))))
+    loose = 0
+    if settings.prune:
+        mesh, loose = without_loose_pieces(renderer, mesh, targets, fit.train)
     reports: list[dict[str, Any]] = []
     curves: list[np.ndarray] = []
-    sizes = _level_sizes(mesh, targets, settings)
-    for level, triangles in enumerate(sizes):
+    levels = _level_count(settings, float(np.median(list(first.values()))))
+    for level in range(levels):
         if settings.remesh:
-            mesh = remeshed(mesh, triangles)
-        mesh, loop, held = _fit_level(mesh, fit, level, len(sizes))
+            # of the surface as it is by now: a ball around a cow has twice the cow's area
+            mesh = remeshed(mesh, max(500, _triangles(mesh, targets, settings) // 4 ** (levels - 1 - level)))
+        mesh, loop, held = _fit_level(mesh, fit, level, levels)
         curves.append(loop.curves.get("silhouette", np.zeros(0)))
-        reports.append({"triangles": len(mesh.faces), "steps": loop.steps, "held_out_error": held,
-                        "stopped_early": loop.stopped_early, "skipped_steps": loop.skipped})
+        reports.append(
+            {
+                "triangles": len(mesh.faces),
+                "steps": loop.steps,
+                "held_out_error": held,
+                "stopped_early": loop.stopped_early,
+                "skipped_steps": loop.skipped,
+            }
+        )
     after = inspect_mesh(*_arrays(mesh))
+    if after.self_intersecting > before.self_intersecting:
+        mended = untangle(*_arrays(mesh), allowed=before.self_intersecting)
+        mesh = mesh.with_positions(torch.from_numpy(mended).to(mesh.positions))
+        after = inspect_mesh(*_arrays(mesh))
     last = fit.errors(mesh, list(range(len(targets))))
     names = [view.name for view in capture.views]
-    _advise(before, after, fit, names, context)
-    train = [i for i in range(len(targets)) if i not in set(fit.held)]
+    train = fit.train
+    residue = mask_residue(renderer, mesh, targets, [i for i in train if i not in fit.trust.distrusted()])
+    _advise(replace(before, components=before.components - loose), after, residue, fit, names, context)
     report = {
         "iou_train": {"before": _mean_iou(first, train), "after": _mean_iou(last, train)},
         "iou_held_out": {"before": _mean_iou(first, fit.held), "after": _mean_iou(last, fit.held)},
-        "views": {"train": len(train), "held_out": [names[i] for i in fit.held],
-                  "down_weighted": {names[i]: round(float(w), 4) for i, w in fit.trust.distrusted().items()}},
+        "views": {
+            "train": len(train),
+            "held_out": [names[i] for i in fit.held],
+            "down_weighted": {names[i]: round(float(w), 4) for i, w in fit.trust.distrusted().items()},
+        },
+        "loose_pieces_removed": loose,
+        "residue": {"missing": residue.missing, "filled": residue.filled},
         "mesh": {"before": before.as_dict(), "after": after.as_dict()},
         "levels": reports,
         "curves": {"silhouette": np.concatenate(curves).tolist() if curves else []},
@@ -144,8 +171,10 @@ def _fit_level(mesh: Mesh, fit: _Fit, level: int, levels: int) -> tuple[Mesh, Op
         current = mesh.with_positions(decode(unknown))
         views = [fit.train[i] for i in batches(step)]
         error = 1 - fit.iou(current, views)
-        weights = fit.trust.update(views, error.detach().cpu().numpy(), settled=level > 0 or step > steps // 2)
-        weight = torch.as_tensor(weights, dtype=error.dtype, device=error.device)
+        weight = torch.ones_like(error)
+        if settings.robust:
+            weights = fit.trust.update(views, error.detach().cpu().numpy(), settled=level > 0 or step > steps // 2)
+            weight = torch.as_tensor(weights, dtype=error.dtype, device=error.device)
         terms = {"silhouette": (weight * error).sum() / len(views)}
         for name, (factor, energy) in energies.items():
             terms[name] = factor * energy(replace(scene, mesh=current))
@@ -162,11 +191,22 @@ def _fit_level(mesh: Mesh, fit: _Fit, level: int, levels: int) -> tuple[Mesh, Op
 
     checkpoint = Path(context.workspace) / f"level_{level}.npz"
     report = optimize(
-        loss, optimizer, Schedule(steps, end=settings.learning_rate_end), stage="geometry", report=context.report,
-        after_step=after_step, checkpoint=checkpoint, first_step=level * steps, total_steps=levels * steps,
+        loss,
+        optimizer,
+        Schedule(steps, end=settings.learning_rate_end),
+        stage="geometry",
+        report=context.report,
+        after_step=after_step,
+        checkpoint=checkpoint,
+        first_step=level * steps,
+        total_steps=levels * steps,
     )
     with torch.no_grad():
-        return mesh.with_positions(decode(best.state if fit.held and best.seen else unknown).detach()), report, best.error
+        return (
+            mesh.with_positions(decode(best.state if fit.held and best.seen else unknown).detach()),
+            report,
+            best.error,
+        )
 
 
 class _Best:
@@ -224,16 +264,20 @@ def _arrays(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
     return mesh.positions.detach().cpu().numpy().astype(np.float64), mesh.faces.cpu().numpy()
 
 
-def _level_sizes(mesh: Mesh, targets: SilhouetteTargets, settings: GeometrySettings) -> list[int]:
-    """Triangles of each level, coarse to fine; one entry where nothing is remeshed."""
+def _level_count(settings: GeometrySettings, start_error: float) -> int:
+    """How many meshes, coarse to fine; a start that is nearly right would only lose detail on a very coarse one."""
     if not settings.remesh:
-        return [len(mesh.faces)]
-    final = settings.triangles
-    if final <= 0:
-        pixel = float(np.median([_pixel_size(mesh, camera) for camera in targets.cameras]))
-        final = int(surface_area(*_arrays(mesh)) / (np.sqrt(3) / 4 * (EDGE_PIXELS * pixel) ** 2))
-        final = min(max(final, TRIANGLES_MIN), TRIANGLES_MAX)
-    return [max(500, final // 4**k) if k else final for k in reversed(range(max(1, settings.levels)))]
+        return 1
+    return settings.levels if settings.levels > 0 else 2 if start_error < NEAR_START else 3
+
+
+def _triangles(mesh: Mesh, targets: SilhouetteTargets, settings: GeometrySettings) -> int:
+    """Triangles of the final mesh."""
+    if settings.triangles > 0:
+        return settings.triangles
+    pixel = float(np.median([_pixel_size(mesh, camera) for camera in targets.cameras]))
+    count = surface_area(*_arrays(mesh)) / (np.sqrt(3) / 4 * (EDGE_PIXELS * pixel) ** 2)
+    return int(np.clip(count, TRIANGLES_MIN, TRIANGLES_MAX))
 
 
 def _pixel_size(mesh: Mesh, camera: Camera) -> float:
@@ -248,14 +292,32 @@ def _mean_iou(errors: Mapping[int, float], views: list[int]) -> float | None:
     return float(np.mean([1 - errors[i] for i in views])) if views else None
 
 
-def _advise(before: Any, after: Any, fit: _Fit, names: list[str], context: StageContext) -> None:
+def _advise(
+    before: MeshState, after: MeshState, residue: Residue, fit: _Fit, names: list[str], context: StageContext
+) -> None:
     """Says aloud what a user should look at."""
+    if residue.missing > NOTABLE:
+        view, share = residue.worst_missing
+        context.warn(
+            f"the mesh misses {residue.missing:.1%} of the masks' area away from the outline (most in view "
+            f"{names[view]}: {share:.1%}): thin parts that the start mesh lacks cannot grow back; start finer"
+        )
+    if residue.filled > NOTABLE:
+        view, share = residue.worst_filled
+        context.warn(
+            f"the mesh covers {residue.filled:.1%} more than the masks away from the outline (most in view "
+            f"{names[view]}: {share:.1%}): gaps that the start mesh has closed cannot open again; start finer"
+        )
     for view, weight in fit.trust.distrusted().items():
-        context.warn(f"the mask of view {names[view]} contradicts the others and counts {weight:.0%}; look at it or leave it out")
+        context.warn(
+            f"the mask of view {names[view]} contradicts the others and counts {weight:.0%}; look at it or leave it out"
+        )
     if before.watertight and not after.watertight:
         context.warn("the fitted mesh is no longer watertight; try fewer triangles or geometry.remesh=false")
     if after.components != before.components:
         context.warn(f"the fitted mesh has {after.components} components, its start had {before.components}")
     if after.self_intersecting > before.self_intersecting:
-        context.warn(f"{after.self_intersecting} triangles of the fitted mesh pass through others "
-                     f"(the start: {before.self_intersecting}); a larger geometry.smoothness avoids that")
+        context.warn(
+            f"{after.self_intersecting} triangles of the fitted mesh pass through others "
+            f"(the start: {before.self_intersecting}); a larger geometry.smoothness avoids that"
+        )

@@ -15,7 +15,9 @@ from hir_core.scene import Topology
 
 
 class LargeSteps:
-    """The preconditioner of one topology; `L` is the combinatorial Laplacian. One factorisation, then two solves a step."""
+    """The preconditioner of one topology; `L` is the combinatorial Laplacian. One factorisation, then two solves a
+    step.
+    """
 
     def __init__(self, topology: Topology, vertices: int, smoothness: float) -> None:
         import cholespy
@@ -26,19 +28,22 @@ class LargeSteps:
         rows = np.concatenate([diagonal, edges[:, 0], edges[:, 1]])
         columns = np.concatenate([diagonal, edges[:, 1], edges[:, 0]])
         values = np.concatenate([1 + smoothness * degree, np.full(2 * len(edges), -smoothness)])
-        self._device = topology.faces.device
-        place = self._device
-        self._matrix = torch.sparse_coo_tensor(
-            torch.from_numpy(np.stack([rows, columns])), torch.from_numpy(values).float(), (vertices, vertices)
-        ).to(place).coalesce().to_sparse_csr()
+        place = topology.faces.device
+        self._edges = topology.edges
+        self._smoothness = smoothness
         self._solver = cholespy.CholeskySolverF(
-            vertices, torch.from_numpy(rows).int().to(place), torch.from_numpy(columns).int().to(place),
-            torch.from_numpy(values).double().to(place), cholespy.MatrixType.COO
+            vertices,
+            torch.from_numpy(rows).int().to(place),
+            torch.from_numpy(columns).int().to(place),
+            torch.from_numpy(values).double().to(place),
+            cholespy.MatrixType.COO,
         )
 
     def encode(self, positions: Float[Tensor, "V 3"]) -> Float[Tensor, "V 3"]:
         """`u` of positions."""
-        return self._matrix @ positions
+        a, b = self._edges.unbind(1)
+        pull = self._smoothness * (positions[a] - positions[b])
+        return positions.index_add(0, a, pull).index_add(0, b, -pull)
 
     def decode(self, u: Float[Tensor, "V 3"]) -> Float[Tensor, "V 3"]:
         """Positions of `u`; differentiable. The matrix is its own transpose: the gradient is one more solve."""
@@ -64,7 +69,9 @@ class _Solve(torch.autograd.Function):
 
 
 class UniformAdam(torch.optim.Optimizer):
-    """Adam with one second moment for the whole tensor (Nicolet et al. 2021, section 4): it keeps a step's direction."""
+    """Adam with one second moment for the whole tensor (Nicolet et al. 2021, section 4): it keeps a step's
+    direction.
+    """
 
     def __init__(self, parameters: Any, lr: float, betas: tuple[float, float] = (0.9, 0.999)) -> None:
         super().__init__(parameters, {"lr": lr, "betas": betas})

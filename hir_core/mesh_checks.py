@@ -53,8 +53,16 @@ def inspect_mesh(positions: Positions, faces: Faces) -> MeshState:
     used = len(np.unique(faces))
     components = count_components(faces)
     genus = (2 * components - (used - edges + len(faces))) // 2 if closed else 0
-    return MeshState(used, len(faces), components, closed, int(genus), int(degenerate.sum()), int(folded.sum()),
-                     len(self_intersections(positions, faces)))
+    return MeshState(
+        used,
+        len(faces),
+        components,
+        closed,
+        int(genus),
+        int(degenerate.sum()),
+        int(folded.sum()),
+        len(self_intersections(positions, faces)),
+    )
 
 
 def count_components(faces: Faces) -> int:
@@ -92,8 +100,8 @@ def _pairs(faces: Faces) -> tuple[bool, NDArray[np.int64], int]:
 def self_intersections(positions: Positions, faces: Faces, batch: int = 400_000) -> NDArray[np.int64]:
     """Indices of triangles pierced by an edge of a triangle that shares no vertex with them, or that pierce one so.
 
-    Exactly touching and coplanar triangles do not count. Candidates come from a grid whose cell is the largest triangle, so
-    one giant among many small ones costs time, not truth.
+    Exactly touching and coplanar triangles do not count. Candidates come from a grid whose cell is the largest
+    triangle, so one giant among many small ones costs time, not truth.
     """
     p = np.asarray(positions, dtype=np.float64)[faces]
     if len(p) < 2 or not np.isfinite(p).all():
@@ -158,7 +166,8 @@ def _pierces(edges_of: Positions, triangle: Positions) -> NDArray[np.bool_]:
             (np.cross(u[across] - p[across], v[across] - p[across]) * direction).sum(axis=1)
             for u, v in ((a, b), (b, c), (c, a))
         ]
-        inside = np.logical_or(np.logical_and.reduce([v > 0 for v in volumes]),
-                               np.logical_and.reduce([v < 0 for v in volumes]))
+        inside = np.logical_or(
+            np.logical_and.reduce([v > 0 for v in volumes]), np.logical_and.reduce([v < 0 for v in volumes])
+        )
         result[across[inside]] = True
     return result

@@ -13,7 +13,8 @@ from hir_core.scene import Mesh, Topology
 
 
 def remeshed(mesh: Mesh, triangles: int, rounds: int = 4) -> Mesh:
-    """The same surface in about `triangles` well-shaped triangles; vertex colours are carried over, texture coordinates not.
+    """The same surface in about `triangles` well-shaped triangles; vertex colours are carried over, texture
+    coordinates not.
 
     A mesh without area comes back as it is.
     """

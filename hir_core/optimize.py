@@ -32,7 +32,9 @@ Terms = Mapping[str, Float[Tensor, ""]]
 
 @dataclass(frozen=True)
 class Batches:
-    """Random batches of `size` of `count` things, each once an epoch; a function of the step, so a resume repeats it."""
+    """Random batches of `size` of `count` things, each once an epoch; a function of the step, so a resume repeats
+    it.
+    """
 
     count: int
     size: int
@@ -98,8 +100,8 @@ def optimize(
 
     A step whose loss or gradient is not finite is skipped, counted and blamed on a term; parameters never take it in.
     `PATIENCE_NONFINITE` of them in a row raise `StageError`. With `checkpoint`, the state is kept there and a
-    later call with like-shaped parameters goes on from it; the file is removed when the loop ends. `first_step` and `total_steps` place the loop in
-    a stage of several (for progress only).
+    later call with like-shaped parameters goes on from it; the file is removed when the loop ends. `first_step` and
+    `total_steps` place the loop in a stage of several (for progress only).
     """
     clock = _Clock(stage, report, first_step, total_steps or first_step + schedule.steps)
     rates = [group["lr"] for group in optimizer.param_groups]
@@ -126,8 +128,10 @@ def optimize(
             result.skipped[blame] = result.skipped.get(blame, 0) + 1
             in_a_row += 1
             if in_a_row >= PATIENCE_NONFINITE:
-                raise StageError(f"stage {stage}: {in_a_row} steps in a row gave no finite gradient, because of {blame!r}; "
-                                 f"leave that term out or lower the learning rate")
+                raise StageError(
+                    f"stage {stage}: {in_a_row} steps in a row gave no finite gradient, because of {blame!r}; "
+                    f"leave that term out or lower the learning rate"
+                )
         else:
             in_a_row = 0
             optimizer.step()
@@ -166,7 +170,9 @@ def save_checkpoint(path: Path, optimizer: torch.optim.Optimizer, step: int) -> 
     for i, parameter in enumerate(_parameters(optimizer)):
         arrays[f"parameter/{i}"] = parameter.detach().cpu().numpy()
         for name, value in optimizer.state.get(parameter, {}).items():
-            arrays[f"state/{i}/{name}"] = value.detach().cpu().numpy() if isinstance(value, Tensor) else np.asarray(value)
+            arrays[f"state/{i}/{name}"] = (
+                value.detach().cpu().numpy() if isinstance(value, Tensor) else np.asarray(value)
+            )
     with atomic_write(path) as stream:
         np.savez(stream, **arrays)  # type: ignore[arg-type]
 
@@ -191,7 +197,7 @@ def load_checkpoint(path: Path, optimizer: torch.optim.Optimizer) -> int:
             if name.startswith(prefix):
                 value = torch.from_numpy(np.array(array))
                 # Adam keeps its count of steps on the CPU
-                state[name[len(prefix):]] = value if value.ndim == 0 else value.to(parameter.device)
+                state[name[len(prefix) :]] = value if value.ndim == 0 else value.to(parameter.device)
         if state:
             optimizer.state[parameter] = state
     return int(arrays["step"])

@@ -1,7 +1,8 @@
 """Isotropic remeshing (Botsch & Kobbelt 2004): split, collapse, flip, relax, each as a few passes over whole arrays.
 
-Operations that touch the same neighbourhood exclude each other within a pass (the one of the lowest rank wins), so a pass
-over arrays does what one at a time would. Collapses keep the topology: a closed manifold mesh stays one, handles included.
+Operations that touch the same neighbourhood exclude each other within a pass (the one of the lowest rank wins), so a
+pass over arrays does what one at a time would. Collapses keep the topology: a closed manifold mesh stays one, handles
+included.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ TURN = 0.3
 def remesh(positions: Positions, faces: Faces, edge_length: float, rounds: int = 4) -> tuple[Positions, Faces]:
     """A mesh of the same surface and topology with edges near `edge_length`; vertices lie on the surface given.
 
-    Positions come back in float64. An empty mesh, or one without area, comes back as it is. Edges of more than two faces
-    and the rims of open meshes are left where they are.
+    Positions come back in float64. An empty mesh, or one without area, comes back as it is. Edges of more than two
+    faces and the rims of open meshes are left where they are.
     """
     edge_length = float(edge_length)
     if len(faces) == 0 or not np.isfinite(edge_length) or edge_length <= 0 or not np.isfinite(positions).all():
@@ -64,10 +65,11 @@ class _Surface:
 
         # open3d works in float32: about the centre nothing is lost
         self._center = 0.5 * (positions.min(axis=0) + positions.max(axis=0))
-        self._tensor = open3d.core.Tensor
+        self._tensor = open3d.core.Tensor.from_numpy
         self._scene = open3d.t.geometry.RaycastingScene(nthreads=0)
-        self._scene.add_triangles(self._tensor((positions - self._center).astype(np.float32)),
-                                  self._tensor(faces.astype(np.uint32)))
+        self._scene.add_triangles(
+            self._tensor((positions - self._center).astype(np.float32)), self._tensor(faces.astype(np.uint32))
+        )
 
     def nearest(self, points: Positions) -> Positions:
         found = self._scene.compute_closest_points(self._tensor((points - self._center).astype(np.float32)))
@@ -121,7 +123,9 @@ def _normals(positions: Positions, faces: Faces) -> Positions:
 
 
 def _split_long(x: Positions, f: Faces, limit: float) -> tuple[Positions, Faces]:
-    """Halves long edges until none is left; a triangle with one, two or three halved edges becomes two, three or four."""
+    """Halves long edges until none is left; a triangle with one, two or three halved edges becomes two, three or
+    four.
+    """
     for _ in range(12):
         edges = _edges(f, len(x))
         long = _lengths(x, edges.ends) > limit
@@ -142,8 +146,10 @@ def _split_long(x: Positions, f: Faces, limit: float) -> tuple[Positions, Faces]
         parts.append(np.stack([bc, c, ca], 1))
         # the quad a b bc ca along its shorter diagonal
         straight = (np.linalg.norm(x[a] - x[bc], axis=1) <= np.linalg.norm(x[b] - x[ca], axis=1))[:, None]
-        parts += [np.where(straight, np.stack([a, b, bc], 1), np.stack([a, b, ca], 1)),
-                  np.where(straight, np.stack([a, bc, ca], 1), np.stack([b, bc, ca], 1))]
+        parts += [
+            np.where(straight, np.stack([a, b, bc], 1), np.stack([a, b, ca], 1)),
+            np.where(straight, np.stack([a, bc, ca], 1), np.stack([b, bc, ca], 1)),
+        ]
         three = amount == 3
         (a, b, c), (ab, bc, ca) = f[three].T, middle[three].T
         parts += [np.stack(t, 1) for t in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
@@ -177,8 +183,12 @@ def _collapse_short(x: Positions, f: Faces, length: float) -> tuple[Positions, F
     return x, f
 
 
-def _collapsible(x: Positions, f: Faces, edges: _Edges, length: float, random: np.random.Generator) -> NDArray[np.int64]:
-    """Short edges whose neighbourhoods do not meet, chosen by lot (a refused edge must not block its place for ever)."""
+def _collapsible(
+    x: Positions, f: Faces, edges: _Edges, length: float, random: np.random.Generator
+) -> NDArray[np.int64]:
+    """Short edges whose neighbourhoods do not meet, chosen by lot (a refused edge must not block its place for
+    ever).
+    """
     rim = np.zeros(len(x), dtype=bool)
     rim[edges.ends[edges.count != 2].reshape(-1)] = True
     a, b = edges.ends.T
@@ -197,9 +207,12 @@ def _collapsible(x: Positions, f: Faces, edges: _Edges, length: float, random: n
     return index[_keeps_shape(x, f, edges.ends[index], SPLIT * length)]
 
 
-def _link_condition(f: Faces, edges: _Edges, index: NDArray[np.int64], valence: NDArray[np.int64],
-                    vertices: int) -> NDArray[np.bool_]:
-    """Only the two opposite corners may neighbour both ends (else a handle closes), and both must keep three neighbours."""
+def _link_condition(
+    f: Faces, edges: _Edges, index: NDArray[np.int64], valence: NDArray[np.int64], vertices: int
+) -> NDArray[np.bool_]:
+    """Only the two opposite corners may neighbour both ends (else a handle closes), and both must keep three
+    neighbours.
+    """
     from scipy.sparse import csr_matrix
 
     a, b = edges.ends[index].T

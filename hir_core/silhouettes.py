@@ -31,7 +31,9 @@ class SilhouetteTargets:
                 raise CaptureError(f"view {view.name} has no camera; run an initializer that finds cameras first")
             mask = view.pixels(downsample).mask
             if mask is None:
-                raise CaptureError(f"view {view.name} has no mask; name a mask source, such as: --set 'masks=[\"grabcut\"]'")
+                raise CaptureError(
+                    f"view {view.name} has no mask; name a mask source, such as: --set 'masks=[\"grabcut\"]'"
+                )
             if not np.isfinite(mask).all():
                 raise CaptureError(f"the mask of view {view.name} holds values that are not finite; write it again")
             cameras.append(view.camera.downsampled(downsample))

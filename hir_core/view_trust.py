@@ -20,7 +20,9 @@ class ViewTrust:
         self._settled = False
 
     def update(self, views: list[int], errors: NDArray[np.float64], settled: bool) -> NDArray[np.float64]:
-        """Notes the errors of a batch and returns its weights; all 1 until the fit has `settled`, when misfits mean something."""
+        """Notes the errors of a batch and returns its weights; all 1 until the fit has `settled`, when misfits mean
+        something.
+        """
         self._errors[views] = errors
         self._settled = settled
         return self._weights()[views]

@@ -1,8 +1,8 @@
 """Silhouette areas and their exact derivatives from the outline alone.
 
 By Reynolds' transport theorem `dA = ∮ (v·n) dl` and `dI = ∮ M (v·n) dl`: area and overlap move only where the outline
-does. Values are sums of the silhouette's spans along rows and columns of the image, `∫ M` over a span from a prefix sum.
-The cost follows the outline, not pixels × triangles.
+does. Values are sums of the silhouette's spans along rows and columns of the image, `∫ M` over a span from a prefix
+sum. The cost follows the outline, not pixels × triangles.
 """
 # ruff: noqa: TID253 - implementation module
 
@@ -38,10 +38,11 @@ class Contour(GeometryRenderer):
         return ContourTargets.of(SilhouetteTargets.from_views(views, downsample))
 
     def overlap(self, mesh: Mesh, targets: SilhouetteTargets) -> tuple[Float[Tensor, " B"], Float[Tensor, " B"]]:
-        """Area and intersection with the mask in pixels, float64; the mask is interpolated linearly between pixel centres.
+        """Area and intersection with the mask in pixels, float64; the mask is interpolated linearly between pixel
+        centres.
 
-        The derivative of a piece of outline is measured on rows with weight n_x² and on columns with n_y²: each sample's
-        weight is bounded, and both together sample all directions about once a pixel.
+        The derivative of a piece of outline is measured on rows with weight n_x² and on columns with n_y²: each
+        sample's weight is bounded, and both together sample all directions about once a pixel.
         """
         cameras, segments, pixels = self._outline(mesh, targets.cameras)
         views = len(targets)
@@ -66,7 +67,9 @@ class Contour(GeometryRenderer):
         return area, overlap
 
     def render(self, mesh: Mesh, cameras: Sequence[Camera]) -> Float[Tensor, "B H W"]:
-        """Antialiased coverage (box filter), the mean of rows and columns; views smaller than the largest are padded with 0."""
+        """Antialiased coverage (box filter), the mean of rows and columns; views smaller than the largest are padded
+        with 0.
+        """
         batch, segments, pixels = self._outline(mesh, cameras)
         if not cameras:
             return mesh.positions.new_zeros((0, 0, 0))
@@ -88,10 +91,7 @@ class Contour(GeometryRenderer):
     def _outline(self, mesh: Mesh, cameras: Sequence[Camera]) -> tuple[CameraBatch, Segments, Tensor]:
         device = mesh.positions.device
         positions = mesh.positions.detach().double()
-        if not cameras:
-            batch = CameraBatch.of([_ANY], device)
-        else:
-            batch = CameraBatch.of(cameras, device)
+        batch = CameraBatch.of(cameras or [_ANY], device)
         table = self._tables.get(mesh.topology)
         if table is None:
             table = self._tables[mesh.topology] = EdgeTable.of(mesh.topology)
@@ -110,7 +110,9 @@ class Contour(GeometryRenderer):
         return u0 + (v - v0) / (v1 - v0) * (u1 - u0)
 
     @staticmethod
-    def _motion(points: Tensor, segments: Segments, crossings: Crossings, cameras: CameraBatch, pixels: Tensor) -> Tensor:
+    def _motion(
+        points: Tensor, segments: Segments, crossings: Crossings, cameras: CameraBatch, pixels: Tensor
+    ) -> Tensor:
         """Zero, with the derivative of `place` times the squared component of the outline's normal along the line."""
         ends = points.index_select(0, segments.ends[crossings.segment].reshape(-1))
         moving = cameras.project(ends, crossings.view.repeat_interleave(2)).reshape(-1, 2, 2)

@@ -17,7 +17,9 @@ from hir_plugins.geometry_renderers.scanlines import Crossings
 
 @dataclass(frozen=True, eq=False)
 class MaskSums:
-    """One mask, interpolated linearly between pixel centres and constant beyond the outermost, cut to what is not zero."""
+    """One mask, interpolated linearly between pixel centres and constant beyond the outermost, cut to what is not
+    zero.
+    """
 
     left: int
     top: int
@@ -73,8 +75,9 @@ class MaskSums:
         """The same on a device."""
         if self.values.device == device:
             return self
-        return MaskSums(self.left, self.top, self.values.to(device), self.along_rows.to(device),
-                        self.along_columns.to(device))
+        return MaskSums(
+            self.left, self.top, self.values.to(device), self.along_rows.to(device), self.along_columns.to(device)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +100,9 @@ class ContourTargets(SilhouetteTargets):
 
 
 def masks_at(sums: Sequence[MaskSums], crossings: Crossings, lines_per_pixel: int) -> tuple[Tensor, Tensor]:
-    """For each crossing the mask's integral along the line up to it, and the mask there; crossings are ordered by view."""
+    """For each crossing the mask's integral along the line up to it, and the mask there; crossings are ordered by
+    view.
+    """
     across = (crossings.line.to(crossings.place) + 0.5) / lines_per_pixel
     count = torch.bincount(crossings.view, minlength=len(sums)).tolist()
     parts = [

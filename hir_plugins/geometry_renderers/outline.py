@@ -1,9 +1,11 @@
 """Exact outlines of projected triangles: which parts of which mesh edges bound the silhouette.
 
-Orient every projected triangle positively and add up their boundaries. An edge between two triangles on opposite sides of
+Orient every projected triangle positively and add up their boundaries. An edge between two triangles on opposite
+sides of
 it cancels; what is left are the edges whose triangles lie on one side (and open and non-manifold ones), each with a
 multiplicity. Along any line through the image the sum of the multiplicities passed so far is the number of triangles
-that cover the point, at any depth. The outline is where this number leaves or reaches zero. No ray is cast, no offset is
+that cover the point, at any depth. The outline is where this number leaves or reaches zero. No ray is cast, no offset
+is
 chosen, and no closed, oriented or manifold mesh is asked for: the count is an integer and ends at zero on every line.
 """
 # ruff: noqa: TID253 - implementation module
@@ -58,7 +60,12 @@ class EdgeTable:
             here = rank == slot
             pair[edge[here], slot], ways[edge[here], slot] = face[here], way[here]
         rest = rank > 1
-        return cls(topology.edges, (pair[:, 0].contiguous(), pair[:, 1].contiguous()), ways, (edge[rest], face[rest], way[rest]))
+        return cls(
+            topology.edges,
+            (pair[:, 0].contiguous(), pair[:, 1].contiguous()),
+            ways,
+            (edge[rest], face[rest], way[rest]),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,8 +142,9 @@ class CameraBatch:
         xd = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
         yd = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
         k = self.intrinsics[view]
-        return torch.stack([k[:, 0, 0] * xd + k[:, 0, 1] * yd + k[:, 0, 2],
-                            k[:, 1, 0] * xd + k[:, 1, 1] * yd + k[:, 1, 2]], dim=1)
+        return torch.stack(
+            [k[:, 0, 0] * xd + k[:, 0, 1] * yd + k[:, 0, 2], k[:, 1, 0] * xd + k[:, 1, 1] * yd + k[:, 1, 2]], dim=1
+        )
 
 
 def _dot(row: Tensor, points: Tensor) -> Tensor:
@@ -163,12 +171,14 @@ class Segments:
         return torch.cat([positions, a + self.cut_at[:, None].to(positions) * (b - a)])
 
 
-def find_segments(positions: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"], table: EdgeTable,
-                  cameras: CameraBatch) -> Segments:
+def find_segments(
+    positions: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"], table: EdgeTable, cameras: CameraBatch
+) -> Segments:
     """All edges that may bound the silhouette, in float64, without gradient.
 
     A triangle's side is decided in space, by the plane of the triangle and the camera's centre: one matrix product for
-    all views. Where rounding errs, the triangle is a sliver thinner than the rounding itself, and the count stays whole.
+    all views. Where rounding errs, the triangle is a sliver thinner than the rounding itself, and the count stays
+    whole.
     """
     a, b, c = positions.index_select(0, faces.reshape(-1)).reshape(-1, 3, 3).unbind(1)
     normals = torch.linalg.cross(b - a, c - a)
@@ -191,18 +201,29 @@ def find_segments(positions: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"], ta
     if len(edge):
         winding.index_add_(0, edge, sign[face] * way[:, None])
     found, view = winding.nonzero(as_tuple=True)
-    segments = Segments(view, table.ends[found], winding[found, view].to(torch.int64),
-                        table.ends.new_zeros((0, 2)), positions.new_zeros(0))
+    segments = Segments(
+        view,
+        table.ends[found],
+        winding[found, view].to(torch.int64),
+        table.ends.new_zeros((0, 2)),
+        positions.new_zeros(0),
+    )
     return segments if cuts is None else _joined(segments, cuts)
 
 
 def _joined(a: Segments, b: Segments) -> Segments:
-    return Segments(torch.cat([a.view, b.view]), torch.cat([a.ends, b.ends]), torch.cat([a.winding, b.winding]),
-                    b.cut_edges, b.cut_at)
+    return Segments(
+        torch.cat([a.view, b.view]),
+        torch.cat([a.ends, b.ends]),
+        torch.cat([a.winding, b.winding]),
+        b.cut_edges,
+        b.cut_at,
+    )
 
 
-def _cut_triangles(faces: Tensor, depth: Tensor, near: Tensor, straddling: Tensor, sign: Tensor,
-                   vertices: int) -> Segments:
+def _cut_triangles(
+    faces: Tensor, depth: Tensor, near: Tensor, straddling: Tensor, sign: Tensor, vertices: int
+) -> Segments:
     """The parts of straddling triangles in front of the near plane, each as the closed boundary of a polygon."""
     face, view = straddling.nonzero(as_tuple=True)
     corners = faces[face]
@@ -224,12 +245,20 @@ def _cut_triangles(faces: Tensor, depth: Tensor, near: Tensor, straddling: Tenso
     ab, ac = cut.unbind(1)
     # odd corner in front: a, ab, ac; odd corner behind: ab, b, c, ac
     one = torch.stack([torch.stack([first, ab], 1), torch.stack([ab, ac], 1), torch.stack([ac, first], 1)], 1)[odd]
-    two = torch.stack([torch.stack([ab, second], 1), torch.stack([second, third], 1), torch.stack([third, ac], 1),
-                       torch.stack([ac, ab], 1)], 1)[~odd]
+    two = torch.stack(
+        [
+            torch.stack([ab, second], 1),
+            torch.stack([second, third], 1),
+            torch.stack([third, ac], 1),
+            torch.stack([ac, ab], 1),
+        ],
+        1,
+    )[~odd]
     ways = sign[face, view].to(torch.int64)
     return Segments(
         torch.cat([view[odd].repeat_interleave(3), view[~odd].repeat_interleave(4)]),
         torch.cat([one.reshape(-1, 2), two.reshape(-1, 2)]),
         torch.cat([ways[odd].repeat_interleave(3), ways[~odd].repeat_interleave(4)]),
-        edges, at,
+        edges,
+        at,
     )

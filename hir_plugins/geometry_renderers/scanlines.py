@@ -31,8 +31,9 @@ class Crossings:
     """In the frame; the others are where the frame cuts the silhouette, and nothing moves them."""
 
 
-def find_crossings(pixels: Float[Tensor, "N 2 2"], segments: Segments, cameras: CameraBatch, axis: int,
-                   lines_per_pixel: int) -> Crossings:
+def find_crossings(
+    pixels: Float[Tensor, "N 2 2"], segments: Segments, cameras: CameraBatch, axis: int, lines_per_pixel: int
+) -> Crossings:
     """The outline on every row (axis 0) or column (axis 1) of all views, without gradient."""
     along, across = pixels[:, :, axis], pixels[:, :, 1 - axis]
     extent = (cameras.widths, cameras.heights)
@@ -71,5 +72,6 @@ def find_crossings(pixels: Float[Tensor, "N 2 2"], segments: Segments, cameras: 
     before = after - step[order]
     kept = (before > 0) != (after > 0)
     chosen = order[kept]
-    return Crossings(axis, view[chosen], line[chosen], place[chosen], before[kept] > 0, segment[chosen], at[chosen],
-                     inside[chosen])
+    return Crossings(
+        axis, view[chosen], line[chosen], place[chosen], before[kept] > 0, segment[chosen], at[chosen], inside[chosen]
+    )

@@ -1,7 +1,9 @@
 """Soft Rasterizer's silhouettes (Liu et al. 2019, equations 1 and 2), as the paper's phase 2a renders them.
 
-`S = 1 − Π_j (1 − D_j)`, `D_j = sigmoid(δ_j d_j² / σ)`: every triangle near a pixel has a say, hidden ones and those that face
-away included. Exact: the work is cut into small tiles, and a tile is left out only when that is proven to change nothing.
+`S = 1 − Π_j (1 − D_j)`, `D_j = sigmoid(δ_j d_j² / σ)`: every triangle near a pixel has a say, hidden ones and those
+that face
+away included. Exact: the work is cut into small tiles, and a tile is left out only when that is proven to change
+nothing.
 """
 # ruff: noqa: TID253 - implementation module
 
@@ -43,7 +45,9 @@ class SoftSilhouette(GeometryRenderer):
         band = self._band(mesh, cameras) if self._config.band > 0 else None
         images = [self._one(mesh, batch, i, None if band is None else band[i]) for i in range(len(cameras))]
         height, width = max(c.height for c in cameras), max(c.width for c in cameras)
-        return torch.stack([torch.nn.functional.pad(i, (0, width - i.shape[1], 0, height - i.shape[0])) for i in images])
+        return torch.stack(
+            [torch.nn.functional.pad(i, (0, width - i.shape[1], 0, height - i.shape[0])) for i in images]
+        )
 
     def overlap(self, mesh: Mesh, targets: SilhouetteTargets) -> tuple[Float[Tensor, " B"], Float[Tensor, " B"]]:
         """`Σ S` and `Σ M S` over the pixels of each view (Zhu et al. 2023, L_sil)."""

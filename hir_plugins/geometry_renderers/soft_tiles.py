@@ -78,12 +78,13 @@ class Tiles:
         return tiles.reshape(rows * self.columns, -1)[self.open]
 
 
-def gather_tiles(triangles: Float[Tensor, "F 3 2"], height: int, width: int, kernel: Kernel,
-                 band: Bool[Tensor, "H W"] | None = None) -> Tiles:
+def gather_tiles(
+    triangles: Float[Tensor, "F 3 2"], height: int, width: int, kernel: Kernel, band: Bool[Tensor, "H W"] | None = None
+) -> Tiles:
     """Finds the pairs; tiles that no triangle reaches are 0 and in no list.
 
-    `1 − S ≤ Π (1 − D)` over any part of the triangles, and D is at least its value at the tile's farthest point from the
-    triangle's nearest corner: where these lower bounds multiply to less than `PROVEN`, the tile is full.
+    `1 − S ≤ Π (1 − D)` over any part of the triangles, and D is at least its value at the tile's farthest point from
+    the triangle's nearest corner: where these lower bounds multiply to less than `PROVEN`, the tile is full.
     """
     size, device = kernel.tile, triangles.device
     columns, rows = -(-width // size), -(-height // size)
@@ -99,7 +100,9 @@ def gather_tiles(triangles: Float[Tensor, "F 3 2"], height: int, width: int, ker
     fullness = torch.zeros(columns * rows, dtype=torch.float64, device=device)
     for part in _parts(amount, CHUNK):
         triangle = torch.repeat_interleave(part, amount[part])
-        offset = torch.arange(len(triangle), device=device) - (torch.cumsum(amount[part], 0) - amount[part]).repeat_interleave(amount[part])
+        offset = torch.arange(len(triangle), device=device) - (
+            torch.cumsum(amount[part], 0) - amount[part]
+        ).repeat_interleave(amount[part])
         across = span[triangle, 0]
         tile = (low[triangle, 1] + offset // across) * columns + low[triangle, 0] + offset % across
         middle = torch.stack([tile % columns, tile // columns], dim=1).to(triangles.dtype).add(0.5).mul(size)
@@ -132,7 +135,9 @@ def gather_tiles(triangles: Float[Tensor, "F 3 2"], height: int, width: int, ker
 
 
 def _away_from_band(band: Tensor, size: int, rows: int, columns: int, reached: Tensor) -> Bool[Tensor, " N"]:
-    """Tiles without a pixel of the band that lie inside: those that some triangle reaches (outside ones are 0 to 1e-4)."""
+    """Tiles without a pixel of the band that lie inside: those that some triangle reaches (outside ones are 0 to
+    1e-4).
+    """
     padded = torch.nn.functional.pad(band, (0, columns * size - band.shape[1], 0, rows * size - band.shape[0]))
     touched = padded.reshape(rows, size, columns, size).transpose(1, 2).reshape(rows * columns, -1).any(dim=1)
     covered = torch.zeros_like(touched)
@@ -151,8 +156,9 @@ def accumulate(triangles: Float[Tensor, "F 3 2"], tiles: Tiles, kernel: Kernel) 
     return total
 
 
-def gradient(triangles: Float[Tensor, "F 3 2"], tiles: Tiles, kernel: Kernel,
-             weight: Float[Tensor, "T S"]) -> Float[Tensor, "F 3 2"]:
+def gradient(
+    triangles: Float[Tensor, "F 3 2"], tiles: Tiles, kernel: Kernel, weight: Float[Tensor, "T S"]
+) -> Float[Tensor, "F 3 2"]:
     """Derivative of `Σ weight · log Π (1 − D)`. The nearest point of an edge slides along it without changing d²."""
     result = torch.zeros_like(triangles)
     for tile, triangle in _pairs(tiles):
@@ -173,7 +179,9 @@ def gradient(triangles: Float[Tensor, "F 3 2"], tiles: Tiles, kernel: Kernel,
     return result
 
 
-def nearest_edge(points: Float[Tensor, "P S 2"], corners: Float[Tensor, "P 3 2"]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def nearest_edge(
+    points: Float[Tensor, "P S 2"], corners: Float[Tensor, "P 3 2"]
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Squared distance to a triangle's boundary, whether inside, the nearest edge and how far along it (all P S)."""
     distances, fractions, sides = [], [], []
     for k in range(3):

@@ -12,7 +12,9 @@ class LaplacianOptions:
     cotangent: bool = False
     """Weigh neighbours by cotangents instead of equally."""
     scale_free: bool = False
-    """Measure the bending energy ∫ |Δx|² dA (Willmore's, times 4), which knows neither the scene's scale nor the mesh's resolution."""
+    """Measure the bending energy ∫ |Δx|² dA (Willmore's, times 4), which knows neither the scene's scale nor the
+    mesh's resolution.
+    """
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,6 @@
-"""The exact reference: float64 areas of the union of a mesh's projected triangles, by shapely. Shares no code with hir."""
+"""The exact reference: float64 areas of the union of a mesh's projected triangles, by shapely. Shares no code with
+hir.
+"""
 
 from __future__ import annotations
 
@@ -25,6 +27,8 @@ def area(positions: NDArray[np.float64], faces: NDArray[np.int64], camera: Camer
 
 
 def ramp_overlap(positions: NDArray[np.float64], faces: NDArray[np.int64], camera: Camera) -> float:
-    """`∫ x / width` over the silhouette: area times centroid, exact. Linear, so interpolation between pixels is exact too."""
+    """`∫ x / width` over the silhouette: area times centroid, exact. Linear, so interpolation between pixels is exact
+    too.
+    """
     shape = silhouette(positions, faces, camera)
     return float(shape.area * shape.centroid.x / camera.width) if shape.area else 0.0

@@ -21,11 +21,46 @@ Faces = NDArray[np.int64]
 def icosphere(subdivisions: int) -> tuple[Positions, Faces]:
     """Unit sphere of 20·4ⁿ triangles, outward."""
     t = (1 + 5**0.5) / 2
-    v = np.array([[-1, t, 0], [1, t, 0], [-1, -t, 0], [1, -t, 0], [0, -1, t], [0, 1, t], [0, -1, -t], [0, 1, -t],
-                  [t, 0, -1], [t, 0, 1], [-t, 0, -1], [-t, 0, 1]])
-    f = np.array([[0, 11, 5], [0, 5, 1], [0, 1, 7], [0, 7, 10], [0, 10, 11], [1, 5, 9], [5, 11, 4], [11, 10, 2],
-                  [10, 7, 6], [7, 1, 8], [3, 9, 4], [3, 4, 2], [3, 2, 6], [3, 6, 8], [3, 8, 9], [4, 9, 5],
-                  [2, 4, 11], [6, 2, 10], [8, 6, 7], [9, 8, 1]])
+    v = np.array(
+        [
+            [-1, t, 0],
+            [1, t, 0],
+            [-1, -t, 0],
+            [1, -t, 0],
+            [0, -1, t],
+            [0, 1, t],
+            [0, -1, -t],
+            [0, 1, -t],
+            [t, 0, -1],
+            [t, 0, 1],
+            [-t, 0, -1],
+            [-t, 0, 1],
+        ]
+    )
+    f = np.array(
+        [
+            [0, 11, 5],
+            [0, 5, 1],
+            [0, 1, 7],
+            [0, 7, 10],
+            [0, 10, 11],
+            [1, 5, 9],
+            [5, 11, 4],
+            [11, 10, 2],
+            [10, 7, 6],
+            [7, 1, 8],
+            [3, 9, 4],
+            [3, 4, 2],
+            [3, 2, 6],
+            [3, 6, 8],
+            [3, 8, 9],
+            [4, 9, 5],
+            [2, 4, 11],
+            [6, 2, 10],
+            [8, 6, 7],
+            [9, 8, 1],
+        ]
+    )
     v = v / np.linalg.norm(v, axis=1, keepdims=True)
     for _ in range(subdivisions):
         edges = np.sort(np.concatenate([f[:, [0, 1]], f[:, [1, 2]], f[:, [2, 0]]]), axis=1)
@@ -34,7 +69,9 @@ def icosphere(subdivisions: int) -> tuple[Positions, Faces]:
         number = len(v) + inverse.reshape(3, -1)
         v = np.concatenate([v, middle / np.linalg.norm(middle, axis=1, keepdims=True)])
         ab, bc, ca = number
-        f = np.concatenate([np.stack(c, 1) for c in ((f[:, 0], ab, ca), (ab, f[:, 1], bc), (ca, bc, f[:, 2]), (ab, bc, ca))])
+        f = np.concatenate(
+            [np.stack(c, 1) for c in ((f[:, 0], ab, ca), (ab, f[:, 1], bc), (ca, bc, f[:, 2]), (ab, bc, ca))]
+        )
     return v, f
 
 
@@ -59,7 +96,9 @@ def torus(around: int = 48, tube: int = 24, small: float = 0.35) -> tuple[Positi
     here = a * tube + b
     right, up = (a + 1) % around * tube + b, a * tube + (b + 1) % tube
     both = (a + 1) % around * tube + (b + 1) % tube
-    f = np.concatenate([np.stack([here, right, both], -1).reshape(-1, 3), np.stack([here, both, up], -1).reshape(-1, 3)])
+    f = np.concatenate(
+        [np.stack([here, right, both], -1).reshape(-1, 3), np.stack([here, both, up], -1).reshape(-1, 3)]
+    )
     return v.reshape(-1, 3), f
 
 
@@ -73,7 +112,9 @@ def camera(size: int, eye: tuple[float, float, float], focal: float = 1.4, heigh
     pose[:3, :3] = np.stack([x, np.cross(z, x), z])
     pose[:3, 3] = -pose[:3, :3] @ place
     height = height or size
-    return Camera(np.array([[focal * size, 0, size / 2], [0, focal * size, height / 2], [0, 0, 1.0]]), pose, size, height)
+    return Camera(
+        np.array([[focal * size, 0, size / 2], [0, focal * size, height / 2], [0, 0, 1.0]]), pose, size, height
+    )
 
 
 def facing(size: int, pixels_per_unit: float = 1.0) -> Camera:

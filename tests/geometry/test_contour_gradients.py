@@ -44,7 +44,7 @@ def relative_errors(positions: np.ndarray, faces: np.ndarray, size: int, overlap
         gradient = mesh.positions.grad.double().numpy()
         reference = polygons.ramp_overlap if overlap else polygons.area
         for direction in smooth_directions(positions, 2, seed=5):
-            exact.append(slope(lambda p, v=view: reference(p, faces, v), positions, direction))
+            exact.append(slope(lambda p, v=view, r=reference: r(p, faces, v), positions, direction))
             found.append(float((gradient * direction).sum()))
     return (np.array(found) - exact) / np.sqrt(np.mean(np.square(exact)))
 

@@ -1,4 +1,6 @@
-"""Meshes, masks and cameras that break other renderers: finite values and gradients, and the right answer where there is one."""
+"""Meshes, masks and cameras that break other renderers: finite values and gradients, and the right answer where there
+is one.
+"""
 
 from __future__ import annotations
 
@@ -123,7 +125,9 @@ def test_a_scene_far_from_the_origin_keeps_its_sub_pixels() -> None:
     shift[:3, 3] = [1e4, -2e4, 3e4]
     contour = Contour(ContourOptions())
     here = contour.overlap(mesh_of(positions, faces, torch.float64), targets_of([view]))[0]
-    there = contour.overlap(mesh_of(positions + shift[:3, 3], faces, torch.float64), targets_of([view.transformed(shift)]))[0]
+    there = contour.overlap(
+        mesh_of(positions + shift[:3, 3], faces, torch.float64), targets_of([view.transformed(shift)])
+    )[0]
     assert there.item() == pytest.approx(here.item(), rel=1e-6)
 
 

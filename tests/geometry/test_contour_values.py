@@ -44,7 +44,9 @@ def test_the_frame_cuts_the_silhouette(contour: Contour) -> None:
     assert _area(contour, (SQUARE - 7) * [100, 100, 0], TWO, facing(16)) == pytest.approx([256.0], abs=1e-9)
 
 
-@pytest.mark.parametrize("make", [lambda: bumpy_sphere(3), torus, lambda: icosphere(2)], ids=["bumpy", "torus", "sphere"])
+@pytest.mark.parametrize(
+    "make", [lambda: bumpy_sphere(3), torus, lambda: icosphere(2)], ids=["bumpy", "torus", "sphere"]
+)
 def test_areas_agree_with_polygons(contour: Contour, make) -> None:
     positions, faces = make()
     for eye in ((3.0, 1.0, 0.5), (-1.0, 0.4, 3.2), (0.7, 3.0, 1.1)):
@@ -77,7 +79,9 @@ def test_components_in_front_of_each_other_count_once(contour: Contour) -> None:
 def test_open_and_non_manifold_meshes_need_no_special_care(contour: Contour) -> None:
     positions, faces = bumpy_sphere(3)
     half = faces[positions[faces].mean(axis=1)[:, 0] > 0]
-    fin = np.concatenate([half, [[half[0, 0], half[0, 1], len(positions)]], [[half[0, 0], half[0, 1], len(positions) + 1]]])
+    fin = np.concatenate(
+        [half, [[half[0, 0], half[0, 1], len(positions)]], [[half[0, 0], half[0, 1], len(positions) + 1]]]
+    )
     more = np.concatenate([positions, [[1.5, 1.0, 0.2], [0.2, 1.6, -1.0]]])
     for triangles in (half, fin):
         for eye in ((3.0, 1.0, 0.5), (-3.0, 0.7, 0.2)):
@@ -137,7 +141,8 @@ def test_render_is_the_coverage(contour: Contour) -> None:
     columns, rows = np.meshgrid(np.arange(64), np.arange(64))
     exact = shapely.area(shapely.intersection(shapely.box(columns, rows, columns + 1, rows + 1), outline))
     assert image.sum() == pytest.approx(exact.sum(), rel=2e-4)
-    # four lines a pixel, midpoint rule: where the coverage of a line runs from 0 to 1 within the pixel, off by an eighth
+    # four lines a pixel, midpoint rule: where the coverage of a line runs from 0 to 1 within the pixel, off by an
+    # eighth
     assert np.abs(image - exact).max() < 1 / 8
     fine = Contour(ContourOptions(render_lines=16)).render(mesh_of(positions, faces), [view])[0].double().numpy()
     assert np.abs(fine - exact).max() < 1 / 32

@@ -76,15 +76,21 @@ def test_paper_values_on_an_octahedron() -> None:
 
 def test_bending_of_a_sphere_is_that_of_calculus() -> None:
     # ∫ |Δx|² = ∫ (2H)² = 4 · 4π, for every sphere
-    assert _value(TERMS["bending"](), mesh_of(*icosphere(4), torch.float64)).item() == pytest.approx(16 * np.pi, rel=0.02)
+    assert _value(TERMS["bending"](), mesh_of(*icosphere(4), torch.float64)).item() == pytest.approx(
+        16 * np.pi, rel=0.02
+    )
 
 
 @pytest.mark.parametrize("name", TERMS)
 @pytest.mark.parametrize(
     "mesh",
-    [(np.zeros((3, 3)), np.array([[0, 1, 2]])), (np.zeros((0, 3)), np.zeros((0, 3), int)),
-     (np.eye(3), np.array([[0, 0, 1]])), (np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0.0]]), np.array([[0, 1, 2]])),
-     (np.concatenate([np.eye(3), [[9.0, 9, 9]]]), np.array([[0, 1, 2], [0, 1, 3], [0, 1, 2]]))],
+    [
+        (np.zeros((3, 3)), np.array([[0, 1, 2]])),
+        (np.zeros((0, 3)), np.zeros((0, 3), int)),
+        (np.eye(3), np.array([[0, 0, 1]])),
+        (np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0.0]]), np.array([[0, 1, 2]])),
+        (np.concatenate([np.eye(3), [[9.0, 9, 9]]]), np.array([[0, 1, 2], [0, 1, 3], [0, 1, 2]])),
+    ],
     ids=["a point", "empty", "an edge", "a line", "non-manifold"],
 )
 def test_broken_meshes_give_finite_values_and_gradients(name: str, mesh: tuple[np.ndarray, np.ndarray]) -> None:

@@ -39,8 +39,13 @@ def all_pairs(pixels: Tensor, faces: Tensor, height: int, width: int, sigma: flo
 
 @pytest.mark.parametrize("tile", [1, 4, 16])
 @pytest.mark.parametrize(
-    ("make", "eye"), [(lambda: bumpy_sphere(2), (3.0, 1.0, 0.5)), (lambda: torus(16, 8), (0.4, 0.3, 3.2)),
-                      (lambda: icosphere(0), (1.2, 0.3, 0.8))], ids=["bumpy", "torus", "close"]
+    ("make", "eye"),
+    [
+        (lambda: bumpy_sphere(2), (3.0, 1.0, 0.5)),
+        (lambda: torus(16, 8), (0.4, 0.3, 3.2)),
+        (lambda: icosphere(0), (1.2, 0.3, 0.8)),
+    ],
+    ids=["bumpy", "torus", "close"],
 )
 def test_value_and_gradient_are_those_of_all_pairs(make, eye: tuple[float, float, float], tile: int) -> None:
     view = camera(48, eye, height=40)
@@ -51,7 +56,9 @@ def test_value_and_gradient_are_those_of_all_pairs(make, eye: tuple[float, float
     (soft * weight).sum().backward()
     found = mesh.positions.grad.clone()
     mesh.positions.grad = None
-    pixels = CameraBatch.of([view], torch.device("cpu")).project(mesh.positions, torch.zeros(len(mesh.positions), dtype=int))
+    pixels = CameraBatch.of([view], torch.device("cpu")).project(
+        mesh.positions, torch.zeros(len(mesh.positions), dtype=int)
+    )
     exact = all_pairs(pixels, mesh.faces, 40, 48, options.sigma, options.cutoff)
     (exact * weight).sum().backward()
     # a tile that is taken as full may hide 1e-6 of value, and of that much gradient
@@ -62,7 +69,9 @@ def test_value_and_gradient_are_those_of_all_pairs(make, eye: tuple[float, float
 def test_shared_edges_lower_the_value_by_design() -> None:
     # a pixel centre on the edge that two large triangles share: D = ½ of both, S = ¾
     square = np.array([[0, 0, 0], [32, 0, 0], [32, 32, 0], [0, 32, 0]], float)
-    image = SoftSilhouette(SoftSilhouetteOptions()).render(mesh_of(square, np.array([[0, 1, 2], [0, 2, 3]])), [facing(32)])[0]
+    image = SoftSilhouette(SoftSilhouetteOptions()).render(
+        mesh_of(square, np.array([[0, 1, 2], [0, 2, 3]])), [facing(32)]
+    )[0]
     assert torch.diagonal(image)[8:24].numpy() == pytest.approx(0.75, abs=1e-5)
 
 
@@ -103,7 +112,10 @@ def test_a_sharp_kernel_approaches_the_exact_silhouette() -> None:
     target = targets_of([camera(128, (3.0, 1.0, 0.5))])
     exact = Contour(ContourOptions()).overlap(mesh_of(positions, faces), target)[0].item()
     errors = [
-        abs(SoftSilhouette(SoftSilhouetteOptions(sigma=sigma)).overlap(mesh_of(positions, faces), target)[0].item() - exact)
+        abs(
+            SoftSilhouette(SoftSilhouetteOptions(sigma=sigma)).overlap(mesh_of(positions, faces), target)[0].item()
+            - exact
+        )
         for sigma in (1e-4, 1e-5, 1e-6)
     ]
     assert errors[0] > errors[1] > errors[2] and errors[2] < 0.01 * exact
