@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from hir_plugins.reflectance_renderers.mitsuba_ggx.prepared import PreparedMitsuba
     from hir_plugins.reflectance_renderers.mitsuba_ggx.surface import Surface
 
+_SCOUTS = 16
+"""Rays for each pixel that look for the object before paths are traced."""
+
 
 @final
 class MitsubaGGX(ReflectanceRenderer):
@@ -52,8 +55,8 @@ class MitsubaGGX(ReflectanceRenderer):
         samples = self._config.render_samples
         device = scene.mesh.positions.device
         pixels = _box(scene.mesh, camera).to(device)
-        seen = prepared.coverage(pixels, samples, seed) > 0
-        pixels = pixels[seen]
+        met = prepared.coverage(pixels, min(samples, _SCOUTS), seed) > 0
+        pixels = _with_neighbours(pixels[met], camera)
         image = torch.zeros(camera.height, camera.width, 4, device=device)
         traced = prepared.trace(scene.material, scene.environment, pixels, samples, seed)
         color = torch.cat([traced.color * traced.coverage[:, None], traced.coverage[:, None]], dim=1)
@@ -74,6 +77,14 @@ class MitsubaGGX(ReflectanceRenderer):
             self._cached[1], cameras, config.samples, config.gradient_samples, config.max_depth,
             lambda: mitsuba_on(device),
         )  # fmt: skip
+
+
+def _with_neighbours(pixels: Tensor, camera: Camera) -> Tensor:
+    """The pixels and those around them: the scouts may have missed a rim."""
+    mask = torch.zeros(1, 1, camera.height, camera.width, device=pixels.device)
+    mask[0, 0, pixels[:, 2], pixels[:, 1]] = 1
+    y, x = torch.nn.functional.max_pool2d(mask, 3, 1, 1)[0, 0].nonzero(as_tuple=True)
+    return torch.stack([torch.zeros_like(x), x, y], dim=1)
 
 
 def _box(mesh: Mesh, camera: Camera) -> Tensor:
