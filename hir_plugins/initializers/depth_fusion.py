@@ -105,13 +105,16 @@ def oriented_points(
 
 
 def fuse_into(
-    volume: Volume, maps: Sequence[DepthMap], truncation: float, min_weight: float, doubt: float
+    volume: Volume, maps: Sequence[DepthMap], reach: float, min_weight: float, doubt: float
 ) -> Volume:
     """The hull with what stereo carves out of it (Curless & Levoy 1996): never larger than the hull.
 
-    `volume` is positive inside. Samples with fewer than `min_weight` depths within reach keep the hull's value, and
-    stereo carves only what lies `doubt` in front of what it measured: the least of hull and noise would be too thin.
+    `volume` is positive inside. Samples with fewer than `min_weight` depths, in front of the measured surface or at most
+    `reach` behind it, keep the hull's value. Stereo carves only what lies `doubt` in front of what it measured: the
+    least of hull and noise would be too thin. Distances are cut off at one and a half voxels on both sides, so that far
+    off depths are votes and a few wrong ones do not outweigh the right ones.
     """
+    truncation = 1.5 * volume.spacing
     size = volume.values.shape
     near = np.nonzero(volume.values.reshape(-1) > -2 * volume.spacing)[0]
     index = np.stack(np.unravel_index(near, size), axis=1)
@@ -126,11 +129,11 @@ def fuse_into(
         measured[seen] = depth_map.depth[y[seen], x[seen]]
         # positive behind the measured surface: inside the object
         signed = depth - measured
-        counted = seen & (measured > 0) & (signed < truncation)
-        total[counted] += np.maximum(signed[counted], -truncation)
+        counted = seen & (measured > 0) & (signed < reach)
+        total[counted] += np.clip(signed[counted] + doubt, -truncation, truncation)
         weight[counted] += 1
     known = weight >= min_weight
-    mean = total[known] / weight[known] + doubt
+    mean = total[known] / weight[known]
     values = volume.values.reshape(-1).copy()
     values[near[known]] = np.minimum(values[near[known]], mean)
     return Volume(values.reshape(size).astype(np.float32), volume.origin, volume.spacing)

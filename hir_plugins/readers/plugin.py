@@ -22,7 +22,31 @@ PHOTOS = Component(
     summary="A plain folder of photographs, with masks beside them or without.",
 )
 
+IDR_CAMERAS = Component(
+    name="idr_cameras",
+    target="hir_plugins.readers.idr_cameras:IdrCamerasReader",
+    summary="IDR, NeuS and DTU: cameras.npz with folders image and mask.",
+)
+
+LLFF = Component(
+    name="llff",
+    target="hir_plugins.readers.llff:LlffReader",
+    summary="LLFF: poses_bounds.npy with a folder of images.",
+)
+
+MIDDLEBURY = Component(
+    name="middlebury",
+    target="hir_plugins.readers.middlebury:MiddleburyReader",
+    summary="Middlebury multi-view stereo: *_par.txt beside its images.",
+)
+
+BLENDED_MVS = Component(
+    name="blended_mvs",
+    target="hir_plugins.readers.blended_mvs:BlendedMvsReader",
+    summary="BlendedMVS and MVSNet: cams/*_cam.txt with blended_images.",
+)
+
 
 @hookimpl
 def hir_register_capture_readers() -> list[Component]:
-    return [TRANSFORMS_JSON, COLMAP_MODEL, PHOTOS]
+    return [TRANSFORMS_JSON, COLMAP_MODEL, IDR_CAMERAS, LLFF, MIDDLEBURY, BLENDED_MVS, PHOTOS]

@@ -89,7 +89,7 @@ def test_neighbours_are_near_but_not_too_near() -> None:
 
 
 def hollow_volume() -> tuple[Volume, list[DepthMap]]:
-    """A solid ball, and depth maps of it with a dent of 0.2 in its front; truncation and doubt are a voxel."""
+    """A solid ball, and depth maps of it with a dent of 0.2 in its front."""
     axis = np.linspace(-0.8, 0.8, 41)
     x, y, z = np.meshgrid(axis, axis, axis, indexing="ij")
     values = (0.5 - np.sqrt(x * x + y * y + z * z)).astype(np.float32)
@@ -106,7 +106,7 @@ def hollow_volume() -> tuple[Volume, list[DepthMap]]:
 
 def test_fusion_carves_a_dent_and_never_adds() -> None:
     volume, maps = hollow_volume()
-    fused = fuse_into(volume, maps, truncation=0.12, min_weight=3, doubt=0.02)
+    fused = fuse_into(volume, maps, reach=0.2, min_weight=3, doubt=0.02)
     assert (fused.values <= volume.values).all()
     middle = fused.values[20, 20]
     z = np.linspace(-0.8, 0.8, 41)

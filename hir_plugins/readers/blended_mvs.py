@@ -1,0 +1,68 @@
+"""BlendedMVS and MVSNet captures: `cams/<number>_cam.txt` and `blended_images/<number>.jpg`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final, final
+
+import numpy as np
+
+from hir_core.capture import Array, Capture
+from hir_core.errors import CaptureError
+from hir_core.interfaces import CaptureReader
+from hir_core.plugin import NoOptions
+from hir_plugins.readers.camera_axes import rigid
+from hir_plugins.readers.capture_paths import existing_photo, inside, unique_names
+from hir_plugins.readers.lens_camera import LensCamera, make_view
+from hir_plugins.readers.mask_files import beside
+from hir_plugins.readers.upright import upright
+
+_FOLDERS: Final = ("blended_images", "images", "image")
+
+
+@final
+class BlendedMvsReader(CaptureReader):
+    """Text files `extrinsic` (4×4, world to camera) and `intrinsic` (3×3); OpenCV axes, pixel centres at .0."""
+
+    def __init__(self, config: NoOptions) -> None:
+        del config
+
+    def matches(self, path: Path) -> bool:
+        """A folder `cams` with *_cam.txt."""
+        return (path / "cams").is_dir() and any((path / "cams").glob("*_cam.txt"))
+
+    def splits(self, path: Path) -> list[str]:
+        """Only "train"."""
+        return ["train"]
+
+    def read(self, path: Path, split: str = "train") -> Capture:
+        """Images of all camera files, by name; the world is turned up-right."""
+        if split != "train":
+            raise CaptureError(f"{path} has no split {split!r}; a BlendedMVS capture has only 'train'")
+        folder = next((path / name for name in _FOLDERS if (path / name).is_dir()), None)
+        if folder is None:
+            raise CaptureError(f"{path} has none of the folders {', '.join(_FOLDERS)}")
+        sources = sorted((path / "cams").glob("*_cam.txt"))
+        # the masked versions of the same pictures end in _masked
+        photos = [existing_photo(folder, s.name.removesuffix("_cam.txt"), s) for s in sources]
+        views, poses = [], []
+        for source, photo, name in zip(sources, photos, unique_names(photos, folder), strict=True):
+            inside(path, source.relative_to(path).as_posix(), path)
+            pose, k = _camera(source)
+            # centres at whole numbers there, at .5 here
+            lens = LensCamera(k[0, 0], k[1, 1], k[0, 2] + 0.5, k[1, 2] + 0.5)
+            views.append(make_view(name, photo, lens, pose, str(source), beside(photo, path)))
+            poses.append(pose)
+        capture = Capture(path=path, views=tuple(views), world_from_source=np.eye(4), reader="blended_mvs")
+        return capture.transformed(upright(poses))
+
+
+def _camera(source: Path) -> tuple[Array, Array]:
+    words = source.read_text(encoding="utf-8", errors="replace")[:10000].split()
+    try:
+        at, then = words.index("extrinsic"), words.index("intrinsic")
+        extrinsic = np.array(words[at + 1 : at + 17], dtype=np.float64).reshape(4, 4)
+        intrinsic = np.array(words[then + 1 : then + 10], dtype=np.float64).reshape(3, 3)
+    except ValueError:
+        raise CaptureError(f"{source} needs 'extrinsic' with 16 numbers and 'intrinsic' with 9") from None
+    return rigid(extrinsic, str(source)), intrinsic

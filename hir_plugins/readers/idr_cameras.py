@@ -1,0 +1,82 @@
+"""IDR, NeuS and DTU captures: `cameras.npz` with `world_mat_i` and `scale_mat_i`, folders `image` and `mask`."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Final, final
+
+import numpy as np
+
+from hir_core.capture import Capture, similarity_scale
+from hir_core.errors import CaptureError
+from hir_core.interfaces import CaptureReader
+from hir_core.plugin import NoOptions
+from hir_plugins.readers.capture_paths import PHOTO_SUFFIXES, inside, unique_names
+from hir_plugins.readers.lens_camera import LensCamera, make_view
+from hir_plugins.readers.mask_files import beside
+from hir_plugins.readers.pose_files import decompose_projection, load_arrays
+from hir_plugins.readers.upright import upright
+
+_FILES: Final = ("cameras.npz", "cameras_sphere.npz", "cameras_large.npz", "cameras_hd.npz")
+_FOLDERS: Final = ("image", "images", "rgb")
+
+
+@final
+class IdrCamerasReader(CaptureReader):
+    """Projections are `world_mat`; `scale_mat` carries a unit ball around the object to the files' world."""
+
+    def __init__(self, config: NoOptions) -> None:
+        del config
+
+    def matches(self, path: Path) -> bool:
+        """A folder with one of the usual files of cameras."""
+        return path.is_dir() and _file(path) is not None
+
+    def splits(self, path: Path) -> list[str]:
+        """Only "train"."""
+        return ["train"]
+
+    def read(self, path: Path, split: str = "train") -> Capture:
+        """Photographs in the order of their names, cameras by number; the world is turned up-right."""
+        source = _file(path)
+        if source is None or split != "train":
+            raise CaptureError(f"{path} has no split {split!r}; cameras.npz captures have only 'train'")
+        arrays = load_arrays(source)
+        numbers = sorted(int(m[1]) for name in arrays if (m := re.fullmatch(r"world_mat_(\d+)", name)))
+        photos = _photos(path)
+        if not numbers or len(photos) != len(numbers):
+            raise CaptureError(f"{source} has {len(numbers)} cameras (world_mat_<i>), {path} {len(photos)} images; "
+                               "give one each")
+        views, poses = [], []
+        for number, photo, name in zip(numbers, photos, unique_names(photos, path), strict=True):
+            owner = f"{source}, world_mat_{number}"
+            matrix = arrays[f"world_mat_{number}"]
+            if matrix.shape not in ((4, 4), (3, 4)):
+                raise CaptureError(f"{owner} has the shape {matrix.shape}; 4×4 is needed")
+            k, pose = decompose_projection(matrix[:3], owner)
+            views.append(make_view(name, photo, LensCamera(k[0, 0], k[1, 1], k[0, 2], k[1, 2]), pose, owner,
+                                   beside(photo, path)))  # fmt: skip
+            poses.append(pose)
+        capture = Capture(path=path, views=tuple(views), world_from_source=np.eye(4), reader="idr_cameras")
+        capture = capture.transformed(upright(poses))
+        scale = arrays.get(f"scale_mat_{numbers[0]}")
+        if scale is None or scale.shape != (4, 4) or not similarity_scale(scale) > 1e-12:
+            return capture
+        # the ball around the object becomes the unit ball around the origin
+        center = capture.world_from_source @ [*scale[:3, 3], 1.0]
+        move = np.diag([1 / similarity_scale(scale)] * 3 + [1.0])
+        move[:3, 3] = -center[:3] / similarity_scale(scale)
+        return capture.transformed(move)
+
+
+def _file(path: Path) -> Path | None:
+    return next((path / name for name in _FILES if (path / name).is_file()), None)
+
+
+def _photos(path: Path) -> list[Path]:
+    for name in _FOLDERS:
+        if (path / name).is_dir():
+            found = sorted(p for p in (path / name).iterdir() if p.suffix.lower() in PHOTO_SUFFIXES)
+            return [inside(path, p.relative_to(path).as_posix(), path) for p in found]
+    raise CaptureError(f"{path} has none of the folders {', '.join(_FOLDERS)}")

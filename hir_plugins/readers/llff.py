@@ -1,0 +1,70 @@
+"""LLFF captures: `poses_bounds.npy` and a folder of images."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final, final
+
+import numpy as np
+
+from hir_core.capture import Capture
+from hir_core.errors import CaptureError
+from hir_core.interfaces import CaptureReader
+from hir_core.plugin import NoOptions
+from hir_plugins.readers.camera_axes import OPENCV_FROM_OPENGL, rigid, rigid_inverse
+from hir_plugins.readers.capture_paths import PHOTO_SUFFIXES, inside, unique_names
+from hir_plugins.readers.lens_camera import LensCamera, make_view
+from hir_plugins.readers.mask_files import beside
+from hir_plugins.readers.pose_files import load_arrays
+from hir_plugins.readers.upright import upright
+
+_FOLDERS: Final = ("images", "image", "images_4", "images_8", "images_2")
+
+
+@final
+class LlffReader(CaptureReader):
+    """Rows of 17 numbers: a 3×5 matrix (axes down, right, backwards; place; height, width, focal) and depth bounds."""
+
+    def __init__(self, config: NoOptions) -> None:
+        del config
+
+    def matches(self, path: Path) -> bool:
+        """A folder with poses_bounds.npy."""
+        return (path / "poses_bounds.npy").is_file()
+
+    def splits(self, path: Path) -> list[str]:
+        """Only "train"."""
+        return ["train"]
+
+    def read(self, path: Path, split: str = "train") -> Capture:
+        """Images by name, one row each; the world is turned up-right."""
+        if split != "train":
+            raise CaptureError(f"{path} has no split {split!r}; an LLFF capture has only 'train'")
+        source = path / "poses_bounds.npy"
+        table = load_arrays(source).get("array")
+        if table is None or table.ndim != 2 or table.shape[1] != 17 or not len(table):
+            raise CaptureError(f"{source} does not hold rows of 17 numbers")
+        photos = _photos(path)
+        if len(photos) != len(table):
+            raise CaptureError(f"{source} has {len(table)} cameras, {path} {len(photos)} images; give one each")
+        views, poses = [], []
+        for i, (row, photo, name) in enumerate(zip(table, photos, unique_names(photos, path), strict=True)):
+            owner = f"{source}, row {i}"
+            matrix = row[:15].reshape(3, 5)
+            height, width, focal = matrix[:, 4]
+            # columns are down, right, backwards: to right, up, backwards
+            axes = np.stack([matrix[:, 1], -matrix[:, 0], matrix[:, 2], matrix[:, 3]], axis=1)
+            pose = rigid_inverse(rigid(axes, owner) @ OPENCV_FROM_OPENGL)
+            lens = LensCamera(focal, focal, width / 2, height / 2, width, height)
+            views.append(make_view(name, photo, lens, pose, owner, beside(photo, path)))
+            poses.append(pose)
+        capture = Capture(path=path, views=tuple(views), world_from_source=np.eye(4), reader="llff")
+        return capture.transformed(upright(poses))
+
+
+def _photos(path: Path) -> list[Path]:
+    for name in _FOLDERS:
+        if (path / name).is_dir():
+            found = sorted(p for p in (path / name).iterdir() if p.suffix.lower() in PHOTO_SUFFIXES)
+            return [inside(path, p.relative_to(path).as_posix(), path) for p in found]
+    raise CaptureError(f"{path} has none of the folders {', '.join(_FOLDERS)}")

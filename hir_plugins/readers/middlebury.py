@@ -1,0 +1,61 @@
+"""Middlebury multi-view stereo: `*_par.txt` with a line `name K R t` for each image."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import final
+
+import numpy as np
+
+from hir_core.capture import Capture
+from hir_core.errors import CaptureError
+from hir_core.interfaces import CaptureReader
+from hir_core.plugin import NoOptions
+from hir_plugins.readers.camera_axes import rigid
+from hir_plugins.readers.capture_paths import MAX_TEXT_BYTES, existing_photo, unique_names
+from hir_plugins.readers.lens_camera import LensCamera, make_view
+from hir_plugins.readers.mask_files import beside
+from hir_plugins.readers.upright import upright
+
+
+@final
+class MiddleburyReader(CaptureReader):
+    """The first line is the number of images; each other one a name and 21 numbers: K and R by rows, t. P = K [R t]."""
+
+    def __init__(self, config: NoOptions) -> None:
+        del config
+
+    def matches(self, path: Path) -> bool:
+        """A folder with one *_par.txt."""
+        return path.is_dir() and any(path.glob("*_par.txt"))
+
+    def splits(self, path: Path) -> list[str]:
+        """Only "train"."""
+        return ["train"]
+
+    def read(self, path: Path, split: str = "train") -> Capture:
+        """Images in the order of the file; OpenCV axes, the world turned up-right."""
+        source = next(iter(sorted(path.glob("*_par.txt"))), None)
+        if source is None or split != "train":
+            raise CaptureError(f"{path} has no split {split!r}; a Middlebury capture has only 'train'")
+        if source.stat().st_size > MAX_TEXT_BYTES:
+            raise CaptureError(f"{source} is larger than {MAX_TEXT_BYTES >> 20} MB")
+        text = source.read_text(encoding="utf-8", errors="replace")
+        rows = [line.split() for line in text.splitlines() if line.strip()][1:]
+        if not rows or any(len(row) != 22 for row in rows):
+            raise CaptureError(f"{source} needs a line of a name and 21 numbers for each image")
+        photos = [existing_photo(path, row[0], source) for row in rows]
+        views, poses = [], []
+        for row, photo, name in zip(rows, photos, unique_names(photos, path), strict=True):
+            owner = f"{source}, {row[0]!r}"
+            try:
+                numbers = np.array(row[1:], dtype=np.float64)
+            except ValueError:
+                raise CaptureError(f"{owner}: the line holds something that is not a number") from None
+            k, rotation, place = numbers[:9].reshape(3, 3), numbers[9:18].reshape(3, 3), numbers[18:]
+            pose = rigid(np.concatenate([rotation, place[:, None]], axis=1), owner)
+            lens = LensCamera(k[0, 0], k[1, 1], k[0, 2], k[1, 2])
+            views.append(make_view(name, photo, lens, pose, owner, beside(photo, path)))
+            poses.append(pose)
+        capture = Capture(path=path, views=tuple(views), world_from_source=np.eye(4), reader="middlebury")
+        return capture.transformed(upright(poses))
