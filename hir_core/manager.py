@@ -123,7 +123,7 @@ class PluginManager:
     def create(self, kind: str, name: str, options: Mapping[str, Any] | None = None) -> Any:
         """Builds a component from its options; unknown options and missing extras are clear errors."""
         registered = self.find(kind, name)
-        config = build_options(registered.component.config, options or {}, f"{kind} {name!r}")
+        config: Any = build_options(registered.component.config, options or {}, f"{kind} {name!r}")
         if registered.missing:
             raise MissingExtraError(
                 f"{kind.replace('_', ' ')} {name!r} (from {registered.distribution}) needs "

@@ -16,7 +16,7 @@ def build_options(kind: type[Options], values: Mapping[str, Any], owner: str) ->
     from pydantic import ValidationError
 
     try:
-        checked = _validator(kind)(**values)
+        checked = _validator(kind)(**values)  # type: ignore[arg-type] # classes are hashable
     except ValidationError as error:
         raise ConfigError(f"{owner}: {_sentence(error, kind)}") from None
     except TypeError as error:
