@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import ast
 import json
+import os
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -100,9 +100,12 @@ def test_starts_light(code: str) -> None:
 
 
 def test_hir_plugins_takes_a_second_or_less() -> None:
+    """Seconds of the processor, which do not depend on what else the machine does; the best of three."""
     best = float("inf")
-    for _ in range(3):  # others may use the machine: the best of three is what it takes
-        started = time.perf_counter()
+    for _ in range(3):
+        before = os.times()
         subprocess.run([sys.executable, "-m", "hir_core.cli", "plugins"], capture_output=True, check=True)
-        best = min(best, time.perf_counter() - started)
-    assert best <= 1.0
+        after = os.times()
+        spent = after.children_user + after.children_system - before.children_user - before.children_system
+        best = min(best, spent)
+    assert 0 < best <= 1.0
