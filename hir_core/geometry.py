@@ -45,6 +45,9 @@ NEAR_START = 0.1
 CHECK_STEPS = 25
 """Held-out views are measured this often."""
 
+SETTLED = 0.7
+"""Share of a level's steps before which it does not end."""
+
 PATIENCE_CHECKS = 6
 """A level ends when this many measurements in a row brought nothing."""
 
@@ -62,7 +65,7 @@ def fit_geometry(
     capture = capture.transformed(frame)
     options = context.options.get("geometry_renderer", {}).get(settings.renderer, {})
     renderer: GeometryRenderer = context.plugins.create("geometry_renderer", settings.renderer, options)
-    targets = renderer.prepare(capture.views, settings.downsample)
+    targets = renderer.prepare(capture.views, settings.downsample).to(mesh.positions.device)
     if len(targets) == 0:
         raise StageError("the geometry stage was given no views; name a capture with photographs")
     fit = _Fit(renderer, targets, settings, context, _hold_out(len(targets), settings.held_out))
@@ -187,7 +190,9 @@ def _fit_level(mesh: Mesh, fit: _Fit, level: int, levels: int) -> tuple[Mesh, Op
             return False
         with torch.no_grad():
             errors = fit.errors(mesh.with_positions(decode(unknown)), fit.held)
-        return best.offer(unknown, float(np.median(list(errors.values()))))
+        idle = best.offer(unknown, float(np.median(list(errors.values()))))
+        # at the full rate the error rattles about a plateau; only where the rate has fallen does idleness mean an end
+        return idle and step > SETTLED * steps
 
     checkpoint = Path(context.workspace) / f"level_{level}.npz"
     report = optimize(

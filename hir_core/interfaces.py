@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from hir_core.scene import EnvironmentMap, Material, Mesh, Scene
     from hir_core.selection import Rung
+    from hir_core.silhouettes import SilhouetteTargets
 
     Energy: TypeAlias = Callable[[Scene], Float[Tensor, ""]]
 
@@ -58,15 +59,15 @@ class GeometryRenderer(ABC):
     """Differentiable silhouettes of a mesh."""
 
     @abstractmethod
-    def prepare(self, views: Sequence[View], downsample: int = 1) -> Any:
-        """Targets of those views' masks, on no particular device; anything indexable by a list of view numbers."""
+    def prepare(self, views: Sequence[View], downsample: int = 1) -> SilhouetteTargets:
+        """Targets of those views' masks; a renderer may subclass `SilhouetteTargets` to cache what it needs."""
 
     @abstractmethod
     def render(self, mesh: Mesh, cameras: Sequence[Camera]) -> Float[Tensor, "B H W"]:
         """Antialiased coverage in 0…1, differentiable in the positions where the trait `differentiable` says so."""
 
     @abstractmethod
-    def overlap(self, mesh: Mesh, targets: Any) -> tuple[Float[Tensor, " B"], Float[Tensor, " B"]]:
+    def overlap(self, mesh: Mesh, targets: SilhouetteTargets) -> tuple[Float[Tensor, " B"], Float[Tensor, " B"]]:
         """For each target: area of the silhouette and of its intersection with the mask, in pixels; differentiable."""
 
 

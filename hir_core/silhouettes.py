@@ -47,6 +47,10 @@ class SilhouetteTargets:
         indices = [int(i) for i in chosen]
         return SilhouetteTargets(tuple(self.cameras[i] for i in indices), tuple(self.masks[i] for i in indices))
 
+    def to(self, device: torch.device) -> SilhouetteTargets:
+        """The same with the masks on a device."""
+        return SilhouetteTargets(self.cameras, tuple(m.to(device) for m in self.masks))
+
     @property
     def areas(self) -> Float[Tensor, " B"]:
         """Area of each mask in pixels."""

@@ -98,6 +98,10 @@ class ContourTargets(SilhouetteTargets):
         cameras: tuple[Camera, ...] = tuple(self.cameras[k] for k in i)
         return ContourTargets(cameras, tuple(self.masks[k] for k in i), tuple(self.sums[k] for k in i))
 
+    def to(self, device: torch.device) -> ContourTargets:
+        masks, sums = tuple(m.to(device) for m in self.masks), tuple(s.to(device) for s in self.sums)
+        return ContourTargets(self.cameras, masks, sums)
+
 
 def masks_at(sums: Sequence[MaskSums], crossings: Crossings, lines_per_pixel: int) -> tuple[Tensor, Tensor]:
     """For each crossing the mask's integral along the line up to it, and the mask there; crossings are ordered by

@@ -42,9 +42,8 @@ def mesh_laplacian(mesh: Mesh, cotangent: bool = False, scale_free: bool = False
     """Sparse L (V V) and a weight for each vertex: the energy is `Σ w |(L V)_i|²`.
 
     Rows of L are `mean of the neighbours − vertex`, with equal or cotangent weights. `scale_free` chooses the weights
-    that make
-    the sum an estimate of `∫ |Δx|² dA` (with equal weights only as far as the triangles are regular). A vertex
-    without neighbours, and one whose cotangents sum to nothing, has a row of zeros.
+    that make the sum an estimate of `∫ |Δx|² dA` (with equal weights only as far as the triangles are regular). A
+    vertex without neighbours, and one whose cotangents sum to nothing, has a row of zeros.
     """
     count = len(mesh.positions)
     edges = mesh.topology.edges
