@@ -19,7 +19,7 @@ from hir_core.initialize import initialize
 from hir_core.manager import PluginManager
 from hir_core.pixel_cache import PixelCache
 from hir_core.readers import read_capture
-from hir_core.run_directory import RunDirectory, claimed_run
+from hir_core.run_directory import STAGES, RunDirectory, claimed_run
 from hir_core.session import Session, StopRun, check_until, resolve_device
 
 if TYPE_CHECKING:
@@ -82,9 +82,12 @@ def reconstruct(
             run_stages(Path(capture), session)
         session.finish()
         if directory.scene.is_dir():
-            from hir_core.report import write_report
+            from hir_core.report import refresh_page, write_report
 
-            write_report(directory, plugins, on_message=on_message)
+            if set(session.reused) >= set(STAGES[:-1]) and (directory.report / "views.json").exists():
+                refresh_page(directory)
+            else:
+                write_report(directory, plugins, on_message=on_message)
     return Run(directory, tuple(session.reused))
 
 

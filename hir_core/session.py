@@ -16,7 +16,7 @@ import numpy as np
 
 from hir_core.config import RunConfig
 from hir_core.context import StageContext
-from hir_core.errors import ConfigError
+from hir_core.errors import ConfigError, InputError
 from hir_core.listener import Listener
 from hir_core.machine import describe_machine, peak_memory_bytes, versions
 from hir_core.manager import PluginManager
@@ -61,7 +61,7 @@ class Session:
             ],
             "plugin_problems": list(self.plugins.problems),
             "stages": {},
-            "metrics": {},
+            "metrics": self._old_metrics(),
         }
         old = self.directory.read_timings()
         self.timings = {"machine": describe_machine(self.device), "started": _now(), "stages": old.get("stages", {})}
@@ -86,6 +86,8 @@ class Session:
             self._say(f"{name}: reused, its settings and input are unchanged")
         else:
             value, record = self._run(name, compute, save)
+            if name != "export":
+                self.document["metrics"] = {}  # they are of another asset
             self.plugins.notify("hir_stage_finished", stage=name, scene=scene_of(value), report=record.report)
         self.document["stages"][name] = {"report": record.report, "warnings": record.warnings}
         self._write()
@@ -144,6 +146,15 @@ class Session:
         }
         self._say(f"{name}: {seconds:.1f} s")
         return value, record
+
+    def _old_metrics(self) -> dict[str, Any]:
+        """What `hir evaluate` found of an earlier result, which holds until a stage is computed again."""
+        if not (self.directory.path / "run.json").exists():
+            return {}
+        try:
+            return dict(self.directory.read_run().get("metrics", {}))
+        except (InputError, TypeError, ValueError):
+            return {}
 
     def _write(self) -> None:
         self.directory.write_run(self.document)

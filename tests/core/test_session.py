@@ -98,6 +98,16 @@ def test_failed_stage_is_done_again_with_what_it_left_and_those_before_are_reuse
     assert again.computed == ["atlas"]
 
 
+def test_metrics_stay_until_a_stage_is_computed_again(tmp_path: Path) -> None:
+    Chain(tmp_path).run()
+    directory = RunDirectory(tmp_path)
+    directory.write_run(directory.read_run() | {"metrics": {"test": {"ssim": 0.9}}})
+    Chain(tmp_path).run()
+    assert directory.read_run()["metrics"] == {"test": {"ssim": 0.9}}
+    Chain(tmp_path).run(atlas={"texture_size": 512})
+    assert directory.read_run()["metrics"] == {}
+
+
 def test_until_stops_after_the_stage(tmp_path: Path) -> None:
     chain = Chain(tmp_path, until="geometry")
     with pytest.raises(StopRun):
