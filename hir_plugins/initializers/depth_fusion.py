@@ -109,10 +109,10 @@ def fuse_into(
 ) -> Volume:
     """The hull with what stereo carves out of it (Curless & Levoy 1996): never larger than the hull.
 
-    `volume` is positive inside. Samples with fewer than `min_weight` depths, in front of the measured surface or at most
-    `reach` behind it, keep the hull's value. Stereo carves only what lies `doubt` in front of what it measured: the
-    least of hull and noise would be too thin. Distances are cut off at one and a half voxels on both sides, so that far
-    off depths are votes and a few wrong ones do not outweigh the right ones.
+    `volume` is positive inside. Samples with fewer than `min_weight` depths, in front of the measured surface or at
+    most `reach` behind it, keep the hull's value. Stereo carves only what lies `doubt` in front of what it measured:
+    the least of hull and noise would be too thin. Distances are cut off at one and a half voxels on both sides, so that
+    far off depths are votes and a few wrong ones do not outweigh the right ones.
     """
     truncation = 1.5 * volume.spacing
     size = volume.values.shape

@@ -88,11 +88,11 @@ class StereoOptions:
     """Side of the compared windows in pixels, odd."""
     levels: int = 3
     """Coarse-to-fine levels, each twice the size of the one before."""
-    min_score: float = 0.5
+    min_score: float = 0.8
     """Least correlation of a depth that counts."""
-    min_views: int = 2
+    min_views: int = 3
     """Neighbours that must confirm a depth."""
-    max_pixels: float = 1.0
+    max_pixels: float = 0.5
     """How far apart, in pixels, agreeing depths may be."""
     surface: Literal["auto", "hull", "poisson"] = "auto"
     """`hull` carves the measured depths out of the visual hull; `poisson` fits a surface to the points alone; `auto`

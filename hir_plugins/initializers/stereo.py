@@ -52,8 +52,8 @@ class Stereo(Initializer):
         capture = replace(capture, points=measured.points)
         if volume is not None:
             pixel = measured.pixel
-            reach = max(8 * pixel, 4 * volume.spacing)
-            fused = fuse_into(volume, measured.maps, reach, min_weight=5, doubt=pixel)
+            reach = max(12 * pixel, 4 * volume.spacing)
+            fused = fuse_into(volume, measured.maps, reach, min_weight=8, doubt=pixel)
             positions, faces = keep_large_components(*extract_surface(fused), min_share=0.02)
         else:
             positions, faces = poisson_surface(measured.points, PoissonOptions())

@@ -16,9 +16,10 @@ def extract_surface(volume: Volume) -> tuple[Array, Faces]:
     """The zero surface of a field that is negative on its border: a closed manifold, outward (Lewiner et al. 2003)."""
     from skimage.measure import marching_cubes
 
-    # a sample of exactly zero gives triangles without area
-    values = np.where(np.abs(volume.values) < 1e-6 * volume.spacing, np.float32(-1e-6 * volume.spacing), volume.values)
-    vertices, faces, _, _ = marching_cubes(values, 0.0, allow_degenerate=False)
+    # a sample near zero would put several vertices onto one place; removing them tears the surface
+    least = np.float32(0.01 * volume.spacing)
+    values = np.where(np.abs(volume.values) < least, -least, volume.values)
+    vertices, faces, _, _ = marching_cubes(values, 0.0)
     positions = volume.origin + vertices.astype(np.float64) * volume.spacing
     triangles = faces.astype(np.int64)
     if signed_volume(positions, triangles) < 0:

@@ -36,7 +36,8 @@ class GrabCut(MaskSource):
         images = [_picture(v.pixels(f)) for v, f in zip(capture.views, factors, strict=True)]
         spacing = max(_typical_spacing(points), radius / 60)
         sure = [splat(points, camera, 0.35 * spacing) for camera in cameras]
-        likely = [splat(points, camera, 2.0 * spacing) for camera in cameras]
+        # what starts as object teaches its colours: no more than closes the gaps between points
+        likely = [splat(points, camera, min(spacing, 0.5 * self._config.margin * radius)) for camera in cameras]
         outer = [splat(points, camera, self._config.margin * radius) for camera in cameras]
         masks = [cut(*seeds) for seeds in zip(images, sure, likely, outer, strict=True)]
         for _ in range(self._config.rounds):
@@ -82,8 +83,9 @@ def _again(
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * size + 1, 2 * size + 1))
     solid = region.astype(np.uint8)
     inner, outer = cv2.erode(solid, kernel) > 0, cv2.dilate(solid, kernel) > 0
-    # only the reconstructed points are sure: a hull also fills what lies between jaw and neck
-    return _largest(cut(image, sure & inner, region, outer))
+    # only the reconstructed points are sure: a hull also fills what lies between jaw and neck. Its rim starts as
+    # background, or the colours of the background beside the object would be learnt as the object's
+    return _largest(cut(image, sure & inner, inner, outer))
 
 
 def refine(color_linear: NDArray[np.float32], mask: NDArray[np.bool_], factor: int) -> NDArray[np.float32]:
@@ -112,7 +114,7 @@ def _picture(pixels: Pixels) -> NDArray[np.uint8]:
 def _typical_spacing(points: NDArray[np.floating]) -> float:
     from scipy.spatial import cKDTree
 
-    neighbours, _ = cKDTree(points).query(points, k=min(6, len(points)))
+    neighbours, _ = cKDTree(points).query(points, k=min(4, len(points)))
     return float(np.median(neighbours[:, -1]))
 
 

@@ -33,11 +33,11 @@ def beside(photo: Path, capture: Path) -> Path | None:
     for parent in dict.fromkeys((capture, photo.parent.parent, photo.parent)):
         if not parent.resolve().is_relative_to(capture.resolve()):
             continue
-        for name in FOLDERS:
-            files = _listed(parent / name)
+        # Stanford-ORB: train_mask beside train
+        for name in (*FOLDERS, f"{photo.parent.name}_mask", f"{photo.parent.name}_masks"):
             # photographs in folders of their own (train/a.png) have masks in folders of the same name
             inner = _listed(parent / name / photo.parent.name)
-            found = match_mask(photo, inner) or match_mask(photo, files)
+            found = match_mask(photo, inner) or match_mask(photo, _listed(parent / name))
             if found is not None and found.resolve().is_relative_to(capture.resolve()):
                 return found
     return None

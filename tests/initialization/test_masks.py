@@ -10,17 +10,18 @@ import pytest
 from hir_exporters.conventions import srgb_to_linear
 from PIL import Image
 
-from hir_core.capture import Capture, View
+from hir_core.capture import Capture, OrientedPoints, View
 from hir_core.errors import CaptureError
 from hir_core.plugin import NoOptions
 from hir_plugins.masks.alpha import Alpha
 from hir_plugins.masks.color_key import ColorKey
 from hir_plugins.masks.folder import Folder
-from hir_plugins.masks.options import ColorKeyOptions, FolderOptions
-from hir_plugins.readers.mask_files import match_mask
+from hir_plugins.masks.grabcut import GrabCut
+from hir_plugins.masks.options import ColorKeyOptions, FolderOptions, GrabCutOptions
+from hir_plugins.readers.mask_files import beside, match_mask
 from hir_plugins.readers.photo_file import PhotoFile
 
-from .silhouettes import coverage, hits_sphere, look_at, make_view
+from .silhouettes import Fixed, coverage, dome, hits_sphere, look_at, make_view
 
 
 @pytest.mark.parametrize(
@@ -116,3 +117,39 @@ def test_a_wild_border_is_an_error() -> None:
     view = make_view("a", camera, np.zeros((32, 32), np.float32), color)
     with pytest.raises(CaptureError, match="many colours"):
         ColorKey(ColorKeyOptions()).masks(Capture(Path("x"), (view,)), None)
+
+
+def test_stanford_orb_keeps_masks_beside_each_split(tmp_path: Path) -> None:
+    for folder in ("train", "train_mask", "test_mask"):
+        (tmp_path / folder).mkdir()
+    Image.new("RGB", (8, 8)).save(tmp_path / "train" / "0001.png")
+    Image.new("L", (8, 8), 255).save(tmp_path / "train_mask" / "0001.png")
+    Image.new("L", (8, 8), 0).save(tmp_path / "test_mask" / "0001.png")
+    assert beside(tmp_path / "train" / "0001.png", tmp_path) == tmp_path / "train_mask" / "0001.png"
+
+
+def test_grabcut_finds_a_ball_before_a_room() -> None:
+    """A ball of one colour range before noise of another; its points are known, as a reconstruction would give them."""
+    rng = np.random.default_rng(0)
+    ball = hits_sphere(np.zeros(3), 0.5)
+    views = []
+    for i, camera in enumerate(dome(8, 3.0, np.zeros(3), 130.0, 96)):
+        mask = coverage(camera, ball, samples=2)[..., None]
+        front = np.array([0.5, 0.35, 0.2]) * rng.uniform(0.7, 1.0, (96, 96, 1))
+        back = np.array([0.03, 0.05, 0.09]) * rng.uniform(0.2, 1.5, (96, 96, 1))
+        color = (front * mask + back * (1 - mask)).astype(np.float32)
+        view = make_view(f"{i}", camera, mask[..., 0], color)
+        views.append(replace(view, read=Fixed(replace(view.read(), mask=None))))
+    normals = rng.normal(size=(400, 3))
+    points = 0.5 * normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    room = rng.uniform(-9, 9, (60, 3))
+    cloud = OrientedPoints(np.concatenate([points, room]))
+    capture = Capture(Path("made-in-memory"), tuple(views), points=cloud)
+    masks = GrabCut(GrabCutOptions(max_image_size=96)).masks(capture, None)
+    for view, mask in zip(views, masks, strict=True):
+        assert mask is not None and view.camera is not None
+        true = coverage(view.camera, ball, samples=2) > 0.5
+        # all along the outline, 2π · 130 · 0.5 / 2.96 pixels, less than a pixel and a half off
+        assert ((mask > 0.5) != true).sum() < 1.5 * 138
+    with pytest.raises(CaptureError, match="points"):
+        GrabCut(GrabCutOptions()).masks(replace(capture, points=None), None)

@@ -46,7 +46,7 @@ def painted_cube() -> Capture:
 
 
 def test_depth_is_right_to_a_fraction_of_a_pixel(painted_cube: Capture) -> None:
-    options = StereoOptions(max_image_size=192, levels=2, neighbours=4, planes=48, window=5, device="cpu")
+    options = StereoOptions(max_image_size=192, levels=2, neighbours=4, planes=48, window=5, min_views=2, device="cpu")
     measured = measure(painted_cube, np.zeros(3), 1.1, options)
     errors, shares = [], []
     for found in measured.maps:

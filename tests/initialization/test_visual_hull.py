@@ -125,6 +125,7 @@ def test_an_empty_mask_does_not_carve() -> None:
         solid(hull(replace(capture, views=(*capture.views, black)), vertex_colors=False))
 
 
+@pytest.mark.slow
 def test_an_object_that_some_pictures_cut_off() -> None:
     # the last six cameras come close and show a part of the ball only
     cameras = dome(24, 3.0, np.zeros(3), 120.0, 64) + dome(6, 1.2, np.array([0.2, 0.1, 0.0]), 120.0, 64)
@@ -171,6 +172,7 @@ def test_vertices_take_the_colour_that_views_agree_on() -> None:
     assert np.abs(colors[x < -0.06] - [0.05, 0.05, 0.6]).max() < 1e-3
 
 
+@pytest.mark.slow
 def test_hidden_places_do_not_take_the_colour_in_front_of_them() -> None:
     # a green ball behind a white wall for half of the views: occluded vertices must stay green
     boxes = np.array([[[-0.2, -0.2, -0.2], [0.2, 0.2, 0.2]], [[-0.2, -0.2, 0.6], [0.2, 0.2, 0.7]]])
