@@ -49,9 +49,10 @@ def main(run_folder: str, light: str) -> None:
     grey = Material("paper", torch.full((3,), 0.6), torch.zeros(3), torch.ones(1))
     white = replace(run.scene.environment, radiance=torch.ones_like(run.scene.environment.radiance), to_world=None)  # type: ignore[type-var]
     other = light_of(EnvironmentSource(*parse_light(light)), np.eye(4))
+    plain = replace(other, radiance=other.radiance.mean(dim=2, keepdim=True).expand_as(other.radiance).contiguous())
     flat = replace(material, model="paper", specular_albedo=torch.zeros(3))
     shots: dict[str, Scene] = {
-        "mesh": replace(run.scene, material=grey, environment=white),
+        "mesh": replace(run.scene, material=grey, environment=plain),
         "albedo": replace(run.scene, material=flat, environment=white),
         "fitted light": run.scene,
         "another light": run.lit_by(other),
