@@ -101,7 +101,7 @@ class ReflectanceSettings:
     environment_width: int = 128
     environment_start: float = 0.5
     """Radiance of every texel at first."""
-    roughness_start: float = 0.2
+    roughness_start: float = 0.07
     diffuse_start: float = 0.5
     specular_start: float = 0.04
     light_frame: Literal["auto", "world", "camera"] = "auto"

@@ -1,7 +1,8 @@
 """Which terms of the model a scene needs: a ladder of models, climbed while held-out views gain (DESIGN section 7).
 
 A rung stays when the mean of its per-view gains on held-out views exceeds `SIGNIFICANCE` standard errors of that mean
-and `LEAST_GAIN_DB`: less than that is noise, or nothing that anybody sees.
+and `LEAST_GAIN_DB`: less than that is noise, or nothing that anybody sees. The gain is over the rung below it, fitted
+from the same start for as many steps.
 """
 
 from __future__ import annotations
@@ -21,7 +22,11 @@ if TYPE_CHECKING:
     from hir_core.interfaces import ReflectanceSolver
 
 SIGNIFICANCE = 2.0
-LEAST_GAIN_DB = 0.05
+LEAST_GAIN_DB = 0.1
+FIRST_EFFORT = 0.4
+"""Share of a full fit that the first rung gets, and a light that is tried anew."""
+EFFORT = 0.4
+"""Share of a full fit that each candidate and its control get."""
 HOLD_OUT_EVERY = 8
 FEWEST_VIEWS = 6
 """With fewer views none can be spared: the ladder is not climbed and the default rung is fitted."""
@@ -93,23 +98,25 @@ def climb(
         fit = solver.fit(rung, None, every, 1.0, lambda share: tell(rung.name, share))
         return fit, rung, []
     ladder = _Ladder(solver, training, held_out, tell)
-    ladder.try_rung(Rung(light_frame=_first_frame(settings)))
+    base = Rung(light_frame=_first_frame(settings))
+    ladder.begin(base)
     if settings.light_frame == "auto":
-        ladder.try_rung(Rung(light_frame="camera"), afresh=True, effort=0.2)
+        ladder.vote([replace(base, light_frame="camera")], afresh=True)
     models = ["paper", "dielectric"] if settings.brdf == "auto" else [settings.brdf]
-    base = ladder.rung
-    for model in models:
-        ladder.try_rung(replace(base, brdf=model, specular="uniform"), start=ladder.fits[base])  # type: ignore[arg-type]
-    if ladder.rung.brdf != "diffuse":
-        ladder.try_rung(replace(ladder.rung, colored=True))
-        ladder.try_rung(replace(ladder.rung, specular="map"))
-        ladder.try_rung(replace(ladder.rung, roughness="map"))
+    ladder.vote([replace(ladder.rung, brdf=model, specular="uniform") for model in models])  # type: ignore[arg-type]
     if ladder.rung.light_frame == "world":
-        ladder.try_rung(replace(ladder.rung, bounces=1))
-    return ladder.fits[ladder.rung], ladder.rung, ladder.steps
+        # before the maps: they would paint the light between parts of the object
+        ladder.vote([replace(ladder.rung, bounces=1)])
+    if ladder.rung.brdf != "diffuse":
+        ladder.vote([replace(ladder.rung, colored=True)])
+        ladder.vote([replace(ladder.rung, specular="map")])
+        ladder.vote([replace(ladder.rung, roughness="map")])
+    return ladder.fit, ladder.rung, ladder.steps
 
 
 class _Ladder:
+    """The best fit so far; each vote pits candidates against the same rung fitted as much longer."""
+
     def __init__(
         self, solver: ReflectanceSolver, training: Sequence[int], held_out: Sequence[int],
         tell: Callable[[str, float], None],
@@ -119,25 +126,44 @@ class _Ladder:
         self._held_out = held_out
         self._tell = tell
         self._errors: NDArray[np.float64] = np.empty(0)
-        self.fits: dict[Rung, Any] = {}
+        self.fit: Any = None
         self.rung = Rung()
         self.steps: list[Step] = []
 
-    def try_rung(self, rung: Rung, start: Any = None, afresh: bool = False, effort: float = 0.5) -> None:
-        """Fits a rung, from the best so far unless told otherwise, and keeps it when it is better."""
+    def begin(self, rung: Rung) -> None:
+        """Fits the first rung."""
         began = time.perf_counter()
-        first = not self.steps
-        if start is None and not (first or afresh):
-            start = self.fits[self.rung]
+        self.rung = rung
+        self.fit, self._errors = self._fitted(rung, None, FIRST_EFFORT)
+        self._record(rung, self._errors, 0.0, 0.0, True, began)
+
+    def vote(self, candidates: Sequence[Rung], afresh: bool = False) -> None:
+        """Keeps the best candidate that held-out views prefer to the rung as it is."""
+        start = None
+        if not afresh:
+            # more steps alone lower the error: without this control every rung would look like a gain
+            start = self.fit
+            self.fit, self._errors = self._fitted(self.rung, start, EFFORT)
+        standing = self._errors
+        for rung in candidates:
+            began = time.perf_counter()
+            fit, errors = self._fitted(rung, start, FIRST_EFFORT if afresh else EFFORT)
+            gain, noise = compare(standing, errors)
+            better = float(decibels(errors).mean()) > float(decibels(self._errors).mean())
+            kept = gain > SIGNIFICANCE * noise and gain > LEAST_GAIN_DB and better
+            if kept:
+                self.rung, self.fit, self._errors = rung, fit, errors
+            self._record(rung, errors, gain, noise, kept, began)
+
+    def _fitted(self, rung: Rung, start: Any, effort: float) -> tuple[Any, NDArray[np.float64]]:
         fit = self._solver.fit(rung, start, self._training, effort, lambda share: self._tell(rung.name, share))
-        errors = self._solver.errors(fit, self._held_out)
-        self.fits[rung] = fit
-        gain, noise = (0.0, 0.0) if first else compare(self._errors, errors)
-        kept = first or (gain > SIGNIFICANCE * noise and gain > LEAST_GAIN_DB)
-        if kept:
-            self.rung, self._errors = rung, errors
-        held_out_db = float(np.mean(decibels(errors)))
-        self.steps.append(Step(rung, held_out_db, gain, noise, kept, time.perf_counter() - began))
+        return fit, self._solver.errors(fit, self._held_out)
+
+    def _record(
+        self, rung: Rung, errors: NDArray[np.float64], gain: float, noise: float, kept: bool, began: float
+    ) -> None:
+        level = float(np.mean(decibels(errors)))
+        self.steps.append(Step(rung, level, gain, noise, kept, time.perf_counter() - began))
 
 
 def compare(before: NDArray[np.float64], after: NDArray[np.float64]) -> tuple[float, float]:

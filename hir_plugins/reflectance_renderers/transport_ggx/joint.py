@@ -82,7 +82,7 @@ class Block:
     direct: LinearMap | None
     """Irradiance from the pyramid for each pixel, where the light moves with the camera."""
     color_srgb: Float[Tensor, "P 3"]
-    saturated: Bool[Tensor, "P 1"]
+    saturated: Bool[Tensor, "P 3"]
     view: Int[Tensor, " P"]
 
 
@@ -139,6 +139,8 @@ class FitSettings:
     diffuse_rate: float = 0.06
     specular_rate: float = 0.05
     width_rate: float = 0.08
+    width_hold: float = 0.35
+    """Share of the steps before α moves: under a light that is still flat, every lobe would widen."""
     refresh: int = 15
     """Steps between updates of the lobes to the current α."""
     light_smoothness: float = 1e-4
@@ -184,6 +186,8 @@ def fit(
         loss = torch.nn.functional.huber_loss(difference, torch.zeros_like(difference), delta=settings.huber)
         total = loss + _smoothness(unknowns, settings, edges)
         total.backward()
+        if unknowns.width is not None and unknowns.width.grad is not None and step < settings.width_hold * settings.steps:
+            unknowns.width.grad = None
         if not _finite(optimizer):
             optimizer.zero_grad()
             continue

@@ -16,6 +16,8 @@ from hir_plugins.reflectance_renderers.transport_ggx.transport import Transport
 
 INSIDE = 0.99
 """Pixels whose 3×3 neighbourhood the mask covers at least this much: at the edge the background shines in."""
+CLIPPED = 0.97
+"""Linear value from which a channel of a saturated pixel counts as clipped; averaging blurs it below 1."""
 GRAZING = 0.1
 """Below this cosine a pixel covers too much of the surface, and normals are too uncertain, to teach anything."""
 
@@ -26,7 +28,8 @@ class Photographed:
 
     points: SurfacePoints
     color: Float[Tensor, "P 3"]
-    saturated: Bool[Tensor, "P 1"]
+    saturated: Bool[Tensor, "P 3"]
+    """Channels that the sensor clipped: a yellow may be clipped in red alone."""
 
     def __len__(self) -> int:
         return len(self.points)
@@ -55,8 +58,8 @@ def photographed(
     kept = found.nonzero()[:, 0]
     color = torch.from_numpy(pixels.color_linear[rows, columns]).to(device)
     color = torch.nan_to_num(color, nan=0.0, posinf=0.0, neginf=0.0).clamp_min(0) / capture.views[view].exposure
-    saturated = torch.from_numpy(pixels.saturated[rows, columns]).to(device)[:, None]
-    return Photographed(points.take(kept), color[kept], saturated[kept])
+    clipped = pixels.saturated[rows, columns][:, None] & (pixels.color_linear[rows, columns] >= CLIPPED)
+    return Photographed(points.take(kept), color[kept], torch.from_numpy(clipped).to(device)[kept])
 
 
 def _inside(mask: np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray:

@@ -31,6 +31,10 @@ from hir_plugins.reflectance_renderers.transport_ggx.transport import Transport
 PADDING = 8
 """Rings of texels around charts that repeat their border, for filtering and mip maps."""
 HUBER_SRGB = 0.05
+PRIOR = 0.05
+"""Hold on the vertex solution; without any, texels that few pixels see learn their noise."""
+SMOOTH = 0.02
+"""Weight of differences between neighbouring texels: keeps apart what pixels tell from what they leave open."""
 DARKEST = 0.003
 """Linear value below which the sRGB weight stops growing: noise rules there."""
 
@@ -63,8 +67,8 @@ def solve_scene(
             )
             report(0.8 * (done + 1) / len(views))
         start = texture_of_vertices(mesh, unknowns.diffuse_albedo, surface)
-        start = dilate(start, surface.covered, 1)
-        diffuse, seen = solve_texels(equations, start, HUBER_SRGB)
+        start = dilate(start, surface.covered, PADDING)
+        diffuse, seen = solve_texels(equations, start, HUBER_SRGB, PRIOR, SMOOTH)
         observed = seen & surface.covered
         report(0.9)
 
@@ -74,7 +78,7 @@ def solve_scene(
         material = Material(
             model="paper" if rung.brdf == "paper" else "dielectric",
             diffuse_albedo=finished(diffuse),
-            specular_albedo=_map(mesh, surface, unknowns.specular_albedo, finished) if rung.brdf != "diffuse"
+            specular_albedo=_map(mesh, surface, _rgb(unknowns.specular_albedo), finished) if rung.brdf != "diffuse"
             else diffuse.new_zeros(3),
             roughness=_map(mesh, surface, unknowns.alpha, finished) if rung.brdf != "diffuse" else diffuse.new_ones(1),
             observed=observed,
@@ -125,8 +129,8 @@ def _equations(
             a, b = directional_albedo_terms(lobes.n_wo[:, None], alpha)
             gain = gain * (1 - rho_s * a - b).clamp_min(0)
     index, bilinear = bilinear_texels(points.uvs(transport.surface), *size)
-    importance = srgb_slope(part.color.clamp(DARKEST, 1)).square() * ~part.saturated
-    return [TexelEquations(index, bilinear, gain, part.color - specular, importance)]
+    importance = srgb_slope(part.color.clamp(DARKEST, 1)).square()
+    return [TexelEquations(index, bilinear, gain, part.color - specular, importance, part.saturated)]
 
 
 def _light(
@@ -141,9 +145,12 @@ def _map(
     mesh: Mesh, surface: TexelSurface, values: Float[Tensor, "#V C"], finished: Callable[[Tensor], Tensor]
 ) -> Tensor:
     if len(values) == 1:
-        return values[0].expand(3).clone() if values.shape[1] == 1 and values is not None else values[0].clone()
-    texture = finished(texture_of_vertices(mesh, values, surface))
-    return texture
+        return values[0].clone()
+    return finished(texture_of_vertices(mesh, values, surface))
+
+
+def _rgb(values: Float[Tensor, "#V C"]) -> Float[Tensor, "#V 3"]:
+    return values.expand(-1, 3)
 
 
 def _refined_mesh(surface: Surface) -> Mesh:

@@ -17,9 +17,9 @@ from torch import Tensor
 
 from hir_plugins.reflectance_renderers.transport_ggx.linear_map import LinearMap
 
-_PRIOR = 0.02
-"""Weight of the start where pixels are few, as a fraction of the mean weight of a seen texel."""
-_ROUNDS = 2
+FEWEST_PIXELS = 1.0
+"""Pixels that must look at a texel before it counts as observed."""
+_ROUNDS = 3
 _ITERATIONS = 12
 
 
@@ -32,6 +32,8 @@ class TexelEquations:
     gain: Float[Tensor, "P 3"]
     target: Float[Tensor, "P 3"]
     importance: Float[Tensor, "P 3"]
+    at_least: Bool[Tensor, "P 3"]
+    """Where the photograph is clipped: the left side may be larger than the target."""
 
 
 def bilinear_texels(
@@ -59,9 +61,14 @@ def solve_texels(
     equations: list[TexelEquations],
     start: Float[Tensor, "H W 3"],
     huber: float,
-    report: Callable[[int, int], None] = lambda step, steps: None,
+    prior: float,
+    smooth: float = 0.0,
 ) -> tuple[Float[Tensor, "H W 3"], Bool[Tensor, "H W"]]:
-    """Albedo in 0…1 and the texels that some pixel sees with a weight."""
+    """Albedo in 0…1 and the texels that some pixel sees with a weight.
+
+    `prior` and `smooth` are the weights of the start and of differences between neighbouring texels, as fractions of
+    the mean weight of a seen texel.
+    """
     height, width, _ = start.shape
     lookup = LinearMap.from_rows(
         torch.cat([e.index for e in equations]), torch.cat([e.weight for e in equations]), height * width
@@ -69,24 +76,39 @@ def solve_texels(
     gain = torch.cat([e.gain for e in equations])
     target = torch.cat([e.target for e in equations])
     importance = torch.cat([e.importance for e in equations])
+    at_least = torch.cat([e.at_least for e in equations])
     texture = start.reshape(-1, 3).clone()
     anchor = texture.clone()
     seen = lookup.transposed @ torch.ones_like(gain[:, :1])
-    for round_ in range(_ROUNDS):
-        error = importance.sqrt() * (gain * (lookup.matrix @ texture) - target).abs()
-        robust = importance * (huber / error.clamp_min(huber))
+    for _ in range(_ROUNDS):
+        difference = gain * (lookup.matrix @ texture) - target
+        error = importance.sqrt() * difference.abs()
+        satisfied = at_least & (difference > 0)
+        robust = torch.where(satisfied, 0.0, importance * (huber / error.clamp_min(huber)))
         normal = robust * gain * gain
         diagonal = lookup.transposed @ normal
-        prior = _PRIOR * diagonal[seen[:, 0] > 0.5].mean(dim=0).clamp_min(1e-12) if bool((seen > 0.5).any()) else 1.0
+        mean = diagonal[seen[:, 0] > 0.5].mean(dim=0) if bool((seen > 0.5).any()) else diagonal.new_ones(3)
+        hold = (prior * mean).clamp_min(1e-12)
 
-        def apply(x: Tensor, normal: Tensor = normal, prior: Tensor | float = prior) -> Tensor:
-            return lookup.transposed @ (normal * (lookup.matrix @ x)) + prior * x
+        def apply(x: Tensor, normal: Tensor = normal, hold: Tensor = hold) -> Tensor:
+            near = smooth / max(prior, 1e-12) * hold * _differences(x.reshape(height, width, 3)).reshape(-1, 3)
+            return lookup.transposed @ (normal * (lookup.matrix @ x)) + hold * x + near
 
-        right = lookup.transposed @ (robust * gain * target) + prior * anchor
-        texture = _conjugate_gradients(apply, right, texture, 1 / (diagonal + prior), _ITERATIONS)
+        right = lookup.transposed @ (robust * gain * target) + hold * anchor
+        texture = _conjugate_gradients(apply, right, texture, 1 / (diagonal + hold), _ITERATIONS)
         texture = texture.clamp(0, 1)
-        report(round_ + 1, _ROUNDS)
-    return texture.reshape(height, width, 3), (seen > 0.25).reshape(height, width)
+    return texture.reshape(height, width, 3), (seen > FEWEST_PIXELS).reshape(height, width)
+
+
+def _differences(x: Float[Tensor, "H W C"]) -> Float[Tensor, "H W C"]:
+    """Each texel times the number of its neighbours, minus their sum: the gradient of ½ Σ (x_i − x_j)²."""
+    total = torch.zeros_like(x)
+    for dim in (0, 1):
+        if x.shape[dim] > 1:
+            step = x.narrow(dim, 1, x.shape[dim] - 1) - x.narrow(dim, 0, x.shape[dim] - 1)
+            total.narrow(dim, 1, x.shape[dim] - 1).add_(step)
+            total.narrow(dim, 0, x.shape[dim] - 1).sub_(step)
+    return total
 
 
 def _conjugate_gradients(

@@ -1,0 +1,113 @@
+"""The ladder of models: what is kept, what is not, and by which views."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hir_core.config import ReflectanceSettings
+from hir_core.errors import ConfigError
+from hir_core.interfaces import ReflectanceSolver
+from hir_core.selection import HOLD_OUT_EVERY, Rung, climb, compare, forced_rung
+
+
+class Scripted(ReflectanceSolver):
+    """A solver whose held-out error for each rung is given by a function."""
+
+    def __init__(self, error: Callable[[Rung], float], noise: float = 0.0, learning: float = 1.0) -> None:
+        self._error = error
+        self._noise = noise
+        self._learning = learning
+        self.fitted: list[tuple[Rung, tuple[int, ...]]] = []
+
+    def fit(self, rung: Rung, start: Any, views: Sequence[int], effort: float, report: Callable[[float], None]) -> Any:
+        self.fitted.append((rung, tuple(views)))
+        return rung, effort + (start[1] if start else 0.0)
+
+    def errors(self, fit: tuple[Rung, float], views: Sequence[int]) -> np.ndarray:
+        rung, effort = fit
+        spread = np.random.default_rng(len(rung.name)).normal(0, self._noise, len(views))
+        return self._error(rung) * self._learning**effort * np.exp(spread)
+
+    def scene(self, fit: Any, views: Sequence[int], report: Callable[[float], None]) -> Any:
+        raise AssertionError("the ladder asks for no textures")
+
+    def radiance(self, material: Any, environment: Any, pixels: Any) -> Any:
+        raise AssertionError("the ladder asks for no radiance")
+
+
+def chosen(error: Callable[[Rung], float], noise: float = 0.0, views: int = 40, **settings: Any) -> Rung:
+    solver = Scripted(error, noise)
+    return climb(solver, ReflectanceSettings(**settings), views, lambda *_: None)[1]
+
+
+def test_a_matt_scene_stays_diffuse() -> None:
+    assert chosen(lambda rung: 1e-3) == Rung()
+
+
+def test_more_steps_alone_are_no_gain() -> None:
+    """A fit that improves with every step, whatever the rung, climbs nothing."""
+    solver = Scripted(lambda rung: 1e-3, learning=0.3)
+    assert climb(solver, ReflectanceSettings(), 40, lambda *_: None)[1] == Rung()
+
+
+def test_gain_within_its_noise_is_not_kept() -> None:
+    def error(rung: Rung) -> float:
+        return 1e-3 if rung.brdf == "diffuse" else 0.97e-3
+
+    assert chosen(error).brdf != "diffuse", "the same gain without noise is kept"
+    assert chosen(error, noise=1.0).brdf == "diffuse"
+
+
+@pytest.mark.parametrize(
+    "truth",
+    [
+        Rung("paper", "uniform"),
+        Rung("dielectric", "uniform"),
+        Rung("dielectric", "map"),
+        Rung("dielectric", "uniform", "map"),
+        Rung("dielectric", "uniform", colored=True),
+        Rung("dielectric", "map", "map", bounces=1),
+        Rung("paper", "uniform", light_frame="camera"),
+        Rung(bounces=1),
+    ],
+    ids=lambda rung: rung.name,
+)
+def test_every_answer_is_found_where_it_is_right(truth: Rung) -> None:
+    def error(rung: Rung) -> float:
+        wrong = (rung.brdf == truth.brdf, rung.specular == truth.specular, rung.roughness == truth.roughness,
+                 rung.colored == truth.colored, rung.bounces == truth.bounces, rung.light_frame == truth.light_frame)
+        return 1e-3 * 2.0 ** wrong.count(False)
+
+    assert chosen(error) == truth
+
+
+def test_held_out_views_are_never_fitted() -> None:
+    solver = Scripted(lambda rung: 1e-3)
+    climb(solver, ReflectanceSettings(), 24, lambda *_: None)
+    held_out = set(range(24)[HOLD_OUT_EVERY // 2 :: HOLD_OUT_EVERY])
+    assert held_out
+    assert all(held_out.isdisjoint(views) for _, views in solver.fitted)
+
+
+def test_too_few_views_fit_the_default_without_a_vote() -> None:
+    solver = Scripted(lambda rung: 1e-3)
+    _, rung, steps = climb(solver, ReflectanceSettings(), 3, lambda *_: None)
+    assert (rung, steps) == (Rung("dielectric", "uniform"), [])
+    assert solver.fitted == [(rung, (0, 1, 2))]
+
+
+def test_a_named_rung_is_fitted_without_a_vote() -> None:
+    assert chosen(lambda rung: 1e-3, model="roughness_map", brdf="paper") == Rung("paper", "map", "map")
+    with pytest.raises(ConfigError, match="'glossy'; it is auto or one of"):
+        forced_rung(replace(ReflectanceSettings(), model="glossy"))
+
+
+def test_comparison_is_paired() -> None:
+    hard_and_easy = np.array([1e-1, 1e-4, 1e-2])
+    gain, noise = compare(hard_and_easy, hard_and_easy / 10)
+    assert gain == pytest.approx(10)
+    assert noise == pytest.approx(0, abs=1e-9)
