@@ -34,7 +34,7 @@ class Camera:
         return -self.world_to_camera[:3, :3].T @ self.world_to_camera[:3, 3]
 
     def project(self, points: Array) -> tuple[Array, Array]:
-        """Pixels (N, 2) and depths (N,) of world points (N, 3), without distortion; behind the camera: NaN-free, depth ≤ 0."""
+        """Pixels (N, 2) and depths (N,) of world points (N, 3), without distortion; depth ≤ 0 is behind the camera."""
         local = points @ self.world_to_camera[:3, :3].T + self.world_to_camera[:3, 3]
         depth = local[:, 2]
         safe = np.where(np.abs(depth) < 1e-12, 1e-12, depth)
@@ -49,7 +49,7 @@ class Camera:
         return np.broadcast_to(self.center, directions.shape).copy(), directions
 
     def downsampled(self, factor: int) -> Camera:
-        """The camera of the image that `Pixels.downsampled(factor)` makes (borders that do not fill a block are cut)."""
+        """The camera of the image that `Pixels.downsampled(factor)` makes; a border that fills no block is cut."""
         if factor == 1:
             return self
         intrinsics = np.diag([1 / factor, 1 / factor, 1.0]) @ self.intrinsics

@@ -44,7 +44,7 @@ class GeometrySettings:
     remesh: bool = True
     """Go from coarse to fine with isotropic remeshing between levels."""
     levels: int = 0
-    """With `remesh`: meshes of a sixteenth, a quarter and all of the triangles are fitted, for 3. 0: 2 where the start's
+    """With `remesh`: 3 fits meshes of a sixteenth, a quarter and all of the triangles. 0: 2 where the start's
     silhouettes are near the masks, else 3."""
     triangles: int = 0
     """Target number of triangles; 0 derives it from the images' resolution."""
@@ -221,6 +221,7 @@ def _check_components(config: RunConfig, plugins: PluginManager) -> None:
                               f"regularizer {name!r}")
     plugins.find("geometry_renderer", config.geometry.renderer)
     plugins.find("reflectance_renderer", config.reflectance.renderer)
-    for kind, names in (("initializer", config.initializers), ("mask_source", config.masks), ("exporter", config.export)):
+    chains = (("initializer", config.initializers), ("mask_source", config.masks), ("exporter", config.export))
+    for kind, names in chains:
         for name in () if names == "auto" else names:
             plugins.find(kind, name)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import warnings
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -35,7 +38,8 @@ def initialize(
         initializer: Initializer = context.plugins.create("initializer", name, config.initializer.get(name))
         workspace = context.workspace / f"{i + 1}-{name}"
         workspace.mkdir(parents=True, exist_ok=True)
-        capture, scene = initializer.initialize(capture, scene, workspace)
+        with passed_on(context):
+            capture, scene = initializer.initialize(capture, scene, workspace)
         capture = _registered_only(capture, context)
     if scene is None:
         raise StageError(
@@ -52,6 +56,17 @@ def initialize(
     }
     moved = move_scene(scene, working_from_asset).to(context.device)
     return (capture.transformed(working_from_asset), moved), report
+
+
+@contextlib.contextmanager
+def passed_on(context: StageContext) -> Iterator[None]:
+    """Plugins without a context warn as Python does; the user and run.json hear it as they hear any warning."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("default", UserWarning)
+        yield
+    for warning in caught:
+        if issubclass(warning.category, UserWarning):
+            context.warn(" ".join(str(warning.message).split()))
 
 
 def _chain(capture: Capture, config: RunConfig, context: StageContext) -> list[str]:
@@ -84,7 +99,8 @@ def _apply_masks(
         if not needed or needs_cameras is not with_cameras:
             continue
         source: MaskSource = context.plugins.create("mask_source", name, config.mask_source.get(name))
-        masks = source.masks(capture, scene)
+        with passed_on(context):
+            masks = source.masks(capture, scene)
         views = list(capture.views)
         for i in needed:
             if masks[i] is not None:

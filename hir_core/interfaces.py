@@ -104,7 +104,7 @@ class ReflectanceSolver(PreparedReflectance):
 
 
 class ReflectanceRenderer(ABC):
-    """Differentiable shading. Traits: what it is differentiable in (`material`, `environment`, `mesh`), `stochastic`."""
+    """Shading. Traits: what it is differentiable in (`material`, `environment`, `mesh`), `stochastic`."""
 
     @abstractmethod
     def prepare(self, scene: Scene, capture: Capture, downsample: int = 1) -> PreparedReflectance:

@@ -75,7 +75,7 @@ class PluginManager:
         return manager
 
     def register_named(self, name: str) -> None:
-        """Registers a plugin named on the command line: a `.py` file or an importable module. A broken one is an error."""
+        """Registers a plugin named on the command line, a `.py` file or a module; a broken one is an error."""
         try:
             module = _module_from_file(Path(name)) if name.endswith(".py") else import_module(name)
         except Exception as error:
@@ -165,7 +165,8 @@ class PluginManager:
             try:
                 _call(implementation, {argument: document, "asset": asset})
             except Exception as error:
-                raise PluginError(f"{implementation.plugin_name}: {hook} raised {type(error).__name__}: {error}") from error
+                who = implementation.plugin_name
+                raise PluginError(f"{who}: {hook} raised {type(error).__name__}: {error}") from error
 
     def _load(self, entry_point: EntryPoint, distribution: str, version: str) -> None:
         try:

@@ -186,7 +186,7 @@ def fit(
         loss = torch.nn.functional.huber_loss(difference, torch.zeros_like(difference), delta=settings.huber)
         total = loss + _smoothness(unknowns, settings, edges)
         total.backward()
-        if unknowns.width is not None and unknowns.width.grad is not None and step < settings.width_hold * settings.steps:
+        if unknowns.width is not None and step < settings.width_hold * settings.steps:
             unknowns.width.grad = None
         if not _finite(optimizer):
             optimizer.zero_grad()
