@@ -73,7 +73,7 @@ def evaluate_run(
     path = question.capture or run.capture_path
     capture = split_in_working_frame(run, path, question.split, plugins)
     scene, light = _lit(run, path, capture, question, plugins)
-    renderer_name, renderer = reference_renderer(plugins, question.renderer, question.options)
+    renderer_name, renderer = reference_renderer(plugins, question.renderer, question.options, run.bounces)
     perceptual, missing = find_lpips(question.download)
     folder = directory.evaluation(_label(question))
 

@@ -28,6 +28,10 @@ if TYPE_CHECKING:
     from hir_core.manager import PluginManager
 
 
+DIRECT_DEPTH = 2
+"""`max_depth` of direct light alone, in Mitsuba's count."""
+
+
 @dataclass(frozen=True)
 class OpenRun:
     """A finished run in its working frame (object at the origin, radius 1), whatever scale its files have."""
@@ -37,6 +41,13 @@ class OpenRun:
     scene: Scene
     working_from_asset: Array
     asset_from_source: Array
+
+    @property
+    def bounces(self) -> int | None:
+        """Reflections between parts of the object that the fit modelled; None where its stage does not say."""
+        report = self.document.get("stages", {}).get("reflectance", {}).get("report", {})
+        bounces = report.get("bounces")
+        return bounces if isinstance(bounces, int) else None
 
     @property
     def capture_path(self) -> Path:
@@ -76,16 +87,23 @@ def open_for_rendering(directory: RunDirectory, device: str = "cpu") -> OpenRun:
 
 
 def reference_renderer(
-    plugins: PluginManager, name: str = "", options: dict[str, Any] | None = None
+    plugins: PluginManager, name: str = "", options: dict[str, Any] | None = None, bounces: int | None = None
 ) -> tuple[str, ReflectanceRenderer]:
-    """The renderer of that name, else the installed one with the trait `reference`."""
-    if name:
-        return name, plugins.create("reflectance_renderer", name, options)
-    found = [r for r in plugins.components("reflectance_renderer") if "reference" in r.component.traits]
-    if not found:
-        raise PluginError("no reflectance renderer has the trait 'reference'; name one with --renderer")
-    chosen = found[0].component.name
-    return chosen, plugins.create("reflectance_renderer", chosen, options)
+    """The renderer of that name, else the installed one with the trait `reference`.
+
+    `bounces` are the reflections that the run's model has: where the renderer's options have a `max_depth`, and none is
+    given, light is reflected as often. A fit of direct light has taken further reflections into its albedo already.
+    """
+    if not name:
+        found = [r for r in plugins.components("reflectance_renderer") if "reference" in r.component.traits]
+        if not found:
+            raise PluginError("no reflectance renderer has the trait 'reference'; name one with --renderer")
+        name = found[0].component.name
+    given = dict(options or {})
+    known = getattr(plugins.find("reflectance_renderer", name).component.config, "__dataclass_fields__", {})
+    if bounces is not None and "max_depth" in known:
+        given.setdefault("max_depth", DIRECT_DEPTH + bounces)
+    return name, plugins.create("reflectance_renderer", name, given)
 
 
 def render_view(renderer: ReflectanceRenderer, scene: Scene, camera: Camera, label: str) -> NDArray[np.float32]:

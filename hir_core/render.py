@@ -48,7 +48,7 @@ def render_pictures(
     if relight:
         path, strength = parse_light(relight)
         scene = run.lit_by(light_of(EnvironmentSource(path, strength), np.eye(4)))
-    _, chosen = reference_renderer(plugins, renderer, options)
+    _, chosen = reference_renderer(plugins, renderer, options, run.bounces)
     for name, camera in cameras.items():
         image = render_view(chosen, scene, camera, name)
         color, coverage = unassociate(image)

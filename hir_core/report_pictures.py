@@ -32,7 +32,7 @@ def write_pictures(
     """Fills `report/` as a whole with PNGs and returns what the views are: name, figures and file names."""
     run = open_for_rendering(directory)
     capture = split_in_working_frame(run, run.capture_path, "train", plugins)
-    _, renderer = reference_renderer(plugins)
+    _, renderer = reference_renderer(plugins, bounces=run.bounces)
     shown = []
     with atomic_directory(directory.report) as place:
         for i in spread(len(capture.views), VIEWS):
