@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from hir_exporters.conventions import linear_to_srgb
 from numpy.typing import NDArray
 
 from hir_core.capture import Array, Camera, Capture, Pixels, View
+
+if TYPE_CHECKING:
+    from hir_core.interfaces import MaskSource
+    from hir_core.manager import PluginManager
 
 _SIDE = 160
 """Longer side at which pictures are compared."""
@@ -52,6 +57,23 @@ class CaptureCheck:
     headlight: float | None
     """1 for a light carried by the camera, 0 for one that stands in the world; None where it cannot be told."""
     advice: tuple[str, ...] = field(default=())
+
+
+def masked(capture: Capture, plugins: PluginManager) -> Capture:
+    """The capture with the masks that a run would find without cameras, for views that have none yet."""
+    for registered in plugins.components("mask_source"):
+        traits = registered.component.traits
+        if "automatic" not in traits or "needs_cameras" in traits or registered.missing:
+            continue
+        lacking = [i for i, view in enumerate(capture.views) if view.pixels().mask is None]
+        if not lacking:
+            break
+        source: MaskSource = plugins.create("mask_source", registered.component.name)
+        views, masks = list(capture.views), source.masks(capture, None)
+        for i in lacking:
+            views[i] = replace(views[i], mask=masks[i]) if masks[i] is not None else views[i]
+        capture = replace(capture, views=tuple(views))
+    return capture
 
 
 def check_capture(capture: Capture, surface: tuple[Array, Array] | None = None) -> CaptureCheck:

@@ -16,6 +16,7 @@ from hir_exporters.errors import HirError
 from hir_core import __version__
 
 COMMANDS = {
+    "check": "hir_core.cli.check:check_command",
     "reconstruct": "hir_core.cli.reconstruct:reconstruct_command",
     "export": "hir_core.cli.export:export_command",
     "evaluate": "hir_core.cli.evaluate:evaluate_command",

@@ -1,0 +1,140 @@
+"""`hir check`."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from hir_core.cli.options import FOLDER, loudness_options, plugin_option
+from hir_core.errors import InputError
+
+if TYPE_CHECKING:
+    from hir_core.capture import Array, Capture
+    from hir_core.check import CaptureCheck
+
+ROWS = 12
+"""Photographs in the table unless -v asks for all of them: those that stand out most."""
+
+
+@click.command("check")
+@click.argument("capture", type=FOLDER)
+@click.option("--split", default="train", show_default=True, help="The views to check.")
+@click.option("--reader", default="auto", show_default=True, metavar="NAME", help="Who reads the capture.")
+@click.option("--sheet", type=FOLDER, metavar="FILE.png", help="Write a picture of all photographs, masks shown.")
+@click.option("--mesh", type=FOLDER, metavar="FILE", help="The object, in the capture's axes: tells a moving light.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@plugin_option
+@loudness_options
+def check_command(
+    capture: Path,
+    split: str,
+    reader: str,
+    sheet: Path | None,
+    mesh: Path | None,
+    as_json: bool,
+    plugin_files: tuple[str, ...],
+    quiet: bool,
+    verbose: bool,
+) -> None:
+    """Says what is wrong with a capture before anything is fitted: blur, clipping, masks that contradict cameras.
+
+    Reads masks as `hir reconstruct` does where they need no camera. -v lists every photograph.
+    """
+    from hir_core.check import check_capture, contact_sheet, masked
+    from hir_core.manager import PluginManager
+    from hir_core.readers import read_capture
+    from hir_core.run_directory import jsonable
+
+    if sheet is not None and sheet.suffix.lower() != ".png":
+        raise InputError(f"--sheet {sheet}: the picture is a .png; give a name that ends so")
+    plugins = PluginManager.discover(plugin_files)
+    found = masked(read_capture(capture, split, plugins, reader), plugins)
+    if not found.views:
+        raise InputError(f"{capture} holds no photographs in its split {split}; is it the folder of a capture?")
+    check = check_capture(found, None if mesh is None else surface_of(mesh, found))
+    if sheet is not None:
+        from hir_exporters.images import write_png
+
+        write_png(sheet, contact_sheet(found))
+    if as_json:
+        facts = {"path": str(capture), "reader": found.reader, "split": split}
+        click.echo(json.dumps(jsonable(facts | asdict(check)), indent=1))
+        return
+    if not quiet:
+        print_views(check, verbose)
+    click.echo(summary(found, check))
+    for sentence in check.advice:
+        click.echo(f"→ {sentence}")
+    if not check.advice:
+        click.echo("nothing to mend")
+    if sheet is not None and not quiet:
+        click.echo(str(sheet))
+
+
+def surface_of(mesh: Path, capture: Capture) -> tuple[Array, Array]:
+    """Vertices and normals (N, 3) of a mesh in the capture's axes, in the world of the capture's cameras."""
+    import numpy as np
+    import trimesh
+
+    if not mesh.is_file():
+        raise InputError(f"{mesh} is not there; --mesh is a file such as object.obj")
+    try:
+        loaded: Any = trimesh.load(mesh, force="mesh")
+        positions, normals = np.asarray(loaded.vertices, float), np.asarray(loaded.vertex_normals, float)
+    except Exception as error:  # trimesh's readers fail in as many ways as there are formats
+        raise InputError(f"{mesh} cannot be read as a mesh ({type(error).__name__}: {error})") from error
+    if not len(positions) or not np.isfinite(positions).all():
+        raise InputError(f"{mesh} holds no mesh of finite positions")
+    world = capture.world_from_source
+    turned = normals @ world[:3, :3].T
+    length = np.linalg.norm(turned, axis=1, keepdims=True)
+    return positions @ world[:3, :3].T + world[:3, 3], turned / np.maximum(length, 1e-300)
+
+
+def summary(capture: Capture, check: CaptureCheck) -> str:
+    """One line of counts."""
+    sizes = sorted({(v.width, v.height) for v in check.views})
+    masks = sum(v.mask_share is not None for v in check.views)
+    size = f"{sizes[0][0]}×{sizes[0][1]}" + (f" to {sizes[-1][0]}×{sizes[-1][1]}" if len(sizes) > 1 else "")
+    parts = [f"{len(check.views)} photographs of {size} ({capture.reader})"]
+    parts += [f"{check.with_camera} cameras", f"{masks} masks"]
+    scores = sorted(v.agreement for v in check.views if v.agreement is not None)
+    if scores:
+        parts.append(f"masks and cameras agree to {scores[len(scores) // 2]:.2f} (worst {scores[0]:.2f})")
+    if check.directions_covered is not None:
+        parts.append(f"{check.directions_covered:.0%} of all directions covered")
+    if check.headlight is not None:
+        parts.append(f"light follows the camera: {check.headlight:.2f}")
+    return ", ".join(parts)
+
+
+def print_views(check: CaptureCheck, every: bool) -> None:
+    """A table of the photographs; the worst ones unless `every` is asked for."""
+    from rich.console import Console
+    from rich.table import Table
+
+    views = list(check.views)
+    if not every and len(views) > ROWS:
+        worst = sorted(views, key=lambda v: (v.agreement if v.agreement is not None else 1.0, v.sharpness))[:ROWS]
+        views = [view for view in views if view in worst]
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for heading in ("photograph", "size", "agreement", "sharpness", "clipped", "brightness", "mask"):
+        table.add_column(heading, justify="left" if heading == "photograph" else "right")
+    for v in views:
+        table.add_row(
+            v.name.replace("[", "\\["),
+            f"{v.width}×{v.height}",
+            "–" if v.agreement is None else f"{v.agreement:.2f}",
+            f"{v.sharpness:.2f}",
+            f"{v.saturated:.1%}",
+            f"{v.brightness:.3f}",
+            "–" if v.mask_share is None else f"{v.mask_share:.1%}",
+        )
+    console = Console(highlight=False)
+    console.print(table)
+    if len(views) < len(check.views):
+        console.print(f"… the {len(views)} lowest of {len(check.views)}; -v lists all")
