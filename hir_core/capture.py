@@ -120,6 +120,9 @@ class View:
     exposure: float = 1.0
     """Gain of this photograph: its linear values are radiance × exposure."""
     path: Path | None = None
+    """The photograph's file; `hir` computes a run anew when its bytes change."""
+    mask_path: Path | None = None
+    """The file that `read` takes the mask from where that is not the photograph itself; watched like `path`."""
 
     def pixels(self, downsample: int = 1) -> Pixels:
         """Linear colour, mask and saturation at 1/`downsample` of the resolution, without lens distortion."""

@@ -17,16 +17,31 @@ from hir_core.run_directory import read_json, write_json
 
 
 def fingerprint(capture: Capture) -> str:
-    """Hash of all that a fit may look at: each view's name, camera, exposure and file. Nothing else is opened."""
+    """Hash of all that a fit may look at: each view's name, camera, exposure, file and mask, and points that were read.
+
+    No other file is opened.
+    """
     digest = hashlib.blake2b(digest_size=16)
     digest.update(repr((capture.split, capture.light_frame, capture.reader)).encode())
     digest.update(np.ascontiguousarray(capture.world_from_source, dtype=np.float64).tobytes())
     for view in capture.views:
         digest.update(repr((view.name, view.exposure, view.distortion, camera_document(view.camera))).encode())
-        if view.path is not None:
-            with open(view.path, "rb") as stream:
-                digest.update(hashlib.file_digest(stream, "blake2b").digest())
+        for path in (view.path, view.mask_path):
+            # one that is missing counts too: a photograph's bytes must not pass for its mask's
+            digest.update(b"-" if path is None else file_hash(path).encode())
+    if capture.points is not None:
+        for array in (capture.points.positions, capture.points.normals, capture.points.colors):
+            digest.update(b"-" if array is None else np.ascontiguousarray(array, dtype=np.float64).tobytes())
     return digest.hexdigest()
+
+
+def file_hash(path: Path) -> str:
+    """Hash of a file's bytes; one that cannot be read is an `InputError` that names it."""
+    try:
+        with open(path, "rb") as stream:
+            return hashlib.file_digest(stream, "blake2b").hexdigest()
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror}") from error
 
 
 def camera_document(camera: Camera | None) -> dict[str, Any] | None:

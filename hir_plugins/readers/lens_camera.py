@@ -62,4 +62,4 @@ def make_view(
     except CaptureError as error:
         raise CaptureError(f"{owner}: {error}") from None
     read = PhotoFile(photo, mask, orient=orient, lens=fisheye, width=width, height=height)
-    return View(name=name, camera=camera, read=read, distortion=distortion, path=photo)
+    return View(name=name, camera=camera, read=read, distortion=distortion, path=photo, mask_path=mask)

@@ -54,9 +54,10 @@ class PhotosReader(CaptureReader):
             warnings.warn(f"{len(odd)} of {len(photos)} photographs are not {usual[1]}×{usual[0]} as the others are, "
                           f"such as {odd[0]}: they get cameras of their own", stacklevel=2)  # fmt: skip
         names = unique_names(photos, path)
+        masks = [beside(photo, path) for photo in photos]
         views = tuple(
-            View(name, None, PhotoFile(photo, beside(photo, path), orient=True), path=photo)
-            for photo, name in zip(photos, names, strict=True)
+            View(name, None, PhotoFile(photo, mask, orient=True), path=photo, mask_path=mask)
+            for photo, mask, name in zip(photos, masks, names, strict=True)
         )
         return Capture(path=path, views=views, reader="photos")
 

@@ -132,6 +132,25 @@ def test_fingerprint_sees_what_a_fit_sees_and_nothing_else(tmp_path: Path) -> No
     assert fingerprint(capture) != before
 
 
+def test_fingerprint_sees_masks_beside_photographs_and_points(tmp_path: Path) -> None:
+    capture = a_capture(tmp_path)
+    mask = tmp_path / "1_mask.png"
+    mask.write_bytes(bytes([1]))
+    views = list(capture.views)
+    views[1] = replace(views[1], mask_path=mask)
+    masked = replace(capture, views=tuple(views))
+    before = fingerprint(masked)
+    assert before != fingerprint(capture), "a photograph whose mask is a file is not one without a mask"
+    mask.write_bytes(b"redrawn")
+    after = fingerprint(masked)
+    assert after != before
+    mask.unlink()
+    with pytest.raises(InputError, match=r"1_mask\.png cannot be read"):
+        fingerprint(masked)
+    cloud = OrientedPoints(np.zeros((2, 3)))
+    assert len({fingerprint(replace(capture, points=p)) for p in (None, cloud, OrientedPoints(np.ones((2, 3))))}) == 3
+
+
 def test_cameras_json_holds_every_photograph(tmp_path: Path) -> None:
     capture = a_capture(tmp_path)
     registered = replace(capture, views=capture.views[1:])
