@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -16,6 +16,7 @@ from torch import Tensor
 from hir_core.capture import Camera, Capture
 from hir_core.config import GeometrySettings
 from hir_core.context import StageContext
+from hir_core.energies import prepare_energies
 from hir_core.errors import StageError
 from hir_core.interfaces import GeometryRenderer
 from hir_core.large_steps import LargeSteps, UniformAdam
@@ -30,9 +31,6 @@ from hir_core.silhouettes import SilhouetteTargets, intersection_over_union
 from hir_core.untangling import untangle
 from hir_core.view_trust import ViewTrust
 from hir_core.working_frame import unit_similarity
-
-if TYPE_CHECKING:
-    from hir_core.interfaces import Energy
 
 EDGE_PIXELS = 4.0
 """Edges of the final mesh, in pixels: a circle of 50 pixels radius is then off by 0.04 pixels."""
@@ -154,7 +152,7 @@ def _fit_level(mesh: Mesh, fit: _Fit, level: int, levels: int) -> tuple[Mesh, Op
     """Fits one mesh of fixed topology; returns the state that the held-out views liked best."""
     settings, context = fit.settings, fit.context
     scene = Scene(mesh)
-    energies = _energies(scene, settings, context)
+    energies = prepare_energies(scene, settings.regularizers, context)
     batches = Batches(len(fit.train), max(1, settings.views_per_step), context.seed + level)
     steps = settings.iterations_per_view * len(fit.train) if settings.iterations_per_view else settings.iterations
     radius = settings.start_radius or 1.0
@@ -178,10 +176,7 @@ def _fit_level(mesh: Mesh, fit: _Fit, level: int, levels: int) -> tuple[Mesh, Op
         if settings.robust:
             weights = fit.trust.update(views, error.detach().cpu().numpy(), settled=level > 0 or step > steps // 2)
             weight = torch.as_tensor(weights, dtype=error.dtype, device=error.device)
-        terms = {"silhouette": (weight * error).sum() / len(views)}
-        for name, (factor, energy) in energies.items():
-            terms[name] = factor * energy(replace(scene, mesh=current))
-        return terms
+        return {"silhouette": (weight * error).sum() / len(views)} | energies(replace(scene, mesh=current))
 
     best = _Best(unknown)
 
@@ -232,18 +227,6 @@ class _Best:
         else:
             self._idle += 1
         return self._idle >= PATIENCE_CHECKS
-
-
-def _energies(scene: Scene, settings: GeometrySettings, context: StageContext) -> dict[str, tuple[float, Energy]]:
-    energies: dict[str, tuple[float, Energy]] = {}
-    for name, table in settings.regularizers.items():
-        if table is False:
-            continue
-        options: Mapping[str, Any] = {k: v for k, v in table.items() if k != "weight"}
-        weight = float(table.get("weight", 1.0))
-        if weight != 0:
-            energies[name] = weight, context.plugins.create("regularizer", name, options).prepare(scene)
-    return energies
 
 
 def _hold_out(views: int, share: float) -> list[int]:
