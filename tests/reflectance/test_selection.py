@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from hir_core.config import ReflectanceSettings
 from hir_core.errors import ConfigError
 from hir_core.interfaces import ReflectanceSolver

@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from torch import Tensor
+
 from hir_core.capture import Capture, Pixels, View
 from hir_core.scene import EnvironmentMap, Material, Mesh, Scene, Topology
 from hir_plugins.reflectance_renderers.brdf import directional_albedo_terms
@@ -17,7 +19,6 @@ from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGX
 from hir_plugins.reflectance_renderers.transport_ggx.pyramid import Pyramid, texel_directions
 from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGGX
 from hir_plugins.reflectance_renderers.transport_ggx.textures import TexelEquations, bilinear_texels, solve_texels
-from torch import Tensor
 
 from .shapes import icosphere, looking_at
 
@@ -32,7 +33,8 @@ def pixels_of(camera_count: int = 1) -> Tensor:
 
 def view(eye: tuple[float, float, float] = (0.0, 1.0, 4.0)) -> View:
     camera = looking_at(eye, SIZE, SIZE)
-    blank = Pixels(np.zeros((SIZE, SIZE, 3), np.float32), np.ones((SIZE, SIZE), np.float32), np.zeros((SIZE, SIZE), bool))
+    shape = (SIZE, SIZE)
+    blank = Pixels(np.zeros((*shape, 3), np.float32), np.ones(shape, np.float32), np.zeros(shape, bool))
     return View("000", camera, lambda: blank)
 
 

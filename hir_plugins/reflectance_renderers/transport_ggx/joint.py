@@ -63,11 +63,8 @@ class Unknowns:
 
     def detached(self) -> Unknowns:
         """A copy outside the graph."""
-        return Unknowns(*(None if v is None else v.detach().clone() for v in self._values))
-
-    @property
-    def _values(self) -> list[Tensor | None]:
-        return [self.light, self.diffuse, self.specular, self.width]
+        specular, width = (None if v is None else v.detach().clone() for v in (self.specular, self.width))
+        return Unknowns(self.light.detach().clone(), self.diffuse.detach().clone(), specular, width)
 
 
 
@@ -144,6 +141,7 @@ class FitSettings:
     refresh: int = 15
     """Steps between updates of the lobes to the current α."""
     light_smoothness: float = 1e-4
+    light_whiteness: float = 5e-5
     map_smoothness: float = 3e-3
     huber: float = 0.1
     known_light: bool = False
@@ -231,7 +229,9 @@ def _leaves(unknowns: Unknowns, settings: FitSettings) -> Unknowns:
 def _smoothness(unknowns: Unknowns, settings: FitSettings, edges: Tensor) -> Tensor:
     light = unknowns.light
     energy = (light - light.roll(1, 1)).square().mean() + (light[1:] - light[:-1]).square().mean()
-    energy = settings.light_smoothness * energy
+    # lights are whiter than surfaces: what tint both could explain is the surface's
+    chroma = (light - light.mean(dim=-1, keepdim=True)).square().mean()
+    energy = settings.light_smoothness * energy + settings.light_whiteness * chroma
     for value in (unknowns.specular, unknowns.width):
         if value is not None and len(value) > 1:
             energy = energy + settings.map_smoothness * (value[edges[:, 0]] - value[edges[:, 1]]).square().mean()

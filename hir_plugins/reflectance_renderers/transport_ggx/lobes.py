@@ -8,7 +8,8 @@ Directions follow the distribution of visible normals at one width α₀; anothe
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -48,8 +49,8 @@ class Lobes:
 
     def take(self, rows: Tensor) -> Lobes:
         """The lobes of some pixels."""
-        parts = [getattr(self, name)[rows] for name in _PER_PIXEL]
-        return Lobes(*parts, sources=self.sources)
+        parts: dict[str, Any] = {name: getattr(self, name)[rows] for name in _PER_PIXEL}
+        return replace(self, **parts)
 
     def weights(self, alpha: Float[Tensor, "#P 1"]) -> tuple[Float[Tensor, "P K"], Float[Tensor, "P K"]]:
         """Weight of every direction at width α, and its part that Schlick's term takes; differentiable in α."""
@@ -62,7 +63,7 @@ class Lobes:
         return (weight[..., None] * self.bilinear.reshape(*weight.shape, 4)).reshape(self.columns.shape)
 
 
-_PER_PIXEL = [name for name in Lobes.__dataclass_fields__ if name != "sources"]
+_PER_PIXEL = [field.name for field in fields(Lobes) if field.name != "sources"]
 
 
 def trace_lobes(
@@ -88,8 +89,8 @@ def trace_lobes(
         part = slice(start, start + PIXELS_AT_ONCE)
         rows = points.take(torch.arange(len(points), device=points.face.device)[part])
         parts.append(_trace(tracer, rows, face_cells, alpha[part], samples, pyramid, offset, rotation, seed + start))
-    joined = [torch.cat([getattr(p, name) for p in parts]) for name in _PER_PIXEL]
-    return Lobes(*joined, sources=pyramid.texels + cells)
+    joined: dict[str, Any] = {name: torch.cat([getattr(p, name) for p in parts]) for name in _PER_PIXEL}
+    return Lobes(**joined, sources=pyramid.texels + cells)
 
 
 def _trace(tracer, points, face_cells, alpha, samples, pyramid, offset, rotation, seed):  # type: ignore[no-untyped-def]
