@@ -7,7 +7,7 @@ DEMO := demo
 
 help:
 	@echo "make demo      reconstruct the sample capture, export it, say where the files are"
-	@echo "make test      every test that is quick"
+	@echo "make test      lint, then every test that is quick"
 	@echo "make test-all  the slow ones too"
 	@echo "make lint      ruff and mypy"
 	@echo "make clean     remove .venv and what the demo made"
@@ -27,8 +27,8 @@ demo: setup
 	@ls -1 $(DEMO)/files
 	@echo "report:  $(CURDIR)/$(DEMO)/run/report.html"
 
-test: setup-test
-	@$(PYTHON) -m pytest
+test: lint
+	@$(PYTHON) -m pytest -n 2 --dist loadfile
 
 test-all: setup-test
 	@$(PYTHON) -m pytest -m "not gpu"

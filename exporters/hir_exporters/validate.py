@@ -26,12 +26,12 @@ class Finding:
 def validate_gltf(files: Sequence[Path], tools: Path) -> list[Finding]:
     """What Khronos' validator says of .glb and .gltf files; none is a clean file.
 
-    `tools` is the repository's folder of that name, after its setup_validators.sh ran. Raises `ExportError` where
+    `tools` is the repository's folder of that name, after `tools/setup.sh test` ran. Raises `ExportError` where
     node or the validator is missing.
     """
     node = shutil.which("node")
     if node is None or not (tools / "node_modules" / "gltf-validator").is_dir():
-        raise ExportError(f"the glTF validator is not installed; install node and run {tools / 'setup_validators.sh'}")
+        raise ExportError(f"the glTF validator is not installed; install node and run {tools / 'setup.sh'} test")
     command = [node, str(tools / "validate_gltf.cjs"), *map(str, files)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     if done.returncode != 0:

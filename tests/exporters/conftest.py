@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import shutil
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,15 +11,6 @@ import pytest
 from hir_exporters.asset import Asset, AssetEnvironment, AssetMaterial, AssetMesh
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-
-
-@pytest.fixture(scope="session")
-def shared() -> Path:
-    """The folder of test data that is not part of the repository."""
-    folder = Path(os.environ.get("HIR_SHARED", REPOSITORY.parent / "shared"))
-    if not folder.is_dir():
-        pytest.skip(f"no test data at {folder}; set HIR_SHARED to its folder")
-    return folder
 
 
 def sphere_mesh(rings: int = 12, segments: int = 24, wobble: float = 0.0) -> AssetMesh:
@@ -111,9 +100,8 @@ def six_colors() -> np.ndarray:
 @pytest.fixture(scope="session")
 def node_tools() -> Path:
     """The folder of the node programs that check our files, with their packages installed."""
-    if shutil.which("node") is None or shutil.which("npm") is None:
-        pytest.skip("node and npm are not installed; the glTF validator and the reference tangents need them")
     tools = REPOSITORY / "tools"
-    if not (tools / "node_modules" / "gltf-validator").is_dir() or not (tools / "node_modules" / "mikktspace").is_dir():
-        subprocess.run(["sh", str(tools / "setup_validators.sh")], check=True, timeout=300)
+    programs = ("gltf-validator", "mikktspace")
+    if shutil.which("node") is None or not all((tools / "node_modules" / name).is_dir() for name in programs):
+        pytest.skip(f"node, {' or '.join(programs)} is not installed: run tools/setup.sh test")
     return tools

@@ -103,6 +103,6 @@ def test_a_hundred_thousand_triangles_take_no_time(make_sphere: Sphere) -> None:
     import time
 
     mesh = make_sphere(200, 260)
-    start = time.perf_counter()
+    start = time.process_time()
     with_tangents(mesh)
-    assert len(mesh.faces) > 100_000 and time.perf_counter() - start < 5
+    assert len(mesh.faces) > 100_000 and time.process_time() - start < 5

@@ -31,7 +31,7 @@ def shot_document(camera: Camera) -> dict[str, object]:
 
 
 def picture_in_three(
-    chromium: list[str], glb: Path, hdr: Path, camera: Camera, turn_y: float, seconds: float = 90
+    chromium: list[str], glb: Path, hdr: Path, camera: Camera, turn_y: float, seconds: float = 300
 ) -> np.ndarray:
     """sRGB picture (H, W, 4), unassociated, of the asset as three.js shows it."""
     shot = shot_document(camera) | {"turn_y": turn_y}
