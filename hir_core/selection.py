@@ -25,7 +25,7 @@ SIGNIFICANCE = 2.0
 LEAST_GAIN_DB = 0.1
 FIRST_EFFORT = 0.4
 """Share of a full fit that the first rung gets, and a light that is tried anew."""
-EFFORT = 0.4
+EFFORT = 0.5
 """Share of a full fit that each candidate and its control get."""
 HOLD_OUT_EVERY = 8
 FEWEST_VIEWS = 6

@@ -141,7 +141,7 @@ class FitSettings:
     refresh: int = 15
     """Steps between updates of the lobes to the current α."""
     light_smoothness: float = 1e-4
-    light_whiteness: float = 5e-5
+    light_whiteness: float = 1e-3
     map_smoothness: float = 3e-3
     huber: float = 0.1
     known_light: bool = False

@@ -29,6 +29,8 @@ class TransportGGXOptions:
     """Directions of each pixel's lobe while textures are solved: errors average out over the pixels of a texel."""
     light_smoothness: float = 1e-4
     """Weight of differences between neighbouring texels of the light's logarithm."""
+    light_whiteness: float = 1e-3
+    """Weight of the light's chroma: of two explanations of a tint, the surface's wins."""
     known_light: bool = False
     """Hold the light as it is given."""
     block_pixels: int = 65_536

@@ -31,6 +31,12 @@ UPRIGHT = torch.diag(torch.tensor([1.0, -1.0, -1.0]))
 """Axes of a light that the camera carries: y up and z backwards, so that the picture of the light is upright."""
 
 
+WIDE = 0.3
+"""The other width from which a lobe is tried: highlights and sheen lie in two valleys of the loss."""
+PROBE_EFFORT = 0.25
+PROBE_SHARE = 0.4
+
+
 @dataclass(frozen=True, eq=False)
 class Fit:
     """A fitted rung."""
@@ -71,7 +77,10 @@ class TransportSolver(ReflectanceSolver):
         steps = max(1, round(self._options.steps * effort))
         known = self._options.known_light
         settings = FitSettings(steps, rung.brdf, rung.bounces, known_light=known,
-                               light_smoothness=self._options.light_smoothness)
+                               light_smoothness=self._options.light_smoothness,
+                               light_whiteness=self._options.light_whiteness)
+        if rung.brdf != "diffuse" and (start is None or start.unknowns.width is None):
+            unknowns = self._probe(photographs, unknowns, settings, rung)
         blocks = self._blocks(photographs, rung, unknowns)
         fitted = joint.fit(
             self._transport, blocks, unknowns, settings, self._edges,
@@ -168,6 +177,27 @@ class TransportSolver(ReflectanceSolver):
         if rung.roughness == "map" and len(width) == 1:
             width = width.expand(vertices, -1)
         return Unknowns(base.light, base.diffuse, specular.contiguous(), width.contiguous())
+
+    def _probe(
+        self, photographs: Photographed, unknowns: Unknowns, settings: FitSettings, rung: Rung
+    ) -> Unknowns:
+        """The start, narrow or wide, from which a short fit to some of the pixels gets farther."""
+        part = self._thinned(photographs, PROBE_SHARE / 2)
+        short = replace(settings, steps=max(1, round(PROBE_EFFORT * self._options.steps)))
+        assert unknowns.width is not None
+        wide = joint.width_of(torch.full_like(unknowns.width, WIDE))
+        starts = [unknowns, replace(unknowns, width=wide)]
+        losses = [self._short_fit(part, rung, start, short) for start in starts]
+        return starts[losses.index(min(losses))]
+
+    def _short_fit(self, part: Photographed, rung: Rung, start: Unknowns, settings: FitSettings) -> float:
+        losses: list[float] = []
+        joint.fit(
+            self._transport, self._blocks(part, rung, start), start, settings, self._edges,
+            lambda _, loss: losses.append(loss), lambda state: self._blocks(part, rung, state),
+        )
+        last = losses[-max(1, len(losses) // 5) :]
+        return sum(last) / len(last) if last else math.inf
 
     def _albedo_of_photographs(self, photographs: Photographed, rung: Rung, light: Tensor) -> Float[Tensor, "V 3"]:
         """Colour over irradiance at each vertex, held near the mean of all where few pixels see it."""

@@ -19,6 +19,8 @@ from hir_plugins.reflectance_renderers.transport_ggx.linear_map import LinearMap
 
 FEWEST_PIXELS = 1.0
 """Pixels that must look at a texel before it counts as observed."""
+LEAST_INFORMATION = 2.0
+"""Weight of a texel's pixels, in units of the start's, from which it counts as observed."""
 _ROUNDS = 3
 _ITERATIONS = 12
 
@@ -97,7 +99,9 @@ def solve_texels(
         right = lookup.transposed @ (robust * gain * target) + hold * anchor
         texture = _conjugate_gradients(apply, right, texture, 1 / (diagonal + hold), _ITERATIONS)
         texture = texture.clamp(0, 1)
-    return texture.reshape(height, width, 3), (seen > FEWEST_PIXELS).reshape(height, width)
+    # a texel that photographs only touch, or see in the dark, holds what it started from: it was not observed
+    told = (diagonal / hold).mean(dim=1) > LEAST_INFORMATION
+    return texture.reshape(height, width, 3), ((seen[:, 0] > FEWEST_PIXELS) & told).reshape(height, width)
 
 
 def _differences(x: Float[Tensor, "H W C"]) -> Float[Tensor, "H W C"]:
