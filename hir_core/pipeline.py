@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hir_core.capture import Capture
-from hir_core.capture_files import fingerprint, restore_capture, save_capture, write_cameras
+from hir_core.capture_files import fingerprint, read_cameras, restore_capture, save_capture, write_cameras
 from hir_core.config import RunConfig, load_config
 from hir_core.context import StageContext
 from hir_core.errors import CaptureError
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from hir_exporters.asset import Asset
 
     from hir_core.progress import Progress
+    from hir_core.rerender import Rerender
     from hir_core.scene import Scene
 
 
@@ -219,6 +220,7 @@ def export_stage(asset: Asset, config: RunConfig, session: Session) -> Asset:
     from hir_exporters.atomic import atomic_directory
 
     from hir_core.export import export_asset
+    from hir_core.verify import verify_export
 
     def is_light(name: str) -> bool:
         return "environment" in session.plugins.find("exporter", name).component.traits
@@ -228,18 +230,38 @@ def export_stage(asset: Asset, config: RunConfig, session: Session) -> Asset:
         if len(formats) < len(config.export):
             context.warn("the asset has no light, so its light is not exported")
         # as a whole: files of formats that are no longer asked for do not stay
+        verified = {}
         with atomic_directory(session.directory.exports) as place:
             reports = export_asset(asset, formats, place, session.plugins, config.exporter) if formats else {}
+            rerender = _rerender(asset, session)
+            for name, report in reports.items():
+                verified[name] = verify_export(report, asset, config.exporter.get(name), rerender, "no light")
         for name, report in reports.items():
-            for warning in report.warnings:
+            for warning in (*report.warnings, *verified[name].warnings):
                 context.warn(f"{name}: {warning}")
         return asset, {
-            name: {"files": [file.name for file in report.files], "residuals": dict(report.residuals)}
+            name: {
+                "files": [file.name for file in report.files],
+                "residuals": dict(report.residuals),
+                "verified": dict(verified[name].report),
+            }
             for name, report in reports.items()
         }
 
     settings = [list(config.export), config.exporter]
     return session.stage("export", settings, compute, lambda *_: None, lambda _: asset, lambda _: None)
+
+
+def _rerender(asset: Asset, session: Session) -> Rerender | None:
+    """Small pictures of few paths: what an export costs shows in them, and they take seconds."""
+    from hir_core.rerender import Rerender
+
+    cameras = read_cameras(session.directory.cameras)
+    if asset.environment is None or not cameras:
+        return None
+    bounces = session.document["stages"]["reflectance"]["report"].get("bounces")
+    working_from_asset = np.linalg.inv(asset_from_working(session))
+    return Rerender(asset, cameras, working_from_asset, session.plugins, bounces=bounces)
 
 
 def asset_from_working(session: Session) -> np.ndarray:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
@@ -11,6 +13,11 @@ from hir_exporters.asset import Asset
 from hir_exporters.errors import ExportError
 from hir_exporters.materials import metallic_residual, specular_residual
 from hir_exporters.readback import ReadBack, read_gltf, read_usd
+
+READERS: Final[Mapping[str, Callable[[Path], ReadBack]]] = {
+    ".glb": read_gltf, ".gltf": read_gltf, ".usda": read_usd, ".usdc": read_usd, ".usdz": read_usd
+}  # fmt: skip
+"""Who reads a file back, by its suffix."""
 
 
 @dataclass(frozen=True)
@@ -38,16 +45,20 @@ def verify_file(path: Path, asset: Asset, profile: str = "khr") -> Verification:
     formats.
     """
     path = Path(path)
-    if path.suffix in (".glb", ".gltf"):
-        back = read_gltf(path)
-    elif path.suffix in (".usda", ".usdc", ".usdz"):
-        back = read_usd(path)
-    else:
+    return compare(path, asset, read_back(path), profile)
+
+
+def read_back(path: Path) -> ReadBack:
+    """What independent readers see in a file. Raises `ExportError` for suffixes not in `READERS`, `InputError` for
+    files that cannot be read.
+    """
+    if path.suffix not in READERS:
         raise ExportError(f"{path}: no independent reader checks {path.suffix!r} files")
-    return _compare(path, asset, back, profile)
+    return READERS[path.suffix](path)
 
 
-def _compare(path: Path, asset: Asset, back: ReadBack, profile: str) -> Verification:
+def compare(path: Path, asset: Asset, back: ReadBack, profile: str = "khr") -> Verification:
+    """What was read back against the asset; `path` is named in the problems (`verify_file`)."""
     mesh, problems = asset.mesh, []
     if back.corner_positions.shape != (len(mesh.faces), 3, 3):
         problems.append(f"{path.name} has {len(back.corner_positions)} triangles instead of {len(mesh.faces)}")

@@ -30,6 +30,11 @@ from hir_core.errors import ConfigError, InputError
     metavar="KEY=VALUE",
     help="An option of a format, such as glb.max_texture_size=1024.",
 )
+@click.option(
+    "--verify/--no-verify",
+    default=True,
+    help="Read each file back and, for a run, render it again beside the fitted scene; on by default.",
+)
 @plugin_option
 @loudness_options
 def export_command(
@@ -37,6 +42,7 @@ def export_command(
     formats: tuple[str, ...],
     output: Path,
     assignments: tuple[str, ...],
+    verify: bool,
     plugin_files: tuple[str, ...],
     quiet: bool,
     verbose: bool,
@@ -68,7 +74,17 @@ def export_command(
             for file in report.files:
                 click.echo(f"{file}  {file.stat().st_size / 1e6:.2f} MB")
 
-    export_asset(asset, list(dict.fromkeys(formats)), output, plugins, options, told)
+    reports = export_asset(asset, list(dict.fromkeys(formats)), output, plugins, options, told)
+    if verify:
+        from hir_core.verify import rerender_of_run, verify_export
+
+        rerender, why_not = rerender_of_run(run, asset, plugins)
+        for name, report in reports.items():
+            found = verify_export(report, asset, options.get(name), rerender, why_not)
+            for warning in found.warnings:
+                click.echo(f"hir: {name}: {warning}", err=True)
+            if not quiet:
+                click.echo(f"{name}: {found.sentence()}")
 
 
 def scene_folder(run: Path) -> Path:
