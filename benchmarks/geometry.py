@@ -24,7 +24,7 @@ from hir_plugins.geometry_renderers.contour import Contour
 from hir_plugins.geometry_renderers.options import ContourOptions, SoftSilhouetteOptions
 from hir_plugins.geometry_renderers.soft_silhouette import SoftSilhouette
 from tests.geometry import polygons
-from tests.geometry.shapes import bumpy_sphere, camera, mesh_of, targets_of
+from tests.geometry.shapes import bumpy_sphere, camera, mesh_of, smooth_directions, targets_of
 
 EYES = ((3.0, 1.0, 0.5), (-1.0, 0.4, 3.2))
 Gradients = Callable[[list[Camera]], list[NDArray[np.float64]]]
@@ -36,16 +36,6 @@ class Reference:
 
     directions: list[NDArray[np.float64]]
     slopes: NDArray[np.float64]
-
-
-def smooth_directions(positions: NDArray[np.float64], count: int, seed: int = 5) -> list[NDArray[np.float64]]:
-    """Sums of eight plane waves of about the object's size."""
-    random = np.random.default_rng(seed)
-    found = []
-    for _ in range(count):
-        wave, push, phase = random.normal(size=(8, 3)), random.normal(size=(8, 3)), random.uniform(0, 2 * np.pi, 8)
-        found.append(np.sin(2 * positions @ wave.T + phase) @ push / 3)
-    return found
 
 
 def exact(positions: NDArray[np.float64], faces: NDArray[np.int64], step: float = 1e-5) -> Reference:

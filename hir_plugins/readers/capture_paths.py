@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path, PureWindowsPath
 from typing import Any
 
@@ -48,6 +48,15 @@ def existing_photo(folder: Path, name: str, owner: Path) -> Path:
             if candidate.is_file():
                 return inside(folder, name + ending, owner)
     raise CaptureError(f"{owner} names the image {name!r}, which is not in {folder}")
+
+
+def photos_of_first(capture: Path, folders: Sequence[str]) -> list[Path]:
+    """The photographs, by name, of the first of `folders` that the capture has; none of them is a `CaptureError`."""
+    for name in folders:
+        if (capture / name).is_dir():
+            found = sorted(p for p in (capture / name).iterdir() if p.suffix.lower() in PHOTO_SUFFIXES)
+            return [inside(capture, p.relative_to(capture).as_posix(), capture) for p in found]
+    raise CaptureError(f"{capture} has none of the folders {', '.join(folders)}")
 
 
 def unique_names(paths: Iterable[Path], folder: Path) -> list[str]:

@@ -12,7 +12,7 @@ from hir_core.capture import Capture, similarity_scale
 from hir_core.errors import CaptureError
 from hir_core.interfaces import CaptureReader
 from hir_core.plugin import NoOptions
-from hir_plugins.readers.capture_paths import PHOTO_SUFFIXES, inside, unique_names
+from hir_plugins.readers.capture_paths import photos_of_first, unique_names
 from hir_plugins.readers.lens_camera import LensCamera, make_view
 from hir_plugins.readers.mask_files import beside
 from hir_plugins.readers.pose_files import decompose_projection, load_arrays
@@ -44,7 +44,7 @@ class IdrCamerasReader(CaptureReader):
             raise CaptureError(f"{path} has no split {split!r}; cameras.npz captures have only 'train'")
         arrays = load_arrays(source)
         numbers = sorted(int(m[1]) for name in arrays if (m := re.fullmatch(r"world_mat_(\d+)", name)))
-        photos = _photos(path)
+        photos = photos_of_first(path, _FOLDERS)
         if not numbers or len(photos) != len(numbers):
             raise CaptureError(f"{source} has {len(numbers)} cameras (world_mat_<i>), {path} {len(photos)} images; "
                                "give one each")
@@ -72,11 +72,3 @@ class IdrCamerasReader(CaptureReader):
 
 def _file(path: Path) -> Path | None:
     return next((path / name for name in _FILES if (path / name).is_file()), None)
-
-
-def _photos(path: Path) -> list[Path]:
-    for name in _FOLDERS:
-        if (path / name).is_dir():
-            found = sorted(p for p in (path / name).iterdir() if p.suffix.lower() in PHOTO_SUFFIXES)
-            return [inside(path, p.relative_to(path).as_posix(), path) for p in found]
-    raise CaptureError(f"{path} has none of the folders {', '.join(_FOLDERS)}")

@@ -12,7 +12,7 @@ from hir_core.errors import CaptureError
 from hir_core.interfaces import CaptureReader
 from hir_core.plugin import NoOptions
 from hir_plugins.readers.camera_axes import OPENCV_FROM_OPENGL, rigid, rigid_inverse
-from hir_plugins.readers.capture_paths import PHOTO_SUFFIXES, inside, unique_names
+from hir_plugins.readers.capture_paths import photos_of_first, unique_names
 from hir_plugins.readers.lens_camera import LensCamera, make_view
 from hir_plugins.readers.mask_files import beside
 from hir_plugins.readers.pose_files import load_arrays
@@ -44,7 +44,7 @@ class LlffReader(CaptureReader):
         table = load_arrays(source).get("array")
         if table is None or table.ndim != 2 or table.shape[1] != 17 or not len(table):
             raise CaptureError(f"{source} does not hold rows of 17 numbers")
-        photos = _photos(path)
+        photos = photos_of_first(path, _FOLDERS)
         if len(photos) != len(table):
             raise CaptureError(f"{source} has {len(table)} cameras, {path} {len(photos)} images; give one each")
         views, poses = [], []
@@ -60,11 +60,3 @@ class LlffReader(CaptureReader):
             poses.append(pose)
         capture = Capture(path=path, views=tuple(views), world_from_source=np.eye(4), reader="llff")
         return capture.transformed(upright(poses))
-
-
-def _photos(path: Path) -> list[Path]:
-    for name in _FOLDERS:
-        if (path / name).is_dir():
-            found = sorted(p for p in (path / name).iterdir() if p.suffix.lower() in PHOTO_SUFFIXES)
-            return [inside(path, p.relative_to(path).as_posix(), path) for p in found]
-    raise CaptureError(f"{path} has none of the folders {', '.join(_FOLDERS)}")

@@ -162,3 +162,13 @@ def capture_of(positions: Positions, faces: Faces, cameras: list[Camera]) -> Cap
         mask = renderer.render(mesh_of(positions, faces), [view])[0].numpy().astype(np.float32)
         views.append(View(f"{i:03}", view, _Stored(mask)))
     return Capture(Path("made"), tuple(views))
+
+
+def smooth_directions(positions: Positions, count: int, seed: int = 5) -> list[Positions]:
+    """Sums of eight plane waves of about the object's size."""
+    random = np.random.default_rng(seed)
+    found = []
+    for _ in range(count):
+        wave, push, phase = random.normal(size=(8, 3)), random.normal(size=(8, 3)), random.uniform(0, 2 * np.pi, 8)
+        found.append(np.sin(2 * positions @ wave.T + phase) @ push / 3)
+    return found

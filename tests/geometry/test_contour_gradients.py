@@ -12,19 +12,9 @@ from hir_core.capture import Camera
 from hir_plugins.geometry_renderers.contour import Contour
 from hir_plugins.geometry_renderers.options import ContourOptions
 from tests.geometry import polygons
-from tests.geometry.shapes import bumpy_sphere, camera, facing, mesh_of, targets_of, torus
+from tests.geometry.shapes import bumpy_sphere, camera, facing, mesh_of, smooth_directions, targets_of, torus
 
 EYES = ((3.0, 1.0, 0.5), (-1.0, 0.4, 3.2))
-
-
-def smooth_directions(positions: np.ndarray, count: int, seed: int) -> list[np.ndarray]:
-    """Sums of eight plane waves."""
-    random = np.random.default_rng(seed)
-    found = []
-    for _ in range(count):
-        wave, push, phase = random.normal(size=(8, 3)), random.normal(size=(8, 3)), random.uniform(0, 2 * np.pi, 8)
-        found.append(np.sin(2 * positions @ wave.T + phase) @ push / 3)
-    return found
 
 
 def slope(value: Callable[[np.ndarray], float], positions: np.ndarray, direction: np.ndarray) -> float:
