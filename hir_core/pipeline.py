@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hir_core.capture import Capture
-from hir_core.capture_files import fingerprint, read_cameras, restore_capture, save_capture, write_cameras
+from hir_core.capture_files import file_hash, fingerprint, read_cameras, restore_capture, save_capture, write_cameras
 from hir_core.config import RunConfig, load_config
 from hir_core.context import StageContext
 from hir_core.errors import CaptureError
@@ -183,7 +183,7 @@ def reflectance_stage(scene: Scene, capture: Capture, session: Session) -> Scene
     from hir_core.reflectance import fit_reflectance
 
     light = Path(settings.known_environment.rpartition("*")[0] or settings.known_environment)
-    known = _file_hash(light) if settings.known_environment else ""
+    known = file_hash(light) if settings.known_environment else ""
     used = [asdict(settings), known, session.config.reflectance_renderer]
     return _scene_stage(
         "reflectance", used, session, lambda context: fit_reflectance(scene, capture, settings, context)
@@ -299,13 +299,3 @@ def _scene_stage(
 def _pass_through(name: str, scene: Scene, session: Session) -> Scene:
     """A stage that the settings leave out."""
     return _scene_stage(name, "left out", session, lambda _: (scene, {"enabled": False}))
-
-
-def _file_hash(path: Path) -> str:
-    import hashlib
-
-    try:
-        with open(path, "rb") as stream:
-            return hashlib.file_digest(stream, "blake2b").hexdigest()
-    except OSError as error:
-        raise CaptureError(f"reflectance.known_environment: {path} cannot be read: {error.strerror}") from error
