@@ -1,7 +1,7 @@
-"""Composes docs/images/photos_to_asset.jpg from a finished run: `python tools/make_readme_picture.py RUN LIGHT.hdr`.
+"""Composes docs/images/photos_to_asset.jpg from a finished run: `python tools/make_readme_picture.py RUN SPLIT`.
 
 Left, four photographs; then the mesh, its albedo, a render under the fitted light from a side no photograph shows, and
-one under LIGHT. Everything is made by hir from the run's folder and its capture.
+one under the light of SPLIT (such as relight_0). Everything is made by hir from the run's folder and its capture.
 """
 
 from __future__ import annotations
@@ -13,29 +13,36 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from hir_core.capture import EnvironmentSource
 from hir_core.evaluate import masked_pixels, split_in_working_frame
 from hir_core.manager import PluginManager
 from hir_core.metrics import composite, unassociate
-from hir_core.reference import light_of, open_for_rendering, parse_light, reference_renderer, render_view
+from hir_core.reference import OpenRun, light_of, open_for_rendering, reference_renderer, render_view
 from hir_core.render import orbit_cameras
 from hir_core.report_pictures import spread
 from hir_core.run_directory import open_run
-from hir_core.scene import Material, Scene
+from hir_core.scene import EnvironmentMap, Material, Scene
 
 OUTPUT = Path(__file__).resolve().parent.parent / "docs" / "images" / "photos_to_asset.jpg"
 SIDE = 300
 PAPER = np.array([246, 245, 242], np.float32) / 255
 
 
-def main(run_folder: str, light: str) -> None:
+def relit_by(run: OpenRun, plugins: PluginManager, split: str) -> EnvironmentMap:
+    """The light that a split of the run's capture names, in the run's working frame."""
+    capture = run.read(run.capture_path, split, plugins)
+    if capture.environment is None:
+        raise SystemExit(f"{run.capture_path}: split {split} names no light")
+    return light_of(capture.environment, capture.world_from_source)
+
+
+def main(run_folder: str, split: str) -> None:
     """Writes the picture."""
     import torch
 
     plugins = PluginManager.discover()
     run = open_for_rendering(open_run(run_folder))
     capture = split_in_working_frame(run, run.capture_path, "train", plugins)
-    _, renderer = reference_renderer(plugins, options={"render_samples": 128})
+    _, renderer = reference_renderer(plugins, options={"render_samples": 128}, bounces=run.bounces)
     photographs = [masked_pixels(capture.views[i]) for i in spread(len(capture.views), 4)]
     tiles = [_on_paper(photo.color_linear, photo.mask) for photo in photographs]
     quarters = [
@@ -48,7 +55,7 @@ def main(run_folder: str, light: str) -> None:
     assert material is not None
     grey = Material("paper", torch.full((3,), 0.6), torch.zeros(3), torch.ones(1))
     white = replace(run.scene.environment, radiance=torch.ones_like(run.scene.environment.radiance), to_world=None)  # type: ignore[type-var]
-    other = light_of(EnvironmentSource(*parse_light(light)), np.eye(4))
+    other = relit_by(run, plugins, split)
     plain = replace(other, radiance=other.radiance.mean(dim=2, keepdim=True).expand_as(other.radiance).contiguous())
     flat = replace(material, model="paper", specular_albedo=torch.zeros(3))
     shots: dict[str, Scene] = {

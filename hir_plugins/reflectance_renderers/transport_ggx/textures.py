@@ -19,7 +19,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.linear_map import LinearMap
 
 FEWEST_PIXELS = 1.0
 """Pixels that must look at a texel before it counts as observed."""
-LEAST_INFORMATION = 2.0
+LEAST_INFORMATION = 0.7
 """Weight of a texel's pixels, in units of the start's, from which it counts as observed."""
 _ROUNDS = 3
 _ITERATIONS = 12
