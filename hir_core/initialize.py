@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import contextlib
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
 from hir_core.capture import Capture
+from hir_core.capture_files import file_hash
 from hir_core.config import RunConfig
 from hir_core.context import StageContext
 from hir_core.errors import CaptureError, StageError
 from hir_core.interfaces import Initializer, MaskSource
+from hir_core.manager import PluginManager
 from hir_core.progress import Progress
 from hir_core.scene import Scene
 from hir_core.working_frame import move_scene, unit_similarity
@@ -58,6 +60,25 @@ def initialize(
     return (capture.transformed(working_from_asset), moved), report
 
 
+def files_read(chain: Sequence[str], capture: Capture, config: RunConfig, plugins: PluginManager) -> list[str]:
+    """Hashes of the files beyond the photographs that the stage's components read: other files, another result."""
+    components = [("mask_source", name, config.mask_source) for name in _mask_sources(config, plugins)]
+    components += [("initializer", name, config.initializer) for name in chain]
+    hashes: list[str] = []
+    for kind, name, options in components:
+        if "reads_files" in plugins.find(kind, name).component.traits:
+            component: MaskSource | Initializer = plugins.create(kind, name, options.get(name))
+            hashes += [file_hash(path) for path in component.files(capture)]
+    return hashes
+
+
+def _mask_sources(config: RunConfig, plugins: PluginManager) -> list[str]:
+    if config.masks != "auto":
+        return list(config.masks)
+    offered = plugins.components("mask_source")
+    return [r.component.name for r in offered if "automatic" in r.component.traits and not r.missing]
+
+
 @contextlib.contextmanager
 def passed_on(context: StageContext) -> Iterator[None]:
     """Plugins without a context warn as Python does; the user and run.json hear it as they hear any warning."""
@@ -88,11 +109,8 @@ def _apply_masks(
 ) -> Capture:
     """Asks the mask sources in their order for the masks that views still lack."""
     needed = [i for i, view in enumerate(capture.views) if view.pixels().mask is None]
-    if config.masks == "auto":
-        offered = context.plugins.components("mask_source")
-        names = [r.component.name for r in offered if "automatic" in r.component.traits and not r.missing]
-    else:
-        names = list(config.masks)
+    names = _mask_sources(config, context.plugins)
+    if config.masks != "auto":
         needed = list(range(len(capture.views))) if names else []
     for name in names:
         needs_cameras = "needs_cameras" in context.plugins.find("mask_source", name).component.traits

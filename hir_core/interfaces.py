@@ -46,6 +46,10 @@ class MaskSource(ABC):
     def masks(self, capture: Capture, scene: Scene | None) -> list[NDArray[np.float32] | None]:
         """One soft mask (H W, 0…1) for each view, None where it has none to offer."""
 
+    def files(self, capture: Capture) -> Sequence[Path]:
+        """Files beyond the photographs that masks come from; asked where the trait `reads_files` is declared."""
+        return ()
+
 
 class Initializer(ABC):
     """One link of the chain that finds cameras, points and a first surface."""
@@ -53,6 +57,10 @@ class Initializer(ABC):
     @abstractmethod
     def initialize(self, capture: Capture, scene: Scene | None, workspace: Path) -> tuple[Capture, Scene | None]:
         """What it was given, with what it found; `workspace` is a folder of its own that survives a resume."""
+
+    def files(self, capture: Capture) -> Sequence[Path]:
+        """Files beyond the photographs that it reads; asked where the trait `reads_files` is declared."""
+        return ()
 
 
 class GeometryRenderer(ABC):

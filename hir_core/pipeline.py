@@ -15,7 +15,7 @@ from hir_core.capture_files import file_hash, fingerprint, read_cameras, restore
 from hir_core.config import RunConfig, load_config
 from hir_core.context import StageContext
 from hir_core.errors import CaptureError
-from hir_core.initialize import initialize
+from hir_core.initialize import files_read, initialize
 from hir_core.manager import PluginManager
 from hir_core.pixel_cache import PixelCache
 from hir_core.readers import read_capture
@@ -144,7 +144,8 @@ def initializer_stage(capture: Capture, session: Session) -> tuple[Capture, Scen
         return restore_capture(capture, folder), load_stage_scene(folder / "scene", session.device)
 
     chain = config.initializers if config.initializers != "auto" else plugins.suggest_initializers(capture)
-    settings = [list(chain), config.masks, config.initializer, config.mask_source]
+    read = files_read(chain, capture, config, plugins)
+    settings = [list(chain), config.masks, config.initializer, config.mask_source, read]
     fitted, scene = session.stage("initializer", settings, compute, save, load, scene_of=lambda value: value[1])
     report = session.document["stages"]["initializer"]["report"]
     session.document["asset_from_working"] = np.linalg.inv(np.array(report["working_from_asset"])).tolist()

@@ -62,6 +62,10 @@ class MeshFile(Initializer):
         )
         return capture, Scene(mesh=mesh)
 
+    def files(self, capture: Capture) -> list[Path]:
+        """The mesh."""
+        return [self._path(capture)]
+
     def _path(self, capture: Capture) -> Path:
         if not self._config.path:
             raise ConfigError("initializer 'mesh_file' needs the mesh: --set initializer.mesh_file.path=FILE")

@@ -33,7 +33,7 @@ MESH_FILE = Component(
     summary="A mesh that already exists, from any format that trimesh reads.",
     requires=("torch", "jaxtyping", "open3d"),
     extra="reconstruct",
-    traits=frozenset({"makes_surface"}),
+    traits=frozenset({"makes_surface", "reads_files"}),
 )
 
 COLMAP = Component(

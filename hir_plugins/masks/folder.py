@@ -42,6 +42,11 @@ class Folder(MaskSource):
             warnings.warn(f"{counts} have no mask, such as {missing[0]}", stacklevel=2)
         return [None if f is None else self._mask(v, f) for v, f in zip(capture.views, found, strict=True)]
 
+    def files(self, capture: Capture) -> list[Path]:
+        """The masks; those that a reader found are watched as its own."""
+        found = [(view, self._file(view, capture.path)) for view in capture.views]
+        return [file for view, file in found if file is not None and file != view.mask_path]
+
     def _file(self, view: View, capture: Path) -> Path | None:
         if view.path is None:
             return None

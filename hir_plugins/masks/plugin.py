@@ -17,7 +17,7 @@ FOLDER = Component(
     target="hir_plugins.masks.folder:Folder",
     config=FolderOptions,
     summary="A folder of masks, matched to the photographs by name.",
-    traits=frozenset({"automatic"}),
+    traits=frozenset({"automatic", "reads_files"}),
 )
 
 COLOR_KEY = Component(

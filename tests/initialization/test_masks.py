@@ -11,7 +11,10 @@ from hir_exporters.conventions import srgb_to_linear
 from PIL import Image
 
 from hir_core.capture import Capture, OrientedPoints, View
+from hir_core.config import load_config
 from hir_core.errors import CaptureError
+from hir_core.initialize import files_read
+from hir_core.manager import PluginManager
 from hir_core.plugin import NoOptions
 from hir_plugins.masks.alpha import Alpha
 from hir_plugins.masks.color_key import ColorKey
@@ -61,6 +64,24 @@ def test_a_folder_of_masks_stays_soft_and_names_what_is_missing(tmp_path: Path) 
         inverted = Folder(FolderOptions(path="masks", inverted=True)).masks(capture, None)[0]
     assert inverted is not None
     np.testing.assert_allclose(inverted, 1 - ramp / 255, atol=1e-6)
+
+
+def test_masks_that_no_reader_found_are_watched(tmp_path: Path) -> None:
+    capture = capture_with(tmp_path, {"a.png": np.zeros((24, 32), np.uint8), "b.png": np.zeros((24, 32), np.uint8)})
+    plugins = PluginManager.discover()
+
+    def hashes(capture: Capture, *assignments: str) -> list[str]:
+        config = load_config(plugins, assignments=assignments)
+        return files_read((), capture, config, plugins)
+
+    before = hashes(capture)
+    assert len(before) == 2
+    Image.fromarray(np.full((24, 32), 255, np.uint8)).save(tmp_path / "masks" / "b.png")
+    assert [a == b for a, b in zip(before, hashes(capture), strict=True)] == [True, False]
+    assert hashes(capture, "mask_source.folder.path=masks") == hashes(capture)
+    assert hashes(capture, 'masks=["alpha"]') == []
+    known = tuple(replace(view, mask_path=tmp_path / "masks" / f"{view.name}.png") for view in capture.views)
+    assert hashes(replace(capture, views=known)) == [], "the capture's own fingerprint holds them"
 
 
 def test_folders_that_do_not_fit_are_errors(tmp_path: Path) -> None:
