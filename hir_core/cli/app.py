@@ -21,6 +21,7 @@ COMMANDS = {
     "export": "hir_core.cli.export:export_command",
     "evaluate": "hir_core.cli.evaluate:evaluate_command",
     "render": "hir_core.cli.render:render_command",
+    "view": "hir_core.cli.view:view_command",
     "report": "hir_core.cli.report:report_command",
     "plugins": "hir_core.cli.plugins:plugins_command",
     "doctor": "hir_core.cli.doctor:doctor_command",

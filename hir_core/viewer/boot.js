@@ -1,0 +1,33 @@
+// Unpacks the parts of this page and starts the viewer: each module becomes a blob, its imports the blobs before it.
+(async () => {
+  const bytesOf = async (name) => {
+    const element = document.getElementById(`part ${name}`);
+    if (!element) return null;
+    const packed = Uint8Array.from(atob(element.textContent), (letter) => letter.charCodeAt(0));
+    const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("gzip"));
+    return new Response(stream).arrayBuffer();
+  };
+  const say = (text, failed) => {
+    const state = document.getElementById("state");
+    state.textContent = text;
+    state.classList.toggle("failed", Boolean(failed));
+  };
+  try {
+    const { modules, toward } = JSON.parse(document.getElementById("order").textContent);
+    const addresses = {};
+    for (const { name, imports } of modules) {
+      let text = new TextDecoder().decode(await bytesOf(name));
+      for (const [specifier, module] of Object.entries(imports)) {
+        text = text.replaceAll(`from '${specifier}'`, `from '${addresses[module]}'`);
+      }
+      addresses[name] = URL.createObjectURL(new Blob([text], { type: "text/javascript" }));
+    }
+    const { start } = await import(addresses["viewer.js"]);
+    await start({ asset: await bytesOf("asset.glb"), light: await bytesOf("light.hdr"), toward });
+    say("");
+    document.documentElement.dataset.ready = "yes";
+  } catch (error) {
+    say(`cannot be shown: ${error.message || error}`, true);
+    document.documentElement.dataset.ready = "failed";
+  }
+})();

@@ -1,0 +1,138 @@
+"""The page of `hir view --save`, opened from disk in a browser: it shows the asset, each channel and a turned light."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hir_exporters.asset import Asset
+from hir_exporters.conventions import linear_to_srgb
+from hir_exporters.formats import create_exporter
+from hir_exporters.images import read_ldr
+from hir_exporters.scene_files import save_scene
+
+from hir_core.capture import Camera
+from hir_core.cli import main
+from hir_core.errors import InputError
+from hir_core.render import look_at
+from hir_core.view import MODULES, three_version, view_page
+
+from .chromium import THREE
+from .octants import asset
+
+SIDE = 320
+FOLDERS = ("three", "build", "controls", "loaders", "utils")
+"""Where the npm package keeps what is shipped."""
+
+Shot = Callable[[Path, str], np.ndarray]
+
+
+def glossy() -> Asset:
+    """The octants with a roughness to look for: sqrt(0.16) = 0.4."""
+    plain = asset()
+    return replace(plain, material=replace(plain.material, roughness=np.array(0.16, np.float32)))
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A page saved by the command from an exported .glb and the .hdr beside it."""
+    folder = tmp_path_factory.mktemp("view")
+    create_exporter("glb").write(glossy(), folder / "octants.glb")
+    with pytest.raises(SystemExit) as stop:
+        main(["view", str(folder / "octants.glb"), "--save", str(folder / "page.html"), "-q"])
+    assert stop.value.code == 0
+    return folder / "page.html"
+
+
+@pytest.fixture(scope="module")
+def shot(chromium: list[str], tmp_path_factory: pytest.TempPathFactory) -> Shot:
+    """A picture (SIDE, SIDE, 3), sRGB in 0…1, of the page opened from disk with settings after the #."""
+    folder = tmp_path_factory.mktemp("shots")
+
+    def take(page: Path, settings: str) -> np.ndarray:
+        words = [
+            *chromium, f"--user-data-dir={folder / 'profile'}", f"--window-size={SIDE},{SIDE}",
+            "--virtual-time-budget=8000", f"--screenshot={folder / 'shot.png'}", f"{page.as_uri()}#bare&{settings}",
+        ]  # fmt: skip
+        subprocess.run(words, check=True, capture_output=True, timeout=120)
+        return read_ldr(folder / "shot.png")[..., :3]
+
+    return take
+
+
+def first_camera() -> Camera:
+    """The page's first camera, from its own formula: the sphere about the box, 35° high, 1.15 radii to spare."""
+    radius = float(np.linalg.norm([0.9, 0.6, 0.7]))
+    toward = np.array([0.55, 0.35, 1.0])
+    place = toward / np.linalg.norm(toward) * 1.15 * radius / np.sin(np.radians(17.5))
+    focal = SIDE / 2 / np.tan(np.radians(17.5))
+    return Camera(np.array([[focal, 0, SIDE / 2], [0, focal, SIDE / 2], [0, 0, 1.0]]), look_at(place), SIDE, SIDE)
+
+
+def test_lit_picture_is_our_render_and_its_light_turns(page: Path, shot: Shot) -> None:
+    from hir_core.bake import scene_from_asset
+    from hir_core.manager import PluginManager
+    from hir_core.metrics import composite, unassociate
+    from hir_core.reference import reference_renderer, render_view
+
+    _, renderer = reference_renderer(PluginManager.discover(), "", {"render_samples": 64})
+    image = render_view(renderer, scene_from_asset(glossy()), first_camera(), "page")
+    ours, inside = composite(*unassociate(image)), image[..., 3] > 0.99
+    assert inside.sum() > 10_000
+
+    def error(picture: np.ndarray) -> float:
+        return float(np.abs(picture[inside] - ours[inside]).mean())
+
+    right, turned = error(shot(page, "")), error(shot(page, "turn=120"))
+    assert right < 0.02, "edges of colours and three.js' prefiltered light"
+    assert turned > 3 * right
+
+
+def test_channels_show_the_maps(page: Path, shot: Shot) -> None:
+    albedo = shot(page, "channel=albedo&turn=120")
+    palette = linear_to_srgb(glossy().material.diffuse_albedo.reshape(-1, 3))
+    palette = np.unique(np.rint(palette * 255), axis=0)
+    seen = np.rint(albedo.reshape(-1, 3) * 255)
+    found = [color for color in palette if (np.abs(seen - color).max(axis=1) <= 1).sum() > 200]
+    assert len(found) >= 3, "the octants that face this camera"
+    middle = shot(page, "channel=roughness")[SIDE // 2, SIDE // 2]
+    np.testing.assert_allclose(middle, 0.4, atol=1.5 / 255)
+    wires = shot(page, "channel=roughness&wireframe")
+    assert np.ptp(wires[SIDE // 2 - 40 : SIDE // 2 + 40, SIDE // 2], axis=0).max() > 0.1
+    normals = shot(page, "channel=normals")[SIDE // 2, SIDE // 2]
+    assert normals[2] > 0.8, "the middle faces the camera"
+
+
+def test_the_page_is_whole_and_names_its_licence(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert "connect-src blob: data:" in text and "default-src 'none'" in text, "the network is closed to it"
+    assert not re.findall(r'(?:src|href)="', text) and not re.findall(r"<!--\w+-->", text)
+    assert "The MIT License" in text and f"three.js {three_version()}" in text
+    assert len(text) < 2_000_000
+
+
+def test_other_formats_and_scenes_are_shown_as_read_back(tmp_path: Path) -> None:
+    create_exporter("usdz").write(glossy(), tmp_path / "octants.usdz")
+    save_scene(glossy(), tmp_path / "scene")
+    for source in (tmp_path / "octants.usdz", tmp_path / "scene", tmp_path):
+        page = view_page(source)
+        assert 'id="part asset.glb"' in page and 'id="part light.hdr"' in page
+    with pytest.raises(InputError, match="cannot be shown"):
+        view_page(Path(__file__))
+    with pytest.raises(InputError, match="is not there"):
+        view_page(tmp_path / "none.glb")
+
+
+@pytest.mark.parametrize("name", ["LICENSE", *(name for name, _ in MODULES if name != "viewer.js")])
+def test_three_is_shipped_unchanged(name: str) -> None:
+    if not THREE.is_dir():
+        pytest.skip("three.js is not installed: run tools/setup.sh test")
+    from hir_core import view
+
+    [original] = [path for path in THREE.glob("**/*") if path.name == name and path.parts[-2] in FOLDERS]
+    assert (Path(view.__file__).parent / "viewer" / "three" / name).read_bytes() == original.read_bytes()
