@@ -241,10 +241,15 @@ def _check_unit(name: str, vectors: NDArray[np.float32]) -> None:
         raise InputError(f"{name} has {bad} vectors that are not of length 1; normalise them")
 
 
+def _plain(value: ArrayLike, dtype: DTypeLike) -> NDArray[Any]:
+    # a view into a file's records may be contiguous and yet not aligned, which USD's arrays refuse
+    return np.require(np.asarray(value), dtype, ["C", "A"])
+
+
 def _array(name: str, value: ArrayLike, dtype: DTypeLike) -> NDArray[Any]:
     try:
         with np.errstate(over="ignore"):  # a float64 beyond float32 becomes infinite, which validate_asset reports
-            return np.ascontiguousarray(value, dtype=dtype) if np.ndim(value) else np.asarray(value, dtype=dtype)
+            return _plain(value, dtype)
     except (TypeError, ValueError) as error:
         raise InputError(f"{name} is not an array of numbers ({error})") from error
 
@@ -257,7 +262,7 @@ def _indices(name: str, value: ArrayLike) -> NDArray[np.int32]:
         raise InputError(f"{name} holds {array.dtype}; vertex indices are integers")
     if int(array.max()) > np.iinfo(np.int32).max or int(array.min()) < np.iinfo(np.int32).min:
         raise InputError(f"{name} has an index that does not fit into 32 bits")
-    return np.ascontiguousarray(array, dtype=np.int32)
+    return _plain(array, np.int32)
 
 
 def _set(instance: object, name: str, value: object) -> None:

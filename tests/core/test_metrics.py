@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import importlib.util
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hir_exporters.conventions import linear_to_srgb
@@ -102,13 +105,32 @@ def test_channel_scale_is_the_least_squares_one() -> None:
     np.testing.assert_array_equal(metrics.ChannelScale().value, np.ones(3))
 
 
-def test_missing_lpips_weights_are_said_and_nothing_is_fetched(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: object
-) -> None:
-    pytest.importorskip("lpips")
-    import torch
-
-    monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path))
+def test_missing_lpips_weights_are_said_and_nothing_is_fetched(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: name)
+    monkeypatch.setattr(metrics, "backbone_weights", lambda: tmp_path / "alexnet.pth")
+    monkeypatch.setattr(metrics, "_load_lpips", lambda: pytest.fail("the network was asked for"))
     found, why = metrics.find_lpips()
     assert found is None
-    assert "weights are not at" in why and "--download" in why
+    assert f"weights are not at {tmp_path}" in why and "--download" in why
+
+
+def test_weights_are_looked_for_where_torch_keeps_them(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    import torch
+
+    try:
+        import torchvision  # noqa: F401
+    except (ImportError, RuntimeError) as error:
+        pytest.skip(f"no torchvision that fits torch, pip install 'hir[evaluate]': {error}")
+    monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path))
+    assert metrics.backbone_weights().parent == tmp_path / "checkpoints"
+
+
+def test_an_installation_that_breaks_lpips_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken() -> Path:
+        raise RuntimeError("operator torchvision::nms does not exist")
+
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: name)
+    monkeypatch.setattr(metrics, "backbone_weights", broken)
+    found, why = metrics.find_lpips()
+    assert found is None
+    assert "cannot be loaded (RuntimeError: operator torchvision::nms" in why

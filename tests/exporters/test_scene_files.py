@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hir_exporters.asset import Asset, AssetEnvironment, AssetMaterial, AssetMesh, describe, validate_asset
 from hir_exporters.errors import ExportError, InputError
+from hir_exporters.formats import create_exporter
 from hir_exporters.scene_files import load_scene, save_scene
 from hir_exporters.topology import weld
 
@@ -202,3 +203,14 @@ def test_one_triangle_with_plain_lists_is_an_asset(tmp_path: Path) -> None:
     asset = Asset(mesh, AssetMaterial("paper", [0.5] * 3, [0] * 3, 0.3), AssetEnvironment(np.ones((1, 2, 3))))
     save_scene(asset, tmp_path / "s")
     assert len(load_scene(tmp_path / "s").mesh.faces) == 1
+
+
+def test_one_triangle_that_came_from_a_file_is_written_everywhere(tmp_path: Path) -> None:
+    """Its only face is a record of the file: contiguous, but at an odd address."""
+    corners = [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
+    mesh = AssetMesh(corners, [[0, 0, 1]] * 3, [[0, 0], [1, 0], [0, 1]], [[0, 1, 2]])
+    save_scene(Asset(mesh, AssetMaterial("paper", [0.5] * 3, [0.1] * 3, 0.3)), tmp_path / "scene")
+    asset = load_scene(tmp_path / "scene")
+    assert asset.mesh.faces.flags.aligned
+    for name in ("glb", "usdz", "obj"):
+        assert create_exporter(name).write(asset, tmp_path / f"x.{name}").files
