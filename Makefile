@@ -28,7 +28,7 @@ demo: setup
 	@echo "report:  $(CURDIR)/$(DEMO)/run/report.html"
 
 test: lint
-	@$(PYTHON) -m pytest -n 2 --dist loadfile
+	@OMP_NUM_THREADS=1 $(PYTHON) -m pytest -n 2 --dist loadfile # two processes of one thread: made for two cores
 
 test-all: setup-test
 	@$(PYTHON) -m pytest -m "not gpu"
