@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from difflib import get_close_matches
 from functools import cache
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_type_hints
 
 from hir_core.errors import ConfigError
 
@@ -48,13 +49,23 @@ def _validator(kind: type) -> Any:
     return dataclass(kind, config=settings, frozen=True)
 
 
+def _fields_at(kind: type, place: tuple[Any, ...]) -> list[str]:
+    """Option names of the table at `place` inside a configuration."""
+    for name in place:
+        inner = get_type_hints(kind).get(str(name))
+        kind = inner if isinstance(inner, type) else type(None)
+    return list(getattr(kind, "__dataclass_fields__", {}))
+
+
 def _sentence(error: Any, kind: type) -> str:
     parts = []
     for problem in error.errors():
         key = ".".join(str(p) for p in problem["loc"])
         if problem["type"] == "unexpected_keyword_argument":
-            known = ", ".join(getattr(kind, "__dataclass_fields__", {})) or "none"
-            parts.append(f"unknown option {key!r}; the options are: {known}")
+            known = _fields_at(kind, problem["loc"][:-1])
+            near = get_close_matches(str(problem["loc"][-1]), known, 1)
+            advice = f"did you mean {near[0]!r}? " if near else ""
+            parts.append(f"unknown option {key!r}; {advice}the options are: {', '.join(known) or 'none'}")
         else:
             parts.append(f"option {key!r}: {problem['msg'][0].lower()}{problem['msg'][1:]} (got {problem['input']!r})")
     return "; ".join(parts)

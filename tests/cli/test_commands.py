@@ -38,7 +38,7 @@ def hir(*words: object) -> int:
         ),
         (
             ["reconstruct", SAMPLE, "-o", "{tmp}/run", "--set", "geometry.iteration=3"],
-            "unknown option 'geometry.iteration'",
+            "unknown option 'geometry.iteration'; did you mean 'iterations'?",
         ),
         (["reconstruct", SAMPLE, "-o", "{tmp}/run", "--set", "geometry.iterations"], "write it as key=value"),
         (["reconstruct", SAMPLE, "-o", "{tmp}/run", "--set", "geometry.iterations=many"], "geometry.iterations"),
