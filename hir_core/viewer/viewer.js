@@ -75,12 +75,20 @@ export async function start({ asset, light, toward }) {
     camera.fov = camera.aspect < 1 ? 2 * Math.atan(Math.tan(Math.PI * 35 / 360) / camera.aspect) * 180 / Math.PI : 35;
     camera.updateProjectionMatrix();
   }
-  addEventListener("resize", resize);
+  // pictures are drawn when something moves, not sixty times a second
+  let waiting = 0;
+  const draw = () => {
+    waiting = 0;
+    const moving = controls.update();
+    renderer.render(scene, camera);
+    if (moving || controls.autoRotate) wake();
+  };
+  const wake = () => { waiting ||= requestAnimationFrame(draw); };
+  controls.addEventListener("change", wake);
+  element("panel").addEventListener("input", wake);
+  addEventListener("resize", () => { resize(); wake(); });
   resize();
-  const draw = () => { controls.update(); renderer.render(scene, camera); };
-  await renderer.compileAsync(scene, camera);
   draw();
-  renderer.setAnimationLoop(draw);
 }
 
 function readLight(bytes) {
