@@ -60,6 +60,7 @@ def refresh_page(directory: RunDirectory) -> Path:
         "curves": _curves(directory),
         "stages": _stages(directory, document),
         "evaluations": _evaluations(document),
+        "exports": _exports(document),
         "warnings": _warnings(document),
         "settings": _details("Settings", document["settings"]),
         "machine": _details("Machine", directory.read_timings().get("machine", {})),
@@ -218,6 +219,26 @@ def _evaluations(document: Mapping[str, Any]) -> str:
     if not rows:
         return "<p>Not evaluated on unseen photographs yet: <code>hir evaluate RUN</code>.</p>"
     head = "".join(f"<th>{h}</th>" for h in ("", "", "PSNR frame", "object", "scaled frame", "object", "SSIM", "LPIPS"))
+    return f"<table class=evaluations><tr>{head}</tr>{''.join(rows)}</table>"
+
+
+def _exports(document: Mapping[str, Any]) -> str:
+    """What each written file was found to be when it was read back."""
+    rows = []
+    for name, report in _report_of(document, "export").items():
+        verified = report.get("verified", {}) if isinstance(report, Mapping) else {}
+        if "psnr" in verified:
+            found = f"{verified['psnr']['object']:.1f} dB"
+        else:
+            found = str(verified.get("not_rendered") or verified.get("not_read") or "read back")
+        brdf = f"{verified['brdf']:.1%}" if "brdf" in verified else "–"
+        rows.append(
+            f"<tr><th>{html.escape(name)}</th><td class=number>{brdf}</td><td class=number>{html.escape(found)}</td>"
+            f"<td>{html.escape(str(verified.get('rendered', '')))}</td></tr>"
+        )
+    if not rows:
+        return "<p>Nothing is exported yet: <code>hir export RUN</code>.</p>"
+    head = "".join(f"<th>{h}</th>" for h in ("", "material off by", "rendered again", "as"))
     return f"<table class=evaluations><tr>{head}</tr>{''.join(rows)}</table>"
 
 

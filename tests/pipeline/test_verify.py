@@ -137,6 +137,8 @@ def test_a_run_records_what_was_verified(finished: Run, tmp_path: Path, capsys: 
         verification = report[name]["verified"]
         assert verification["psnr"]["object"] > 40 and verification["positions"] < 1e-6, name
     assert report["exr"]["verified"]["mean_radiance"] < 1e-6
+    page = (finished.path / "report.html").read_text(encoding="utf-8")
+    assert f"{report['glb']['verified']['psnr']['object']:.1f} dB</td>" in page
     with pytest.raises(SystemExit) as stop:
         main(["export", str(finished.path), "-f", "glb", "-f", "obj", "-o", str(tmp_path)])
     assert stop.value.code == 0
