@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float, Int
@@ -21,6 +22,16 @@ from hir_plugins.reflectance_renderers.transport_ggx.textures import bilinear_te
 from hir_plugins.reflectance_renderers.transport_ggx.transport import Transport
 
 
+@dataclass(frozen=True, eq=False)
+class Indirect:
+    """Light that comes from the surface itself, as a finished fit has it; held fixed."""
+
+    irradiance: Float[Tensor, "C 3"]
+    """Of each cell, without what arrives straight from the light."""
+    radiance: Float[Tensor, "C 3"]
+    """That leaves each cell."""
+
+
 def shade(
     transport: Transport,
     material: Material,
@@ -28,12 +39,12 @@ def shade(
     cameras: Mapping[int, Camera],
     pixels: Int[Tensor, "B 3"],
     options: TransportGGXOptions,
-    offset: float = 0.5,
+    indirect: Indirect | None = None,
 ) -> Float[Tensor, "B 3"]:
     """Radiance through pixels (view, x, y), 0 where they miss; differentiable in material and light."""
-    points, found = see(transport.tracer, transport.surface, cameras, pixels, offset)
+    points, found = see(transport.tracer, transport.surface, cameras, pixels)
     seen = found.nonzero()[:, 0]
-    value = shade_points(transport, material, environment, cameras, points.take(seen), options)
+    value = shade_points(transport, material, environment, cameras, points.take(seen), options, indirect)
     return torch.zeros(len(pixels), 3, dtype=value.dtype, device=value.device).index_copy(0, seen, value)
 
 
@@ -44,8 +55,9 @@ def shade_points(
     cameras: Mapping[int, Camera],
     points: SurfacePoints,
     options: TransportGGXOptions,
+    indirect: Indirect | None = None,
 ) -> Float[Tensor, "P 3"]:
-    """Radiance that leaves points towards the eye: direct light with visibility."""
+    """Radiance that leaves points towards the eye: direct light with visibility, and what `indirect` adds."""
     if len(points) == 0:
         return points.position.new_zeros(0, 3) + 0 * environment.radiance.sum()
     rotation = _to_light(environment, cameras, points)
@@ -55,8 +67,12 @@ def shade_points(
     diffuse, specular = sample(material.diffuse_albedo, uv), sample(material.specular_albedo, uv)
     alpha = sample(material.roughness, uv).mean(dim=-1, keepdim=True).clamp(ALPHA_LOW, 1)
     sources = transport.sky_only(radiance)
+    if indirect is not None:
+        sources = torch.cat([sources[: transport.pyramid.texels], indirect.radiance])
     if rotation is None:
         sky = transport.diffuse.sky @ transport.pyramid.flatten(radiance)[transport.level]
+        if indirect is not None:
+            sky = sky + indirect.irradiance
         cells = transport.cells.of_vertex[transport.surface.faces[points.face]]
         arriving = (sky[cells] * points.barycentric[..., None]).sum(1)
     else:

@@ -23,7 +23,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.joint import Block, FitSett
 from hir_plugins.reflectance_renderers.transport_ggx.moving_light import pixel_irradiance
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.photographs import Photographed, join, photographed
-from hir_plugins.reflectance_renderers.transport_ggx.shading import shade
+from hir_plugins.reflectance_renderers.transport_ggx.shading import Indirect, shade
 from hir_plugins.reflectance_renderers.transport_ggx.texture_stage import solve_scene
 from hir_plugins.reflectance_renderers.transport_ggx.transport import Transport
 
@@ -58,6 +58,7 @@ class TransportSolver(ReflectanceSolver):
         self._downsample = downsample
         self._options = options
         self._edges = Topology(transport.surface.faces).edges
+        self._indirect: Indirect | None = None
         self._samples: dict[int, Photographed] = {}
         self._rotation = _camera_rotations(capture, transport.surface.positions.device)
 
@@ -66,7 +67,7 @@ class TransportSolver(ReflectanceSolver):
     ) -> Float[Tensor, "B 3"]:
         """Radiance through pixels (view, x, y); 0 where they miss. Differentiable in material and light."""
         cameras = {v: c.downsampled(self._downsample) for v, c in enumerate(self._capture.cameras)}
-        return shade(self._transport, material, environment, cameras, pixels, self._options)
+        return shade(self._transport, material, environment, cameras, pixels, self._options, self._indirect)
 
     def fit(
         self, rung: Rung, start: Any, views: Sequence[int], effort: float, report: Callable[[float], None]
@@ -106,8 +107,10 @@ class TransportSolver(ReflectanceSolver):
         return total[seen] / count[seen]
 
     def scene(self, fit: Fit, views: Sequence[int], report: Callable[[float], None]) -> tuple[Scene, dict[str, Any]]:
-        """Textures solved from all pixels, light as fitted."""
+        """Textures solved from all pixels, light as fitted. `radiance` has the fit's indirect light from then on."""
         moving = fit.rung.light_frame == "camera"
+        if fit.rung.bounces:
+            self._indirect = self._indirect_light(fit)
         environment = EnvironmentMap(
             fit.unknowns.radiance, UPRIGHT.to(fit.unknowns.light) if moving else None, fit.rung.light_frame
         )
@@ -116,6 +119,13 @@ class TransportSolver(ReflectanceSolver):
             self._rotation if moving else None, self._options, report,
         )
         return replace(self._scene, material=material, environment=environment), facts
+
+    def _indirect_light(self, fit: Fit) -> Indirect:
+        values, texels = fit.unknowns, self._transport.pyramid.texels
+        with torch.no_grad():
+            sources, irradiance = self._transport.sources(values.radiance, values.diffuse_albedo, fit.rung.bounces)
+            _, direct = self._transport.sources(values.radiance, values.diffuse_albedo, 0)
+        return Indirect(irradiance - direct, sources[texels:])
 
     def _photographs(self, views: Sequence[int]) -> Photographed:
         most = max(64, self._options.pixels // max(len(self._capture.views), 1))
