@@ -95,8 +95,12 @@ def climb(
     forced = forced_rung(settings)
     if forced is not None or not held_out:
         rung = forced or default_rung(settings)
-        fit = solver.fit(rung, None, every, 1.0, lambda share: tell(rung.name, share))
-        return fit, rung, []
+        fit = None
+        if rung.brdf != "diffuse":
+            # a lobe that starts under a flat light widens: the ladder's first step comes first here too
+            first = Rung(light_frame=rung.light_frame)
+            fit = solver.fit(first, None, every, FIRST_EFFORT, lambda share: tell(first.name, share))
+        return solver.fit(rung, fit, every, 1.0, lambda share: tell(rung.name, share)), rung, []
     ladder = _Ladder(solver, training, held_out, tell)
     base = Rung(light_frame=_first_frame(settings))
     ladder.begin(base)
