@@ -95,7 +95,7 @@ class ReflectanceSettings:
     rgb_weight: float = 1.0
     """Weight of the photometric term."""
     loss_space: Literal["linear", "srgb"] = "srgb"
-    """Space in which fit and photograph are compared."""
+    """Space in which gradient steps compare fit and photograph; a solver has its own (transport_ggx: sRGB)."""
     environment_height: int = 64
     """Rows of the light's lat-long image; it has twice (paper: four times) as many columns."""
     environment_width: int = 128
@@ -108,8 +108,6 @@ class ReflectanceSettings:
     """Whether the light stands in the world or is carried by the camera (turntable, flash)."""
     known_environment: str = ""
     """A lat-long file that is the light, in the capture's axes, `FILE` or `FILE*STRENGTH`; it is then not fitted."""
-    polish: int = 0
-    """Steps of path-traced polish after the fit; kept only when held-out views gain."""
     enabled: bool = True
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import contextlib
+import warnings
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -33,3 +35,14 @@ class StageContext:
     """Told of progress; cheap, throttles by itself."""
     warn: Callable[[str], None] = field(default=_silent)
     """One sentence that advises; shown to the user and written into run.json."""
+
+
+@contextlib.contextmanager
+def passed_on(context: StageContext) -> Iterator[None]:
+    """Plugins without a context warn as Python does; the user and run.json hear it as they hear any warning."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("default", UserWarning)
+        yield
+    for warning in caught:
+        if issubclass(warning.category, UserWarning):
+            context.warn(" ".join(str(warning.message).split()))

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
-import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 from hir_core.capture import Capture
 from hir_core.capture_files import file_hash
 from hir_core.config import RunConfig
-from hir_core.context import StageContext
+from hir_core.context import StageContext, passed_on
 from hir_core.errors import CaptureError, StageError
 from hir_core.interfaces import Initializer, MaskSource
 from hir_core.manager import PluginManager
@@ -77,17 +75,6 @@ def _mask_sources(config: RunConfig, plugins: PluginManager) -> list[str]:
         return list(config.masks)
     offered = plugins.components("mask_source")
     return [r.component.name for r in offered if "automatic" in r.component.traits and not r.missing]
-
-
-@contextlib.contextmanager
-def passed_on(context: StageContext) -> Iterator[None]:
-    """Plugins without a context warn as Python does; the user and run.json hear it as they hear any warning."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("default", UserWarning)
-        yield
-    for warning in caught:
-        if issubclass(warning.category, UserWarning):
-            context.warn(" ".join(str(warning.message).split()))
 
 
 def _chain(capture: Capture, config: RunConfig, context: StageContext) -> list[str]:

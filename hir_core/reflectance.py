@@ -6,7 +6,7 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -16,6 +16,7 @@ from torch import Tensor
 
 from hir_core.capture import Capture
 from hir_core.config import ReflectanceSettings
+from hir_core.context import StageContext, passed_on
 from hir_core.energies import prepare_energies
 from hir_core.errors import ConfigError, StageError
 from hir_core.interfaces import PreparedReflectance, ReflectanceRenderer, ReflectanceSolver
@@ -23,9 +24,6 @@ from hir_core.photometric import fit_by_gradient, object_pixels
 from hir_core.progress import Progress
 from hir_core.scene import EnvironmentMap, Material, Scene
 from hir_core.selection import Rung, climb, default_rung, forced_rung
-
-if TYPE_CHECKING:
-    from hir_core.context import StageContext
 
 TICKS = 1000
 """Parts of the progress bar of a solver, which tells shares and not steps."""
@@ -41,9 +39,10 @@ def fit_reflectance(
     renderer: ReflectanceRenderer = context.plugins.create("reflectance_renderer", settings.renderer, options)
     start = starting_scene(scene, capture, settings)
     prepared = renderer.prepare(start, capture, settings.downsample)
-    if settings.method == "gradient" or not isinstance(prepared, ReflectanceSolver):
-        return _by_gradient(start, prepared, capture, settings, context)
-    return _by_solver(start, prepared, capture, settings, context)
+    with passed_on(context):
+        if settings.method == "gradient" or not isinstance(prepared, ReflectanceSolver):
+            return _by_gradient(start, prepared, capture, settings, context)
+        return _by_solver(start, prepared, capture, settings, context)
 
 
 def starting_scene(scene: Scene, capture: Capture, settings: ReflectanceSettings) -> Scene:

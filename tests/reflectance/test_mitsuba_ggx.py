@@ -165,7 +165,7 @@ def test_agrees_with_mitsubas_own_path_integrator() -> None:
 
     Mitsuba puts the first and last row of a light onto the poles, we half a row beside them: hence a fine light.
     """
-    from hir_plugins.reflectance_renderers.mitsuba_ggx.variant import mitsuba_on
+    from hir_plugins.reflectance_renderers.variant import mitsuba_on
 
     mi = mitsuba_on("cpu")
     from hir_plugins.reflectance_renderers.mitsuba_ggx.bsdf_plugin import register

@@ -10,7 +10,7 @@ import pytest
 from hir_core import doctor
 from hir_core.doctor import Finding
 from hir_core.errors import MissingExtraError
-from hir_plugins.reflectance_renderers.mitsuba_ggx import variant
+from hir_plugins.reflectance_renderers import variant
 
 
 @pytest.fixture()

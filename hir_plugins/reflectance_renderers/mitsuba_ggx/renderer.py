@@ -15,7 +15,7 @@ from hir_core.errors import ConfigError, StageError
 from hir_core.interfaces import ReflectanceRenderer
 from hir_core.scene import Mesh, Scene
 from hir_plugins.reflectance_renderers.mitsuba_ggx.options import MitsubaGGXOptions
-from hir_plugins.reflectance_renderers.mitsuba_ggx.variant import mitsuba_on
+from hir_plugins.reflectance_renderers.variant import mitsuba_on
 
 if TYPE_CHECKING:
     from hir_plugins.reflectance_renderers.mitsuba_ggx.prepared import PreparedMitsuba

@@ -8,6 +8,7 @@ logarithm. Textures are solved afterwards at their own resolution (`textures.py`
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -171,6 +172,7 @@ def fit(
     optimizer = torch.optim.Adam(groups, betas=(0.9, 0.99))
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, max(settings.steps, 1))
     specular = specular_blocks(blocks, settings.model)
+    skipped = 0
     for step in range(settings.steps):
         if step % settings.refresh == 0:
             if _drifted(blocks[0], unknowns):
@@ -187,11 +189,17 @@ def fit(
         if unknowns.width is not None and step < settings.width_hold * settings.steps:
             unknowns.width.grad = None
         if not _finite(optimizer):
-            optimizer.zero_grad()
+            skipped += 1
             continue
         optimizer.step()
         schedule.step()
         on_step(step, float(loss.detach()))
+    if skipped:
+        warnings.warn(
+            f"{skipped} of {settings.steps} steps of the {settings.model} fit had no finite gradient and were left out; "
+            "look for broken pixels or triangles with: hir check",
+            stacklevel=2,
+        )
     return unknowns.detached()
 
 

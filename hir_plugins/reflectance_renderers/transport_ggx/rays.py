@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hir_plugins.reflectance_renderers.variant import mitsuba_on
+
 CHUNK = 1 << 21
 """Rays a launch: bounds memory at about 100 MB."""
 
@@ -18,16 +20,13 @@ class Hits:
     face: NDArray[np.int32]
     barycentric: NDArray[np.float32]
     """(N, 2): weights of the face's second and third corner."""
-    distance: NDArray[np.float32]
 
 
 class RayTracer:
     """One acceleration structure over one mesh."""
 
     def __init__(self, positions: NDArray[np.float32], faces: NDArray[np.int32], device: str = "cpu") -> None:
-        import mitsuba as mi
-
-        mi.set_variant("cuda_ad_rgb" if device.startswith("cuda") else "llvm_ad_rgb")
+        mi = mitsuba_on(device)
         mesh = mi.Mesh("surface", vertex_count=len(positions), face_count=len(faces))
         parameters = mi.traverse(mesh)
         parameters["vertex_positions"] = mi.Float(np.ascontiguousarray(positions, dtype=np.float32).ravel())
@@ -38,7 +37,7 @@ class RayTracer:
 
     def closest(self, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> Hits:
         """First hit of each ray (N, 3), (N, 3)."""
-        face, barycentric, distance = [], [], []
+        face, barycentric = [], []
         for start in range(0, len(origins), CHUNK):
             ray = self._ray(origins[start : start + CHUNK], directions[start : start + CHUNK])
             hit = self._scene.ray_intersect_preliminary(ray, coherent=True)
@@ -46,10 +45,9 @@ class RayTracer:
             face.append(np.where(valid, np.asarray(hit.prim_index).astype(np.int32), -1))
             uv = np.stack([np.asarray(hit.prim_uv.x), np.asarray(hit.prim_uv.y)], axis=1)
             barycentric.append(np.where(valid[:, None], uv, 0).astype(np.float32))
-            distance.append(np.where(valid, np.asarray(hit.t), 0).astype(np.float32))
         if not face:
-            return Hits(np.empty(0, np.int32), np.empty((0, 2), np.float32), np.empty(0, np.float32))
-        return Hits(np.concatenate(face), np.concatenate(barycentric), np.concatenate(distance))
+            return Hits(np.empty(0, np.int32), np.empty((0, 2), np.float32))
+        return Hits(np.concatenate(face), np.concatenate(barycentric))
 
     def occluded(self, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> NDArray[np.bool_]:
         """Whether each ray (N, 3), (N, 3) meets the mesh at all."""
