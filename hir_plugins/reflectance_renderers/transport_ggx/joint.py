@@ -196,7 +196,7 @@ def fit(
         on_step(step, float(loss.detach()))
     if skipped:
         warnings.warn(
-            f"{skipped} of {settings.steps} steps of the {settings.model} fit had no finite gradient and were left out; "
+            f"{skipped} of {settings.steps} steps of the {settings.model} fit had no finite gradient and were skipped; "
             "look for broken pixels or triangles with: hir check",
             stacklevel=2,
         )
