@@ -141,6 +141,8 @@ class RunConfig:
     seed: int = 0
     deterministic: bool = False
     """Same files for the same input, seed and device; slower, one thread where that is what it takes."""
+    observers: dict[str, dict[str, Any] | Literal[False]] = field(default_factory=dict)
+    """Options of each observer; a table switches its observer on, an empty one with its defaults."""
     plugins: tuple[str, ...] = ()
     """Plugin files or modules beside the installed ones."""
 
@@ -211,6 +213,12 @@ def _check_components(config: RunConfig, plugins: PluginManager) -> None:
     for kind in tables:
         for name, options in getattr(config, kind).items():
             build_options(plugins.find(kind, name).component.config, options, f"{kind} {name!r}")
+    observers = plugins.observers()
+    for name, options in config.observers.items():
+        if name not in observers:
+            raise ConfigError(f"there is no observer {name!r}; there are: {', '.join(observers) or 'none'}")
+        if options is not False:
+            build_options(observers[name], options, f"observer {name!r}")
     for stage in (config.geometry, config.reflectance):
         for name, options in stage.regularizers.items():
             found = plugins.find("regularizer", name)

@@ -61,6 +61,15 @@ def hir_register_presets() -> Mapping[str, Path]:
     """Presets: a name and the TOML file that holds its settings."""
 
 
+@hookspec
+def hir_register_observers() -> Mapping[str, type]:
+    """Observers: a name and the frozen dataclass of its options; a table `observers.<name>` switches one on.
+
+    The observer itself is the plugin's `hir_run_started`, `hir_progress` and `hir_stage_finished`, which find their
+    table in `config.observers`.
+    """
+
+
 @hookspec(firstresult=True)
 def hir_suggest_initializers(capture: Capture) -> Sequence[str] | None:
     """Names the chain of initializers that suits a capture; asked only when `initializers = "auto"`."""

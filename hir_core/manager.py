@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import inspect
 import sys
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
@@ -41,6 +42,8 @@ class Registered:
     component: Component
     distribution: str
     version: str
+    module: str = ""
+    """The module that registered it."""
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -50,6 +53,8 @@ class Registered:
     @property
     def install_command(self) -> str:
         """What to run when something is missing."""
+        if not self.version:  # a file or a module named by hand: no package of that name can be installed
+            return f"pip install {' '.join(self.missing)}"
         extra = f"[{self.component.extra}]" if self.component.extra else ""
         return f"pip install '{self.distribution}{extra}'"
 
@@ -62,7 +67,10 @@ class PluginManager:
         self._pluggy.add_hookspecs(hookspecs)
         self._registered: dict[tuple[str, str], Registered] = {}
         self._presets: dict[str, tuple[Path, str]] = {}
+        self._observers: dict[str, tuple[type, str]] = {}
         self.problems: list[str] = []
+        self.notices: list[str] = []
+        """What plugins should change before a later version; all of them are loaded."""
 
     @classmethod
     def discover(cls, plugins: tuple[str, ...] = ()) -> PluginManager:
@@ -77,7 +85,7 @@ class PluginManager:
     def register_named(self, name: str) -> None:
         """Registers a plugin named on the command line, a `.py` file or a module; a broken one is an error."""
         try:
-            module = _module_from_file(Path(name)) if name.endswith(".py") else import_module(name)
+            module = module_from_file(Path(name)) if name.endswith(".py") else import_module(name)
         except Exception as error:
             raise PluginError(f"plugin {name!r} cannot be imported ({type(error).__name__}: {error})") from error
         before = len(self.problems)
@@ -88,16 +96,30 @@ class PluginManager:
     def register(self, plugin: object, distribution: str, version: str) -> None:
         """Registers one plugin object; what is wrong with it goes to `problems` and does not stop the rest."""
         name = f"{distribution}:{getattr(plugin, '__name__', type(plugin).__name__)}"
+        refusal = _refusal(getattr(plugin, "hir_api", API_VERSION))
+        if refusal:
+            self.problems.append(f"{name}: not loaded: it {refusal}")
+            return
         try:
-            self._pluggy.register(plugin, name=name)
-            self._pluggy.check_pending()
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always")
+                self._pluggy.register(plugin, name=name)
+                self._pluggy.check_pending()
         except Exception as error:
             self._pluggy.unregister(name=name)
             self.problems.append(f"{name}: not loaded: {' '.join(str(error).split())}")
             return
+        # hookspecs name deprecated arguments (`warn_on_impl_args`); pluggy warns whoever still asks for one
+        self.notices += [f"{name}: {warning.message}" for warning in caught]
         for kind, hook in KINDS.items():
             for component in self._ask(plugin, hook, name) or ():
-                self._add(kind, component, distribution, version, name)
+                self._add(kind, component, distribution, version, name, plugin)
+        for observer, options in (self._ask(plugin, "hir_register_observers", name) or {}).items():
+            if observer in self._observers:
+                self.problems.append(f"observer {observer!r} of {distribution} is ignored: "
+                                     f"{self._observers[observer][1]} has one of that name")
+            else:
+                self._observers[observer] = (options, distribution)
         for preset, path in (self._ask(plugin, "hir_register_presets", name) or {}).items():
             if preset in self._presets:
                 self.problems.append(
@@ -105,6 +127,13 @@ class PluginManager:
                 )
             else:
                 self._presets[preset] = (Path(path), distribution)
+
+    def with_component(self, registered: Registered) -> PluginManager:
+        """The same components and presets with `registered` in the place of one of its name; no hooks but ours."""
+        other = PluginManager()
+        other._registered = {**self._registered, (registered.kind, registered.component.name): registered}
+        other._presets, other._observers = dict(self._presets), dict(self._observers)
+        return other
 
     def components(self, kind: str | None = None) -> list[Registered]:
         """All components, or those of one kind, by kind and name."""
@@ -141,6 +170,10 @@ class PluginManager:
             raise ConfigError(f"there is no preset {name!r}; there are: {', '.join(self.presets()) or 'none'}")
         return self._presets[name][0]
 
+    def observers(self) -> dict[str, type]:
+        """Observer names and the dataclasses of their options."""
+        return {name: options for name, (options, _) in sorted(self._observers.items())}
+
     def notify(self, hook: str, **arguments: Any) -> None:
         """Calls an observer hook on every plugin; one that raises is reported once and does not stop the run."""
         for implementation in list(getattr(self._pluggy.hook, hook).get_hookimpls()):
@@ -171,6 +204,8 @@ class PluginManager:
     def _load(self, entry_point: EntryPoint, distribution: str, version: str) -> None:
         try:
             plugin = entry_point.load()
+            if inspect.isclass(plugin):  # an observer with a state of its own: one for each manager
+                plugin = plugin()
         except Exception as error:
             self.problems.append(f"{distribution}: entry point {entry_point.name!r} cannot be imported "
                                  f"({type(error).__name__}: {error}); reinstall or remove {distribution}")
@@ -187,20 +222,31 @@ class PluginManager:
             self.problems.append(f"{name}: {hook} raised {type(error).__name__}: {error}")
             return None
 
-    def _add(self, kind: str, component: Any, distribution: str, version: str, name: str) -> None:
+    def _add(self, kind: str, component: Any, distribution: str, version: str, name: str, plugin: object) -> None:
         if not isinstance(component, Component):
             self.problems.append(f"{name}: registers {component!r} as a {kind}; a Component is needed")
             return
-        if component.api != API_VERSION:
-            self.problems.append(f"{kind} {component.name!r} of {distribution} is made for plugin interface "
-                                 f"{component.api}, this is {API_VERSION}; install a matching version of it")
+        refusal = _refusal(component.api)
+        if refusal:
+            self.problems.append(f"{kind} {component.name!r} of {distribution} {refusal}")
             return
         other = self._registered.get((kind, component.name))
         if other is not None:
             self.problems.append(f"{kind} {component.name!r} of {distribution} is ignored: "
                                  f"{other.distribution} has one of that name; remove one of the two")
             return
-        self._registered[kind, component.name] = Registered(kind, component, distribution, version)
+        module = getattr(plugin, "__name__", None) or type(plugin).__module__
+        self._registered[kind, component.name] = Registered(kind, component, distribution, version, module)
+
+
+def _refusal(api: Any) -> str:
+    """Why a plugin of another interface version is not loaded; empty where it is of ours."""
+    if api == API_VERSION:
+        return ""
+    made = f"is made for plugin interface {api}, this hir has {API_VERSION}"
+    if isinstance(api, int) and api > API_VERSION:
+        return f"{made}; upgrade hir, or install an older version of the plugin"
+    return f"{made}; upgrade the plugin, or install an older hir"
 
 
 def _call(implementation: Any, arguments: Mapping[str, Any]) -> Any:
@@ -218,7 +264,8 @@ def _entry_points() -> list[tuple[str, str, EntryPoint]]:
     return [found[key] for key in sorted(found, key=lambda k: (k[0] != "hir", k))]
 
 
-def _module_from_file(path: Path) -> Any:
+def module_from_file(path: Path) -> Any:
+    """The module in a `.py` file, importable afterwards as `hir_plugin_<stem>`."""
     if not path.is_file():
         raise FileNotFoundError(f"{path} does not exist")
     name = f"hir_plugin_{path.stem}"

@@ -31,12 +31,14 @@ def options_schema(kind: type) -> dict[str, Any]:
     from pydantic import ConfigDict, TypeAdapter, create_model
 
     schema = TypeAdapter(_validator(kind)).json_schema()
-    # the checked class is a subclass without a body, so it has lost the docstrings of the first level
-    holder = create_model("Holder", __config__=ConfigDict(use_attribute_docstrings=True), held=(kind, ...))
-    described = holder.model_json_schema()["$defs"][kind.__name__]
-    for name, field in described.get("properties", {}).items():
-        if "description" in field:
-            schema["properties"][name]["description"] = field["description"]
+    # the checked class is a subclass without a body, so it has lost the docstrings of the first level; options that a
+    # class inherits, or gives another default, are described where they were first written
+    for written in reversed(kind.__mro__[:-1]):
+        holder = create_model("Holder", __config__=ConfigDict(use_attribute_docstrings=True), held=(written, ...))
+        described = holder.model_json_schema()["$defs"][written.__name__]
+        for name, field in described.get("properties", {}).items():
+            if "description" in field:
+                schema["properties"][name]["description"] = field["description"]
     return schema
 
 

@@ -33,4 +33,9 @@ class Component:
     extra: str = ""
     """The extra of the distribution that installs `requires`."""
     traits: frozenset[str] = field(default_factory=frozenset)
+    """Promises that the core relies on and the contract tests check: words of `hir_core.traits.TRAITS`."""
     api: int = API_VERSION
+    """The version of the plugin interface that it was written for (docs/plugin_api.md)."""
+    testing: str = ""
+    """`package.module:function`: what its contract tests need to know beyond its options, such as a scene that a
+    regularizer likes best or a capture in a reader's format (docs/writing_plugins says what each kind asks for)."""

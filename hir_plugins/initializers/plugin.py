@@ -31,9 +31,10 @@ MESH_FILE = Component(
     target="hir_plugins.initializers.mesh_file:MeshFile",
     config=MeshFileOptions,
     summary="A mesh that already exists, from any format that trimesh reads.",
-    requires=("torch", "jaxtyping", "open3d"),
+    requires=("torch", "jaxtyping", "open3d", "cv2"),
     extra="reconstruct",
     traits=frozenset({"makes_surface", "reads_files"}),
+    testing="hir_plugins.initializers.cases:mesh_of_the_object",
 )
 
 COLMAP = Component(
@@ -64,6 +65,7 @@ POISSON = Component(
     requires=("torch", "jaxtyping", "open3d"),
     extra="reconstruct",
     traits=frozenset({"needs_cameras", "makes_surface"}),
+    testing="hir_plugins.initializers.cases:without_masks",
 )
 
 

@@ -33,7 +33,7 @@ class Folder(MaskSource):
         """None where a photograph has no mask; a folder that is named and fits no photograph is a `CaptureError`."""
         del scene
         found = [self._file(view, capture.path) for view in capture.views]
-        if self._config.path and not any(found):
+        if self._config.path and capture.views and not any(found):
             raise CaptureError(f"{capture.path / self._config.path} holds no mask that is named like a photograph, "
                                f"such as {capture.views[0].name}.png")
         missing = [v.name for v, f in zip(capture.views, found, strict=True) if f is None]

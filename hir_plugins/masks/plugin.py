@@ -10,6 +10,7 @@ ALPHA = Component(
     target="hir_plugins.masks.alpha:Alpha",
     summary="The alpha channel of the photographs, or the masks that their capture names.",
     traits=frozenset({"automatic"}),
+    testing="hir_plugins.masks.cases:photographs_with_alpha",
 )
 
 FOLDER = Component(
@@ -18,6 +19,7 @@ FOLDER = Component(
     config=FolderOptions,
     summary="A folder of masks, matched to the photographs by name.",
     traits=frozenset({"automatic", "reads_files"}),
+    testing="hir_plugins.masks.cases:folder_of_masks",
 )
 
 COLOR_KEY = Component(

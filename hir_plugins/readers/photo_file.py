@@ -66,7 +66,7 @@ def photo_size(path: Path, orient: bool = False) -> tuple[int, int]:
         return pixels.shape[1], pixels.shape[0]
     with _pillow(path) as image:
         width, height = image.size
-        turned = orient and image.getexif().get(_ORIENTATION_TAG, 1) in (5, 6, 7, 8)
+        turned = orient and _orientation(path, image) in (5, 6, 7, 8)
     return (height, width) if turned else (width, height)
 
 
@@ -82,11 +82,11 @@ def read_encoded(path: Path, orient: bool = False) -> NDArray[Any]:
         return _read_raw(path)
     with _pillow(path) as image:
         deep = _sixteen_bit_color(path, image)
-        orientation = image.getexif().get(_ORIENTATION_TAG, 1) if orient else 1
+        orientation = _orientation(path, image) if orient else 1
         pixels = None if deep else _guarded(path, lambda: _decoded(image))
     if pixels is None:
         pixels = _read_deep(path)
-    return _turned(pixels, int(orientation))
+    return _turned(pixels, orientation)
 
 
 def read_mask(path: Path, width: int, height: int, orient: bool = False) -> NDArray[np.float32]:
@@ -126,6 +126,11 @@ def _pillow(path: Path) -> Any:
         image.close()
         raise CaptureError(f"{path} is {image.width}×{image.height}, more than {MAX_PIXELS} pixels; make it smaller")
     return image
+
+
+def _orientation(path: Path, image: Any) -> int:
+    """EXIF's, 1 where there is none; of a PNG Pillow decodes the pixels to find it, and they may be broken."""
+    return int(_guarded(path, lambda: image.getexif().get(_ORIENTATION_TAG, 1)))
 
 
 def _decoded(image: Any) -> NDArray[Any]:
@@ -183,7 +188,7 @@ def _read_raw(path: Path) -> NDArray[Any]:
     return np.asarray(developed, dtype=np.float32) / np.float32(65535)
 
 
-def _guarded(path: Path, decode: Callable[[], NDArray[Any] | None]) -> NDArray[Any] | None:
+def _guarded(path: Path, decode: Callable[[], Result]) -> Result:
     try:
         return decode()
     except Exception as error:  # decoders raise many types on broken pictures

@@ -11,7 +11,7 @@ TRANSPORT_GGX = Component(
     target="hir_plugins.reflectance_renderers.transport_ggx.renderer:TransportGGX",
     config=TransportGGXOptions,
     summary="Cached light transport for frozen geometry: rays are traced once, steps are linear algebra.",
-    requires=("torch", "mitsuba"),
+    requires=("torch", "jaxtyping", "mitsuba"),
     extra="reconstruct",
     traits=frozenset({"material", "environment", "solver"}),
 )
@@ -21,7 +21,7 @@ MITSUBA_GGX = Component(
     target="hir_plugins.reflectance_renderers.mitsuba_ggx.renderer:MitsubaGGX",
     config=MitsubaGGXOptions,
     summary="Path tracing of the same BRDFs: the unbiased reference of fits and of every evaluation.",
-    requires=("torch", "mitsuba"),
+    requires=("torch", "jaxtyping", "mitsuba"),
     extra="reconstruct",
     traits=frozenset({"material", "environment", "stochastic", "reference"}),
 )

@@ -33,6 +33,10 @@ class TotalVariationOptions:
     """Relative weights of the parts; 0 leaves one out."""
 
     diffuse_albedo: float = 1.0
+    """Of the diffuse albedo's texture."""
     specular_albedo: float = 1.0
+    """Of the specular albedo's texture."""
     roughness: float = 1.0
+    """Of the roughness texture (GGX α)."""
     environment: float = 0.0
+    """Of the light."""

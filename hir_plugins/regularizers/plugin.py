@@ -14,6 +14,7 @@ LAPLACIAN = Component(
     requires=("torch", "jaxtyping"),
     extra="reconstruct",
     traits=frozenset({"differentiable", "rigid_invariant"}),
+    testing="hir_plugins.regularizers.ideals:one_place",
 )
 
 NORMAL_CONSISTENCY = Component(
@@ -24,6 +25,7 @@ NORMAL_CONSISTENCY = Component(
     requires=("torch", "jaxtyping"),
     extra="reconstruct",
     traits=frozenset({"differentiable", "rigid_invariant"}),
+    testing="hir_plugins.regularizers.ideals:flat_sheet",
 )
 
 EDGE_LENGTH = Component(
@@ -34,6 +36,7 @@ EDGE_LENGTH = Component(
     requires=("torch", "jaxtyping"),
     extra="reconstruct",
     traits=frozenset({"differentiable", "rigid_invariant"}),
+    testing="hir_plugins.regularizers.ideals:one_place",
 )
 
 BILATERAL_SPECULAR = Component(
@@ -44,6 +47,7 @@ BILATERAL_SPECULAR = Component(
     requires=("torch", "jaxtyping"),
     extra="reconstruct",
     traits=frozenset({"differentiable", "material"}),
+    testing="hir_plugins.regularizers.ideals:constant_specular",
 )
 
 TOTAL_VARIATION = Component(
@@ -54,6 +58,7 @@ TOTAL_VARIATION = Component(
     requires=("torch", "jaxtyping"),
     extra="reconstruct",
     traits=frozenset({"differentiable", "material", "environment"}),
+    testing="hir_plugins.regularizers.ideals:constant_textures",
 )
 
 

@@ -40,3 +40,4 @@ class TransportGGXOptions:
     supersampling: int = 2
     """Rays across a pixel, in each direction, in `render`."""
     seed: int = 0
+    """Of the directions that are drawn."""

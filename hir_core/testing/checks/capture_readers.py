@@ -1,0 +1,236 @@
+"""Contracts of capture readers: a known capture, written in their format by the plugin's own `testing` function."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hir_core.capture import Capture
+from hir_core.errors import HirError
+from hir_core.interfaces import CaptureReader
+from hir_core.testing.captures import TinyCapture, similarity_between, surface_points, tiny_capture
+from hir_core.testing.contract import Subject, contract, require
+from hir_core.testing.exercise import Exercise
+
+IMAGES = (".png", ".jpg", ".jpeg", ".exr", ".hdr", ".tif", ".tiff")
+
+
+def _written(subject: Subject) -> tuple[TinyCapture, Path]:
+    """The truth, and where the plugin's `testing` function wrote it in the reader's format."""
+    require(
+        subject.testing is not None,
+        "testing names no function; write one that writes a capture in the format: "
+        "function(capture, folder) -> the path to read",
+    )
+    assert subject.testing is not None
+    if "written" not in subject.memory:
+        truth, folder = tiny_capture(subject.folder(), views=6, size=48), subject.folder()
+        subject.memory["written"] = truth, Path(subject.testing(truth.capture, folder)), folder
+    truth, path, _ = subject.memory["written"]
+    return truth, path
+
+
+def exercise(subject: Subject, device: str) -> Exercise:
+    """Cameras and pixels of the written capture; the input is the folder."""
+    del device
+    _, path = _written(subject)
+
+    def run() -> dict[str, np.ndarray]:
+        capture = subject.create().read(path)
+        cameras = [v.camera.world_to_camera for v in capture.views if v.camera is not None]
+        pixels = [v.pixels().color_linear for v in capture.views]
+        return {"cameras": np.array(cameras), "pixels": np.array(pixels)}
+
+    return Exercise({"folder": path}, run)
+
+
+@contract("capture_reader")
+def knows_its_own_format(subject: Subject) -> None:
+    """`matches` says yes to its own format and no to an empty folder, a folder of text and a path that is not there;
+    `splits` names "train"; a split that is not there is a `CaptureError`.
+    """
+    _, path = _written(subject)
+    reader: CaptureReader = subject.create()
+    require(reader.matches(path), "matches() says no to a capture of its own format")
+    strange = subject.folder()
+    (strange / "notes.txt").write_text("nothing to see\n", encoding="utf-8")
+    for name, other in (
+        ("an empty folder", subject.folder()),
+        ("a folder of text", strange),
+        ("a path that is not there", strange / "missing"),
+    ):
+        try:
+            answer = reader.matches(other)
+        except Exception as error:
+            answer = None
+            require(False, f"matches() of {name} raises {type(error).__name__}: {error}")
+        require(not answer, f"matches() says yes to {name}")
+    require("train" in reader.splits(path), f"splits() is {reader.splits(path)}; it must hold 'train'")
+    _raises(lambda: reader.read(path, "no_such_split"), "a split that is not there")
+
+
+@contract("capture_reader")
+def cameras_are_where_they_were(subject: Subject) -> None:
+    """Cameras come back: up to a similarity of the world (+Y still up, within 30°) known points land on the pixels
+    where they were, to 0.05 pixel; the order and number of views is that of the names.
+    """
+    truth, path = _written(subject)
+    capture = subject.create().read(path)
+    pairs = _paired(truth, capture)
+    if all(view.camera is None for view, _ in pairs):
+        return  # a format without cameras: they are found later
+    lost = [view.name for view, _ in pairs if view.camera is None]
+    require(not lost, f"the view {', '.join(lost)} has no camera, others have")
+    have = np.array([view.camera.center for view, _ in pairs])
+    true = np.array([known.camera.center for _, known in pairs])
+    world, left = similarity_between(true, have)
+    size = float(np.cbrt(np.linalg.det(world[:3, :3])))
+    require(
+        left < 1e-3 * size * 3,
+        f"the cameras' centres do not fit the true ones: {left / size:.3g} radii are left "
+        "after the best similarity; a mirrored or wrongly converted axis leaves much",
+    )
+    up = world[:3, :3] @ [0.0, 1.0, 0.0] / size
+    require(up[1] > np.cos(np.radians(30)), f"what was up is now {np.round(up, 2).tolist()}; +Y must be up")
+    points = surface_points(60).positions
+    moved = points @ world[:3, :3].T + world[:3, 3]
+    for view, known in pairs:
+        expected, _ = known.camera.project(points)
+        found, depth = view.camera.project(moved)
+        off = float(np.abs(found - expected).max())
+        require(
+            off < 0.05 and depth.min() > 0,
+            f"in view {view.name} a known point is {off:.3g} pixels from its place "
+            "(half a pixel: another convention of pixel centres)",
+        )
+
+
+@contract("capture_reader")
+def source_axes_are_recorded(subject: Subject) -> None:
+    """`world_from_source` is a similarity: finite, no reflection, no shear."""
+    _, path = _written(subject)
+    transform = subject.create().read(path).world_from_source
+    require(transform.shape == (4, 4) and np.isfinite(transform).all(), f"world_from_source is {transform}")
+    linear = transform[:3, :3]
+    scale = np.cbrt(np.linalg.det(linear))
+    require(scale > 0, f"world_from_source mirrors: its determinant is {np.linalg.det(linear):.3g}")
+    shear = float(np.abs(linear @ linear.T / scale**2 - np.eye(3)).max())
+    require(shear < 1e-6, f"world_from_source is no similarity: it shears by {shear:.3g}")
+
+
+@contract("capture_reader")
+def pixels_are_linear(subject: Subject) -> None:
+    """Pixels come back scene-linear (8-bit sRGB is decoded), to half a step of 8 bits; masks are the coverage where the
+    format has them; `View.read` can be pickled.
+    """
+    from hir_exporters.conventions import linear_to_srgb
+
+    truth, path = _written(subject)
+    capture = subject.create().read(path)
+    for view, known in _paired(truth, capture):
+        pixels, true = view.pixels(), known.pixels()
+        require(
+            pixels.color_linear.shape == true.color_linear.shape,
+            f"view {view.name} is {pixels.color_linear.shape}, its picture {true.color_linear.shape}",
+        )
+        assert true.mask is not None
+        solid = true.mask > 0.99 if pixels.mask is not None else np.ones(true.mask.shape, bool)
+        off = np.abs(linear_to_srgb(pixels.color_linear) - linear_to_srgb(true.color_linear))[solid]
+        require(
+            float(off.max()) < 0.6 / 255,
+            f"colours of view {view.name} are off by {255 * float(off.max()):.1f} steps of 8-bit sRGB",
+        )
+        if pixels.mask is not None:
+            apart = float(np.abs(pixels.mask - true.mask).max())
+            require(apart < 0.6 / 255 + 1e-6, f"the mask of view {view.name} is off by {apart:.3g}")
+        pickle.dumps(view.read)
+
+
+@contract("capture_reader")
+def malformed_files_are_refused(subject: Subject) -> None:
+    """Each file of a capture in turn cut short, emptied, filled with garbage, its numbers turned into NaN, or removed:
+    reading gives a capture or a `HirError` with a sentence, never another error and never numbers that are not finite.
+    """
+    require(subject.testing is not None, "testing names no function that writes a capture in the format")
+    assert subject.testing is not None
+    truth = tiny_capture(subject.folder(), views=3, size=24)
+    first = subject.folder()
+    files = sorted(f.relative_to(first) for f in _written_files(subject, truth.capture, first))
+    described = [f for f in files if f.suffix.lower() not in IMAGES]
+    pictures = [f for f in files if f.suffix.lower() in IMAGES][:1]
+    for file in described + pictures:
+        for how in ("cut short", "emptied", "filled with garbage", "with NaN for its numbers", "removed"):
+            folder = subject.folder()
+            path = Path(subject.testing(truth.capture, folder))
+            _break(folder / file, how)
+            _reads_or_refuses(subject.create(), path, f"{file.as_posix()} {how}")
+
+
+def _written_files(subject: Subject, capture: Capture, folder: Path) -> list[Path]:
+    assert subject.testing is not None
+    subject.testing(capture, folder)
+    return [f for f in folder.rglob("*") if f.is_file()]
+
+
+def _break(file: Path, how: str) -> None:
+    data = file.read_bytes()
+    if how == "cut short":
+        file.write_bytes(data[: len(data) // 2])
+    elif how == "emptied":
+        file.write_bytes(b"")
+    elif how == "filled with garbage":
+        file.write_bytes(np.random.default_rng(0).bytes(max(len(data), 64)))
+    elif how == "removed":
+        file.unlink()
+    else:
+        text = "".join(chr(b) if b < 128 else "?" for b in data)
+        for digit in "123456789":
+            text = text.replace(f" {digit}", " NaN").replace(f"[{digit}", "[NaN")
+        file.write_text(text, encoding="utf-8")
+
+
+def _reads_or_refuses(reader: CaptureReader, path: Path, what: str) -> None:
+    try:
+        if not reader.matches(path):
+            return
+        capture = reader.read(path)
+        numbers = [v.camera.world_to_camera for v in capture.views if v.camera is not None]
+        numbers += [v.camera.intrinsics for v in capture.views if v.camera is not None]
+        for view in capture.views:
+            numbers.append(view.pixels().color_linear)
+    except HirError as error:
+        require(
+            len(str(error)) > 15, f"with {what} it raises {type(error).__name__}({str(error)!r}), which says nothing"
+        )
+        return
+    except Exception as error:
+        require(False, f"with {what} it raises {type(error).__name__}: {error}")
+        return
+    require(all(np.isfinite(n).all() for n in numbers), f"with {what} it reads numbers that are not finite")
+
+
+def _raises(call: Callable[[], object], what: str) -> None:
+    try:
+        call()
+    except HirError:
+        return
+    except Exception as error:
+        require(False, f"{what} raises {type(error).__name__}: {error}; a CaptureError is needed")
+    require(False, f"{what} is read without an error")
+
+
+def _paired(truth: TinyCapture, capture: Capture) -> list[tuple[Any, Any]]:
+    """Views with the true ones, by name where names survive a format, else in the order of names."""
+    names = [view.name for view in capture.views]
+    require(len(set(names)) == len(names), f"names of views repeat: {', '.join(names)}")
+    require(
+        len(names) == len(truth.capture.views), f"{len(truth.capture.views)} views were written, {len(names)} are read"
+    )
+    known = {view.name: view for view in truth.capture.views}
+    if set(names) == set(known):
+        return [(view, known[view.name]) for view in capture.views]
+    return list(zip(sorted(capture.views, key=lambda v: v.name), truth.capture.views, strict=True))

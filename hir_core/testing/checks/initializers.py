@@ -1,0 +1,163 @@
+"""Contracts of initializers, on a capture whose cameras and surface are known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hir_core.errors import HirError
+from hir_core.testing.captures import (
+    TinyCapture,
+    distance_to_surface,
+    similarity_between,
+    tiny_capture,
+)
+from hir_core.testing.contract import Subject, contract, require
+from hir_core.testing.exercise import Exercise, seeded
+
+if TYPE_CHECKING:
+    from hir_core.capture import Capture
+    from hir_core.interfaces import Initializer
+    from hir_core.scene import Scene
+
+
+def _case(subject: Subject) -> tuple[TinyCapture, Capture, Initializer]:
+    """The truth, what the initializer is given of it, and the initializer with the options of its test."""
+    if "case" not in subject.memory:
+        finds = subject.has("finds_cameras")
+        truth = tiny_capture(subject.folder(), *((24, 256, 40.0) if finds else (16, 96, 12.0)))
+        given = truth.without_cameras() if finds else truth.capture
+        options: dict[str, Any] = {}
+        if subject.testing is not None:
+            given, options = subject.testing(truth, given, subject.folder())
+        subject.memory["case"] = truth, given, options
+    truth, given, options = subject.memory["case"]
+    return truth, given, subject.create(**options)
+
+
+def _initialized(subject: Subject) -> tuple[TinyCapture, Capture, Capture, Scene | None]:
+    truth, given, initializer = _case(subject)
+    if "initialized" not in subject.memory:
+        seeded(0)
+        subject.memory["initialized"] = initializer.initialize(given, None, subject.folder())
+    capture, scene = subject.memory["initialized"]
+    return truth, given, capture, scene
+
+
+def exercise(subject: Subject, device: str) -> Exercise:
+    """Cameras and vertices."""
+    del device
+    _, given, initializer = _case(subject)
+
+    def run() -> dict[str, np.ndarray]:
+        capture, scene = initializer.initialize(given, None, subject.folder())
+        subject.memory.setdefault("initialized", (capture, scene))
+        found = {"cameras": np.array([v.camera.world_to_camera for v in capture.views if v.camera is not None])}
+        if scene is not None:
+            found["vertices"] = scene.mesh.positions.cpu().numpy()
+        return found
+
+    return Exercise({"capture": given}, run)
+
+
+@contract("initializer", traits={"makes_surface"}, slow=True)
+def surface_is_the_true_one(subject: Subject) -> None:
+    """The mesh lies on the true surface: half of its vertices within 3 % of the object's radius, 95 % within 12 %;
+    faces index its vertices, most of them face outwards. A world that was moved is recorded in `world_from_source`.
+    """
+    import torch
+
+    _, given, capture, scene = _initialized(subject)
+    require(scene is not None, "it declares 'makes_surface' and returns no scene")
+    assert scene is not None
+    mesh = scene.mesh
+    require(torch.isfinite(mesh.positions).all(), "the mesh has vertices that are not finite")
+    faces = mesh.faces
+    require(len(faces) > 20, f"the mesh has {len(faces)} triangles")
+    require(int(faces.min()) >= 0 and int(faces.max()) < len(mesh.positions), "faces name vertices that are not there")
+    # the files' axes are those of the truth, so that the surface is known in any world
+    truth_from_world = given.world_from_source @ np.linalg.inv(capture.world_from_source)
+    places = mesh.positions.double().cpu().numpy() @ truth_from_world[:3, :3].T + truth_from_world[:3, 3]
+    away = np.abs(distance_to_surface(places))
+    half, most = np.quantile(away, [0.5, 0.95])
+    require(
+        half < 0.03 and most < 0.12,
+        f"half of the vertices lie within {half:.3f}, 95 % within {most:.3f} of the true surface of radius 1",
+    )
+    normal = mesh.face_areas_normals.cpu().numpy() @ truth_from_world[:3, :3].T
+    centre = places[faces.cpu().numpy()].mean(axis=1)
+    outer = distance_to_surface(
+        centre + 0.05 * normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    )
+    share = float((outer > distance_to_surface(centre)).mean())
+    require(share > 0.9, f"{100 * share:.0f} % of the triangles face outwards; counter-clockwise is outside")
+
+
+@contract("initializer", traits={"finds_cameras"}, slow=True)
+def cameras_are_the_true_ones(subject: Subject) -> None:
+    """At least nine in ten views get a camera; after the best similarity all centres are within 5 % of the object's
+    radius, and the focal length within 10 %.
+    """
+    truth, _, capture, _ = _initialized(subject)
+    true = {view.name: view.camera for view in truth.capture.views if view.camera is not None}
+    found = {view.name: view.camera for view in capture.views if view.camera is not None}
+    require(len(found) >= 0.9 * len(true), f"{len(found)} of {len(true)} views got a camera")
+    names = sorted(found)
+    centers = np.array([found[n].center for n in names]), np.array([true[n].center for n in names])
+    _, left = similarity_between(*centers)
+    require(left < 0.05, f"after the best similarity a camera is {left:.3f} radii from where it was")
+    focal = float(np.median([found[n].intrinsics[0, 0] / true[n].intrinsics[0, 0] for n in names]))
+    require(abs(focal - 1) < 0.1, f"the focal length is {focal:.3f} times the true one")
+
+
+@contract("initializer", slow=True)
+def views_are_kept(subject: Subject) -> None:
+    """It returns the views it was given, by name and in their order, but for those it found no camera for."""
+    _, given, capture, _ = _initialized(subject)
+    before, after = [v.name for v in given.views], [v.name for v in capture.views]
+    placed = [v.name for v in capture.views if v.camera is not None]
+    require(
+        after == before or ([n for n in before if n in set(after)] == after and placed == after),
+        f"it was given {', '.join(before)} and returns {', '.join(after)}",
+    )
+
+
+@contract("initializer", slow=True)
+def unusable_captures_are_refused(subject: Subject) -> None:
+    """Captures without views, without cameras and masks, with empty masks or with one view work, or raise a `HirError`
+    (`CaptureError`, `StageError`) with a sentence: never another error, never a mesh that is not finite.
+    """
+    truth, given, initializer = _case(subject)
+    nothing = [replace(v, camera=None) for v in truth.without_masks().views]
+    empty = [
+        replace(v, mask=np.zeros((v.camera.height, v.camera.width), np.float32)) if v.camera else v
+        for v in truth.capture.views
+    ]
+    cases = {
+        "no views": replace(given, views=(), points=None),
+        "neither cameras nor masks nor points": replace(given, views=tuple(nothing[:4]), points=None),
+        "masks that show nothing": replace(given, views=tuple(empty), points=None),
+        "a single view": replace(given, views=given.views[:1], points=None),
+    }
+    for name, capture in cases.items():
+        _refused(initializer, capture, name, subject.folder())
+
+
+def _refused(initializer: Initializer, capture: Capture, name: str, folder: Path) -> None:
+    import torch
+
+    seeded(0)
+    try:
+        _, scene = initializer.initialize(capture, None, folder)
+    except HirError as error:
+        require(
+            len(str(error)) > 20, f"given {name}, it raises {type(error).__name__}({str(error)!r})"
+        )
+        return
+    except Exception as error:
+        require(False, f"given {name}, it raises {type(error).__name__}: {error}")
+        return
+    require(scene is None or bool(torch.isfinite(scene.mesh.positions).all()), f"given {name}, its mesh is not finite")

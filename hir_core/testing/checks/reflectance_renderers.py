@@ -1,0 +1,386 @@
+"""Contracts of reflectance renderers: energy, reciprocity, linearity, gradients, agreement with the reference."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hir_core.testing.contract import NotApplicable, Subject, contract, require
+from hir_core.testing.exercise import Exercise, seeded
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from hir_core.capture import Camera, Capture
+    from hir_core.interfaces import PreparedReflectance
+    from hir_core.scene import EnvironmentMap, Material, Mesh, Scene
+
+SIZE = 24
+FEW, MANY = 4, 16
+"""Repetitions of what is stochastic."""
+
+
+def _capture(cameras: Sequence[Camera]) -> Capture:
+    from hir_core.capture import Capture, View
+    from hir_core.testing.captures import StoredPixels
+
+    views = []
+    for i, camera in enumerate(cameras):
+        shape = (camera.height, camera.width)
+        views.append(View(str(i), camera, StoredPixels(np.zeros((*shape, 3), np.float32), np.ones(shape, np.float32))))
+    return Capture(Path("made"), tuple(views))
+
+
+def _grid(size: int = SIZE, step: int = 1) -> Tensor:
+    import torch
+
+    y, x = torch.meshgrid(torch.arange(0, size, step), torch.arange(0, size, step), indexing="ij")
+    return torch.stack([torch.zeros_like(x), x, y], dim=-1).reshape(-1, 3)
+
+
+def _scene(material: Material, light: EnvironmentMap, mesh: Mesh | None = None) -> Scene:
+    from hir_core.scene import Scene
+    from hir_core.testing.scenes import smooth_sphere
+
+    return Scene(mesh or smooth_sphere(4), material, light)
+
+
+def _prepared(subject: Subject, scene: Scene, camera: Camera) -> PreparedReflectance:
+    found: PreparedReflectance = subject.create().prepare(scene, _capture([camera]))
+    return found
+
+
+def _mean(subject: Subject, value: Callable[[], Tensor], times: int = FEW) -> tuple[Tensor, Tensor]:
+    """Mean and its standard error over runs of different seeds; one run and 0 where nothing is stochastic."""
+    import torch
+
+    if not subject.has("stochastic"):
+        seeded(0)
+        one = value().detach()
+        return one, torch.zeros_like(one)
+    runs = []
+    for seed in range(times):
+        seeded(seed)
+        runs.append(value().detach())
+    stacked = torch.stack(runs).double()
+    return stacked.mean(0), stacked.std(0) / np.sqrt(times)
+
+
+def exercise(subject: Subject, device: str) -> Exercise:
+    """Radiance of a glossy sphere under an uneven light, and a picture of it."""
+    from hir_core.testing.scenes import constant_material, looking_at, uneven_light
+
+    scene = _scene(constant_material("dielectric", 0.4, 0.04, 0.3), uneven_light(16)).to(device)
+    camera = looking_at((0, 1, 4), SIZE)
+    capture = _capture([camera])
+
+    def run() -> dict[str, np.ndarray]:
+        renderer = subject.create()
+        assert scene.material is not None and scene.environment is not None
+        shown = renderer.prepare(scene, capture).radiance(scene.material, scene.environment, _grid(step=2).to(device))
+        picture = renderer.render(scene, camera)
+        return {"radiance": shown.detach().cpu().numpy(), "picture": picture.detach().cpu().numpy()}
+
+    return Exercise({"scene": scene, "cameras": capture.cameras}, run)
+
+
+@contract("reflectance_renderer", slow=True)
+def radiance_is_finite_and_in_place(subject: Subject) -> None:
+    """`radiance` gives (pixels, 3), finite, not negative, 0 where a pixel misses; `render` gives (height, width, 4)
+    with premultiplied colour and coverage in 0…1; both show the same.
+    """
+    import torch
+
+    from hir_core.testing.scenes import constant_material, looking_at, uneven_light
+
+    light, camera = uneven_light(16), looking_at((0, 1, 4), SIZE)
+    material = constant_material("dielectric", 0.4, 0.04, 0.4)
+    scene = _scene(material, light)
+    pixels = _grid()
+    prepared = _prepared(subject, scene, camera)
+    shown, _ = _mean(subject, lambda: prepared.radiance(material, light, pixels))
+    require(tuple(shown.shape) == (len(pixels), 3), f"{len(pixels)} pixels give the shape {tuple(shown.shape)}")
+    require(
+        torch.isfinite(shown).all() and float(shown.min()) >= 0,
+        f"radiance goes from {float(shown.min()):.4g} to {float(shown.max()):.4g}",
+    )
+    image = shown.reshape(SIZE, SIZE, 3)
+    require(float(image[1, 1].max()) == 0, f"a pixel beside the object has the radiance {image[1, 1].tolist()}")
+    seeded(0)
+    picture = subject.create().render(scene, camera)
+    require(tuple(picture.shape) == (SIZE, SIZE, 4), f"render gives the shape {tuple(picture.shape)}")
+    require(torch.isfinite(picture).all(), "render gives values that are not finite")
+    coverage = picture[..., 3]
+    require(float(coverage.min()) >= 0 and float(coverage.max()) <= 1 + 1e-6, "coverage leaves 0…1")
+    require(
+        float(coverage[1, 1]) == 0 and float(coverage[SIZE // 2, SIZE // 2]) > 0.99,
+        f"coverage is {float(coverage[1, 1]):.3g} beside the object, {float(coverage[SIZE // 2, SIZE // 2]):.3g} on it",
+    )
+    inside = coverage > 0.99
+    apart = float((picture[..., :3][inside].double() - image[inside].double()).abs().mean() / image[inside].mean())
+    require(apart < 0.06, f"inside the object render and radiance differ by {100 * apart:.1f} % on average")
+
+
+@contract("reflectance_renderer", slow=True)
+def white_furnace(subject: Subject) -> None:
+    """Under a light of 1 from everywhere a white diffuse sphere cannot be told from it (1 %), a white coupled
+    dielectric neither (2 %), and no material of the `paper` model with ρd + ρs ≤ 1 is brighter than the light.
+    """
+    import torch
+
+    from hir_core.scene import EnvironmentMap
+    from hir_core.testing.scenes import constant_material, looking_at
+
+    white, camera = EnvironmentMap(torch.ones(32, 64, 3)), looking_at((0, 0, 4), SIZE)
+    pixels = _grid()[(SIZE // 2) * SIZE + SIZE // 2 - 5 : (SIZE // 2) * SIZE + SIZE // 2 + 5]
+    cases = [("white and diffuse", constant_material("paper", 1.0, 0.0, 0.5), 0.99, 1.01)]
+    for alpha in (0.1, 0.5):
+        cases.append(
+            (f"a white dielectric of ρs 0.3, α {alpha:g}", constant_material("dielectric", 1.0, 0.3, alpha), 0.98, 1.02)
+        )
+        cases.append(
+            (f"`paper` with ρd = ρs = 0.5, α {alpha:g}", constant_material("paper", 0.5, 0.5, alpha), 0.5, 1.01)
+        )
+    prepared = _prepared(subject, _scene(cases[0][1], white), camera)
+    for name, material, low, high in cases:
+        shown, error = _mean(subject, lambda material=material: prepared.radiance(material, white, pixels).mean(0))  # type: ignore[misc]
+        slack = 4 * float(error.max())
+        found = float(shown.mean())
+        require(
+            low - slack <= found <= high + slack,
+            f"under a light of 1, {name} shows {found:.4f}; it must lie in {low:g} … {high:g}",
+        )
+
+
+@contract("reflectance_renderer", slow=True)
+def reciprocity(subject: Subject) -> None:
+    """Light from A seen from B reflects like light from B seen from A: the lobe of a rough plane, light and eye
+    exchanged, agrees within 4 %.
+    """
+    import torch
+
+    from hir_core.scene import EnvironmentMap
+    from hir_core.testing.scenes import constant_material, looking_at, plane
+
+    a, b = (_elevated(azimuth, polar) for azimuth, polar in ((0.4, 20.0), (1.6, 55.0)))
+    lobe, lambertian = constant_material("paper", 0.0, 0.5, 0.6), constant_material("paper", 1.0, 0.0, 0.6)
+    ratios = []
+    for source, eye in ((a, b), (b, a)):
+        light = EnvironmentMap(_spot(source, 64))
+        camera = looking_at(tuple(4 * eye), SIZE)
+        prepared = _prepared(subject, _scene(lobe, light, plane(2.0, 8)), camera)
+        middle = _grid()[(SIZE // 2 - 2) * SIZE : (SIZE // 2 + 2) * SIZE]
+        middle = middle[(middle[:, 1] - SIZE // 2).abs() < 3]
+
+        def middle_of(material: Material, p: Any = prepared, lit: Any = light, at: Tensor = middle) -> Tensor:
+            found: Tensor = p.radiance(material, lit, at).mean()
+            return found
+
+        shown, shown_error = _mean(subject, partial(middle_of, lobe), MANY)
+        whole, _ = _mean(subject, partial(middle_of, lambertian), MANY)
+        # a Lambertian plane shows the irradiance over π, whatever the side it is seen from
+        ratios.append((float(shown / whole), float(shown_error / whole)))
+    (there, error_there), (back, error_back) = ratios
+    slack = 4 * float(np.hypot(error_there, error_back)) / back
+    require(
+        abs(there / back - 1) <= 0.04 + slack, f"π times the lobe is {there:.4f} from A to B and {back:.4f} from B to A"
+    )
+    require(there > 0 and torch.isfinite(torch.tensor(there)), f"the lobe shows {there}")
+
+
+def _elevated(azimuth: float, polar_degrees: float) -> np.ndarray:
+    polar = np.radians(polar_degrees)
+    return np.array([np.sin(polar) * np.sin(azimuth), np.cos(polar), np.sin(polar) * np.cos(azimuth)])
+
+
+def _spot(direction: np.ndarray, rows: int) -> Tensor:
+    """A light of some degrees around a direction."""
+    import torch
+    from hir_exporters.conventions import latlong_directions
+
+    cosine = latlong_directions(rows, 2 * rows) @ direction
+    return torch.from_numpy(np.exp(150 * (cosine - 1)))[..., None].expand(-1, -1, 3).float().contiguous()
+
+
+@contract("reflectance_renderer", slow=True)
+def linear_in_light(subject: Subject) -> None:
+    """Three times the light is three times the radiance (equal seeds, to 1e-4); two lights together are their sum."""
+    from hir_core.scene import EnvironmentMap
+    from hir_core.testing.scenes import constant_material, looking_at, uneven_light
+
+    light, camera = uneven_light(16), looking_at((0, 1, 4), SIZE)
+    material = constant_material("dielectric", 0.4, 0.1, 0.4)
+    prepared = _prepared(subject, _scene(material, light), camera)
+    pixels = _grid(step=2)
+
+    def shown(radiance: Tensor, times: int = FEW) -> tuple[Tensor, Tensor]:
+        return _mean(subject, lambda: prepared.radiance(material, EnvironmentMap(radiance), pixels), times)
+
+    once, thrice = shown(light.radiance)[0], shown(3 * light.radiance)[0]
+    size = float(once.mean())
+    require(size > 0, "a lit sphere is black")
+    apart = float((thrice - 3 * once).abs().mean()) / (3 * size)
+    require(apart < 1e-4, f"three times the light differs from three times the radiance by {100 * apart:.3g} %")
+    other = light.radiance.flip(1) * light.radiance.new_tensor([0.5, 1.0, 2.0])
+    second, error = shown(other, MANY)
+    both, error_both = shown(light.radiance + other, MANY)
+    first, error_first = shown(light.radiance, MANY)
+    noise = float((error**2 + error_both**2 + error_first**2).sqrt().mean())
+    apart = abs(float((both - first - second).mean())) / float(both.mean())
+    require(
+        apart < 1e-4 + 4 * noise / float(both.mean()) / np.sqrt(len(pixels)),
+        f"two lights together differ from their sum by {100 * apart:.3g} %",
+    )
+
+
+@contract("reflectance_renderer", traits={"material"}, slow=True)
+def gradient_by_diffuse_albedo(subject: Subject) -> None:
+    """The gradient by diffuse albedo agrees with central differences: within 3 %, and where the renderer is
+    stochastic within four standard errors beyond that.
+    """
+    _compare_gradient(subject, "diffuse_albedo", 0.35, 0.45)
+
+
+@contract("reflectance_renderer", traits={"material"}, slow=True)
+def gradient_by_specular_albedo(subject: Subject) -> None:
+    """The gradient by specular albedo agrees with central differences: within 3 %, and where the renderer is
+    stochastic within four standard errors beyond that.
+    """
+    _compare_gradient(subject, "specular_albedo", 0.15, 0.25)
+
+
+@contract("reflectance_renderer", traits={"material"}, slow=True)
+def gradient_by_roughness(subject: Subject) -> None:
+    """The gradient by roughness (GGX α) agrees with central differences: within 3 %, and where the renderer is
+    stochastic within four standard errors beyond that.
+    """
+    _compare_gradient(subject, "roughness", 0.36, 0.44)
+
+
+@contract("reflectance_renderer", traits={"environment"}, slow=True)
+def gradient_by_light(subject: Subject) -> None:
+    """The gradient by the light's radiance agrees with central differences: within 3 %, and where the renderer is
+    stochastic within four standard errors beyond that.
+    """
+    _compare_gradient(subject, "radiance", 0.0, 0.0)
+
+
+def _compare_gradient(subject: Subject, name: str, low: float, high: float) -> None:
+    """Along one direction of a parameter: the gradient at the middle against the difference of the ends."""
+    import torch
+
+    from hir_core.testing.scenes import constant_material, looking_at, uneven_light
+
+    light, camera = uneven_light(16), looking_at((0, 1, 4), SIZE)
+    material = constant_material("dielectric", 0.4, 0.2, 0.4)
+    prepared = _prepared(subject, _scene(material, light), camera)
+    pixels = _grid(step=2)
+    weights = torch.rand(len(pixels), 3, generator=torch.Generator().manual_seed(1))
+    if name == "radiance":
+        step = 0.1 * torch.rand(light.radiance.shape, generator=torch.Generator().manual_seed(2))
+        middle = light.radiance
+        ends = [middle - step, middle + step]
+    else:
+        middle = getattr(material, name)
+        ends = [torch.full_like(middle, v) for v in (low, high)]
+
+    def value(at: Tensor) -> Tensor:
+        if name == "radiance":
+            shown = prepared.radiance(material, replace(light, radiance=at), pixels)
+        else:
+            shown = prepared.radiance(replace(material, **{name: at}), light, pixels)
+        return (shown * weights).sum()
+
+    def slope() -> Tensor:
+        at = middle.clone().requires_grad_()
+        (found,) = torch.autograd.grad(value(at), at)
+        return (found * (ends[1] - ends[0])).sum()
+
+    try:
+        gradient, gradient_error = _mean(subject, slope, 2 * MANY)
+    except RuntimeError as error:
+        require(False, f"radiance carries no gradient by {name}, though the traits promise it: {error}")
+        return
+    difference, difference_error = _mean(subject, lambda: value(ends[1]) - value(ends[0]), 2 * MANY)
+    slack = 4 * float(np.hypot(float(gradient_error), float(difference_error)))
+    require(
+        abs(float(gradient - difference)) <= 0.03 * abs(float(difference)) + slack,
+        f"by {name} the gradient says {float(gradient):.5g}, central differences {float(difference):.5g}"
+        + (f" ± {slack / 4:.2g}" if slack else ""),
+    )
+
+
+@contract("reflectance_renderer", unless={"reference"}, slow=True)
+def agrees_with_the_reference(subject: Subject) -> None:
+    """Direct light with shadows agrees with the path-traced reference: bias below 1 %, and no block of 4×4 whole
+    pixels is off by more than 10 % at a significance of 1 % over all blocks (t-tests with Šidák's correction).
+    """
+    import torch
+    from scipy.stats import t as student
+
+    from hir_core.testing.scenes import constant_material, looking_at, two_spheres, uneven_light
+
+    reference = _reference(subject)
+    light, camera = uneven_light(32), looking_at((0, 1, 4), SIZE)
+    material = constant_material("dielectric", 0.4, 0.2, 0.3)
+    scene = _scene(material, light, two_spheres())
+    pixels = _grid()
+    prepared = _prepared(subject, scene, camera)
+    shown, shown_error = _mean(subject, lambda: prepared.radiance(material, light, pixels), MANY)
+    truth_of = reference.prepare(scene, _capture([camera]))
+    runs = []
+    for seed in range(MANY):
+        seeded(seed)
+        runs.append(truth_of.radiance(material, light, pixels).detach().double())
+    stacked = torch.stack(runs)
+    truth, error = stacked.mean(0), stacked.std(0) / np.sqrt(MANY)
+    # a pixel on an outline shows as much of the object as a renderer's pixel filter has it: only whole ones compare
+    lit = (truth.sum(1) > 0).reshape(SIZE, SIZE).float()
+    both = (torch.nn.functional.avg_pool2d(lit[None], 3, 1, 1)[0] > 0.999).reshape(-1)
+    require(int(both.sum()) > 100, f"the reference shows the object in {int(both.sum())} whole pixels")
+    missed = int((shown.sum(1)[both] == 0).sum())
+    require(missed == 0, f"{missed} of {int(both.sum())} pixels that show the object are black")
+    bias = float((shown - truth)[both].mean() / truth[both].mean())
+    require(abs(bias) < 0.01, f"on average it is {100 * bias:+.2f} % from the reference")
+    # blocks of 4×4 pixels: one pixel on the edge of a shadow says where the edge is, not how dark the shadow
+    keep = both.reshape(SIZE, SIZE, 1).double()
+    part = _blocks(keep).squeeze(-1)
+    whole = part > 0.5
+    means = [
+        (_blocks(v.reshape(SIZE, SIZE, 3).double() * keep) / part[..., None].clamp_min(1e-9))[whole]
+        for v in (shown, truth)
+    ]
+    spread = (error**2 + shown_error.double() ** 2).reshape(SIZE, SIZE, 3) * keep
+    noise = (_blocks(spread) / (16 * part[..., None].clamp_min(1e-9) ** 2))[whole].sqrt().clamp_min(1e-12)
+    beyond = ((means[0] - means[1]).abs() - 0.1 * means[1]) / noise
+    # Šidák: of n independent tests at 1 - (1 - p)^(1/n) none rejects by chance with probability 1 - p
+    limit = float(student.ppf(0.99 ** (1 / beyond.numel()), MANY - 1))
+    worst = int(beyond.reshape(-1).argmax())
+    far = 100 * float((means[0] / means[1] - 1).reshape(-1)[worst])
+    require(
+        float(beyond.max()) < limit,
+        f"a block of pixels is {far:+.1f} % from the reference, {float(beyond.max()):.1f} "
+        f"standard errors beyond 10 % (limit {limit:.1f})",
+    )
+
+
+def _blocks(image: Tensor, side: int = 4) -> Tensor:
+    """Means over blocks of side×side pixels (H W C)."""
+    height, width, channels = image.shape
+    return image.reshape(height // side, side, width // side, side, channels).mean(dim=(1, 3))
+
+
+def _reference(subject: Subject) -> Any:
+    """The installed reference, for direct light; the traits say which one it is."""
+    found = [r for r in subject.plugins.components("reflectance_renderer") if "reference" in r.component.traits]
+    usable = [r for r in found if not r.missing]
+    if not usable:
+        raise NotApplicable("no reference renderer is installed")
+    fields = getattr(usable[0].component.config, "__dataclass_fields__", {})
+    options = {name: value for name, value in (("max_depth", 2), ("samples", 64)) if name in fields}
+    return subject.plugins.create("reflectance_renderer", usable[0].component.name, options)

@@ -1,0 +1,240 @@
+"""Contracts of regularizers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hir_core.errors import StageError
+from hir_core.testing.contract import Subject, contract, require
+from hir_core.testing.exercise import Exercise, seeded
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from hir_core.scene import Scene
+
+STEP = 1e-6
+"""Of central differences in float64: their error is about 1e-9 of a smooth function's."""
+
+
+def exercise(subject: Subject, device: str) -> Exercise:
+    """Value and gradients on a scene of noise."""
+    from hir_core.testing.scenes import bumpy_scene
+
+    scene = bumpy_scene().to(device)
+
+    def run() -> dict[str, np.ndarray]:
+        value, gradients = _value_and_gradients(subject, scene, _moved(scene))
+        return {"the value": value.cpu().numpy(), **{n: g.cpu().numpy() for n, g in gradients.items()}}
+
+    return Exercise({"scene": scene}, run)
+
+
+def _moved(scene: Scene, seed: int = 1) -> Scene:
+    """The same triangles and textures a little elsewhere, as after some steps of a fit."""
+    import torch
+
+    from hir_core.testing.scenes import leaves, with_leaves
+
+    generator = torch.Generator().manual_seed(seed)
+    values = {}
+    for name, leaf in leaves(scene).items():
+        noise = torch.rand(leaf.shape, generator=generator, dtype=torch.float64).to(leaf)
+        values[name] = leaf + 0.02 * noise
+    return with_leaves(scene, values)
+
+
+def _value_and_gradients(subject: Subject, start: Scene, at: Scene) -> tuple[Tensor, dict[str, Tensor]]:
+    """The term prepared for `start` and its gradients at `at`, for every leaf that it depends on."""
+    import torch
+
+    from hir_core.testing.scenes import leaves, with_leaves
+
+    tracked = {name: leaf.detach().clone().requires_grad_() for name, leaf in leaves(at).items()}
+    value = subject.create().prepare(start)(with_leaves(at, tracked))
+    if not (isinstance(value, torch.Tensor) and value.requires_grad):
+        return value, {}
+    found = torch.autograd.grad(value, list(tracked.values()), allow_unused=True)
+    return value.detach(), {name: g for name, g in zip(tracked, found, strict=True) if g is not None}
+
+
+@contract("regularizer")
+def term_is_a_finite_scalar(subject: Subject) -> None:
+    """The term is a tensor without dimensions, finite, and at least 0 unless the trait `signed` is declared."""
+    import torch
+
+    from hir_core.testing.scenes import bumpy_scene
+
+    for seed in range(4):
+        scene = bumpy_scene(seed=seed)
+        value = subject.create().prepare(scene)(_moved(scene, seed + 10))
+        require(isinstance(value, torch.Tensor), f"the term is {type(value).__name__}, not a tensor")
+        require(value.ndim == 0, f"the term has the shape {tuple(value.shape)}; sum or average it to one number")
+        require(torch.isfinite(value), f"the term is {float(value)}")
+        if not subject.has("signed"):
+            require(
+                float(value) >= 0,
+                f"the term is {float(value):.6g} on a scene of noise; it must be ≥ 0, or declare the trait 'signed'",
+            )
+
+
+@contract("regularizer", traits={"differentiable"}, unless={"stop_gradient"})
+def gradient_is_that_of_the_value(subject: Subject) -> None:
+    """In float64 the gradient agrees with central differences along random directions within 1e-4, for all that the
+    term depends on: positions, textures, light.
+    """
+    import torch
+
+    from hir_core.testing.scenes import bumpy_scene, leaves, with_leaves
+
+    start = bumpy_scene(torch.float64)
+    at = _moved(start)
+    _, gradients = _value_and_gradients(subject, start, at)
+    values = leaves(at)
+    energy = subject.create().prepare(start)
+    generator = torch.Generator().manual_seed(3)
+    moving = []
+    for name, leaf in values.items():
+        direction = torch.randn(leaf.shape, generator=generator, dtype=torch.float64) * float(leaf.abs().max())
+        ends = []
+        for sign in (1, -1):
+            moved = {**values, name: leaf + sign * STEP * direction}
+            seeded(0)
+            ends.append(float(energy(with_leaves(at, moved))))
+        difference = (ends[0] - ends[1]) / (2 * STEP)
+        analytic = float((gradients[name] * direction).sum()) if name in gradients else 0.0
+        rounding = 1e-15 * max(map(abs, ends)) / STEP
+        moving.append(abs(difference) > 10 * rounding)
+        require(
+            abs(analytic - difference) <= 1e-4 * max(abs(difference), abs(analytic)) + 10 * rounding,
+            f"along a random direction of {name} the gradient says {analytic:.8g}, differences {difference:.8g}",
+        )
+    require(any(moving), "nothing that a fit moves changes the term: neither positions nor textures nor light")
+
+
+@contract("regularizer")
+def linear_in_weight(subject: Subject) -> None:
+    """The core multiplies the term by `weight`: three times the weight is three times the term, at each call. The
+    options have no `weight` of their own, which would never arrive.
+    """
+    from hir_core.context import StageContext
+    from hir_core.energies import prepare_energies
+    from hir_core.testing.scenes import bumpy_scene
+
+    options = getattr(subject.component.config, "__dataclass_fields__", {})
+    require("weight" not in options, "the options have a field 'weight'; the core takes that key for itself")
+    scene, context = bumpy_scene(), StageContext(subject.plugins, Path())
+    name, values = subject.component.name, []
+    for weight in (1.0, 3.0):
+        seeded(0)
+        energies = prepare_energies(scene, {name: {**subject.options, "weight": weight}}, context)
+        values.append([float(energies(_moved(scene))[name]) for _ in range(3)])
+    once, thrice = values
+    require(
+        np.allclose(thrice, 3 * np.array(once), rtol=1e-4, atol=0) and np.allclose(once, once[0], rtol=1e-5, atol=0),
+        f"with weight 1 three calls give {once}, with weight 3 {thrice}",
+    )
+
+
+@contract("regularizer", traits={"rigid_invariant"})
+def rigid_motion_changes_nothing(subject: Subject) -> None:
+    """Turning and moving mesh and start together leaves the term as it is (to 1e-6 in float64)."""
+    for turned, value, plain in _transformed(subject, scale=1.0):
+        require(abs(turned - plain) <= 1e-6 * abs(plain), f"the term is {plain:.8g}, {value} {turned:.8g}")
+
+
+@contract("regularizer", traits={"scale_invariant"})
+def scale_changes_nothing(subject: Subject) -> None:
+    """Scaling mesh and start together by a thousand either way leaves the term as it is (to 1e-6 in float64)."""
+    for scale in (1e-3, 1e3):
+        for scaled, value, plain in _transformed(subject, scale):
+            require(abs(scaled - plain) <= 1e-6 * abs(plain), f"the term is {plain:.8g}, {value} {scaled:.8g}")
+
+
+def _transformed(subject: Subject, scale: float) -> Iterator[tuple[float, str, float]]:
+    import torch
+
+    from hir_core.testing.scenes import bumpy_scene
+
+    rotation = torch.linalg.qr(torch.randn(3, 3, generator=torch.Generator().manual_seed(5), dtype=torch.float64))[0]
+    rotation = rotation * torch.sign(torch.linalg.det(rotation))
+    push = torch.tensor([3.0, -2.0, 5.0], dtype=torch.float64) if scale == 1 else torch.zeros(3, dtype=torch.float64)
+    how = "turned and moved" if scale == 1 else f"scaled by {scale:g}"
+    start = bumpy_scene(torch.float64)
+    at = _moved(start)
+
+    def carried(scene: Scene) -> Scene:
+        turned = scene.mesh.positions @ rotation.T if scale == 1 else scene.mesh.positions
+        return replace(scene, mesh=scene.mesh.with_positions(scale * turned + push))
+
+    seeded(0)
+    plain = float(subject.create().prepare(start)(at))
+    seeded(0)
+    yield float(subject.create().prepare(carried(start))(carried(at))), how, plain
+
+
+@contract("regularizer")
+def smallest_on_its_ideal(subject: Subject) -> None:
+    """On the scene that it documents as its ideal (`testing="module:function"`, `function(scene) -> scene`) the term
+    is not larger than on any scene near it.
+    """
+    import torch
+
+    from hir_core.testing.scenes import bumpy_scene, leaves, with_leaves
+
+    require(
+        subject.testing is not None,
+        "testing names no function; write one that returns the scene which the term "
+        "likes best, such as a flat mesh or a constant texture",
+    )
+    assert subject.testing is not None
+    ideal: Scene = subject.testing(bumpy_scene(torch.float64))
+    energy = subject.create().prepare(ideal)
+    seeded(0)
+    least = float(energy(ideal))
+    require(np.isfinite(least), f"on its ideal the term is {least}")
+    generator = torch.Generator().manual_seed(2)
+    above = []
+    for size in (1e-3, 1e-2, 1e-1):
+        values = {}
+        for name, leaf in leaves(ideal).items():
+            noise = torch.randn(leaf.shape, generator=generator, dtype=torch.float64).to(leaf)
+            values[name] = leaf + size * noise if name == "positions" else (leaf + size * noise).clamp(1e-3, 1.0)
+        seeded(0)
+        near = float(energy(with_leaves(ideal, values)))
+        above.append(near > least)
+        require(
+            near >= least - 1e-9 * (1 + abs(least)),
+            f"on its ideal the term is {least:.8g}, {size:g} away from it only {near:.8g}",
+        )
+    require(any(above), f"the term is {least:.8g} on its ideal and on every scene near it")
+
+
+@contract("regularizer")
+def hard_scenes_stay_finite(subject: Subject) -> None:
+    """On degenerate meshes, extreme scales, textures of one texel, black materials and suns, value and gradients are
+    finite. What a term cannot work on at all is a `StageError` that says what it needs.
+    """
+    import torch
+
+    from hir_core.scene import Scene
+    from hir_core.testing.scenes import hard_scenes, sphere
+
+    for name, scene in [*hard_scenes(), ("a mesh without material", Scene(sphere()))]:
+        try:
+            value, gradients = _value_and_gradients(subject, scene, scene)
+        except StageError as error:
+            require(len(str(error)) > 20, f"on {name} it raises StageError({str(error)!r}), which says nothing")
+            continue
+        except Exception as error:
+            require(False, f"on {name} it raises {type(error).__name__}: {error}")
+            continue
+        require(torch.isfinite(value).all(), f"on {name} the term is {float(value)}")
+        for leaf, gradient in gradients.items():
+            bad = int((~torch.isfinite(gradient)).sum())
+            require(bad == 0, f"on {name} {bad} values of the gradient by {leaf} are not finite")

@@ -1,0 +1,207 @@
+"""Chooses the checks of a component and runs them, without pytest."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+import warnings
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from importlib import import_module
+from typing import Any, Literal
+
+from hir_core.errors import PluginError
+from hir_core.manager import PluginManager, Registered
+from hir_core.plugin import Component
+from hir_core.testing.contract import CHECKS, INTERFACES, Check, ContractError, NotApplicable, Subject
+
+Outcome = Literal["passed", "failed", "expected", "mended", "skipped"]
+
+_MODULES = (
+    "every_kind",
+    "requirements",
+    "probing",
+    "regularizers",
+    "geometry_renderers",
+    "reflectance_renderers",
+    "initializers",
+    "capture_readers",
+    "mask_sources",
+    "exporters",
+)
+
+
+@dataclass(frozen=True)
+class Result:
+    """How one check ended."""
+
+    component: str
+    kind: str
+    check: str
+    outcome: Outcome
+    """`expected`: failed, as its given reason says. `mended`: passed although a failure was expected."""
+    detail: str = ""
+    """The whole message of a failure; the reason of what was skipped or expected."""
+    seconds: float = 0.0
+
+    @property
+    def sound(self) -> bool:
+        """Whether nothing has to be done about it."""
+        return self.outcome not in ("failed", "mended")
+
+
+def all_checks() -> dict[str, Check]:
+    """Every check by its name, in the order in which they run: those that others build on first."""
+    order = {import_module(f"hir_core.testing.checks.{name}").__name__: i for i, name in enumerate(_MODULES)}
+    return dict(sorted(CHECKS.items(), key=lambda item: order.get(item[1].function.__module__, len(order))))
+
+
+def checks_for(registered: Registered) -> list[Check]:
+    """The checks of a component, chosen by its kind and traits; loads nothing heavy."""
+    return [check for check in all_checks().values() if check.applies(registered)]
+
+
+def check_component(
+    component: str | Component | Registered,
+    *,
+    expected_failures: Mapping[str, str] | None = None,
+    only: Iterable[str] = (),
+    options: Mapping[str, Any] | None = None,
+    plugins: PluginManager | None = None,
+    raises: bool = True,
+) -> list[Result]:
+    """Runs the checks of one component: a name (`laplacian` or `regularizer:laplacian`), or its descriptor.
+
+    `expected_failures` maps checks to reasons; `only` keeps some checks; `options` are tried instead of the defaults.
+    Raises `ContractError` that lists every broken contract, unless `raises` is False.
+    """
+    subject = subject_of(component, plugins, options)
+    results: list[Result] = []
+    with opened(subject):
+        chosen = checks_for(subject.registered)
+        known = {check.name for check in chosen}
+        unknown = sorted((set(only) | set(expected_failures or {})) - known)
+        if unknown:
+            raise PluginError(
+                f"{subject.label} has no check {unknown[0]!r}; its checks are: {', '.join(sorted(known))}"
+            )
+        for check in chosen:
+            if not only or check.name in only or check.first:
+                results.append(run_check(check, subject, expected_failures or {}))
+                if check.first and results[-1].outcome == "failed":
+                    break
+    broken = [result.detail for result in results if not result.sound]
+    if broken and raises:
+        raise ContractError("\n".join(broken))
+    return results
+
+
+def run_check(check: Check, subject: Subject, expected_failures: Mapping[str, str]) -> Result:
+    """One check of one component, timed; warnings of libraries are not shown."""
+    began = time.perf_counter()
+    outcome: Outcome = "passed"
+    detail = ""
+    reason = expected_failures.get(check.name)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            check(subject)
+        if reason is not None:
+            outcome = "mended"
+            detail = (
+                f"{subject.label}: the check {check.name!r} passes, though it is expected to fail "
+                f"({reason}); take it from expected_failures"
+            )
+    except NotApplicable as why:
+        outcome, detail = "skipped", str(why)
+    except ContractError as error:
+        outcome, detail = ("failed", str(error)) if reason is None else ("expected", reason)
+    seconds = time.perf_counter() - began
+    return Result(subject.component.name, subject.kind, check.name, outcome, detail, seconds)
+
+
+def subject_of(
+    component: str | Component | Registered,
+    plugins: PluginManager | None = None,
+    options: Mapping[str, Any] | None = None,
+) -> Subject:
+    """A component by its name or descriptor, ready to be checked; unknown names are a `PluginError`."""
+    manager = plugins or PluginManager.discover()
+    if isinstance(component, str):
+        found = named(component, manager)
+        if len(found) != 1:
+            kinds = ", ".join(f"{r.kind}:{component}" for r in found)
+            raise PluginError(f"{component!r} is the name of several components; say which: {kinds}")
+        return Subject(found[0], manager, dict(options or {}))
+    if isinstance(component, Registered):
+        manager = _holding(component, manager)
+        return Subject(component, manager, dict(options or {}))
+    for registered in manager.components():
+        if registered.component == component:
+            return Subject(registered, manager, dict(options or {}))
+    module = component.target.partition(":")[0]
+    alone = Registered(_kind_of(component), component, module.partition(".")[0], "", module)
+    return Subject(alone, _holding(alone, manager), dict(options or {}))
+
+
+def named(name: str, plugins: PluginManager) -> list[Registered]:
+    """Components called `name` (or `kind:name`), else all of the distribution or plugin file of that name."""
+    kind, colon, plain = name.partition(":")
+    if colon and kind in INTERFACES:
+        return [plugins.find(kind, plain)]
+    every = plugins.components()
+    found = [r for r in every if r.component.name == name]
+    found = found or [r for r in every if _normal(r.distribution) == _normal(name)]
+    if not found:
+        distributions = ", ".join(sorted({r.distribution for r in every}))
+        raise PluginError(
+            f"no component and no distribution is called {name!r}; `hir plugins` lists the components, "
+            f"the distributions are: {distributions}"
+        )
+    return found
+
+
+@contextlib.contextmanager
+def opened(subject: Subject) -> Iterator[Subject]:
+    """The subject, whose folders are removed at the end."""
+    try:
+        yield subject
+    finally:
+        subject.close()
+
+
+def _holding(registered: Registered, plugins: PluginManager) -> PluginManager:
+    """A manager that creates this component under its name, whatever else is installed."""
+    try:
+        if plugins.find(registered.kind, registered.component.name) == registered:
+            return plugins
+    except PluginError:
+        pass
+    return plugins.with_component(registered)
+
+
+def _kind_of(component: Component) -> str:
+    module, _, attribute = component.target.partition(":")
+    try:
+        found = getattr(import_module(module), attribute)
+    except (ImportError, AttributeError) as error:
+        raise PluginError(
+            f"component {component.name!r} cannot be loaded from {component.target!r}: {error}"
+        ) from error
+    for kind, interface in INTERFACES.items():
+        if isinstance(found, type) and issubclass(found, interface):
+            return kind
+    raise PluginError(
+        f"{component.target!r} is of no kind: it must be a subclass of "
+        f"{', '.join(interface.__name__ for interface in INTERFACES.values())}"
+    )
+
+
+def _normal(name: str) -> str:
+    return name.lower().replace("_", "-").replace(".", "-")
+
+
+def as_registered(kind: str, component: Component, distribution: str = "", version: str = "") -> Registered:
+    """A descriptor of a known kind that no installed plugin registers."""
+    module = component.target.partition(":")[0]
+    return Registered(kind, replace(component), distribution or module.partition(".")[0], version, module)
