@@ -24,6 +24,8 @@ COMMANDS = {
     "view": "hir_core.cli.view:view_command",
     "report": "hir_core.cli.report:report_command",
     "plugins": "hir_core.cli.plugins:plugins_command",
+    "new-plugin": "hir_core.cli.new_plugin:new_plugin_command",
+    "check-plugin": "hir_core.cli.check_plugin:check_plugin_command",
     "doctor": "hir_core.cli.doctor:doctor_command",
     "config": "hir_core.cli.config:config_group",
 }

@@ -6,7 +6,7 @@ import contextlib
 import time
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, Literal
 
@@ -139,8 +139,7 @@ def subject_of(
     for registered in manager.components():
         if registered.component == component:
             return Subject(registered, manager, dict(options or {}))
-    module = component.target.partition(":")[0]
-    alone = Registered(_kind_of(component), component, module.partition(".")[0], "", module)
+    alone = as_registered(_kind_of(component), component)
     return Subject(alone, _holding(alone, manager), dict(options or {}))
 
 
@@ -201,7 +200,6 @@ def _normal(name: str) -> str:
     return name.lower().replace("_", "-").replace(".", "-")
 
 
-def as_registered(kind: str, component: Component, distribution: str = "", version: str = "") -> Registered:
-    """A descriptor of a known kind that no installed plugin registers."""
-    module = component.target.partition(":")[0]
-    return Registered(kind, replace(component), distribution or module.partition(".")[0], version, module)
+def as_registered(kind: str, component: Component) -> Registered:
+    """A descriptor of a known kind that no plugin registers."""
+    return Registered(kind, component, component.target.partition(".")[0].partition(":")[0], "")

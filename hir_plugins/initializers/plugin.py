@@ -52,7 +52,7 @@ STEREO = Component(
     target="hir_plugins.initializers.stereo:Stereo",
     config=StereoOptions,
     summary="Measures depth in all photographs and carves it out of the visual hull.",
-    requires=("torch", "jaxtyping", "open3d", "cv2", "skimage"),
+    requires=("torch", "jaxtyping", "open3d", "cv2", "skimage", "pycolmap"),
     extra="reconstruct",
     traits=frozenset({"needs_cameras", "makes_surface"}),
 )

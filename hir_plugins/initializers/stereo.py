@@ -39,12 +39,12 @@ class Stereo(Initializer):
         """The capture with dense oriented points, and a mesh. Captures without cameras are a `CaptureError`."""
         del scene, workspace
         cameras = capture.cameras
+        if len(cameras) < 3:
+            raise CaptureError(f"{capture.path}: stereo needs at least three photographs, there are {len(cameras)}")
         masked = sum(view.pixels().mask is not None for view in capture.views)
         use_hull = self._config.surface == "hull" or (self._config.surface == "auto" and masked >= 2)
         volume = hull_volume(capture, VisualHullOptions()) if use_hull else None
         center, radius = _ball_of(volume) if volume is not None else object_ball(capture)
-        if len(cameras) < 3:
-            raise CaptureError(f"{capture.path}: stereo needs at least three photographs, there are {len(cameras)}")
         measured = measure(capture, center, radius, self._config)
         if measured.points is None:
             raise StageError("stereo measured no depth that photographs agree on; the object may have too little "

@@ -143,12 +143,12 @@ def traits_are_known(subject: Subject) -> None:
 @contract()
 def imports_light(subject: Subject) -> None:
     """The module that registers the component loads nothing heavy: every `hir` command imports it."""
-    module = sys.modules.get(subject.registered.module)
     place = subject.registered.module
-    if module is not None and place.startswith("hir_plugin_"):  # loaded from a file by its path
-        place = str(getattr(module, "__file__", "") or "")
-    elif module is None or getattr(module, "__file__", None) is None:
-        raise NotApplicable("the component was made in memory, no module registers it")
+    file = getattr(sys.modules.get(place), "__file__", None)
+    if not place or file is None:
+        raise NotApplicable("no module registers it")
+    if place.startswith("hir_plugin_"):  # loaded from a file by its path
+        place = file
     loaded = _loaded_by(place, tuple(sys.path))
     heavy = [name for name in HEAVY if name in loaded]
     require(not heavy, f"importing {place} loads {', '.join(heavy)}; import them in the module that `target` names")

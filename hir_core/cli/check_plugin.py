@@ -1,0 +1,83 @@
+"""`hir check-plugin`: the contract tests without pytest."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+import click
+
+from hir_core.cli.options import plugin_option
+
+if TYPE_CHECKING:
+    from hir_core.testing import Result
+
+MARKS = {"passed": "ok", "failed": "FAILED", "skipped": "skipped", "expected": "expected", "mended": "FAILED"}
+
+
+@click.command("check-plugin")
+@click.argument("name")
+@click.option("--only", multiple=True, metavar="CHECK", help="One check, as often as needed; all by default.")
+@click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="An option to try, such as samples=64.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@click.option("-q", "--quiet", is_flag=True, help="Print failures alone.")
+@plugin_option
+def check_plugin_command(
+    name: str,
+    only: tuple[str, ...],
+    assignments: tuple[str, ...],
+    as_json: bool,
+    quiet: bool,
+    plugin_files: tuple[str, ...],
+) -> None:
+    """Runs the contract tests of NAME: a component, KIND:COMPONENT, a distribution, or a plugin's .py file.
+
+    Exit code 2 where a contract is broken; each failure says the contract, what was seen, and where the docs say more.
+    """
+    from hir_core.config import assign
+    from hir_core.errors import PluginError
+    from hir_core.manager import PluginManager
+    from hir_core.testing import check_component
+    from hir_core.testing.running import named
+
+    if name.endswith(".py") and name not in plugin_files:
+        plugin_files = (*plugin_files, name)
+    plugins = PluginManager.discover(plugin_files)
+    problems = [problem for problem in plugins.problems if name in problem]
+    options: dict[str, object] = {}
+    for assignment in assignments:
+        assign(options, assignment)
+    results: list[Result] = []
+    for registered in named(name, plugins):
+        if registered.missing:
+            raise PluginError(f"{registered.kind} {registered.component.name!r} cannot run here: it needs "
+                              f"{', '.join(registered.missing)}; install it with: {registered.install_command}")
+        if not (as_json or quiet):
+            click.echo(f"{registered.kind.replace('_', ' ')} {registered.component.name} ({registered.distribution})")
+        for result in check_component(registered, only=only, options=options, plugins=plugins, raises=False):
+            results.append(result)
+            if not as_json and not (quiet and result.sound):
+                _tell(result)
+    failed = [result for result in results if not result.sound]
+    if as_json:
+        click.echo(json.dumps({"results": [asdict(r) for r in results], "problems": problems}, indent=1))
+    else:
+        for problem in problems:
+            click.echo(f"hir: plugin problem: {problem}", err=True)
+        for notice in plugins.notices:
+            click.echo(f"hir: plugin notice: {notice}", err=True)
+        passed = sum(result.outcome == "passed" for result in results)
+        skipped = sum(result.outcome == "skipped" for result in results)
+        click.echo(f"{passed} contracts hold, {len(failed)} are broken, {skipped} do not apply here")
+    if failed or problems:
+        raise click.exceptions.Exit(2)
+
+
+def _tell(result: Result) -> None:
+    mark = click.style(f"{MARKS[result.outcome]:>8}", fg={"passed": "green", "failed": "red"}.get(result.outcome))
+    reason = f"  {result.detail}" if result.sound and result.detail else ""
+    click.echo(f"{mark}  {result.check:<36} {result.seconds:6.1f} s{reason}")
+    if not result.sound:
+        for line in result.detail.splitlines()[1:]:
+            click.echo(f"{'':>8}  {line}")

@@ -1,0 +1,39 @@
+"""`hir new-plugin`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from hir_core.cli.options import FOLDER
+from hir_core.manager import KINDS
+
+
+@click.command("new-plugin")
+@click.argument("name")
+@click.option(
+    "--kind", type=click.Choice([k.replace("_", "-") for k in KINDS]), default="regularizer", help="What it adds."
+)
+@click.option("--one-file", is_flag=True, help="A single .py file for --plugin, in place of a package; a regularizer.")
+@click.option("-o", "--output", type=FOLDER, default=Path(), metavar="DIR", help="Where it is written.")
+def new_plugin_command(name: str, kind: str, one_file: bool, output: Path) -> None:
+    """Writes a plugin NAME that can be installed and passes the contract tests as it is."""
+    from hir_core.errors import ConfigError
+    from hir_core.scaffold import write_one_file, write_plugin
+
+    if one_file:
+        if kind != "regularizer":
+            raise ConfigError(f"--one-file writes a regularizer; leave it out for a {kind}")
+        path = write_one_file(name, output)
+        click.echo(path)
+        click.echo(f"check it with:  hir check-plugin {path}")
+        click.echo(f"use it with:    hir reconstruct PHOTOS -o RUN --plugin {path} "
+                   f"--set reflectance.regularizers.{path.stem.removeprefix('hir_')}.weight=1")
+        return
+    written = write_plugin(name, kind.replace("-", "_"), output)
+    folder = next(file.parent for file in written if file.name == "pyproject.toml")
+    for file in written:
+        click.echo(file)
+    click.echo(f"install it with:  pip install -e {folder}")
+    click.echo(f"check it with:    hir check-plugin {folder.name}")

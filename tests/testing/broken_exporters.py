@@ -1,0 +1,104 @@
+"""Exporters with one fault each, made of the built-in ones."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from hir_exporters.asset import Asset
+from hir_exporters.configs import ObjConfig, UsdConfig
+from hir_exporters.exporter import Edit, Exporter, ExportReport
+from hir_exporters.obj import ObjExporter
+from hir_exporters.usd.exporter import UsdExporter
+
+from hir_core.plugin import Component
+
+HERE = __name__
+
+
+class Obj(Exporter):
+    """The sound one without a document."""
+
+    def __init__(self, config: ObjConfig) -> None:
+        self.inner = ObjExporter(config)
+
+    def write(self, asset: Asset, destination: Path, edit: Edit | None = None) -> ExportReport:
+        return self.inner.write(asset, destination, edit)
+
+
+class KeepsALog(Obj):
+    def write(self, asset: Asset, destination: Path, edit: Edit | None = None) -> ExportReport:
+        report = super().write(asset, destination, edit)
+        (destination.parent.parent / "export.log").write_text("written\n")
+        return report
+
+
+class Dated(Obj):
+    def write(self, asset: Asset, destination: Path, edit: Edit | None = None) -> ExportReport:
+        report = super().write(asset, destination, edit)
+        destination.write_text(f"# {int(time.time())}\n{destination.read_text()}")
+        return report
+
+
+class Sideways(Obj):
+    def write(self, asset: Asset, destination: Path, edit: Edit | None = None) -> ExportReport:
+        turned = replace(asset.mesh, positions=asset.mesh.positions[:, [0, 2, 1]])
+        return super().write(replace(asset, mesh=turned), destination, edit)
+
+
+class WritesFirst(Obj):
+    def write(self, asset: Asset, destination: Path, edit: Edit | None = None) -> ExportReport:
+        if not destination.exists():
+            destination.parent.mkdir(parents=True, exist_ok=True)
+            destination.write_text("")
+        return super().write(asset, destination, edit)
+
+
+class Usd(Exporter):
+    """The sound one with a document."""
+
+    def __init__(self, config: UsdConfig) -> None:
+        self.inner = UsdExporter(config)
+
+    def write(self, asset: Asset, destination: Path, edit: Edit | None = None) -> ExportReport:
+        return self.inner.write(asset, destination, edit)
+
+
+class Deaf(Usd):
+    def write(self, asset: Asset, destination: Path, edit: Edit | None = None) -> ExportReport:
+        return super().write(asset, destination, None)
+
+
+class Invalid(Usd):
+    def write(self, asset: Asset, destination: Path, edit: Edit | None = None) -> ExportReport:
+        def spoilt(stage: Any, written: Asset) -> None:
+            from pxr import UsdGeom
+
+            # a mesh inside of a mesh: usdGeom's rules of encapsulation forbid it
+            mesh = next(prim for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh))
+            stage.DefinePrim(mesh.GetPath().AppendChild("inner"), "Sphere")
+            if edit is not None:
+                edit(stage, written)
+
+        return super().write(asset, destination, spoilt)
+
+
+def obj(implementation: type = Obj) -> Component:
+    return Component("obj", f"{HERE}:{implementation.__name__}", ObjConfig, "OBJ, wrapped.")
+
+
+def usda(implementation: type = Usd) -> Component:
+    return Component("usda", f"{HERE}:{implementation.__name__}", UsdConfig, "USD, wrapped.",
+                     traits=frozenset({"usd"}))  # fmt: skip
+
+
+BROKEN_EXPORTERS: dict[str, Component] = {
+    "writes_below_its_destination": obj(KeepsALog),
+    "same_bytes_twice": obj(Dated),
+    "reads_back": obj(Sideways),
+    "bad_input_writes_nothing": obj(WritesFirst),
+    "validators_find_nothing": usda(Invalid),
+    "edit_is_called_once": usda(Deaf),
+}

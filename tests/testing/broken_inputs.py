@@ -1,0 +1,122 @@
+"""Readers and mask sources with one fault each."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hir_core.capture import Capture, Pixels
+from hir_core.interfaces import CaptureReader, MaskSource
+from hir_core.plugin import Component, NoOptions
+from hir_plugins.masks.color_key import ColorKey
+from hir_plugins.masks.options import ColorKeyOptions
+from hir_plugins.readers.transforms_json import TransformsJsonReader
+
+HERE = __name__
+
+
+class Reader(CaptureReader):
+    """The sound one: `transforms_json`."""
+
+    def __init__(self, config: NoOptions) -> None:
+        self.inner = TransformsJsonReader(config)
+
+    def matches(self, path: Path) -> bool:
+        return self.inner.matches(path)
+
+    def splits(self, path: Path) -> list[str]:
+        return self.inner.splits(path)
+
+    def read(self, path: Path, split: str = "train") -> Capture:
+        return self.inner.read(path, split)
+
+
+class KnowsEverything(Reader):
+    def matches(self, path: Path) -> bool:
+        return path.is_dir()
+
+
+class HalfAPixel(Reader):
+    def read(self, path: Path, split: str = "train") -> Capture:
+        capture = super().read(path, split)
+        off = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
+        views = [replace(v, camera=replace(v.camera, intrinsics=v.camera.intrinsics + off)) for v in capture.views]
+        return replace(capture, views=tuple(views))
+
+
+class Mirrored(Reader):
+    def read(self, path: Path, split: str = "train") -> Capture:
+        return replace(super().read(path, split), world_from_source=np.diag([-1.0, 1.0, 1.0, 1.0]))
+
+
+@dataclass(frozen=True)
+class Darker:
+    """Pixels that are taken for linear a second time; picklable."""
+
+    read: Any
+
+    def __call__(self) -> Pixels:
+        pixels = self.read()
+        return replace(pixels, color_linear=pixels.color_linear**2.2)
+
+
+class TwiceDecoded(Reader):
+    def read(self, path: Path, split: str = "train") -> Capture:
+        capture = super().read(path, split)
+        return replace(capture, views=tuple(replace(v, read=Darker(v.read)) for v in capture.views))
+
+
+class Trusting(Reader):
+    def read(self, path: Path, split: str = "train") -> Capture:
+        if split == "train":
+            json.loads((path / "transforms_train.json").read_text(encoding="utf-8"))["frames"]
+        return super().read(path, split)
+
+
+def reader(implementation: type = Reader) -> Component:
+    return Component("wrapped", f"{HERE}:{implementation.__name__}", summary="A reader, wrapped.",
+                     testing="hir_plugins.readers.samples:transforms_json")  # fmt: skip
+
+
+BROKEN_READERS: dict[str, Component] = {
+    "knows_its_own_format": reader(KnowsEverything),
+    "cameras_are_where_they_were": reader(HalfAPixel),
+    "source_axes_are_recorded": reader(Mirrored),
+    "pixels_are_linear": reader(TwiceDecoded),
+    "malformed_files_are_refused": reader(Trusting),
+}
+
+
+class Masks(MaskSource):
+    """The sound one: `color_key`."""
+
+    def __init__(self, config: NoOptions) -> None:
+        self.inner = ColorKey(ColorKeyOptions())
+
+    def masks(self, capture: Capture, scene: Any) -> list[Any]:
+        return self.inner.masks(capture, scene)
+
+
+class Inverted(Masks):
+    def masks(self, capture: Capture, scene: Any) -> list[Any]:
+        return [1 - mask for mask in super().masks(capture, scene)]
+
+
+class NeedsOne(Masks):
+    def masks(self, capture: Capture, scene: Any) -> list[Any]:
+        capture.views[0].pixels()
+        return super().masks(capture, scene)
+
+
+def mask_source(implementation: type = Masks) -> Component:
+    return Component("keyed", f"{HERE}:{implementation.__name__}", summary="Masks, wrapped.")
+
+
+BROKEN_MASKS: dict[str, Component] = {
+    "masks_are_the_true_ones": mask_source(Inverted),
+    "unusable_photographs_are_refused": mask_source(NeedsOne),
+}

@@ -1,0 +1,184 @@
+"""Regularizers with one fault each; `Spread` is the sound one that they are made of."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from hir_core.interfaces import Regularizer
+from hir_core.plugin import Component
+from hir_core.scene import Scene
+
+HERE = __name__
+
+
+@dataclass(frozen=True)
+class Options:
+    """Of the sound one."""
+
+    strength: float = 1.0
+    """Factor of the term."""
+
+
+class Spread(Regularizer):
+    """Squared distance of all vertices from their mean."""
+
+    def __init__(self, config: Options) -> None:
+        self.config = config
+
+    def prepare(self, scene: Scene) -> Callable[[Scene], Tensor]:
+        return self.energy
+
+    def energy(self, scene: Scene) -> Tensor:
+        offsets = scene.mesh.positions - scene.mesh.positions.mean(dim=0)
+        return getattr(self.config, "strength", 1.0) * offsets.square().sum()
+
+
+def in_one_place(scene: Scene) -> Scene:
+    return replace(scene, mesh=scene.mesh.with_positions(torch.zeros_like(scene.mesh.positions)))
+
+
+def as_it_is(scene: Scene) -> Scene:
+    return scene
+
+
+class NoSubclass:
+    """Has the method, not the base class."""
+
+    def __init__(self, config: Options) -> None: ...
+
+    def prepare(self, scene: Scene) -> Any: ...
+
+
+@dataclass
+class Thawed:
+    """Not frozen."""
+
+    strength: float = 1.0
+    """Factor of the term."""
+
+
+@dataclass(frozen=True)
+class WithNone:
+    """TOML has no None."""
+
+    strength: float | None = None
+    """Factor of the term."""
+
+
+class TakesNone(Spread):
+    def energy(self, scene: Scene) -> Tensor:
+        return (scene.mesh.positions - scene.mesh.positions.mean(dim=0)).square().sum()
+
+
+@dataclass(frozen=True)
+class Silent:
+    """Its option has no docstring."""
+
+    strength: float = 1.0
+
+
+@dataclass(frozen=True)
+class Weighted:
+    """Takes a key that belongs to the core."""
+
+    weight: float = 1.0
+    """Would never arrive."""
+
+
+class Loose(Spread):
+    def prepare(self, scene: Scene, **options: Any) -> Callable[[Scene], Tensor]:
+        return self.energy
+
+
+class Meddling(Spread):
+    def prepare(self, scene: Scene) -> Callable[[Scene], Tensor]:
+        if scene.material is not None:
+            scene.material.roughness.clamp_(max=0.4)
+        return self.energy
+
+
+_CREATED = itertools.count()
+
+
+class Moody(Spread):
+    def __init__(self, config: Options) -> None:
+        super().__init__(config)
+        self.mood = 1 + 5e-5 * (next(_CREATED) % 2)
+
+    def energy(self, scene: Scene) -> Tensor:
+        return self.mood * super().energy(scene)
+
+
+class Vector(Spread):
+    def energy(self, scene: Scene) -> Tensor:
+        return super().energy(scene).reshape(1)
+
+
+class HalfGradient(Spread):
+    def energy(self, scene: Scene) -> Tensor:
+        value = super().energy(scene)
+        return 0.5 * (value + value.detach())
+
+
+class AboutTheOrigin(Spread):
+    def energy(self, scene: Scene) -> Tensor:
+        return scene.mesh.positions.square().sum()
+
+
+class Root(Spread):
+    def energy(self, scene: Scene) -> Tensor:
+        return super().energy(scene).sqrt()
+
+
+def made(implementation: type = Spread, **changes: Any) -> Component:
+    """A descriptor of the sound one, with changes."""
+    sound: dict[str, Any] = {
+        "name": "spread",
+        "target": f"{HERE}:{implementation.__name__}",
+        "config": Options,
+        "summary": "Keeps vertices together.",
+        "requires": ("torch", "jaxtyping"),
+        "extra": "reconstruct",
+        "traits": frozenset({"differentiable"}),
+        "testing": f"{HERE}:in_one_place",
+    }
+    return Component(**{**sound, **changes})
+
+
+SOUND = made(traits=frozenset({"differentiable", "rigid_invariant"}))
+
+BROKEN: dict[str, Component] = {
+    "implements_its_interface": made(NoSubclass),
+    "default_options_construct": made(config=Thawed),
+    "signatures_match": made(Loose),
+    "options_round_trip": made(TakesNone, config=WithNone),
+    "options_documented": made(config=Silent),
+    "descriptor_is_complete": made(summary="keeps vertices together"),
+    "traits_are_known": made(traits=frozenset({"differentiable", "rigid_invariance"})),
+    "inputs_stay_as_they_are": made(Meddling),
+    "same_seed_same_result": made(Moody),
+    "term_is_a_finite_scalar": made(Vector),
+    "gradient_is_that_of_the_value": made(HalfGradient),
+    "linear_in_weight": made(config=Weighted),
+    "rigid_motion_changes_nothing": made(AboutTheOrigin, traits=frozenset({"differentiable", "rigid_invariant"})),
+    "scale_changes_nothing": made(traits=frozenset({"differentiable", "scale_invariant"})),
+    "smallest_on_its_ideal": made(testing=f"{HERE}:as_it_is"),
+    "hard_scenes_stay_finite": made(Root),
+}
+"""The contract that each of them breaks, and no other."""
+
+
+class GoesElsewhere(Spread):
+    """On CUDA it computes something else; for machines that have one."""
+
+    def energy(self, scene: Scene) -> Tensor:
+        return super().energy(scene) * (1.1 if scene.mesh.positions.is_cuda else 1.0)
+
+
+BROKEN_ON_CUDA = made(GoesElsewhere)
