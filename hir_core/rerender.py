@@ -17,7 +17,7 @@ from hir_core.metrics import OBJECT_COVERAGE, Image, composite, psnr, unassociat
 from hir_core.reference import reference_renderer, render_view
 from hir_core.verify import GOOD_PSNR
 from hir_core.working_frame import move_scene
-from hir_core.written_asset import WrittenAsset
+from hir_exporters.written_asset import WrittenAsset
 
 if TYPE_CHECKING:
     from hir_core.manager import PluginManager

@@ -18,7 +18,7 @@ from hir_exporters.errors import HirError
 from hir_exporters.exporter import ExportReport
 from hir_exporters.verify import READERS, compare, read_back
 
-from hir_core.written_asset import written_asset, written_light
+from hir_exporters.written_asset import written_asset, written_light
 
 if TYPE_CHECKING:
     from hir_core.manager import PluginManager

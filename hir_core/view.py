@@ -27,7 +27,7 @@ from hir_exporters.scene_files import load_scene
 from hir_exporters.verify import READERS, read_back
 
 from hir_core.capture_files import read_cameras
-from hir_core.written_asset import written_asset
+from hir_exporters.written_asset import written_asset
 
 MODULES: Final[tuple[tuple[str, dict[str, str]], ...]] = (
     ("three.core.js", {}),

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
-import shutil
 from pathlib import Path
 
 import pytest
+from parity.browser import chromium_command
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -23,21 +23,7 @@ def shared() -> Path:
 @pytest.fixture(scope="session")
 def chromium() -> list[str]:
     """The command of a headless Chromium that draws in software; tests that need it skip where it is missing."""
-    names = ("chromium", "chromium-browser", "google-chrome")
-    browser = next((found for found in map(shutil.which, names) if found), None)
-    if browser is None:
+    command = chromium_command()
+    if command is None:
         pytest.skip("no Chromium on the path: run tools/setup.sh test as root, or install chromium")
-    return [
-        browser,
-        "--headless",
-        "--no-sandbox",
-        "--disable-gpu",
-        "--disable-quic",
-        "--no-first-run",
-        "--disable-background-networking",
-        "--disable-component-update",
-        "--disable-sync",
-        "--use-gl=angle",
-        "--use-angle=swiftshader",
-        "--enable-unsafe-swiftshader",
-    ]
+    return command

@@ -28,6 +28,8 @@ class GltfConfig:
     """KHR_mesh_quantization: 16-bit positions, 8-bit normals and tangents, 16-bit UVs. Readers without it fail."""
     environment: bool = True
     """Write the environment beside the file as NAME.hdr."""
+    image_based_light: bool = False
+    """EXT_lights_image_based: the environment inside the file too, prefiltered, for Babylon.js."""
 
 
 @dataclass(frozen=True)
@@ -69,3 +71,16 @@ class EnvironmentConfig:
 
     height: int = 0
     """Rows of the image, which is twice as wide; 0 keeps the fitted resolution."""
+
+
+@dataclass(frozen=True)
+class CubeConfig:
+    """Options of the environment as a prefiltered cubemap, .ktx or .dds."""
+
+    size: int = 256
+    """Pixels a side of its first level, a power of two; levels go down to 16, which stands for roughness 1."""
+
+
+@dataclass(frozen=True)
+class HarmonicsConfig:
+    """Options of the environment as nine spherical harmonics; there are none."""

@@ -61,7 +61,7 @@ def rotate_latlong(radiance: NDArray[np.floating], to_world: NDArray[np.floating
         if abs(shift - round(shift)) < 1e-9 * width:
             return np.roll(values, round(shift), axis=1)
     fine = latlong_directions(2 * height, 2 * width) @ rotation  # rows are directions: d @ R is R^T d
-    turned = _bilinear(values, direction_to_latlong_uv(fine)).reshape(height, 2, width, 2, -1)
+    turned = bilinear(values, direction_to_latlong_uv(fine)).reshape(height, 2, width, 2, -1)
     weight = latlong_solid_angles(2 * height, 2 * width).reshape(height, 2, 1, 1, 1)
     turned = (turned * weight).sum((1, 3)) / (2 * weight.sum(1)[:, :, 0])
     before, after = mean_radiance(values), mean_radiance(turned)
@@ -124,7 +124,7 @@ def _overlap(old: Array, new: Array) -> Array:
     return np.maximum(high - low, 0.0) / (new[1:] - new[:-1])[:, None]
 
 
-def _bilinear(values: Array, uv: NDArray[np.floating]) -> Array:
+def bilinear(values: Array, uv: NDArray[np.floating]) -> Array:
     """Samples (..., C) at lat-long coordinates: u wraps, v stops at the poles."""
     height, width, _ = values.shape
     x, y = uv[..., 0] * width - 0.5, np.clip(uv[..., 1] * height - 0.5, 0, height - 1)

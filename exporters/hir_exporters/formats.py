@@ -6,7 +6,15 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, Final
 
-from hir_exporters.configs import EnvironmentConfig, GltfConfig, ObjConfig, UsdConfig, UsdzConfig
+from hir_exporters.configs import (
+    CubeConfig,
+    EnvironmentConfig,
+    GltfConfig,
+    HarmonicsConfig,
+    ObjConfig,
+    UsdConfig,
+    UsdzConfig,
+)
 from hir_exporters.errors import ExportError
 from hir_exporters.exporter import Exporter
 
@@ -30,6 +38,11 @@ FORMATS: Final[dict[str, Format]] = {
     "obj": Format("hir_exporters.obj:ObjExporter", ObjConfig, "Wavefront OBJ with an MTL in its PBR dialect."),
     "hdr": Format("hir_exporters.environment_files:HdrExporter", EnvironmentConfig, "The light, Radiance RGBE."),
     "exr": Format("hir_exporters.environment_files:ExrExporter", EnvironmentConfig, "The light, OpenEXR float32."),
+    "ktx": Format("hir_exporters.environment_files:KtxExporter", CubeConfig, "The light, prefiltered, for Filament."),
+    "dds": Format("hir_exporters.environment_files:DdsExporter", CubeConfig, "The light, prefiltered, as a cubemap."),
+    "sh.json": Format(
+        "hir_exporters.environment_files:HarmonicsExporter", HarmonicsConfig, "The light, 9 spherical harmonics."
+    ),
 }
 
 

@@ -69,6 +69,23 @@ def read_gltf(path: Path) -> ReadBack:
         raise InputError(f"{path} cannot be read back as glTF ({type(error).__name__}: {error})") from error
 
 
+def read_gltf_surface(
+    path: Path,
+) -> tuple[MetallicSurface, SpecularSurface | None, NDArray[np.float32] | None]:
+    """The one material of a .glb or .gltf, whatever its meshes: surface, its legacy form, decoded normals."""
+    from pygltflib import GLTF2
+
+    try:
+        document = GLTF2().load(str(path))
+        if len(document.materials) != 1:
+            raise InputError(f"{path} has {len(document.materials)} materials; an asset has one: join them first")
+        return _gltf_material(document, Path(path))
+    except InputError:
+        raise
+    except Exception as error:  # a library with many ways to fail on a broken file
+        raise InputError(f"{path} cannot be read as glTF ({type(error).__name__}: {error})") from error
+
+
 def read_usd(path: Path) -> ReadBack:
     """A .usda, .usdc or .usdz with one mesh and one UsdPreviewSurface. Raises `InputError` naming the file."""
     from pxr import Tf, Usd, UsdGeom, UsdShade

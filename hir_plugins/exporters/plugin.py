@@ -9,7 +9,7 @@ from hir_core.plugin import Component, hookimpl
 TRAITS = {
     **dict.fromkeys(("glb", "gltf"), "gltf"),
     **dict.fromkeys(("usda", "usdc", "usdz"), "usd"),
-    **dict.fromkeys(("hdr", "exr"), "environment"),
+    **dict.fromkeys(("hdr", "exr", "ktx", "dds", "sh.json"), "environment"),
 }
 """The document that plugins may change before its bytes are made; or that the light alone is written."""
 

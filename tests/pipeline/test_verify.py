@@ -14,6 +14,7 @@ from hir_exporters.formats import create_exporter
 from hir_exporters.images import read_hdr, write_hdr
 from hir_exporters.materials import to_gltf
 from hir_exporters.readback import ReadBack
+from hir_exporters.written_asset import decoded_material
 from pygltflib import GLTF2
 
 from hir_core.cli import main
@@ -22,7 +23,6 @@ from hir_core.pipeline import Run
 from hir_core.render import orbit_cameras
 from hir_core.rerender import Rerender
 from hir_core.verify import Verified, verify_export
-from hir_core.written_asset import decoded_material
 
 GREY = {"diffuse_albedo": [0.4, 0.3, 0.2], "specular_albedo": [0.2] * 3, "roughness": 0.2}
 

@@ -2,32 +2,25 @@
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hir_exporters.images import read_ldr
+from parity.engines import blender_python, in_blender
 
 from hir_core.manager import PluginManager
 from hir_core.metrics import composite, unassociate
 from hir_core.render import orbit_cameras
 
-from .chromium import shot_document
 from .octants import asset
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="module")
 def blender() -> Path:
     """The Python that has bpy; the test skips where there is none."""
-    python = Path(os.environ.get("HIR_BLENDER_PYTHON", ROOT / ".venv-blender" / "bin" / "python"))
-    if not python.exists():
+    if not blender_python().exists():
         pytest.skip("bpy is not installed: run tools/setup.sh blender, or set HIR_BLENDER_PYTHON")
-    return python
+    return blender_python()
 
 
 @pytest.mark.slow
@@ -42,13 +35,7 @@ def test_blender_shows_what_we_render(blender: Path, tmp_path: Path) -> None:
     _, renderer = reference_renderer(plugins)
     for i in (0, 2):
         camera = orbit_cameras(6, 25.0, 256)[i]
-        (tmp_path / "shot.json").write_text(json.dumps(shot_document(camera)))
-        words = [tmp_path / "octants.glb", tmp_path / "octants.hdr", tmp_path / "shot.json", tmp_path / f"{i}.png"]
-        script = ROOT / "tools" / "render_in_blender.py"
-        done = subprocess.run([blender, script, *words], capture_output=True, text=True, timeout=300, check=False)
-        assert (tmp_path / f"{i}.png").exists(), done.stdout[-1000:] + done.stderr[-1000:]
-        picture = read_ldr(tmp_path / f"{i}.png")
-        shown = picture[..., :3] * picture[..., 3:]
+        [shown] = in_blender(tmp_path / "octants.glb", tmp_path / "octants.hdr", [camera], 64)
         ours = composite(*unassociate(render_view(renderer, scene_from_asset(asset()), camera, f"shot {i}")))
         right = np.abs(shown - ours).mean()
         for wrong in (ours[:, ::-1], ours[::-1], np.rot90(ours), ours[..., ::-1]):

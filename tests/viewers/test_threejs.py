@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from parity.browser import module_folder
+from parity.engines import in_browser
 
 from hir_core.manager import PluginManager
 from hir_core.metrics import composite, unassociate
 from hir_core.render import orbit_cameras
 
-from .chromium import THREE, picture_in_three
 from .octants import asset
-
-TURN_Y = -np.pi / 2
-"""three.js' environmentRotation.y for a panorama whose centre is +Z: three.js has +X there."""
 
 
 @pytest.fixture(scope="module")
 def shots(chromium: list[str], tmp_path_factory: pytest.TempPathFactory) -> list[tuple[np.ndarray, np.ndarray]]:
     """Pairs of pictures over black (H, W, 3), three.js' and ours, from two sides."""
-    if not THREE.is_dir():
+    if module_folder("three") is None:
         pytest.skip("three.js is not installed: run tools/setup.sh test")
     from hir_core.bake import scene_from_asset
     from hir_core.export import export_asset
@@ -32,9 +30,9 @@ def shots(chromium: list[str], tmp_path_factory: pytest.TempPathFactory) -> list
     pairs = []
     for i in (0, 2):
         camera = orbit_cameras(6, 25.0, 256)[i]
-        shown = picture_in_three(chromium, folder / "octants.glb", folder / "octants.hdr", camera, TURN_Y)
+        [shown] = in_browser("three.html", folder / "octants.glb", folder / "octants.hdr", [camera])
         ours = composite(*unassociate(render_view(renderer, scene_from_asset(asset()), camera, f"shot {i}")))
-        pairs.append((shown[..., :3] * shown[..., 3:], ours))
+        pairs.append((shown, ours))
     return pairs
 
 

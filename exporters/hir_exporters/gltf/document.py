@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from hir_exporters.asset import Asset, AssetMesh
 from hir_exporters.configs import GltfConfig
-from hir_exporters.gltf import ior, specular, specular_glossiness
+from hir_exporters.environment import world_radiance
+from hir_exporters.gltf import image_based_light, ior, specular, specular_glossiness
 from hir_exporters.gltf.binary import BinaryWriter
 from hir_exporters.gltf.geometry import add_primitive
 from hir_exporters.gltf.images import add_textures
@@ -31,6 +32,8 @@ class Gathered:
     packed: PackedSurface
     legacy: SpecularSurface | None
     images: list[EncodedImage]
+    light: tuple[list[EncodedImage], dict[str, object]] | None
+    """Faces of the light and its object, where it goes into the file (`image_based_light`)."""
     warnings: tuple[str, ...]
     residuals: dict[str, float]
 
@@ -61,11 +64,18 @@ def gather(asset: Asset, config: GltfConfig) -> Gathered:
         packed=packed,
         legacy=legacy,
         images=encode_images(named, config.image_format, config.jpeg_quality),
+        light=_light(asset, config),
         warnings=converted.warnings,
         residuals={config.profile: converted.residual, "metalrough": base.residual}
         if legacy is not None
         else {config.profile: converted.residual},
     )
+
+
+def _light(asset: Asset, config: GltfConfig) -> tuple[list[EncodedImage], dict[str, object]] | None:
+    if not config.image_based_light or asset.environment is None:
+        return None
+    return image_based_light.light_images(world_radiance(asset)[0])
 
 
 def build_document(gathered: Gathered, config: GltfConfig, files_prefix: str | None) -> tuple[GLTF2, BinaryWriter]:
@@ -95,6 +105,8 @@ def build_document(gathered: Gathered, config: GltfConfig, files_prefix: str | N
     document.nodes.append(node)
     document.scenes.append(Scene(nodes=[0]))
     document.scene = 0
+    if gathered.light is not None:
+        image_based_light.add_light(document, *gathered.light, embedding, files_prefix or "")
     document.buffers.append(Buffer(byteLength=len(writer.data())))
     return document, writer
 

@@ -85,7 +85,7 @@ def _write_document(
         write_bytes_atomic(destination, glb_bytes(json_bytes(document), writer.data()))
     else:
         # The text that names the others is written last: it never names a file that is not there.
-        for image in gathered.images:
+        for image in [*gathered.images, *(gathered.light[0] if gathered.light else [])]:
             files.append(destination.with_name(f"{prefix}{image.name}"))
             write_bytes_atomic(files[-1], image.data)
         files.append(destination.with_suffix(".bin"))

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
+
 from hir_exporters.asset import PAPER_SPECULAR_MAX, AssetEnvironment, AssetMaterial, AssetMesh
 from hir_exporters.conventions import ALPHA_MIN
 from hir_exporters.engine_models import ior_to_f0
@@ -16,7 +18,6 @@ from hir_exporters.images import read_exr, read_hdr
 from hir_exporters.materials import NO_FRESNEL_IOR, MetallicSurface, SpecularSurface
 from hir_exporters.readback import ReadBack
 from hir_exporters.texture_maps import common_size, resize
-from numpy.typing import NDArray
 
 Array = NDArray[np.floating]
 
@@ -50,13 +51,19 @@ def decoded_material(back: ReadBack, profile: str) -> tuple[AssetMaterial, str]:
     `dielectric`; there F0, the lobe and the light that reaches the diffuse part at normal incidence are kept, while the
     diffuse part's loss at grazing angles is that of our model instead of the format's.
     """
-    if back.legacy is not None:
-        return _specular_workflow(back.legacy, back.normal), "specular workflow as `dielectric` of the same F0"
-    surface = back.surface
+    return decoded_surface(back.surface, back.legacy, back.normal, profile)
+
+
+def decoded_surface(
+    surface: MetallicSurface, legacy: SpecularSurface | None, normal: NDArray[np.float32] | None, profile: str = "khr"
+) -> tuple[AssetMaterial, str]:
+    """`decoded_material` of a material without its mesh."""
+    if legacy is not None:
+        return _specular_workflow(legacy, normal), "specular workflow as `dielectric` of the same F0"
     if surface.ior >= NO_FRESNEL_IOR and not np.any(surface.metallic):
-        return _without_fresnel(surface, back.normal, profile), "no Fresnel (ior 1000) as `paper`"
+        return _without_fresnel(surface, normal, profile), "no Fresnel (ior 1000) as `paper`"
     phrase = "metallic-roughness as `dielectric` with rho_d = base (1 - metal), rho_s = F0 (1 - metal) + base metal"
-    return _metallic(surface, back.normal), f"{phrase}, F0 of ior {surface.ior:.4g}"
+    return _metallic(surface, normal), f"{phrase}, F0 of ior {surface.ior:.4g}"
 
 
 def _metallic(surface: MetallicSurface, normal: NDArray[np.float32] | None) -> AssetMaterial:

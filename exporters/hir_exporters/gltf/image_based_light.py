@@ -1,0 +1,79 @@
+"""EXT_lights_image_based: the light inside the file, for Babylon.js and few others; the .hdr beside it serves the rest.
+
+Six faces a level as PNG in RGBD: sRGB codes of radiance times the alpha, which is what brings the brightest channel to
+1. Levels are even in perceptual roughness. Irradiance coefficients are those of irradiance itself, not over pi.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+from urllib.parse import quote
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hir_exporters.conventions import linear_to_srgb
+from hir_exporters.environment import irradiance_harmonics
+from hir_exporters.gltf.binary import BinaryWriter
+from hir_exporters.images import encode_png
+from hir_exporters.prefilter import even_roughness, level_sizes, prefiltered_cube
+from hir_exporters.surface_images import EncodedImage
+
+if TYPE_CHECKING:
+    from pygltflib import GLTF2
+
+NAME = "EXT_lights_image_based"
+SIZE = 128
+"""Pixels a side of the first level: 0.4 MB of images or less."""
+
+_PHASE = np.array([1, -1, 1, -1, 1, -1, 1, -1, 1.0])[:, None]
+"""The Condon-Shortley phase (-1)^m, which the page that the extension cites and Babylon.js have in their basis."""
+
+_BRIGHTEST = 200.0  # of the 255 that an alpha of 1/255 can hold
+
+
+def light_images(radiance: NDArray[np.floating]) -> tuple[list[EncodedImage], dict[str, object]]:
+    """Images of the faces, level by level, and the light's object without its `specularImages`."""
+    intensity = max(1.0, float(radiance.max()) / _BRIGHTEST)
+    # the cubemap is a left-handed world's: seen from the file's, z is mirrored
+    scaled = np.roll(np.asarray(radiance, np.float64)[:, ::-1], radiance.shape[1] // 2, axis=1) / intensity
+    levels = len(level_sizes(SIZE))
+    cube = prefiltered_cube(scaled, [even_roughness(k, levels) for k in range(levels)], SIZE)
+    images = [
+        EncodedImage(f"light_{k}_{face}.png", encode_png(rgbd(pixels)), "image/png")
+        for k, level in enumerate(cube)
+        for face, pixels in enumerate(level)
+    ]
+    light = {
+        "name": "environment",
+        "intensity": intensity,
+        "irradianceCoefficients": (irradiance_harmonics(scaled) * _PHASE).tolist(),
+        "specularImageSize": SIZE,
+    }
+    return images, light
+
+
+def rgbd(radiance: NDArray[np.floating]) -> NDArray[np.uint8]:
+    """Codes (H, W, 4) of radiance (H, W, 3): what is read is srgb_to_linear(rgb) / alpha."""
+    largest = np.maximum(radiance.max(axis=-1, keepdims=True), 1.0)
+    alpha = np.clip(np.floor(255 / largest), 1, 255)
+    color = np.clip(radiance * (alpha / 255), 0, 1)
+    return np.rint(np.concatenate([linear_to_srgb(color) * 255, alpha], axis=-1)).astype(np.uint8)
+
+
+def add_light(
+    document: GLTF2, images: list[EncodedImage], light: dict[str, object], writer: BinaryWriter | None, prefix: str
+) -> None:
+    """The images and the extension on the document and its scene."""
+    from pygltflib import Image
+
+    first = len(document.images)
+    for image in images:
+        if writer is None:
+            document.images.append(Image(name=image.name, uri=quote(prefix + image.name)))
+        else:
+            document.images.append(Image(name=image.name, mimeType=image.mime, bufferView=writer.view(image.data)))
+    faces = [list(range(first + 6 * k, first + 6 * k + 6)) for k in range(len(images) // 6)]
+    document.extensions = {NAME: {"lights": [{**light, "specularImages": faces}]}}
+    document.scenes[0].extensions = {NAME: {"light": 0}}
+    document.extensionsUsed.append(NAME)

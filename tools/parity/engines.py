@@ -1,0 +1,126 @@
+"""Each engine with its stock loader and material, tone mapping off: exported files in, pictures out."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from hir_exporters.asset import Asset
+from numpy.typing import NDArray
+
+from hir_core.capture import Camera
+from hir_core.manager import PluginManager
+from parity.browser import HERE, chromium_command, decoded_picture, module_folder, module_version, pictures_in_browser
+from parity.shots import shot_document
+
+Picture = NDArray[np.float32]
+"""sRGB over black (H, W, 3)."""
+
+ROOT = HERE.parent.parent
+BLENDER_SCRIPT = ROOT / "tools" / "render_in_blender.py"
+
+
+@dataclass(frozen=True)
+class Opening:
+    """One row of the table: an engine, and the exported file that it opens."""
+
+    engine: str
+    file: str
+    """Suffix of the export's name, such as `khr.glb`."""
+    draw: Callable[[Path, Path, Sequence[Camera]], list[Picture]]
+    """Pictures of (file, light.hdr, cameras)."""
+    missing: str
+    """What has to be installed before it can run; empty where it can."""
+
+
+def openings(blender_samples: int) -> list[Opening]:
+    """All rows, whether they can run on this machine or not."""
+    no_browser = "" if chromium_command() else "Chromium"
+    blender = "" if blender_python().exists() else "bpy: tools/setup.sh blender, or HIR_BLENDER_PYTHON"
+
+    def web(engine: str, package: str, page: str, file: str = "khr.glb") -> Opening:
+        here = module_folder(package) is not None
+        title = f"{engine} {module_version(package)}" if here else engine
+        missing = no_browser or ("" if here else f"npm package {package}: npm --prefix tools/parity ci")
+        return Opening(title, file, lambda f, light, cameras: in_browser(page, f, light, cameras), missing)
+
+    def cycles(file: str, own_light: bool = False) -> Opening:
+        return Opening(
+            "Blender 5.0.1 Cycles", file,
+            lambda f, light, cameras: in_blender(f, None if own_light else light, cameras, blender_samples), blender,
+        )  # fmt: skip
+
+    return [
+        web("three.js", "three", "three.html"),
+        web("Babylon.js", "babylonjs", "babylon.html"),
+        web("Filament", "filament", "filament.html"),
+        cycles("blender.glb"),
+        cycles("khr.glb"),
+        cycles("usda_lit.usda", own_light=True),
+    ]
+
+
+def ours(
+    asset: Asset, cameras: Sequence[Camera], bounces: int | None, samples: int, plugins: PluginManager
+) -> list[Picture]:
+    """The reference renderer's pictures, path-traced, with as many reflections as the asset's model has."""
+    from hir_core.bake import scene_from_asset
+    from hir_core.metrics import composite, unassociate
+    from hir_core.reference import reference_renderer, render_view
+    from hir_core.working_frame import move_scene
+
+    # renderers are used to an object of radius 1 about the origin
+    low, high = asset.mesh.positions.min(axis=0).astype(float), asset.mesh.positions.max(axis=0).astype(float)
+    scale = 2 / float(np.linalg.norm(high - low))
+    working_from_asset = np.diag([scale, scale, scale, 1.0])
+    working_from_asset[:3, 3] = -scale * (low + high) / 2
+    scene = move_scene(scene_from_asset(asset), working_from_asset)
+    _, renderer = reference_renderer(plugins, "", {"render_samples": samples}, bounces)
+    pictures = []
+    for index, camera in enumerate(cameras):
+        image = render_view(renderer, scene, camera.transformed(working_from_asset), f"side {index}")
+        pictures.append(np.asarray(composite(*unassociate(image)), np.float32))
+    return pictures
+
+
+def in_browser(page: str, file: Path, light: Path, cameras: Sequence[Camera]) -> list[Picture]:
+    """A page of this folder shows the file; beside the light it is given the cubemap, where one lies there."""
+    chromium = chromium_command()
+    assert chromium is not None
+    served: Mapping[str, bytes] = {"/asset.glb": file.read_bytes(), "/asset.hdr": light.read_bytes()}
+    cube = light.with_suffix(".ktx")
+    if cube.is_file():
+        served = {**served, "/asset.ktx": cube.read_bytes()}
+    pictures = pictures_in_browser(chromium, HERE / page, [shot_document(camera) for camera in cameras], served)
+    return [over_black(picture) for picture in pictures]
+
+
+def in_blender(file: Path, light: Path | None, cameras: Sequence[Camera], samples: int) -> list[Picture]:
+    """Cycles in a process of its own; without `light` a USD's dome light."""
+    with tempfile.TemporaryDirectory() as folder:
+        shots = Path(folder) / "shots.json"
+        shots.write_text(json.dumps([shot_document(camera) for camera in cameras]), encoding="utf-8")
+        words = [
+            blender_python(), BLENDER_SCRIPT, file, "-" if light is None else light, shots, folder, samples
+        ]  # fmt: skip
+        done = subprocess.run([str(w) for w in words], capture_output=True, text=True, check=False)
+        pictures = [Path(folder) / f"{index}.png" for index in range(len(cameras))]
+        if not all(picture.is_file() for picture in pictures):
+            raise RuntimeError(f"Blender gave no pictures of {file.name}: {done.stdout[-600:]} {done.stderr[-600:]}")
+        return [over_black(decoded_picture(picture.read_bytes())) for picture in pictures]
+
+
+def over_black(picture: NDArray[np.float32]) -> Picture:
+    """Encoded colour times coverage, as docs/evaluation.md composes both pictures."""
+    return np.asarray(picture[..., :3] * picture[..., 3:], np.float32)
+
+
+def blender_python() -> Path:
+    """The Python that has bpy."""
+    return Path(os.environ.get("HIR_BLENDER_PYTHON", ROOT / ".venv-blender" / "bin" / "python"))
