@@ -17,6 +17,7 @@ class BoundCheck:
 
     def __init__(self, check: Check) -> None:
         self._check = check
+        self.name = check.name
 
     def __call__(self, component: Any) -> None:
         """Runs the check on the `component` argument of the test."""

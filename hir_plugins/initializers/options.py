@@ -54,9 +54,11 @@ class ColmapOptions:
     """Which pairs are compared; `auto`: all pairs up to 150 photographs, above that those that a vocabulary tree,
     trained on the capture itself, finds alike. `sequential` suits a video."""
     mapper: Literal["incremental", "global"] = "incremental"
+    """One photograph after the other, or all at once: faster with hundreds of them."""
     camera: Literal["auto", "single", "each"] = "auto"
     """Which photographs share a camera: those of one size, model and focal length, those of one size, or none."""
     camera_model: Literal["PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"] = "SIMPLE_RADIAL"
+    """COLMAP's name of the lens that is solved."""
     focal_length: float = 0.0
     """In pixels of the photographs; 0 takes it from EXIF, or guesses 1.2 times the longer side."""
     refine_intrinsics: bool = True
@@ -72,6 +74,7 @@ class ColmapOptions:
     threads: int = -1
     """-1 for all."""
     seed: int = 0
+    """Of the matching's random trials."""
 
 
 @dataclass(frozen=True)

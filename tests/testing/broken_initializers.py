@@ -26,6 +26,8 @@ class Known:
 
     path: str = ""
     """A .ply with the surface, or a .json with the cameras."""
+    axes: str = "source"
+    """Axes of the file: always those of the capture's files."""
 
 
 class FromFile(Initializer):
@@ -99,7 +101,8 @@ class InAMirror(CamerasFromFile):
 
 def surface(implementation: type = FromFile) -> Component:
     return Component("known", f"{HERE}:{implementation.__name__}", Known, "Reads the truth.", ("torch", "jaxtyping"),
-                     "reconstruct", frozenset({"makes_surface"}), testing="hir_plugins.initializers.cases:mesh_of_the_object")  # fmt: skip
+                     "reconstruct", frozenset({"makes_surface"}),
+                     testing="hir_plugins.initializers.cases:mesh_of_the_object")  # fmt: skip
 
 
 def cameras(implementation: type = CamerasFromFile) -> Component:

@@ -14,17 +14,19 @@ from hir_core.testing.running import Result, as_registered
 
 from . import broken_exporters, broken_initializers, broken_inputs, broken_regularizers, broken_renderers
 
+CAMERAS = "cameras_are_the_true_ones"
+
 QUICK: dict[str, Mapping[str, Component]] = {
     "regularizer": broken_regularizers.BROKEN,
     "geometry_renderer": broken_renderers.BROKEN_GEOMETRY,
     "capture_reader": broken_inputs.BROKEN_READERS,
     "mask_source": broken_inputs.BROKEN_MASKS,
     "exporter": broken_exporters.BROKEN_EXPORTERS,
-    "initializer": {k: v for k, v in broken_initializers.BROKEN_INITIALIZERS.items() if k != "cameras_are_the_true_ones"},
+    "initializer": {k: v for k, v in broken_initializers.BROKEN_INITIALIZERS.items() if k != CAMERAS},
 }
 SLOW: dict[str, Mapping[str, Component]] = {
     "reflectance_renderer": broken_renderers.BROKEN_REFLECTANCE,
-    "initializer": {"cameras_are_the_true_ones": broken_initializers.BROKEN_INITIALIZERS["cameras_are_the_true_ones"]},
+    "initializer": {CAMERAS: broken_initializers.BROKEN_INITIALIZERS[CAMERAS]},
 }
 FROM_FILES = ("imports_light", "requirements_declared", "missing_extra_is_named")
 SOUND = [

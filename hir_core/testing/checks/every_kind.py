@@ -116,9 +116,12 @@ def options_documented(subject: Subject) -> None:
 
 @contract()
 def descriptor_is_complete(subject: Subject) -> None:
-    """The name is lower case with underscores, so that it is a TOML key; the summary is a sentence."""
+    """The name is lower case with underscores, so that it is a TOML key (an exporter's is the file's ending and may have
+    dots); the summary is a sentence.
+    """
     name, summary = subject.component.name, subject.component.summary
-    require(re.fullmatch(r"[a-z][a-z0-9_]*", name), f"the name {name!r} is not lower case letters, digits, underscores")
+    allowed = r"[a-z][a-z0-9_.]*" if subject.kind == "exporter" else r"[a-z][a-z0-9_]*"
+    require(re.fullmatch(allowed, name), f"the name {name!r} is not lower case letters, digits, underscores")
     require(summary.strip().endswith("."), f"the summary is {summary!r}; write a sentence, with its full stop")
     require(
         "\n" not in summary and len(summary) <= 160,

@@ -1,0 +1,39 @@
+"""Options of the four components."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class LightChromaOptions:
+    """Of light_chroma."""
+
+    floor: float = 0.05
+    """Radiance below which a texel's tint counts less."""
+
+
+@dataclass(frozen=True)
+class MidpointOptions:
+    """Of midpoint_outline."""
+
+    samples: int = 4
+    """Samples a pixel along each direction."""
+
+
+@dataclass(frozen=True)
+class SupersampledOptions:
+    """Of supersampled."""
+
+    renderer: str = "mitsuba_ggx"
+    """The reflectance renderer that does the work."""
+    factor: int = 2
+    """Pictures are rendered this many times larger and averaged."""
+
+
+@dataclass(frozen=True)
+class PlyOptions:
+    """Of ply."""
+
+    color: str = "diffuse_albedo"
+    """Which texture becomes the vertices' colour: diffuse_albedo or specular_albedo."""

@@ -1,0 +1,42 @@
+"""A reflectance renderer that wraps another one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+
+from hir_core.errors import ConfigError
+from hir_core.interfaces import PreparedReflectance, ReflectanceRenderer
+from hir_core.manager import PluginManager
+from hir_example.options import SupersampledOptions
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from hir_core.capture import Camera, Capture
+    from hir_core.scene import Scene
+
+
+@final
+class Supersampled(ReflectanceRenderer):
+    """Radiance as the wrapped renderer has it; pictures `factor` times larger, averaged."""
+
+    def __init__(self, config: SupersampledOptions) -> None:
+        if config.factor < 1 or config.renderer == "supersampled":
+            raise ConfigError("reflectance_renderer.supersampled: factor is 1 or more, renderer names another one")
+        self._factor = config.factor
+        self._inner: ReflectanceRenderer = PluginManager.discover().create("reflectance_renderer", config.renderer)
+
+    def prepare(self, scene: Scene, capture: Capture, downsample: int = 1) -> PreparedReflectance:
+        """The wrapped renderer's."""
+        return self._inner.prepare(scene, capture, downsample)
+
+    def render(self, scene: Scene, camera: Camera) -> Tensor:
+        """Premultiplied colours may be averaged: that is what they are for."""
+        factor = self._factor
+        intrinsics = np.diag([factor, factor, 1.0]) @ camera.intrinsics
+        large = replace(camera, intrinsics=intrinsics, width=factor * camera.width, height=factor * camera.height)
+        image = self._inner.render(scene, large)
+        return image.reshape(camera.height, factor, camera.width, factor, 4).mean(dim=(1, 3))

@@ -1,0 +1,69 @@
+"""`hir new-plugin` writes plugins that pass the contract tests as they are."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tomllib
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from hir_core.cli.app import cli
+from hir_core.errors import ConfigError
+from hir_core.manager import KINDS, PluginManager
+from hir_core.scaffold import write_one_file, write_plugin
+from hir_core.testing import check_component
+
+
+def plugged(folder: Path, package: str, monkeypatch: pytest.MonkeyPatch) -> PluginManager:
+    """A manager that knows the scaffold beside the built-ins, as if it were installed."""
+    monkeypatch.syspath_prepend(str(folder))
+    manager = PluginManager.discover()
+    manager.register(import_module(f"{package}.plugin"), package.replace("_", "-"), "")
+    assert manager.problems == []
+    return manager
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [pytest.param(k, marks=[pytest.mark.slow] if k in ("reflectance_renderer", "initializer") else []) for k in KINDS],
+)
+def test_scaffold_passes_the_checks_as_it_is_written(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = write_plugin(f"Made For {kind}", kind, tmp_path)
+    package = f"hir_made_for_{kind}"
+    folder = tmp_path / package.replace("_", "-")
+    assert folder / package / "plugin.py" in files
+    plugins = plugged(folder, package, monkeypatch)
+    results = check_component(f"{kind}:made_for_{kind}", plugins=plugins)
+    assert sum(result.outcome == "passed" for result in results) >= 12
+    project = tomllib.loads((folder / "pyproject.toml").read_text())["project"]
+    assert project["entry-points"]["hir"] == {f"made_for_{kind}": f"{package}.plugin"}
+    ruff = [sys.executable, "-m", "ruff", "check", "--isolated", "--line-length", "120", str(folder)]
+    assert subprocess.run(ruff, capture_output=True).returncode == 0
+
+
+def test_one_file_passes_and_is_used_by_its_path(tmp_path: Path) -> None:
+    path = write_one_file("grey-albedo", tmp_path)
+    assert path.name == "hir_grey_albedo.py"
+    check_component("grey_albedo", plugins=PluginManager.discover((str(path),)))
+
+
+def test_names_that_are_none_and_places_that_are_taken_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="does not begin with a letter"):
+        write_plugin("42", "regularizer", tmp_path)
+    write_plugin("hir-mine", "mask_source", tmp_path)
+    assert (tmp_path / "hir-mine" / "hir_mine" / "plugin.py").is_file()
+    with pytest.raises(ConfigError, match="exists"):
+        write_plugin("mine", "mask_source", tmp_path)
+
+
+def test_command_says_how_to_go_on(tmp_path: Path) -> None:
+    done = CliRunner().invoke(cli, ["new-plugin", "my-term", "--kind", "regularizer", "-o", str(tmp_path)])
+    assert done.exit_code == 0, done.output
+    assert f"pip install -e {tmp_path / 'hir-my-term'}" in done.output
+    assert "hir check-plugin hir-my-term" in done.output
