@@ -54,6 +54,11 @@ class GeometrySettings:
     """Drop loose pieces of the start mesh that no mask needs."""
     robust: bool = True
     """Hear views less whose masks contradict the others, and name them."""
+    photographs: Literal["auto", "off"] = "auto"
+    """After the masks, move vertices until the photographs agree about the surface, and keep the result where views
+    that took no part agree too."""
+    photograph_iterations: int = 100
+    """Optimisation steps with the photographs at each of their resolutions."""
     start_radius: float = 0.0
     """Scale the start mesh to this radius during the stage and back after it; 0 leaves it."""
     enabled: bool = True
@@ -166,6 +171,8 @@ def load_config(
         settings = merge(settings, layer)
     settings["preset"] = preset
     config = build_options(RunConfig, settings, "settings")
+    for name in config.plugins:
+        plugins.register_named(name)
     _check_components(config, plugins)
     return config
 

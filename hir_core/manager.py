@@ -68,6 +68,7 @@ class PluginManager:
         self._registered: dict[tuple[str, str], Registered] = {}
         self._presets: dict[str, tuple[Path, str]] = {}
         self._observers: dict[str, tuple[type, str]] = {}
+        self._named: set[str] = set()
         self.problems: list[str] = []
         self.notices: list[str] = []
         """What plugins should change before a later version; all of them are loaded."""
@@ -83,7 +84,9 @@ class PluginManager:
         return manager
 
     def register_named(self, name: str) -> None:
-        """Registers a plugin named on the command line, a `.py` file or a module; a broken one is an error."""
+        """Registers a plugin that was named, a `.py` file or a module, once; a broken one is an error."""
+        if name in self._named:
+            return
         try:
             module = module_from_file(Path(name)) if name.endswith(".py") else import_module(name)
         except Exception as error:
@@ -92,6 +95,7 @@ class PluginManager:
         self.register(module, distribution=name, version="")
         if len(self.problems) > before:
             raise PluginError("; ".join(self.problems[before:]))
+        self._named.add(name)
 
     def register(self, plugin: object, distribution: str, version: str) -> None:
         """Registers one plugin object; what is wrong with it goes to `problems` and does not stop the rest."""

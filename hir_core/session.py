@@ -157,6 +157,9 @@ class Session:
             return {}
 
     def _write(self) -> None:
+        for problem in self.plugins.problems[len(self.document["plugin_problems"]) :]:
+            self._say(f"plugin problem: {problem}")
+        self.document["plugin_problems"] = list(self.plugins.problems)
         self.directory.write_run(self.document)
         self.directory.write_timings(self.timings)
 

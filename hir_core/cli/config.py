@@ -46,7 +46,12 @@ def schema_command(plugin_files: tuple[str, ...]) -> None:
     components: dict[str, dict[str, Any]] = {}
     for r in plugins.components():
         components.setdefault(r.kind, {})[r.component.name] = options_schema(r.component.config)
-    click.echo(json.dumps({"settings": options_schema(RunConfig), "components": components}, indent=2))
+    schema = {
+        "settings": options_schema(RunConfig),
+        "components": components,
+        "observers": {name: options_schema(options) for name, options in plugins.observers().items()},
+    }
+    click.echo(json.dumps(schema, indent=2))
 
 
 def _plain(value: Any) -> Any:

@@ -32,7 +32,14 @@ def plugins_command(as_json: bool, plugin_files: tuple[str, ...]) -> None:
     ]
     if as_json:
         presets = {name: str(path) for name, path in manager.presets().items()}
-        click.echo(json.dumps({"components": rows, "presets": presets, "problems": manager.problems}, indent=2))
+        document = {
+            "components": rows,
+            "presets": presets,
+            "observers": list(manager.observers()),
+            "problems": manager.problems,
+            "notices": manager.notices,
+        }
+        click.echo(json.dumps(document, indent=2))
         return
     from rich.console import Console
     from rich.table import Table
@@ -55,5 +62,8 @@ def plugins_command(as_json: bool, plugin_files: tuple[str, ...]) -> None:
         console = Console(highlight=False, width=200)  # into a file or a pipe: one line each
     console.print(table)
     console.print(f"presets: {', '.join(manager.presets()) or 'none'}")
+    console.print(f"observers: {', '.join(manager.observers()) or 'none'}")
     for problem in manager.problems:
         click.echo(f"hir: plugin problem: {problem}", err=True)
+    for notice in manager.notices:
+        click.echo(f"hir: plugin notice: {notice}", err=True)

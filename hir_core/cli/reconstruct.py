@@ -58,6 +58,8 @@ def reconstruct_command(
     plugins = PluginManager.discover(plugin_files)
     for problem in plugins.problems:
         click.echo(f"hir: plugin problem: {problem}", err=True)
+    for notice in plugins.notices:
+        click.echo(f"hir: plugin notice: {notice}", err=True)
     from hir_core.pipeline import reconstruct
 
     with ProgressBar(quiet=quiet) as bar:

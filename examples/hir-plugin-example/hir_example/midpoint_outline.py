@@ -1,7 +1,7 @@
 """A geometry renderer of one page: values by counting samples, gradients from the outline.
 
-The area of a silhouette moves only where its outline does: `dA = Σ v·n l` over the outline's edges, v the motion of a point
-of an edge, n its normal, l its length in pixels. The intersection with a mask M moves by `Σ M v·n l`.
+The area of a silhouette moves only where its outline does: `dA = Σ v·n l` over the edges of the outline, v the motion
+of an edge's point, n its normal, l its length in pixels. The intersection with a mask M moves by `Σ M v·n l`.
 """
 
 from __future__ import annotations
