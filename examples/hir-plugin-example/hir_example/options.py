@@ -25,8 +25,8 @@ class MidpointOptions:
 class SupersampledOptions:
     """Of supersampled."""
 
-    renderer: str = "mitsuba_ggx"
-    """The reflectance renderer that does the work."""
+    max_depth: int = 2
+    """Of the paths of mitsuba_ggx, which does the work: 2 is direct light, 3 one reflection."""
     factor: int = 2
     """Pictures are rendered this many times larger and averaged."""
 

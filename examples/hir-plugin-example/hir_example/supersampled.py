@@ -1,4 +1,4 @@
-"""A reflectance renderer that wraps another one."""
+"""A reflectance renderer that wraps another one: `mitsuba_ggx`."""
 
 from __future__ import annotations
 
@@ -24,10 +24,12 @@ class Supersampled(ReflectanceRenderer):
     """Radiance as the wrapped renderer has it; pictures `factor` times larger, averaged."""
 
     def __init__(self, config: SupersampledOptions) -> None:
-        if config.factor < 1 or config.renderer == "supersampled":
-            raise ConfigError("reflectance_renderer.supersampled: factor is 1 or more, renderer names another one")
+        if config.factor < 1:
+            raise ConfigError("reflectance_renderer.supersampled.factor must be at least 1")
         self._factor = config.factor
-        self._inner: ReflectanceRenderer = PluginManager.discover().create("reflectance_renderer", config.renderer)
+        self._inner: ReflectanceRenderer = PluginManager.discover().create(
+            "reflectance_renderer", "mitsuba_ggx", {"max_depth": config.max_depth}
+        )
 
     def prepare(self, scene: Scene, capture: Capture, downsample: int = 1) -> PreparedReflectance:
         """The wrapped renderer's."""
