@@ -3,13 +3,14 @@ PYTHON := .venv/bin/python
 HIR := .venv/bin/hir
 DEMO := demo
 
-.PHONY: demo test test-all lint clean setup setup-test help
+.PHONY: demo test test-all lint docs clean setup setup-test help
 
 help:
 	@echo "make demo      reconstruct the sample capture, export it, say where the files are"
 	@echo "make test      lint, then every test that is quick"
 	@echo "make test-all  the slow ones too"
 	@echo "make lint      ruff and mypy"
+	@echo "make docs      the documentation as a site, in build/docs"
 	@echo "make clean     remove .venv and what the demo made"
 
 setup:
@@ -36,6 +37,11 @@ test-all: setup-test
 lint: setup-test
 	@$(PYTHON) -m ruff check .
 	@$(PYTHON) -m mypy
+
+docs: setup-test
+	@$(PYTHON) tools/write_reference.py
+	@$(PYTHON) -m mkdocs build --quiet
+	@echo "documentation: $(CURDIR)/build/docs/index.html"
 
 clean:
 	rm -rf .venv $(DEMO)

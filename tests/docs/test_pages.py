@@ -12,7 +12,7 @@ import pytest
 from hir_core.cli.app import COMMANDS, cli
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 COMMAND_PAGE = (ROOT / "docs" / "command-line.md").read_text(encoding="utf-8")
 
 

@@ -34,15 +34,15 @@ def plugged(folder: Path, package: str, monkeypatch: pytest.MonkeyPatch) -> Plug
 def test_scaffold_passes_the_checks_as_it_is_written(
     kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    files = write_plugin(f"Made For {kind}", kind, tmp_path)
-    package = f"hir_made_for_{kind}"
+    files = write_plugin(f"m {kind}", kind, tmp_path)
+    package = f"hir_m_{kind}"
     folder = tmp_path / package.replace("_", "-")
     assert folder / package / "plugin.py" in files
     plugins = plugged(folder, package, monkeypatch)
-    results = check_component(f"{kind}:made_for_{kind}", plugins=plugins)
+    results = check_component(f"{kind}:m_{kind}", plugins=plugins)
     assert sum(result.outcome == "passed" for result in results) >= 12
     project = tomllib.loads((folder / "pyproject.toml").read_text())["project"]
-    assert project["entry-points"]["hir"] == {f"made_for_{kind}": f"{package}.plugin"}
+    assert project["entry-points"]["hir"] == {f"m_{kind}": f"{package}.plugin"}
     ruff = [sys.executable, "-m", "ruff", "check", "--isolated", "--line-length", "120", "--select", "E,F,I,B,UP"]
     done = subprocess.run([*ruff, "."], capture_output=True, text=True, cwd=folder)
     assert done.returncode == 0, done.stdout
