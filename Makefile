@@ -11,6 +11,7 @@ help:
 	@echo "make test-all  the slow ones too"
 	@echo "make lint      ruff and mypy"
 	@echo "make docs      the documentation as a site, in build/docs"
+	@echo "make parity    open exports in three.js, Babylon.js, Filament and Blender; write docs/engines/parity.md"
 	@echo "make clean     remove .venv and what the demo made"
 
 setup:
@@ -40,8 +41,13 @@ lint: setup-test
 
 docs: setup-test
 	@$(PYTHON) tools/write_reference.py
-	@$(PYTHON) -m mkdocs build --quiet
+	@NO_MKDOCS_2_WARNING=1 $(PYTHON) -m mkdocs build --quiet
 	@echo "documentation: $(CURDIR)/build/docs/index.html"
+
+parity: setup-test
+	@npm --prefix tools/parity ci --silent --no-fund --no-audit
+	@[ -n "$$HIR_BLENDER_PYTHON" ] || [ -x .venv-blender/bin/python ] || tools/setup.sh blender || true
+	@PYTHONPATH=tools $(PYTHON) -m parity
 
 clean:
 	rm -rf .venv $(DEMO)

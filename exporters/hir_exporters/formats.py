@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from hir_exporters.configs import (
     CubeConfig,
@@ -16,7 +16,9 @@ from hir_exporters.configs import (
     UsdzConfig,
 )
 from hir_exporters.errors import ExportError
-from hir_exporters.exporter import Exporter
+
+if TYPE_CHECKING:
+    from hir_exporters.exporter import Exporter
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,8 @@ def create_exporter(name: str, config: Any = None) -> Exporter:
     """
     if name not in FORMATS:
         raise ExportError(f"no format is called {name!r}; known are {', '.join(FORMATS)}")
+    from hir_exporters.exporter import Exporter  # numpy comes with it: not before something is written
+
     module, _, attribute = FORMATS[name].target.partition(":")
     exporter = getattr(import_module(module), attribute)(FORMATS[name].config() if config is None else config)
     assert isinstance(exporter, Exporter)

@@ -106,7 +106,7 @@ def write_plugin(name: str, kind: str, folder: Path) -> list[Path]:
 def write_one_file(name: str, folder: Path) -> Path:
     """Writes a regularizer as one file for `--plugin`; returns it."""
     words = _words(name, "regularizer")
-    path = folder / f"{words['package']}.py"
+    path = folder / f"{words['name']}.py"
     if path.exists():
         raise ConfigError(f"{path} exists; choose another name, or remove it")
     write_text_atomic(path, _filled("one_file", words))

@@ -153,9 +153,10 @@ def named(name: str, plugins: PluginManager) -> list[Registered]:
     found = found or [r for r in every if _normal(r.distribution) == _normal(name)]
     if not found:
         distributions = ", ".join(sorted({r.distribution for r in every}))
+        problems = "".join(f"; {problem}" for problem in plugins.problems)
         raise PluginError(
             f"no component and no distribution is called {name!r}; `hir plugins` lists the components, "
-            f"the distributions are: {distributions}"
+            f"the distributions are: {distributions}{problems}"
         )
     return found
 

@@ -182,3 +182,72 @@ def test_two_entry_points_of_one_name_are_both_loaded(tmp_path: Path) -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "('from_dist1', 'dist1') ('from_dist2', 'dist2')"
+
+
+@pytest.mark.parametrize(("api", "advice"), [(0, "upgrade the plugin"), (2, "upgrade hir")])
+def test_older_and_newer_plugins_are_refused_with_what_to_upgrade(api: int, advice: str) -> None:
+    manager = PluginManager()
+    manager.register(plugin_of(component(api=api)), "studio", "1.0")
+    manager.register(types.SimpleNamespace(__name__="observer", hir_api=api), "studio", "1.0")
+    assert manager.components() == []
+    assert [advice in problem and f"interface {api}, this hir has 1" in problem for problem in manager.problems] == [
+        True,
+        True,
+    ]
+
+
+def test_a_deprecated_argument_is_a_notice_and_still_arrives(monkeypatch: pytest.MonkeyPatch) -> None:
+    from hir_core import hookspecs
+
+    warning = DeprecationWarning("hir_stage_finished: 'report' goes with api 2; read run.json in its place")
+
+    def specification(stage: str, scene: object, report: object) -> None:
+        """As it is, with an argument on its way out."""
+
+    marked = hookspecs.hookspec(warn_on_impl_args={"report": warning})(specification)
+    marked.__name__ = "hir_stage_finished"
+    monkeypatch.setattr(hookspecs, "hir_stage_finished", marked)
+    seen: list[object] = []
+
+    def old(report: object) -> None:
+        seen.append(report)
+
+    manager = PluginManager()
+    manager.register(types.SimpleNamespace(__name__="old", hir_stage_finished=hookimpl(old)), "studio", "1.0")
+    manager.register(plugin_of(component()), "modern", "1.0")
+    assert manager.problems == []
+    assert manager.notices == [f"studio:old: {warning}"]
+    manager.notify("hir_stage_finished", stage="atlas", scene=None, report={"charts": 3})
+    assert seen == [{"charts": 3}]
+
+
+def test_observers_have_checked_options(tmp_path: Path) -> None:
+    from hir_core.config import load_config
+
+    manager = PluginManager.discover()
+    file = tmp_path / "watcher.py"
+    file.write_text(
+        "from dataclasses import dataclass\n"
+        "from hir_core.plugin import hookimpl\n"
+        "@dataclass(frozen=True)\n"
+        "class Options:\n"
+        "    every: int = 1\n"
+        "@hookimpl\n"
+        "def hir_register_observers():\n"
+        "    return {'watcher': Options, 'previews': Options}\n"
+    )
+    named = [f'plugins=["{file}"]']  # a plugin that settings name is loaded before its options are checked
+    config = load_config(manager, assignments=[*named, "observers.watcher.every=3"])
+    assert config.observers == {"watcher": {"every": 3}}
+    assert any("observer 'previews'" in problem and "hir has one" in problem for problem in manager.problems)
+    with pytest.raises(ConfigError, match="unknown option 'evry'; did you mean 'every'"):
+        load_config(manager, assignments=[*named, "observers.watcher.evry=3"])
+    with pytest.raises(ConfigError, match="no observer 'wacher'; there are: previews, tensorboard, watcher"):
+        load_config(manager, assignments=[*named, "observers.wacher={}"])
+
+
+def test_a_plugin_from_a_file_names_the_packages_to_install(tmp_path: Path) -> None:
+    manager = PluginManager()
+    manager.register(plugin_of(component(requires=("no_such_module",), extra="reconstruct")), "my.py", "")
+    with pytest.raises(MissingExtraError, match=r"install it with: pip install no_such_module$"):
+        manager.create("regularizer", "thing")

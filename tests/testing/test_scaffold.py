@@ -50,7 +50,7 @@ def test_scaffold_passes_the_checks_as_it_is_written(
 
 def test_one_file_passes_and_is_used_by_its_path(tmp_path: Path) -> None:
     path = write_one_file("grey-albedo", tmp_path)
-    assert path.name == "hir_grey_albedo.py"
+    assert path.name == "grey_albedo.py"
     check_component("grey_albedo", plugins=PluginManager.discover((str(path),)))
 
 

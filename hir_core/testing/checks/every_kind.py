@@ -116,8 +116,8 @@ def options_documented(subject: Subject) -> None:
 
 @contract()
 def descriptor_is_complete(subject: Subject) -> None:
-    """The name is lower case with underscores, so that it is a TOML key (an exporter's is the file's ending and may have
-    dots); the summary is a sentence.
+    """The name is lower case with underscores, so that it is a TOML key (an exporter's is the file's ending and may
+    have dots); the summary is a sentence.
     """
     name, summary = subject.component.name, subject.component.summary
     allowed = r"[a-z][a-z0-9_.]*" if subject.kind == "exporter" else r"[a-z][a-z0-9_]*"

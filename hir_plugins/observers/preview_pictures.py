@@ -1,0 +1,76 @@
+"""Pictures of a scene from around it, by open3d's rays: for a look, not for measuring."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from hir_exporters.conventions import linear_to_srgb
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from hir_core.scene import Scene
+
+LIGHT = np.array([-0.4, 0.7, 0.6])
+"""Where the light is seen from the camera: right, up, towards it."""
+
+
+def strip(scene: Scene, size: int, sides: int) -> NDArray[np.float32]:
+    """Pictures (size, sides · size, 3) in sRGB from around the object: its colour in a light beside the camera."""
+    import open3d as o3d
+
+    positions = scene.mesh.positions.detach().cpu().numpy().astype(np.float32)
+    faces = scene.mesh.faces.detach().cpu().numpy()
+    center = (positions.min(axis=0) + positions.max(axis=0)) / 2
+    radius = max(float(np.linalg.norm(positions - center, axis=1).max()), 1e-12)
+    rays = o3d.t.geometry.RaycastingScene()
+    rays.add_triangles(np.ascontiguousarray((positions - center) / radius), faces.astype(np.uint32))
+    pictures = []
+    for i in range(sides):
+        frame = _frame(2 * np.pi * i / sides)
+        hit = rays.cast_rays(o3d.core.Tensor(_rays(frame, size)))
+        seen = np.isfinite(hit["t_hit"].numpy())
+        normal = hit["primitive_normals"].numpy()
+        shade = 0.25 + 0.75 * np.clip(normal @ (LIGHT @ frame) / np.linalg.norm(LIGHT), 0, 1)
+        face, inner = hit["primitive_ids"].numpy().astype(np.int64), hit["primitive_uvs"].numpy()
+        color = np.ones((size, size, 3))
+        color[seen] = surface_colors(scene, face[seen], inner[seen]) * shade[seen][:, None]
+        pictures.append(linear_to_srgb(np.clip(color, 0, 1)))
+    return np.concatenate(pictures, axis=1).astype(np.float32)
+
+
+def surface_colors(scene: Scene, face: NDArray[np.int64], inner: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Linear colour (N, 3) at points of triangles, `inner` the weights (N, 2) of their second and third corner."""
+    weights = np.stack([1 - inner.sum(axis=1), inner[:, 0], inner[:, 1]], axis=1)[..., None]
+    mesh, material = scene.mesh, scene.material
+    if material is not None and material.diffuse_albedo.ndim == 3 and mesh.uvs is not None:
+        uv_faces = mesh.faces if mesh.topology.uv_faces is None else mesh.topology.uv_faces
+        corners = uv_faces.detach().cpu().numpy()[face]
+        u, v = (mesh.uvs.detach().cpu().numpy()[corners] * weights).sum(axis=1).T
+        texture = material.diffuse_albedo.detach().cpu().numpy()
+        height, width = texture.shape[:2]
+        row = np.clip((v * height).astype(int), 0, height - 1)
+        found: NDArray[np.float64] = texture[row, np.clip((u * width).astype(int), 0, width - 1)]
+        return found
+    if mesh.vertex_colors is not None:
+        colors = mesh.vertex_colors.detach().cpu().numpy()[mesh.faces.detach().cpu().numpy()[face]]
+        found = (colors * weights).sum(axis=1)
+        return found
+    return np.full((len(face), 3), 0.6)
+
+
+def _frame(angle: float) -> NDArray[np.float64]:
+    """Right, up and towards the camera, as rows; a little above the equator."""
+    back = np.array([np.sin(angle), 0.35, np.cos(angle)])
+    back /= np.linalg.norm(back)
+    right = np.cross([0.0, 1.0, 0.0], back)
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(back, right), back])
+
+
+def _rays(frame: NDArray[np.float64], size: int) -> NDArray[np.float32]:
+    """Parallel rays (size, size, 6) onto the unit ball."""
+    ticks = ((np.arange(size) + 0.5) / size * 2 - 1) * 1.05
+    x, y = np.meshgrid(ticks, -ticks)
+    origin = x[..., None] * frame[0] + y[..., None] * frame[1] + 3 * frame[2]
+    return np.concatenate([origin, np.broadcast_to(-frame[2], origin.shape)], axis=2).astype(np.float32)
