@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from hir_exporters.asset import Asset
+from hir_exporters.engine_shaders import engine_psnr
 from hir_exporters.environment import mean_radiance
 from hir_exporters.errors import HirError
 from hir_exporters.exporter import ExportReport
 from hir_exporters.verify import READERS, compare, read_back
-
 from hir_exporters.written_asset import written_asset, written_light
 
 if TYPE_CHECKING:
@@ -54,6 +54,9 @@ class Verified:
                          f"{min(psnr['views'].values()):.1f})")  # fmt: skip
         elif "not_rendered" in self.report:
             parts.append(f"not re-rendered: {self.report['not_rendered']}")
+        if "engines" in self.report:
+            shown = ", ".join(f"{name} {value:.0f}" for name, value in self.report["engines"].items())
+            parts.append(f"by the formulas of engines, in dB: {shown}")
         return "; ".join(parts)
 
 
@@ -100,6 +103,7 @@ def _surface(
     else:
         report |= {"positions": compared.positions, "uvs": compared.uvs, "normals_degrees": compared.normals_degrees,
                    "brdf": round(compared.brdf, 4)}  # fmt: skip
+    report["engines"] = engine_psnr(asset, back.surface, back.legacy, usd=path.suffix.startswith(".usd"))
     if rerender is None:
         return Verified(report | ({"not_rendered": why_not} if why_not else {}), tuple(problems))
     light = next((f for f in export.files[1:] if f.suffix in LIGHT_SUFFIXES), None)

@@ -36,8 +36,8 @@ class GltfConfig:
 class UsdConfig:
     """Options of .usda and .usdc."""
 
-    workflow: Literal["metallic", "specular"] = "specular"
-    """Which workflow of UsdPreviewSurface; renderers know both, AR Quick Look only metallic."""
+    workflow: Literal["auto", "metallic", "specular"] = "auto"
+    """Workflow of UsdPreviewSurface; auto: metallic, which every importer reads, unless specular says more."""
     budget: Literal["none", "quicklook", "web", "desktop"] = "none"
     """Bounds of a target: what has more triangles or larger textures is reduced, and the report says so."""
     max_texture_size: int = 4096
@@ -52,7 +52,7 @@ class UsdConfig:
 class UsdzConfig(UsdConfig):
     """Options of .usdz, a package for AR Quick Look and everything else that reads USD."""
 
-    workflow: Literal["metallic", "specular"] = "metallic"
+    workflow: Literal["auto", "metallic", "specular"] = "metallic"
     budget: Literal["none", "quicklook", "web", "desktop"] = "quicklook"
     max_texture_size: int = 2048
 

@@ -59,6 +59,7 @@ def openings(blender_samples: int) -> list[Opening]:
     return [
         web("three.js", "three", "three.html"),
         web("Babylon.js", "babylonjs", "babylon.html"),
+        web("Babylon.js", "babylonjs", "babylon.html", "lit.glb"),
         web("Filament", "filament", "filament.html"),
         cycles("blender.glb"),
         cycles("khr.glb"),

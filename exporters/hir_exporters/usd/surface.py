@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,9 +37,19 @@ class UsdSurface:
     warnings: tuple[str, ...]
 
 
-def usd_surface(material: AssetMaterial, workflow: Literal["metallic", "specular"]) -> UsdSurface:
+WORTH_SPECULAR: Final = 0.005
+"""Relative error on the BRDF slice by which the specular workflow must be nearer for `auto` to choose it.
+
+Blender's importer, for one, passes over `useSpecularWorkflow`: a metal written so is black there.
+"""
+
+
+def usd_surface(material: AssetMaterial, workflow: Literal["auto", "metallic", "specular"]) -> UsdSurface:
     """The material in a workflow, its images packed as 8 bits."""
     images: dict[str, Image8 | None]
+    if workflow == "auto":
+        metallic, specular = to_usd_metallic(material).residual, to_specular_workflow(material).residual
+        workflow = "specular" if specular < metallic - WORTH_SPECULAR else "metallic"
     if workflow == "metallic":
         converted = to_usd_metallic(material)
         packed = pack_surface(converted, material.normal)

@@ -1,0 +1,110 @@
+"""Opens the same exported objects in every engine that is here and writes docs/engines/parity.md with pictures.
+
+    make parity            three objects, all engines; about 15 minutes on two cores
+
+The runs of spot and avocado are made where they are missing (`--work` holds them); the captures and the metal object's
+light come from the shared test data (HIR_SHARED).
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from hir_exporters.asset import Asset
+from hir_exporters.configs import GltfConfig, UsdConfig
+from hir_exporters.formats import create_exporter
+
+from hir_core.manager import PluginManager
+from hir_core.metrics import psnr
+from parity.engines import ROOT, Opening, Picture, openings, ours
+from parity.page import Row, write_page
+from parity.scenes import Subject, finished_run, metal_egg, with_light
+from parity.shots import cameras_around
+
+
+def main() -> int:
+    """Exit code 0 where the page was written."""
+    words = argparse.ArgumentParser(prog="parity", description=__doc__)
+    words.add_argument("--work", type=Path, default=ROOT / "runs" / "parity", help="Runs and exported files.")
+    words.add_argument("--size", type=int, default=384, help="Pixels a side.")
+    words.add_argument("--samples", type=int, default=256, help="Paths a pixel, ours and Blender's.")
+    words.add_argument("--only", action="append", default=[], help="An object: spot, avocado, metal.")
+    words.add_argument("--engine", action="append", default=[], help="Part of an engine's name; all by default.")
+    words.add_argument("--output", type=Path, default=ROOT / "docs" / "engines", help="Where parity.md goes.")
+    asked = words.parse_args()
+    shared = Path(os.environ.get("HIR_SHARED", ROOT.parent / "shared"))
+    plugins, rows = PluginManager.discover(), []
+    for name in asked.only or ["spot", "avocado", "metal"]:
+        subject = _subject(name, shared, asked.work)
+        rows += _rows(subject, asked.work, asked.size, asked.samples, plugins, asked.engine)
+    write_page(asked.output, rows, asked.size, asked.samples)
+    print(asked.output / "parity.md")
+    return 0
+
+
+def _subject(name: str, shared: Path, work: Path) -> Subject:
+    if name == "metal":
+        return metal_egg(shared / "envmaps" / "studio.hdr")
+    run = work / name
+    if not (run / "scene" / "scene.json").is_file():
+        from hir_core import reconstruct
+
+        print(f"{name}: reconstructing into {run}", flush=True)
+        reconstruct(str(shared / "captures" / name), str(run))
+    return finished_run(name, run)
+
+
+def _rows(
+    subject: Subject, work: Path, size: int, samples: int, plugins: PluginManager, chosen: list[str]
+) -> list[Row]:
+    folder = work / "files"
+    light = _export(subject.asset, folder, subject.name)
+    asset = with_light(subject, light)
+    cameras = cameras_around(asset.mesh, size)
+    start = time.perf_counter()
+    truth = ours(asset, cameras, subject.bounces, samples, plugins)
+    print(f"{subject.name}: our renderer, {time.perf_counter() - start:.0f} s", flush=True)
+    rows = [Row(subject.name, "hir, path traced", "", truth, None, None, "")]
+    for opening in openings(samples):
+        if chosen and not any(word.lower() in opening.engine.lower() for word in chosen):
+            continue
+        rows.append(_row(subject.name, opening, folder, light, cameras, truth))
+        print(f"{subject.name}: {rows[-1].sentence()}", flush=True)
+    return rows
+
+
+def _export(asset: Asset, folder: Path, name: str) -> Path:
+    """Every file that a row opens; the light that all are given."""
+    create_exporter("glb", GltfConfig(profile="khr")).write(asset, folder / f"{name}_khr.glb")
+    create_exporter("glb", GltfConfig(profile="blender")).write(asset, folder / f"{name}_blender.glb")
+    create_exporter("glb", GltfConfig(image_based_light=True)).write(asset, folder / f"{name}_lit.glb")
+    create_exporter("usda", UsdConfig()).write(asset, folder / f"{name}_usda.usda")
+    create_exporter("ktx").write(asset, folder / f"{name}_khr.ktx")
+    return folder / f"{name}_khr.hdr"
+
+
+def _row(
+    name: str, opening: Opening, folder: Path, light: Path, cameras: list, truth: list[Picture]
+) -> Row:  # fmt: skip
+    if opening.missing:
+        return Row(name, opening.engine, opening.file, [], None, None, f"not run: needs {opening.missing}")
+    try:
+        pictures = opening.draw(folder / f"{name}_{opening.file}", light, cameras)
+    except RuntimeError as error:
+        return Row(name, opening.engine, opening.file, [], None, None, f"failed: {error}")
+    frame = [psnr(p, t, np.ones(t.shape[:2], bool)) for p, t in zip(pictures, truth, strict=True)]
+    inside = [psnr(p, t, t.max(axis=-1) > 0) for p, t in zip(pictures, truth, strict=True)]
+    return Row(name, opening.engine, opening.file, pictures, _mean(frame), _mean(inside), "")
+
+
+def _mean(values: list[float | None]) -> float:
+    return float(np.mean([value for value in values if value is not None]))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

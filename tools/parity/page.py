@@ -1,0 +1,84 @@
+"""Writes docs/engines/parity.md: the table and one sheet of pictures for each object."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+_TEXT = Path(__file__).with_name("parity.template.md")
+_TILE = 192
+
+
+@dataclass(frozen=True)
+class Row:
+    """What one engine made of one object's file."""
+
+    subject: str
+    engine: str
+    file: str
+    pictures: list[NDArray[np.float32]]
+    frame: float | None
+    """dB over the frame, mean of the sides; None for our own renderer and for engines that gave no picture."""
+    inside: float | None
+    """dB over the object's pixels."""
+    note: str
+
+    def sentence(self) -> str:
+        """One line for a person."""
+        if self.frame is None or self.inside is None:
+            return f"{self.engine} {self.file} {self.note}"
+        return f"{self.engine} {self.file}: {self.frame:.1f} / {self.inside:.1f} dB"
+
+
+def write_page(folder: Path, rows: list[Row], size: int, samples: int) -> None:
+    """parity.md from its template, and images/parity_SUBJECT.jpg beside it."""
+    subjects = list(dict.fromkeys(row.subject for row in rows))
+    kinds = list(dict.fromkeys((row.engine, row.file) for row in rows if row.frame is not None or row.note))
+    table = ["| engine | file | " + " | ".join(subjects) + " |", "|---|---|" + "---|" * len(subjects)]
+    for engine, file in kinds:
+        cells = [_cell(next((r for r in rows if (r.subject, r.engine, r.file) == (s, engine, file)), None))
+                 for s in subjects]  # fmt: skip
+        table.append(f"| {engine} | `{file}` | " + " | ".join(cells) + " |")
+    notes = [f"- {r.engine}, `{r.file}`, {r.subject}: {r.note}" for r in rows if r.note]
+    (folder / "images").mkdir(parents=True, exist_ok=True)
+    pictures = []
+    for subject in subjects:
+        shown = [row for row in rows if row.subject == subject and row.pictures]
+        _sheet(shown).save(folder / "images" / f"parity_{subject}.jpg", quality=88)
+        engines = ", ".join(f"{row.engine} {row.file}".strip() for row in shown)
+        pictures.append(f"![{subject}: {engines}](images/parity_{subject}.jpg)")
+    fields = {
+        "table": "\n".join(table), "notes": "\n".join(notes), "pictures": "\n\n".join(pictures),
+        "size": str(size), "samples": str(samples),
+    }  # fmt: skip
+    text = _TEXT.read_text(encoding="utf-8")
+    for name, value in fields.items():
+        text = text.replace(f"<!--{name}-->", value)
+    (folder / "parity.md").write_text(text.rstrip() + "\n", encoding="utf-8")
+
+
+def _cell(row: Row | None) -> str:
+    if row is None or row.frame is None or row.inside is None:
+        return "–"
+    return f"{row.frame:.1f} / {row.inside:.1f}"
+
+
+def _sheet(rows: list[Row]) -> Image.Image:
+    """One row of pictures for each engine, its name on the left."""
+    width, margin = max(len(row.pictures) for row in rows), 150
+    sheet = Image.new("RGB", (margin + width * _TILE, len(rows) * _TILE), (20, 21, 24))
+    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(13)
+    for index, row in enumerate(rows):
+        lines = [*row.engine.split(" ", 1), row.file]
+        if row.frame is not None:
+            lines.append(f"{row.frame:.1f} / {row.inside:.1f} dB")
+        draw.multiline_text((10, index * _TILE + 60), "\n".join(line for line in lines if line), (225, 224, 220), font)
+        for column, picture in enumerate(row.pictures):
+            codes = np.rint(np.clip(picture, 0, 1) * 255).astype(np.uint8)
+            tile = Image.fromarray(codes).resize((_TILE, _TILE), Image.Resampling.BOX)
+            sheet.paste(tile, (margin + column * _TILE, index * _TILE))
+    return sheet
