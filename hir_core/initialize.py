@@ -27,6 +27,7 @@ def initialize(
     """
     chain = _chain(capture, config, context)
     report: dict[str, Any] = {"initializers": chain}
+    details: dict[str, Any] = {}
     scene: Scene | None = None
     capture = _apply_masks(capture, scene, config, context, with_cameras=False)
     masked = False
@@ -40,6 +41,7 @@ def initialize(
         workspace.mkdir(parents=True, exist_ok=True)
         with passed_on(context):
             capture, scene = initializer.initialize(capture, scene, workspace)
+        details |= {name: dict(found)} if (found := initializer.report()) else {}
         capture = _registered_only(capture, context)
     if scene is None:
         raise StageError(
@@ -53,6 +55,7 @@ def initialize(
         "masked_views": sum(view.pixels().mask is not None for view in capture.views),
         "vertices": len(scene.mesh.positions),
         "triangles": len(scene.mesh.faces),
+        "details": details,
     }
     moved = move_scene(scene, working_from_asset).to(context.device)
     return (capture.transformed(working_from_asset), moved), report

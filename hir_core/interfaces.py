@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -61,6 +61,10 @@ class Initializer(ABC):
     def files(self, capture: Capture) -> Sequence[Path]:
         """Files beyond the photographs that it reads; asked where the trait `reads_files` is declared."""
         return ()
+
+    def report(self) -> Mapping[str, Any]:
+        """What run.json should say of the last `initialize`: which method ran, what it found; JSON, reproducible."""
+        return {}
 
 
 class GeometryRenderer(ABC):

@@ -79,27 +79,29 @@ class ColmapOptions:
 
 @dataclass(frozen=True)
 class StereoOptions:
-    """How depth is measured and fused."""
+    """How depth is measured and what it may change."""
 
-    max_image_size: int = 512
-    """Photographs are made a whole number of times smaller until their longer side is about this."""
+    max_image_size: int = 400
+    """Photographs are made a whole number of times smaller until their longer side is not above this."""
+    levels: int = 2
+    """Coarse-to-fine levels, each twice the size of the one before; each starts from the surface of the last."""
     neighbours: int = 6
-    """Photographs that each one is compared with."""
-    planes: int = 96
-    """Most depths that the first, coarsest sweep tries."""
+    """Photographs that each one is compared with; four more judge the result."""
+    steps: int = 64
+    """Most depths that the first level tries at a pixel."""
     window: int = 7
     """Side of the compared windows in pixels, odd."""
-    levels: int = 3
-    """Coarse-to-fine levels, each twice the size of the one before."""
-    min_score: float = 0.8
-    """Least correlation of a depth that counts."""
-    min_views: int = 3
+    min_views: int = 2
     """Neighbours that must confirm a depth."""
-    max_pixels: float = 0.5
-    """How far apart, in pixels, agreeing depths may be."""
+    judge: bool = True
+    """Undo what was carved out of the hull where photographs do not match better along the new surface."""
     surface: Literal["auto", "hull", "poisson"] = "auto"
-    """`hull` carves the measured depths out of the visual hull; `poisson` fits a surface to the points alone; `auto`
-    takes `hull` where there are masks."""
+    """`hull` carves the measured depths out of the surface that an earlier initializer made, or out of the visual hull;
+    `poisson` fits a surface to the points alone; `auto` takes `hull` where there are masks or a surface."""
+    pixels_per_voxel: float = 2.0
+    """Side of a voxel in pixels of the photographs, at the object's distance."""
+    max_resolution: int = 256
+    """Most voxels along the longest side of the object's box, 16 to 1024."""
     vertex_colors: bool = True
     """Colour the vertices from the photographs that see them."""
     device: Literal["auto", "cpu", "cuda"] = "auto"

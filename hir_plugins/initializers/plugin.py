@@ -76,9 +76,8 @@ def hir_register_initializers() -> list[Component]:
 
 @hookimpl
 def hir_suggest_initializers(capture: Capture) -> list[str] | None:
-    """The visual hull; before it the search for cameras, where the capture has none."""
+    """The visual hull, and stereo that carves it; before them the search for cameras, where the capture has none."""
     if not capture.views:
         return None
-    if all(view.camera is not None for view in capture.views):
-        return ["visual_hull"]
-    return ["colmap", "visual_hull"]
+    surface = ["visual_hull", "stereo"]
+    return surface if all(view.camera is not None for view in capture.views) else ["colmap", *surface]

@@ -1,29 +1,52 @@
-"""Initializer: multi-view stereo on CPU or GPU, fused with the visual hull where there are masks."""
+"""Initializer: multi-view stereo on CPU or GPU, which carves out of the visual hull what no outline shows."""
 # ruff: noqa: TID253 - loaded when it runs
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import final
+from typing import Any, final
 
 import numpy as np
 import torch
-from hir_exporters.conventions import linear_to_srgb
 from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn.functional import interpolate
 
-from hir_core.capture import Array, Capture, OrientedPoints, View
+from hir_core.capture import Array, Capture, OrientedPoints
 from hir_core.errors import CaptureError, StageError
 from hir_core.interfaces import Initializer
 from hir_core.scene import Scene
 from hir_plugins.initializers.carving import Volume
 from hir_plugins.initializers.colmap import object_ball
-from hir_plugins.initializers.depth_fusion import consistent, fuse_into, oriented_points
-from hir_plugins.initializers.depth_maps import DepthMap, StereoView, depth_map, neighbours
+from hir_plugins.initializers.depth_agreement import DepthMap, believed, oriented_points
+from hir_plugins.initializers.depth_fusion import Verdict, carved, judged, volume_of
 from hir_plugins.initializers.options import PoissonOptions, StereoOptions, VisualHullOptions
 from hir_plugins.initializers.poisson import poisson_surface
 from hir_plugins.initializers.surface import extract_surface, keep_large_components
+from hir_plugins.initializers.surface_sweep import Sweep, SweptView, inverse_depth_step, sweep
+from hir_plugins.initializers.swept_photographs import Surface, neighbours, photograph
 from hir_plugins.initializers.visual_hull import hull_volume, make_scene
+
+_REFINE = (12, 6)
+"""Steps inward and outward that the finer levels try: what a level half as fine may have missed."""
+
+_JUDGES = 4
+"""Neighbours that judge the result and had no part in it, beside those that had."""
+
+Mesh = tuple[Array, NDArray[np.int64]]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What stereo saw."""
+
+    maps: list[DepthMap]
+    points: OrientedPoints | None
+    mesh: Mesh | None
+    """The surface that was carved; None where there was no volume to carve from."""
+    verdict: Verdict | None
 
 
 @final
@@ -33,100 +56,151 @@ class Stereo(Initializer):
     def __init__(self, config: StereoOptions) -> None:
         if config.window % 2 == 0 or config.window < 3:
             raise CaptureError(f"initializer.stereo.window is {config.window}; it must be odd, 3 or more")
+        if not 1 <= config.levels <= 6 or config.max_image_size < 32:
+            raise CaptureError("initializer.stereo needs 1 to 6 levels and a max_image_size of at least 32")
         self._config = config
+        self._report: dict[str, Any] = {}
 
     def initialize(self, capture: Capture, scene: Scene | None, workspace: Path) -> tuple[Capture, Scene | None]:
         """The capture with dense oriented points, and a mesh. Captures without cameras are a `CaptureError`."""
-        del scene, workspace
+        del workspace
         cameras = capture.cameras
         if len(cameras) < 3:
             raise CaptureError(f"{capture.path}: stereo needs at least three photographs, there are {len(cameras)}")
         masked = sum(view.pixels().mask is not None for view in capture.views)
-        use_hull = self._config.surface == "hull" or (self._config.surface == "auto" and masked >= 2)
-        volume = hull_volume(capture, VisualHullOptions()) if use_hull else None
-        center, radius = _ball_of(volume) if volume is not None else object_ball(capture)
-        measured = measure(capture, center, radius, self._config)
+        carve = self._config.surface == "hull" or (
+            self._config.surface == "auto" and (masked >= 2 or scene is not None)
+        )
+        volume = _volume(capture, scene, self._config) if carve else None
+        measured = measure(capture, volume, self._config)
+        self._report = {"method": f"surface sweep in torch on {_device(self._config)}"}
         if measured.points is None:
-            raise StageError("stereo measured no depth that photographs agree on; the object may have too little "
-                             "texture, or the photographs too little overlap")
-        capture = replace(capture, points=measured.points)
-        if volume is not None:
-            pixel = measured.pixel
-            reach = max(12 * pixel, 4 * volume.spacing)
-            fused = fuse_into(volume, measured.maps, reach, min_weight=8, doubt=pixel)
-            positions, faces = keep_large_components(*extract_surface(fused), min_share=0.02)
-        else:
-            positions, faces = poisson_surface(measured.points, PoissonOptions())
-        return capture, make_scene(positions, faces, capture, self._config.vertex_colors)
+            if scene is None:
+                raise StageError("stereo measured no depth that photographs agree on; the object may have too little "
+                                 "texture, or the photographs too little overlap")
+            self._report["surface"] = "kept: photographs agree on no depth"
+            return capture, scene
+        solved = replace(capture, points=measured.points)
+        self._report["points"] = len(measured.points.positions)
+        if measured.mesh is None:
+            mesh = poisson_surface(measured.points, PoissonOptions())
+            return solved, make_scene(*mesh, capture, self._config.vertex_colors)
+        if measured.verdict is not None:
+            self._report |= {"carved_share": round(measured.verdict.removed, 5),
+                             "confirmed_share": round(measured.verdict.kept, 4),
+                             "correlation_gain": round(measured.verdict.gain, 4)}  # fmt: skip
+        return solved, make_scene(*measured.mesh, capture, self._config.vertex_colors)
+
+    def report(self) -> Mapping[str, Any]:
+        """Which method ran where, and what came of it."""
+        return self._report
 
 
-@dataclass(frozen=True)
-class Measured:
-    """What stereo saw."""
+def measure(capture: Capture, volume: Volume | None, options: StereoOptions) -> Measured:
+    """Depth maps of all views, confirmed by each other, from coarse to fine; each level starts from the last's surface.
 
-    maps: list[DepthMap]
-    points: OrientedPoints | None
-    pixel: float
-    """Side of a pixel at the object, in the world."""
-
-
-def measure(capture: Capture, center: Array, radius: float, options: StereoOptions) -> Measured:
-    """Depth maps of all views of what lies in a ball, confirmed by each other, and their fused points."""
-    device = options.device
-    if device == "auto":
-        device = "cuda" if torch.cuda.is_available() else "cpu"
-    views = [view for view in capture.views if view.camera is not None]
-    prepared = [_prepare(view, options.max_image_size, center, radius) for view in views]
-    stereo = [p[0] for p in prepared]
-    chosen = neighbours([s.camera for s in stereo], center, options.neighbours)
+    Without a volume the sweep starts at the front of a ball around what the photographs are about.
+    """
+    device = _device(options)
+    front = keep_large_components(*extract_surface(volume), min_share=0.02) if volume is not None else None
+    center, radius = object_ball(capture) if front is None else _ball_of(front[0])
+    if front is None:
+        front = _sphere(center, 1.05 * radius)
+    side = max(max(c.width, c.height) for c in capture.cameras)
+    shrink = -(-side // options.max_image_size)
+    photographs = [
+        cut for view in capture.views
+        if (cut := photograph(view, shrink, 2 ** (options.levels - 1), center, radius)) is not None
+    ]  # fmt: skip
+    near = neighbours([p.camera for p in photographs], center, options.neighbours)
+    bound = Surface(*front)
     maps: list[DepthMap] = []
+    dense: list[Tensor] = []
+    current, verdict, mesh = bound, None, front if volume is not None else None
     with torch.inference_mode():
-        for view, others in zip(stereo, chosen, strict=True):
-            if not others:
-                maps.append(_empty(view))
+        for level in reversed(range(options.levels)):
+            views = [p.at(2**level, current, bound, device) for p in photographs]
+            if dense:
+                views = [replace(v, inverse=_enlarged(d, v)) for v, d in zip(views, dense, strict=True)]
+            steps = _steps(views, near, center)
+            first = level == options.levels - 1
+            found = [_swept(views, i, near[i], steps[i], bound if first else None, options) for i in range(len(views))]
+            maps = believed(views, found, near, steps, options.window, options.min_views)
+            if volume is None:
+                dense = [inverse for inverse, _ in found]
                 continue
-            distance = float(view.camera.world_to_camera[2, :3] @ center + view.camera.world_to_camera[2, 3])
-            near, far = max(distance - 1.05 * radius, 0.05 * distance), distance + 1.05 * radius
-            rest = [stereo[j] for j in others]
-            part = view.cropped(options.window, 2 ** (options.levels - 1))
-            maps.append(depth_map(part, rest, near, far, options.planes, options.window, options.levels, device))
-    maps = consistent(maps, chosen, options.min_score, options.min_views, options.max_pixels)
-    pixel = float(np.median([np.linalg.norm(s.camera.center - center) / s.camera.intrinsics[0, 0] for s in stereo]))
-    colors = [_cut_out(p[1], view, part) for p, view, part in zip(prepared, stereo, maps, strict=True)]
-    return Measured(maps, oriented_points(maps, colors, 1.5 * pixel), pixel)
+            result = carved(volume, maps, min_weight=1.0)
+            mesh = keep_large_components(*extract_surface(result), min_share=0.02)
+            current = Surface(*mesh)
+            if options.judge:
+                seen = [p.at(2**level, current, bound, device) for p in photographs]
+                more = neighbours([p.camera for p in photographs], center, options.neighbours + _JUDGES)
+                verdict = judged(volume, result, seen, more, options.window, _steps(seen, more, center))
+                mesh = keep_large_components(*extract_surface(verdict.volume), min_share=0.02)
+                current = Surface(*mesh)
+    pixels = [np.linalg.norm(p.camera.center - center) / p.camera.intrinsics[0, 0] for p in photographs]
+    points = oriented_points(maps, [p.color_linear for p in photographs], 1.5 * float(np.median(pixels)))
+    return Measured(maps, points, mesh, verdict)
 
 
-def _cut_out(image: NDArray[np.float32], whole: StereoView, part: DepthMap) -> NDArray[np.float32]:
-    """The pixels of a picture that a depth map of a part of it has."""
-    left, top = np.rint(whole.camera.intrinsics[:2, 2] - part.camera.intrinsics[:2, 2]).astype(int)
-    return image[top : top + part.camera.height, left : left + part.camera.width]
+def _swept(
+    views: list[SweptView], index: int, near: list[int], step: float, solid: Surface | None, options: StereoOptions
+) -> tuple[Tensor, Tensor]:
+    """Inverse depth and correlation of a view; `solid` is what the first level sweeps through."""
+    view = views[index]
+    if not near or not view.valid.any():
+        return torch.zeros_like(view.image), torch.zeros_like(view.image)
+    inward, outward = _REFINE
+    thickness: Tensor | None = None
+    if solid is not None:
+        thickness = torch.from_numpy(solid.thickness(view.camera, view.bound.cpu().numpy())).to(view.bound.device)
+        reach = float(np.quantile(thickness[view.valid].cpu().numpy(), 0.98))
+        # a very thick object, seen from far apart, is swept in longer steps
+        step = max(step, reach / options.steps)
+        inward, outward = int(np.clip(np.ceil(reach / step), 4, options.steps)), 2
+    return sweep(view, [views[j] for j in near], step, Sweep(options.window, inward, outward), thickness)
 
 
-def _prepare(view: View, max_size: int, center: Array, radius: float) -> tuple[StereoView, NDArray[np.float32]]:
-    assert view.camera is not None
-    factor = max(1, round(max(view.camera.width, view.camera.height) / max_size))
-    pixels = view.pixels(factor)
-    camera = view.camera.downsampled(factor)
-    brightness = linear_to_srgb(np.clip(pixels.color_linear.mean(axis=2), 0, 1)).astype(np.float32)
-    if pixels.mask is not None:
-        # the background moves with a turntable, and is black in renders: it must not be compared
-        brightness = brightness * pixels.mask
-        valid = pixels.mask > 0.5
-    else:
-        pixel, depth = camera.project(center[None])
-        reach = radius * 1.05 * camera.intrinsics[0, 0] / max(float(depth[0]), 1e-9)
-        rows, columns = np.mgrid[0 : camera.height, 0 : camera.width] + 0.5
-        valid = np.hypot(columns - pixel[0, 0], rows - pixel[0, 1]) < reach
-    return StereoView(camera, np.ascontiguousarray(brightness), valid), pixels.color_linear
+def _steps(views: list[SweptView], near: list[list[int]], center: Array) -> list[float]:
+    """Steps of inverse depth of a pixel; infinite for views without neighbours."""
+    return [
+        inverse_depth_step(view.camera, [views[j].camera for j in others], center) if others else float("inf")
+        for view, others in zip(views, near, strict=True)
+    ]
 
 
-def _empty(view: StereoView) -> DepthMap:
-    nothing = np.zeros(view.image.shape, np.float32)
-    return DepthMap(view.camera, nothing, nothing - 1)
+def _volume(capture: Capture, scene: Scene | None, options: StereoOptions) -> Volume:
+    """The surface that an earlier initializer made, or else the hull of the masks, as distances."""
+    if scene is None:
+        hull = VisualHullOptions(pixels_per_voxel=options.pixels_per_voxel, max_resolution=options.max_resolution)
+        return hull_volume(capture, hull)
+    positions = scene.mesh.positions.detach().cpu().numpy().astype(np.float64)
+    faces = scene.mesh.faces.cpu().numpy()
+    middle = 0.5 * (positions.min(axis=0) + positions.max(axis=0))
+    pixels = [np.linalg.norm(c.center - middle) / c.intrinsics[0, 0] for c in capture.cameras]
+    extent = float(np.ptp(positions, axis=0).max())
+    spacing = max(options.pixels_per_voxel * float(np.median(pixels)), extent / options.max_resolution)
+    return volume_of(Surface(positions, faces), positions, spacing)
 
 
-def _ball_of(volume: Volume) -> tuple[Array, float]:
-    inside = volume.origin + np.argwhere(volume.values > 0) * volume.spacing
-    center = (inside.min(axis=0) + inside.max(axis=0)) / 2
-    return center, float(np.linalg.norm(inside - center, axis=1).max())
+def _ball_of(positions: Array) -> tuple[Array, float]:
+    center = (positions.min(axis=0) + positions.max(axis=0)) / 2
+    return center, float(np.linalg.norm(positions - center, axis=1).max())
 
+
+def _sphere(center: Array, radius: float) -> Mesh:
+    import open3d
+
+    ball = open3d.geometry.TriangleMesh.create_sphere(1.0, resolution=60)
+    return center + radius * np.asarray(ball.vertices), np.asarray(ball.triangles).astype(np.int64)
+
+
+def _enlarged(inverse: Tensor, view: SweptView) -> Tensor:
+    size = view.image.shape
+    return interpolate(inverse[None, None], size=tuple(size), mode="bilinear", align_corners=False)[0, 0]
+
+
+def _device(options: StereoOptions) -> str:
+    if options.device != "auto":
+        return options.device
+    return "cuda" if torch.cuda.is_available() else "cpu"

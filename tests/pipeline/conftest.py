@@ -25,6 +25,7 @@ QUICK = (
     "reflectance.environment_height=8",
     "reflectance.environment_width=16",
     "initializer.visual_hull.max_resolution=48",
+    "initializer.stereo.max_resolution=48",
     "reflectance_renderer.transport_ggx.steps=20",
     "reflectance_renderer.transport_ggx.cells=500",
     "reflectance_renderer.transport_ggx.vertices=2000",
