@@ -10,6 +10,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from hir_core.manager import PluginManager
 from hir_core.pipeline import Run
 from hir_core.plugin import hookimpl
@@ -95,6 +97,7 @@ class Counting:
         self.calls["hir_gltf_document"] += 1
 
 
+@pytest.mark.slow
 def test_no_hook_runs_in_an_inner_loop(tmp_path: Path, quick: Callable[..., Run]) -> None:
     """A run of hundreds of steps calls hooks once a stage, and progress at most four times a second."""
     counting = Counting()

@@ -29,7 +29,7 @@ def plugged(folder: Path, package: str, monkeypatch: pytest.MonkeyPatch) -> Plug
 
 @pytest.mark.parametrize(
     "kind",
-    [pytest.param(k, marks=[pytest.mark.slow] if k in ("reflectance_renderer", "initializer") else []) for k in KINDS],
+    [pytest.param(k, marks=[] if k in ("regularizer", "mask_source") else [pytest.mark.slow]) for k in KINDS],
 )
 def test_scaffold_passes_the_checks_as_it_is_written(
     kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
