@@ -2,8 +2,8 @@
 
     make parity            three objects, all engines; about 15 minutes on two cores
 
-The runs of spot and avocado are made where they are missing (`--work` holds them); the captures and the metal object's
-light come from the shared test data (HIR_SHARED).
+spot and avocado are finished runs in the folder `--work` (`--reconstruct` makes them), else the models that their
+captures were rendered from. Models, captures and the light come from the shared test data (HIR_SHARED).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from hir_core.manager import PluginManager
 from hir_core.metrics import psnr
 from parity.engines import ROOT, Opening, Picture, openings, ours
 from parity.page import Row, write_page
-from parity.scenes import Subject, finished_run, metal_egg, with_light
+from parity.scenes import MODELS, Subject, finished_run, metal_egg, model, with_light
 from parity.shots import cameras_around
 
 
@@ -35,27 +35,32 @@ def main() -> int:
     words.add_argument("--samples", type=int, default=256, help="Paths a pixel, ours and Blender's.")
     words.add_argument("--only", action="append", default=[], help="An object: spot, avocado, metal.")
     words.add_argument("--engine", action="append", default=[], help="Part of an engine's name; all by default.")
+    words.add_argument("--reconstruct", action="store_true", help="Make runs that are missing; minutes each.")
     words.add_argument("--output", type=Path, default=ROOT / "docs" / "engines", help="Where parity.md goes.")
     asked = words.parse_args()
     shared = Path(os.environ.get("HIR_SHARED", ROOT.parent / "shared"))
     plugins, rows = PluginManager.discover(), []
     for name in asked.only or ["spot", "avocado", "metal"]:
-        subject = _subject(name, shared, asked.work)
+        subject = _subject(name, shared, asked.work, asked.reconstruct)
         rows += _rows(subject, asked.work, asked.size, asked.samples, plugins, asked.engine)
     write_page(asked.output, rows, asked.size, asked.samples)
     print(asked.output / "parity.md")
     return 0
 
 
-def _subject(name: str, shared: Path, work: Path) -> Subject:
+def _subject(name: str, shared: Path, work: Path, make_runs: bool) -> Subject:
+    studio = shared / "envmaps" / "studio.hdr"
     if name == "metal":
-        return metal_egg(shared / "envmaps" / "studio.hdr")
+        return metal_egg(studio)
     run = work / name
-    if not (run / "scene" / "scene.json").is_file():
-        from hir_core import reconstruct
+    if (run / "scene" / "scene.json").is_file():
+        return finished_run(name, run)
+    if not make_runs:
+        return model(name, shared / "models" / MODELS[name], studio)
+    from hir_core import reconstruct
 
-        print(f"{name}: reconstructing into {run}", flush=True)
-        reconstruct(str(shared / "captures" / name), str(run))
+    print(f"{name}: reconstructing into {run}", flush=True)
+    reconstruct(str(shared / "captures" / name), str(run))
     return finished_run(name, run)
 
 
@@ -69,7 +74,7 @@ def _rows(
     start = time.perf_counter()
     truth = ours(asset, cameras, subject.bounces, samples, plugins)
     print(f"{subject.name}: our renderer, {time.perf_counter() - start:.0f} s", flush=True)
-    rows = [Row(subject.name, "hir, path traced", "", truth, None, None, "")]
+    rows = [Row(subject.name, f"hir, path traced, {subject.origin}", "", truth, None, None, "")]
     for opening in openings(samples):
         if chosen and not any(word.lower() in opening.engine.lower() for word in chosen):
             continue

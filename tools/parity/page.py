@@ -51,7 +51,11 @@ def write_page(folder: Path, rows: list[Row], size: int, samples: int) -> None:
         _sheet(shown).save(folder / "images" / f"parity_{subject}.jpg", quality=88)
         engines = ", ".join(f"{row.engine} {row.file}".strip() for row in shown)
         pictures.append(f"![{subject}: {engines}](images/parity_{subject}.jpg)")
+    sources = {row.subject: row.engine.rpartition(", ")[2] for row in rows if row.frame is None and row.pictures}
+    words = {"a run": "a whole run of `hir reconstruct`", "a model": "the model that its capture was rendered from"}
+    origins = "; ".join(f"{name} is {words[how]}" for name, how in sources.items() if how in words)
     fields = {
+        "origins": origins or "no captured object was asked for",
         "table": "\n".join(table), "notes": "\n".join(notes), "pictures": "\n\n".join(pictures),
         "size": str(size), "samples": str(samples),
     }  # fmt: skip

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from hir_exporters.asset import Asset, AssetEnvironment, AssetMaterial, AssetMesh
 from hir_exporters.environment import resample_latlong
 from hir_exporters.images import read_hdr
+from hir_exporters.mesh_files import load_mesh_asset
 from hir_exporters.scene_files import load_scene
 
-from hir_core.reference import open_for_rendering
-from hir_core.run_directory import RunDirectory
+MODELS: Final = {"spot": "spot/spot.obj", "avocado": "avocado/glTF/Avocado.gltf"}
+"""What the captures of these names were rendered from, in the shared data's folder of models."""
 
 GOLD, COPPER, IRON = (1.0, 0.766, 0.336), (0.955, 0.638, 0.538), (0.56, 0.57, 0.58)
 """Reflectance at normal incidence, linear (Akenine-Möller et al., Real-Time Rendering, table 9.2)."""
@@ -25,11 +28,21 @@ class Subject:
     name: str
     asset: Asset
     bounces: int | None
+    origin: str
+    """Where it comes from, in a word or two."""
 
 
 def finished_run(name: str, folder: Path) -> Subject:
     """A run as it was fitted: its report's pictures have the reflections that its model has."""
-    return Subject(name, load_scene(folder / "scene"), open_for_rendering(RunDirectory(folder)).bounces)
+    bounces = None
+    for file in folder.glob("stages/*-reflectance/stage.json"):
+        bounces = json.loads(file.read_text(encoding="utf-8"))["report"].get("bounces")
+    return Subject(name, load_scene(folder / "scene"), bounces, "a run")
+
+
+def model(name: str, file: Path, light: Path) -> Subject:
+    """A modelled mesh with its textures, as `hir export MESH` takes it, under a lat-long .hdr."""
+    return Subject(name, replace(load_mesh_asset(file), environment=_studio(light), name=name), None, "a model")
 
 
 def metal_egg(light: Path) -> Subject:
@@ -42,14 +55,17 @@ def metal_egg(light: Path) -> Subject:
     color = np.array([GOLD, COPPER, IRON], np.float32)[bands]
     alpha = 0.08 + 0.42 * (0.5 - 0.5 * np.cos(6 * np.pi * v)) * (0.6 + 0.4 * np.sin(4 * np.pi * u))
     material = AssetMaterial("dielectric", np.zeros(3), color, np.maximum(alpha, 0.05))
-    radiance = resample_latlong(read_hdr(light), 128, 256).astype(np.float32)
-    radiance *= 0.35 / radiance.mean()  # so that little of it is clipped
-    return Subject("metal", Asset(_egg(), material, AssetEnvironment(radiance), name="metal"), None)
+    return Subject("metal", Asset(_egg(), material, _studio(light), name="metal"), None, "made by hand")
 
 
 def with_light(subject: Subject, hdr: Path) -> Asset:
     """The asset under the light as it was written: what every engine is given."""
     return replace(subject.asset, environment=AssetEnvironment(np.maximum(read_hdr(hdr), 0)))
+
+
+def _studio(light: Path) -> AssetEnvironment:
+    radiance = resample_latlong(read_hdr(light), 128, 256).astype(np.float32)
+    return AssetEnvironment(radiance * (0.35 / radiance.mean()))  # so that little of a picture is clipped
 
 
 def _egg(rows: int = 160, columns: int = 320) -> AssetMesh:

@@ -1,0 +1,65 @@
+"""The six-colour light through the panorama formula of each engine, with the turn that docs/engines/README.md gives."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hir_exporters.asset import Asset
+from hir_exporters.formats import create_exporter
+from hir_exporters.images import read_hdr
+
+Direction = np.ndarray
+COLORS = {
+    (1, 0, 0): (1, 0, 0), (0, 1, 0): (0, 1, 0), (0, 0, 1): (0, 0, 1),
+    (-1, 0, 0): (0, 1, 1), (0, -1, 0): (1, 0, 1), (0, 0, -1): (1, 1, 0),
+}  # fmt: skip
+TAU = 2 * np.pi
+
+
+def height(up: float) -> float:
+    return float(np.arccos(np.clip(up, -1, 1)) / np.pi)
+
+
+def three(d: Direction) -> tuple[float, float]:
+    """equirectUv of the direction turned by the negated environmentRotation.y = -pi/2."""
+    x, y, z = d[2], d[1], -d[0]
+    return np.arctan2(z, x) / TAU + 0.5, height(y)
+
+
+def blender(d: Direction) -> tuple[float, float]:
+    """The importer's (x, -z, y), a Mapping node of +90 degrees about Z, and the Environment Texture's formula."""
+    x, y, z = d[0], -d[2], d[1]
+    x, y = -y, x
+    return -np.arctan2(y, x) / TAU + 0.5, height(z)
+
+
+def unity(d: Direction) -> tuple[float, float]:
+    """glTFast's mirrored x; Skybox/Panoramic shows at angle t what lies at t + _Rotation; then its ToRadialCoords."""
+    x, y, z = -d[0], d[1], d[2]
+    angle = np.arctan2(x, z) + np.pi / 2
+    x, z = np.sin(angle), np.cos(angle)
+    return 0.5 - np.arctan2(z, x) / TAU, height(y)
+
+
+def godot(d: Direction) -> tuple[float, float]:
+    """panorama_coords of Godot 4's sky shader, no rotation."""
+    return np.arctan2(d[0], -d[2]) / TAU, height(d[1])
+
+
+def usd(d: Direction) -> tuple[float, float]:
+    """UsdLux: +Y the pole, longitude 0 is +Z and in the middle, +X at longitude pi/2, a quarter to the left."""
+    return 0.5 - np.arctan2(d[0], d[2]) / TAU, height(d[1])
+
+
+@pytest.mark.parametrize("engine", [three, blender, unity, godot, usd])
+def test_each_axis_shows_its_colour(
+    engine: Callable[[Direction], tuple[float, float]], textured_asset: Asset, tmp_path: Path
+) -> None:
+    create_exporter("hdr").write(textured_asset, tmp_path / "x.hdr")
+    image = read_hdr(tmp_path / "x.hdr")
+    rows, columns = image.shape[:2]
+    for axis, color in COLORS.items():
+        u, v = engine(np.array(axis, float) + [1e-6, 2e-6, 3e-6])
+        pixel = image[min(int(v * rows), rows - 1), int((u % 1) * columns)]
+        np.testing.assert_allclose(pixel, color, atol=0.01, err_msg=f"{engine.__name__} {axis}")

@@ -1,0 +1,79 @@
+"""Assets from a mesh and textures that no run of ours made."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hir_exporters.asset import Asset, describe
+from hir_exporters.conventions import linear_to_srgb
+from hir_exporters.errors import InputError
+from hir_exporters.formats import create_exporter
+from hir_exporters.images import write_png
+from hir_exporters.mesh_files import SurfaceMaps, load_mesh_asset, parse_map
+from hir_exporters.verify import verify_file
+
+
+def corners(asset: Asset) -> np.ndarray:
+    mesh = asset.mesh
+    return np.concatenate([mesh.positions[mesh.faces], mesh.uvs[mesh.faces]], axis=-1)
+
+
+@pytest.mark.parametrize("suffix", ["obj", "glb", "gltf", "usda", "usdz"])
+def test_an_exported_core_material_comes_back(textured_asset: Asset, suffix: str, tmp_path: Path) -> None:
+    """Core metallic-roughness is what all of them share: within the 8 bits of their textures."""
+    core = dataclasses.replace(textured_asset.material, specular_albedo=np.full(3, 0.04, np.float32))
+    asset = dataclasses.replace(textured_asset, material=core)
+    create_exporter(suffix).write(asset, tmp_path / f"x.{suffix}")
+    back = load_mesh_asset(tmp_path / f"x.{suffix}")
+    order = [np.lexsort(corners(a).reshape(len(a.mesh.faces), -1).round(5).T) for a in (asset, back)]
+    np.testing.assert_allclose(corners(asset)[order[0]], corners(back)[order[1]], atol=1e-5)
+    shown, meant = linear_to_srgb(back.material.diffuse_albedo), linear_to_srgb(core.diffuse_albedo)
+    np.testing.assert_allclose(shown, meant, atol=1.5 / 255)
+    np.testing.assert_allclose(np.sqrt(back.material.roughness), np.sqrt(core.roughness), atol=1 / 255)
+    np.testing.assert_allclose(back.material.specular_albedo, 0.04, atol=1e-5)
+    assert back.material.normal is not None
+    assert back.provenance == {"made_from": f"x.{suffix}"}
+
+
+def test_maps_and_light_by_hand(textured_asset: Asset, tmp_path: Path) -> None:
+    create_exporter("obj").write(textured_asset, tmp_path / "x.obj")
+    create_exporter("hdr").write(textured_asset, tmp_path / "sky.hdr")
+    write_png(tmp_path / "packed.png", np.tile(np.array([0.0, 0.6, 1.0]), (4, 4, 1)))
+    write_png(tmp_path / "gold.png", linear_to_srgb(np.tile(np.array([0.9, 0.6, 0.2]), (4, 4, 1))))
+    maps = SurfaceMaps(tmp_path / "gold.png", tmp_path / "packed.png", tmp_path / "packed.png")
+    asset = load_mesh_asset(tmp_path / "x.obj", maps, tmp_path / "sky.hdr")
+    np.testing.assert_allclose(asset.material.specular_albedo, [0.9, 0.6, 0.2], atol=0.004)
+    assert float(asset.material.diffuse_albedo.max()) == 0, "a metal"
+    np.testing.assert_allclose(asset.material.roughness, 0.36, atol=0.003)
+    assert asset.environment is not None and describe(asset)["environment"]["size"] == "64 x 32"
+    create_exporter("glb").write(asset, tmp_path / "out" / "x.glb")
+    assert verify_file(tmp_path / "out" / "x.glb", asset).problems == ()
+    plain = load_mesh_asset(tmp_path / "x.obj", SurfaceMaps(base_color=(0.2, 0.3, 0.4), roughness=0.5, metallic=0.0))
+    np.testing.assert_allclose(plain.material.diffuse_albedo, [0.2, 0.3, 0.4], rtol=1e-6)
+
+
+def test_bad_input_names_file_and_field(textured_asset: Asset, tmp_path: Path) -> None:
+    (tmp_path / "bare.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    (tmp_path / "empty.obj").write_text("v 0 0 0\n")
+    (tmp_path / "nan.obj").write_text("v nan 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nf 1/1 2/2 3/3\n")
+    (tmp_path / "far.obj").write_text("mtllib ../../secret.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1/1 2/1 3/1\n")
+    (tmp_path / "broken.glb").write_bytes(b"glTF\0\0\0\0")
+    (tmp_path / "mesh.txt").write_text("")
+    for name, message in {
+        "bare.obj": "bare.obj.*mesh.uvs", "empty.obj": "empty.obj", "nan.obj": "nan.obj.*mesh.positions",
+        "far.obj": "outside", "broken.glb": "broken.glb", "mesh.txt": "known are", "none.glb": "not there",
+    }.items():  # fmt: skip
+        with pytest.raises(InputError, match=message):
+            load_mesh_asset(tmp_path / name)
+    with pytest.raises(InputError, match=r"lost.png for base color.*R,G,B"):
+        parse_map("base_color", "lost.png")
+    with pytest.raises(InputError, match="normal"):
+        parse_map("normal", "0.5")
+    create_exporter("usda").write(textured_asset, tmp_path / "x.usda")
+    with pytest.raises(InputError, match="its own material"):
+        load_mesh_asset(tmp_path / "x.usda", SurfaceMaps(roughness=0.5))
+
+
+def test_numbers_and_colours_are_parsed() -> None:
+    assert parse_map("base_color", "0.1,0.2,0.3") == (0.1, 0.2, 0.3) and parse_map("roughness", "0.4") == 0.4
