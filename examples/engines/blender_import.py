@@ -1,6 +1,9 @@
-"""Opens an exported file in Blender in its own light: `blender --python blender_import.py -- NAME.glb NAME.hdr [PICTURE.png]`.
+"""Opens an exported file in Blender in its own light.
 
-With a .usda, .usdc or .usdz give NAME_lit.usda alone: its dome light becomes the world. With a picture, Cycles renders it.
+    blender --python blender_import.py -- NAME.glb NAME.hdr [PICTURE.png]
+
+With a .usda, .usdc or .usdz give NAME_lit.usda alone: its dome light becomes the world. With a picture, Cycles
+renders it.
 """
 
 import math

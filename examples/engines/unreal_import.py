@@ -1,6 +1,7 @@
 """Imports an exported .glb and its .hdr into the open level of Unreal Engine 5.4 or newer.
 
-In the editor's console: py "…/unreal_import.py" "…/NAME.glb" "…/NAME.hdr". Not run by hir's tests: docs/engines/unreal.md.
+In the editor's console: py "…/unreal_import.py" "…/NAME.glb" "…/NAME.hdr". Not run by hir's tests:
+docs/engines/unreal.md.
 """
 
 import os
@@ -32,7 +33,7 @@ def main(glb, hdr):
         actors.spawn_actor_from_object(mesh, unreal.Vector(0, 0, 0))
     cubes = [a for a in imported(hdr) if isinstance(a, unreal.TextureCube)]
     if not meshes or not cubes:
-        raise RuntimeError("the importer made {} meshes and {} cubemaps".format(len(meshes), len(cubes)))
+        raise RuntimeError(f"the importer made {len(meshes)} meshes and {len(cubes)} cubemaps")
     sky = actors.spawn_actor_from_class(unreal.SkyLight, unreal.Vector(0, 0, 0))
     light = sky.get_component_by_class(unreal.SkyLightComponent)
     light.set_editor_property("mobility", unreal.ComponentMobility.STATIONARY)

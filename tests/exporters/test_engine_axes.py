@@ -60,6 +60,6 @@ def test_each_axis_shows_its_colour(
     image = read_hdr(tmp_path / "x.hdr")
     rows, columns = image.shape[:2]
     for axis, color in COLORS.items():
-        u, v = engine(np.array(axis, float) + [1e-6, 2e-6, 3e-6])
+        u, v = engine(np.add(axis, (1e-6, 2e-6, 3e-6)))
         pixel = image[min(int(v * rows), rows - 1), int((u % 1) * columns)]
         np.testing.assert_allclose(pixel, color, atol=0.01, err_msg=f"{engine.__name__} {axis}")

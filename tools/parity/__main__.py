@@ -12,6 +12,7 @@ import argparse
 import os
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from hir_exporters.asset import Asset
 from hir_exporters.configs import GltfConfig, UsdConfig
 from hir_exporters.formats import create_exporter
 
+from hir_core.capture import Camera
 from hir_core.manager import PluginManager
 from hir_core.metrics import psnr
 from parity.engines import ROOT, Opening, Picture, openings, ours
@@ -36,13 +38,14 @@ def main() -> int:
     words.add_argument("--only", action="append", default=[], help="An object: spot, avocado, metal.")
     words.add_argument("--engine", action="append", default=[], help="Part of an engine's name; all by default.")
     words.add_argument("--reconstruct", action="store_true", help="Make runs that are missing; minutes each.")
+    words.add_argument("--keep", action="store_true", help="Take pictures that an earlier call left in --work.")
     words.add_argument("--output", type=Path, default=ROOT / "docs" / "engines", help="Where parity.md goes.")
     asked = words.parse_args()
     shared = Path(os.environ.get("HIR_SHARED", ROOT.parent / "shared"))
     plugins, rows = PluginManager.discover(), []
     for name in asked.only or ["spot", "avocado", "metal"]:
         subject = _subject(name, shared, asked.work, asked.reconstruct)
-        rows += _rows(subject, asked.work, asked.size, asked.samples, plugins, asked.engine)
+        rows += _rows(subject, asked.work, asked.size, asked.samples, plugins, asked.engine, asked.keep)
     write_page(asked.output, rows, asked.size, asked.samples)
     print(asked.output / "parity.md")
     return 0
@@ -65,41 +68,57 @@ def _subject(name: str, shared: Path, work: Path, make_runs: bool) -> Subject:
 
 
 def _rows(
-    subject: Subject, work: Path, size: int, samples: int, plugins: PluginManager, chosen: list[str]
+    subject: Subject, work: Path, size: int, samples: int, plugins: PluginManager, chosen: list[str], keep: bool
 ) -> list[Row]:
     folder = work / "files"
-    light = _export(subject.asset, folder, subject.name)
+    light = folder / f"{subject.name}_khr.hdr"
+    if not keep or not light.is_file():
+        _export(subject.asset, folder, subject.name)
     asset = with_light(subject, light)
     cameras = cameras_around(asset.mesh, size)
     start = time.perf_counter()
-    truth = ours(asset, cameras, subject.bounces, samples, plugins)
+    truth = _pictures(
+        work / "pictures" / f"{subject.name}_ours.npy", keep,
+        lambda: ours(asset, cameras, subject.bounces, samples, plugins),
+    )  # fmt: skip
     print(f"{subject.name}: our renderer, {time.perf_counter() - start:.0f} s", flush=True)
     rows = [Row(subject.name, f"hir, path traced, {subject.origin}", "", truth, None, None, "")]
     for opening in openings(samples):
         if chosen and not any(word.lower() in opening.engine.lower() for word in chosen):
             continue
-        rows.append(_row(subject.name, opening, folder, light, cameras, truth))
+        rows.append(_row(subject.name, opening, work, light, cameras, truth, keep))
         print(f"{subject.name}: {rows[-1].sentence()}", flush=True)
     return rows
 
 
-def _export(asset: Asset, folder: Path, name: str) -> Path:
-    """Every file that a row opens; the light that all are given."""
+def _pictures(file: Path, keep: bool, draw: Callable[[], list[Picture]]) -> list[Picture]:
+    """What is drawn, or what an earlier call drew."""
+    if keep and file.is_file():
+        return list(np.load(file, allow_pickle=False))
+    pictures = draw()
+    file.parent.mkdir(parents=True, exist_ok=True)
+    np.save(file, np.stack(pictures), allow_pickle=False)
+    return pictures
+
+
+def _export(asset: Asset, folder: Path, name: str) -> None:
+    """Every file that a row opens, and the light that all are given."""
     create_exporter("glb", GltfConfig(profile="khr")).write(asset, folder / f"{name}_khr.glb")
     create_exporter("glb", GltfConfig(profile="blender")).write(asset, folder / f"{name}_blender.glb")
     create_exporter("glb", GltfConfig(image_based_light=True)).write(asset, folder / f"{name}_lit.glb")
     create_exporter("usda", UsdConfig()).write(asset, folder / f"{name}_usda.usda")
     create_exporter("ktx").write(asset, folder / f"{name}_khr.ktx")
-    return folder / f"{name}_khr.hdr"
 
 
 def _row(
-    name: str, opening: Opening, folder: Path, light: Path, cameras: list, truth: list[Picture]
-) -> Row:  # fmt: skip
+    name: str, opening: Opening, work: Path, light: Path, cameras: list[Camera], truth: list[Picture], keep: bool
+) -> Row:
     if opening.missing:
         return Row(name, opening.engine, opening.file, [], None, None, f"not run: needs {opening.missing}")
     try:
-        pictures = opening.draw(folder / f"{name}_{opening.file}", light, cameras)
+        file = work / "pictures" / f"{name}_{opening.engine.split()[0]}_{opening.file}.npy"
+        asset = work / "files" / f"{name}_{opening.file}"
+        pictures = _pictures(file, keep, lambda: opening.draw(asset, light, cameras))
     except RuntimeError as error:
         return Row(name, opening.engine, opening.file, [], None, None, f"failed: {error}")
     frame = [psnr(p, t, np.ones(t.shape[:2], bool)) for p, t in zip(pictures, truth, strict=True)]
