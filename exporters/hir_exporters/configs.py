@@ -16,8 +16,8 @@ class GltfConfig:
     """Bounds of a target: what has more triangles or larger textures is reduced, and the report says so."""
     max_texture_size: int = 4096
     """Larger textures are reduced to this many pixels a side."""
-    image_format: Literal["png", "jpeg"] = "png"
-    """JPEG is smaller and loses detail; normal maps and alpha stay PNG."""
+    image_format: Literal["png", "jpeg", "ktx2"] = "png"
+    """JPEG is smaller and loses detail; normal maps and alpha stay PNG. KTX2 is refused, with what to do instead."""
     jpeg_quality: int = 92
     """1 to 95."""
     tangents: Literal["auto", "always", "never"] = "auto"

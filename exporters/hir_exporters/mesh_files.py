@@ -216,7 +216,7 @@ def _pixels(path: Path) -> tuple[Array, bool]:
 
 def _color(value: Path | tuple[float, float, float]) -> Array:
     if not isinstance(value, Path):
-        return np.asarray(value, np.float32)
+        return _within(value, "base_color")
     pixels, linear = _pixels(value)
     pixels = pixels if pixels.shape[2] >= 3 else np.repeat(pixels[..., :1], 3, axis=2)
     return pixels[..., :3] if linear else srgb_to_linear(pixels[..., :3])
@@ -224,11 +224,18 @@ def _color(value: Path | tuple[float, float, float]) -> Array:
 
 def _scalar(value: Path | float, name: str) -> Array:
     if not isinstance(value, Path):
-        return np.asarray(value, np.float32)
+        return _within(value, name)
     pixels, _ = _pixels(value)
     # of a packed image (occlusion, roughness, metalness) the channel that glTF keeps it in
     channel = {"roughness": 1, "metallic": 2}[name] if pixels.shape[2] >= 3 else 0
     return np.ascontiguousarray(pixels[..., channel])
+
+
+def _within(value: float | tuple[float, float, float], name: str) -> Array:
+    numbers = np.asarray(value, np.float32)
+    if not (np.isfinite(numbers).all() and numbers.min() >= 0 and numbers.max() <= 1):
+        raise InputError(f"{name} is {value}; it must be from 0 to 1")
+    return numbers
 
 
 def _normal(path: Path) -> NDArray[np.float32]:

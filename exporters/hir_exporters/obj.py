@@ -15,7 +15,7 @@ from hir_exporters.atomic import write_bytes_atomic, write_text_atomic
 from hir_exporters.configs import ObjConfig
 from hir_exporters.exporter import Edit, Exporter, ExportReport
 from hir_exporters.materials import MetallicSurface, to_gltf
-from hir_exporters.surface_images import PackedSurface, encode_images, limited, pack_surface
+from hir_exporters.surface_images import PackedSurface, encode_images, limited, pack_surface, reduction_warning
 
 
 @final
@@ -48,7 +48,8 @@ class ObjExporter(Exporter):
         write_text_atomic(library, material_text(packed, names))
         write_bytes_atomic(destination, mesh_text(asset.mesh, library.name, _plain(asset.name)).encode("utf-8"))
         residuals = {"metalrough": surface.residual}
-        return ExportReport(tuple(files), surface.warnings, residuals, time.perf_counter() - start)
+        warnings = surface.warnings + reduction_warning(asset.material, self._config.max_texture_size)
+        return ExportReport(tuple(files), warnings, residuals, time.perf_counter() - start)
 
 
 def mesh_text(mesh: AssetMesh, library: str, name: str) -> str:

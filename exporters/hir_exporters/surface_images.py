@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hir_exporters.asset import AssetMaterial
+from hir_exporters.asset import AssetMaterial, textures
 from hir_exporters.images import encode_png
 from hir_exporters.materials import MetallicSurface
 from hir_exporters.texture_maps import limit_size, normal_to_unorm8, resize, srgb8, unorm8
@@ -68,6 +68,14 @@ def limited(material: AssetMaterial, largest: int) -> AssetMaterial:
         roughness=reduced(material.roughness, 0),
         normal=normal,
     )
+
+
+def reduction_warning(material: AssetMaterial, largest: int) -> tuple[str, ...]:
+    """A sentence where `limited` will reduce a texture of the material."""
+    found = max((max(value.shape[:2]) for _, value in textures(material)), default=0)
+    if found <= largest:
+        return ()
+    return (f"textures were reduced from {found} to {largest} pixels; max_texture_size sets the limit",)
 
 
 def pack_surface(surface: MetallicSurface, normal: NDArray[np.float32] | None) -> PackedSurface:

@@ -53,7 +53,7 @@ def hir(*words: object) -> int:
         (["reconstruct", SAMPLE], "Missing option '-o'"),
         (["reconstruct", SAMPLE, "-o", "{tmp}/run", "--until", "lunch"], "'lunch' is not one of"),
         (["export", "{tmp}", "-f", "glb", "-o", "{tmp}/out"], "holds no finished scene"),
-        (["export", "{tmp}/gone", "-f", "glb", "-o", "{tmp}/out"], "is not a folder"),
+        (["export", "{tmp}/gone", "-f", "glb", "-o", "{tmp}/out"], "is not there; give the folder of a run"),
         (["evaluate", "{tmp}"], "it has no run.json"),
         (["report", "{tmp}"], "it is not a run; make one with: hir reconstruct"),
         (["render", "{tmp}", "-o", "{tmp}/out"], "say what to render"),

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from hir_exporters.asset import Asset, AssetMesh
 from hir_exporters.configs import GltfConfig
 from hir_exporters.environment import world_radiance
+from hir_exporters.errors import ExportError
 from hir_exporters.gltf import image_based_light, ior, specular, specular_glossiness
 from hir_exporters.gltf.binary import BinaryWriter
 from hir_exporters.gltf.geometry import add_primitive
@@ -40,6 +41,11 @@ class Gathered:
 
 def gather(asset: Asset, config: GltfConfig) -> Gathered:
     """Convert the material, compute tangents where they are wanted, and encode the images."""
+    if config.image_format == "ktx2":
+        raise ExportError(
+            "image_format is 'ktx2': no Python package encodes KTX2; export png, then run Khronos' toktx or "
+            "`gltf-transform uastc` on the file"
+        )
     material = asset.material
     wanted = config.tangents == "always" or (config.tangents == "auto" and material.normal is not None)
     converted = to_gltf(material, config.profile)

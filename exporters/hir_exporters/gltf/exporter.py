@@ -19,7 +19,7 @@ from hir_exporters.gltf.binary import glb_bytes
 from hir_exporters.gltf.document import Gathered, build_document, gather
 from hir_exporters.images import write_hdr
 from hir_exporters.simplify import simplify
-from hir_exporters.surface_images import limited
+from hir_exporters.surface_images import limited, reduction_warning
 
 if TYPE_CHECKING:
     from pygltflib import GLTF2
@@ -51,6 +51,7 @@ def _write(asset: Asset, destination: Path, config: GltfConfig, edit: Edit | Non
     start = time.perf_counter()
     validate_asset(asset)
     asset, warnings = apply_budget(asset, config.budget)
+    warnings += reduction_warning(asset.material, config.max_texture_size)
     asset = replace(asset, material=limited(asset.material, config.max_texture_size))
     gathered = gather(asset, config)
     warnings += gathered.warnings

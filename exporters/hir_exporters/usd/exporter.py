@@ -16,7 +16,7 @@ from hir_exporters.environment import world_radiance
 from hir_exporters.errors import ExportError
 from hir_exporters.exporter import Edit, Exporter, ExportReport
 from hir_exporters.images import write_hdr
-from hir_exporters.surface_images import EncodedImage, encode_images, limited
+from hir_exporters.surface_images import EncodedImage, encode_images, limited, reduction_warning
 from hir_exporters.usd.light import light_layer
 from hir_exporters.usd.package import PackageSizeError, usdz_bytes
 from hir_exporters.usd.stage import build_stage, prim_name
@@ -88,16 +88,26 @@ class UsdzExporter(Exporter):
 
 def layer_bytes(stage: Usd.Stage, suffix: str) -> bytes:
     """The root layer as the bytes of a file of that suffix."""
+    from pxr import Tf
+
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"layer{suffix}"
-        if not stage.GetRootLayer().Export(str(path)):
-            raise ExportError(f"USD could not write a {suffix} layer into the temporary folder {folder}")
+        try:
+            written = stage.GetRootLayer().Export(str(path))
+        except Tf.ErrorException:  # its text is several lines of USD's own sources
+            written = False
+        if not written:
+            raise ExportError(
+                f"USD could not write layer{suffix} into the temporary folder {folder}; check its rights and free "
+                "space, or name another one in TMPDIR"
+            )
         return path.read_bytes()
 
 
 def _gather(asset: Asset, config: UsdConfig) -> tuple[Asset, UsdSurface, dict[str, EncodedImage], tuple[str, ...]]:
     validate_asset(asset)
     asset, warnings = apply_budget(asset, config.budget)
+    warnings += reduction_warning(asset.material, config.max_texture_size)
     asset = replace(asset, material=limited(asset.material, config.max_texture_size))
     surface = usd_surface(asset.material, config.workflow)
     images = encode_images(list(surface.images.items()))
