@@ -13,12 +13,12 @@ from tests.pipeline.conftest import QUICK, make_tiny
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 PAGES = [*sorted((DOCS / "writing_plugins").glob("*.md")), DOCS / "plugin_api.md", DOCS / "architecture.md"]
 TUTORIALS = [page for page in PAGES if BLOCK.search(page.read_text(encoding="utf-8"))]
-QUICK = ("regularizer.md", "observer.md", "plugin_api.md", "architecture.md")
+FAST = ("regularizer.md", "observer.md", "plugin_api.md", "architecture.md")
 
 
 @pytest.mark.parametrize(
     "page",
-    [pytest.param(page, id=page.stem, marks=[] if page.name in QUICK else [pytest.mark.slow]) for page in TUTORIALS],
+    [pytest.param(page, id=page.stem, marks=[] if page.name in FAST else [pytest.mark.slow]) for page in TUTORIALS],
 )
 def test_every_block_of_the_page_runs(page: Path, tmp_path: Path) -> None:
     reader = Reader(tmp_path)

@@ -7,7 +7,9 @@ import pytest
 from hir_core.manager import PluginManager
 from hir_core.testing import Check, Subject, check_component, checks_for, parametrize_with_checks
 
-QUICK = ("transforms_json", "photos", "alpha", "folder", "color_key", "mesh_file", "contour", "glb", "usda", "obj", "hdr")
+QUICK = (
+    "transforms_json", "photos", "alpha", "folder", "color_key", "mesh_file", "contour", "glb", "usda", "obj", "hdr"
+)  # fmt: skip
 """One of each kind of code, beside all regularizers; the others take seconds each."""
 
 EXPECTED_FAILURES = {

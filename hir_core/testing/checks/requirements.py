@@ -59,55 +59,76 @@ def missing_extra_is_named(subject: Subject) -> None:
 
 
 def _imports(module: str, package: str) -> Iterator[tuple[str, str]]:
-    """Top-level packages that a module needs, and where: its own package is followed, functions too; of hir only what
-    is imported on loading.
+    """Top-level packages that a module needs, and where: all of the module itself; of its own package's other modules
+    what they import on loading and what the functions import that are used; of hir what is imported on loading.
     """
-    waiting, seen = [module], {module}
+    own = package.partition(".")[0]
+    waiting: list[tuple[str, str]] = [(module, "*")]
+    seen = set(waiting)
     while waiting:
-        current = waiting.pop()
+        current, used = waiting.pop()
         path = _source(current)
         if path is None:
             continue
-        inside = current.startswith(package.partition(".")[0]) and not current.startswith(OURS)
-        for name, line in _imported(path, current, everywhere=inside):
+        body = ast.parse(path.read_text(encoding="utf-8")).body
+        inside = current.partition(".")[0] == own and own not in OURS
+        entered, words = (None, set[str]()) if used == "*" else _reached(body, used if inside else "")
+        for name, taken, line in _imported(body, current, entered):
+            alias = taken if entered is None or taken in words else ""
             top = name.partition(".")[0]
             if top in sys.stdlib_module_names:
                 continue
-            if top == package.partition(".")[0] or top in OURS:
-                if name not in seen:
-                    seen.add(name)
-                    waiting.append(name)
-            else:
+            if top != own and top not in OURS:
                 yield top, f"{path.name}:{line}"
+            elif (name, alias) not in seen:
+                seen.add((name, alias))
+                waiting.append((name, alias))
 
 
-def _imported(path: Path, module: str, everywhere: bool) -> Iterator[tuple[str, int]]:
-    def walk(body: list[ast.stmt], held: bool = False) -> Iterator[tuple[str, int]]:
+def _reached(body: list[ast.stmt], name: str) -> tuple[set[str], set[str]]:
+    """Definitions of a module that one of them leads to, and all words that these use."""
+    definitions = {n.name: n for n in body if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef)}
+    found, words, waiting = set[str](), {name}, [name]
+    while waiting:
+        current = waiting.pop()
+        if current in definitions and current not in found:
+            found.add(current)
+            used = {n.id for n in ast.walk(definitions[current]) if isinstance(n, ast.Name)}
+            waiting += sorted(used - words)
+            words |= used
+    return found, words
+
+
+def _imported(body: list[ast.stmt], module: str, entered: set[str] | None) -> Iterator[tuple[str, str, int]]:
+    """Imported modules, the name taken from each, and the line; of functions those in `entered`, all where None."""
+    Definition = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef
+
+    def walk(body: list[ast.stmt], held: bool = False, inner: bool = False) -> Iterator[tuple[str, str, int]]:
         # `held`: inside of a `try` whose failure is dealt with
         for node in body:
             if isinstance(node, ast.Import) and not held:
-                yield from ((alias.name, node.lineno) for alias in node.names)
+                yield from ((alias.name, "", node.lineno) for alias in node.names)
             elif isinstance(node, ast.ImportFrom) and not held:
                 base = "." * node.level + (node.module or "")
                 absolute = importlib.util.resolve_name(base, module.rpartition(".")[0]) if node.level else base
                 for alias in node.names:
-                    inner = f"{absolute}.{alias.name}"
-                    yield (inner if _source(inner) else absolute), node.lineno
+                    whole = f"{absolute}.{alias.name}"
+                    yield (whole, "", node.lineno) if _source(whole) else (absolute, alias.name, node.lineno)
             elif isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
-                yield from walk(node.orelse, held)
-            elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-                if everywhere:
-                    yield from walk(node.body, held)
+                yield from walk(node.orelse, held, inner)
+            elif isinstance(node, Definition):
+                if inner or entered is None or node.name in entered:
+                    yield from walk(node.body, held, inner=True)
             elif isinstance(node, ast.Try):
-                yield from walk(node.body, held=True)
-                yield from walk([s for h in node.handlers for s in h.body] + node.orelse + node.finalbody, held)
+                yield from walk(node.body, True, inner)
+                yield from walk([s for h in node.handlers for s in h.body] + node.orelse + node.finalbody, held, inner)
             else:
                 for field in ("body", "orelse", "finalbody"):
-                    inner_body = getattr(node, field, None)
-                    if isinstance(inner_body, list):
-                        yield from walk(inner_body, held)
+                    statements = getattr(node, field, None)
+                    if isinstance(statements, list):
+                        yield from walk(statements, held, inner)
 
-    yield from walk(ast.parse(path.read_text(encoding="utf-8")).body)
+    yield from walk(body)
 
 
 @cache
