@@ -1,4 +1,4 @@
-"""The geometry stage: moves a mesh until its silhouettes are the masks."""
+"""The geometry stage: moves a mesh until its silhouettes are the masks, then until the photographs agree about it."""
 # ruff: noqa: TID253 - the heavy side of hir imports this module
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from hir_core.mask_residue import NOTABLE, Residue, mask_residue
 from hir_core.mesh_checks import MeshState, inspect_mesh
 from hir_core.mesh_transfer import remeshed
 from hir_core.optimize import Batches, OptimizationReport, Schedule, Terms, optimize
+from hir_core.photo_refinement import refine_by_photographs
 from hir_core.remeshing import surface_area
 from hir_core.scene import Mesh, Scene
 from hir_core.silhouettes import SilhouetteTargets, intersection_over_union
@@ -90,6 +91,9 @@ def fit_geometry(
                 "skipped_steps": loop.skipped,
             }
         )
+    photographs: dict[str, Any] = {"kept": False, "reason": "left out by the settings"}
+    if settings.photographs == "auto":
+        mesh, photographs = refine_by_photographs(mesh, capture, fit.iou, fit.held, settings, context)
     after = inspect_mesh(*_arrays(mesh))
     if after.self_intersecting > before.self_intersecting:
         mended = untangle(*_arrays(mesh), allowed=before.self_intersecting)
@@ -112,6 +116,7 @@ def fit_geometry(
         "residue": {"missing": residue.missing, "filled": residue.filled},
         "mesh": {"before": before.as_dict(), "after": after.as_dict()},
         "levels": reports,
+        "photographs": photographs,
         "curves": {"silhouette": np.concatenate(curves).tolist() if curves else []},
     }
     moved = replace(mesh, positions=_moved(mesh.positions.detach(), np.linalg.inv(frame)))
