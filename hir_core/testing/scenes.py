@@ -121,7 +121,7 @@ def hard_meshes() -> Iterator[tuple[str, Mesh]]:
     yield "one triangle", _triangles([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
     yield "a needle", _triangles([[0, 0, 0], [1, 0, 0], [1, 1e-7, 0]], [[0, 1, 2]])
     yield "a triangle with a corner twice", _triangles([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 0, 1], [0, 1, 2]])
-    fan = [[0, 0, 0], [0, 0, 1], [1, 0, 0], [-1, 0, 0.5], [0, 1, 0.5]]
+    fan: list[list[float]] = [[0, 0, 0], [0, 0, 1], [1, 0, 0], [-1, 0, 0.5], [0, 1, 0.5]]
     yield "an edge with three triangles", _triangles(fan, [[0, 1, 2], [0, 1, 3], [0, 1, 4]])
     yield "a vertex that nothing uses", _triangles([[0, 0, 0], [1, 0, 0], [0, 1, 0], [9, 9, 9]], [[0, 1, 2]])
 

@@ -24,11 +24,12 @@ def strip(scene: Scene, size: int, sides: int) -> NDArray[np.float32]:
     center = (positions.min(axis=0) + positions.max(axis=0)) / 2
     radius = max(float(np.linalg.norm(positions - center, axis=1).max()), 1e-12)
     rays = o3d.t.geometry.RaycastingScene()
-    rays.add_triangles(np.ascontiguousarray((positions - center) / radius), faces.astype(np.uint32))
+    corners = o3d.core.Tensor.from_numpy(np.ascontiguousarray((positions - center) / radius))
+    rays.add_triangles(corners, o3d.core.Tensor.from_numpy(faces.astype(np.uint32)))
     pictures = []
     for i in range(sides):
         frame = _frame(2 * np.pi * i / sides)
-        hit = rays.cast_rays(o3d.core.Tensor(_rays(frame, size)))
+        hit = rays.cast_rays(o3d.core.Tensor.from_numpy(_rays(frame, size)))
         seen = np.isfinite(hit["t_hit"].numpy())
         normal = hit["primitive_normals"].numpy()
         shade = 0.25 + 0.75 * np.clip(normal @ (LIGHT @ frame) / np.linalg.norm(LIGHT), 0, 1)

@@ -27,6 +27,9 @@ _HEIF_SUFFIXES = (".heic", ".heif")
 _ORIENTATION_TAG = 0x0112
 
 
+Result = TypeVar("Result")
+
+
 @dataclass(frozen=True)
 class PhotoFile:
     """Reads a photograph (and a mask beside it) when called; picklable, holds no pixels."""

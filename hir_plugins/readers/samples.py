@@ -43,7 +43,7 @@ def colmap_model(capture: Capture, folder: Path) -> Path:
         x, y, z, w = Rotation.from_matrix(camera.world_to_camera[:3, :3]).as_quat()
         place = camera.world_to_camera[:3, 3]
         images.append(f"{i} {_row([w, x, y, z, *place])} {i} {view.name}.png\n")
-    points = [] if capture.points is None else capture.points.positions[:50]
+    points = np.zeros((0, 3)) if capture.points is None else capture.points.positions[:50]
     model = folder / "sparse" / "0"
     model.mkdir(parents=True)
     (model / "cameras.txt").write_text("\n".join(cameras) + "\n", encoding="utf-8")

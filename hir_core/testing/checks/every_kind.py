@@ -37,7 +37,7 @@ def implements_its_interface(subject: Subject) -> None:
 @contract(first=True)
 def default_options_construct(subject: Subject) -> None:
     """The options are a frozen dataclass with a default for each, and the class is built from it: `Class(config)`."""
-    config = subject.component.config
+    config: Any = subject.component.config
     require(is_dataclass(config), f"config={config!r} is not a dataclass")
     require(config.__dataclass_params__.frozen, f"{config.__name__} is not frozen: @dataclass(frozen=True)")
     without = [f.name for f in fields(config) if f.default is f.default_factory]

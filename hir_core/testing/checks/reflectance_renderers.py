@@ -293,7 +293,7 @@ def _compare_gradient(subject: Subject, name: str, low: float, high: float) -> N
         if name == "radiance":
             shown = prepared.radiance(material, replace(light, radiance=at), pixels)
         else:
-            shown = prepared.radiance(replace(material, **{name: at}), light, pixels)
+            shown = prepared.radiance(replace(material, **{name: at}), light, pixels)  # type: ignore[arg-type]
         return (shown * weights).sum()
 
     def slope() -> Tensor:
