@@ -25,9 +25,10 @@ from hir_exporters.images import read_exr, read_hdr
 from hir_exporters.rgbe import encode_rgbe
 from hir_exporters.scene_files import load_scene
 from hir_exporters.verify import READERS, read_back
+from hir_exporters.written_asset import written_asset
 
 from hir_core.capture_files import read_cameras
-from hir_exporters.written_asset import written_asset
+from hir_core.export import file_stem
 
 MODULES: Final[tuple[tuple[str, dict[str, str]], ...]] = (
     ("three.core.js", {}),
@@ -70,8 +71,11 @@ def view_page(source: Path, light: Path | None = None) -> str:
     parts["asset.glb"] = glb
     if radiance is not None:
         parts["light.hdr"] = _encoded_light(radiance)
+    photographs, pictures = _photographs(source)
+    parts |= pictures
     order = {
         "title": title,
+        "photographs": photographs,
         "toward": _first_camera(source),
         "modules": [{"name": name, "imports": imports} for name, imports in MODULES],
     }
@@ -153,6 +157,32 @@ def _first_camera(source: Path) -> list[float] | None:
     positions = load_scene(source / "scene").mesh.positions
     toward = [c.center - (positions.min(axis=0) + positions.max(axis=0)) / 2 for c in cameras.values()]
     return [float(x) for x in toward[0]] if toward else None
+
+
+def _photographs(source: Path) -> tuple[list[dict[str, Any]], dict[str, bytes]]:
+    """The photographs that a run's report keeps, over black and without distortion: their cameras, and their files.
+
+    A camera is given as three.js wants it, looking along -z with y up, its matrix column by column.
+    """
+    if not (source / "capture" / "cameras.json").is_file() or not (source / "report").is_dir():
+        return [], {}
+    found: list[dict[str, Any]] = []
+    pictures = {}
+    for name, camera in read_cameras(source / "capture" / "cameras.json").items():
+        file = source / "report" / f"{file_stem(name)}_true.png"
+        if not file.is_file():
+            continue
+        part = f"photograph {len(found)}"
+        pictures[part] = file.read_bytes()
+        camera_to_world = np.linalg.inv(camera.world_to_camera) @ np.diag([1.0, -1, -1, 1])
+        focal, center = camera.intrinsics[1, 1], camera.intrinsics[:2, 2]
+        found.append({
+            "name": name, "part": part, "width": camera.width, "height": camera.height,
+            "fovYDeg": float(np.degrees(2 * np.arctan(camera.height / (2 * focal)))),
+            "offset": [camera.width / 2 - float(center[0]), camera.height / 2 - float(center[1])],
+            "columns": camera_to_world.T.reshape(-1).tolist(),
+        })  # fmt: skip
+    return found, pictures
 
 
 def _as_glb(asset: Asset) -> tuple[bytes, np.ndarray | None]:

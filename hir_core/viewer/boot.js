@@ -13,7 +13,7 @@
     state.classList.toggle("failed", Boolean(failed));
   };
   try {
-    const { modules, toward } = JSON.parse(document.getElementById("order").textContent);
+    const { modules, toward, photographs } = JSON.parse(document.getElementById("order").textContent);
     const addresses = {};
     for (const { name, imports } of modules) {
       let text = new TextDecoder().decode(await bytesOf(name));
@@ -23,7 +23,10 @@
       addresses[name] = URL.createObjectURL(new Blob([text], { type: "text/javascript" }));
     }
     const { start } = await import(addresses["viewer.js"]);
-    await start({ asset: await bytesOf("asset.glb"), light: await bytesOf("light.hdr"), toward });
+    for (const photograph of photographs) {
+      photograph.address = URL.createObjectURL(new Blob([await bytesOf(photograph.part)], { type: "image/png" }));
+    }
+    await start({ asset: await bytesOf("asset.glb"), light: await bytesOf("light.hdr"), toward, photographs });
     say("");
     document.documentElement.dataset.ready = "yes";
   } catch (error) {

@@ -8,9 +8,9 @@ const CHANNELS = { albedo: 0, specular: 1, roughness: 2 };
 
 /**
  * Shows the bytes of a .glb under the bytes of an .hdr (or an even sky), first from the direction `toward` where there
- * is one; resolves when the first picture is drawn.
+ * is one; resolves when the first picture is drawn. `photographs` can be put beside it, seen from their own cameras.
  */
-export async function start({ asset, light, toward }) {
+export async function start({ asset, light, toward, photographs = [] }) {
   const element = (id) => document.getElementById(id);
   const asked = new URLSearchParams(location.hash.slice(1));
   document.body.classList.toggle("bare", asked.has("bare"));
@@ -45,6 +45,32 @@ export async function start({ asset, light, toward }) {
   const triangles = meshes.reduce((sum, { geometry: g }) => sum + (g.index || g.attributes.position).count / 3, 0);
   element("facts").textContent = `${triangles.toLocaleString("en")} triangles. Drag to turn, wheel to come nearer.`;
 
+  const beside = element("photograph"), choice = element("beside");
+  choice.parentElement.hidden = !photographs.length;
+  for (const { name } of photographs) choice.add(new Option(name, name));
+  const chosen = () => photographs.find(({ name }) => name === choice.value);
+
+  /** Puts the camera where a photograph was taken from, or back to where it is free. */
+  function compare() {
+    const photograph = chosen();
+    document.body.classList.toggle("split", Boolean(photograph));
+    camera.clearViewOffset();
+    if (photograph) {
+      beside.src = photograph.address;
+      const pose = new THREE.Matrix4().fromArray(photograph.columns);
+      camera.position.setFromMatrixPosition(pose);
+      camera.quaternion.setFromRotationMatrix(pose);
+      const ahead = new THREE.Vector3(0, 0, -1).applyQuaternion(camera.quaternion);
+      const depth = bounds.center.clone().sub(camera.position).dot(ahead);
+      camera.up.set(0, 1, 0).applyQuaternion(camera.quaternion);
+      controls.target.copy(camera.position).addScaledVector(ahead, Math.max(depth, radius / 10));
+    } else {
+      camera.up.set(0, 1, 0);
+      controls.target.copy(bounds.center);
+    }
+    resize();
+  }
+
   function apply() {
     const channel = document.querySelector("[name=channel]:checked").value;
     for (const { mesh, materials } of shown) mesh.material = materials[channel];
@@ -70,6 +96,24 @@ export async function start({ asset, light, toward }) {
   apply();
 
   function resize() {
+    const photograph = chosen(), canvas = renderer.domElement;
+    if (photograph) {
+      const { width, height, offset } = photograph;
+      const left = asked.has("bare") ? 0 : element("panel").getBoundingClientRect().right + 16;
+      const scale = Math.min((innerWidth - left) / 2 / width, innerHeight / height);
+      for (const [index, shown] of [canvas, beside].entries()) {
+        Object.assign(shown.style, {
+          width: `${scale * width}px`, height: `${scale * height}px`, left: `${left + index * scale * width}px`,
+        });
+      }
+      renderer.setSize(scale * width, scale * height, false);
+      camera.aspect = width / height;
+      camera.fov = photograph.fovYDeg;
+      camera.setViewOffset(width, height, ...offset, width, height);
+      camera.updateProjectionMatrix();
+      return;
+    }
+    canvas.style.width = canvas.style.height = canvas.style.left = "";
     renderer.setSize(innerWidth, innerHeight, false);
     camera.aspect = innerWidth / innerHeight;
     camera.fov = camera.aspect < 1 ? 2 * Math.atan(Math.tan(Math.PI * 35 / 360) / camera.aspect) * 180 / Math.PI : 35;
@@ -87,7 +131,9 @@ export async function start({ asset, light, toward }) {
   controls.addEventListener("change", wake);
   element("panel").addEventListener("input", wake);
   addEventListener("resize", () => { resize(); wake(); });
-  resize();
+  choice.addEventListener("change", () => { compare(); wake(); });
+  if (asked.has("beside")) choice.value = asked.get("beside");
+  compare();
   draw();
 }
 

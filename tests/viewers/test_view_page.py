@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 from collections.abc import Callable
@@ -11,9 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hir_exporters.asset import Asset
+from hir_exporters.atomic import write_text_atomic
 from hir_exporters.conventions import linear_to_srgb
 from hir_exporters.formats import create_exporter
-from hir_exporters.images import read_ldr
+from hir_exporters.images import read_ldr, write_png
 from hir_exporters.scene_files import save_scene
 from parity.browser import module_folder
 
@@ -113,6 +115,44 @@ def test_channels_show_the_maps(page: Path, shot: Shot) -> None:
     assert np.ptp(wires[SIDE // 2 - 40 : SIDE // 2 + 40, SIDE // 2], axis=0).max() > 0.1
     normals = shot(page, "channel=normals")[SIDE // 2, SIDE // 2]
     assert normals[2] > 0.8, "the middle faces the camera"
+
+
+def test_a_photograph_stands_beside_the_asset(chromium: list[str], tmp_path: Path) -> None:
+    """A run whose photograph is our own render: both halves show the same thing in the same place."""
+    from hir_core.bake import scene_from_asset
+    from hir_core.manager import PluginManager
+    from hir_core.metrics import composite, unassociate
+    from hir_core.reference import reference_renderer, render_view
+
+    plain = first_camera()
+    shifted = np.add(plain.intrinsics, [[0, 0, -30.0], [0, 0, 14.0], [0, 0, 0]])  # the principal point off the middle
+    camera = Camera(shifted, look_at(np.array([-1.5, 1.2, -3.0])), SIDE, SIDE)
+    _, renderer = reference_renderer(PluginManager.discover(), "", {"render_samples": 64})
+    photograph = composite(*unassociate(render_view(renderer, scene_from_asset(glossy()), camera, "photograph")))
+    save_scene(glossy(), tmp_path / "run" / "scene")
+    write_png(tmp_path / "run" / "report" / "side_true.png", photograph)
+    view = {
+        "name": "side", "registered": True, "split": "train", "width": SIDE, "height": SIDE, "distortion": [],
+        "K": shifted.tolist(), "world_to_camera": camera.world_to_camera.tolist(),
+    }  # fmt: skip
+    write_text_atomic(tmp_path / "run" / "capture" / "cameras.json", json.dumps({"views": [view]}))
+    (tmp_path / "page.html").write_text(view_page(tmp_path / "run"), encoding="utf-8")
+    for budget in (16_000, 64_000, 256_000):
+        words = [
+            *chromium, f"--user-data-dir={tmp_path / 'profile'}", f"--window-size={2 * SIDE},{SIDE}",
+            f"--virtual-time-budget={budget}", f"--screenshot={tmp_path / 'shot.png'}",
+            f"{(tmp_path / 'page.html').as_uri()}#bare&beside=side",
+        ]  # fmt: skip
+        subprocess.run(words, check=True, capture_output=True, timeout=120)
+        picture = read_ldr(tmp_path / "shot.png")[..., :3]
+        if picture[:, SIDE:].max() > 0.2:
+            break
+    shown, beside = picture[:, :SIDE], picture[:, SIDE:]
+    inside = (photograph.sum(-1) > 0.1) & (shown.sum(-1) > 0.4)
+    assert np.abs(beside - photograph).max() < 2 / 255
+    assert inside.sum() > 0.97 * (photograph.sum(-1) > 0.1).sum() > 5000
+    right, mirrored = (np.abs(p - photograph)[inside].mean() for p in (shown, shown[:, ::-1]))
+    assert right < 0.03 and mirrored > 3 * right, (right, mirrored)
 
 
 def test_the_page_is_whole_and_names_its_licence(page: Path) -> None:
