@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, final
 
@@ -16,6 +17,8 @@ from hir_core.capture import Array, Capture, similarity_scale
 from hir_core.errors import CaptureError, ConfigError
 from hir_core.interfaces import Initializer
 from hir_core.scene import Mesh, Scene, Topology
+from hir_plugins.initializers.colmap import object_ball
+from hir_plugins.initializers.mesh_alignment import aligned
 from hir_plugins.initializers.options import MeshFileOptions
 from hir_plugins.initializers.silhouette_fields import working_downsample
 from hir_plugins.initializers.vertex_colors import vertex_colors
@@ -29,6 +32,7 @@ class MeshFile(Initializer):
 
     def __init__(self, config: MeshFileOptions) -> None:
         self._config = config
+        self._report: dict[str, Any] = {}
 
     def initialize(self, capture: Capture, scene: Scene | None, workspace: Path) -> tuple[Capture, Scene | None]:
         """The capture as it is, and the file's mesh. Unreadable, empty or non-finite meshes raise `CaptureError`."""
@@ -40,6 +44,8 @@ class MeshFile(Initializer):
         corners = np.asarray(loaded.faces, dtype=np.int64)
         if np.linalg.det(to_world[:3, :3]) < 0:
             corners = corners[:, ::-1]
+        if self._config.align == "points":
+            positions = self._aligned(positions, corners, capture)
         # the file has one vertex for each pair of position and UV: the surface must not come apart there
         first, group = weld(positions.astype(np.float32))
         faces = group[corners]
@@ -65,6 +71,20 @@ class MeshFile(Initializer):
     def files(self, capture: Capture) -> list[Path]:
         """The mesh."""
         return [self._path(capture)]
+
+    def report(self) -> Mapping[str, Any]:
+        """How far the mesh lies from the points that it was aligned with."""
+        return self._report
+
+    def _aligned(self, positions: Array, faces: NDArray[np.int64], capture: Capture) -> Array:
+        points = np.zeros((0, 3)) if capture.points is None else capture.points.positions
+        if len(points) and capture.views and all(view.camera is not None for view in capture.views):
+            center, radius = object_ball(capture)
+            points = points[np.linalg.norm(points - center, axis=1) < 1.5 * radius]
+        transform, distance = aligned(positions, faces, points)
+        self._report = {"aligned_with_points": len(points), "mean_distance": round(distance, 6)}
+        moved: Array = positions @ transform[:3, :3].T + transform[:3, 3]
+        return moved
 
     def _path(self, capture: Capture) -> Path:
         if not self._config.path:

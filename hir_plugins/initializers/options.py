@@ -38,6 +38,8 @@ class MeshFileOptions:
     results; `auto` takes glTF for `world` and all others for `source`."""
     transform: tuple[float, ...] = ()
     """A 4×4 similarity in rows (16 numbers) applied to the file's vertices first."""
+    align: Literal["none", "points"] = "none"
+    """`points` brings a mesh of unknown place, turn and size onto the capture's points (colmap's or stereo's)."""
     vertex_colors: bool = True
     """Colour the vertices from the photographs where the file has no colours."""
 

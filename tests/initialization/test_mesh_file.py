@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from hir_core.capture import Capture
+from hir_core.capture import Capture, OrientedPoints
 from hir_core.errors import CaptureError, ConfigError
 from hir_core.scene import Mesh
 from hir_plugins.initializers.mesh_file import MeshFile
@@ -117,3 +117,43 @@ def test_any_world_keeps_its_precision(capture: Capture) -> None:
     far[:3, 3] = [1000.0, 0, 0]
     moved = load(replace(capture, world_from_source=far @ capture.world_from_source))
     assert moved.topology.edges.shape[0] == 6
+
+
+def lopsided(count: int = 4000) -> tuple[np.ndarray, trimesh.Trimesh]:
+    """Points on, and the mesh of, a thing without any symmetry: three boxes."""
+    boxes = [trimesh.creation.box(extents, trimesh.transformations.translation_matrix(place))
+             for extents, place in (((2, 1, 0.5), (0, 0, 0)), ((0.4, 0.4, 1.2), (0.7, 0.2, 0.6)),
+                                    ((0.3, 0.9, 0.3), (-0.8, 0.6, 0.1)))]  # fmt: skip
+    mesh = trimesh.util.concatenate(boxes)
+    return np.asarray(mesh.sample(count, seed=3)), mesh
+
+
+def test_a_scan_of_unknown_place_is_brought_onto_the_points(tmp_path: Path) -> None:
+    points, mesh = lopsided()
+    turn = trimesh.transformations.euler_matrix(1.4, 0.3, -2.0)
+    moved = turn.copy()
+    moved[:3, :3] *= 0.02
+    moved[:3, 3] = [5.0, -3.0, 8.0]
+    mesh.copy().apply_transform(moved).export(tmp_path / "scan.ply")
+    rng = np.random.default_rng(1)
+    # a tenth of the points are the room's
+    points = np.concatenate([points + rng.normal(scale=0.003, size=points.shape), rng.uniform(-2, 2, (400, 3))])
+    capture = Capture(tmp_path, (), points=OrientedPoints(points))
+    initializer = MeshFile(MeshFileOptions(path="scan.ply", align="points"))
+    _, scene = initializer.initialize(capture, None, tmp_path)
+    assert scene is not None
+    found = scene.mesh.positions.numpy().astype(np.float64)
+    distance = np.linalg.norm(found[:, None] - np.asarray(mesh.vertices)[None], axis=2).min(axis=1)
+    # the thing is two units long
+    assert distance.max() < 0.02
+    assert initializer.report()["mean_distance"] < 0.01
+
+
+def test_another_thing_is_not_aligned(tmp_path: Path) -> None:
+    _, mesh = lopsided()
+    mesh.export(tmp_path / "scan.ply")
+    noise = np.random.default_rng(0).normal(size=(2000, 3))
+    with pytest.raises(CaptureError, match="does not fit"):
+        load(Capture(tmp_path, (), points=OrientedPoints(noise)), "scan.ply", align="points")
+    with pytest.raises(CaptureError, match="at least 100"):
+        load(Capture(tmp_path, ()), "scan.ply", align="points")
