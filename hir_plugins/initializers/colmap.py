@@ -11,13 +11,13 @@ from typing import Any, final
 
 import numpy as np
 from hir_exporters.conventions import srgb_to_linear
-from numpy.typing import NDArray
 
 from hir_core.capture import Array, Camera, Capture, OrientedPoints, View
 from hir_core.errors import CaptureError
 from hir_core.interfaces import Initializer
 from hir_core.lens import camera_lens, resample
 from hir_core.scene import Scene
+from hir_plugins.initializers.object_ball import object_ball
 from hir_plugins.initializers.options import ColmapOptions
 from hir_plugins.initializers.sfm import best_model
 from hir_plugins.initializers.sfm_images import SfmImage, write_images
@@ -113,32 +113,3 @@ def _object_frame(capture: Capture, size: float) -> Array:
     move[:3, :3] *= scale
     move[:3, 3] = -scale * (turn[:3, :3] @ center)
     return move @ turn
-
-
-def object_ball(capture: Capture) -> tuple[Array, float]:
-    """Centre and radius of what the photographs are about: the points that lie near where all cameras look."""
-    cameras = [view.camera for view in capture.views if view.camera is not None]
-    o = np.array([c.center for c in cameras])
-    d = np.array([c.world_to_camera[2, :3] for c in cameras])
-    across = np.eye(3) - d[:, :, None] * d[:, None, :]
-    focus = np.linalg.lstsq(across.sum(axis=0), np.einsum("vij,vj->i", across, o), rcond=None)[0]
-    distance = float(np.median(np.linalg.norm(o - focus, axis=1)))
-    if capture.points is None or len(capture.points.positions) < 20:
-        return focus, max(0.25 * distance, 1e-12)
-    points = capture.points.positions
-    near = points[_seen_by_most(points, cameras)]
-    if len(near) < 20:
-        near = points
-    center = np.median(near, axis=0)
-    radius = float(np.quantile(np.linalg.norm(near - center, axis=1), 0.9))
-    return center, max(radius, 1e-6 * max(distance, 1e-12))
-
-
-def _seen_by_most(points: Array, cameras: Sequence[Camera]) -> NDArray[np.bool_]:
-    """Points that lie inside the pictures of two thirds of all cameras: the object, not the room behind it."""
-    inside = np.zeros(len(points))
-    for camera in cameras:
-        pixels, depth = camera.project(points)
-        size = [camera.width, camera.height]
-        inside += (depth > 0) & (pixels >= 0).all(axis=1) & (pixels <= size).all(axis=1)
-    return inside >= 2 / 3 * len(cameras)

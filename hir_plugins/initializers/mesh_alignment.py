@@ -77,7 +77,7 @@ def _unit(points: Array) -> Array:
 
 def _turns() -> list[Array]:
     """The 24 rotations that map the axes onto each other."""
-    turns = []
+    turns: list[Array] = []
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
         turn = np.eye(4)
         turn[:3, :3] = np.eye(3)[list(order)] * np.array(signs)[:, None]

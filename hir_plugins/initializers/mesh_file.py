@@ -17,8 +17,8 @@ from hir_core.capture import Array, Capture, similarity_scale
 from hir_core.errors import CaptureError, ConfigError
 from hir_core.interfaces import Initializer
 from hir_core.scene import Mesh, Scene, Topology
-from hir_plugins.initializers.colmap import object_ball
 from hir_plugins.initializers.mesh_alignment import aligned
+from hir_plugins.initializers.object_ball import object_ball
 from hir_plugins.initializers.options import MeshFileOptions
 from hir_plugins.initializers.silhouette_fields import working_downsample
 from hir_plugins.initializers.vertex_colors import vertex_colors
@@ -40,7 +40,7 @@ class MeshFile(Initializer):
         path = self._path(capture)
         loaded = load_mesh(path)
         to_world = self._world_from_file(path, capture)
-        positions = np.asarray(loaded.vertices, dtype=np.float64) @ to_world[:3, :3].T + to_world[:3, 3]
+        positions: Array = np.asarray(loaded.vertices, dtype=np.float64) @ to_world[:3, :3].T + to_world[:3, 3]
         corners = np.asarray(loaded.faces, dtype=np.int64)
         if np.linalg.det(to_world[:3, :3]) < 0:
             corners = corners[:, ::-1]

@@ -19,9 +19,9 @@ from hir_core.errors import CaptureError, StageError
 from hir_core.interfaces import Initializer
 from hir_core.scene import Scene
 from hir_plugins.initializers.carving import Volume
-from hir_plugins.initializers.colmap import object_ball
 from hir_plugins.initializers.depth_agreement import DepthMap, believed, oriented_points
 from hir_plugins.initializers.depth_fusion import Verdict, carved, judged, volume_of
+from hir_plugins.initializers.object_ball import object_ball
 from hir_plugins.initializers.options import PoissonOptions, StereoOptions, VisualHullOptions
 from hir_plugins.initializers.poisson import poisson_surface
 from hir_plugins.initializers.surface import extract_surface, keep_large_components

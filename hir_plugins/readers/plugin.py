@@ -53,7 +53,13 @@ BLENDED_MVS = Component(
     testing="hir_plugins.readers.samples:blended_mvs",
 )
 
+VIDEO = Component(
+    name="video",
+    target="hir_plugins.readers.video:VideoReader",
+    summary="A video walked around the object: its sharpest frames, well spread; needs PyAV.",
+)
+
 
 @hookimpl
 def hir_register_capture_readers() -> list[Component]:
-    return [TRANSFORMS_JSON, COLMAP_MODEL, IDR_CAMERAS, LLFF, MIDDLEBURY, BLENDED_MVS, PHOTOS]
+    return [TRANSFORMS_JSON, COLMAP_MODEL, IDR_CAMERAS, LLFF, MIDDLEBURY, BLENDED_MVS, PHOTOS, VIDEO]
