@@ -126,6 +126,7 @@ def test_light_inside_the_file_is_clean_for_the_validator(
     asset = dataclasses.replace(textured_asset, environment=bright)
     report = create_exporter(suffix, GltfConfig(image_based_light=True)).write(asset, tmp_path / f"x.{suffix}")
     assert all(file.is_file() for file in report.files)
+    assert any("cut from 5000 to 255" in warning for warning in report.warnings)
     found = validate_gltf([tmp_path / f"x.{suffix}"], node_tools)
     assert {f.code for f in found if f.severity != "information"} == set()
     assert "EXT_lights_image_based" in (tmp_path / f"x.{suffix}").read_bytes().decode("utf-8", "ignore")

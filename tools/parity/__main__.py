@@ -39,13 +39,15 @@ def main() -> int:
     words.add_argument("--engine", action="append", default=[], help="Part of an engine's name; all by default.")
     words.add_argument("--reconstruct", action="store_true", help="Make runs that are missing; minutes each.")
     words.add_argument("--keep", action="store_true", help="Take pictures that an earlier call left in --work.")
+    words.add_argument("--kept-only", action="store_true", help="Draw nothing: write the page of kept pictures.")
     words.add_argument("--output", type=Path, default=ROOT / "docs" / "engines", help="Where parity.md goes.")
     asked = words.parse_args()
     shared = Path(os.environ.get("HIR_SHARED", ROOT.parent / "shared"))
     plugins, rows = PluginManager.discover(), []
     for name in asked.only or ["spot", "avocado", "metal"]:
         subject = _subject(name, shared, asked.work, asked.reconstruct)
-        rows += _rows(subject, asked.work, asked.size, asked.samples, plugins, asked.engine, asked.keep)
+        rows += _rows(subject, asked.work, asked.size, asked.samples, plugins, asked.engine,
+                      asked.keep or asked.kept_only, asked.kept_only)  # fmt: skip
     write_page(asked.output, rows, asked.size, asked.samples)
     print(asked.output / "parity.md")
     return 0
@@ -68,8 +70,9 @@ def _subject(name: str, shared: Path, work: Path, make_runs: bool) -> Subject:
 
 
 def _rows(
-    subject: Subject, work: Path, size: int, samples: int, plugins: PluginManager, chosen: list[str], keep: bool
-) -> list[Row]:
+    subject: Subject, work: Path, size: int, samples: int, plugins: PluginManager, chosen: list[str], keep: bool,
+    kept_only: bool,
+) -> list[Row]:  # fmt: skip
     folder = work / "files"
     light = folder / f"{subject.name}_khr.hdr"
     if not keep or not light.is_file():
@@ -86,7 +89,7 @@ def _rows(
     for opening in openings(samples):
         if chosen and not any(word.lower() in opening.engine.lower() for word in chosen):
             continue
-        rows.append(_row(subject.name, opening, work, light, cameras, truth, keep))
+        rows.append(_row(subject.name, opening, work, light, cameras, truth, keep, kept_only))
         print(f"{subject.name}: {rows[-1].sentence()}", flush=True)
     return rows
 
@@ -111,13 +114,16 @@ def _export(asset: Asset, folder: Path, name: str) -> None:
 
 
 def _row(
-    name: str, opening: Opening, work: Path, light: Path, cameras: list[Camera], truth: list[Picture], keep: bool
-) -> Row:
+    name: str, opening: Opening, work: Path, light: Path, cameras: list[Camera], truth: list[Picture], keep: bool,
+    kept_only: bool,
+) -> Row:  # fmt: skip
     if opening.missing:
         return Row(name, opening.engine, opening.file, [], None, None, f"not run: needs {opening.missing}")
     try:
         file = work / "pictures" / f"{name}_{opening.engine.split()[0]}_{opening.file}.npy"
         asset = work / "files" / f"{name}_{opening.file}"
+        if kept_only and not file.is_file():
+            return Row(name, opening.engine, opening.file, [], None, None, "")
         pictures = _pictures(file, keep, lambda: opening.draw(asset, light, cameras))
     except RuntimeError as error:
         return Row(name, opening.engine, opening.file, [], None, None, f"failed: {error}")

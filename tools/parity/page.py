@@ -67,7 +67,7 @@ def write_page(folder: Path, rows: list[Row], size: int, samples: int) -> None:
 
 def _cell(row: Row | None) -> str:
     if row is None or row.frame is None or row.inside is None:
-        return "–"
+        return "– (not run)"
     return f"{row.frame:.1f} / {row.inside:.1f}"
 
 

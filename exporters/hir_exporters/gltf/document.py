@@ -71,11 +71,20 @@ def gather(asset: Asset, config: GltfConfig) -> Gathered:
         legacy=legacy,
         images=encode_images(named, config.image_format, config.jpeg_quality),
         light=_light(asset, config),
-        warnings=converted.warnings,
+        warnings=converted.warnings + _light_warning(asset, config),
         residuals={config.profile: converted.residual, "metalrough": base.residual}
         if legacy is not None
         else {config.profile: converted.residual},
     )
+
+
+def _light_warning(asset: Asset, config: GltfConfig) -> tuple[str, ...]:
+    if not config.image_based_light or asset.environment is None:
+        return ()
+    peak = float(asset.environment.radiance.max())
+    if peak <= image_based_light.BRIGHTEST:
+        return ()
+    return (f"the light inside the file is cut from {peak:.0f} to 255, all that its images hold; the .hdr is whole",)
 
 
 def _light(asset: Asset, config: GltfConfig) -> tuple[list[EncodedImage], dict[str, object]] | None:

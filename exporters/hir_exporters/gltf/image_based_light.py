@@ -29,14 +29,14 @@ SIZE = 128
 _PHASE = np.array([1, -1, 1, -1, 1, -1, 1, -1, 1.0])[:, None]
 """The Condon-Shortley phase (-1)^m, which the page that the extension cites and Babylon.js have in their basis."""
 
-_BRIGHTEST = 200.0  # of the 255 that an alpha of 1/255 can hold
+BRIGHTEST = 255.0
+"""What an alpha of 1/255 can hold; brighter texels are cut, the harmonics are not."""
 
 
 def light_images(radiance: NDArray[np.floating]) -> tuple[list[EncodedImage], dict[str, object]]:
     """Images of the faces, level by level, and the light's object without its `specularImages`."""
-    intensity = max(1.0, float(radiance.max()) / _BRIGHTEST)
     # the cubemap is a left-handed world's: seen from the file's, z is mirrored
-    scaled = np.roll(np.asarray(radiance, np.float64)[:, ::-1], radiance.shape[1] // 2, axis=1) / intensity
+    scaled = np.roll(np.asarray(radiance, np.float64)[:, ::-1], radiance.shape[1] // 2, axis=1)
     levels = len(level_sizes(SIZE))
     cube = prefiltered_cube(scaled, [even_roughness(k, levels) for k in range(levels)], SIZE)
     images = [
@@ -46,7 +46,8 @@ def light_images(radiance: NDArray[np.floating]) -> tuple[list[EncodedImage], di
     ]
     light = {
         "name": "environment",
-        "intensity": intensity,
+        # always 1: Babylon.js multiplies the harmonics by it twice
+        "intensity": 1.0,
         "irradianceCoefficients": (irradiance_harmonics(scaled) * _PHASE).tolist(),
         "specularImageSize": SIZE,
     }
