@@ -12,12 +12,14 @@ from torch import Tensor
 
 from hir_core.capture import Capture, Pixels, View
 from hir_core.scene import EnvironmentMap, Material, Mesh, Scene, Topology
+from hir_core.selection import Rung
 from hir_plugins.reflectance_renderers.brdf import directional_albedo_terms
 from hir_plugins.reflectance_renderers.mitsuba_ggx.options import MitsubaGGXOptions
 from hir_plugins.reflectance_renderers.mitsuba_ggx.renderer import MitsubaGGX
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.pyramid import Pyramid, texel_directions
 from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGGX
+from hir_plugins.reflectance_renderers.transport_ggx.solver import TransportSolver
 from hir_plugins.reflectance_renderers.transport_ggx.textures import TexelEquations, bilinear_texels, solve_texels
 
 from .shapes import icosphere, looking_at
@@ -219,3 +221,17 @@ def test_clipped_pixels_never_darken_a_texel() -> None:
     equations = TexelEquations(index, weight, gain, target, torch.ones_like(gain), clipped)
     texture, _ = solve_texels([equations], torch.full((8, 8, 3), 0.5), huber=0.05, prior=1e-4)
     torch.testing.assert_close(texture, torch.full_like(texture, 0.8), atol=1e-3, rtol=0)
+
+
+def test_a_specular_map_can_grow_where_one_value_for_all_went_to_zero() -> None:
+    """At ρs = 6e-6 a logistic has no slope: a map that started there would stay there, whatever photographs show."""
+    options = replace(OPTIONS, steps=1)
+    scene = Scene(icosphere(3), gloss(), smooth_light(16))
+    solver = TransportGGX(options).prepare(scene, capture())
+    assert isinstance(solver, TransportSolver)
+    uniform = Rung("dielectric", "uniform")
+    vanished = solver.fit(uniform, None, [0], 1.0, lambda _: None)
+    vanished = replace(vanished, unknowns=replace(vanished.unknowns, specular=torch.full((1, 1), -12.0)))
+    for grown in (replace(uniform, specular="map"), replace(uniform, colored=True)):
+        fitted = solver.fit(grown, vanished, [0], 1.0, lambda _: None)
+        assert float(fitted.unknowns.specular_albedo.min()) > 0.02

@@ -33,6 +33,8 @@ UPRIGHT = torch.diag(torch.tensor([1.0, -1.0, -1.0]))
 
 WIDE = 0.3
 """The other width from which a lobe is tried: highlights and sheen lie in two valleys of the loss."""
+LEAST_START = math.log(0.03 / 0.97)
+"""Logit of ρs from which a colour or a map starts at least: a logistic that has gone to 0 has no slope left to climb."""
 PROBE_EFFORT = 0.25
 PROBE_SHARE = 0.4
 
@@ -181,9 +183,9 @@ class TransportSolver(ReflectanceSolver):
             alpha = self._scene.material.roughness.mean().clamp(0.02, 0.98)
             specular, width = torch.logit(rho).reshape(1, 1), joint.width_of(alpha).reshape(1, 1)
         if rung.colored and specular.shape[1] == 1:
-            specular = specular.expand(-1, 3)
+            specular = specular.clamp_min(LEAST_START).expand(-1, 3)
         if rung.specular == "map" and len(specular) == 1:
-            specular = specular.expand(vertices, -1)
+            specular = specular.clamp_min(LEAST_START).expand(vertices, -1)
         if rung.roughness == "map" and len(width) == 1:
             width = width.expand(vertices, -1)
         return Unknowns(base.light, base.diffuse, specular.contiguous(), width.contiguous())
