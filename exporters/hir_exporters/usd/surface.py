@@ -48,8 +48,8 @@ def usd_surface(material: AssetMaterial, workflow: Literal["auto", "metallic", "
     """The material in a workflow, its images packed as 8 bits."""
     images: dict[str, Image8 | None]
     if workflow == "auto":
-        metallic, specular = to_usd_metallic(material).residual, to_specular_workflow(material).residual
-        workflow = "specular" if specular < metallic - WORTH_SPECULAR else "metallic"
+        gain = to_usd_metallic(material).residual - to_specular_workflow(material).residual
+        workflow = "specular" if gain > WORTH_SPECULAR else "metallic"
     if workflow == "metallic":
         converted = to_usd_metallic(material)
         packed = pack_surface(converted, material.normal)
