@@ -76,8 +76,12 @@ def hir_register_initializers() -> list[Component]:
 
 @hookimpl
 def hir_suggest_initializers(capture: Capture) -> list[str] | None:
-    """The visual hull, and stereo that carves it; before them the search for cameras, where the capture has none."""
+    """The visual hull; before it the search for cameras, where the capture has none.
+
+    Not `stereo`: once the geometry stage lets photographs shape the hull, stereo before it brought nothing to unseen views
+    (chair: 26.5 dB with it, 26.9 without) for 40 s, 72 handles and 200 triangles that pass through others.
+    """
     if not capture.views:
         return None
-    surface = ["visual_hull", "stereo"]
+    surface = ["visual_hull"]
     return surface if all(view.camera is not None for view in capture.views) else ["colmap", *surface]
