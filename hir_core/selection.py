@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from hir_core.interfaces import ReflectanceSolver
 
 SIGNIFICANCE = 1.0
-"""The rule of one standard error (Breiman et al. 1984); with few views held out a stricter one refuses what unseen views
-gain from (chair: a lobe that brings +.36 dB there, and .25 ± .21 to six held-out views)."""
+"""The rule of one standard error (Breiman et al. 1984); with few views held out a stricter one refuses what unseen
+views gain from (chair: a lobe that brings +.36 dB there, and .25 ± .21 to six held-out views)."""
 LEAST_GAIN_DB = 0.1
 FIRST_EFFORT = 0.4
 """Share of a full fit that the first rung gets, and a light that is tried anew."""

@@ -34,7 +34,7 @@ UPRIGHT = torch.diag(torch.tensor([1.0, -1.0, -1.0]))
 WIDE = 0.3
 """The other width from which a lobe is tried: highlights and sheen lie in two valleys of the loss."""
 LEAST_START = math.log(0.03 / 0.97)
-"""Logit of ρs from which a colour or a map starts at least: a logistic that has gone to 0 has no slope left to climb."""
+"""Logit of ρs from which a colour or a map starts at least: a logistic that has gone to 0 has no slope left."""
 PROBE_EFFORT = 0.25
 PROBE_SHARE = 0.4
 
