@@ -108,8 +108,13 @@ def fit_by_gradient(
         return False
 
     result = optimize(
-        loss, optimizer, Schedule(steps, end=settings.learning_rate_end), stage="reflectance", report=context.report,
-        after_step=hold, checkpoint=context.workspace / "gradient.npz",
+        loss,
+        optimizer,
+        Schedule(steps, end=settings.learning_rate_end),
+        stage="reflectance",
+        report=context.report,
+        after_step=hold,
+        checkpoint=context.workspace / "gradient.npz",
     )
     done = current()
     assert done.material is not None and done.environment is not None
