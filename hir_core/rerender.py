@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from hir_exporters.asset import Asset, AssetEnvironment
+from hir_exporters.written_asset import WrittenAsset
 
 from hir_core.bake import scene_from_asset
 from hir_core.capture import Array, Camera
@@ -17,7 +18,6 @@ from hir_core.metrics import OBJECT_COVERAGE, Image, composite, psnr, unassociat
 from hir_core.reference import reference_renderer, render_view
 from hir_core.verify import GOOD_PSNR
 from hir_core.working_frame import move_scene
-from hir_exporters.written_asset import WrittenAsset
 
 if TYPE_CHECKING:
     from hir_core.manager import PluginManager
