@@ -57,6 +57,7 @@ VIDEO = Component(
     name="video",
     target="hir_plugins.readers.video:VideoReader",
     summary="A video walked around the object: its sharpest frames, well spread; needs PyAV.",
+    testing="hir_plugins.readers.samples:video",
 )
 
 

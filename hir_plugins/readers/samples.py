@@ -59,6 +59,25 @@ def photos(capture: Capture, folder: Path) -> Path:
     return folder
 
 
+def video(capture: Capture, folder: Path) -> Path:
+    """Pictures as the frames of a video without loss."""
+    import av
+
+    path = folder / "walk.mov"
+    with av.open(str(path), "w") as container:
+        stream = None
+        for view in capture.views:
+            encoded = linear_to_srgb(view.pixels().color_linear)
+            image = np.ascontiguousarray((encoded.clip(0, 1) * 255).round().astype(np.uint8))
+            if stream is None:
+                stream = container.add_stream("png", rate=10)
+                stream.height, stream.width, stream.pix_fmt = *image.shape[:2], "rgb24"
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
+        if stream is not None:
+            container.mux(stream.encode())
+    return path
+
+
 def idr_cameras(capture: Capture, folder: Path) -> Path:
     """Projections of any scale in cameras.npz, with masks."""
     _pictures(capture, folder / "image")

@@ -83,7 +83,9 @@ class Reader:
         info = self.site / f"{document['name'].replace('-', '_')}-{document['version']}.dist-info"
         info.mkdir()
         lines = ["Metadata-Version: 2.1", f"Name: {document['name']}", f"Version: {document['version']}"]
-        lines += [f"Provides-Extra: {extra}" for extra in document.get("optional-dependencies", {})]
+        lines += [f"Requires-Dist: {line}" for line in document.get("dependencies", [])]
+        for extra, needed in document.get("optional-dependencies", {}).items():
+            lines += [f"Provides-Extra: {extra}", *(f'Requires-Dist: {line}; extra == "{extra}"' for line in needed)]
         (info / "METADATA").write_text("\n".join(lines) + "\n", encoding="utf-8")
         table = document["entry-points"]["hir"]
         points = "".join(f"{name} = {target}\n" for name, target in table.items())
