@@ -16,8 +16,6 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLE = ROOT / "examples" / "hir-plugin-example"
 
-pytestmark = pytest.mark.slow
-
 
 def said(*words: object, folder: Path) -> str:
     """What a command prints; it runs outside the checkout, and one that fails shows what it said."""
@@ -68,12 +66,14 @@ def test_it_keeps_every_contract(python: Path, tmp_path: Path) -> None:
     assert sum(r["outcome"] == "passed" for r in results) > 60
 
 
+@pytest.mark.slow
 def test_its_own_tests_pass(python: Path, tmp_path: Path) -> None:
     shutil.copytree(EXAMPLE / "tests", tmp_path / "tests")
     summary = said(python, "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests", folder=tmp_path).splitlines()[-1]
     assert "passed" in summary and "failed" not in summary
 
 
+@pytest.mark.slow
 def test_it_is_used_by_a_run_and_an_export(python: Path, tmp_path: Path) -> None:
     quick = [
         "geometry.iterations=10", "geometry.levels=1", "geometry.triangles=1200", "atlas.texture_size=64",
