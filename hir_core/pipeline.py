@@ -18,7 +18,7 @@ from hir_core.errors import CaptureError
 from hir_core.initialize import files_read, initialize
 from hir_core.manager import PluginManager
 from hir_core.pixel_cache import PixelCache
-from hir_core.readers import read_capture
+from hir_core.readers import find_reader, read_capture
 from hir_core.run_directory import STAGES, RunDirectory, claimed_run
 from hir_core.session import Session, StopRun, check_until, resolve_device
 
@@ -77,6 +77,7 @@ def reconstruct(
         file = None if config is None else Path(config)
         config = load_config(plugins, preset, file, assignments, device=device, **overrides)
     found = resolve_device(config.device)
+    find_reader(Path(capture), plugins, config.reader)  # before a folder is made for a capture that nobody can read
     with claimed_run(run, resume) as directory:
         session = Session(config, plugins, directory, found, last, on_progress, on_message)
         with contextlib.suppress(StopRun):

@@ -68,7 +68,7 @@ def test_wrong_input_is_one_sentence_and_exit_code_2(
     assert hir(*(str(word).replace("{tmp}", str(tmp_path)) for word in words)) == 2
     printed = capsys.readouterr().err
     assert said in printed and "Traceback" not in printed
-    assert not (tmp_path / "run" / "run.json").exists()
+    assert not (tmp_path / "run").exists()
 
 
 def test_verbose_shows_where(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
