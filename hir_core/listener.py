@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from hir_exporters.atomic import atomic_path
 
+from hir_core.interrupt import raise_lost_interrupt
 from hir_core.progress import Progress
 
 if TYPE_CHECKING:
@@ -36,7 +37,8 @@ class Listener:
         """Pairs of step and seconds since the stage began, one for each block."""
 
     def report(self, progress: Progress) -> None:
-        """Takes one block of a stage."""
+        """Takes one block of a stage; an interrupt that was swallowed since the last one is raised here."""
+        raise_lost_interrupt()
         for name, values in progress.scalars.items():
             block = np.atleast_1d(np.asarray(values, dtype=np.float64))
             self._waiting.setdefault(name, []).append(block)

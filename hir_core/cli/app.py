@@ -14,6 +14,7 @@ import click
 from hir_exporters.errors import HirError
 
 from hir_core import __version__
+from hir_core.interrupt import remember_interrupts
 
 COMMANDS = {
     "check": "hir_core.cli.check:check_command",
@@ -82,6 +83,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     verbose = "-v" in words or "--verbose" in words
     if arguments is None and not verbose:
         warnings.simplefilter("ignore")  # libraries advising their programmers
+    if arguments is None:
+        remember_interrupts()
     try:
         code = cli.main(words, prog_name="hir", standalone_mode=False)
     except click.exceptions.Exit as stop:

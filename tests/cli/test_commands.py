@@ -188,6 +188,30 @@ def test_doctor_names_what_is_missing_and_what_to_install(monkeypatch: pytest.Mo
     assert doctor.examine_renderer("cuda_ad_rgb", "renderer (cuda)").state == "absent", "no GPU is no fault"
 
 
+def test_a_swallowed_interrupt_is_raised_where_progress_is_told() -> None:
+    """As where Ctrl-C falls into a finaliser or into an import that catches everything."""
+    code = """
+import os, signal
+from hir_core.interrupt import remember_interrupts
+from hir_core.listener import Listener
+from hir_core.manager import PluginManager
+from hir_core.progress import Progress
+remember_interrupts()
+listener = Listener("geometry", PluginManager(), None)
+listener.report(Progress("geometry", 1, 10, 0.1))
+try:
+    os.kill(os.getpid(), signal.SIGINT)
+except BaseException:
+    pass
+try:
+    listener.report(Progress("geometry", 2, 10, 0.2))
+except KeyboardInterrupt:
+    print("raised again")
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout.strip() == "raised again", done.stderr
+
+
 def test_interrupt_ends_with_130_and_names_resume() -> None:
     code = (
         "import hir_core.cli.app as app\nfrom hir_core.manager import PluginManager\n"
