@@ -104,8 +104,8 @@ def refine_by_photographs(
         "held_out_gain": round(gain, 5),
         "noise": round(noise, 5),
         "held_out_disagreement": {
-            "before": round(float(before.disagreement.mean()), 5),
-            "after": round(float(after.disagreement.mean()), 5),
+            "before": _mean(before.disagreement),
+            "after": _mean(after.disagreement),
         },
         "held_out_iou": {"before": round(before.iou, 5), "after": round(after.iou, 5)},
     }
@@ -182,6 +182,12 @@ def _gain(before: NDArray[np.float64], after: NDArray[np.float64]) -> tuple[floa
         return 0.0, 0.0
     gains = 1 - after[known] / before[known]
     return float(gains.mean()), float(gains.std(ddof=1) / np.sqrt(known.sum()))
+
+
+def _mean(errors: NDArray[np.float64]) -> float | None:
+    """Over the views that could compare something; None where none could."""
+    known = errors[np.isfinite(errors)]
+    return round(float(known.mean()), 5) if len(known) else None
 
 
 def _huber(difference: Tensor) -> Tensor:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from hir_core import photo_refinement
 from hir_core.capture import Camera, Capture, Pixels
 from hir_core.config import GeometrySettings
 from hir_core.context import StageContext
@@ -161,6 +162,14 @@ def test_gradient_is_that_of_finite_differences(hollow: tuple[Positions, Faces])
     (gradient,) = torch.autograd.grad(difference[here].square().sum(), mesh.positions)
     expected = (plus[ahead].square().sum() - minus[behind].square().sum()) / (2 * step)
     assert float((gradient * swelling).sum()) == pytest.approx(float(expected), rel=0.02)
+
+
+def test_views_that_compare_nothing_do_not_blur_the_verdict() -> None:
+    nothing, some = np.array([np.nan, np.nan]), np.array([0.2, np.nan, 0.1])
+    assert photo_refinement._mean(nothing) is None
+    assert photo_refinement._mean(some) == pytest.approx(0.15)
+    assert photo_refinement._gain(nothing, nothing) == (0.0, 0.0)
+    assert photo_refinement._gain(some, 0.5 * some)[0] == pytest.approx(0.5)
 
 
 def _common(*rows: np.ndarray) -> tuple[np.ndarray, ...]:
