@@ -146,6 +146,8 @@ class RunConfig:
     seed: int = 0
     deterministic: bool = False
     """Same files for the same input, seed and device; slower, one thread where that is what it takes."""
+    checkpoint_seconds: float = 30.0
+    """Seconds between the states that a stage under way keeps on disk; it goes on from the last one."""
     observers: dict[str, dict[str, Any] | Literal[False]] = field(default_factory=dict)
     """Options of each observer; a table switches its observer on, an empty one with its defaults."""
     plugins: tuple[str, ...] = ()

@@ -31,10 +31,17 @@ class StageContext:
     device: str = "cpu"
     seed: int = 0
     deterministic: bool = False
+    checkpoint_seconds: float = 30.0
+    """How often a stage should keep its state."""
     report: Callable[[Progress], None] = field(default=_silent)
     """Told of progress; cheap, throttles by itself."""
     warn: Callable[[str], None] = field(default=_silent)
     """One sentence that advises; shown to the user and written into run.json."""
+
+    @property
+    def checkpoints(self) -> Path:
+        """A folder for the state of a stage under way; it is removed when the stage has ended."""
+        return self.workspace / "checkpoints"
 
 
 @contextlib.contextmanager

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from hir_core.capture import Camera, Capture
+from hir_core.checkpoint import Arrays, Together
 from hir_core.config import GeometrySettings
 from hir_core.context import StageContext
 from hir_core.energies import prepare_energies
@@ -24,7 +24,7 @@ from hir_core.loose_pieces import without_loose_pieces
 from hir_core.mask_residue import NOTABLE, Residue, mask_residue
 from hir_core.mesh_checks import MeshState, inspect_mesh
 from hir_core.mesh_transfer import remeshed
-from hir_core.optimize import Batches, OptimizationReport, Schedule, Terms, optimize
+from hir_core.optimize import Batches, Keep, OptimizationReport, Schedule, Terms, optimize
 from hir_core.photo_refinement import refine_by_photographs
 from hir_core.remeshing import surface_area
 from hir_core.scene import Mesh, Scene
@@ -194,7 +194,6 @@ def _fit_level(mesh: Mesh, fit: _Fit, level: int, levels: int) -> tuple[Mesh, Op
         # at the full rate the error rattles about a plateau; only where the rate has fallen does idleness mean an end
         return idle and step > SETTLED * steps
 
-    checkpoint = Path(context.workspace) / f"level_{level}.npz"
     report = optimize(
         loss,
         optimizer,
@@ -202,13 +201,14 @@ def _fit_level(mesh: Mesh, fit: _Fit, level: int, levels: int) -> tuple[Mesh, Op
         stage="geometry",
         report=context.report,
         after_step=after_step,
-        checkpoint=checkpoint,
+        keep=Keep(context.checkpoints / f"level_{level}.npz", context.checkpoint_seconds),
+        beside=Together(best=best, trust=fit.trust),
         first_step=level * steps,
         total_steps=levels * steps,
     )
     with torch.no_grad():
         return (
-            mesh.with_positions(decode(best.state if fit.held and best.seen else unknown).detach()),
+            mesh.with_positions(decode(best.kept if fit.held and best.seen else unknown).detach()),
             report,
             best.error,
         )
@@ -218,7 +218,7 @@ class _Best:
     """The state of the lowest held-out error so far."""
 
     def __init__(self, state: Tensor) -> None:
-        self.state = state.detach().clone()
+        self.kept = state.detach().clone()
         self.error: float | None = None
         self.seen = False
         self._idle = 0
@@ -228,10 +228,21 @@ class _Best:
         self.seen = True
         if self.error is None or error < self.error:
             self._idle = 0 if self.error is None or error < 0.999 * self.error else self._idle + 1
-            self.state, self.error = state.detach().clone(), error
+            self.kept, self.error = state.detach().clone(), error
         else:
             self._idle += 1
         return self._idle >= PATIENCE_CHECKS
+
+    def state(self) -> Arrays:
+        """For a checkpoint."""
+        error = np.nan if self.error is None else self.error
+        return {"state": self.kept.cpu().numpy(), "error": np.asarray(error), "idle": np.asarray(self._idle)}
+
+    def restore(self, state: Mapping[str, np.ndarray]) -> None:
+        """From a checkpoint."""
+        self.kept = torch.from_numpy(state["state"]).to(self.kept)
+        self.error = None if np.isnan(state["error"]) else float(state["error"])
+        self.seen, self._idle = self.error is not None, int(state["idle"])
 
 
 def _hold_out(views: int, share: float) -> list[int]:

@@ -3,25 +3,27 @@
 
 from __future__ import annotations
 
+import json
 import math
 import time
-import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
-from hir_exporters.atomic import atomic_write
 from jaxtyping import Float
 from torch import Tensor
 
+from hir_core.checkpoint import Stateful, below, load_checkpoint, parameters_of, save_checkpoint
 from hir_core.errors import StageError
 from hir_core.progress import Progress
 
 PATIENCE_NONFINITE = 20
 """This many steps in a row without a finite gradient end the stage with an error."""
+
+TROUBLES_TOLD = PATIENCE_NONFINITE
+"""Of more skipped steps only the number is told."""
 
 BLOCK_SECONDS = 0.25
 """Observers hear of progress at most this often."""
@@ -78,9 +80,21 @@ class OptimizationReport:
     steps: int = 0
     seconds: float = 0.0
     stopped_early: bool = False
+    resumed_at: int = 0
+    """Step from which a checkpoint went on; 0 where the loop began anew."""
     skipped: dict[str, int] = field(default_factory=dict)
     """Steps that were left out because of a value or gradient that was not finite, by the term to blame."""
+    troubles: list[str] = field(default_factory=list)
+    """The first of them as sentences: step, term, and the place that `locate` named."""
     curves: dict[str, np.ndarray] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Keep:
+    """Where a loop keeps its state while it runs, and how often."""
+
+    path: Path
+    seconds: float = 30.0
 
 
 def optimize(
@@ -91,27 +105,30 @@ def optimize(
     stage: str,
     report: Callable[[Progress], None] = lambda _: None,
     after_step: Callable[[int], bool] | None = None,
-    checkpoint: Path | None = None,
-    checkpoint_seconds: float = 30.0,
+    keep: Keep | None = None,
+    beside: Stateful | None = None,
+    locate: Callable[[int, str], str] | None = None,
     first_step: int = 0,
     total_steps: int = 0,
 ) -> OptimizationReport:
     """Runs `schedule.steps` steps; `after_step(step)` returning True ends the loop.
 
-    A step whose loss or gradient is not finite is skipped, counted and blamed on a term; parameters never take it in.
-    `PATIENCE_NONFINITE` of them in a row raise `StageError`. With `checkpoint`, the state is kept there and a
-    later call with like-shaped parameters goes on from it; the file is removed when the loop ends. `first_step` and
-    `total_steps` place the loop in a stage of several (for progress only).
+    A step whose loss or gradient is not finite is skipped, counted and blamed on a term, and `locate(step, term)` says
+    where the trouble lies; parameters never take it in. `PATIENCE_NONFINITE` of them in a row raise `StageError`, with
+    the last good state kept. With `keep`, the state (parameters, optimizer, random numbers, curves and `beside`) is
+    stored, and a later call with like-shaped parameters goes on from it, bit for bit; a loop that took longer than
+    `keep.seconds` and ended is not run again. `first_step` and `total_steps` place the loop in a stage of several (for
+    progress only).
     """
+    result = OptimizationReport()
     clock = _Clock(stage, report, first_step, total_steps or first_step + schedule.steps)
     rates = [group["lr"] for group in optimizer.param_groups]
-    parameters = [p for group in optimizer.param_groups for p in group["params"]]
-    start = load_checkpoint(checkpoint, optimizer) if checkpoint else 0
-    result = OptimizationReport()
+    parameters = parameters_of(optimizer)
+    start, ended = _resume(keep, optimizer, beside, result, clock)
     in_a_row = 0
     saved = time.monotonic()
     step = start - 1
-    for step in range(start, schedule.steps):
+    for step in range(start, start if ended else schedule.steps):
         for group, rate in zip(optimizer.param_groups, rates, strict=True):
             group["lr"] = rate * schedule(step)
         optimizer.zero_grad(set_to_none=True)
@@ -125,12 +142,14 @@ def optimize(
             if not all(bool(torch.isfinite(p.grad).all()) for p in parameters if p.grad is not None):
                 blame = _blame_gradient(loss(step), parameters)
         if blame:
-            result.skipped[blame] = result.skipped.get(blame, 0) + 1
+            _note(result, step, blame, locate)
             in_a_row += 1
             if in_a_row >= PATIENCE_NONFINITE:
+                if keep:
+                    _store(keep, optimizer, step + 1 - in_a_row, beside, result, clock)
                 raise StageError(
-                    f"stage {stage}: {in_a_row} steps in a row gave no finite gradient, because of {blame!r}; "
-                    f"leave that term out or lower the learning rate"
+                    f"stage {stage}: {in_a_row} steps in a row gave no finite gradient, because of {blame!r} "
+                    f"({result.troubles[-1]}); leave that term out or lower the learning rate"
                 )
         else:
             in_a_row = 0
@@ -139,18 +158,67 @@ def optimize(
         if after_step is not None and after_step(step):
             result.stopped_early = step + 1 < schedule.steps
             break
-        if checkpoint and time.monotonic() - saved > checkpoint_seconds:
-            save_checkpoint(checkpoint, optimizer, step + 1)
+        if keep and time.monotonic() - saved > keep.seconds:
+            _store(keep, optimizer, step + 1, beside, result, clock)
             saved = time.monotonic()
     for group, rate in zip(optimizer.param_groups, rates, strict=True):
         group["lr"] = rate
     clock.send()
-    if checkpoint:
-        checkpoint.unlink(missing_ok=True)
-    result.steps = step + 1 - start
+    if keep and not ended:
+        if clock.seconds > keep.seconds or result.resumed_at:
+            _store(keep, optimizer, step + 1, beside, result, clock, ended=True)
+        else:  # quicker done again than read
+            keep.path.unlink(missing_ok=True)
+    result.steps = step + 1
     result.seconds = clock.seconds
     result.curves = clock.curves
     return result
+
+
+def _store(
+    keep: Keep,
+    optimizer: torch.optim.Optimizer,
+    step: int,
+    beside: Stateful | None,
+    result: OptimizationReport,
+    clock: _Clock,
+    ended: bool = False,
+) -> None:
+    clock.send()
+    notes = {"skipped": result.skipped, "troubles": result.troubles, "early": result.stopped_early, "ended": ended}
+    more = {"notes": np.frombuffer(json.dumps(notes).encode(), np.uint8)}
+    more |= {f"curve/{name}": values[:step] for name, values in clock.curves.items()}
+    more |= {f"beside/{name}": value for name, value in (beside.state() if beside else {}).items()}
+    save_checkpoint(keep.path, optimizer, step, more)
+
+
+def _resume(
+    keep: Keep | None,
+    optimizer: torch.optim.Optimizer,
+    beside: Stateful | None,
+    result: OptimizationReport,
+    clock: _Clock,
+) -> tuple[int, bool]:
+    """The step to go on from, and whether the loop had already ended."""
+    found = load_checkpoint(keep.path, optimizer) if keep else None
+    if found is None:
+        return 0, False
+    step, more = found
+    notes = json.loads(more["notes"].tobytes())
+    result.resumed_at = step
+    result.skipped, result.troubles, result.stopped_early = notes["skipped"], notes["troubles"], notes["early"]
+    if beside is not None:
+        beside.restore(below(more, "beside"))
+    clock.restore(step, below(more, "curve"))
+    return step, notes["ended"]
+
+
+def _note(result: OptimizationReport, step: int, term: str, locate: Callable[[int, str], str] | None) -> None:
+    result.skipped[term] = result.skipped.get(term, 0) + 1
+    if len(result.troubles) >= TROUBLES_TOLD:
+        return
+    place = locate(step, term) if locate else ""
+    result.troubles.append(f"step {step}: {term} is not finite" + (f" at {place}" if place else ""))
 
 
 def sum_of(terms: Terms) -> Float[Tensor, ""]:
@@ -162,49 +230,6 @@ def sum_of(terms: Terms) -> Float[Tensor, ""]:
     for value in values[1:]:
         total = total + value.to(total)
     return total
-
-
-def save_checkpoint(path: Path, optimizer: torch.optim.Optimizer, step: int) -> None:
-    """Writes parameters, the optimizer's state and the next step as plain arrays, complete or not at all."""
-    arrays: dict[str, np.ndarray] = {"step": np.asarray(step)}
-    for i, parameter in enumerate(_parameters(optimizer)):
-        arrays[f"parameter/{i}"] = parameter.detach().cpu().numpy()
-        for name, value in optimizer.state.get(parameter, {}).items():
-            arrays[f"state/{i}/{name}"] = (
-                value.detach().cpu().numpy() if isinstance(value, Tensor) else np.asarray(value)
-            )
-    with atomic_write(path) as stream:
-        np.savez(stream, **arrays)  # type: ignore[arg-type]
-
-
-def load_checkpoint(path: Path, optimizer: torch.optim.Optimizer) -> int:
-    """Restores what `save_checkpoint` wrote and returns the next step; 0, with nothing changed, where none fits."""
-    try:
-        with np.load(path, allow_pickle=False) as stored:
-            arrays = {name: stored[name] for name in stored.files}
-    except (OSError, ValueError, zipfile.BadZipFile):
-        return 0
-    parameters = _parameters(optimizer)
-    shapes = [arrays.get(f"parameter/{i}", np.empty(0)).shape for i in range(len(parameters))]
-    if "step" not in arrays or shapes != [tuple(p.shape) for p in parameters]:
-        return 0
-    for i, parameter in enumerate(parameters):
-        with torch.no_grad():
-            parameter.copy_(torch.from_numpy(arrays[f"parameter/{i}"]))
-        prefix = f"state/{i}/"
-        state: dict[str, Any] = {}
-        for name, array in arrays.items():
-            if name.startswith(prefix):
-                value = torch.from_numpy(np.array(array))
-                # Adam keeps its count of steps on the CPU
-                state[name[len(prefix) :]] = value if value.ndim == 0 else value.to(parameter.device)
-        if state:
-            optimizer.state[parameter] = state
-    return int(arrays["step"])
-
-
-def _parameters(optimizer: torch.optim.Optimizer) -> list[Tensor]:
-    return [p for group in optimizer.param_groups for p in group["params"]]
 
 
 def _blame_gradient(terms: Terms, parameters: Sequence[Tensor]) -> str:
@@ -240,6 +265,12 @@ class _Clock:
         self._block.append({name: value.detach() for name, value in scalars.items()})
         if time.monotonic() - self._sent >= BLOCK_SECONDS:
             self.send()
+
+    def restore(self, step: int, curves: Mapping[str, np.ndarray]) -> None:
+        """What was recorded before an interruption, which observers hear in one block."""
+        self._step = self._first + step
+        self._parts = {name: [values] for name, values in curves.items()}
+        self._report(Progress(self._stage, self._step, self._steps, self.seconds, dict(curves), "resumed"))
 
     def send(self) -> None:
         if not self._block:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,7 @@ from hir_core.capture import Capture
 from hir_core.config import GeometrySettings
 from hir_core.context import StageContext
 from hir_core.large_steps import LargeSteps, UniformAdam
-from hir_core.optimize import Batches, Schedule, Terms, optimize
+from hir_core.optimize import Batches, Keep, Schedule, Terms, optimize
 from hir_core.photo_consistency import (
     Details,
     disagreement,
@@ -148,7 +147,7 @@ def _fit_level(
         Schedule(steps, end=0.05),
         stage="geometry",
         report=lambda progress: context.report(replace(progress, message="photographs")),
-        checkpoint=Path(context.workspace) / f"photographs_{level}.npz",
+        keep=Keep(context.checkpoints / f"photographs_{level}.npz", context.checkpoint_seconds),
         first_step=level * steps,
         total_steps=len(factors) * steps,
     )

@@ -17,7 +17,7 @@ from hir_core.config import ReflectanceSettings
 from hir_core.energies import Energies
 from hir_core.errors import StageError
 from hir_core.interfaces import PreparedReflectance
-from hir_core.optimize import Batches, Schedule, optimize
+from hir_core.optimize import Batches, Keep, Schedule, optimize
 from hir_core.scene import Scene
 
 if TYPE_CHECKING:
@@ -114,7 +114,7 @@ def fit_by_gradient(
         stage="reflectance",
         report=context.report,
         after_step=hold,
-        checkpoint=context.workspace / "gradient.npz",
+        keep=Keep(context.checkpoints / "gradient.npz", context.checkpoint_seconds),
     )
     done = current()
     assert done.material is not None and done.environment is not None

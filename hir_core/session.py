@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import random
+import shutil
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, is_dataclass
@@ -125,6 +126,7 @@ class Session:
             device=self.device,
             seed=self.config.seed,
             deterministic=self.config.deterministic,
+            checkpoint_seconds=self.config.checkpoint_seconds,
             report=listener.report,
             warn=warn,
         )
@@ -138,6 +140,7 @@ class Session:
         listener.write(folder / "curves.npz")
         record = StageRecord(name, self.key, True, jsonable(report), tuple(warnings))
         self.directory.finish(record)
+        shutil.rmtree(context.checkpoints, ignore_errors=True)
         self.timings["stages"][name] = {
             "seconds": round(seconds, 3),
             "peak_memory_bytes": peak_memory_bytes(),

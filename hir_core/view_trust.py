@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -31,6 +34,14 @@ class ViewTrust:
         """Views whose weight is below a half."""
         weights = self._weights()
         return {int(i): float(weights[i]) for i in np.flatnonzero(weights < 0.5)}
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """For a checkpoint."""
+        return {"errors": self._errors.copy(), "settled": np.asarray(self._settled)}
+
+    def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """From a checkpoint."""
+        self._errors, self._settled = np.array(state["errors"]), bool(state["settled"])
 
     def _weights(self) -> NDArray[np.float64]:
         known = self._errors[np.isfinite(self._errors)]

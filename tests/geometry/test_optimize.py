@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
+from hir_core.checkpoint import load_checkpoint, save_checkpoint
 from hir_core.errors import StageError
 from hir_core.large_steps import LargeSteps, UniformAdam
-from hir_core.optimize import PATIENCE_NONFINITE, Batches, Schedule, load_checkpoint, optimize, save_checkpoint
+from hir_core.optimize import PATIENCE_NONFINITE, Batches, Keep, Schedule, optimize
 from hir_core.progress import Progress
 from tests.geometry.shapes import bumpy_sphere, mesh_of
 
@@ -88,36 +90,76 @@ def test_nothing_but_bad_steps_is_an_error_that_names_the_term() -> None:
     "make", [lambda p: torch.optim.Adam(p, 0.1), lambda p: UniformAdam(p, 0.1)], ids=["adam", "uniform"]
 )
 def test_a_resumed_loop_ends_where_an_unbroken_one_does(tmp_path: Path, make) -> None:
-    def run(stop: int | None, path: Path, start: torch.Tensor) -> torch.Tensor:
+    def run(stop: int | None, path: Path, start: torch.Tensor) -> tuple[torch.Tensor, list[int], np.ndarray]:
+        seen = Seen()
         x = start.clone().requires_grad_(True)
         optimizer = make([x])
 
         def loss(step: int) -> dict[str, torch.Tensor]:
             if step == stop:
                 raise KeyboardInterrupt
+            seen.steps.append(step)
             target = torch.tensor([float(i) for i in Batches(5, 3)(step)])
-            return {"far": (x - target).square().sum()}
+            return {"far": (x - target + torch.rand(3)).square().sum()}
 
-        optimize(loss, optimizer, Schedule(40, end=0.1), stage="test", checkpoint=path, checkpoint_seconds=-1.0)
-        return x.detach()
+        heard: list[Progress] = []
+        report = optimize(
+            loss,
+            optimizer,
+            Schedule(40, end=0.1),
+            stage="test",
+            report=heard.append,
+            keep=Keep(path, -1.0),
+            beside=seen,
+        )
+        assert report.steps == 40 and len(report.curves["far"]) == 40
+        assert sum(len(p.scalars["far"]) for p in heard) == 40, "observers hear all steps after a resume, too"
+        return x.detach(), seen.steps, report.curves["far"]
 
+    torch.manual_seed(0)
     whole = run(None, tmp_path / "a.npz", torch.zeros(3))
+    torch.manual_seed(0)
     with pytest.raises(KeyboardInterrupt):
         run(17, tmp_path / "b.npz", torch.zeros(3))
-    # what the second start was given does not matter: it goes on from the checkpoint
+    # what the second start was given does not matter, random numbers included: it goes on from the checkpoint
+    torch.manual_seed(5)
     resumed = run(None, tmp_path / "b.npz", torch.full((3,), 9.0))
-    assert torch.equal(resumed, whole)
-    assert not (tmp_path / "b.npz").exists()
+    assert torch.equal(resumed[0], whole[0]) and resumed[1] == whole[1] == list(range(40))
+    assert np.array_equal(resumed[2], whole[2])
+    # a loop that ended is not run again
+    again = run(3, tmp_path / "b.npz", torch.zeros(3))
+    assert torch.equal(again[0], whole[0]) and again[1] == whole[1]
+
+
+class Seen:
+    """Something that a loop changes beside its parameters."""
+
+    def __init__(self) -> None:
+        self.steps: list[int] = []
+
+    def state(self) -> dict[str, np.ndarray]:
+        return {"steps": np.array(self.steps)}
+
+    def restore(self, state: Mapping[str, np.ndarray]) -> None:
+        self.steps = state["steps"].tolist()
+
+
+def test_a_short_loop_leaves_no_checkpoint(tmp_path: Path) -> None:
+    x, optimizer = _line(1.0)
+    optimize(lambda _: {"far": x.square().sum()}, optimizer, Schedule(5), stage="test", keep=Keep(tmp_path / "a.npz"))
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_checkpoint_that_does_not_fit_is_left_alone(tmp_path: Path) -> None:
     x, optimizer = _line(1.0)
     path = tmp_path / "state.npz"
-    assert load_checkpoint(path, optimizer) == 0
+    assert load_checkpoint(path, optimizer) is None
     save_checkpoint(path, torch.optim.Adam([torch.zeros(7, requires_grad=True)], 0.1), 12)
-    assert load_checkpoint(path, optimizer) == 0 and x.item() == 1.0
-    path.write_bytes(b"half a file")
-    assert load_checkpoint(path, optimizer) == 0
+    assert load_checkpoint(path, optimizer) is None and x.item() == 1.0
+    whole = path.read_bytes()
+    for damaged in (b"half a file", b"", whole[:100], whole[:-40], whole[:200] + b"\xff" * 50 + whole[250:]):
+        path.write_bytes(damaged)
+        assert load_checkpoint(path, optimizer) is None and x.item() == 1.0
 
 
 def test_observers_hear_in_blocks_that_add_up_to_all_steps() -> None:
