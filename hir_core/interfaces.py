@@ -99,6 +99,12 @@ class ReflectanceSolver(PreparedReflectance):
     The core climbs the ladder of models with it; a fit is opaque to the core.
     """
 
+    def keep(self, folder: Path, seconds: float) -> None:
+        """Told before the first fit: where, and how often, fits may keep their state, so that a resume repeats none.
+
+        The core asks for the same fits in the same order again; without this they are computed again.
+        """
+
     @abstractmethod
     def fit(self, rung: Rung, start: Any, views: Sequence[int], effort: float, report: Callable[[float], None]) -> Any:
         """Fits light and material of a rung to some views, from an earlier fit or None; `effort` 1 is a full fit.

@@ -93,6 +93,7 @@ def _by_solver(
     views = len(capture.views)
     began = time.perf_counter()
     bar = _Bar(context, began)
+    solver.keep(context.checkpoints, context.checkpoint_seconds)
     fit, rung, steps = climb(solver, settings, views, lambda name, share: bar.tell(name, share, 0.6))
     if not steps and forced_rung(settings) is None:
         context.warn(f"{views} views are too few to hold some out, so the model was not chosen but set: {rung.name}; "

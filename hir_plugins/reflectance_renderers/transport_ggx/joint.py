@@ -10,63 +10,25 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Literal
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from hir_core.errors import StageError
+from hir_core.optimize import PATIENCE_NONFINITE
 from hir_plugins.reflectance_renderers.brdf import Model
+from hir_plugins.reflectance_renderers.transport_ggx.fit_files import FitFile, Loop
 from hir_plugins.reflectance_renderers.transport_ggx.linear_map import LinearMap
 from hir_plugins.reflectance_renderers.transport_ggx.lobes import Lobes
 from hir_plugins.reflectance_renderers.transport_ggx.specular import SpecularBlock
 from hir_plugins.reflectance_renderers.transport_ggx.transport import Transport
+from hir_plugins.reflectance_renderers.transport_ggx.unknowns import Unknowns
 
-ALPHA_LOW = 0.01
-"""Narrowest lobe the cached directions resolve in a light of 64 rows."""
 REDRAW = 1.5
 """Lobes are drawn anew when α has moved by this factor."""
-LIGHT_LIMIT = 1e5
-"""Radiance is held below this: a sun of 1e4 fits, an overflow does not."""
-
-
-@dataclass(frozen=True, eq=False)
-class Unknowns:
-    """What is fitted, each unconstrained: logarithm of the light, logits of albedos and width."""
-
-    light: Float[Tensor, "H W 3"]
-    diffuse: Float[Tensor, "V 3"]
-    specular: Float[Tensor, "#V C"] | None
-    width: Float[Tensor, "#V 1"] | None
-
-    @property
-    def radiance(self) -> Float[Tensor, "H W 3"]:
-        """The light."""
-        return self.light.clamp_max(torch.log(torch.tensor(LIGHT_LIMIT)).item()).exp()
-
-    @property
-    def diffuse_albedo(self) -> Float[Tensor, "V 3"]:
-        """ρd at vertices."""
-        return torch.sigmoid(self.diffuse)
-
-    @property
-    def specular_albedo(self) -> Float[Tensor, "#V C"]:
-        """ρs; one row where it is uniform."""
-        assert self.specular is not None
-        return torch.sigmoid(self.specular)
-
-    @property
-    def alpha(self) -> Float[Tensor, "#V 1"]:
-        """GGX width; one row where it is uniform."""
-        assert self.width is not None
-        return ALPHA_LOW + (1 - ALPHA_LOW) * torch.sigmoid(self.width)
-
-    def detached(self) -> Unknowns:
-        """A copy outside the graph."""
-        specular, width = (None if v is None else v.detach().clone() for v in (self.specular, self.width))
-        return Unknowns(self.light.detach().clone(), self.diffuse.detach().clone(), specular, width)
-
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,11 +44,6 @@ class Block:
     color_srgb: Float[Tensor, "P 3"]
     saturated: Bool[Tensor, "P 3"]
     view: Int[Tensor, " P"]
-
-
-def width_of(alpha: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
-    """The unconstrained value of a width α."""
-    return torch.logit(((alpha - ALPHA_LOW) / (1 - ALPHA_LOW)).clamp(1e-3, 1 - 1e-3))
 
 
 def predict(
@@ -150,14 +107,18 @@ class FitSettings:
 
 def fit(
     transport: Transport,
-    blocks: Sequence[Block],
+    draw: Callable[[Unknowns], Sequence[Block]],
     start: Unknowns,
     settings: FitSettings,
     edges: Int[Tensor, "E 2"],
     on_step: Callable[[int, float], None],
-    redraw: Callable[[Unknowns], Sequence[Block]],
+    file: FitFile | None = None,
 ) -> Unknowns:
-    """Runs Adam with a cosine schedule over the blocks in turn; `redraw` makes blocks for a state whose α moved far."""
+    """Runs Adam with a cosine schedule over blocks in turn; `draw` makes them for a state, and again when α moved far.
+
+    With `file` the state is kept there and gone on from. A step without a finite gradient is skipped and told with its
+    term and views; `PATIENCE_NONFINITE` of them in a row raise `StageError`.
+    """
     unknowns = _leaves(start.detached(), settings)
     groups = [
         {"params": [p], "lr": rate}
@@ -171,12 +132,20 @@ def fit(
     ]
     optimizer = torch.optim.Adam(groups, betas=(0.9, 0.99))
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, max(settings.steps, 1))
+    loop = Loop(optimizer, schedule, start.detached())
+    if file is not None:
+        file.restore(loop)
+    blocks = draw(loop.drawn)
     specular = specular_blocks(blocks, settings.model)
-    skipped = 0
-    for step in range(settings.steps):
+    trouble, in_a_row = "", 0
+    for step in range(loop.step, settings.steps):
         if step % settings.refresh == 0:
+            if file is not None and not in_a_row:
+                loop.step = step
+                file.save(loop)
             if _drifted(blocks[0], unknowns):
-                blocks = redraw(unknowns.detached())
+                loop.drawn = unknowns.detached()
+                blocks = draw(loop.drawn)
                 specular = specular_blocks(blocks, settings.model)
             refresh(blocks, specular, unknowns)
         index = step % len(blocks)
@@ -184,23 +153,43 @@ def fit(
         radiance = predict(transport, blocks[index], specular[index], unknowns, settings.bounces)
         difference = residual(blocks[index], radiance)
         loss = torch.nn.functional.huber_loss(difference, torch.zeros_like(difference), delta=settings.huber)
-        total = loss + _smoothness(unknowns, settings, edges)
-        total.backward()
+        smoothness = _smoothness(unknowns, settings, edges)
+        (loss + smoothness).backward()
         if unknowns.width is not None and step < settings.width_hold * settings.steps:
             unknowns.width.grad = None
         if not _finite(optimizer):
-            skipped += 1
+            loop.skipped, in_a_row = loop.skipped + 1, in_a_row + 1
+            trouble = trouble or f"step {step}: {_trouble(blocks[index], difference, smoothness, unknowns)}"
+            if in_a_row >= PATIENCE_NONFINITE:
+                raise StageError(
+                    f"the {settings.model} fit had no finite gradient in {in_a_row} steps in a row ({trouble}); "
+                    "look for broken pixels or triangles with: hir check"
+                )
             continue
+        in_a_row = 0
         optimizer.step()
         schedule.step()
         on_step(step, float(loss.detach()))
-    if skipped:
+    if loop.skipped:
         warnings.warn(
-            f"{skipped} of {settings.steps} steps of the {settings.model} fit had no finite gradient and were skipped; "
-            "look for broken pixels or triangles with: hir check",
+            f"{loop.skipped} of {settings.steps} steps of the {settings.model} fit had no finite gradient and were "
+            f"skipped ({trouble}); look for broken pixels or triangles with: hir check",
             stacklevel=2,
         )
     return unknowns.detached()
+
+
+def _trouble(block: Block, difference: Tensor, smoothness: Tensor, unknowns: Unknowns) -> str:
+    """Which term is not finite, in which views, or which unknown's gradient."""
+    if not bool(torch.isfinite(smoothness)):
+        return "the smoothness is not finite"
+    bad = ~torch.isfinite(difference.detach()).all(dim=1)
+    if bool(bad.any()):
+        views = block.view[bad].unique().tolist()
+        return f"the difference to the photographs is not finite in {int(bad.sum())} pixels of views {views}"
+    named = {field.name: getattr(unknowns, field.name) for field in fields(unknowns)}
+    broken = [n for n, v in named.items() if v is not None and v.grad is not None and not torch.isfinite(v.grad).all()]
+    return f"the gradient of {' and '.join(broken)} is not finite"
 
 
 def specular_blocks(blocks: Sequence[Block], model: str) -> list[SpecularBlock | None]:

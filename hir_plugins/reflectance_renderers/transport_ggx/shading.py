@@ -13,13 +13,13 @@ from torch import Tensor
 from hir_core.capture import Camera
 from hir_core.scene import EnvironmentMap, Material, Texture
 from hir_plugins.reflectance_renderers.brdf import directional_albedo_terms
-from hir_plugins.reflectance_renderers.transport_ggx.joint import ALPHA_LOW
 from hir_plugins.reflectance_renderers.transport_ggx.moving_light import pixel_irradiance
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.pyramid import resized
 from hir_plugins.reflectance_renderers.transport_ggx.surface import SurfacePoints, see
 from hir_plugins.reflectance_renderers.transport_ggx.textures import bilinear_texels
 from hir_plugins.reflectance_renderers.transport_ggx.transport import Transport
+from hir_plugins.reflectance_renderers.transport_ggx.unknowns import ALPHA_LOW
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, final
 
 import numpy as np
@@ -19,13 +20,15 @@ from hir_core.interfaces import ReflectanceSolver
 from hir_core.scene import EnvironmentMap, Material, Scene, Topology
 from hir_core.selection import Rung
 from hir_plugins.reflectance_renderers.transport_ggx import joint
-from hir_plugins.reflectance_renderers.transport_ggx.joint import Block, FitSettings, Unknowns
+from hir_plugins.reflectance_renderers.transport_ggx.fit_files import FitFiles
+from hir_plugins.reflectance_renderers.transport_ggx.joint import Block, FitSettings
 from hir_plugins.reflectance_renderers.transport_ggx.moving_light import pixel_irradiance
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.photographs import Photographed, join, photographed
 from hir_plugins.reflectance_renderers.transport_ggx.shading import Indirect, shade
 from hir_plugins.reflectance_renderers.transport_ggx.texture_stage import solve_scene
 from hir_plugins.reflectance_renderers.transport_ggx.transport import Transport
+from hir_plugins.reflectance_renderers.transport_ggx.unknowns import LIGHT_LIMIT, Unknowns, width_of
 
 UPRIGHT = torch.diag(torch.tensor([1.0, -1.0, -1.0]))
 """Axes of a light that the camera carries: y up and z backwards, so that the picture of the light is upright."""
@@ -61,6 +64,7 @@ class TransportSolver(ReflectanceSolver):
         self._options = options
         self._edges = Topology(transport.surface.faces).edges
         self._indirect: Indirect | None = None
+        self._files: FitFiles | None = None
         self._samples: dict[int, Photographed] = {}
         self._rotation = _camera_rotations(capture, transport.surface.positions.device)
 
@@ -71,10 +75,20 @@ class TransportSolver(ReflectanceSolver):
         cameras = {v: c.downsampled(self._downsample) for v, c in enumerate(self._capture.cameras)}
         return shade(self._transport, material, environment, cameras, pixels, self._options, self._indirect)
 
+    def keep(self, folder: Path, seconds: float) -> None:
+        """Fits that have ended are read again from `folder`, one under way goes on from its last state."""
+        self._files = FitFiles(folder, seconds)
+
     def fit(
         self, rung: Rung, start: Any, views: Sequence[int], effort: float, report: Callable[[float], None]
     ) -> Fit:
         """Adam on cached transport; a rung's new unknowns start from the values of the earlier fit."""
+        file = self._files.next(rung, tuple(views), effort) if self._files is not None else None
+        device = self._transport.surface.positions.device
+        ended = file.result() if file is not None else None
+        if ended is not None:
+            report(1.0)
+            return Fit(rung, ended.to(device))
         photographs = self._thinned(self._photographs(views), effort)
         unknowns = self._begin(rung, start, photographs)
         steps = max(1, round(self._options.steps * effort))
@@ -82,13 +96,15 @@ class TransportSolver(ReflectanceSolver):
         settings = FitSettings(steps, rung.brdf, rung.bounces, known_light=known,
                                light_smoothness=self._options.light_smoothness,
                                light_whiteness=self._options.light_whiteness)
-        if rung.brdf != "diffuse" and (start is None or start.unknowns.width is None):
+        begun = file is not None and file.begun()
+        if rung.brdf != "diffuse" and (start is None or start.unknowns.width is None) and not begun:
             unknowns = self._probe(photographs, unknowns, settings, rung)
-        blocks = self._blocks(photographs, rung, unknowns)
         fitted = joint.fit(
-            self._transport, blocks, unknowns, settings, self._edges,
-            lambda step, _: report((step + 1) / steps), lambda state: self._blocks(photographs, rung, state),
+            self._transport, lambda state: self._blocks(photographs, rung, state), unknowns, settings, self._edges,
+            lambda step, _: report((step + 1) / steps), file,
         )
+        if file is not None:
+            file.finish(fitted)
         return Fit(rung, fitted)
 
     def errors(self, fit: Fit, views: Sequence[int]) -> NDArray[np.float64]:
@@ -169,7 +185,7 @@ class TransportSolver(ReflectanceSolver):
         """Unknowns of a rung, from an earlier fit or from the scene that was prepared."""
         assert self._scene.material is not None and self._scene.environment is not None
         if start is None:
-            light = self._scene.environment.radiance.clamp(1e-6, joint.LIGHT_LIMIT).log()
+            light = self._scene.environment.radiance.clamp(1e-6, LIGHT_LIMIT).log()
             diffuse = self._albedo_of_photographs(photographs, rung, light.exp())
             base = Unknowns(light, torch.logit(diffuse), None, None)
         else:
@@ -181,7 +197,7 @@ class TransportSolver(ReflectanceSolver):
         if specular is None or width is None:
             rho = self._scene.material.specular_albedo.mean().clamp(1e-3, 0.999)
             alpha = self._scene.material.roughness.mean().clamp(0.02, 0.98)
-            specular, width = torch.logit(rho).reshape(1, 1), joint.width_of(alpha).reshape(1, 1)
+            specular, width = torch.logit(rho).reshape(1, 1), width_of(alpha).reshape(1, 1)
         if rung.colored and specular.shape[1] == 1:
             specular = specular.clamp_min(LEAST_START).expand(-1, 3)
         if rung.specular == "map" and len(specular) == 1:
@@ -197,7 +213,7 @@ class TransportSolver(ReflectanceSolver):
         part = self._thinned(photographs, PROBE_SHARE / 2)
         short = replace(settings, steps=max(1, round(PROBE_EFFORT * self._options.steps)))
         assert unknowns.width is not None
-        wide = joint.width_of(torch.full_like(unknowns.width, WIDE))
+        wide = width_of(torch.full_like(unknowns.width, WIDE))
         starts = [unknowns, replace(unknowns, width=wide)]
         losses = [self._short_fit(part, rung, start, short) for start in starts]
         return starts[losses.index(min(losses))]
@@ -205,8 +221,8 @@ class TransportSolver(ReflectanceSolver):
     def _short_fit(self, part: Photographed, rung: Rung, start: Unknowns, settings: FitSettings) -> float:
         losses: list[float] = []
         joint.fit(
-            self._transport, self._blocks(part, rung, start), start, settings, self._edges,
-            lambda _, loss: losses.append(loss), lambda state: self._blocks(part, rung, state),
+            self._transport, lambda state: self._blocks(part, rung, state), start, settings, self._edges,
+            lambda _, loss: losses.append(loss),
         )
         last = losses[-max(1, len(losses) // 5) :]
         return sum(last) / len(last) if last else math.inf

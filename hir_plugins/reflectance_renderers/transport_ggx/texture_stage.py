@@ -15,7 +15,6 @@ from hir_core.capture import Capture
 from hir_core.scene import Material, Mesh, Scene, Topology
 from hir_core.selection import Rung
 from hir_plugins.reflectance_renderers.brdf import directional_albedo_terms
-from hir_plugins.reflectance_renderers.transport_ggx.joint import Unknowns
 from hir_plugins.reflectance_renderers.transport_ggx.moving_light import pixel_irradiance
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.photographs import Photographed, photographed
@@ -27,6 +26,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.textures import (
     srgb_slope,
 )
 from hir_plugins.reflectance_renderers.transport_ggx.transport import Transport
+from hir_plugins.reflectance_renderers.transport_ggx.unknowns import Unknowns
 
 PADDING = 8
 """Rings of texels around charts that repeat their border, for filtering and mip maps."""

@@ -1,0 +1,62 @@
+"""What is fitted on cached transport: light, albedos and lobe width, each as a number without bounds."""
+# ruff: noqa: TID253
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+ALPHA_LOW = 0.01
+"""Narrowest lobe the cached directions resolve in a light of 64 rows."""
+LIGHT_LIMIT = 1e5
+"""Radiance is held below this: a sun of 1e4 fits, an overflow does not."""
+
+
+@dataclass(frozen=True, eq=False)
+class Unknowns:
+    """What is fitted, each unconstrained: logarithm of the light, logits of albedos and width."""
+
+    light: Float[Tensor, "H W 3"]
+    diffuse: Float[Tensor, "V 3"]
+    specular: Float[Tensor, "#V C"] | None
+    width: Float[Tensor, "#V 1"] | None
+
+    @property
+    def radiance(self) -> Float[Tensor, "H W 3"]:
+        """The light."""
+        return self.light.clamp_max(torch.log(torch.tensor(LIGHT_LIMIT)).item()).exp()
+
+    @property
+    def diffuse_albedo(self) -> Float[Tensor, "V 3"]:
+        """ρd at vertices."""
+        return torch.sigmoid(self.diffuse)
+
+    @property
+    def specular_albedo(self) -> Float[Tensor, "#V C"]:
+        """ρs; one row where it is uniform."""
+        assert self.specular is not None
+        return torch.sigmoid(self.specular)
+
+    @property
+    def alpha(self) -> Float[Tensor, "#V 1"]:
+        """GGX width; one row where it is uniform."""
+        assert self.width is not None
+        return ALPHA_LOW + (1 - ALPHA_LOW) * torch.sigmoid(self.width)
+
+    def to(self, device: torch.device | str) -> Unknowns:
+        """The same on another device."""
+        specular, width = (None if v is None else v.to(device) for v in (self.specular, self.width))
+        return Unknowns(self.light.to(device), self.diffuse.to(device), specular, width)
+
+    def detached(self) -> Unknowns:
+        """A copy outside the graph."""
+        specular, width = (None if v is None else v.detach().clone() for v in (self.specular, self.width))
+        return Unknowns(self.light.detach().clone(), self.diffuse.detach().clone(), specular, width)
+
+
+def width_of(alpha: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
+    """The unconstrained value of a width α."""
+    return torch.logit(((alpha - ALPHA_LOW) / (1 - ALPHA_LOW)).clamp(1e-3, 1 - 1e-3))
