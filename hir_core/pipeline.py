@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,7 @@ from hir_core.capture import Capture
 from hir_core.capture_files import file_hash, fingerprint, read_cameras, restore_capture, save_capture, write_cameras
 from hir_core.config import RunConfig, load_config
 from hir_core.context import StageContext
+from hir_core.determinism import determinism
 from hir_core.errors import CaptureError
 from hir_core.initialize import files_read, initialize
 from hir_core.manager import PluginManager
@@ -78,7 +79,7 @@ def reconstruct(
         config = load_config(plugins, preset, file, assignments, device=device, **overrides)
     found = resolve_device(config.device)
     find_reader(Path(capture), plugins, config.reader)  # before a folder is made for a capture that nobody can read
-    with claimed_run(run, resume) as directory:
+    with claimed_run(run, resume) as directory, determinism(config.deterministic):
         session = Session(config, plugins, directory, found, last, on_progress, on_message)
         with contextlib.suppress(StopRun):
             run_stages(Path(capture), session)
@@ -195,6 +196,7 @@ def reflectance_stage(scene: Scene, capture: Capture, session: Session) -> Scene
 def bake_stage(scene: Scene, capture: Capture, session: Session) -> Asset:
     """The asset in the place and scale of the capture's own files (+Y up), written to `scene/`."""
     from hir_exporters.environment import FIRST_VIEW_KEY
+    from hir_exporters.mesh_ply import decode_ply, encode_ply
     from hir_exporters.scene_files import load_scene, save_scene
 
     from hir_core.bake import bake
@@ -209,6 +211,8 @@ def bake_stage(scene: Scene, capture: Capture, session: Session) -> Asset:
         if scene.environment is not None and scene.environment.frame == "camera":
             facts[FIRST_VIEW_KEY] = capture.cameras[0].world_to_camera[:3, :3].T.tolist()
         asset = bake(move_scene(scene, asset_from_working(session)), name=name, provenance=facts)
+        # as mesh.ply gives it back (which counts v upwards): an export may not depend on whether the run was interrupted
+        asset = replace(asset, mesh=decode_ply(encode_ply(asset.mesh), "mesh.ply"))
         return asset, describe(asset)
 
     def save(asset: Asset, _: Path) -> None:

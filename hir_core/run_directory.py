@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any, Final
 
-from hir_exporters.atomic import write_text_atomic
+from hir_exporters.atomic import is_partial, remove_partials, write_text_atomic
 
 from hir_core.errors import InputError, StageError
 
@@ -156,7 +156,7 @@ def claimed_run(path: str | os.PathLike[str], resume: bool) -> Iterator[RunDirec
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder} is a file; give a folder for the run")
     if folder.is_dir():
-        entries = {entry.name for entry in folder.iterdir()} - {".lock"}
+        entries = {entry.name for entry in folder.iterdir() if not is_partial(entry)} - {".lock"}
         if "run.json" not in entries and entries - {"stages", "capture"}:
             raise InputError(f"{folder} holds {sorted(entries)[0]!r} and is not a run; choose an empty or new folder")
         if entries and not resume:
@@ -168,6 +168,7 @@ def claimed_run(path: str | os.PathLike[str], resume: bool) -> Iterator[RunDirec
         raise InputError(f"cannot write into {folder}: {error.strerror}; choose another folder") from error
     with stream:
         _lock(stream, folder)
+        remove_partials(folder)  # of a run that was killed
         yield RunDirectory(folder)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import random
 import shutil
 import time
 from collections.abc import Callable, Mapping
@@ -13,10 +12,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
-
 from hir_core.config import RunConfig
 from hir_core.context import StageContext
+from hir_core.determinism import seed_everything
 from hir_core.errors import ConfigError, InputError
 from hir_core.listener import Listener
 from hir_core.machine import describe_machine, peak_memory_bytes, versions
@@ -130,7 +128,7 @@ class Session:
             report=listener.report,
             warn=warn,
         )
-        seed_everything(self.config.seed, self.config.deterministic)
+        seed_everything(self.config.seed)
         started = time.perf_counter()
         value, report = compute(context)
         seconds = time.perf_counter() - started
@@ -169,19 +167,6 @@ class Session:
     def _say(self, sentence: str) -> None:
         if self.on_message is not None:
             self.on_message(sentence)
-
-
-def seed_everything(seed: int, deterministic: bool) -> None:
-    """The same random numbers for a stage whether the stages before it ran in this process or were read from disk."""
-    import torch
-
-    random.seed(seed)
-    np.random.seed(seed % (1 << 32))
-    torch.manual_seed(seed)
-    if deterministic:
-        torch.use_deterministic_algorithms(True, warn_only=True)
-        # atomics and reductions of several threads add in any order
-        torch.set_num_threads(1)
 
 
 def resolve_device(device: str) -> str:

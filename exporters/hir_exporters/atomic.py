@@ -94,6 +94,24 @@ def atomic_directory(path: str | os.PathLike[str]) -> Iterator[Path]:
         _flush_folder(destination.parent)
 
 
+def is_partial(path: Path) -> bool:
+    """Is it something that was being written when its process ended?"""
+    return path.name.startswith(_TEMPORARY_PREFIX)
+
+
+def remove_partials(folder: Path) -> int:
+    """Removes what a process that was killed left below a folder; only for a folder that nobody writes to. Returns how
+    many.
+    """
+    partials = sorted(folder.rglob(f"{_TEMPORARY_PREFIX}*"))
+    for partial in partials:
+        if partial.is_dir() and not partial.is_symlink():
+            shutil.rmtree(partial, ignore_errors=True)
+        else:
+            partial.unlink(missing_ok=True)
+    return len(partials)
+
+
 @contextlib.contextmanager
 def _named_errors(destination: Path) -> Iterator[None]:
     try:

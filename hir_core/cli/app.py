@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 import traceback
@@ -34,6 +35,7 @@ COMMANDS = {
 
 INPUT_ERROR = 2
 INTERRUPTED = 130
+INTERRUPTION = "hir: interrupted; a run continues where it was with --resume"
 
 
 class LazyGroup(click.Group):
@@ -84,7 +86,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if arguments is None and not verbose:
         warnings.simplefilter("ignore")  # libraries advising their programmers
     if arguments is None:
-        remember_interrupts()
+        remember_interrupts(_leave)
     try:
         code = cli.main(words, prog_name="hir", standalone_mode=False)
     except click.exceptions.Exit as stop:
@@ -101,12 +103,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         click.echo(f"hir: {error}", err=True)
         code = INPUT_ERROR
     except (KeyboardInterrupt, click.Abort):
-        click.echo("hir: interrupted; a run continues where it was with --resume", err=True)
         code = INTERRUPTED
         if arguments is None:  # a process of our own: tearing down compilers and thread pools takes seconds
-            sys.stdout.flush()
-            sys.stderr.flush()
-            os._exit(code)
+            _leave()
+        click.echo(INTERRUPTION, err=True)
     except BrokenPipeError:
         sys.stderr.close()  # the reader of our output has left; Python would complain while it shuts down
         code = 1
@@ -118,3 +118,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
         )
         code = 1
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _leave() -> None:
+    """Ends the process at once after Ctrl-C."""
+    click.echo(INTERRUPTION, err=True)
+    with contextlib.suppress(OSError):
+        sys.stdout.flush()
+        sys.stderr.flush()
+    os._exit(INTERRUPTED)

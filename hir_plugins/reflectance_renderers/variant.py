@@ -9,6 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
 
+from hir_core.determinism import asked
 from hir_core.errors import MissingExtraError
 
 
@@ -24,6 +25,10 @@ def mitsuba_on(device: str) -> ModuleType:
 
     if mi.variant() != variant:
         mi.set_variant(variant)
+    if asked():
+        import drjit
+
+        drjit.set_thread_count(1)  # gradients are sums by atomics, in any order
     return mi
 
 

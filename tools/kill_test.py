@@ -1,0 +1,176 @@
+"""Kills a small run with SIGKILL at random moments, resumes it, and compares every file with an unbroken run's.
+
+    python tools/kill_test.py [--kills 50] [--seed 0] [--kind cached|traced] [--keep FOLDER]
+
+One warm process imports everything and forks a child for each run, so that a kill costs seconds. Moments are drawn
+evenly over the length of a run, from a seed. Prints what was interrupted; exit code 1 if any file differs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import shutil
+import signal
+import sys
+import tempfile
+import time
+from collections import Counter
+from importlib import import_module
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+
+SMALL = {
+    "geometry.iterations": "15",
+    "geometry.levels": "2",
+    "geometry.triangles": "1200",
+    "geometry.photograph_iterations": "6",
+    "atlas.texture_size": "64",
+    "reflectance.environment_height": "8",
+    "reflectance.environment_width": "16",
+    "initializer.visual_hull.max_resolution": "40",
+    "reflectance_renderer.transport_ggx.steps": "24",
+    "reflectance_renderer.transport_ggx.cells": "300",
+    "reflectance_renderer.transport_ggx.vertices": "1500",
+    "reflectance_renderer.transport_ggx.samples": "4",
+    "export": '["glb", "usdz", "obj", "hdr"]',
+    "checkpoint_seconds": "0.05",
+}
+KINDS = {
+    "cached": {"reflectance.light_frame": "world", "reflectance.brdf": "dielectric"},
+    "traced": {
+        "reflectance.renderer": "mitsuba_ggx",
+        "reflectance.method": "gradient",
+        "reflectance.model": "specular",
+        "reflectance.iterations": "12",
+        "reflectance.batch_pixels": "1024",
+        "reflectance_renderer.mitsuba_ggx.samples": "4",
+        "reflectance_renderer.mitsuba_ggx.render_samples": "4",
+    },
+}
+"""The renderer on cached transport with its ladder of models; the path tracer with gradient steps."""
+
+WARM = (
+    "torch", "mitsuba", "open3d", "trimesh", "xatlas", "scipy.optimize", "hir_core.report_pictures",
+    "hir_plugins.initializers.visual_hull", "hir_plugins.geometry_renderers.contour",
+    "hir_plugins.reflectance_renderers.transport_ggx.renderer",
+)  # fmt: skip
+"""Imported once, before any child: none of it starts a thread."""
+
+CLOCKED = {"timings.json", "report.html", ".lock"}
+"""Files that tell seconds."""
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--kills", type=int, default=50)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--kind", choices=KINDS, default="cached")
+    parser.add_argument("--keep", type=Path, help="work here and leave everything")
+    options = parser.parse_args()
+    for module in WARM:
+        import_module(module)
+    with tempfile.TemporaryDirectory() as folder:
+        place = options.keep or Path(folder)
+        place.mkdir(parents=True, exist_ok=True)
+        return kill_and_resume(place, options.kills, options.seed, options.kind)
+
+
+def kill_and_resume(place: Path, kills: int, seed: int, kind: str) -> int:
+    """Prints a line for each kill; returns 0 if all runs ended with the files of the unbroken one, else 1."""
+    from tests.pipeline.conftest import make_tiny
+
+    capture = make_tiny(place / "capture", train=10, test=1)
+    started = time.monotonic()
+    if wait(start(capture, place / "whole", kind)) != 0:
+        print((place / "whole.log").read_text())
+        return 1
+    length = time.monotonic() - started
+    truth = final_files(place / "whole")
+    print(f"unbroken run: {length:.1f} s, {len(truth)} files, {sum(map(len, truth.values())) / 1e6:.1f} MB", flush=True)
+    draw = random.Random(seed)
+    same, where = 0, Counter()
+    for number in range(kills):
+        run = place / f"run-{number}"
+        moment = draw.uniform(0.0, length)
+        child = start(capture, run, kind)
+        time.sleep(moment)
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+        stage, kept = interrupted_in(run)
+        code = wait(start(capture, run, kind))
+        wrong = differences(truth, final_files(run)) if code == 0 else [f"exit code {code}: {last_line(run)}"]
+        left = [p.name for p in run.rglob(".hir-partial-*")] + [p.name for p in run.rglob("checkpoints")]
+        same += not wrong and not left
+        where[stage] += 1
+        verdict = "the same files" if not wrong and not left else f"DIFFERENT: {', '.join([*wrong, *left])}"
+        note = f" with {kept} states kept" if kept else ""
+        print(f"{number + 1:3}: killed at {moment:5.2f} s in {stage}{note}: {verdict}", flush=True)
+        shutil.rmtree(run)
+    print(f"{same} of {kills} the same; killed in: {', '.join(f'{k} {v}' for k, v in sorted(where.items()))}")
+    return 0 if same == kills else 1
+
+
+def start(capture: Path, run: Path, kind: str) -> int:
+    """A child process that does the run, resuming what is there; its id."""
+    child = os.fork()
+    if child:
+        return child
+    code = 1
+    try:
+        log = os.open(run.with_suffix(".log"), os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+        os.dup2(log, 1)
+        os.dup2(log, 2)
+        from hir_core.pipeline import reconstruct
+
+        settings = [f"{key}={value}" for key, value in (SMALL | KINDS[kind]).items()]
+        reconstruct(capture, run, assignments=settings, device="cpu", deterministic=True, resume=True, on_message=print)
+        code = 0
+    except BaseException:
+        import traceback
+
+        traceback.print_exc()
+    finally:
+        sys.stdout.flush()
+        os._exit(code)
+
+
+def wait(child: int) -> int:
+    """Exit code of a child; 128 + the signal that ended it."""
+    _, status = os.waitpid(child, 0)
+    return os.waitstatus_to_exitcode(status) if os.WIFEXITED(status) else 128 + os.WTERMSIG(status)
+
+
+def final_files(run: Path) -> dict[str, bytes]:
+    """What a run leaves, without the files that tell seconds."""
+    return {str(p.relative_to(run)): p.read_bytes() for p in run.rglob("*") if p.is_file() and p.name not in CLOCKED}
+
+
+def differences(truth: dict[str, bytes], found: dict[str, bytes]) -> list[str]:
+    """Names of files that are missing, new or of other bytes."""
+    return sorted(name for name in truth.keys() | found.keys() if truth.get(name) != found.get(name))
+
+
+def interrupted_in(run: Path) -> tuple[str, int]:
+    """The stage under way and the number of states that it has kept."""
+    kept = len(list(run.rglob("work/checkpoints/*.npz"))) if run.exists() else 0
+    ended = False
+    for record in sorted(run.glob("stages/*/stage.json")):
+        ended = json.loads(record.read_text())["finished"]
+        if not ended:
+            return record.parent.name, kept
+    return ("report or export" if ended and (run / "stages" / "6-export").exists() else "between stages"), kept
+
+
+def last_line(run: Path) -> str:
+    """The end of a run's log."""
+    lines = run.with_suffix(".log").read_text().strip().splitlines()
+    return lines[-1] if lines else ""
+
+
+if __name__ == "__main__":
+    sys.exit(main())
