@@ -25,11 +25,12 @@ def initialize(
 
     The report holds `working_from_asset`, 4×4: the asset's frame is the one that the initializers ended in.
     """
+    scene: Scene | None = None
+    capture = _apply_masks(capture, scene, config, context, with_cameras=False)
+    # after the masks: what a capture still lacks without them decides on the chain
     chain = _chain(capture, config, context)
     report: dict[str, Any] = {"initializers": chain}
     details: dict[str, Any] = {}
-    scene: Scene | None = None
-    capture = _apply_masks(capture, scene, config, context, with_cameras=False)
     masked = False
     for i, name in enumerate(chain):
         if not masked and capture.views and all(view.camera is not None for view in capture.views):

@@ -22,6 +22,8 @@ class VisualHullOptions:
     """Leave out masks that cut away what nearly all others keep, and say which."""
     min_component: float = 0.02
     """Pieces with less than this share of the largest piece's area are dropped."""
+    edge_pixels: float = 2.5
+    """Length of the mesh's edges in pixels at the object's distance; 0 leaves the triangles as they were extracted."""
     vertex_colors: bool = True
     """Colour the vertices from the photographs that see them."""
 
@@ -48,6 +50,9 @@ class MeshFileOptions:
 class ColmapOptions:
     """How cameras are found."""
 
+    known_cameras: Literal["triangulate", "solve"] = "triangulate"
+    """What becomes of a capture whose photographs all have cameras: `triangulate` keeps them and finds the points that
+    they see, `solve` finds the cameras anew."""
     max_image_size: int = 1600
     """Photographs are made a whole number of times smaller until their longer side is not above this."""
     max_features: int = 4096
@@ -72,7 +77,15 @@ class ColmapOptions:
     enough: float = 0.9
     """Share of the photographs in one piece with which an attempt counts as good."""
     size: float = 1.0
-    """Length of the object's longest side, in metres, in the world that is made."""
+    """Length of the object's longest side, in metres, where neither a scale bar nor the photographs' GPS tells it."""
+    scale_bar: str = ""
+    """A text file that marks the two ends of a known length in photographs, a line each: `photograph end x y`, such as
+    `IMG_0012 a 811.5 402`; `end` is a or b, x and y pixels from the picture's left upper corner, two photographs or
+    more for either end. The path is relative to the capture."""
+    scale_bar_length: float = 0.0
+    """Distance of the two ends in metres."""
+    gps: bool = True
+    """Take the scale from the photographs' GPS where it is known to 5 % from it: drones and buildings, not tables."""
     threads: int = -1
     """-1 for all."""
     seed: int = 0
@@ -97,13 +110,16 @@ class StereoOptions:
     """Neighbours that must confirm a depth."""
     judge: bool = True
     """Undo what was carved out of the hull where photographs do not match better along the new surface."""
-    surface: Literal["auto", "hull", "poisson"] = "auto"
+    surface: Literal["auto", "hull", "poisson", "tsdf"] = "auto"
     """`hull` carves the measured depths out of the surface that an earlier initializer made, or out of the visual hull;
-    `poisson` fits a surface to the points alone; `auto` takes `hull` where there are masks or a surface."""
+    `poisson` fits a closed surface to the points alone, `tsdf` an open one to the depths; `auto` takes `hull` where
+    there are masks or a surface, else `poisson`."""
     pixels_per_voxel: float = 2.0
     """Side of a voxel in pixels of the photographs, at the object's distance."""
     max_resolution: int = 256
     """Most voxels along the longest side of the object's box, 16 to 1024."""
+    edge_pixels: float = 2.5
+    """Length of the mesh's edges in pixels at the object's distance; 0 leaves the triangles as they were extracted."""
     vertex_colors: bool = True
     """Colour the vertices from the photographs that see them."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
@@ -120,5 +136,7 @@ class PoissonOptions:
     """Share of the vertices with the fewest points around them that is cut off; 0 keeps the surface closed."""
     min_component: float = 0.05
     """Pieces with less than this share of the largest piece's area are dropped."""
+    edge_pixels: float = 2.5
+    """Length of the mesh's edges in pixels at the object's distance; 0 leaves the triangles as they were extracted."""
     vertex_colors: bool = True
     """Colour the vertices from the photographs that see them."""

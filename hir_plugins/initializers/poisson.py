@@ -14,6 +14,7 @@ from hir_core.capture import Array, Capture, OrientedPoints
 from hir_core.errors import CaptureError
 from hir_core.interfaces import Initializer
 from hir_core.scene import Scene
+from hir_plugins.initializers.cleaning import cleaned, edge_length
 from hir_plugins.initializers.options import PoissonOptions
 from hir_plugins.initializers.surface import keep_large_components
 from hir_plugins.initializers.visual_hull import make_scene
@@ -34,6 +35,8 @@ class Poisson(Initializer):
             raise CaptureError(f"{capture.path}: poisson needs oriented points; run stereo before, such as: "
                                "--set 'initializers=[\"colmap\", \"stereo\", \"poisson\"]'")  # fmt: skip
         positions, faces = poisson_surface(points, self._config)
+        edge = edge_length(capture, positions, self._config.edge_pixels)
+        positions, faces = cleaned(positions, faces, edge, self._config.min_component)
         return capture, make_scene(positions, faces, capture, self._config.vertex_colors)
 
 

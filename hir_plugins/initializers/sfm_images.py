@@ -11,7 +11,7 @@ from hir_exporters.atomic import atomic_path
 from hir_exporters.conventions import linear_to_srgb
 from numpy.typing import NDArray
 
-from hir_core.capture import Pixels, View
+from hir_core.capture import Camera, Pixels, View
 from hir_plugins.readers.exif import CameraRecord, camera_record
 
 _MASK_MARGIN = 0.01
@@ -32,6 +32,8 @@ class SfmImage:
     factor: int
     """How many times smaller it is than the photograph."""
     record: CameraRecord
+    parameters: tuple[float, ...] = ()
+    """fx, fy, cx, cy in pixels of this picture, where its camera is known and the picture is straight."""
 
     @property
     def focal(self) -> float:
@@ -39,18 +41,18 @@ class SfmImage:
         return (self.record.focal_over_width or _DEFAULT_FOCAL) * max(self.width, self.height)
 
 
-def write_images(views: Sequence[View], folder: Path, max_size: int) -> tuple[list[SfmImage], bool]:
+def write_images(views: Sequence[View], folder: Path, max_size: int, known: bool) -> tuple[list[SfmImage], bool]:
     """Writes `folder`/images and, where views have masks, `folder`/masks; files that are there already stay.
 
-    Returns the pictures, and whether all of them have masks.
+    Where cameras are `known` the pictures are straightened. Returns the pictures, and whether all have masks.
     """
     images: list[SfmImage] = []
     masked = True
     for index, view in enumerate(views):
         file = f"{index:05d}.jpg"
         target, mask_target = folder / "images" / file, folder / "masks" / f"{file}.png"
-        # the lens is what is to be found: the picture as it was taken
-        pixels = view.read()
+        # else the lens is what is to be found: the picture as it was taken
+        pixels = view.pixels() if known else view.read()
         height, width = pixels.color_linear.shape[:2]
         factor = -(-max(width, height) // max_size)
         mask = view.mask if view.mask is not None else pixels.mask
@@ -60,7 +62,8 @@ def write_images(views: Sequence[View], folder: Path, max_size: int) -> tuple[li
         if mask is not None and not mask_target.is_file():
             _write_mask(mask_target, mask, factor)
         record = camera_record(view.path) if view.path is not None else CameraRecord()
-        images.append(SfmImage(index, file, width // factor, height // factor, factor, record))
+        parameters = _pinhole(view.camera.downsampled(factor)) if known and view.camera is not None else ()
+        images.append(SfmImage(index, file, width // factor, height // factor, factor, record, parameters))
     return images, masked and bool(images)
 
 
@@ -68,13 +71,18 @@ def camera_groups(images: Sequence[SfmImage], mode: str) -> list[list[SfmImage]]
     """Pictures that one camera took: of one size, model and focal length (`auto`), all of one size, or each alone."""
     groups: dict[object, list[SfmImage]] = {}
     for image in images:
-        key: object = (image.width, image.height)
+        key: object = (image.width, image.height, image.parameters)
         if mode == "auto":
             key = (key, image.record.model, round(image.record.focal_over_width, 4))
         elif mode == "each":
             key = image.file
         groups.setdefault(key, []).append(image)
     return list(groups.values())
+
+
+def _pinhole(camera: Camera) -> tuple[float, ...]:
+    k = camera.intrinsics
+    return float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2])
 
 
 def _write(target: Path, pixels: Pixels, factor: int) -> None:

@@ -19,6 +19,7 @@ from hir_core.errors import CaptureError, StageError
 from hir_core.interfaces import Initializer
 from hir_core.scene import Scene
 from hir_plugins.initializers.carving import Volume
+from hir_plugins.initializers.cleaning import cleaned, edge_length, pixel_size
 from hir_plugins.initializers.depth_agreement import DepthMap, believed, oriented_points
 from hir_plugins.initializers.depth_fusion import Verdict, carved, judged, volume_of
 from hir_plugins.initializers.object_ball import object_ball
@@ -27,6 +28,7 @@ from hir_plugins.initializers.poisson import poisson_surface
 from hir_plugins.initializers.surface import extract_surface, keep_large_components
 from hir_plugins.initializers.surface_sweep import Sweep, SweptView, inverse_depth_step, sweep
 from hir_plugins.initializers.swept_photographs import Surface, neighbours, photograph
+from hir_plugins.initializers.tsdf import tsdf_surface
 from hir_plugins.initializers.visual_hull import hull_volume, make_scene
 
 _REFINE = (12, 6)
@@ -34,6 +36,9 @@ _REFINE = (12, 6)
 
 _JUDGES = 4
 """Neighbours that judge the result and had no part in it, beside those that had."""
+
+_MIN_COMPONENT = 0.02
+"""Pieces with less than this share of the largest piece's area are dropped."""
 
 Mesh = tuple[Array, NDArray[np.int64]]
 
@@ -68,8 +73,9 @@ class Stereo(Initializer):
         if len(cameras) < 3:
             raise CaptureError(f"{capture.path}: stereo needs at least three photographs, there are {len(cameras)}")
         masked = sum(view.pixels().mask is not None for view in capture.views)
+        # also where the depths alone make the surface: inside of a hull they are measured better than in a ball
         carve = self._config.surface == "hull" or (
-            self._config.surface == "auto" and (masked >= 2 or scene is not None)
+            self._config.surface in ("auto", "tsdf") and (masked >= 2 or scene is not None)
         )
         volume = _volume(capture, scene, self._config) if carve else None
         measured = measure(capture, volume, self._config)
@@ -82,14 +88,26 @@ class Stereo(Initializer):
             return capture, scene
         solved = replace(capture, points=measured.points)
         self._report["points"] = len(measured.points.positions)
+        if self._config.surface == "tsdf":
+            voxel = self._config.pixels_per_voxel * pixel_size(capture.cameras, measured.points.positions.mean(axis=0))
+            return solved, self._finished(*tsdf_surface(measured.maps, voxel), capture, "tsdf", voxel)
         if measured.mesh is None:
             mesh = poisson_surface(measured.points, PoissonOptions())
-            return solved, make_scene(*mesh, capture, self._config.vertex_colors)
+            return solved, self._finished(*mesh, capture, "poisson")
         if measured.verdict is not None:
             self._report |= {"carved_share": round(measured.verdict.removed, 5),
                              "confirmed_share": round(measured.verdict.kept, 4),
                              "correlation_gain": round(measured.verdict.gain, 4)}  # fmt: skip
-        return solved, make_scene(*measured.mesh, capture, self._config.vertex_colors)
+        spacing = 0.0 if volume is None else volume.spacing
+        return solved, self._finished(*measured.mesh, capture, "hull and depths", spacing)
+
+    def _finished(
+        self, positions: Array, faces: NDArray[np.int64], capture: Capture, surface: str, spacing: float = 0.0
+    ) -> Scene:
+        self._report["surface"] = surface
+        edge = edge_length(capture, positions, self._config.edge_pixels, spacing)
+        positions, faces = cleaned(positions, faces, edge, _MIN_COMPONENT)
+        return make_scene(positions, faces, capture, self._config.vertex_colors)
 
     def report(self) -> Mapping[str, Any]:
         """Which method ran where, and what came of it."""
@@ -102,7 +120,7 @@ def measure(capture: Capture, volume: Volume | None, options: StereoOptions) -> 
     Without a volume the sweep starts at the front of a ball around what the photographs are about.
     """
     device = _device(options)
-    front = keep_large_components(*extract_surface(volume), min_share=0.02) if volume is not None else None
+    front = keep_large_components(*extract_surface(volume), min_share=_MIN_COMPONENT) if volume is not None else None
     center, radius = object_ball(capture) if front is None else _ball_of(front[0])
     if front is None:
         front = _sphere(center, 1.05 * radius)
@@ -130,16 +148,16 @@ def measure(capture: Capture, volume: Volume | None, options: StereoOptions) -> 
                 dense = [inverse for inverse, _ in found]
                 continue
             result = carved(volume, maps, min_weight=1.0)
-            mesh = keep_large_components(*extract_surface(result), min_share=0.02)
+            mesh = keep_large_components(*extract_surface(result), min_share=_MIN_COMPONENT)
             current = Surface(*mesh)
             if options.judge:
                 seen = [p.at(2**level, current, bound, device) for p in photographs]
                 more = neighbours([p.camera for p in photographs], center, options.neighbours + _JUDGES)
                 verdict = judged(volume, result, seen, more, options.window, _steps(seen, more, center))
-                mesh = keep_large_components(*extract_surface(verdict.volume), min_share=0.02)
+                mesh = keep_large_components(*extract_surface(verdict.volume), min_share=_MIN_COMPONENT)
                 current = Surface(*mesh)
-    pixels = [np.linalg.norm(p.camera.center - center) / p.camera.intrinsics[0, 0] for p in photographs]
-    points = oriented_points(maps, [p.color_linear for p in photographs], 1.5 * float(np.median(pixels)))
+    apart = 1.5 * pixel_size([p.camera for p in photographs], center)
+    points = oriented_points(maps, [p.color_linear for p in photographs], apart)
     return Measured(maps, points, mesh, verdict)
 
 
@@ -177,9 +195,8 @@ def _volume(capture: Capture, scene: Scene | None, options: StereoOptions) -> Vo
     positions = scene.mesh.positions.detach().cpu().numpy().astype(np.float64)
     faces = scene.mesh.faces.cpu().numpy()
     middle = 0.5 * (positions.min(axis=0) + positions.max(axis=0))
-    pixels = [np.linalg.norm(c.center - middle) / c.intrinsics[0, 0] for c in capture.cameras]
     extent = float(np.ptp(positions, axis=0).max())
-    spacing = max(options.pixels_per_voxel * float(np.median(pixels)), extent / options.max_resolution)
+    spacing = max(options.pixels_per_voxel * pixel_size(capture.cameras, middle), extent / options.max_resolution)
     return volume_of(Surface(positions, faces), positions, spacing)
 
 

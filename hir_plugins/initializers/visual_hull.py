@@ -15,6 +15,7 @@ from hir_core.errors import CaptureError
 from hir_core.interfaces import Initializer
 from hir_core.scene import Mesh, Scene, Topology
 from hir_plugins.initializers.carving import Carver, Volume, carve
+from hir_plugins.initializers.cleaning import cleaned, edge_length
 from hir_plugins.initializers.options import VisualHullOptions
 from hir_plugins.initializers.silhouette_fields import silhouette_fields, working_downsample
 from hir_plugins.initializers.surface import extract_surface, keep_large_components
@@ -31,8 +32,10 @@ class VisualHull(Initializer):
     def initialize(self, capture: Capture, scene: Scene | None, workspace: Path) -> tuple[Capture, Scene | None]:
         """The capture as it is, and the hull. Fewer than two masks with cameras raise `CaptureError`."""
         del scene, workspace
-        positions, faces = extract_surface(hull_volume(capture, self._config))
-        positions, faces = keep_large_components(positions, faces, self._config.min_component)
+        volume = hull_volume(capture, self._config)
+        positions, faces = keep_large_components(*extract_surface(volume), self._config.min_component)
+        edge = edge_length(capture, positions, self._config.edge_pixels, volume.spacing)
+        positions, faces = cleaned(positions, faces, edge, self._config.min_component)
         return capture, make_scene(positions, faces, capture, self._config.vertex_colors)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, final
 
 import numpy as np
@@ -29,6 +30,8 @@ class GrabCut(MaskSource):
 
     def masks(self, capture: Capture, scene: Scene | None) -> list[NDArray[np.float32] | None]:
         """One mask for each view; captures without cameras or points are a `CaptureError`."""
+        import cv2
+
         del scene
         points, center, radius = object_points(capture)
         factors = [self._factor(camera) for camera in capture.cameras]
@@ -39,10 +42,12 @@ class GrabCut(MaskSource):
         # what starts as object teaches its colours: no more than closes the gaps between points
         likely = [splat(points, camera, min(spacing, 0.5 * self._config.margin * radius)) for camera in cameras]
         outer = [splat(points, camera, self._config.margin * radius) for camera in cameras]
-        masks = [cut(*seeds) for seeds in zip(images, sure, likely, outer, strict=True)]
-        for _ in range(self._config.rounds):
-            body = agreed_region(masks, cameras, center, 1.6 * radius, self._config.agreement)
-            masks = [_again(*seeds) for seeds in zip(images, sure, body, strict=True)]
+        # OpenCV lets go of the interpreter while it cuts, and cuts on one core
+        with ThreadPoolExecutor(max_workers=max(1, cv2.getNumThreads())) as pool:
+            masks = list(pool.map(cut, images, sure, likely, outer))
+            for _ in range(self._config.rounds):
+                body = agreed_region(masks, cameras, center, 1.6 * radius, self._config.agreement)
+                masks = list(pool.map(_again, images, sure, body))
         return [
             refine(view.pixels().color_linear, mask, factor)
             for view, mask, factor in zip(capture.views, masks, factors, strict=True)

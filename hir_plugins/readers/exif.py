@@ -10,6 +10,7 @@ from typing import Any
 _FOCAL_LENGTH, _FOCAL_35MM = 0x920A, 0xA405
 _PIXELS_ACROSS, _PLANE_RESOLUTION, _PLANE_UNIT = 0xA002, 0xA20E, 0xA210
 _MODEL, _EXIF, _FLASH = 0x0110, 0x8769, 0x9209
+_GPS = 0x8825
 _UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
 
 
@@ -36,6 +37,23 @@ def camera_record(path: Path) -> CameraRecord:
         return CameraRecord()
     flash = table.get(_FLASH)
     return CameraRecord(model, _focal_over_width(table), bool(flash & 1) if isinstance(flash, int) else None)
+
+
+def gps_position(path: Path) -> tuple[float, float, float] | None:
+    """Latitude and longitude in degrees and height in metres that a photograph records; None where it does not."""
+    from PIL import Image
+
+    try:
+        with Image.open(path) as image:
+            table = dict(image.getexif().get_ifd(_GPS))
+        degrees = [sum(float(part) / 60**i for i, part in enumerate(table[key])) for key in (2, 4)]
+        height = float(table.get(6, 0.0)) * (-1 if table.get(5) in (1, b"\x01") else 1)
+        south, west = str(table.get(1, "N")).upper().startswith("S"), str(table.get(3, "E")).upper().startswith("W")
+    except Exception:  # as above: a broken record only costs the place
+        return None
+    latitude, longitude = (-degrees[0] if south else degrees[0]), (-degrees[1] if west else degrees[1])
+    known = all(map(math.isfinite, (latitude, longitude, height))) and (latitude, longitude) != (0.0, 0.0)
+    return (latitude, longitude, height) if known and abs(latitude) <= 90 and abs(longitude) <= 180 else None
 
 
 def _focal_over_width(table: dict[int, Any]) -> float:

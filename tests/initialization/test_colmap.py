@@ -119,6 +119,43 @@ def test_what_cannot_be_solved_is_one_sentence(arc: tuple[Capture, list[Camera]]
         )
 
 
+@pytest.fixture(scope="module")
+def posed(arc: tuple[Capture, list[Camera]]) -> Capture:
+    views = [replace(v, camera=c) for v, c in zip(arc[0].views, arc[1], strict=True)]
+    return replace(arc[0], views=tuple(views))
+
+
+def test_known_cameras_are_kept_and_their_points_lie_on_the_walls(posed: Capture, tmp_path: Path) -> None:
+    colmap = Colmap(ColmapOptions(threads=1))
+    found, _ = colmap.initialize(posed, None, tmp_path)
+    assert colmap.report()["cameras"] == "kept as given"
+    for before, after in zip(posed.cameras, found.cameras, strict=True):
+        np.testing.assert_array_equal(before.world_to_camera, after.world_to_camera)
+    assert found.points is not None and len(found.points.positions) > 100
+    far = np.abs(found.points.positions).max(axis=1)
+    assert np.median(np.minimum(np.abs(far - 0.6), np.abs(far - 3))) < 0.01
+
+
+def test_cameras_solved_anew_keep_the_way_to_the_files_world(posed: Capture, tmp_path: Path) -> None:
+    crooked = [replace(v, camera=replace(v.camera, intrinsics=v.camera.intrinsics * [[1.1], [1.1], [1.0]]))
+               for v in posed.views if v.camera is not None]  # fmt: skip
+    options = ColmapOptions(threads=1, focal_length=310.0, known_cameras="solve")
+    found, _ = Colmap(options).initialize(replace(posed, views=tuple(crooked)), None, tmp_path)
+    assert all(abs(c.intrinsics[0, 0] - 300) < 6 for c in found.cameras)
+    centers = np.array([c.center for c in posed.cameras]) @ found.world_from_source[:3, :3].T
+    np.testing.assert_allclose(centers + found.world_from_source[:3, 3], [c.center for c in found.cameras], atol=0.02)
+
+
+@pytest.mark.parametrize("mapper,matching", [("global", "exhaustive"), ("incremental", "vocabulary")])
+def test_other_ways_of_matching_and_mapping(
+    arc: tuple[Capture, list[Camera]], tmp_path: Path, mapper: str, matching: str
+) -> None:
+    options = ColmapOptions(threads=1, focal_length=300.0, mapper=mapper, matching=matching)  # type: ignore[arg-type]
+    solved, _ = Colmap(options).initialize(arc[0], None, tmp_path)
+    turns, places = aligned([c.world_to_camera for c in solved.cameras], [c.world_to_camera for c in arc[1]])
+    assert turns.max() < 0.5 and places.max() < 0.03
+
+
 @pytest.mark.slow
 def test_the_skull(shared: Path, tmp_path: Path) -> None:
     folder = shared / "photos" / "skull"
