@@ -13,7 +13,7 @@ from hir_exporters.conventions import linear_to_srgb
 from hir_exporters.images import write_png
 from hir_exporters.scene_files import load_scene
 
-from hir_core.evaluate import Truth, difference_picture, masked_pixels, split_in_working_frame
+from hir_core.evaluation import Truth, difference_picture, masked_pixels, split_in_working_frame, spread
 from hir_core.export import file_stem
 from hir_core.metrics import OBJECT_COVERAGE, Image, composite, psnr, unassociate
 from hir_core.reference import open_for_rendering, reference_renderer, render_view
@@ -47,12 +47,6 @@ def write_pictures(
         for name, picture in asset_pictures(directory.scene).items():
             write_png(place / f"{name}.png", picture)
     return shown
-
-
-def spread(count: int, wanted: int) -> list[int]:
-    """At most `wanted` numbers of range(count), evenly apart from first to last."""
-    shown = min(count, wanted)
-    return sorted({round(i * (count - 1) / max(shown - 1, 1)) for i in range(shown)})
 
 
 def asset_pictures(scene: Path) -> dict[str, Image]:

@@ -16,6 +16,12 @@ from hir_core.errors import InputError
 @click.argument("paths", nargs=-1, required=True, type=FOLDER, metavar="RUN... [CAPTURE]")
 @click.option("--split", default="test", show_default=True, help="The views to compare with.")
 @click.option("--relight", default="", metavar="FILE[*STRENGTH]", help="A lat-long light, in the capture's axes.")
+@click.option("--views", type=click.IntRange(min=0), default=0, help="At most so many views, spread over the split.")
+@click.option("--truth", is_flag=True, help="Compare mesh, albedo and light too, where the capture holds true ones.")
+@click.option("--mesh", type=FOLDER, metavar="FILE", help="The true mesh, in the axes of the capture's files.")
+@click.option(
+    "--albedo", default="", metavar="SPLIT", help="A split of the capture that shows the true diffuse albedo."
+)
 @click.option("--renderer", default="", metavar="NAME", help="The reference renderer unless another is named.")
 @click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Such as render_samples=256.")
 @click.option("--device", type=click.Choice(["auto", "cpu", "cuda"]), default="auto", show_default=True)
@@ -27,6 +33,10 @@ def evaluate_command(
     paths: tuple[Path, ...],
     split: str,
     relight: str,
+    views: int,
+    truth: bool,
+    mesh: Path | None,
+    albedo: str,
     renderer: str,
     assignments: tuple[str, ...],
     device: str,
@@ -36,7 +46,7 @@ def evaluate_command(
     quiet: bool,
     verbose: bool,
 ) -> None:
-    """Compares runs with photographs they never saw: PSNR, SSIM, LPIPS; relit where the split has another light.
+    """Compares runs with photographs they never saw: PSNR, SSIM, LPIPS, FLIP; relit where the split has another light.
 
     A RUN is a folder with run.json. CAPTURE, given last, defaults to each run's own.
     """
@@ -49,13 +59,15 @@ def evaluate_command(
     for assignment in assignments:
         assign(options, assignment)
     plugins = PluginManager.discover(plugin_files)
-    from hir_core.evaluate import Question, evaluate_run
+    from hir_core.evaluation import Question, evaluate_run
     from hir_core.progress import Progress
     from hir_core.report import refresh_page
     from hir_core.run_directory import open_run
     from hir_core.session import resolve_device
 
-    question = Question(split, capture, relight, renderer, options, resolve_device(device), download)
+    question = Question(
+        split, capture, relight, renderer, options, resolve_device(device), download, mesh, albedo, views, truth
+    )
     results = []
     with ProgressBar(quiet=quiet or as_json) as bar:
         for run in runs:
@@ -86,24 +98,89 @@ def sort_paths(paths: tuple[Path, ...]) -> tuple[list[Path], Path | None]:
 
 
 def print_table(results: list[dict[str, Any]]) -> None:
-    """One row for each run."""
+    """One row for each run; then the conventions of Stanford-ORB, and what was compared with the truth."""
     from rich.console import Console
+
+    console = Console(highlight=False)
+    console.print(table_of(results, PICTURES))
+    for key, columns in FURTHER.items():
+        if any(key in r for r in results):
+            console.print()
+            console.print(table_of([r for r in results if key in r], columns))
+    for sentence in dict.fromkeys(r["lpips_missing"] for r in results if r["lpips_missing"]):
+        console.print(sentence, markup=False)
+
+
+Columns = tuple[tuple[str, str, int, bool], ...]
+"""Heading, dotted place in the result, digits, whether more is better."""
+
+PICTURES: Columns = (
+    ("PSNR frame", "psnr.frame", 2, True),
+    ("object", "psnr.object", 2, True),
+    ("scaled frame", "psnr_scaled.frame", 2, True),
+    ("object", "psnr_scaled.object", 2, True),
+    ("SSIM", "ssim", 4, True),
+    ("LPIPS", "lpips", 4, False),
+    ("FLIP", "flip", 4, False),
+    ("mask IoU", "iou", 4, True),
+)
+
+FURTHER: dict[str, Columns] = {
+    "stanford_orb": (
+        ("Stanford-ORB: PSNR-H", "stanford_orb.psnr_h", 2, True),
+        ("PSNR-L", "stanford_orb.psnr_l", 2, True),
+        ("SSIM", "stanford_orb.ssim", 4, True),
+        ("LPIPS", "stanford_orb.lpips", 4, False),
+    ),
+    "surface": (
+        ("Chamfer, radii", "surface.chamfer", 5, False),
+        ("accuracy", "surface.accuracy", 5, False),
+        ("completeness", "surface.completeness", 5, False),
+        ("seen Chamfer", "surface.seen.chamfer", 5, False),
+        ("F at .005", "surface.seen.f_score.0|005", 4, True),
+        ("normals, °", "surface.seen.normal_error_deg", 2, False),
+    ),
+    "albedo": (
+        ("albedo PSNR", "albedo.psnr", 2, True),
+        ("scaled", "albedo.psnr_scaled", 2, True),
+        ("ORB", "albedo.stanford_orb_psnr", 2, True),
+    ),
+    "light_error": (
+        ("light, texels", "light_error.texels", 3, False),
+        ("mirror ball", "light_error.spheres.mirror", 3, False),
+        ("silver", "light_error.spheres.silver", 3, False),
+        ("diffuse", "light_error.spheres.diffuse", 3, False),
+        ("colour, °", "light_error.angular_deg.diffuse", 2, False),
+    ),
+}
+
+
+def table_of(results: list[dict[str, Any]], columns: Columns) -> Any:
+    """Rows of runs, with the best of each column in bold where there are several."""
     from rich.table import Table
 
     table = Table(box=None, padding=(0, 2, 0, 0))
-    for heading in ("run", "split", "PSNR frame", "object", "scaled frame", "object", "SSIM", "LPIPS"):
-        table.add_column(heading, justify="left" if heading in ("run", "split") else "right")
+    for heading in ("run", "split"):
+        table.add_column(heading, overflow="fold")
+    for heading, *_ in columns:
+        table.add_column(heading, justify="right", overflow="fold")
+    best = {}
+    for _, place, digits, more in columns:
+        values = [round(v, digits) for r in results if (v := value_at(r, place)) is not None]
+        best[place] = (max if more else min)(values) if len(values) > 1 else None
     for r in results:
-        cells = [
-            *(r[key][part] for key in ("psnr", "psnr_scaled") for part in ("frame", "object")),
-            r["ssim"],
-            r["lpips"],
-        ]
-        digits = (2, 2, 2, 2, 4, 4)
-        table.add_row(
-            r["run"], r["split"], *("–" if c is None else f"{c:.{d}f}" for c, d in zip(cells, digits, strict=True))
-        )
-    console = Console(highlight=False)
-    console.print(table)
-    for sentence in dict.fromkeys(r["lpips_missing"] for r in results if r["lpips_missing"]):
-        console.print(sentence, markup=False)
+        cells = []
+        for _, place, digits, _ in columns:
+            value = value_at(r, place)
+            text = "–" if value is None else f"{value:.{digits}f}"
+            cells.append(f"[bold]{text}[/bold]" if value is not None and round(value, digits) == best[place] else text)
+        table.add_row(Path(r["run"]).name, r["split"], *cells)
+    return table
+
+
+def value_at(result: dict[str, Any], place: str) -> float | None:
+    """The number at `a.b.c` of nested tables; `|` stands for a point inside a name."""
+    found: Any = result
+    for part in place.split("."):
+        found = found.get(part.replace("|", ".")) if isinstance(found, dict) else None
+    return found if isinstance(found, float | int) else None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +10,7 @@ from hir_exporters.conventions import linear_to_srgb
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from hir_core import metrics
+from hir_core.metrics import perceptual
 
 
 @pytest.fixture
@@ -106,10 +106,10 @@ def test_channel_scale_is_the_least_squares_one() -> None:
 
 
 def test_missing_lpips_weights_are_said_and_nothing_is_fetched(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: name)
-    monkeypatch.setattr(metrics, "backbone_weights", lambda: tmp_path / "alexnet.pth")
-    monkeypatch.setattr(metrics, "_load_lpips", lambda: pytest.fail("the network was asked for"))
-    found, why = metrics.find_lpips()
+    monkeypatch.setattr(perceptual, "find_spec", lambda name: name)
+    monkeypatch.setattr(perceptual, "backbone_weights", lambda network: tmp_path / "alexnet.pth")
+    monkeypatch.setattr(perceptual, "_load_lpips", lambda network: pytest.fail("the network was asked for"))
+    found, why = perceptual.find_lpips()
     assert found is None
     assert f"weights are not at {tmp_path}" in why and "--download" in why
 
@@ -122,15 +122,39 @@ def test_weights_are_looked_for_where_torch_keeps_them(monkeypatch: pytest.Monke
     except (ImportError, RuntimeError) as error:
         pytest.skip(f"no torchvision that fits torch, pip install 'hir[evaluate]': {error}")
     monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path))
-    assert metrics.backbone_weights().parent == tmp_path / "checkpoints"
+    assert perceptual.backbone_weights().parent == tmp_path / "checkpoints"
 
 
 def test_an_installation_that_breaks_lpips_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken() -> Path:
+    def broken(network: str) -> Path:
         raise RuntimeError("operator torchvision::nms does not exist")
 
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: name)
-    monkeypatch.setattr(metrics, "backbone_weights", broken)
-    found, why = metrics.find_lpips()
+    monkeypatch.setattr(perceptual, "find_spec", lambda name: name)
+    monkeypatch.setattr(perceptual, "backbone_weights", broken)
+    found, why = perceptual.find_lpips()
     assert found is None
     assert "cannot be loaded (RuntimeError: operator torchvision::nms" in why
+
+
+def test_flip_is_that_of_its_authors_with_the_reference_first(pictures: tuple[np.ndarray, np.ndarray]) -> None:
+    flip_evaluator = pytest.importorskip("flip_evaluator", reason="pip install 'hir[evaluate]'")
+    fit, truth = pictures
+    flip, why = perceptual.find_flip()
+    assert flip is not None and why == ""
+    _, expected, _ = flip_evaluator.evaluate(truth, fit, "LDR")
+    assert flip(fit, truth) == pytest.approx(expected, abs=1e-7) and expected > 0.01
+    assert flip(truth, truth) == 0
+    assert metrics.compare(fit, truth, np.ones(truth.shape[:2], np.float32), flip=flip).flip == flip(fit, truth)
+
+
+def test_missing_flip_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(perceptual, "find_spec", lambda name: None)
+    found, why = perceptual.find_flip()
+    assert found is None and "pip install 'hir[evaluate]'" in why
+
+
+def test_mask_iou_counts_pixels() -> None:
+    ours, theirs = np.zeros((2, 10, 10), np.float32)
+    ours[:6], theirs[4:] = 1.0, 0.9
+    assert metrics.mask_iou(ours, theirs) == pytest.approx(20 / 100)
+    assert metrics.mask_iou(ours * 0.4, theirs * 0.4) is None, "half or less is outside"

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from hir_core.curves import curve_svg, thinned
+from hir_core.evaluation import spread
 from hir_core.pipeline import Run
-from hir_core.report_pictures import light_picture, spread
+from hir_core.report_pictures import light_picture
 
 
 def test_page_works_in_a_browser(finished: Run, chromium: list[str], tmp_path: Path) -> None:

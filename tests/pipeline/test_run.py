@@ -125,7 +125,7 @@ def test_until_leaves_a_run_that_goes_on(tiny_capture: Path, quick: Reconstruct,
 
 
 def test_evaluate_says_what_it_compared(finished: Run, tiny_capture: Path, tmp_path: Path) -> None:
-    from hir_core.evaluate import Question, evaluate_run
+    from hir_core.evaluation import Question, evaluate_run
     from hir_core.manager import PluginManager
 
     folder = tmp_path / "run"

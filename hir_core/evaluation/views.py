@@ -1,10 +1,10 @@
-"""`hir evaluate`: a run against photographs it never saw, under its own light or another (DESIGN section 9)."""
+"""A run against photographs it never saw, under its own light or another (DESIGN section 9)."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,14 +20,15 @@ from hir_core.metrics import (
     OBJECT_COVERAGE,
     ChannelScale,
     Image,
-    Lpips,
     compare,
     composite,
-    find_lpips,
+    mask_iou,
     mean,
     psnr,
     unassociate,
 )
+from hir_core.metrics.perceptual import Flip, Lpips, find_flip, find_lpips
+from hir_core.metrics.published import stanford_orb
 from hir_core.readers import find_reader
 from hir_core.reference import (
     OpenRun,
@@ -63,19 +64,51 @@ class Question:
     device: str = "cpu"
     download: bool = False
     """Fetch LPIPS's weights where they are missing."""
+    mesh: Path | None = None
+    """The true mesh, in the axes of the capture's own files."""
+    albedo: str = ""
+    """A split of the true diffuse albedo."""
+    views: int = 0
+    """At most so many views, spread over the split; 0 takes all."""
+    truth: bool = False
+    """Compare with all the truth that lies in the capture: its mesh, the split's albedo, its light."""
+
+
+@dataclass(frozen=True)
+class Perceptions:
+    """The perceptual metrics that are installed, and why others are not."""
+
+    lpips: Lpips | None
+    lpips_vgg: Lpips | None
+    flip: Flip | None
+    missing: tuple[str, ...]
+
+    @classmethod
+    def find(cls, download: bool) -> Perceptions:
+        """Those that can be had; weights are fetched only with `download`."""
+        (alex, why_alex), (vgg, why_vgg), (flip, why_flip) = (
+            find_lpips(download, "alex"), find_lpips(download, "vgg"), find_flip()
+        )  # fmt: skip
+        return cls(alex, vgg, flip, tuple(dict.fromkeys(why for why in (why_alex, why_vgg, why_flip) if why)))
 
 
 def evaluate_run(
     directory: RunDirectory, question: Question, plugins: PluginManager, told: Told | None = None
 ) -> dict[str, Any]:
     """Figures of one run on one split; also written to `evaluation/<split>/` with a picture of each view."""
+    from hir_core.evaluation.truth import against_truth
+
     run = open_for_rendering(directory, question.device)
     path = question.capture or run.capture_path
     capture = split_in_working_frame(run, path, question.split, plugins)
+    if question.views:
+        chosen = spread(len(capture.views), question.views)
+        capture = replace(capture, views=tuple(capture.views[i] for i in chosen))
     scene, light = _lit(run, path, capture, question, plugins)
     renderer_name, renderer = reference_renderer(plugins, question.renderer, question.options, run.bounces)
-    perceptual, missing = find_lpips(question.download)
+    perceptions = Perceptions.find(question.download)
     folder = directory.evaluation(_label(question))
+    relit = not light["fitted"]
 
     scale = ChannelScale()
     names = [file_stem(view.name) for view in capture.views]
@@ -92,9 +125,8 @@ def evaluate_run(
         inside = (truth.mask > OBJECT_COVERAGE) & ~truth.saturated
         scale.add(unassociate(fit)[0][inside], truth.color_linear[inside])
         write_exr(folder / f"{name}.exr", fit)
-        views.append(
-            {"name": view.name, "file": f"{name}.exr", "seconds": round(seconds, 3)} | _figures(fit, truth, perceptual)
-        )
+        figures = _figures(fit, truth, perceptions, relit)
+        views.append({"name": view.name, "file": f"{name}.exr", "seconds": round(seconds, 3)} | figures)
         _write_pictures(folder, name, fit, truth)
         if told is not None:
             told(i + 1, len(names), f"{views[-1]['psnr']['object']:.2f} dB")
@@ -109,7 +141,9 @@ def evaluate_run(
         "renderer": renderer_name,
         **_means(views),
         "scale": scale.value.tolist(),
-        "lpips_missing": missing or None,
+        "lpips_missing": " ".join(perceptions.missing) or None,
+        "seconds_per_view": round(float(np.mean([view["seconds"] for view in views])), 3),
+        **against_truth(run, path, capture, question, plugins),
         "views": views,
     }
     write_json(folder / "metrics.json", result)
@@ -128,6 +162,12 @@ def split_in_working_frame(run: OpenRun, path: Path, split: str, plugins: Plugin
     if not capture.views:
         raise CaptureError(f"{path}: split {split!r} has no views")
     return capture
+
+
+def spread(count: int, wanted: int) -> list[int]:
+    """At most `wanted` numbers of range(count), evenly apart from first to last."""
+    shown = min(count, wanted)
+    return sorted({round(i * (count - 1) / max(shown - 1, 1)) for i in range(shown)})
 
 
 @dataclass(frozen=True)
@@ -188,9 +228,12 @@ def _is_training_light(path: Path, source: EnvironmentSource, run: OpenRun, plug
     return same_light(source, reader.read(path, "train").environment)
 
 
-def _figures(fit: Image, truth: Truth, perceptual: Lpips | None) -> dict[str, Any]:
+def _figures(fit: Image, truth: Truth, perceptions: Perceptions, relit: bool) -> dict[str, Any]:
     color, coverage = unassociate(fit)
-    return compare(composite(color, coverage), truth.picture, truth.mask, perceptual).document()
+    figures = compare(composite(color, coverage), truth.picture, truth.mask, perceptions.lpips, perceptions.flip)
+    # Stanford-ORB has no coverage of the fit: its pictures are the light that reaches the camera, black behind
+    orb = stanford_orb(fit[..., :3], truth.color_linear, truth.mask, relit, perceptions.lpips_vgg)
+    return figures.document() | {"iou": mask_iou(coverage, truth.mask), "stanford_orb": orb.document()}
 
 
 def _scaled(fit: Image, truth: Truth, scale: np.ndarray) -> dict[str, Any]:
@@ -207,8 +250,10 @@ def _means(views: list[dict[str, Any]]) -> dict[str, Any]:
     return {
         "psnr": both("psnr"),
         "psnr_scaled": both("psnr_scaled"),
-        "ssim": mean([view["ssim"] for view in views]),
-        "lpips": mean([view["lpips"] for view in views]),
+        **{key: mean([view[key] for view in views]) for key in ("ssim", "lpips", "flip", "iou")},
+        "stanford_orb": {
+            key: mean([view["stanford_orb"][key] for view in views]) for key in ("psnr_h", "psnr_l", "ssim", "lpips")
+        },
     }
 
 
@@ -233,8 +278,11 @@ def _label(question: Question) -> str:
 
 def _record(directory: RunDirectory, label: str, result: dict[str, Any]) -> None:
     """Adds the means to run.json."""
-    kept = ("psnr", "psnr_scaled", "scale", "ssim", "lpips", "light", "renderer")
+    kept = ("psnr", "psnr_scaled", "scale", "ssim", "lpips", "flip", "iou", "stanford_orb", "light", "renderer",
+            "surface", "albedo", "light_error")  # fmt: skip
     with claimed_run(directory.path, resume=True):
         document = directory.read_run()
-        document["metrics"] = dict(document.get("metrics", {})) | {label: {key: result[key] for key in kept}}
+        document["metrics"] = dict(document.get("metrics", {})) | {
+            label: {key: result[key] for key in kept if key in result}
+        }
         directory.write_run(document)

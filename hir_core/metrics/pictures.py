@@ -1,4 +1,4 @@
-"""How far a fit is from a photograph: PSNR, SSIM, LPIPS (docs/evaluation.md). numpy in, numbers out.
+"""How far a fit is from a photograph: PSNR, SSIM, LPIPS, FLIP, masks (docs/evaluation.md). numpy in, numbers out.
 
 One definition for all: fit and photograph are each composited over black with their **own** coverage, as
 sRGB × coverage, in the 8-bit range and clipped, never rounded. `frame` is over all pixels, `object` over pixels of true
@@ -7,9 +7,8 @@ coverage > 0.5.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -17,6 +16,9 @@ from hir_exporters.conventions import linear_to_srgb
 from numpy.typing import NDArray
 
 Image = NDArray[np.float32]
+
+Perceptual = Callable[[Image, Image], float]
+"""A distance of two pictures (H, W, 3) in 0…1: of the fit and of the truth."""
 
 OBJECT_COVERAGE: Final = 0.5
 """True coverage above which a pixel belongs to the object."""
@@ -93,76 +95,36 @@ class Figures:
     object: float | None
     ssim: float | None
     lpips: float | None
+    flip: float | None
 
     def document(self) -> dict[str, Any]:
         """As it stands in evaluation JSON."""
-        return {"psnr": {"frame": self.frame, "object": self.object}, "ssim": self.ssim, "lpips": self.lpips}
+        return {"psnr": {"frame": self.frame, "object": self.object}, "ssim": self.ssim, "lpips": self.lpips,
+                "flip": self.flip}  # fmt: skip
 
 
-def compare(fit: Image, truth: Image, true_coverage: Image, perceptual: Lpips | None = None) -> Figures:
+def compare(
+    fit: Image, truth: Image, true_coverage: Image, lpips: Perceptual | None = None, flip: Perceptual | None = None
+) -> Figures:
     """All figures of two composited pictures."""
     inside = true_coverage > OBJECT_COVERAGE
     return Figures(
         psnr(fit, truth),
         psnr(fit, truth, inside),
         ssim(fit, truth),
-        None if perceptual is None else perceptual(fit, truth),
+        None if lpips is None else lpips(fit, truth),
+        None if flip is None else flip(fit, truth),
     )
+
+
+def mask_iou(fit: Image, truth: Image) -> float | None:
+    """Intersection over union of two coverages (H, W), each thresholded at one half; None where both are empty."""
+    ours, theirs = fit > OBJECT_COVERAGE, truth > OBJECT_COVERAGE
+    union = int((ours | theirs).sum())
+    return int((ours & theirs).sum()) / union if union else None
 
 
 def mean(values: list[float | None]) -> float | None:
     """Mean of those that are there."""
     there = [value for value in values if value is not None]
     return float(np.mean(there)) if there else None
-
-
-class Lpips:
-    """Learned perceptual distance (Zhang et al. 2018), AlexNet, from the `lpips` package; `find_lpips` builds it."""
-
-    def __init__(self, network: Any) -> None:
-        self._network = network
-
-    def __call__(self, fit: Image, truth: Image) -> float:
-        """Distance of pictures (H, W, 3) in 0…1; 0 for equal ones."""
-        import torch
-
-        def tensor(image: Image) -> Any:
-            return torch.from_numpy(np.ascontiguousarray(image, np.float32)).permute(2, 0, 1)[None] * 2 - 1
-
-        with torch.no_grad():
-            return float(self._network(tensor(fit), tensor(truth)))
-
-
-def find_lpips(download: bool = False) -> tuple[Lpips | None, str]:
-    """The metric, or None and one sentence that says why it is not there. Nothing is fetched unless `download`."""
-    from importlib.util import find_spec
-
-    if find_spec("lpips") is None or find_spec("torchvision") is None:
-        return None, "LPIPS is left out: it needs lpips and torchvision; install them with: pip install 'hir[evaluate]'"
-    try:
-        weights = backbone_weights()
-        if not weights.is_file() and not download:
-            return None, f"LPIPS is left out: its backbone's weights are not at {weights}; --download fetches them"
-        return _load_lpips(), ""
-    except Exception as error:  # whatever the network raises, or a torchvision that does not fit torch
-        return None, f"LPIPS is left out: it cannot be loaded ({type(error).__name__}: {error})"
-
-
-def backbone_weights() -> Path:
-    """Where torchvision keeps (and looks for) AlexNet's weights."""
-    import torch
-    from torchvision.models import AlexNet_Weights
-
-    name = AlexNet_Weights.IMAGENET1K_V1.url.rpartition("/")[2]
-    return Path(str(torch.hub.get_dir())) / "checkpoints" / str(name)
-
-
-@cache
-def _load_lpips() -> Lpips:
-    import warnings
-
-    import lpips
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # torchvision's old argument names, which lpips still uses
-        return Lpips(lpips.LPIPS(net="alex", verbose=False).eval())

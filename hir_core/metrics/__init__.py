@@ -1,0 +1,33 @@
+"""Figures that say how far a fit is from the truth (docs/evaluation.md): pictures, surfaces, albedo, light."""
+
+from hir_core.metrics.pictures import (
+    OBJECT_COVERAGE,
+    PSNR_MAX,
+    ChannelScale,
+    Figures,
+    Image,
+    Perceptual,
+    compare,
+    composite,
+    mask_iou,
+    mean,
+    psnr,
+    ssim,
+    unassociate,
+)
+
+__all__ = [
+    "OBJECT_COVERAGE",
+    "PSNR_MAX",
+    "ChannelScale",
+    "Figures",
+    "Image",
+    "Perceptual",
+    "compare",
+    "composite",
+    "mask_iou",
+    "mean",
+    "psnr",
+    "ssim",
+    "unassociate",
+]

@@ -1,0 +1,176 @@
+"""Renders a capture in Cycles: `python render_capture_in_blender.py MODEL.obj TEXTURE.png FOLDER [--light camera] …`.
+
+For studies that need more views, or another light, than the captures at hand have: photographs by a renderer that is
+not ours, of a mesh whose truth is known. Writes `transforms_{train,test}.json` as NeRF-synthetic has them, PNGs with
+straight alpha, and `reference.obj`. What is there already is not rendered again. Runs in an environment of its own,
+with bpy 5.0.1 (Python 3.11, numpy < 2): `tools/setup.sh blender` makes it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import shutil
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+from mathutils import Matrix, Vector
+
+BRIGHT_SHARE, BRIGHT_LEVEL = 0.02, 0.8
+"""The strength of the light lets this share of the object's pixels reach this level."""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("model", type=Path, help="A Wavefront OBJ in world units, Z up, with texture coordinates.")
+    parser.add_argument("texture", type=Path)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--views", type=int, default=80)
+    parser.add_argument("--test-views", type=int, default=16)
+    parser.add_argument("--size", type=int, default=512)
+    parser.add_argument("--samples", type=int, default=24)
+    parser.add_argument("--light", default="camera", help="A lat-long .hdr, or `camera` for a lamp at the camera.")
+    parser.add_argument("--strength", type=float, default=0.0, help="Of the light; 0 takes it from a first picture.")
+    parser.add_argument("--roughness", type=float, default=0.3)
+    parser.add_argument("--distance", type=float, default=3.68)
+    options = parser.parse_args()
+    options.folder.mkdir(parents=True, exist_ok=True)
+    scene = make_scene(options)
+    lamp = light_of(scene, options)
+    known = options.folder / "strength.json"
+    if known.is_file():
+        strength = float(json.loads(known.read_text())["strength"])
+    else:
+        strength = options.strength or measured_strength(scene, lamp, options)
+        known.write_text(json.dumps({"strength": strength}))
+    set_strength(scene, lamp, strength)
+    shutil.copy(options.model, options.folder / "reference.obj")
+    splits = {"train": spiral(options.views, 0.0), "test": spiral(options.test_views, 0.5)}
+    for split, directions in splits.items():
+        frames = []
+        for i, direction in enumerate(directions):
+            pose = place_camera(scene, lamp, direction * options.distance)
+            path = options.folder / split / f"{i:03d}.png"
+            if not path.is_file():
+                shoot(scene, path)
+            frames.append({"file_path": f"./{split}/{i:03d}", "transform_matrix": pose})
+        document: dict[str, Any] = {"camera_angle_x": scene.camera.data.angle_x, "frames": frames}
+        if lamp is None:
+            name = f"env_{split}{Path(options.light).suffix}"
+            shutil.copy(options.light, options.folder / name)
+            document["environment"] = {"file_path": name, "strength": strength}
+        (options.folder / f"transforms_{split}.json").write_text(json.dumps(document, indent=1))
+
+
+def make_scene(options: argparse.Namespace) -> bpy.types.Scene:
+    """The model with a dielectric of its texture, a camera, Cycles on the processor."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.obj_import(filepath=str(options.model), forward_axis="Y", up_axis="Z")
+    material = bpy.data.materials.new("surface")
+    material.use_nodes = True
+    shader = next(n for n in material.node_tree.nodes if n.type == "BSDF_PRINCIPLED")
+    image = material.node_tree.nodes.new("ShaderNodeTexImage")
+    image.image = bpy.data.images.load(str(options.texture))
+    material.node_tree.links.new(image.outputs["Color"], shader.inputs["Base Color"])
+    shader.inputs["Roughness"].default_value = options.roughness
+    for thing in bpy.data.objects:
+        if thing.type == "MESH":
+            thing.data.materials.clear()
+            thing.data.materials.append(material)
+            thing.data.shade_smooth()
+    scene = bpy.context.scene
+    scene.world = bpy.data.worlds.new("light")
+    scene.world.use_nodes = True
+    scene.render.engine = "CYCLES"
+    scene.cycles.device = "CPU"
+    scene.cycles.samples = options.samples
+    scene.cycles.use_denoising = True
+    scene.cycles.max_bounces = 6
+    scene.render.film_transparent = True
+    scene.render.use_persistent_data = True
+    scene.render.resolution_x = scene.render.resolution_y = options.size
+    scene.view_settings.view_transform = "Standard"
+    scene.view_settings.look = "None"
+    scene.render.image_settings.color_mode = "RGBA"
+    scene.camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+    scene.camera.data.angle = 0.6
+    scene.collection.objects.link(scene.camera)
+    return scene
+
+
+def light_of(scene: bpy.types.Scene, options: argparse.Namespace) -> bpy.types.Object | None:
+    """A lamp that goes with the camera, or None where the light is a panorama."""
+    nodes, links = scene.world.node_tree.nodes, scene.world.node_tree.links
+    background = nodes["Background"]
+    if options.light != "camera":
+        image = nodes.new("ShaderNodeTexEnvironment")
+        image.image = bpy.data.images.load(str(options.light))
+        links.new(image.outputs["Color"], background.inputs["Color"])
+        return None
+    background.inputs["Strength"].default_value = 0.0
+    lamp = bpy.data.objects.new("lamp", bpy.data.lights.new("lamp", "POINT"))
+    lamp.data.shadow_soft_size = 0.15
+    scene.collection.objects.link(lamp)
+    return lamp
+
+
+def set_strength(scene: bpy.types.Scene, lamp: bpy.types.Object | None, strength: float) -> None:
+    if lamp is None:
+        scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = strength
+    else:
+        lamp.data.energy = strength
+
+
+def measured_strength(scene: bpy.types.Scene, lamp: bpy.types.Object | None, options: argparse.Namespace) -> float:
+    """What brings the brightest share of the object's pixels to the level; pictures are linear in it."""
+    set_strength(scene, lamp, 1.0)
+    levels = []
+    with tempfile.TemporaryDirectory() as folder:
+        scene.render.image_settings.file_format = "OPEN_EXR"
+        for i, direction in enumerate(spiral(4, 0.25)):
+            place_camera(scene, lamp, direction * options.distance)
+            scene.render.filepath = str(Path(folder) / f"{i}.exr")
+            bpy.ops.render.render(write_still=True)
+            image = bpy.data.images.load(scene.render.filepath)
+            pixels = np.array(image.pixels[:], dtype=np.float32).reshape(-1, 4)
+            levels.append(np.quantile(pixels[pixels[:, 3] > 0.99, :3].max(axis=1), 1 - BRIGHT_SHARE))
+    return float(BRIGHT_LEVEL / np.mean(levels))
+
+
+def shoot(scene: bpy.types.Scene, path: Path) -> None:
+    """One PNG, complete or absent."""
+    scene.render.image_settings.file_format = "PNG"
+    unfinished = path.with_name(f"{path.stem}.part.png")
+    scene.render.filepath = str(unfinished)
+    bpy.ops.render.render(write_still=True)
+    unfinished.rename(path)
+
+
+def place_camera(scene: bpy.types.Scene, lamp: bpy.types.Object | None, place: np.ndarray) -> list[list[float]]:
+    """Looks at the origin, Z up; returns camera_to_world 4×4, camera looking along its −Z."""
+    rotation = Vector(-place).to_track_quat("-Z", "Y").to_matrix().to_4x4()
+    pose = Matrix.Translation(Vector(place)) @ rotation
+    scene.camera.matrix_world = pose
+    if lamp is not None:
+        # a hand's breadth above the lens, as on a camera: where it sits exactly in the lens nothing casts a shadow
+        lamp.matrix_world = pose @ Matrix.Translation((0.0, 0.15, 0.0))
+    return [list(row) for row in pose]
+
+
+def spiral(count: int, phase: float) -> list[np.ndarray]:
+    """Directions over the upper hemisphere, each the golden angle further round."""
+    found = []
+    for i in range(count):
+        height = 0.05 + 0.93 * (i + 0.5) / count
+        angle = (i + phase) * math.pi * (3 - math.sqrt(5))
+        ring = math.sqrt(1 - height**2)
+        found.append(np.array([ring * math.cos(angle), ring * math.sin(angle), height]))
+    return found
+
+
+if __name__ == "__main__":
+    main()
