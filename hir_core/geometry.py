@@ -26,6 +26,7 @@ from hir_core.mesh_checks import MeshState, inspect_mesh
 from hir_core.mesh_transfer import remeshed
 from hir_core.optimize import Batches, Keep, OptimizationReport, Schedule, Terms, optimize
 from hir_core.photo_refinement import refine_by_photographs
+from hir_core.progress import Progress
 from hir_core.remeshing import surface_area
 from hir_core.scene import Mesh, Scene
 from hir_core.silhouettes import SilhouetteTargets, intersection_over_union
@@ -190,7 +191,10 @@ def _fit_level(mesh: Mesh, fit: _Fit, level: int, levels: int) -> tuple[Mesh, Op
             return False
         with torch.no_grad():
             errors = fit.errors(mesh.with_positions(decode(unknown)), fit.held)
-        idle = best.offer(unknown, float(np.median(list(errors.values()))))
+        error = float(np.median(list(errors.values())))
+        done = level * steps + step + 1
+        context.report(Progress("geometry", done, levels * steps, 0.0, {"held_out": np.array([error])}))
+        idle = best.offer(unknown, error)
         # at the full rate the error rattles about a plateau; only where the rate has fallen does idleness mean an end
         return idle and step > SETTLED * steps
 

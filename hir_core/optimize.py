@@ -154,7 +154,7 @@ def optimize(
         else:
             in_a_row = 0
             optimizer.step()
-        clock.record(step, {"loss": total, **terms})
+        clock.record(step, {"loss": total, **terms, "gradient_norm": _gradient_norm(parameters, total)})
         if after_step is not None and after_step(step):
             result.stopped_early = step + 1 < schedule.steps
             break
@@ -173,6 +173,12 @@ def optimize(
     result.seconds = clock.seconds
     result.curves = clock.curves
     return result
+
+
+def _gradient_norm(parameters: Sequence[Tensor], like: Tensor) -> Tensor:
+    """Euclidean norm of all gradients of a step; 0 where there are none."""
+    gradients = [p.grad for p in parameters if p.grad is not None]
+    return torch.nn.utils.get_total_norm(gradients).to(like) if gradients else torch.zeros_like(like)
 
 
 def _store(

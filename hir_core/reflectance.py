@@ -94,7 +94,7 @@ def _by_solver(
     began = time.perf_counter()
     bar = _Bar(context, began)
     solver.keep(context.checkpoints, context.checkpoint_seconds)
-    fit, rung, steps = climb(solver, settings, views, lambda name, share: bar.tell(name, share, 0.6))
+    fit, rung, steps = climb(solver, settings, views, lambda name, share: bar.tell(name, share, 0.6), bar.judged)
     if not steps and forced_rung(settings) is None:
         context.warn(f"{views} views are too few to hold some out, so the model was not chosen but set: {rung.name}; "
                      "take at least 6 photographs to let them decide")
@@ -171,6 +171,13 @@ class _Bar:
         part = left / 3 if self.base == 0 else 1.0
         inside = (1 - left) + part * share
         self._done = max(self._done, self.base + width * inside)
+        self._report({})
+
+    def judged(self, held_out_db: float, training_db: float) -> None:
+        """What a fit of the ladder came to."""
+        self._report({"held_out_psnr": np.array([held_out_db]), "training_psnr": np.array([training_db])})
+
+    def _report(self, scalars: dict[str, np.ndarray]) -> None:
         step = min(TICKS, max(1, round(self._done * TICKS)))
         seconds = time.perf_counter() - self._began
-        self._context.report(Progress("reflectance", step, TICKS, seconds, {}, name))
+        self._context.report(Progress("reflectance", step, TICKS, seconds, scalars, self._name))

@@ -85,11 +85,13 @@ class Step:
 
 
 def climb(
-    solver: ReflectanceSolver, settings: ReflectanceSettings, views: int, tell: Callable[[str, float], None]
+    solver: ReflectanceSolver, settings: ReflectanceSettings, views: int, tell: Callable[[str, float], None],
+    judged: Callable[[float, float], None] = lambda *_: None,
 ) -> tuple[Any, Rung, list[Step]]:
     """Climbs the ladder on training views, judged by held-out ones; returns the best fit and its rung.
 
-    `tell(name of the rung, share done)` hears of progress. A rung named in the settings is fitted without a vote.
+    `tell(name of the rung, share done)` hears of progress, `judged` of the mean dB that each fit has on the held-out
+    views and on as many of those it was fitted to. A rung named in the settings is fitted without a vote.
     """
     every = list(range(views))
     held_out = every[HOLD_OUT_EVERY // 2 :: HOLD_OUT_EVERY] if views >= FEWEST_VIEWS else []
@@ -103,7 +105,7 @@ def climb(
             first = Rung(light_frame=rung.light_frame)
             fit = solver.fit(first, None, every, FIRST_EFFORT, lambda share: tell(first.name, share))
         return solver.fit(rung, fit, every, 1.0, lambda share: tell(rung.name, share)), rung, []
-    ladder = _Ladder(solver, training, held_out, tell)
+    ladder = _Ladder(solver, training, held_out, tell, judged)
     base = Rung(light_frame=_first_frame(settings))
     ladder.begin(base)
     if settings.light_frame == "auto":
@@ -125,12 +127,14 @@ class _Ladder:
 
     def __init__(
         self, solver: ReflectanceSolver, training: Sequence[int], held_out: Sequence[int],
-        tell: Callable[[str, float], None],
+        tell: Callable[[str, float], None], judged: Callable[[float, float], None],
     ) -> None:
         self._solver = solver
         self._training = training
         self._held_out = held_out
+        self._sample = training[:: max(1, len(training) // len(held_out))]
         self._tell = tell
+        self._judged = judged
         self._errors: NDArray[np.float64] = np.empty(0)
         self.fit: Any = None
         self.rung = Rung()
@@ -163,7 +167,10 @@ class _Ladder:
 
     def _fitted(self, rung: Rung, start: Any, effort: float) -> tuple[Any, NDArray[np.float64]]:
         fit = self._solver.fit(rung, start, self._training, effort, lambda share: self._tell(rung.name, share))
-        return fit, self._solver.errors(fit, self._held_out)
+        errors = self._solver.errors(fit, self._held_out)
+        fitted = self._solver.errors(fit, self._sample)
+        self._judged(float(decibels(errors).mean()), float(decibels(fitted).mean()))
+        return fit, errors
 
     def _record(
         self, rung: Rung, errors: NDArray[np.float64], gain: float, noise: float, kept: bool, began: float
