@@ -3,7 +3,7 @@ PYTHON := .venv/bin/python
 HIR := .venv/bin/hir
 DEMO := demo
 
-.PHONY: demo test test-all lint docs clean setup setup-test help
+.PHONY: demo test test-all lint docs stability kill-test fuzz clean setup setup-test help
 
 help:
 	@echo "make demo      reconstruct the sample capture, export it, say where the files are"
@@ -12,6 +12,8 @@ help:
 	@echo "make lint      ruff and mypy"
 	@echo "make docs      the documentation as a site, in build/docs"
 	@echo "make parity    open exports in three.js, Babylon.js, Filament and Blender; write docs/engines/parity.md"
+	@echo "make stability  the table of numerical hard cases, docs/stability.md"
+	@echo "make kill-test  kill a small run at 50 random moments, resume, compare all files"
 	@echo "make clean     remove .venv and what the demo made"
 
 setup:
@@ -48,6 +50,13 @@ parity: setup-test
 	@npm --prefix tools/parity ci --silent --no-fund --no-audit
 	@[ -n "$$HIR_BLENDER_PYTHON" ] || [ -x .venv-blender/bin/python ] || tools/setup.sh blender || true
 	@PYTHONPATH=tools $(PYTHON) -m parity
+
+stability: setup-test
+	@$(PYTHON) -m tests.stability.table
+
+kill-test: setup-test
+	@OMP_NUM_THREADS=1 $(PYTHON) tools/kill_test.py --kills 50
+	@OMP_NUM_THREADS=1 $(PYTHON) tools/kill_test.py --kills 10 --kind traced
 
 clean:
 	rm -rf .venv $(DEMO)

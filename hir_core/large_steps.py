@@ -88,12 +88,15 @@ class UniformAdam(torch.optim.Optimizer):
                 if not state:
                     state["step"] = torch.zeros(())
                     state["first"] = torch.zeros_like(parameter)
-                    state["second"] = torch.zeros_like(parameter)
+                    # in float64: squares of a tiny gradient underflow in float32, and the step would be huge
+                    state["second"] = torch.zeros_like(parameter, dtype=torch.float64)
                 state["step"] += 1
                 count = float(state["step"])
                 state["first"].lerp_(parameter.grad, 1 - fade1)
-                state["second"].mul_(fade2).addcmul_(parameter.grad, parameter.grad, value=1 - fade2)
+                square = parameter.grad.double().square()
+                state["second"].mul_(fade2).add_(square, alpha=1 - fade2)
                 first = state["first"] / (1 - fade1**count)
                 largest = state["second"].max() / (1 - fade2**count)
                 # no epsilon that could be large beside the gradient of a huge mesh: zero stays zero by the clamp
-                parameter -= group["lr"] * first / largest.sqrt().clamp_min(torch.finfo(first.dtype).tiny)
+                size = largest.sqrt().to(first.dtype).clamp_min(torch.finfo(first.dtype).tiny)
+                parameter -= group["lr"] * (first / size)

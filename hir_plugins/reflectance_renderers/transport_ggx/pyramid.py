@@ -67,7 +67,8 @@ def latlong(directions: Float[Tensor, "N 3"]) -> tuple[Float[Tensor, " N"], Floa
     """(u, v) of unit directions, v from the top row (docs/conventions.md)."""
     x, y, z = directions.unbind(-1)
     u = 0.5 - torch.atan2(x, z) / (2 * math.pi)
-    v = torch.acos(y.clamp(-1, 1)) / math.pi
+    # near a pole acos loses all digits: within 3e-4 rad every direction would be the pole
+    v = torch.atan2(torch.hypot(x, z), y) / math.pi
     return u, v
 
 

@@ -1,0 +1,123 @@
+"""One hard case: what hir computes, what a naive formula makes of the same numbers, and the truth in many digits.
+
+A case counts only where the naive formula fails it: it gives something that is not finite, raises, or is off by more
+than the tolerance that hir's own function keeps.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import mpmath
+import numpy as np
+import torch
+
+DIGITS = 60
+"""Decimal digits of the truth: no cancellation of a float32 formula survives them."""
+
+Area = Literal["initialization", "geometry", "reflectance", "export"]
+
+
+@dataclass(frozen=True)
+class Case:
+    """A row of docs/stability.md, and a test."""
+
+    area: Area
+    function: str
+    """Dotted name of what is tested."""
+    given: str
+    """The input, in words."""
+    expected: str
+    ours: Callable[[], Any]
+    """Calls the function."""
+    naive: str | Callable[[], Any]
+    """A formula of the names in `values`, evaluated in float32; or a function, with `formula` to show."""
+    truth: str | float | Callable[[], Any] = ""
+    """The same in many digits; by default the naive formula itself, which cancels nothing there."""
+    values: Mapping[str, float] = field(default_factory=dict)
+    exact: Mapping[str, Any] = field(default_factory=dict)
+    """Values for the truth that float32 cannot hold, as mpmath numbers; `values` stand for the rest."""
+    tolerance: float = 1e-5
+    """Largest error: |result − truth| over |truth|, or over 1 where the truth is 0."""
+    formula: str = ""
+    """What is shown for a naive function."""
+
+    @property
+    def name(self) -> str:
+        """An identifier for pytest."""
+        return f"{self.area}-{self.function.rpartition('.')[2]}-{self.given}".replace(" ", "_")
+
+    @property
+    def shown(self) -> str:
+        """The naive formula as text."""
+        return self.naive if isinstance(self.naive, str) else self.formula
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came out of a case."""
+
+    result: np.ndarray
+    truth: np.ndarray
+    error: float
+    naive: np.ndarray | None
+    """None where the naive formula raised."""
+    naive_error: float
+
+
+def examine(case: Case) -> Outcome:
+    """Computes all three."""
+    result, truth = array_of(case.ours()), array_of(_truth(case))
+    naive = _naive(case)
+    return Outcome(result, truth, error_of(result, truth), naive, error_of(naive, truth))
+
+
+def error_of(found: np.ndarray | None, truth: np.ndarray) -> float:
+    """Largest difference relative to the largest true value; infinite where anything is missing or not finite."""
+    if found is None or found.shape != truth.shape or not np.isfinite(found).all():
+        return float("inf")
+    size = float(np.abs(truth).max(initial=0.0)) or 1.0
+    return float(np.abs(found - truth).max(initial=0.0)) / size
+
+
+def array_of(value: Any) -> np.ndarray:
+    """Numbers, lists of them, arrays and tensors as float64."""
+    if isinstance(value, torch.Tensor):
+        value = value.detach().cpu().numpy()
+    if isinstance(value, list | tuple):
+        return np.array([array_of(v) for v in value], np.float64)
+    if isinstance(value, mpmath.mpf | mpmath.mpc):
+        return np.asarray(float(mpmath.re(value)))
+    return np.asarray(value, np.float64)
+
+
+def _truth(case: Case) -> Any:
+    if callable(case.truth):
+        return case.truth()
+    if isinstance(case.truth, int | float):
+        return case.truth
+    with mpmath.workdps(DIGITS):
+        given = {name: mpmath.mpf(float(np.float32(value))) for name, value in case.values.items()}
+        # constants of a formula are typed in decimal; mpmath reads the same float64 as Python
+        return eval(case.truth or case.shown, _MANY_DIGITS, given | dict(case.exact))
+
+
+def _naive(case: Case) -> np.ndarray | None:
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")
+        try:
+            if callable(case.naive):
+                return array_of(case.naive())
+            return array_of(eval(case.naive, _FLOAT32, {n: np.float32(v) for n, v in case.values.items()}))
+        except (ArithmeticError, ValueError, IndexError, np.linalg.LinAlgError):
+            return None
+
+
+_NAMES = ("sqrt", "exp", "log", "sin", "cos", "tan")
+_FLOAT32: dict[str, Any] = {name: getattr(np, name) for name in _NAMES}
+_FLOAT32 |= {"pi": np.float32(np.pi), "acos": np.arccos, "atan2": np.arctan2, "cbrt": np.cbrt, "hypot": np.hypot}
+_MANY_DIGITS: dict[str, Any] = {name: getattr(mpmath, name) for name in (*_NAMES, "acos", "atan2", "cbrt", "hypot")}
+_MANY_DIGITS["pi"] = mpmath.pi
