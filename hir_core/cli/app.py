@@ -20,6 +20,7 @@ from hir_core.interrupt import remember_interrupts
 COMMANDS = {
     "check": "hir_core.cli.check:check_command",
     "reconstruct": "hir_core.cli.reconstruct:reconstruct_command",
+    "batch": "hir_core.cli.batch:batch_command",
     "export": "hir_core.cli.export:export_command",
     "evaluate": "hir_core.cli.evaluate:evaluate_command",
     "render": "hir_core.cli.render:render_command",

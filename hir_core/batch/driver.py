@@ -1,0 +1,282 @@
+"""The batch: hands groups to Ray, hears their outcomes, keeps the manifest; the one process that knows all captures."""
+
+from __future__ import annotations
+
+import random
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final
+
+from hir_core import __version__
+from hir_core.batch import storage
+from hir_core.batch.chain import Chain
+from hir_core.batch.cluster import Cluster, Ended
+from hir_core.batch.content import settings_mark
+from hir_core.batch.estimate import Estimate
+from hir_core.batch.groups import GROUPS, Requests, unplaceable, window
+from hir_core.batch.job import Job, Outcome, Told
+from hir_core.batch.layout import Destination
+from hir_core.batch.lease import Lease
+from hir_core.batch.look import Intake, Look, chains_of
+from hir_core.batch.manifest import Manifest, now_text
+from hir_core.batch.page import write_page
+from hir_core.batch.patience import Patience, StoreError
+from hir_core.batch.storage import place
+from hir_core.config import RunConfig
+from hir_core.errors import ConfigError, StageError
+
+NODES_SECONDS: Final = 2.0
+"""How often the driver asks which nodes there are."""
+
+PAGE_SECONDS: Final = 60.0
+
+
+@dataclass(frozen=True)
+class Options:
+    """How a batch works; what it makes is in `config`."""
+
+    config: RunConfig
+    requests: Requests = field(default_factory=Requests)
+    address: str = "auto"
+    """`auto`, `local`, or what Ray takes: `ray://host:10001`, `host:6379`."""
+    tries: int = 3
+    """Times that a group is begun when nodes, workers or the store fail; a broken capture is never tried twice."""
+    retry_failed: bool = False
+    at_once: int = 0
+    """Captures in progress together; 0: as many as the cluster has room for."""
+    keep_stages: bool = True
+    cache: Path | None = None
+    """Where workers stage files, on each node."""
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened."""
+
+    name: str
+    capture: str = ""
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass
+class Running:
+    """A task that was handed out."""
+
+    chain: Chain
+    began: float
+    told: Told | None = None
+    """The last that its worker said."""
+
+
+class Batch:
+    """Captures and their chains; `run` works until all are done or failed."""
+
+    def __init__(
+        self, captures: Sequence[str], destination: str, options: Options,
+        on_event: Callable[[Event], None] = lambda event: None, on_turn: Callable[[Batch], None] = lambda batch: None,
+    ) -> None:  # fmt: skip
+        self.destination = Destination(place(destination))
+        self.chains = chains_of(captures, self.destination)
+        self.options, self._on_event, self._on_turn = options, on_event, on_turn
+        if options.config.device == "cuda" and not any(options.requests.of(group).gpus for group in GROUPS):
+            raise ConfigError("device cuda: no group asks for a GPU; give a share of one with --gpus")
+        self.settings = settings_mark(options.config)
+        self.running: dict[Any, Running] = {}
+        self.estimate = Estimate()
+        self.window = 1
+        self.use: dict[str, tuple[float, float]] = {}
+        self._ready: list[Chain] = []
+        self._patience = Patience(options.tries, first_seconds=2.0, factor=4.0)
+        self._nodes_due = self._page_due = 0.0
+        self._waits_for = ""
+        facts = {"settings": self.settings, "preset": options.config.preset, "hir": __version__, "started": now_text()}
+        self._manifest = Manifest(self.destination.manifest, facts)
+
+    def run(self) -> list[Chain]:
+        """All chains, each done or failed. Ctrl-C ends the tasks and leaves a batch that the same call goes on with."""
+        with Lease(self.destination.lease, self.say) as self._lease, Cluster(self.options.address, self.say) as cluster:
+            self._cluster = cluster
+            entries = self._manifest.read()
+            for chain in self.chains:
+                chain.take_over(entries.get(chain.name, {}))
+            again = self.options.retry_failed
+            self._intake = Intake(self.chains, self.settings, self.destination, entries, again)
+            self._ask_for_nodes()
+            if self._waits_for and cluster.own:
+                raise ConfigError(self._waits_for)
+            self.event("batch_started", captures=len(self.chains), destination=str(self.destination.root))
+            try:
+                while self._ready or self.running or not self._intake.empty:
+                    self._turn()
+            finally:
+                self._intake.close()
+                self._stop()
+        self.event("batch_finished", done=self.count("done"), failed=self.count("failed"))
+        return self.chains
+
+    def count(self, state: str) -> int:
+        """Captures in a state."""
+        return sum(chain.state == state for chain in self.chains)
+
+    def event(self, name: str, capture: str = "", **facts: Any) -> None:
+        """Tells whoever listens."""
+        self._on_event(Event(name, capture, facts))
+
+    def say(self, sentence: str) -> None:
+        """One sentence for the user."""
+        self.event("message", message=sentence)
+
+    def _turn(self) -> None:
+        if self._lease.lost:
+            raise StageError(f"another batch has taken {self.destination.root} over; this one stops")
+        for chain, found in self._intake.looked_at(len(self._ready) + len(self.running) < self.window):
+            self._looked(chain, found)
+        self._hand_out()
+        seconds = 0.02 if self._intake.looking else 0.25
+        if self.running:
+            for ended in self._cluster.wait(list(self.running), seconds):
+                self._settle(ended)
+        else:
+            time.sleep(seconds)
+        for told in self._cluster.mail():
+            self._hear(told)
+        self._ask_for_nodes()
+        self._keep_records(last=False)
+        self._on_turn(self)
+
+    def _looked(self, chain: Chain, found: Look) -> None:
+        if found.verdict == "unreadable":
+            chain.state, chain.reason = "failed", found.reason
+            self._failed(chain)
+            return
+        if found.record:
+            chain.take_result(found.record)
+        chain.listing, chain.content = found.listing, found.content
+        if found.verdict == "work":
+            chain.group, chain.settings, chain.reason = found.group, self.settings, ""
+            self._ready.append(chain)
+        elif found.verdict == "finished":
+            chain.state, chain.settings, chain.reason = "done", self.settings, ""
+            self.event("capture_skipped", chain.name, reason="finished by an earlier call")
+        else:
+            chain.state = "failed"
+            self.event("capture_skipped", chain.name, reason=f"failed in an earlier call: {chain.reason}")
+
+    def _hand_out(self) -> None:
+        """The captures that are furthest go first: results come early, and little is kept for unfinished ones."""
+        now = time.monotonic()
+        due = sorted((chain for chain in self._ready if chain.not_before <= now), key=lambda chain: -chain.group)
+        for chain in due[: max(self.window - len(self.running), 0)]:
+            self._ready.remove(chain)
+            chain.attempt += 1
+            chain.state = "running"
+            ticket = self._cluster.submit(self._job(chain), self.options.requests.of(GROUPS[chain.group]))
+            self.running[ticket] = Running(chain, now)
+
+    def _job(self, chain: Chain) -> Job:
+        options = self.options
+        request = options.requests.of(GROUPS[chain.group])
+        config = options.config
+        if config.device == "cuda" and request.gpus == 0:
+            config = replace(config, device="auto")  # finds none: tasks without a share of a GPU see no GPU
+        return Job(
+            name=chain.name,
+            source=chain.source,
+            destination=self.destination.root.url,
+            group=chain.group,
+            config=config,
+            settings=self.settings,
+            owner=self._lease.token,
+            version=__version__,
+            threads=request.threads,
+            attempt=chain.attempt,
+            listing=chain.listing,
+            content=chain.content,
+            finished=chain.finished,
+            cache=str(options.cache or ""),
+            keep_stages=options.keep_stages,
+        )
+
+    def _settle(self, ended: Ended) -> None:
+        task = self.running.pop(ended.ticket)
+        chain, group = task.chain, task.chain.group
+        outcome = ended.outcome or Outcome("trouble", ended.reason, lines=(f"[driver] {ended.reason}",))
+        now = time.monotonic()
+        step = chain.settle(outcome, self._patience, now, random.random())
+        wall = round(now - task.began, 3)
+        facts = {"group": GROUPS[group].name, "seconds": wall}
+        if step in ("next group", "done"):
+            chain.seconds[GROUPS[group].name]["wall"] = wall
+            self.estimate.learn(group, sum(outcome.seconds.values()))
+            self.event("group_finished", chain.name, **facts)
+        if step == "done":
+            self.event("capture_finished", chain.name, psnr=chain.record.get("psnr"), retries=chain.retries,
+                       warnings=chain.record.get("warnings"))  # fmt: skip
+        elif step == "unchanged":
+            self._note_listing(chain)
+            self.event("capture_skipped", chain.name, reason="finished by an earlier call; only dates changed")
+        elif step == "failed":
+            self._failed(chain)
+        else:
+            self._ready.append(chain)
+        if step == "again":
+            seconds = round(chain.not_before - now, 1)
+            self.event("group_failed", chain.name, **facts, reason=outcome.reason, again_in_seconds=seconds)
+
+    def _note_listing(self, chain: Chain) -> None:
+        """The next call need not read the photographs again."""
+        try:
+            record = self.destination.record(chain.name) | {"listing": chain.listing}
+            self.destination.write_record(chain.name, record)
+        except StoreError as error:
+            self.say(str(error))
+
+    def _failed(self, chain: Chain) -> None:
+        lines = [*chain.lines, f"[driver] {chain.reason}"]
+        try:
+            storage.write(self.destination.log(chain.name), ("\n".join(lines) + "\n").encode())
+        except StoreError as error:
+            self.say(str(error))
+        self.event("capture_failed", chain.name, reason=chain.reason, log=str(self.destination.log(chain.name)))
+
+    def _hear(self, told: Told) -> None:
+        for task in self.running.values():
+            if (task.chain.name, task.chain.attempt) == (told.name, told.attempt):
+                if task.told is None:
+                    self.event("group_started", told.name, group=GROUPS[told.group].name, node=told.node, pid=told.pid)
+                task.told = told
+                self.event("progress", told.name, stage=told.stage, step=told.step, steps=told.steps)
+
+    def _ask_for_nodes(self) -> None:
+        now = time.monotonic()
+        if now < self._nodes_due:
+            return
+        self._nodes_due = now + NODES_SECONDS
+        nodes = self._cluster.nodes()
+        self.window = self.options.at_once or window(nodes, self.options.requests)
+        self.use = self._cluster.use()
+        lacking = unplaceable(nodes, self.options.requests)
+        if lacking and not self._waits_for:
+            self.say(f"waiting: {lacking}")
+        self._waits_for = lacking
+
+    def _stop(self) -> None:
+        """Ends what still runs, which only an interrupt or an error leaves, and writes the last manifest and page."""
+        for ticket, task in self.running.items():
+            self._cluster.cancel(ticket)
+            task.chain.state = "waiting"
+        self.running.clear()
+        self._keep_records(last=True)
+
+    def _keep_records(self, last: bool) -> None:
+        try:
+            self._manifest.write(self.chains, force=last)
+            if last or time.monotonic() > self._page_due:
+                write_page(self.destination, self._manifest.captures(self.chains), now_text())
+                self._page_due = time.monotonic() + PAGE_SECONDS
+        except StoreError as error:
+            if last:
+                raise
+            self.say(f"{error}; trying again")

@@ -1,0 +1,70 @@
+"""batch.json: all captures of a batch and how far each is; written whole, by the driver alone."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterable, Mapping
+from datetime import UTC, datetime
+from typing import Any, Final
+
+from hir_core.batch import storage
+from hir_core.batch.chain import Chain
+from hir_core.batch.layout import json_bytes
+from hir_core.batch.storage import Place
+from hir_core.errors import InputError
+
+FORMAT: Final = "hir-batch"
+VERSION: Final = 1
+
+LEAST_SECONDS: Final = 1.0
+SHARE: Final = 0.05
+"""Of the driver's time, at most, goes into writing the manifest: a large one is written less often."""
+
+
+class Manifest:
+    """The file, and when it is due again."""
+
+    def __init__(self, at: Place, facts: Mapping[str, Any]) -> None:
+        self._at, self._facts = at, dict(facts)
+        self._due = 0.0
+        self._others: dict[str, Any] = {}
+
+    def read(self) -> dict[str, Mapping[str, Any]]:
+        """The entries of an earlier call, by name; a file that is no batch's is an `InputError`."""
+        content = storage.read(self._at)
+        if content is None:
+            return {}
+        try:
+            document = json.loads(content)
+        except ValueError as error:
+            raise InputError(f"{self._at} is not JSON ({error}); move it away to begin anew") from None
+        captures = document.get("captures") if isinstance(document, dict) else None
+        if not isinstance(captures, dict) or document.get("format") != FORMAT or document.get("version") != VERSION:
+            raise InputError(f"{self._at} is no batch's manifest of version {VERSION}; choose another destination")
+        found: dict[str, Mapping[str, Any]] = {
+            name: entry for name, entry in captures.items() if isinstance(entry, dict)
+        }
+        self._others = dict(found)
+        self._facts["started"] = document.get("started", self._facts.get("started"))
+        return found
+
+    def captures(self, chains: Iterable[Chain]) -> dict[str, Any]:
+        """The entries of all captures; those of earlier calls that this one does not name stay."""
+        return {**self._others, **{chain.name: chain.entry() for chain in chains}}
+
+    def write(self, chains: Iterable[Chain], force: bool = True) -> bool:
+        """Writes the file if it is due or must be, and says whether it did."""
+        began = time.monotonic()
+        if not force and began < self._due:
+            return False
+        document = {"format": FORMAT, "version": VERSION, **self._facts, "updated": now_text()}
+        storage.write(self._at, json_bytes(document | {"captures": self.captures(chains)}))
+        ended = time.monotonic()
+        self._due = ended + max(LEAST_SECONDS, (ended - began) / SHARE)
+        return True
+
+
+def now_text() -> str:
+    """The date and time, in UTC."""
+    return datetime.now(UTC).isoformat(timespec="seconds")

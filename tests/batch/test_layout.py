@@ -1,0 +1,180 @@
+"""Results take their place whole; what was begun can be fetched by any node."""
+
+from __future__ import annotations
+
+import io
+import os
+import subprocess
+import sys
+import tarfile
+import time
+from pathlib import Path
+
+import pytest
+
+from hir_core.batch import desk as desk_module
+from hir_core.batch import storage
+from hir_core.batch.archive import kept_files, pack, unpack
+from hir_core.batch.desk import desk, sweep
+from hir_core.batch.groups import GROUPS
+from hir_core.batch.layout import Destination
+from hir_core.batch.patience import StoreError
+from hir_core.batch.storage import Place
+from hir_core.errors import CaptureError, InputError
+from hir_core.run_directory import RunDirectory, StageRecord
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    """A run's folder with two finished stages, a workspace, a lock and a result."""
+    folder = tmp_path / "run"
+    directory = RunDirectory(folder)
+    for stage in ("initializer", "geometry"):
+        (directory.begin(stage, "key") / "database.db").write_bytes(b"large")
+        (directory.stage(stage) / "scene").write_bytes(stage.encode())
+        directory.finish(StageRecord(stage, "key", True))
+    (folder / ".lock").write_bytes(b"")
+    directory.write_run({"capture": {"path": "/cache/cup"}})
+    (folder / "exports").mkdir()
+    (folder / "exports" / "cup.glb").write_bytes(b"glTF")
+    return folder
+
+
+def relative(folder: Path) -> set[str]:
+    return {file.relative_to(folder).as_posix() for file in folder.rglob("*") if file.is_file()}
+
+
+def test_archive_of_a_group_holds_its_stages_and_the_records(run: Path, tmp_path: Path) -> None:
+    unpack(pack(run, GROUPS[1]), tmp_path / "there")
+    assert relative(tmp_path / "there") == {"run.json", "stages/2-geometry/scene", "stages/2-geometry/stage.json"}
+    unpack(pack(run, GROUPS[0]), tmp_path / "there")
+    assert (tmp_path / "there" / "stages/1-initializer/scene").read_bytes() == b"initializer"
+    record = RunDirectory(tmp_path / "there").record("geometry")
+    assert record is not None and record.finished
+    assert not any("work" in file.parts or file.name == ".lock" for file in kept_files(run))
+
+
+@pytest.mark.parametrize("name", ["../evil", "link"])
+def test_archive_that_leads_out_of_the_run_is_refused(name: str, tmp_path: Path) -> None:
+    stream = io.BytesIO()
+    with tarfile.open(fileobj=stream, mode="w") as archive:
+        member = tarfile.TarInfo(name)
+        if name == "link":
+            member.type, member.linkname = tarfile.SYMTYPE, "/etc/passwd"
+        archive.addfile(member, io.BytesIO(b""))
+    with pytest.raises(InputError, match="damaged"):
+        unpack(stream.getvalue(), tmp_path / "run")
+    with pytest.raises(InputError, match="damaged"):
+        unpack(stream.getvalue()[:100], tmp_path / "run")
+    assert not (tmp_path / "evil").exists()
+
+
+@pytest.mark.parametrize("kind", ["memory", "local"])
+def test_result_replaces_an_older_one_as_a_whole(kind: str, run: Path, memory: Place, tmp_path: Path) -> None:
+    destination = Destination(memory if kind == "memory" else Place(str(tmp_path / "out")))
+    destination.publish("cup", run)
+    (run / "exports" / "cup.glb").unlink()
+    (run / "exports" / "cup.usdz").write_bytes(b"usd")
+    size = destination.publish("cup", run)
+    there = {name: storage.read(destination.result("cup") / name) for name in storage.files(destination.result("cup"))}
+    kept = {file.relative_to(run).as_posix(): file.read_bytes() for file in kept_files(run)}
+    assert there == kept and size == sum(map(len, kept.values())) and "exports/cup.glb" not in there
+    destination.publish("cup", run, keep_stages=False)
+    assert set(storage.files(destination.result("cup"))) == {name for name in kept if not name.startswith("stages/")}
+
+
+def test_upload_that_breaks_off_leaves_no_run_behind(run: Path, memory: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+    destination = Destination(memory)
+    destination.publish("cup", run)
+    upload = storage.upload
+
+    def breaks_off(sources: dict[str, Path], at: Place) -> None:
+        upload({name: sources[name] for name in list(sources)[:1]}, at)
+        raise StoreError("refused")
+
+    monkeypatch.setattr(storage, "upload", breaks_off)
+    with pytest.raises(StoreError):
+        destination.publish("cup", run)
+    assert not storage.exists(destination.result("cup") / "run.json"), "without run.json a folder is not a run"
+    monkeypatch.setattr(storage, "upload", upload)
+    destination.publish("cup", run)
+    assert storage.read(destination.result("cup") / "run.json") == (run / "run.json").read_bytes()
+
+
+def test_folder_that_is_no_result_is_left_alone(run: Path, tmp_path: Path) -> None:
+    (tmp_path / "out" / "cup").mkdir(parents=True)
+    (tmp_path / "out" / "cup" / "letters.txt").write_text("dear")
+    with pytest.raises(InputError, match="is there and is not a run"):
+        Destination(Place(str(tmp_path / "out"))).publish("cup", run)
+    assert (tmp_path / "out" / "cup" / "letters.txt").read_text() == "dear"
+
+
+def test_groups_are_kept_by_their_input_and_settings(run: Path, memory: Place, tmp_path: Path) -> None:
+    destination = Destination(memory)
+    destination.store_group("cup", "mark", GROUPS[0], run)
+    assert destination.stored_groups("cup", "mark") == [GROUPS[0]] and destination.stored_groups("cup", "other") == []
+    destination.fetch_group("cup", "mark", GROUPS[0], tmp_path / "node")
+    assert relative(tmp_path / "node") == {"run.json", "stages/1-initializer/scene", "stages/1-initializer/stage.json"}
+    with pytest.raises(InputError, match="are gone"):
+        destination.fetch_group("cup", "mark", GROUPS[1], tmp_path / "node")
+
+
+def test_record_that_is_damaged_is_none(memory: Place) -> None:
+    destination = Destination(memory)
+    destination.write_record("cup", {"psnr": {"object": 30.0}})
+    assert destination.record("cup") == {"psnr": {"object": 30.0}}
+    storage.write(memory / ".batch" / "records" / "cup.json", b"[1")
+    assert destination.record("cup") == {} and destination.record("jug") == {}
+
+
+def test_capture_is_staged_once_and_under_its_own_name(memory: Place, tmp_path: Path) -> None:
+    storage.write(memory / "cup" / "train" / "a.png", b"red")
+    with desk(tmp_path / "cache", "s3://out", "cup") as place:
+        staged, content = place.stage(memory / "cup", "")
+        assert staged.name == "cup" and (staged / "train" / "a.png").read_bytes() == b"red"
+    storage.remove(memory / "cup")
+    with desk(tmp_path / "cache", "s3://out", "cup") as place:
+        assert place.stage(memory / "cup", content) == (staged, content), "nothing is fetched again"
+        place.clear()
+        with pytest.raises(CaptureError, match="does not exist or is empty"):
+            place.stage(memory / "cup", content)
+        with pytest.raises(CaptureError, match="does not exist on this node"):
+            place.stage(Place(str(tmp_path / "gone")), "")
+
+
+def test_run_of_other_input_is_cleared_from_the_desk(tmp_path: Path) -> None:
+    with desk(tmp_path, "out", "cup") as place:
+        place.begin("one")
+        place.run.mkdir()
+        (place.run / "run.json").write_text("{}")
+        place.begin("one")
+        assert place.run.exists()
+        place.begin("two")
+        assert not place.run.exists()
+
+
+HOLD = """
+import sys, time
+from pathlib import Path
+from hir_core.batch.desk import desk
+with desk(Path(sys.argv[1]), "out", "cup"):
+    print("held", flush=True)
+    time.sleep(600)
+"""
+
+
+def test_desk_belongs_to_one_worker_until_it_dies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(desk_module, "LOCK_SECONDS", 0.3)
+    with subprocess.Popen([sys.executable, "-c", HOLD, str(tmp_path)], stdout=subprocess.PIPE, text=True) as other:
+        assert other.stdout is not None and other.stdout.readline()
+        with pytest.raises(StoreError, match="still works on cup"), desk(tmp_path, "out", "cup"):
+            pass
+        (folder,) = tmp_path.iterdir()
+        os.utime(folder, (1, 1))
+        sweep(tmp_path, time.time())
+        assert folder.exists(), "it is in use"
+        other.kill()
+    sweep(tmp_path, time.time())
+    assert not folder.exists()
+    with desk(tmp_path, "out", "cup"):
+        pass

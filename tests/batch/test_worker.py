@@ -1,0 +1,115 @@
+"""The four tasks of a capture, run here one after the other, without Ray."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from hir_core import __version__
+from hir_core.batch import storage
+from hir_core.batch.content import content_mark, settings_mark
+from hir_core.batch.groups import GROUPS
+from hir_core.batch.job import Job, Outcome, Told
+from hir_core.batch.layout import Destination, json_bytes
+from hir_core.batch.storage import Place
+from hir_core.batch.worker import run_group
+from hir_core.config import RunConfig, load_config
+from hir_core.manager import PluginManager
+from hir_core.pipeline import reconstruct
+from tests.pipeline.test_run import files
+
+from .conftest import QUICKER
+
+
+@pytest.fixture(scope="module")
+def config() -> RunConfig:
+    return load_config(PluginManager.discover(), assignments=QUICKER, device="cpu", deterministic=True)
+
+
+def job_for(source: Place | Path, out: Place, config: RunConfig, cache: Path, group: int = 0) -> Job:
+    storage.write(Destination(out).lease, json_bytes({"owner": "me"}))
+    source = source if isinstance(source, Place) else Place(str(source))
+    return Job(
+        source.name, source.url, out.url, group, config, settings_mark(config), "me", __version__, cache=str(cache)
+    )
+
+
+def run(job: Job, told: list[Told] | None = None) -> Outcome:
+    return run_group(job, (told if told is not None else []).append)
+
+
+def test_chain_on_a_store_makes_what_a_single_run_makes(
+    tiny: Path, config: RunConfig, memory: Place, tmp_path: Path
+) -> None:
+    """Photographs and result in a store, each group on another node's disk: the same bytes, everything kept."""
+    source, out = memory / "shelf" / "cow", memory / "out"
+    storage.upload({file.relative_to(tiny).as_posix(): file for file in tiny.rglob("*") if file.is_file()}, source)
+    told: list[Told] = []
+    content = ""
+    for i, group in enumerate(GROUPS):
+        job = replace(job_for(source, out, config, tmp_path / f"node{i}", i), content=content, listing="as listed")
+        outcome = run(job, told)
+        assert outcome.state == "done", outcome
+        content = outcome.content
+        kept = set(storage.files(Destination(out).work("cow")))
+        assert {Path(name).stem for name in kept} == ({g.name for g in GROUPS[: i + 1]} if i < 3 else set()), group
+    assert content == content_mark(tiny) and {t.stage for t in told} >= {"initializer", "geometry", "reflectance"}
+
+    single = reconstruct(tiny, tmp_path / "single", config=config)
+    result = out / "cow"
+    storage.download(result, storage.files(result), tmp_path / "result")
+    assert files(tmp_path / "result" / "scene") == files(single.directory.scene)
+    assert files(tmp_path / "result" / "exports") == files(single.directory.exports)
+    document = json.loads((tmp_path / "result" / "run.json").read_text())
+    assert document["capture"].pop("path") == source.url, "the staged copy is gone, this one is not"
+    expected = single.directory.read_run()
+    del expected["capture"]["path"]
+    assert document == expected
+
+    record = Destination(out).record("cow")
+    assert (record["content"], record["listing"]) == (content, "as listed") and record["psnr"]["object"] > 10
+    assert record["thumbnail"].startswith("data:image/jpeg;base64,") and set(record["stage_seconds"]) >= {"geometry"}
+    again = replace(job_for(source, out, config, tmp_path / "node4"), finished=(content, record["settings"]))
+    assert run(again).state == "unchanged"
+
+
+def test_broken_capture_is_one_sentence_and_a_log(tiny: Path, config: RunConfig, memory: Place, tmp_path: Path) -> None:
+    broken = tmp_path / "broken"
+    shutil.copytree(tiny, broken)
+    photograph = next((broken / "train").iterdir())
+    photograph.write_bytes(photograph.read_bytes()[:300])
+    outcome = run(job_for(broken, memory / "out", config, tmp_path / "node"))
+    assert outcome.state == "failed" and photograph.name in outcome.reason and "\n" not in outcome.reason
+    assert any("Traceback" in line for line in outcome.lines)
+    assert storage.files(memory / "out" / "broken") == {} and Destination(memory / "out").record("broken") == {}
+
+
+def test_refusals_are_sorted(
+    tiny: Path, config: RunConfig, memory: Place, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    job = job_for(tiny, memory / "out", config, tmp_path / "node")
+    other = run(replace(job, version="0.0.1"))
+    assert other.state == "failed" and "install the same" in other.reason
+    gone = run(replace(job, source=str(tmp_path / "gone")))
+    assert gone.state == "failed" and "does not exist on this node" in gone.reason
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("hir_core.pipeline.reconstruct", full)
+    assert run(job).state == "trouble", "another node may have a disk"
+
+    def wrong(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("division by zero")
+
+    monkeypatch.setattr("hir_core.pipeline.reconstruct", wrong)
+    assert run(job).reason == "this is a bug: ZeroDivisionError: division by zero"
+    monkeypatch.setattr("hir_core.pipeline.reconstruct", lambda *_, **__: None)
+    storage.write(Destination(memory / "out").lease, json_bytes({"owner": "another batch"}))
+    superseded = run(job)
+    assert superseded.state == "trouble" and "another batch" in superseded.reason
+    assert storage.files(Destination(memory / "out").work("cow")) == {}
