@@ -22,6 +22,10 @@ _SLACK = 1.3
 _BOX_RESOLUTION = 40
 _MAX_GROWTH = 5
 _UNSEEN = -1e6
+_MANY_VIEWS = 20
+"""Photographs among which one that stands alone is wrong, and not the only one that looks into a gap."""
+_PIECE = 0.02
+"""Share of the object's volume that no right mask cuts away alone."""
 
 
 @dataclass(frozen=True)
@@ -128,9 +132,9 @@ def carve(carver: Carver, voxel_pixels: float, max_resolution: int, drop_bad_vie
 
     The volume is in world units; its outermost layer is outside.
     """
-    low, high, values = _search_box(carver)
+    low, high, _ = _search_box(carver)
     if drop_bad_views:
-        carver, low, high = _without_bad_views(carver, low, high, values)
+        carver, low, high = _without_bad_views(carver, low, high)
     extent = float((high - low).max())
     fine = max(voxel_pixels * carver.pixel, extent / max_resolution)
     ratio = max(2, min(6, round(extent / fine / 48)))
@@ -204,28 +208,13 @@ def _search_box(carver: Carver) -> tuple[Array, Array, Tensor]:
     return low, high, values
 
 
-def _without_bad_views(carver: Carver, low: Array, high: Array, values: Tensor) -> tuple[Carver, Array, Array]:
+def _without_bad_views(carver: Carver, low: Array, high: Array) -> tuple[Carver, Array, Array]:
     """Drops views, at most a tenth, whose mask does not fit what nearly all others keep."""
     count = len(carver.fields)
     allowed = count // 10
     if count < 8 or allowed == 0:
         return carver, low, high
-    tolerant = carver.without(np.zeros(count, dtype=bool))
-    tolerant.tolerated = max(carver.tolerated, allowed)
-    t_low, t_high, _ = _search_box(tolerant)
-    cell = (t_high - t_low) / _BOX_RESOLUTION
-    points = torch.cartesian_prod(
-        *[torch.from_numpy(t_low[i] + (np.arange(_BOX_RESOLUTION) + 0.5) * cell[i]).float() for i in range(3)]
-    )
-    kept = points[tolerant.field(points) > 0]
-    if len(kept) < 20:
-        return carver, low, high
-    cut = (carver.per_view(kept) < -float(cell.max()) / 2).float().mean(dim=1).numpy()
-    # a right mask may be the only one that looks into a gap: a wrong one cuts very much, or shows what is not there
-    bad = np.array([
-        share > 1 / 3 or (share > 0.1 and carver.unexplained(view, kept, float(cell.max())) > 0.1)
-        for view, share in enumerate(cut)
-    ])  # fmt: skip
+    bad = _contradicting(carver, allowed) | _alone(carver)
     if not bad.any():
         return carver, low, high
     names = [f.name for f, b in zip(carver.fields, bad, strict=True) if b]
@@ -238,6 +227,46 @@ def _without_bad_views(carver: Carver, low: Array, high: Array, values: Tensor) 
     better = carver.without(bad)
     low, high, _ = _search_box(better)
     return better, low, high
+
+
+def _contradicting(carver: Carver, tolerated: int) -> NDArray[np.bool_]:
+    """Views whose mask cuts away a third of what the others keep, or shows besides what they do not."""
+    kept, spacing = _tolerant_body(carver, tolerated)
+    if len(kept) < 20:
+        return np.zeros(len(carver.fields), dtype=bool)
+    cut = (carver.per_view(kept) < -spacing / 2).float().mean(dim=1).numpy()
+    # a right mask may be the only one that looks into a gap: a wrong one cuts very much, or shows what is not there
+    return np.array([
+        share > 1 / 3 or (share > 0.1 and carver.unexplained(view, kept, spacing) > 0.1)
+        for view, share in enumerate(cut)
+    ])  # fmt: skip
+
+
+def _alone(carver: Carver) -> NDArray[np.bool_]:
+    """Views whose mask alone cuts away a piece: beside them hardly any mask cuts what all but a twentieth keep.
+
+    Only among many photographs, where a gap that one of them looks into is seen by its neighbours too.
+    """
+    count = len(carver.fields)
+    if count < _MANY_VIEWS:
+        return np.zeros(count, dtype=bool)
+    kept, spacing = _tolerant_body(carver, count // _MANY_VIEWS)
+    if len(kept) < 20:
+        return np.zeros(count, dtype=bool)
+    cut = (carver.per_view(kept) < -spacing / 2).float().mean(dim=1).numpy()
+    return np.asarray((cut > _PIECE) & (cut > 10 * np.quantile(cut, 0.9)))
+
+
+def _tolerant_body(carver: Carver, tolerated: int) -> tuple[Tensor, float]:
+    """Points (N, 3) of the hull that forgives some masks, and the largest side of their cells; unit frame."""
+    tolerant = carver.without(np.zeros(len(carver.fields), dtype=bool))
+    tolerant.tolerated = max(carver.tolerated, tolerated)
+    low, high, _ = _search_box(tolerant)
+    cell = (high - low) / _BOX_RESOLUTION
+    points = torch.cartesian_prod(
+        *[torch.from_numpy(low[i] + (np.arange(_BOX_RESOLUTION) + 0.5) * cell[i]).float() for i in range(3)]
+    )
+    return points[tolerant.field(points) > 0], float(cell.max())
 
 
 def _disagreement() -> CaptureError:
