@@ -67,6 +67,7 @@ def batch_command(
     """Reconstructs many CAPTURES on Ray, into DEST: a run for each, batch.json and batch.html.
 
     CAPTURES and DEST are folders or URLs (s3://…, gs://…). The same call again goes on: what is finished stays.
+    Exit code 3: some captures failed.
     """
     from hir_core.batch.driver import Batch, Options
     from hir_core.batch.groups import build_requests
