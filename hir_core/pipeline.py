@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -196,7 +196,6 @@ def reflectance_stage(scene: Scene, capture: Capture, session: Session) -> Scene
 def bake_stage(scene: Scene, capture: Capture, session: Session) -> Asset:
     """The asset in the place and scale of the capture's own files (+Y up), written to `scene/`."""
     from hir_exporters.environment import FIRST_VIEW_KEY
-    from hir_exporters.mesh_ply import decode_ply, encode_ply
     from hir_exporters.scene_files import load_scene, save_scene
 
     from hir_core.bake import bake
@@ -204,21 +203,22 @@ def bake_stage(scene: Scene, capture: Capture, session: Session) -> Asset:
 
     name = str(session.document["capture"]["name"])
 
-    def compute(_: StageContext) -> tuple[Asset, dict[str, Any]]:
+    def compute(_: StageContext) -> tuple[Asset | None, dict[str, Any]]:
         from hir_exporters.asset import describe
 
         facts = provenance(session)
         if scene.environment is not None and scene.environment.frame == "camera":
             facts[FIRST_VIEW_KEY] = capture.cameras[0].world_to_camera[:3, :3].T.tolist()
         asset = bake(move_scene(scene, asset_from_working(session)), name=name, provenance=facts)
-        # as mesh.ply gives it back (which counts v upwards): an export may not depend on whether the run was interrupted
-        asset = replace(asset, mesh=decode_ply(encode_ply(asset.mesh), "mesh.ply"))
         return asset, describe(asset)
 
-    def save(asset: Asset, _: Path) -> None:
+    def save(asset: Asset | None, _: Path) -> None:
+        assert asset is not None
         save_scene(asset, session.directory.scene)
 
-    return session.stage("bake", name, compute, save, lambda _: load_scene(session.directory.scene), lambda _: scene)
+    session.stage("bake", name, compute, save, lambda _: None, lambda _: scene)
+    # always as the files have it (last bits of v, order of keys): an export may not depend on an interruption
+    return load_scene(session.directory.scene)
 
 
 def export_stage(asset: Asset, config: RunConfig, session: Session) -> Asset:

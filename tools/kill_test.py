@@ -110,7 +110,8 @@ def kill_and_resume(place: Path, kills: int, seed: int, kind: str) -> int:
         verdict = "the same files" if not wrong and not left else f"DIFFERENT: {', '.join([*wrong, *left])}"
         note = f" with {kept} states kept" if kept else ""
         print(f"{number + 1:3}: killed at {moment:5.2f} s in {stage}{note}: {verdict}", flush=True)
-        shutil.rmtree(run)
+        if not wrong and not left:
+            shutil.rmtree(run)
     print(f"{same} of {kills} the same; killed in: {', '.join(f'{k} {v}' for k, v in sorted(where.items()))}")
     return 0 if same == kills else 1
 
