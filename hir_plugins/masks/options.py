@@ -39,3 +39,13 @@ class GrabCutOptions:
     """How far beyond the reconstructed points, in their radius, the object may reach at first."""
     agreement: float = 0.8
     """Share of the photographs that show a place in which it must look like the object to belong to it."""
+
+
+@dataclass(frozen=True)
+class RembgOptions:
+    """A network that tells objects from what is behind them."""
+
+    model: str = "u2net"
+    """Its name among rembg's models; its weights must be on this machine (`rembg d u2net` fetches them)."""
+    weights: str = ""
+    """A file of weights instead, in ONNX and of U²-Net's form, relative to the capture."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hir_core.plugin import Component, hookimpl
-from hir_plugins.masks.options import ColorKeyOptions, FolderOptions, GrabCutOptions
+from hir_plugins.masks.options import ColorKeyOptions, FolderOptions, GrabCutOptions, RembgOptions
 
 ALPHA = Component(
     name="alpha",
@@ -39,7 +39,17 @@ GRABCUT = Component(
     traits=frozenset({"automatic", "needs_cameras"}),
 )
 
+REMBG = Component(
+    name="rembg",
+    target="hir_plugins.masks.rembg:Rembg",
+    config=RembgOptions,
+    summary="A network that tells what stands in front, with weights that are on this machine.",
+    requires=("rembg", "onnxruntime"),
+    extra="rembg",
+    testing="hir_plugins.masks.cases:photographs_with_weights",
+)
+
 
 @hookimpl
 def hir_register_mask_sources() -> list[Component]:
-    return [ALPHA, FOLDER, COLOR_KEY, GRABCUT]
+    return [ALPHA, FOLDER, COLOR_KEY, GRABCUT, REMBG]

@@ -1,0 +1,90 @@
+"""Masks from a network that knows what stands in front of what: rembg, with weights that are on this machine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, final
+
+import numpy as np
+from hir_exporters.conventions import linear_to_srgb
+from numpy.typing import NDArray
+
+from hir_core.capture import Capture
+from hir_core.errors import CaptureError
+from hir_core.interfaces import MaskSource
+from hir_plugins.masks.options import RembgOptions
+
+if TYPE_CHECKING:
+    from hir_core.scene import Scene
+
+
+@final
+class Rembg(MaskSource):
+    """One photograph at a time, without knowledge of the others; soft edges stay soft. Nothing is downloaded."""
+
+    def __init__(self, config: RembgOptions) -> None:
+        self._config = config
+
+    def masks(self, capture: Capture, scene: Scene | None) -> list[NDArray[np.float32] | None]:
+        """One mask for each view. Weights that are not on this machine are a `CaptureError`."""
+        del scene
+        if not capture.views:
+            return []
+        session = _session(self._config, capture)
+        return [_mask(view.pixels().color_linear, session) for view in capture.views]
+
+
+def _session(options: RembgOptions, capture: Capture) -> Any:
+    from rembg import new_session
+    from rembg.sessions import sessions_class
+
+    if options.weights:
+        path = Path(options.weights)
+        path = path if path.is_absolute() else capture.path / path
+        if not path.is_file():
+            raise CaptureError(f"{path}: there are no such weights; mask_source.rembg.weights names an ONNX file")
+        return _opened(path, lambda: _of_file(path))
+    known = {kind.name(): kind for kind in sessions_class}
+    if options.model not in known:
+        raise CaptureError(f"rembg has no model {options.model!r}; it has: {', '.join(sorted(known))}")
+    kind = known[options.model]
+    found = kind.resolve_existing(f"{options.model}.onnx")
+    if found is None:
+        raise CaptureError(f"the weights of {options.model} are not on this machine, and nothing is downloaded "
+                           f"unasked; fetch them once with: rembg d {options.model}")  # fmt: skip
+    return _opened(Path(found), lambda: new_session(options.model))
+
+
+def _of_file(weights: Path) -> Any:
+    """rembg's U²-Net on weights of any place: rembg itself opens only what lies in its own folder."""
+    from onnxruntime import SessionOptions
+    from rembg.sessions.u2net import U2netSession
+
+    class GivenWeights(U2netSession):  # type: ignore[misc]
+        @classmethod
+        def download_models(cls, *args: Any, **kwargs: Any) -> str:
+            return str(weights)
+
+    return GivenWeights("given", SessionOptions())
+
+
+def _opened(path: Path, make: Callable[[], Any]) -> Any:
+    try:
+        return make()
+    except Exception as error:  # the runtime raises types of its own on a broken file
+        raise CaptureError(f"{path} is not a network that rembg can run: {' '.join(str(error).split())[:200]}; fetch "
+                           "it again") from error  # fmt: skip
+
+
+def _mask(color_linear: NDArray[np.float32], session: Any) -> NDArray[np.float32]:
+    from PIL import Image
+    from rembg import remove
+
+    encoded = np.rint(np.clip(linear_to_srgb(np.clip(color_linear, 0, 1)), 0, 1) * 255).astype(np.uint8)
+    if not np.ptp(encoded):
+        # one colour: there is nothing in front of anything, and the network's range would be empty
+        return np.zeros(encoded.shape[:2], np.float32)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        found = np.asarray(remove(Image.fromarray(encoded), session=session, only_mask=True), dtype=np.float32)
+    return np.nan_to_num(found.reshape(encoded.shape[:2]) / 255)
