@@ -1,6 +1,5 @@
 """The pictures of a report: photographs beside their fit, the light, the textures."""
 
-
 from __future__ import annotations
 
 from collections.abc import Callable
@@ -15,25 +14,39 @@ from hir_exporters.scene_files import load_scene
 
 from hir_core.evaluation import Truth, difference_picture, masked_pixels, split_in_working_frame, spread
 from hir_core.export import file_stem
-from hir_core.metrics import OBJECT_COVERAGE, Image, composite, psnr, unassociate
+from hir_core.metrics import OBJECT_COVERAGE, Image, composite, mean, psnr, unassociate
 from hir_core.reference import open_for_rendering, reference_renderer, render_view
 from hir_core.run_directory import RunDirectory
+from hir_core.unlit import UnlitView
 
 if TYPE_CHECKING:
+    from hir_core.capture import Camera, View
     from hir_core.manager import PluginManager
 
 VIEWS = 4
 """Photographs that a report shows, spread over the capture."""
 
 
+SMALL_SIDE = 192
+"""Pictures of a run's stages, which are only measured, are at most about as large."""
+
+UNLIT_STAGE = "initializer"
+"""It knows colours and no light: its scene is shown as what is baked into it, as plain photogrammetry has it. Stages
+after it carry these colours along for a start and are judged by their outlines."""
+
+
 def write_pictures(
     directory: RunDirectory, plugins: PluginManager, on_message: Callable[[str], None] | None = None
-) -> list[dict[str, Any]]:
-    """Fills `report/` as a whole with PNGs and returns what the views are: name, figures and file names."""
+) -> dict[str, Any]:
+    """Fills `report/` as a whole with PNGs and returns what they show.
+
+    `views`: name, figures and file names of each; `stages`: mean PSNR of the same views after each stage, small.
+    """
     run = open_for_rendering(directory)
     capture = split_in_working_frame(run, run.capture_path, "train", plugins)
     _, renderer = reference_renderer(plugins, bounces=run.bounces)
-    shown = []
+    shown: list[dict[str, Any]] = []
+    seen: list[tuple[View, Camera, Image]] = []
     with atomic_directory(directory.report) as place:
         for i in spread(len(capture.views), VIEWS):
             view = capture.views[i]
@@ -43,10 +56,44 @@ def write_pictures(
                 continue
             fit = render_view(renderer, run.scene, capture.cameras[i], view.name)
             fit[..., :3] *= view.exposure
+            seen.append((view, capture.cameras[i], fit))
             shown.append({"name": view.name} | _view_pictures(place, file_stem(view.name), fit, masked_pixels(view)))
         for name, picture in asset_pictures(directory.scene).items():
             write_png(place / f"{name}.png", picture)
-    return shown
+    return {"views": shown, "stages": stage_psnr(directory, seen)}
+
+
+def stage_psnr(directory: RunDirectory, seen: list[tuple[View, Camera, Image]]) -> dict[str, float | None]:
+    """Mean PSNR over object pixels, first mesh and finished asset, of the views shown, all reduced alike.
+
+    `seen`: views, their cameras in the working frame, and the finished asset's renders (H, W, 4).
+    """
+    from hir_core.scene_store import load_stage_scene
+
+    factors = [max(1, -(-max(camera.width, camera.height) // SMALL_SIDE)) for _, camera, _ in seen]
+    truths = [masked_pixels(view).downsampled(factor) for (view, *_), factor in zip(seen, factors, strict=True)]
+    found: dict[str, float | None] = {}
+    record = directory.record(UNLIT_STAGE)
+    if record is not None and record.finished:
+        scene = load_stage_scene(directory.stage(UNLIT_STAGE) / "scene", "cpu")
+        if scene.mesh.vertex_colors is not None:
+            unlit = UnlitView(scene)
+            small = [unlit.render(camera.downsampled(f)) for (_, camera, _), f in zip(seen, factors, strict=True)]
+            found[UNLIT_STAGE] = mean([_object_psnr(fit, truth) for fit, truth in zip(small, truths, strict=True)])
+    small = [block_mean(fit, factor) for (*_, fit), factor in zip(seen, factors, strict=True)]
+    found["reflectance"] = mean([_object_psnr(fit, truth) for fit, truth in zip(small, truths, strict=True)])
+    return found
+
+
+def block_mean(image: Image, factor: int) -> Image:
+    """An image (H, W, C) at 1/`factor`; a border that fills no block is cut."""
+    height, width = image.shape[0] // factor, image.shape[1] // factor
+    cut = image[: height * factor, : width * factor]
+    return np.asarray(cut.reshape(height, factor, width, factor, -1).mean(axis=(1, 3)), dtype=np.float32)
+
+
+def _object_psnr(fit: Image, truth: Truth) -> float | None:
+    return psnr(composite(*unassociate(fit)), truth.picture, truth.mask > OBJECT_COVERAGE)
 
 
 def asset_pictures(scene: Path) -> dict[str, Image]:

@@ -55,11 +55,11 @@ LIGHT_ROWS: Final = 256
 """A larger light is reduced: three.js blurs it for reflections anyway."""
 
 
-def view_page(source: Path, light: Path | None = None) -> str:
+def view_page(source: Path, light: Path | None = None, photographs: bool = True) -> str:
     """The page for a run, a scene folder, or a file; `light` is a lat-long .hdr or .exr in the asset's axes.
 
     A .glb is shown as it is; other formats as independent readers read them back. Without `light`, the run's light or
-    the .hdr beside the file. Raises `InputError` naming what cannot be shown.
+    the .hdr beside the file. `photographs` puts a run's beside it. Raises `InputError` naming what cannot be shown.
     """
     title, glb, radiance = _shown(source)
     if light is not None:
@@ -71,11 +71,11 @@ def view_page(source: Path, light: Path | None = None) -> str:
     parts["asset.glb"] = glb
     if radiance is not None:
         parts["light.hdr"] = _encoded_light(radiance)
-    photographs, pictures = _photographs(source)
+    beside, pictures = _photographs(source) if photographs else ([], {})
     parts |= pictures
     order = {
         "title": title,
-        "photographs": photographs,
+        "photographs": beside,
         "toward": _first_camera(source),
         "modules": [{"name": name, "imports": imports} for name, imports in MODULES],
     }

@@ -10,4 +10,12 @@ from hir_core.evaluation.views import (
     spread,
 )
 
-__all__ = ["Question", "Truth", "difference_picture", "evaluate_run", "masked_pixels", "split_in_working_frame", "spread"]
+__all__ = [
+    "Question",
+    "Truth",
+    "difference_picture",
+    "evaluate_run",
+    "masked_pixels",
+    "split_in_working_frame",
+    "spread",
+]

@@ -12,7 +12,7 @@ import numpy as np
 from hir_exporters.images import read_exr, write_exr, write_png
 from numpy.typing import NDArray
 
-from hir_core.capture import Array, Capture, EnvironmentSource, View
+from hir_core.capture import Array, Capture, EnvironmentSource, Pixels, View
 from hir_core.capture_files import restore_capture
 from hir_core.errors import CaptureError, InputError
 from hir_core.export import file_stem
@@ -182,6 +182,12 @@ class Truth:
     def picture(self) -> Image:
         """Composited over black (`hir_core.metrics`)."""
         return composite(self.color_linear, self.mask)
+
+    def downsampled(self, factor: int) -> Truth:
+        """At 1/`factor` of the resolution, as `Pixels` does it."""
+        small = Pixels(self.color_linear, self.mask, self.saturated).downsampled(factor)
+        assert small.mask is not None
+        return Truth(small.color_linear, small.mask, small.saturated)
 
 
 def masked_pixels(view: View) -> Truth:

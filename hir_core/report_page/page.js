@@ -1,10 +1,14 @@
 "use strict";
+// after the #: still (nothing turns), theme=dark or theme=light
+const asked = new URLSearchParams(location.hash.slice(1));
+if (asked.has("theme")) document.documentElement.dataset.theme = asked.get("theme");
 const slides = [...document.querySelectorAll(".slide")];
 let current = 0;
 function show(index) {
   current = (index + slides.length) % slides.length;
   slides.forEach((slide, i) => slide.classList.toggle("shown", i === current));
   document.getElementById("position").textContent = `${current + 1} of ${slides.length}`;
+  document.querySelectorAll(".thumb").forEach((thumb, i) => thumb.classList.toggle("chosen", i === current));
 }
 if (slides.length) {
   show(0);
@@ -22,3 +26,28 @@ document.getElementById("theme").onclick = () => {
   const dark = root.dataset.theme ? root.dataset.theme === "dark" : matchMedia("(prefers-color-scheme: dark)").matches;
   root.dataset.theme = dark ? "light" : "dark";
 };
+
+for (const thumb of document.querySelectorAll(".thumb")) thumb.onclick = () => show(Number(thumb.dataset.at));
+
+// the asset, in a frame of its own: unpacked once the rest of the page is there
+const frame = document.getElementById("model");
+async function openModel() {
+  const packed = Uint8Array.from(atob(document.getElementById("packed-model").textContent), (c) => c.charCodeAt(0));
+  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("gzip"));
+  const page = new Blob([await new Response(stream).arrayBuffer()], { type: "text/html" });
+  const still = matchMedia("(prefers-reduced-motion: reduce)").matches || asked.has("still");
+  frame.src = `${URL.createObjectURL(page)}#bare${still ? "" : "&spin=1"}`;
+}
+if (frame) {
+  openModel();
+  const buttons = [...document.querySelectorAll(".channels [data-channel]")], wires = document.getElementById("wires");
+  const tell = () => frame.contentWindow.postMessage({
+    sender: "hir report",
+    channel: buttons.find((button) => button.classList.contains("chosen")).dataset.channel,
+    wireframe: wires.classList.contains("chosen"),
+  }, "*");
+  for (const button of buttons) {
+    button.onclick = () => { buttons.forEach((other) => other.classList.toggle("chosen", other === button)); tell(); };
+  }
+  wires.onclick = () => { wires.classList.toggle("chosen"); tell(); };
+}

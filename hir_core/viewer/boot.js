@@ -1,5 +1,6 @@
 // Unpacks the parts of this page and starts the viewer: each module becomes a blob, its imports the blobs before it.
 (async () => {
+  document.body.classList.toggle("bare", new URLSearchParams(location.hash.slice(1)).has("bare"));
   const bytesOf = async (name) => {
     const element = document.getElementById(`part ${name}`);
     if (!element) return null;

@@ -13,7 +13,6 @@ const CHANNELS = { albedo: 0, specular: 1, roughness: 2 };
 export async function start({ asset, light, toward, photographs = [] }) {
   const element = (id) => document.getElementById(id);
   const asked = new URLSearchParams(location.hash.slice(1));
-  document.body.classList.toggle("bare", asked.has("bare"));
 
   const renderer = new THREE.WebGLRenderer({ canvas: element("canvas"), antialias: true, preserveDrawingBuffer: true });
   renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
@@ -94,6 +93,15 @@ export async function start({ asset, light, toward, photographs = [] }) {
   }
   element("panel").addEventListener("input", apply);
   apply();
+  // a page that has put this one into a frame may choose what is shown
+  addEventListener("message", ({ data }) => {
+    if (!data || data.sender !== "hir report") return;
+    const choice = document.querySelector(`[name=channel][value="${CSS.escape(data.channel)}"]`);
+    if (choice) choice.checked = true;
+    element("wireframe").checked = Boolean(data.wireframe);
+    apply();
+    wake();
+  });
 
   function resize() {
     const photograph = chosen(), canvas = renderer.domElement;

@@ -1,0 +1,105 @@
+"""One cell of a study: a run with its settings, what it gave, and how long it took; kept as one JSON file."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from benchmarks.experiments.captures import made_smaller
+
+ROOT = Path(__file__).resolve().parents[2]
+RESULTS = ROOT / "benchmarks" / "results" / "experiments"
+WORK = Path(os.environ.get("HIR_EXPERIMENTS", ROOT / "build" / "experiments"))
+"""Captures and runs, which are large and can be made again."""
+
+EVALUATED_VIEWS = 8
+PATHS = 128
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A run of `hir reconstruct` and its `hir evaluate`; cells with equal fields are one job, whoever asks for them."""
+
+    name: str
+    capture: str
+    """Below HIR_SHARED/captures; or `made:` and a folder of WORK/captures that Blender filled."""
+    views: int = 80
+    side: int = 256
+    preset: str = "fast"
+    settings: tuple[str, ...] = ()
+    splits: tuple[str, ...] = ("test", "relight_0", "relight_1")
+
+    @property
+    def result(self) -> Path:
+        return RESULTS / f"{self.name}.json"
+
+    def stored(self) -> dict[str, Any] | None:
+        """What an earlier run of this very cell gave."""
+        if not self.result.is_file():
+            return None
+        document: dict[str, Any] = json.loads(self.result.read_text(encoding="utf-8"))
+        return document if document["cell"] == json.loads(json.dumps(asdict(self))) else None
+
+    def source(self) -> Path | None:
+        """The capture, or None where it is not on this machine."""
+        if self.capture.startswith("made:"):
+            folder = WORK / "captures" / self.capture.removeprefix("made:")
+        else:
+            folder = Path(os.environ.get("HIR_SHARED", ROOT.parent / "shared")) / "captures" / self.capture
+        return folder if (folder / "transforms_train.json").is_file() else None
+
+    def run(self, seconds: float | None = None) -> dict[str, Any]:
+        """Fits, evaluates and stores; a run that was stopped goes on. Raises `TimeoutExpired` after `seconds`."""
+        source = self.source()
+        assert source is not None, f"{self.capture} is not there"
+        small = made_smaller(
+            source, WORK / "captures" / f"{source.name}_{self.views}_{self.side}", self.views, self.side
+        )
+        folder = WORK / "runs" / self.name
+        fit = ["reconstruct", small, "-o", folder, "--resume", "--preset", self.preset, "--set", "export=[]"]
+        for setting in self.settings:
+            fit += ["--set", setting]
+        hir(*fit, seconds=seconds)
+        figures = {}
+        for split in self.splits:
+            if (small / f"transforms_{split}.json").is_file():
+                truth = ["--truth"] if split == "test" else []
+                hir("evaluate", folder, "--split", split, "--views", str(EVALUATED_VIEWS), *truth,
+                    "--set", f"render_samples={PATHS}", seconds=seconds)  # fmt: skip
+                found = json.loads((folder / "evaluation" / split / "metrics.json").read_text(encoding="utf-8"))
+                figures[split] = {key: value for key, value in found.items() if key not in ("views", "run", "capture")}
+        document = {"cell": asdict(self), "figures": figures} | facts(folder)
+        self.result.parent.mkdir(parents=True, exist_ok=True)
+        text = json.dumps(document, indent=1, sort_keys=True, ensure_ascii=False)
+        self.result.write_text(text + "\n", encoding="utf-8")
+        return document
+
+
+def facts(folder: Path) -> dict[str, Any]:
+    """Seconds and memory of each stage, the model that was chosen, the machine and versions."""
+    timings = json.loads((folder / "timings.json").read_text(encoding="utf-8"))
+    run = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+    stages = {
+        name: {"seconds": stage["seconds"], "peak_memory_bytes": stage["peak_memory_bytes"]}
+        for name, stage in timings["stages"].items()
+    }
+    return {
+        "stages": stages,
+        "seconds": sum(stage["seconds"] for stage in stages.values()),
+        "peak_memory_bytes": max(stage["peak_memory_bytes"] for stage in stages.values()),
+        "rung": run["stages"]["reflectance"]["report"].get("rung"),
+        "triangles": run["stages"]["bake"]["report"].get("triangles"),
+        "machine": timings["machine"],
+        "versions": run["versions"],
+    }
+
+
+def hir(*words: object, seconds: float | None = None) -> None:
+    """One command of ours, in a process of its own."""
+    command = [sys.executable, "-m", "hir_core.cli", *map(str, words), "-q"]
+    subprocess.run(command, check=True, cwd=ROOT, timeout=seconds, stdout=subprocess.DEVNULL)
