@@ -216,7 +216,7 @@ def bake_stage(scene: Scene, capture: Capture, session: Session) -> Asset:
         assert asset is not None
         save_scene(asset, session.directory.scene)
 
-    session.stage("bake", name, compute, save, lambda _: None, lambda _: scene)
+    session.stage("bake", name, compute, save, lambda _: load_scene(session.directory.scene), lambda _: scene)
     # always as the files have it (last bits of v, order of keys): an export may not depend on an interruption
     return load_scene(session.directory.scene)
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -52,16 +53,27 @@ def save_stage_scene(scene: Scene, folder: Path) -> None:
 
 
 def load_stage_scene(folder: Path, device: str = "cpu") -> Scene:
-    """The scene that `save_stage_scene` wrote."""
+    """The scene that `save_stage_scene` wrote; `InputError` where it is damaged."""
     document = read_json(folder / "scene.json")
+    try:
+        return _scene_of(document, _arrays(folder)).to(device)
+    except (KeyError, TypeError, AttributeError) as error:
+        raise InputError(f"{folder} is no whole scene of a stage ({error}); run without --resume") from error
+
+
+def _arrays(folder: Path) -> dict[str, torch.Tensor]:
     found: dict[str, torch.Tensor] = {}
     try:
         with np.load(folder / "arrays.npz", allow_pickle=False) as arrays:
             found |= {name: torch.from_numpy(arrays[name]) for name in arrays.files}
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
         raise InputError(f"{folder / 'arrays.npz'} cannot be read ({error}); run without --resume") from error
     for path in sorted(folder.glob("*.exr")):
         found[path.stem] = torch.from_numpy(np.ascontiguousarray(read_exr(path)))
+    return found
+
+
+def _scene_of(document: dict[str, Any], found: dict[str, torch.Tensor]) -> Scene:
     mesh = Mesh(
         found["positions"],
         Topology(found["faces"], found.get("uv_faces")),
@@ -75,4 +87,4 @@ def load_stage_scene(folder: Path, device: str = "cpu") -> Scene:
         environment = EnvironmentMap(
             found["environment.radiance"], found.get("environment.to_world"), document["environment"]
         )
-    return Scene(mesh, material, environment).to(device)
+    return Scene(mesh, material, environment)

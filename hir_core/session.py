@@ -79,8 +79,9 @@ class Session:
         """The result of a stage: read where a finished one of the same settings and input exists, else computed."""
         self.key = _hash(self.key, name, settings, self.config.seed, self.config.deterministic)
         record = self.directory.record(name)
-        if record is not None and record.finished and record.key == self.key:
-            value = load(self.directory.stage(name))
+        found = self._stored(name, record, load)
+        if found is not None and record is not None:
+            (value,) = found
             self.reused.append(name)
             self._say(f"{name}: reused, its settings and input are unchanged")
         else:
@@ -99,6 +100,16 @@ class Session:
         self.timings["finished"] = _now()
         self.timings["seconds"] = sum(s.get("seconds", 0.0) for s in self.timings["stages"].values())
         self._write()
+
+    def _stored(self, name: str, record: StageRecord | None, load: Callable[[Path], Value]) -> tuple[Value] | None:
+        """The result of a finished stage of the same settings and input, in a tuple; None where there is none."""
+        if record is None or not record.finished or record.key != self.key:
+            return None
+        try:
+            return (load(self.directory.stage(name)),)
+        except InputError as error:
+            self._say(f"{name}: its stored result is damaged ({error})")
+            return None
 
     def _run(
         self, name: str, compute: Callable[[StageContext], tuple[Value, Report]], save: Callable[[Value, Path], None]

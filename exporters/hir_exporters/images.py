@@ -170,8 +170,11 @@ def write_hdr(path: str | os.PathLike[str], radiance: NDArray[np.generic]) -> No
 
 def _existing_file(path: str | os.PathLike[str]) -> Path:
     source = Path(path)
-    if not source.is_file():
-        raise InputError(f"{source} is {'a folder, not a file' if source.is_dir() else 'not there'}")
+    try:
+        if not source.is_file():
+            raise InputError(f"{source} is {'a folder, not a file' if source.is_dir() else 'not there'}")
+    except OSError as error:  # a name longer than the system takes
+        raise InputError(f"{str(source)[:200]} cannot be opened: {error.strerror}") from error
     return source
 
 

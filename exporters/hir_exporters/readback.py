@@ -88,7 +88,7 @@ def read_gltf_surface(
 
 def read_usd(path: Path) -> ReadBack:
     """A .usda, .usdc or .usdz with one mesh and one UsdPreviewSurface. Raises `InputError` naming the file."""
-    from pxr import Tf, Usd, UsdGeom, UsdShade
+    from pxr import Usd, UsdGeom, UsdShade
 
     path = Path(path)
     if not path.is_file():
@@ -111,8 +111,16 @@ def read_usd(path: Path) -> ReadBack:
         return ReadBack(positions, normals, st[faces] * [1, -1] + [0, 1], surface, legacy, normal)
     except InputError:
         raise
-    except (Tf.ErrorException, AttributeError, ValueError, IndexError, TypeError) as error:
-        raise InputError(f"{path} cannot be read back as USD ({type(error).__name__}: {error})") from error
+    except Exception as error:  # OpenUSD's errors span lines, and broken text fails in its own decoder
+        raise InputError(f"{path} cannot be read back as USD ({_reason(error)})") from error
+
+
+def _reason(error: Exception) -> str:
+    """Type and text on one line; OpenUSD quotes broken files in bytes that are no text."""
+    try:
+        return f"{type(error).__name__}: {' '.join(str(error).split())[:300]}"
+    except UnicodeDecodeError:
+        return type(error).__name__
 
 
 def _gltf_material(
