@@ -79,13 +79,13 @@ def masked(capture: Capture, plugins: PluginManager) -> Capture:
 def check_capture(capture: Capture, surface: tuple[Array, Array] | None = None) -> CaptureCheck:
     """Reads every photograph once, small. `surface`: points and outward normals (N, 3), to tell how the light moves."""
     read = [_read(view) for view in capture.views]
-    small = [(pixels, camera) for pixels, camera, _, _ in read]
-    sharpness = np.array([sharp for _, _, sharp, _ in read])
+    small = [(pixels, camera) for pixels, camera, *_ in read]
+    sharpness = np.array([sharp for *_, sharp, _ in read])
     middle = float(np.median(sharpness)) if len(sharpness) else 0.0
     agreement = mask_agreement([c for _, c in small], [p.mask for p, _ in small])
     views = tuple(
-        _view_check(view, pixels, clipped, sharp / middle if middle > 0 else 1.0, agreed)
-        for view, (pixels, _, sharp, clipped), agreed in zip(capture.views, read, agreement, strict=True)
+        _view_check(view, pixels, size, clipped, sharp / middle if middle > 0 else 1.0, agreed)
+        for view, (pixels, _, size, sharp, clipped), agreed in zip(capture.views, read, agreement, strict=True)
     )
     cameras = [camera for _, camera in small if camera is not None]
     headlight = None
@@ -198,13 +198,14 @@ def contact_sheet(capture: Capture, columns: int = 8, side: int = 160) -> NDArra
     return sheet
 
 
-def _read(view: View) -> tuple[Pixels, Camera | None, float, float]:
-    """Small pixels and camera, sharpness and clipped share; the two last from the full size, where they are decided."""
+def _read(view: View) -> tuple[Pixels, Camera | None, tuple[int, int], float, float]:
+    """Small pixels and camera; width and height, sharpness and clipped share of the full size."""
     pixels = view.pixels()
+    height, width = pixels.color_linear.shape[:2]
     weight = np.ones(pixels.saturated.shape, np.float32) if pixels.mask is None else pixels.mask
     clipped = float((pixels.saturated * weight).sum() / max(float(weight.sum()), 1e-9))
     small, camera = _reduced(view, pixels, _SIDE)
-    return small, camera, _sharpness(_reduced(view, pixels, _SHARP_SIDE)[0]), clipped
+    return small, camera, (width, height), _sharpness(_reduced(view, pixels, _SHARP_SIDE)[0]), clipped
 
 
 def _reduced(view: View, pixels: Pixels, side: int) -> tuple[Pixels, Camera | None]:
@@ -228,11 +229,8 @@ def _sharpness(pixels: Pixels) -> float:
 
 
 def _view_check(
-    view: View, pixels: Pixels, clipped: float, sharpness: float, agreement: float | None
+    view: View, pixels: Pixels, size: tuple[int, int], clipped: float, sharpness: float, agreement: float | None
 ) -> ViewCheck:
-    height, width = pixels.color_linear.shape[:2]
-    if view.camera is not None:
-        height, width = view.camera.height, view.camera.width
     weight = np.ones(pixels.saturated.shape) if pixels.mask is None else pixels.mask
     total = max(float(weight.sum()), 1e-9)
     border = False
@@ -240,7 +238,7 @@ def _view_check(
         solid = pixels.mask > 0.5
         border = bool(solid[0].any() or solid[-1].any() or solid[:, 0].any() or solid[:, -1].any())
     return ViewCheck(
-        name=view.name, width=width, height=height,
+        name=view.name, width=size[0], height=size[1],
         saturated=clipped,
         brightness=float((pixels.color_linear.mean(axis=2) * weight).sum() / total),
         sharpness=float(sharpness),
@@ -335,6 +333,9 @@ def _advice(check: CaptureCheck) -> list[str]:
     blurred = [v.name for v in views if v.sharpness < 0.5]
     if blurred:
         said.append(f"{len(blurred)} photographs are blurred compared with the others: {', '.join(blurred[:5])}")
+    flat = [v.name for v in views if v.sharpness == 0 and v.saturated == 0 and v.brightness == 0]
+    if flat:
+        said.append(f"{len(flat)} photographs are black, such as {flat[0]}")
     if check.duplicates:
         said.append(f"{len(check.duplicates)} pairs of photographs are the same, such as "
                     f"{' and '.join(check.duplicates[0])}")  # fmt: skip

@@ -43,6 +43,14 @@ def beside(photo: Path, capture: Path) -> Path | None:
     return None
 
 
+def orphans(photos: Iterable[Path], capture: Path) -> list[Path]:
+    """Files in the capture's folders of masks that belong to none of all its photographs."""
+    photos = list(photos)
+    matched = {beside(photo, capture) for photo in photos}
+    listed = [file for name in FOLDERS for file in _listed(capture / name) if file.suffix.lower() in PHOTO_SUFFIXES]
+    return [file for file in dict.fromkeys(listed) if file not in matched and file not in photos]
+
+
 @lru_cache(maxsize=64)
 def _listed_at(folder: Path, changed_ns: int) -> tuple[Path, ...]:
     del changed_ns  # part of the key: a folder that changes is listed again

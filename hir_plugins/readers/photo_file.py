@@ -123,7 +123,9 @@ def _pillow(path: Path) -> Any:
             image = Image.open(path)
     except UnidentifiedImageError:
         raise CaptureError(f"{path} is not a picture that can be read (PNG, JPEG, TIFF, WebP, …)") from None
-    except Exception as error:  # decompression bombs, and whatever a broken header makes a decoder raise
+    except Image.DecompressionBombError:
+        raise CaptureError(f"{path} has far more than {MAX_PIXELS} pixels; make it smaller") from None
+    except Exception as error:  # whatever a broken header makes a decoder raise
         raise CaptureError(f"{path} is a broken picture ({error}); make it again or leave it out") from None
     if image.width * image.height > MAX_PIXELS:
         image.close()
@@ -186,8 +188,12 @@ def _read_raw(path: Path) -> NDArray[Any]:
     except ImportError:
         raise CaptureError(f"{path} is a camera's raw file; install its reader with: pip install rawpy, "
                            "or develop the photographs to JPEG or 16-bit TIFF, all with the same settings") from None
-    with rawpy.imread(str(path)) as raw:
-        developed = raw.postprocess(gamma=(1, 1), no_auto_bright=True, output_bps=16, use_camera_wb=True)
+    with _guarded(path, lambda: rawpy.imread(str(path))) as raw:
+        sizes = raw.sizes
+        if sizes.raw_width * sizes.raw_height > MAX_PIXELS:
+            raise CaptureError(f"{path} is {sizes.raw_width}×{sizes.raw_height}, more than {MAX_PIXELS} pixels")
+        developed = _guarded(path, lambda: raw.postprocess(
+            gamma=(1, 1), no_auto_bright=True, output_bps=16, use_camera_wb=True))  # fmt: skip
     return np.asarray(developed, dtype=np.float32) / np.float32(65535)
 
 

@@ -12,7 +12,7 @@ from hir_core.errors import CaptureError
 from hir_core.interfaces import CaptureReader
 from hir_core.plugin import NoOptions
 from hir_plugins.readers.capture_paths import PHOTO_SUFFIXES, inside, unique_names
-from hir_plugins.readers.mask_files import beside
+from hir_plugins.readers.mask_files import beside, orphans
 from hir_plugins.readers.photo_file import PhotoFile, photo_size
 
 _FOLDERS: Final = (".", "images", "image", "photos", "input", "rgb", "Images", "JPEG", "DCIM")
@@ -55,6 +55,9 @@ class PhotosReader(CaptureReader):
                           f"such as {odd[0]}: they get cameras of their own", stacklevel=2)  # fmt: skip
         names = unique_names(photos, path)
         masks = [beside(photo, path) for photo in photos]
+        if lost := orphans(photos, path):
+            warnings.warn(f"{len(lost)} masks belong to no photograph, such as {lost[0]}: masks are named like their "
+                          "photographs", stacklevel=2)  # fmt: skip
         views = tuple(
             View(name, None, PhotoFile(photo, mask, orient=True), path=photo, mask_path=mask)
             for photo, mask, name in zip(photos, masks, names, strict=True)

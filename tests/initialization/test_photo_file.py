@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hir_exporters.conventions import srgb_to_linear
+from hir_exporters.conventions import linear_to_srgb, srgb_to_linear
 from PIL import Image, ImageOps
 
 from hir_core.errors import CaptureError
@@ -127,3 +127,57 @@ def test_masks_beside_the_picture(tmp_path: Path) -> None:
         PhotoFile(tmp_path / "a.png", width=50, height=32)()
     read = PhotoFile(tmp_path / "a.png", mask_path=tmp_path / "m.png")()
     assert read.mask is not None and read.mask[0, 10] == np.float32(50 / 255)
+
+
+def write_dng(path: Path, linear: np.ndarray) -> None:
+    """A raw file: a Bayer mosaic (RGGB) of a camera whose colours are linear sRGB, white balance one."""
+    import tifffile
+
+    values = np.rint(linear * 65535).astype(np.uint16)
+    mosaic = values[..., 1].copy()
+    mosaic[0::2, 0::2], mosaic[1::2, 1::2] = values[0::2, 0::2, 0], values[1::2, 1::2, 2]
+    to_xyz = [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]]
+    matrix = [x for value in np.linalg.inv(to_xyz).ravel() for x in (round(value * 10000), 10000)]
+    tags = [
+        (50706, "B", 4, (1, 4, 0, 0), True),  # DNG version
+        (33421, "H", 2, (2, 2), True),
+        (33422, "B", 4, (0, 1, 1, 2), True),  # the mosaic
+        (50708, "s", 0, "a camera", True),
+        (50721, "2i", 9, matrix, True),
+        (50728, "2I", 3, (1, 1, 1, 1, 1, 1), True),  # neutral
+        (50717, "H", 1, 65535, True),  # white
+        (50778, "H", 1, 21, True),  # daylight
+    ]
+    tifffile.imwrite(path, mosaic, photometric=32803, extratags=tags, metadata=None)
+
+
+def test_raw_files_are_developed_linear(tmp_path: Path) -> None:
+    pytest.importorskip("rawpy")
+    linear = np.full((64, 96, 3), 0.25)
+    linear[:, 48:] = [0.6, 0.3, 0.1]
+    write_dng(tmp_path / "a.dng", linear)
+    pixels = PhotoFile(tmp_path / "a.dng", None)()
+    np.testing.assert_allclose(pixels.color_linear[20:40, 10:30], 0.25, atol=1e-3)
+    right = pixels.color_linear[20:40, 60:80].reshape(-1, 3)
+    np.testing.assert_allclose(right, np.tile([0.6, 0.3, 0.1], (400, 1)), atol=1e-3)
+    (tmp_path / "b.dng").write_bytes((tmp_path / "a.dng").read_bytes()[:300])
+    with pytest.raises(CaptureError, match=r"b\.dng is a broken picture"):
+        PhotoFile(tmp_path / "b.dng", None)()
+
+
+def test_heic_is_read_as_the_phone_wrote_it(tmp_path: Path) -> None:
+    heif = pytest.importorskip("pillow_heif")
+    heif.register_heif_opener()
+    picture = np.full((48, 64, 3), 60, np.uint8)
+    picture[:, 32:] = [200, 120, 40]
+    Image.fromarray(picture).save(tmp_path / "a.heic", quality=100)
+    pixels = PhotoFile(tmp_path / "a.heic", None)()
+    assert pixels.color_linear.shape == (48, 64, 3)
+    np.testing.assert_allclose(linear_to_srgb(pixels.color_linear[24, 10]) * 255, [60, 60, 60], atol=3)
+    np.testing.assert_allclose(linear_to_srgb(pixels.color_linear[24, 50]) * 255, [200, 120, 40], atol=4)
+
+
+def test_a_picture_of_two_hundred_megapixels_is_too_large(tmp_path: Path) -> None:
+    Image.new("1", (16000, 12600)).save(tmp_path / "a.png")
+    with pytest.raises(CaptureError, match=r"a\.png has far more than .* make it smaller"):
+        PhotoFile(tmp_path / "a.png", None)()

@@ -99,3 +99,12 @@ def test_real_photographs(shared: Path) -> None:
     assert record.flash
     tankard = READER.read(shared / "photos" / "tankard")
     assert len(tankard.views) == 69 and all(v.read.mask_path for v in tankard.views)  # type: ignore[attr-defined]
+
+
+def test_a_mask_of_no_photograph_is_named(tmp_path: Path) -> None:
+    for name in "ab":
+        photo(tmp_path / "images" / f"{name}.jpg")
+        photo(tmp_path / "masks" / f"{name}.png")
+    photo(tmp_path / "masks" / "c.png")
+    with pytest.warns(UserWarning, match=r"1 masks belong to no photograph, such as .*c\.png"):
+        assert all(view.mask_path is not None for view in READER.read(tmp_path).views)
