@@ -4,70 +4,34 @@ from __future__ import annotations
 
 import random
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, Final
 
 from hir_core import __version__
 from hir_core.batch import storage
-from hir_core.batch.chain import Chain
+from hir_core.batch.chain import Chain, State
 from hir_core.batch.cluster import Cluster, Ended
 from hir_core.batch.content import settings_mark
 from hir_core.batch.estimate import Estimate
-from hir_core.batch.groups import GROUPS, Requests, unplaceable, window
+from hir_core.batch.events import Event, Running
+from hir_core.batch.groups import GROUPS, unplaceable, window
 from hir_core.batch.job import Job, Outcome, Told
 from hir_core.batch.layout import Destination
 from hir_core.batch.lease import Lease
 from hir_core.batch.look import Intake, Look, chains_of
 from hir_core.batch.manifest import Manifest, now_text
+from hir_core.batch.options import Options
 from hir_core.batch.page import write_page
 from hir_core.batch.patience import Patience, StoreError
 from hir_core.batch.storage import place
-from hir_core.config import RunConfig
 from hir_core.errors import ConfigError, StageError
 
 NODES_SECONDS: Final = 2.0
 """How often the driver asks which nodes there are."""
 
 PAGE_SECONDS: Final = 60.0
-
-
-@dataclass(frozen=True)
-class Options:
-    """How a batch works; what it makes is in `config`."""
-
-    config: RunConfig
-    requests: Requests = field(default_factory=Requests)
-    address: str = "auto"
-    """`auto`, `local`, or what Ray takes: `ray://host:10001`, `host:6379`."""
-    tries: int = 3
-    """Times that a group is begun when nodes, workers or the store fail; a broken capture is never tried twice."""
-    retry_failed: bool = False
-    at_once: int = 0
-    """Captures in progress together; 0: as many as the cluster has room for."""
-    keep_stages: bool = True
-    cache: Path | None = None
-    """Where workers stage files, on each node."""
-
-
-@dataclass(frozen=True)
-class Event:
-    """Something that happened."""
-
-    name: str
-    capture: str = ""
-    facts: Mapping[str, Any] = field(default_factory=dict)
-
-
-@dataclass
-class Running:
-    """A task that was handed out."""
-
-    chain: Chain
-    began: float
-    told: Told | None = None
-    """The last that its worker said."""
 
 
 class Batch:
@@ -84,6 +48,9 @@ class Batch:
             raise ConfigError("device cuda: no group asks for a GPU; give a share of one with --gpus")
         self.settings = settings_mark(options.config)
         self.running: dict[Any, Running] = {}
+        self.tally = Counter({"waiting": len(self.chains)})
+        """Captures in each state."""
+        self._begun: dict[str, Running] = {}
         self.estimate = Estimate()
         self.window = 1
         self.use: dict[str, tuple[float, float]] = {}
@@ -113,12 +80,8 @@ class Batch:
             finally:
                 self._intake.close()
                 self._stop()
-        self.event("batch_finished", done=self.count("done"), failed=self.count("failed"))
+        self.event("batch_finished", done=self.tally["done"], failed=self.tally["failed"])
         return self.chains
-
-    def count(self, state: str) -> int:
-        """Captures in a state."""
-        return sum(chain.state == state for chain in self.chains)
 
     def event(self, name: str, capture: str = "", **facts: Any) -> None:
         """Tells whoever listens."""
@@ -148,7 +111,8 @@ class Batch:
 
     def _looked(self, chain: Chain, found: Look) -> None:
         if found.verdict == "unreadable":
-            chain.state, chain.reason = "failed", found.reason
+            chain.reason = found.reason
+            self._enter(chain, "failed")
             self._failed(chain)
             return
         if found.record:
@@ -158,10 +122,11 @@ class Batch:
             chain.group, chain.settings, chain.reason = found.group, self.settings, ""
             self._ready.append(chain)
         elif found.verdict == "finished":
-            chain.state, chain.settings, chain.reason = "done", self.settings, ""
+            chain.settings, chain.reason = self.settings, ""
+            self._enter(chain, "done")
             self.event("capture_skipped", chain.name, reason="finished by an earlier call")
         else:
-            chain.state = "failed"
+            self._enter(chain, "failed")
             self.event("capture_skipped", chain.name, reason=f"failed in an earlier call: {chain.reason}")
 
     def _hand_out(self) -> None:
@@ -171,9 +136,9 @@ class Batch:
         for chain in due[: max(self.window - len(self.running), 0)]:
             self._ready.remove(chain)
             chain.attempt += 1
-            chain.state = "running"
+            self._enter(chain, "running")
             ticket = self._cluster.submit(self._job(chain), self.options.requests.of(GROUPS[chain.group]))
-            self.running[ticket] = Running(chain, now)
+            self.running[ticket] = self._begun[chain.name] = Running(chain, now)
 
     def _job(self, chain: Chain) -> Job:
         options = self.options
@@ -197,6 +162,7 @@ class Batch:
             finished=chain.finished,
             cache=str(options.cache or ""),
             keep_stages=options.keep_stages,
+            tell_seconds=max(0.5, self.window / 1000),  # thousands of workers would drown one listener
         )
 
     def _settle(self, ended: Ended) -> None:
@@ -204,7 +170,10 @@ class Batch:
         chain, group = task.chain, task.chain.group
         outcome = ended.outcome or Outcome("trouble", ended.reason, lines=(f"[driver] {ended.reason}",))
         now = time.monotonic()
+        del self._begun[chain.name]
+        before = chain.state
         step = chain.settle(outcome, self._patience, now, random.random())
+        self._count(before, chain.state)
         wall = round(now - task.began, 3)
         facts = {"group": GROUPS[group].name, "seconds": wall}
         if step in ("next group", "done"):
@@ -242,12 +211,21 @@ class Batch:
         self.event("capture_failed", chain.name, reason=chain.reason, log=str(self.destination.log(chain.name)))
 
     def _hear(self, told: Told) -> None:
-        for task in self.running.values():
-            if (task.chain.name, task.chain.attempt) == (told.name, told.attempt):
-                if task.told is None:
-                    self.event("group_started", told.name, group=GROUPS[told.group].name, node=told.node, pid=told.pid)
-                task.told = told
-                self.event("progress", told.name, stage=told.stage, step=told.step, steps=told.steps)
+        task = self._begun.get(told.name)
+        if task is None or task.chain.attempt != told.attempt:
+            return  # of a task that is over
+        if task.told is None:
+            self.event("group_started", told.name, group=GROUPS[told.group].name, node=told.node, pid=told.pid)
+        task.told = told
+        self.event("progress", told.name, stage=told.stage, step=told.step, steps=told.steps)
+
+    def _enter(self, chain: Chain, state: State) -> None:
+        self._count(chain.state, state)
+        chain.state = state
+
+    def _count(self, before: str, after: str) -> None:
+        self.tally[before] -= 1
+        self.tally[after] += 1
 
     def _ask_for_nodes(self) -> None:
         now = time.monotonic()
@@ -266,7 +244,7 @@ class Batch:
         """Ends what still runs, which only an interrupt or an error leaves, and writes the last manifest and page."""
         for ticket, task in self.running.items():
             self._cluster.cancel(ticket)
-            task.chain.state = "waiting"
+            self._enter(task.chain, "waiting")
         self.running.clear()
         self._keep_records(last=True)
 

@@ -40,9 +40,11 @@ class Estimate:
             return None
         return max(known[0] - running, 0.0) + sum(known[1:])
 
-    def batch_left(self, chains: Iterable[Chain], at_once: int) -> float | None:
-        """Seconds until all are done, were `at_once` always at work."""
-        seconds = [self.left(chain) for chain in chains]
-        if any(value is None for value in seconds):
+    def batch_left(self, begun: Iterable[Chain], untouched: int, at_once: int) -> float | None:
+        """Seconds until the captures that are begun and those that are not are done, were `at_once` always at work."""
+        whole = [self.of(group) for group in range(len(GROUPS))]
+        known = [seconds for seconds in whole if seconds is not None]
+        if len(known) < len(whole):
             return None
-        return sum(value for value in seconds if value is not None) / max(at_once, 1)
+        left = [self.left(chain) for chain in begun]
+        return (sum(value for value in left if value is not None) + untouched * sum(known)) / max(at_once, 1)

@@ -35,6 +35,8 @@ class Job:
     """Marks of content and settings of the finished result that is there, if any."""
     cache: str = ""
     keep_stages: bool = True
+    tell_seconds: float = 0.5
+    """Between two things that the worker says of its progress."""
 
 
 @dataclass(frozen=True)

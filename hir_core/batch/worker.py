@@ -27,8 +27,6 @@ from hir_core.errors import HirError, InputError, MissingExtraError
 from hir_core.progress import Progress
 from hir_core.run_directory import RunDirectory
 
-TELL_SECONDS = 0.5
-
 
 def run_group(job: Job, tell: Callable[[Told], None]) -> Outcome:
     """Runs one group; every failure becomes an outcome, so that only the death of a process reaches Ray."""
@@ -139,7 +137,7 @@ class Worker:
 
     def _report(self, progress: Progress) -> None:
         now = time.monotonic()
-        if now - self._told >= TELL_SECONDS or progress.step >= progress.steps:
+        if now - self._told >= self.job.tell_seconds or progress.step >= progress.steps:
             self._told = now
             job = self.job
             self._tell(Told(job.name, job.group, job.attempt, platform.node(), os.getpid(), progress.stage,

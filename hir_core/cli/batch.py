@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import signal
 import sys
 import time
+from functools import partial
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 import click
 
 from hir_core.cli.options import FOLDER, loudness_options, plugin_option, settings_options
 
 if TYPE_CHECKING:
-    from hir_core.batch.driver import Event
+    from hir_core.batch.events import Event
 
 SOME_FAILED = 3
 
@@ -69,9 +71,10 @@ def batch_command(
     CAPTURES and DEST are folders or URLs (s3://…, gs://…). The same call again goes on: what is finished stays.
     Exit code 3: some captures failed.
     """
-    from hir_core.batch.driver import Batch, Options
+    from hir_core.batch.driver import Batch
     from hir_core.batch.groups import build_requests
     from hir_core.batch.look import expand, read_list
+    from hir_core.batch.options import Options
     from hir_core.cli.batch_table import BatchTable
     from hir_core.config import load_config
     from hir_core.manager import PluginManager
@@ -87,9 +90,12 @@ def batch_command(
         config, build_requests(cpus, gpus, requests), address, tries, retry_failed, at_once, not drop_stages, cache
     )
     before = signal.signal(signal.SIGTERM, _interrupt)  # clusters end jobs so
+    out = sys.stdout
     try:
-        with BatchTable(quiet=quiet or as_json) as table:
-            batch = Batch(words, destination, options, print_event if as_json else table.event, table.update)
+        # libraries that print must not print between the events
+        with BatchTable(quiet=quiet or as_json) as table, contextlib.redirect_stdout(sys.stderr):
+            told = partial(print_event, out) if as_json else table.event
+            batch = Batch(words, destination, options, told, table.update)
             chains = batch.run()
     except KeyboardInterrupt:
         click.echo("hir: interrupted; the same call goes on where it was", err=True)
@@ -107,12 +113,12 @@ def batch_command(
         raise click.exceptions.Exit(SOME_FAILED)
 
 
-def print_event(event: Event) -> None:
+def print_event(out: TextIO, event: Event) -> None:
     """One line of JSON."""
     document: dict[str, Any] = {"time": round(time.time(), 3), "event": event.name}
     if event.capture:
         document["capture"] = event.capture
-    print(json.dumps(document | dict(event.facts)), file=sys.stdout, flush=True)
+    print(json.dumps(document | dict(event.facts)), file=out, flush=True)
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:

@@ -11,7 +11,8 @@ from hir_core.cli.progress_bar import time_text
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from hir_core.batch.driver import Batch, Event, Running
+    from hir_core.batch.driver import Batch
+    from hir_core.batch.events import Event, Running
 
 MOST_ROWS = 30
 
@@ -102,11 +103,12 @@ def row_of(batch: Batch, task: Running, now: float) -> tuple[str, ...]:
 
 def title_of(batch: Batch) -> str:
     """How many are done, how long the rest will take, how busy the cluster is."""
-    done, failed = batch.count("done"), batch.count("failed")
+    done, failed = batch.tally["done"], batch.tally["failed"]
     parts = [f"{done} of {len(batch.chains)} done"]
     if failed:
         parts.append(f"{failed} failed")
-    left = batch.estimate.batch_left(batch.chains, max(len(batch.running), 1))
+    begun = [task.chain for task in batch.running.values()]
+    left = batch.estimate.batch_left(begun, batch.tally["waiting"], max(len(begun), 1))
     if left is not None:
         parts.append(f"{time_text(left)} left")
     parts += [f"{name} {used:g} of {total:g}" for name, (used, total) in batch.use.items()]

@@ -64,11 +64,11 @@ def test_estimate_needs_one_of_each_group_and_then_counts_down() -> None:
     estimate, chain = Estimate(), Chain("cup", "cup")
     for group, seconds in enumerate((2.0, 10.0, 30.0)):
         estimate.learn(group, seconds)
-    assert estimate.left(chain) is None and estimate.batch_left([chain], 1) is None
+    assert estimate.left(chain) is None and estimate.batch_left([chain], 1, 1) is None
     estimate.learn(3, 4.0)
     estimate.learn(1, 12.0)
     assert estimate.left(chain, running=1.0) == 1.0 + 11.0 + 30.0 + 4.0
     chain.group = 2
     assert estimate.left(chain, running=50.0) == 4.0, "a group that takes longer than usual is about to end"
-    other = Chain("jug", "jug", state="done")
-    assert estimate.batch_left([chain, other, Chain("pot", "pot")], at_once=2) == (34.0 + 47.0) / 2
+    assert estimate.left(Chain("jug", "jug", state="done")) == 0.0
+    assert estimate.batch_left([chain], untouched=3, at_once=2) == (34.0 + 3 * 47.0) / 2

@@ -14,8 +14,10 @@ import pytest
 
 from hir_core.batch import cluster
 from hir_core.batch.chain import Chain
-from hir_core.batch.driver import Batch, Event, Options, Running
+from hir_core.batch.driver import Batch
+from hir_core.batch.events import Event, Running
 from hir_core.batch.job import Told
+from hir_core.batch.options import Options
 from hir_core.cli import main
 from hir_core.cli.batch import print_event
 from hir_core.cli.batch_table import sentence_of, table_of
@@ -96,7 +98,7 @@ def test_events_are_lines_of_json_and_sentences(capsys: pytest.CaptureFixture[st
         Event("progress", "cup", {"step": 1}),
     ]
     for event in events:
-        print_event(event)
+        print_event(sys.stdout, event)
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert [line["event"] for line in lines] == ["message", "group_failed", "capture_finished", "progress"]
     assert lines[1]["capture"] == "cup" and all(abs(line["time"] - time.time()) < 60 for line in lines)
@@ -115,6 +117,7 @@ def test_table_shows_who_does_what_and_how_long_it_will_take(tmp_path: Path) -> 
     cup, jug, pot = batch.chains
     cup.state = jug.state = "running"
     cup.group, jug.failures, pot.state = 1, 1, "done"
+    batch.tally.update({"waiting": -3, "running": 2, "done": 1})
     for group, seconds in enumerate((2.0, 10.0, 30.0, 4.0)):
         batch.estimate.learn(group, seconds)
     batch.use = {"CPU": (2.0, 8.0)}

@@ -1,0 +1,121 @@
+"""Real clusters on this machine: what dies, what refuses, what is broken, and that the rest goes on."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from benchmarks.batch.cluster import Story, tell
+from benchmarks.batch.shelf import WORDS, small_captures
+
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(os.name != "posix", reason="signals")]
+CAPTURES = 12
+
+
+@pytest.fixture(scope="module")
+def story(tmp_path_factory: pytest.TempPathFactory) -> Story:
+    """Three nodes and an S3; a worker is killed, then the batch; a node leaves while the same call goes on."""
+    pytest.importorskip("ray", reason="ray is not installed: pip install -e '.[batch]'")
+    pytest.importorskip("moto", reason="moto is not installed: pip install -e '.[test]'")
+    return tell(tmp_path_factory.mktemp("story"), CAPTURES)
+
+
+def test_all_but_the_broken_capture_equal_their_single_runs(story: Story) -> None:
+    assert story.different == [] and len(story.equal) == CAPTURES - 1
+    states = Counter(entry["state"] for entry in story.manifest["captures"].values())
+    assert states == {"done": CAPTURES - 1, "failed": 1}
+    assert story.codes == [-signal.SIGKILL, 3, 3]
+
+
+def test_the_failure_is_one_clear_sentence_with_a_log(story: Story) -> None:
+    (failed,) = [entry for entry in story.manifest["captures"].values() if entry["state"] == "failed"]
+    assert failed["source"].endswith(f"cow{CAPTURES - 1:02}") and failed["retries"] == 0
+    assert failed["reason"].startswith("initialization: ") and ".png" in failed["reason"]
+    assert "\n" not in failed["reason"] and "Traceback" in story.log and failed["reason"] in story.log
+
+
+def test_nothing_is_done_twice(story: Story) -> None:
+    finished = Counter((e["capture"], e["group"]) for e in story.named("group_finished"))
+    assert max(finished.values()) == 1
+    before = {e["capture"] for e in story.named("capture_finished", story.first)}
+    after = {e["capture"] for e in story.named("group_started", story.second)}
+    assert before and before.isdisjoint(after), "what the killed call finished is not begun again"
+    assert {e["capture"] for e in story.named("capture_skipped", story.second)} >= before
+    assert not story.named("group_started", story.third), "the third call finds nothing to do"
+    assert len(story.named("capture_skipped", story.third)) == CAPTURES
+
+
+def test_the_worker_that_died_and_the_node_that_left_cost_a_try_each(story: Story) -> None:
+    reasons = [e["reason"] for e in story.named("group_failed", story.first)]
+    assert any("process died" in reason for reason in reasons)
+    assert story.named("group_failed", story.second), "tasks of the node that left were tried again"
+    assert story.refused > 20, "the store refused on the way"
+
+
+def test_the_manifest_was_whole_when_the_batch_was_killed(story: Story) -> None:
+    captures = story.manifest_after_kill["captures"]
+    assert len(captures) == CAPTURES and any(entry["state"] == "running" for entry in captures.values())
+
+
+def test_the_page_shows_the_failure_first_and_a_picture_of_each_result(story: Story) -> None:
+    rows = story.page.split("<tbody>")[1].split("<tr ")[1:]
+    assert len(rows) == CAPTURES and rows[0].startswith('class="failed"')
+    assert sum("data:image/jpeg" in row for row in rows) == CAPTURES - 1
+
+
+def test_interrupt_leaves_a_batch_that_the_same_call_finishes(tmp_path: Path) -> None:
+    """A Ray of its own, on the loopback interface alone, that is gone when the command ends."""
+    pytest.importorskip("ray", reason="ray is not installed: pip install -e '.[batch]'")
+    small_captures(tmp_path / "shelf", 2)
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "hir_core.cli", "batch", f"{tmp_path}/shelf/*", "-o", str(out), "--json",
+               "--address", "local", "--cache", str(tmp_path / "cache"), *WORDS]  # fmt: skip
+    events = []
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None and process.stderr is not None
+        for line in process.stdout:
+            events.append(json.loads(line))
+            if events[-1]["event"] == "group_finished":
+                assert foreign_listeners(process.pid) == []
+                process.send_signal(signal.SIGINT)
+                break
+        events += [json.loads(line) for line in process.stdout]
+        assert process.wait(timeout=120) == 130
+        assert "the same call goes on" in process.stderr.read()
+    workers = {event["pid"] for event in events if event["event"] == "group_started"}
+    until = time.monotonic() + 30
+    while any(Path(f"/proc/{pid}").exists() for pid in workers) and time.monotonic() < until:
+        time.sleep(0.2)
+    assert workers and not any(Path(f"/proc/{pid}").exists() for pid in workers)
+    captures = json.loads((out / "batch.json").read_text())["captures"]
+    assert {entry["state"] for entry in captures.values()} == {"waiting"}
+    assert not (out / ".batch" / "lease.json").exists()
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    again = [json.loads(line) for line in done.stdout.splitlines()]
+    finished = [(e["capture"], e["group"]) for e in events + again if e["event"] == "group_finished"]
+    assert len(finished) == len(set(finished)), "nothing is done twice"
+    captures = json.loads((out / "batch.json").read_text())["captures"]
+    assert {entry["state"] for entry in captures.values()} == {"done"}
+    assert (out / "cow00" / "report.html").exists() and (out / "batch.html").exists()
+
+
+def foreign_listeners(parent: int) -> list[str]:
+    """Addresses other than the loopback interface on which a process or its descendants listen."""
+    import psutil
+
+    family = [psutil.Process(parent), *psutil.Process(parent).children(recursive=True)]
+    found = []
+    for process in family:
+        for connection in process.net_connections(kind="tcp"):
+            address = connection.laddr.ip.removeprefix("::ffff:") if connection.laddr else ""
+            if connection.status == psutil.CONN_LISTEN and address not in ("127.0.0.1", "::1"):
+                found.append(f"{process.name()} {address}:{connection.laddr.port}")
+    return found
