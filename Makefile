@@ -14,6 +14,7 @@ help:
 	@echo "make parity    open exports in three.js, Babylon.js, Filament and Blender; write docs/engines/parity.md"
 	@echo "make stability  the table of numerical hard cases, docs/stability.md"
 	@echo "make kill-test  kill a small run at 50 random moments, resume, compare all files"
+	@echo "make fuzz      feed changed files to every reader for 10 minutes"
 	@echo "make clean     remove .venv and what the demo made"
 
 setup:
@@ -53,6 +54,10 @@ parity: setup-test
 
 stability: setup-test
 	@$(PYTHON) -m tests.stability.table
+
+fuzz: setup-test
+	@$(PYTHON) -m pip install --quiet --disable-pip-version-check atheris || true # without it changes are drawn at random
+	@OMP_NUM_THREADS=1 $(PYTHON) tools/fuzz.py --seconds 600
 
 kill-test: setup-test
 	@OMP_NUM_THREADS=1 $(PYTHON) tools/kill_test.py --kills 50

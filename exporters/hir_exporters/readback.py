@@ -6,6 +6,7 @@ Nothing here is shared with the writers. The result is compared with the asset b
 
 from __future__ import annotations
 
+import base64
 import io
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from hir_exporters.conventions import srgb_to_linear
 from hir_exporters.errors import InputError
 from hir_exporters.materials import MetallicSurface, SpecularSurface
+from hir_exporters.usd.containment import check_inside, check_layers
 
 
 @dataclass(frozen=True)
@@ -94,6 +96,7 @@ def read_usd(path: Path) -> ReadBack:
     if not path.is_file():
         raise InputError(f"{path} is not there")
     try:
+        check_layers(path)
         stage = Usd.Stage.Open(str(path))
         meshes = [prim for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh)]
         if len(meshes) != 1:
@@ -103,7 +106,7 @@ def read_usd(path: Path) -> ReadBack:
         st = np.asarray(UsdGeom.PrimvarsAPI(mesh).GetPrimvar("st").Get(), np.float64)
         material, _ = UsdShade.MaterialBindingAPI(mesh).ComputeBoundMaterial()
         shader, *_ = material.ComputeSurfaceSource()
-        surface, legacy, normal = _usd_material(UsdShade.Shader(shader))
+        surface, legacy, normal = _usd_material(UsdShade.Shader(shader), path)
         positions, normals = (
             np.asarray(attribute.Get(), np.float64)[faces]
             for attribute in (mesh.GetPointsAttr(), mesh.GetNormalsAttr())
@@ -162,7 +165,9 @@ def _gltf_material(
     return surface, legacy, None if normal is None else normal[..., :3] * 2 - 1
 
 
-def _usd_material(shader: Any) -> tuple[MetallicSurface, SpecularSurface | None, NDArray[np.float32] | None]:
+def _usd_material(
+    shader: Any, path: Path
+) -> tuple[MetallicSurface, SpecularSurface | None, NDArray[np.float32] | None]:
     def value(name: str, default: Any) -> NDArray[np.floating]:
         source = shader.GetInput(name)
         if not source:
@@ -170,7 +175,7 @@ def _usd_material(shader: Any) -> tuple[MetallicSurface, SpecularSurface | None,
         if not source.HasConnectedSource():
             return np.asarray(source.Get(), np.float32)
         connection, channel, _ = source.GetConnectedSource()
-        return _usd_texture(connection, str(channel))
+        return _usd_texture(connection, str(channel), path)
 
     white, black = [1.0] * 3, [0.0] * 3
     roughness = value("roughness", 0.5)
@@ -185,11 +190,13 @@ def _usd_material(shader: Any) -> tuple[MetallicSurface, SpecularSurface | None,
     return surface, legacy, normal.astype(np.float32) if normal.ndim == 3 else None
 
 
-def _usd_texture(connection: Any, channel: str) -> NDArray[np.floating]:
+def _usd_texture(connection: Any, channel: str, path: Path) -> NDArray[np.floating]:
     from pxr import Ar, UsdShade
 
     node = UsdShade.Shader(connection.GetPrim())
-    asset = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(node.GetInput("file").Get().resolvedPath))
+    file = node.GetInput("file").Get()
+    check_inside(path, file.resolvedPath, file.path)
+    asset = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(file.resolvedPath))
     image = _decoded(bytes(asset.GetBuffer()))
     scale, bias = node.GetInput("scale"), node.GetInput("bias")
     if node.GetInput("sourceColorSpace").Get() == "sRGB":
@@ -203,13 +210,27 @@ def _usd_texture(connection: Any, channel: str) -> NDArray[np.floating]:
 def _gltf_image(document: Any, source: int, path: Path) -> bytes:
     image = document.images[source]
     if image.uri is not None:
-        file = path.with_name(unquote(image.uri))
-        if file.parent != path.parent or not file.is_file():
-            raise InputError(f"{path} names the image {image.uri!r}, which is not beside it")
-        return file.read_bytes()
+        return _beside(path, image.uri)
     view = document.bufferViews[image.bufferView]
     start = view.byteOffset or 0
-    return bytes(document.binary_blob()[start : start + view.byteLength])
+    return _gltf_buffer(document, view.buffer, path)[start : start + view.byteLength]
+
+
+def _gltf_buffer(document: Any, index: int, path: Path) -> bytes:
+    uri = document.buffers[index].uri
+    if uri is None:
+        return bytes(document.binary_blob())
+    if uri.startswith("data:"):
+        return base64.b64decode(uri.partition(",")[2])
+    return _beside(path, uri)
+
+
+def _beside(path: Path, uri: str) -> bytes:
+    """A file in the same folder, also after links are followed."""
+    file = path.with_name(unquote(uri))
+    if file.resolve().parent != path.resolve().parent or not file.is_file():
+        raise InputError(f"{path} names {uri!r}, which is not beside it")
+    return file.read_bytes()
 
 
 def _decoded(data: bytes) -> NDArray[np.float32]:

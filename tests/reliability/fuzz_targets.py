@@ -1,0 +1,239 @@
+"""Everything that reads data of strangers, as functions of bytes: each may refuse them with `HirError`, no other way.
+
+A target has seeds, whole files that it reads, which fuzzers change. `tests/reliability/test_fuzz.py` changes them with
+hypothesis, a few hundred times; `tools/fuzz.py` for minutes, with atheris where it is installed.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from hir_exporters.errors import HirError
+from hir_exporters.images import encode_png, write_exr, write_hdr
+
+from tests.reliability import seeds
+
+PLACE = Path("/dev/shm") if Path("/dev/shm").is_dir() else Path(tempfile.gettempdir())
+"""Files are written millions of times: into memory where the system has such a folder."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """One reader of one file."""
+
+    name: str
+    file: str
+    """Where its bytes go, in a folder that `seed_folder` filled."""
+    read: Callable[[Path], object]
+    """Reads the folder."""
+    seed_folder: Callable[[Path], None]
+    """Makes a folder that can be read."""
+    slow: bool = False
+    """Takes more than a few milliseconds: fewer examples in the quick tests."""
+
+    def seeds(self) -> list[bytes]:
+        """Whole files."""
+        return [(folder_of(self) / self.file).read_bytes(), *seeds.corpus(self.name)]
+
+    def __call__(self, data: bytes) -> bool:
+        """Writes the file and reads the folder: True if it was read, False if it was refused as it should be."""
+        folder = folder_of(self)
+        original = (folder / self.file).read_bytes()
+        (folder / self.file).write_bytes(data)
+        try:
+            self.read(folder)
+        except HirError as error:
+            assert str(error).strip() and "\n" not in str(error).strip(), "an error is one sentence"
+            return False
+        finally:
+            (folder / self.file).write_bytes(original)
+        return True
+
+
+@cache
+def folder_of(target: Target) -> Path:
+    """A folder of the target's own, made once a process."""
+    folder = Path(tempfile.mkdtemp(prefix=f"hir-fuzz-{target.name}-", dir=PLACE))
+    target.seed_folder(folder)
+    return folder
+
+
+def remove_folders() -> None:
+    """Removes what `folder_of` made."""
+    for target in TARGETS:
+        shutil.rmtree(folder_of(target), ignore_errors=True)
+    folder_of.cache_clear()
+
+
+def _picture(name: str, read: Callable[[Path], object]) -> Target:
+    def fill(folder: Path) -> None:
+        image = np.random.default_rng(0).random((6, 9, 3)).astype(np.float32)
+        path = folder / name
+        if path.suffix == ".exr":
+            write_exr(path, image)
+        elif path.suffix == ".hdr":
+            write_hdr(path, image)
+        elif path.suffix == ".png":
+            path.write_bytes(encode_png(image))
+        else:
+            from PIL import Image
+
+            Image.fromarray((image * 255).astype(np.uint8)).save(path)
+
+    return Target(name.replace(".", "_"), name, lambda folder: read(folder / name), fill)
+
+
+def _ldr(path: Path) -> object:
+    from hir_exporters.images import read_ldr
+
+    return read_ldr(path, max_pixels=1 << 20)
+
+
+def _hdr(path: Path) -> object:
+    from hir_exporters.images import read_hdr
+
+    return read_hdr(path, max_pixels=1 << 20)
+
+
+def _photo(path: Path) -> object:
+    from hir_plugins.readers.exif import camera_record
+
+    return camera_record(path), _ldr(path)
+
+
+def _scene(folder: Path) -> object:
+    from hir_exporters.scene_files import load_scene
+
+    return load_scene(folder)
+
+
+def _run(folder: Path) -> object:
+    from hir_core.report import refresh_page
+    from hir_core.run_directory import open_run
+
+    run = open_run(folder)
+    run.read_run()
+    return refresh_page(run)
+
+
+def _record(folder: Path) -> object:
+    from hir_core.run_directory import RunDirectory
+
+    return RunDirectory(folder).record("geometry")
+
+
+def _timings(folder: Path) -> object:
+    from hir_core.report import refresh_page
+    from hir_core.run_directory import open_run
+
+    return refresh_page(open_run(folder))
+
+
+def _cameras(folder: Path) -> object:
+    from hir_core.capture_files import read_cameras
+
+    return read_cameras(folder / "cameras.json")
+
+
+def _toml(folder: Path) -> object:
+    from hir_core.config import load_config
+    from hir_core.manager import PluginManager
+
+    return load_config(PluginManager.discover(), file=folder / "settings.toml")
+
+
+def _assignment(folder: Path) -> object:
+    from hir_core.config import load_config
+    from hir_core.manager import PluginManager
+
+    text = (folder / "assignment").read_bytes().decode("utf-8", "replace")
+    return load_config(PluginManager.discover(), assignments=text.splitlines())
+
+
+def _stage_scene(folder: Path) -> object:
+    from hir_core.scene_store import load_stage_scene
+
+    return load_stage_scene(folder)
+
+
+def _checkpoint(folder: Path) -> object:
+    import torch
+
+    from hir_core.checkpoint import load_checkpoint
+
+    return load_checkpoint(folder / "state.npz", torch.optim.Adam([torch.zeros(3, requires_grad=True)]))
+
+
+def _capture(folder: Path) -> object:
+    """Cameras, masks and the first picture of whatever reader knows the folder."""
+    from hir_core.manager import PluginManager
+    from hir_core.readers import read_capture
+
+    capture = read_capture(folder, "train", PluginManager.discover())
+    return [view.pixels() for view in capture.views[:1]]
+
+
+def _mesh(name: str) -> Callable[[Path], object]:
+    def read(folder: Path) -> object:
+        from hir_plugins.initializers.mesh_file import load_mesh
+
+        return load_mesh(folder / name)
+
+    return read
+
+
+def _asset(name: str) -> Callable[[Path], object]:
+    def read(folder: Path) -> object:
+        from hir_exporters.mesh_files import load_mesh_asset
+
+        return load_mesh_asset(folder / name)
+
+    return read
+
+
+TARGETS = [
+    *(_picture(f"picture.{kind}", _ldr) for kind in ("png", "jpg", "tif", "webp", "bmp")),
+    _picture("picture.hdr", _hdr),
+    _picture("picture.exr", _hdr),
+    _picture("photo.jpg", _photo),
+    Target("scene_json", "scene.json", _scene, seeds.scene),
+    Target("scene_ply", "mesh.ply", _scene, seeds.scene),
+    Target("scene_exr", "diffuse_albedo.exr", _scene, seeds.scene),
+    Target("run_json", "run.json", _run, seeds.run),
+    Target("timings_json", "timings.json", _timings, seeds.run),
+    Target("stage_json", "stages/2-geometry/stage.json", _record, seeds.run),
+    Target("cameras_json", "cameras.json", _cameras, seeds.cameras),
+    Target("settings_toml", "settings.toml", _toml, seeds.settings, slow=True),
+    Target("assignments", "assignment", _assignment, seeds.settings, slow=True),
+    Target("stage_arrays", "arrays.npz", _stage_scene, seeds.stage_scene),
+    Target("stage_scene", "scene.json", _stage_scene, seeds.stage_scene),
+    Target("checkpoint", "state.npz", _checkpoint, seeds.checkpoint),
+    Target("transforms_json", "transforms_train.json", _capture, seeds.transforms),
+    Target("colmap_text", "sparse/0/images.txt", _capture, seeds.colmap_text),
+    Target("colmap_cameras", "sparse/0/cameras.txt", _capture, seeds.colmap_text),
+    Target("colmap_points", "sparse/0/points3D.txt", _capture, seeds.colmap_text),
+    Target("colmap_images_bin", "sparse/0/images.bin", _capture, seeds.colmap_binary),
+    Target("colmap_cameras_bin", "sparse/0/cameras.bin", _capture, seeds.colmap_binary),
+    Target("colmap_points_bin", "sparse/0/points3D.bin", _capture, seeds.colmap_binary),
+    Target("idr_cameras", "cameras.npz", _capture, seeds.idr),
+    Target("llff_poses", "poses_bounds.npy", _capture, seeds.llff),
+    Target("middlebury", "temple_par.txt", _capture, seeds.middlebury),
+    Target("blended_mvs", "cams/00000000_cam.txt", _capture, seeds.blended_mvs),
+    Target("video", "clip.mp4", _capture, seeds.video, slow=True),
+    *(Target(f"mesh_{kind}", f"mesh.{kind}", _mesh(f"mesh.{kind}"), seeds.mesh) for kind in seeds.MESHES),
+    *(Target(f"asset_{kind}", f"mesh.{kind}", _asset(f"mesh.{kind}"), seeds.mesh) for kind in seeds.ASSETS),
+    Target("asset_usda", "mesh.usda", _asset("mesh.usda"), seeds.usd, slow=True),
+    Target("asset_usdz", "mesh.usdz", _asset("mesh.usdz"), seeds.usd, slow=True),
+]
+
+
+def as_json(text: object) -> bytes:
+    """A document as bytes."""
+    return json.dumps(text).encode()
