@@ -13,7 +13,7 @@ from typing import IO, Any, Final
 
 from hir_exporters.atomic import is_partial, remove_partials, write_text_atomic
 
-from hir_core.errors import InputError, StageError
+from hir_core.errors import HirError, InputError, StageError
 
 STAGES: Final = ("initializer", "geometry", "atlas", "reflectance", "bake", "export")
 """The stages in the order of a run; folders are numbered from 1."""
@@ -144,6 +144,20 @@ def open_run(path: str | os.PathLike[str]) -> RunDirectory:
     if not (folder / "run.json").is_file():
         raise InputError(f"{folder} has no run.json, so it is not a run; make one with: hir reconstruct CAPTURE -o RUN")
     return RunDirectory(folder)
+
+
+@contextlib.contextmanager
+def damage_told(folder: Path) -> Iterator[None]:
+    """For code that takes documents as we write them: what others wrote, or a disk spoilt, is an `InputError`."""
+    try:
+        yield
+    except HirError:
+        raise
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
+        reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+        raise InputError(
+            f"{folder}: run.json or a file beside it is damaged ({reason}); run again with --resume"
+        ) from error
 
 
 @contextlib.contextmanager

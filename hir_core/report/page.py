@@ -11,11 +11,19 @@ from typing import Any
 from hir_exporters.atomic import write_text_atomic
 
 from hir_core.report import charts, convergence, figures, model, pictures
-from hir_core.run_directory import RunDirectory
+from hir_core.run_directory import RunDirectory, damage_told
 
 
 def refresh_page(directory: RunDirectory) -> Path:
-    """Writes report.html; returns its path."""
+    """Writes report.html; returns its path. Damaged documents are an `InputError`."""
+    with damage_told(directory.path):
+        text = _page(directory)
+    path = directory.path / "report.html"
+    write_text_atomic(path, text)
+    return path
+
+
+def _page(directory: RunDirectory) -> str:
     document, timings = directory.read_run(), directory.read_timings()
     assets = files("hir_core") / "report_page"
     parts = {
@@ -44,9 +52,7 @@ def refresh_page(directory: RunDirectory) -> Path:
     page = (assets / "page.html").read_text(encoding="utf-8")
     for name, text in parts.items():
         page = page.replace(f"<!--{name}-->", text)
-    path = directory.path / "report.html"
-    write_text_atomic(path, page)
-    return path
+    return page
 
 
 def _lead(document: Mapping[str, Any]) -> str:

@@ -18,6 +18,7 @@ import numpy as np
 from hir_exporters.errors import HirError
 from hir_exporters.images import encode_png, write_exr, write_hdr
 
+from hir_core.manager import PluginManager
 from tests.reliability import seeds
 
 PLACE = Path("/dev/shm") if Path("/dev/shm").is_dir() else Path(tempfile.gettempdir())
@@ -63,6 +64,11 @@ def folder_of(target: Target) -> Path:
     folder = Path(tempfile.mkdtemp(prefix=f"hir-fuzz-{target.name}-", dir=PLACE))
     target.seed_folder(folder)
     return folder
+
+
+@cache
+def _plugins() -> PluginManager:
+    return PluginManager.discover()
 
 
 def remove_folders() -> None:
@@ -144,17 +150,15 @@ def _cameras(folder: Path) -> object:
 
 def _toml(folder: Path) -> object:
     from hir_core.config import load_config
-    from hir_core.manager import PluginManager
 
-    return load_config(PluginManager.discover(), file=folder / "settings.toml")
+    return load_config(_plugins(), file=folder / "settings.toml")
 
 
 def _assignment(folder: Path) -> object:
     from hir_core.config import load_config
-    from hir_core.manager import PluginManager
 
     text = (folder / "assignment").read_bytes().decode("utf-8", "replace")
-    return load_config(PluginManager.discover(), assignments=text.splitlines())
+    return load_config(_plugins(), assignments=text.splitlines())
 
 
 def _stage_scene(folder: Path) -> object:
@@ -173,10 +177,9 @@ def _checkpoint(folder: Path) -> object:
 
 def _capture(folder: Path) -> object:
     """Cameras, masks and the first picture of whatever reader knows the folder."""
-    from hir_core.manager import PluginManager
     from hir_core.readers import read_capture
 
-    capture = read_capture(folder, "train", PluginManager.discover())
+    capture = read_capture(folder, "train", _plugins())
     return [view.pixels() for view in capture.views[:1]]
 
 
@@ -210,8 +213,8 @@ TARGETS = [
     Target("timings_json", "timings.json", _timings, seeds.run),
     Target("stage_json", "stages/2-geometry/stage.json", _record, seeds.run),
     Target("cameras_json", "cameras.json", _cameras, seeds.cameras),
-    Target("settings_toml", "settings.toml", _toml, seeds.settings, slow=True),
-    Target("assignments", "assignment", _assignment, seeds.settings, slow=True),
+    Target("settings_toml", "settings.toml", _toml, seeds.settings),
+    Target("assignments", "assignment", _assignment, seeds.settings),
     Target("stage_arrays", "arrays.npz", _stage_scene, seeds.stage_scene),
     Target("stage_scene", "scene.json", _stage_scene, seeds.stage_scene),
     Target("checkpoint", "state.npz", _checkpoint, seeds.checkpoint),

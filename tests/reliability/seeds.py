@@ -71,7 +71,13 @@ def run(folder: Path) -> None:
             "plugins": ["exporter glb"],
             "plugin_problems": [],
             "stages": stages,
-            "metrics": {"test": {"psnr": {"frame": 30.0, "object": 25.0}, "views": []}},
+            "metrics": {
+                "test": {
+                    "psnr": {"frame": 30.0, "object": 25.0},
+                    "psnr_scaled": {"frame": 30.0, "object": 25.0},
+                    "views": [],
+                }
+            },
             "asset_from_working": np.eye(4).tolist(),
         }
     )
