@@ -10,6 +10,7 @@ unit vectors; values are 0 where a direction lies below the surface. Everything 
 from __future__ import annotations
 
 from functools import cache
+from importlib.resources import files
 from typing import Final
 
 import numpy as np
@@ -114,19 +115,25 @@ def table_coordinates(cos_theta: ArrayLike, alpha: ArrayLike) -> tuple[Array, Ar
 
 @cache
 def albedo_table() -> Array:
-    """A and B (TABLE_SIZE, TABLE_SIZE, 2), read-only, made in 0.1 s on first use.
+    """A and B (TABLE_SIZE, TABLE_SIZE, 2), read-only, as `integrated_table` gives them: kept in albedo_table.npy.
 
     Rows are even in sqrt(n.o) from 0 to 1, columns even in sqrt(alpha) from sqrt(ALPHA_MIN) to 1, ends included.
     """
+    with (files("hir_exporters") / "albedo_table.npy").open("rb") as stream:
+        table: Array = np.load(stream, allow_pickle=False)
+    table.setflags(write=False)
+    return table
+
+
+def integrated_table() -> Array:
+    """What `albedo_table` holds, made anew in a quarter of a second."""
     rows, columns = (np.linspace(0.0, 1.0, count) for count in _NODES)
     lowest = np.sqrt(ALPHA_MIN)
     nodes = integrate_albedo(rows[:, None] ** 2, (lowest + (1 - lowest) * columns[None, :]) ** 2)
     # The integrals are smooth in these coordinates: cubics through few nodes are as good as integrating everywhere.
     down, along = (_cubic_weights(count, TABLE_SIZE) for count in _NODES)
     scale, bias = (np.clip(down @ term @ along.T, 0.0, 1.0) for term in nodes)
-    table = np.stack([np.minimum(scale, 1 - bias), bias], axis=-1)  # no overshoot of a cubic may reflect more than all
-    table.setflags(write=False)
-    return table
+    return np.stack([np.minimum(scale, 1 - bias), bias], axis=-1)  # no overshoot of a cubic may reflect more than all
 
 
 def integrate_albedo(cos_theta: ArrayLike, alpha: ArrayLike, index: int = 15) -> tuple[Array, Array]:

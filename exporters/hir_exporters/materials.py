@@ -26,7 +26,7 @@ from hir_exporters import brdf_slice as slices
 from hir_exporters import engine_models as engines
 from hir_exporters.asset import AssetMaterial
 from hir_exporters.metal_fit import core_base_color, fit_metallic, fit_specular_workflow
-from hir_exporters.texture_maps import common_size, constant_if_uniform, resize, sample_texels
+from hir_exporters.texture_maps import common_size, constant_if_uniform, in_strips, resize, sample_texels
 
 Array = NDArray[np.floating]
 
@@ -127,7 +127,7 @@ def _core(material: AssetMaterial) -> MetallicSurface:
     diffuse, specular, alpha = _together(material)[1:]
     metallic = fit_metallic(material.model, diffuse, specular, alpha)
     base = core_base_color(material.model, diffuse, specular, alpha, metallic)
-    return _measured(material, _surface(_clipped(base), metallic, _roughness(material)))
+    return _measured(material, _surface(base, metallic, _roughness(material)))
 
 
 def _dielectric_with_extensions(material: AssetMaterial) -> MetallicSurface:
@@ -137,27 +137,36 @@ def _dielectric_with_extensions(material: AssetMaterial) -> MetallicSurface:
     if specular.max() <= METAL_F0:
         color = specular / np.float32(engines.CORE_F0)
         return _measured(material, _surface(material.diffuse_albedo, _ZERO, _roughness(material), color=color))
+    # Colours that no metal has (one channel a mirror, another a plastic) are beyond the mixture: what is nearer is
+    # kept. A few texels tell which.
+    few = _thinned(material)
+    return (_mixture if _mixture(few).residual <= _core(few).residual else _core)(material)
+
+
+def _mixture(material: AssetMaterial) -> MetallicSurface:
+    """Metal where there is metal, over a non-metal whose reflectance is what metal leaves of rho_s."""
     model, diffuse, specular, alpha = _together(material)
-    metallic = fit_metallic(model, diffuse, specular, alpha) * (specular.max(axis=-1) > METAL_F0)
-    fitted = _metal_base(model, diffuse, specular, alpha, metallic)
-    m = metallic[..., None]
-    # The mixture reflects (1 - m) F0 + m base at normal incidence, which shall be rho_s, and (1 - m) base (1 - F0) from
-    # below, which shall be rho_d (1 - rho_s): eliminating F0 leaves m base^2 + (1 - m - rho_s) base = rho_d (1 -
-    # rho_s).
-    half = (1 - m - specular) / 2
-    root = np.sqrt(half * half + m * diffuse * (1 - specular))
-    base = np.where(
-        half > 0, diffuse * (1 - specular) / np.maximum(half + root, 1e-6), (root - half) / np.maximum(m, 1e-6)
-    )
-    base = np.where(m == 0, diffuse, np.where(m == 1, fitted, _clipped(base)))
-    color = np.clip((specular - m * base) / np.maximum(1 - m, 1e-3), 0.0, 1.0) / engines.CORE_F0
-    color = np.where(m == 1, 1.0, color)
-    extended = _measured(material, _surface(base, metallic, _roughness(material), color=color))
-    # Colours that no metal has (one channel a mirror, another a plastic) are beyond the mixture: keep what is nearer.
-    # A few texels tell which, before every one is fitted.
-    if extended.residual <= _core(_thinned(material)).residual:
-        return extended
-    return min(extended, _core(material), key=lambda surface: surface.residual)
+    metal = in_strips(lambda s: s.max(axis=-1) > METAL_F0, (specular, 1))
+    metallic = fit_metallic(model, diffuse, specular, alpha) * metal
+
+    def texels(diffuse: Array, specular: Array, alpha: Array, metallic: Array) -> Array:
+        fitted = _metal_base(model, diffuse, specular, alpha, metallic)
+        m = metallic[..., None]
+        # The mixture reflects (1 - m) F0 + m base at normal incidence, which shall be rho_s, and (1 - m) base (1 - F0)
+        # from below, which shall be rho_d (1 - rho_s): eliminating F0 leaves
+        # m base^2 + (1 - m - rho_s) base = rho_d (1 - rho_s).
+        half = (1 - m - specular) / 2
+        root = np.sqrt(half * half + m * diffuse * (1 - specular))
+        base = np.where(
+            half > 0, diffuse * (1 - specular) / np.maximum(half + root, 1e-6), (root - half) / np.maximum(m, 1e-6)
+        )
+        base = np.where(m == 0, diffuse, np.where(m == 1, fitted, _clipped(base)))
+        color = np.clip((specular - m * base) / np.maximum(1 - m, 1e-3), 0.0, 1.0) / engines.CORE_F0
+        return np.concatenate(np.broadcast_arrays(base, np.where(m == 1, 1.0, color)), axis=-1, dtype=np.float32)
+
+    both = in_strips(texels, (diffuse, 1), (specular, 1), (alpha, 0), (metallic, 0))
+    surface = _surface(both[..., :3], metallic, _roughness(material), color=both[..., 3:])
+    return _measured(material, surface)
 
 
 def _metal_base(model: str, diffuse: Array, specular: Array, alpha: Array, metallic: Array) -> Array:
@@ -222,8 +231,9 @@ def _under_lobe(material: AssetMaterial) -> tuple[Array, tuple[str, ...]]:
 
 
 def _is_core(material: AssetMaterial) -> bool:
-    off = np.abs(material.specular_albedo / engines.CORE_F0 - 1).max()
-    return material.model == "dielectric" and bool(off <= _CORE_TOLERANCE)
+    low, high = (engines.CORE_F0 * (1 + sign * _CORE_TOLERANCE) for sign in (-1, 1))
+    specular = material.specular_albedo
+    return material.model == "dielectric" and bool(specular.max() <= high) and bool(specular.min() >= low)
 
 
 def _surface(

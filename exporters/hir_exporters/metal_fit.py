@@ -2,7 +2,8 @@
 
 Both models and both targets are sums of the six functions `brdf_slice.BASIS`, so that a squared difference is a
 quadratic form in a 6 x 6 matrix of the width alpha alone, and best values have closed forms whose coefficients are
-tabulated.
+tabulated. Of a target t core glTF, f = b U + C with U = (1 - m) P + m R and C = S + 0.04 (1 - m) R, needs no more than
+<t, P> and <t, R>.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from hir_exporters.brdf_slice import gram_table
 from hir_exporters.engine_models import CORE_F0
-from hir_exporters.texture_maps import resize
+from hir_exporters.texture_maps import in_strips, resize
 
 Array = NDArray[np.floating]
 _Table = NDArray[np.float64]
@@ -38,70 +39,84 @@ def fit_metallic(model: str, diffuse: Array, specular: Array, alpha: Array) -> A
         small = min(size[0], _METALNESS_SIZE), min(size[1], _METALNESS_SIZE)
         diffuse, specular = (resize(v, *small) if v.ndim == 3 else v for v in (diffuse, specular))
         alpha = resize(alpha, *small) if alpha.ndim == 2 else alpha
-    # The loss is a small difference of large terms: float64 here, where the texels are few.
-    texels = [value.astype(np.float64) for value in (diffuse, specular, alpha)]
-    losses = [_core_loss(model, texels[0], texels[1], texels[2], m) for m in _METALNESS_STEPS]
-    metallic = np.asarray(_METALNESS_STEPS[np.argmin(losses, axis=0)])
+
+    def nearest(diffuse: Array, specular: Array, alpha: Array) -> Array:
+        # The loss is a small difference of large terms: float64 here, where the texels are few.
+        seen = _Projected(model, *(np.asarray(value, np.float64) for value in (diffuse, specular, alpha)))
+        losses = [seen.loss(m) for m in _METALNESS_STEPS]
+        return np.asarray(_METALNESS_STEPS[np.argmin(losses, axis=0)])
+
+    metallic = in_strips(nearest, (diffuse, 1), (specular, 1), (alpha, 0))
     metallic = np.where(metallic < _SNAP, 0.0, np.where(metallic > 1 - _SNAP, 1.0, metallic)).astype(np.float32)
     return resize(metallic, *size) if size is not None and metallic.ndim == 2 else metallic
 
 
 def core_base_color(model: str, diffuse: Array, specular: Array, alpha: Array, metallic: Array) -> Array:
-    """Base colour (H, W, 3) or (3,) that brings core glTF at that metalness nearest to the model, cut to [0, 1].
+    """Base colour (H, W, 3) or (3,) that brings core glTF at that metalness nearest to the model, cut to [0, 1]."""
 
-    The best b of f = b U + S + 0.04 (1 - m) R with U = (1 - m) P + m R is <target - S - 0.04 (1 - m) R, U> / <U, U>.
-    """
-    _, gram = gram_table()
-    lookup = _Lookup(alpha)
-    m = np.asarray(metallic, alpha.dtype)[..., None]
-    parts = _target_parts(model)
+    def best(diffuse: Array, specular: Array, alpha: Array, metallic: Array) -> Array:
+        top, bottom = _Projected(model, diffuse, specular, alpha).base_terms(metallic[..., None])
+        return np.clip(top / bottom, 0.0, 1.0)
 
-    def inner(left: NDArray[np.float64], right: NDArray[np.float64]) -> Array:
-        return lookup(np.einsum("i,tij,j->t", left, gram, right))[..., None]
-
-    top = -CORE_F0 * (1 - m) * ((1 - m) * inner(_R, _P) + m * inner(_R, _R))
-    top = top - (1 - m) * inner(_S, _P) - m * inner(_S, _R)
-    for part, factor in zip(parts, _target_factors(model, diffuse, specular), strict=True):
-        top = top + factor * ((1 - m) * inner(part, _P) + m * inner(part, _R))
-    bottom = (1 - m) ** 2 * inner(_P, _P) + 2 * (1 - m) * m * inner(_P, _R) + m * m * inner(_R, _R)
-    return np.clip(top / bottom, 0.0, 1.0)
+    metallic = np.asarray(metallic, alpha.dtype)
+    return in_strips(best, (diffuse, 1), (specular, 1), (alpha, 0), (metallic, 0))
 
 
 def fit_specular_workflow(model: str, diffuse: Array, specular: Array, alpha: Array) -> tuple[Array, Array]:
     """Diffuse and specular colours whose X (1 - s)/pi + S + F0 R, X = diffuse (1 - max F0), is nearest to the model."""
     _, gram = gram_table()
-    lookup = _Lookup(alpha)
     one = np.array([0, 1.0, 0, 0, 0, 0])
     system = np.stack([np.stack([gram[:, 1, 1], gram[:, 1, 3]], -1), np.stack([gram[:, 3, 1], gram[:, 3, 3]], -1)], -2)
-    solutions = []
-    for part in (*_target_parts(model), -_S):
-        right = np.stack([gram @ part @ one, gram @ part @ _R], axis=-1)
-        solutions.append(np.linalg.solve(system, right[..., None])[..., 0])
-    factors = (*_target_factors(model, diffuse, specular), np.ones((), np.float32))
-    x, f0 = (sum(f * lookup(s[:, k])[..., None] for f, s in zip(factors, solutions, strict=True)) for k in (0, 1))
-    # Where F0 would be negative the best X is that of F0 = 0.
-    alone = sum(
-        f * lookup(gram @ part @ one / gram[:, 1, 1])[..., None]
-        for f, part in zip(factors, (*_target_parts(model), -_S), strict=True)
-    )
-    x, f0 = np.where(f0 < 0, alone, x), np.clip(f0, 0.0, 0.999)
-    reflected = np.maximum(x, 0.0) / (1 - f0.max(axis=-1, keepdims=True))
-    return reflected.astype(np.float32), f0.astype(np.float32)
+    parts = (*_target_parts(model), -_S)
+    rights = [np.stack([gram @ part @ one, gram @ part @ _R], axis=-1) for part in parts]
+    solutions = [np.linalg.solve(system, right[..., None])[..., 0] for right in rights]
+
+    def fitted(diffuse: Array, specular: Array, alpha: Array) -> Array:
+        lookup = _Lookup(alpha)
+        factors = (*_target_factors(model, diffuse, specular), np.ones((), np.float32))
+        x, f0 = (sum(f * lookup(s[:, k])[..., None] for f, s in zip(factors, solutions, strict=True)) for k in (0, 1))
+        # Where F0 would be negative the best X is that of F0 = 0.
+        alone = sum(
+            f * lookup(right[:, 0] / gram[:, 1, 1])[..., None] for f, right in zip(factors, rights, strict=True)
+        )
+        x, f0 = np.where(f0 < 0, alone, x), np.clip(f0, 0.0, 0.999)
+        reflected = np.maximum(x, 0.0) / (1 - f0.max(axis=-1, keepdims=True))
+        return np.concatenate([reflected, f0], axis=-1).astype(np.float32)
+
+    both = in_strips(fitted, (diffuse, 1), (specular, 1), (alpha, 0))
+    return both[..., :3], both[..., 3:]
 
 
-def _core_loss(model: str, diffuse: Array, specular: Array, alpha: Array, m: float) -> Array:
-    """Squared weighted difference of core glTF, with its best base colour, and the model, summed over colour."""
-    base = core_base_color(model, diffuse, specular, alpha, np.asarray(m))
-    _, gram = gram_table()
-    lookup = _Lookup(alpha)
-    vectors = [*_target_parts(model), -(1 - m) * _P - m * _R, -_S - CORE_F0 * (1 - m) * _R]
-    factors = [*_target_factors(model, diffuse, specular), base, np.ones(3, np.float32)]
-    loss: Array = np.zeros(())
-    for i, (left, a) in enumerate(zip(vectors, factors, strict=True)):
-        for right, b in list(zip(vectors, factors, strict=True))[i:]:
-            product = lookup(np.einsum("i,tij,j->t", left, gram, right))[..., None]
-            loss = loss + (1 if right is left else 2) * product * a * b
-    return loss.sum(axis=-1)
+class _Projected:
+    """A model's texels t as <t, P> and <t, R>, (…, 3), beside the inner products of P, R and S (…, 1)."""
+
+    def __init__(self, model: str, diffuse: Array, specular: Array, alpha: Array) -> None:
+        _, gram = gram_table()
+        lookup = _Lookup(alpha)
+
+        def inner(left: _Table, right: _Table) -> Array:
+            return lookup(np.einsum("i,tij,j->t", left, gram, right))[..., None]
+
+        factors, parts = _target_factors(model, diffuse, specular), _target_parts(model)
+        on_p, on_r = (sum(f * inner(part, side) for f, part in zip(factors, parts, strict=True)) for side in (_P, _R))
+        self._on_p, self._on_r = np.asarray(on_p), np.asarray(on_r)
+        self._pp, self._pr, self._rr = inner(_P, _P), inner(_P, _R), inner(_R, _R)
+        self._sp, self._sr = inner(_S, _P), inner(_S, _R)
+
+    def base_terms(self, m: Array) -> tuple[Array, Array]:
+        """<t - C, U> and <U, U>, whose ratio is the best base colour, at metalness m (…, 1) or ()."""
+        p, r = 1 - m, m
+        top = p * (self._on_p - self._sp) + r * (self._on_r - self._sr)
+        top = top - CORE_F0 * p * (p * self._pr + r * self._rr)
+        return top, p * p * self._pp + 2 * p * r * self._pr + r * r * self._rr
+
+    def loss(self, m: float) -> Array:
+        """Squared difference (…) from core glTF at its best base colour, summed over colour, without what has no m."""
+        top, bottom = self.base_terms(np.asarray(m))
+        base = np.clip(top / bottom, 0.0, 1.0)
+        fixed = CORE_F0 * (1 - m)  # of R in C
+        constant = fixed * (2 * (self._sr - self._on_r) + fixed * self._rr)
+        return np.asarray((constant + base * (base * bottom - 2 * top)).sum(axis=-1))
 
 
 def _target_parts(model: str) -> tuple[NDArray[np.float64], ...]:
@@ -123,7 +138,7 @@ class _Lookup:
     def __init__(self, alpha: Array) -> None:
         self._dtype = alpha.dtype
         self._steps = np.linspace(0.0, 1.0, 4096)
-        self._index = np.rint(np.sqrt(np.clip(alpha, 0.0, 1.0)) * 4095).astype(np.int16)
+        self._index = np.rint(np.sqrt(np.clip(alpha, 0.0, 1.0)) * 4095).astype(np.intp)
 
     def __call__(self, values: _Table) -> Array:
         widths, _ = gram_table()

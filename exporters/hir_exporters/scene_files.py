@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
@@ -97,22 +98,15 @@ def _load_material(folder: Path, table: dict[str, Any]) -> AssetMaterial:
     model = table.get("model")
     if model not in MODELS:
         raise InputError(f"{source}: material.model is {model!r}; known are {', '.join(MODELS)}")
-    observed = _load_map(folder, "observed", table.get("observed"))
-    return AssetMaterial(
-        model=model,
-        diffuse_albedo=_load_needed_map(folder, "diffuse_albedo", table),
-        specular_albedo=_load_needed_map(folder, "specular_albedo", table),
-        roughness=_load_needed_map(folder, "roughness", table),
-        normal=_load_map(folder, "normal", table.get("normal")),
-        observed=None if observed is None else observed > 0.5,
-    )
-
-
-def _load_needed_map(folder: Path, name: str, table: dict[str, Any]) -> NDArray[Any]:
-    value = _load_map(folder, name, table.get(name))
-    if value is None:
-        raise InputError(f"{folder / 'scene.json'}: material.{name} is missing; give a file or a constant")
-    return value
+    for name in ("diffuse_albedo", "specular_albedo", "roughness"):
+        if table.get(name) is None:
+            raise InputError(f"{source}: material.{name} is missing; give a file or a constant")
+    with ThreadPoolExecutor(max_workers=4) as pool:  # the OpenEXR binding decodes without the interpreter's lock
+        maps: dict[str, Any] = dict(
+            zip(_MAPS, pool.map(lambda name: _load_map(folder, name, table.get(name)), _MAPS), strict=True)
+        )
+    observed = maps.pop("observed")
+    return AssetMaterial(model=model, observed=None if observed is None else observed > 0.5, **maps)
 
 
 def _load_map(folder: Path, name: str, value: object) -> NDArray[Any] | None:

@@ -9,13 +9,16 @@ of charts stay.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, csr_array
 
 from hir_exporters.asset import AssetMesh
 from hir_exporters.topology import weld
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 Indices = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -226,6 +229,8 @@ def _error(quadrics: Floats, place: Floats) -> Floats:
 
 
 def _adjacency(state: _State) -> csr_array:
+    from scipy.sparse import coo_array
+
     edges = np.concatenate([state.points[:, [0, 1]], state.points[:, [1, 2]], state.points[:, [2, 0]]])
     both = np.concatenate([edges, edges[:, ::-1]])
     matrix = coo_array((np.ones(len(both), np.int32), (both[:, 0], both[:, 1])), shape=(len(state.places),) * 2).tocsr()

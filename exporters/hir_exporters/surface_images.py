@@ -54,7 +54,7 @@ def limited(material: AssetMaterial, largest: int) -> AssetMaterial:
     """The material with textures of at most `largest` pixels a side, averaged down; normals stay unit vectors."""
 
     def reduced(value: NDArray[np.float32], ends: int) -> NDArray[np.float32]:
-        return value if value.ndim - ends != 2 else limit_size(value, largest).astype(np.float32)
+        return value if value.ndim - ends != 2 else limit_size(value, largest).astype(np.float32, copy=False)
 
     normal = material.normal
     if normal is not None and max(normal.shape[:2]) > largest:

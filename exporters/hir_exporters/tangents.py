@@ -13,8 +13,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from hir_exporters.asset import AssetMesh
 from hir_exporters.topology import weld
@@ -151,9 +149,16 @@ def _corner_groups(
     """Number of the group of each corner (3F,): connected over edges between faces of one handedness."""
     faces, ends = pairs
     joined = ends[preserving[faces[:, 0]] == preserving[faces[:, 1]]].reshape(-1, 2)
-    count = 3 * len(preserving)
-    graph = coo_array((np.ones(len(joined), dtype=bool), (joined[:, 0], joined[:, 1])), shape=(count, count))
-    return connected_components(graph, directed=False)[1].astype(np.int64)
+    # Lowest corner of each group: a corner takes its neighbours' lowest, then that one's own, until all agree. Groups
+    # are fans of a few corners: loading scipy's graphs would take longer.
+    lowest = np.arange(3 * len(preserving))
+    while True:
+        both = lowest[joined]
+        if (both[:, 0] == both[:, 1]).all():
+            return np.unique(lowest, return_inverse=True)[1]
+        np.minimum.at(lowest, lowest[joined[:, 0]], both[:, 1])
+        np.minimum.at(lowest, lowest[joined[:, 1]], both[:, 0])
+        lowest = lowest[lowest]
 
 
 def _lend_to_degenerate(

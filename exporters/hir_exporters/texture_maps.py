@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +13,7 @@ from numpy.typing import NDArray
 from hir_exporters.conventions import linear_to_srgb
 
 Array = NDArray[np.floating]
+_Number = TypeVar("_Number", bound=np.generic)
 
 
 def resize(texture: Array, height: int, width: int) -> Array:
@@ -48,7 +52,37 @@ def constant_if_uniform(value: Array, channels: int) -> Array:
     if value.ndim - channels != 2:
         return value
     first = value[0, 0]
+    if not (value[::_ROWS] == first).all():  # nearly always enough
+        return value
     return np.asarray(first) if (value == first).all() else value
+
+
+_ROWS = 64
+"""Of a strip: its values stay in a processor's cache, and textures of any size need little memory."""
+
+
+def in_strips(compute: Callable[..., NDArray[_Number]], *values: tuple[Array, int]) -> NDArray[_Number]:
+    """What a function of texels makes of textures of one size and constants, strip by strip and side by side.
+
+    `values` are (texture or constant, number of channel axes); the result has the textures' height and width.
+    """
+    height = next((value.shape[0] for value, c in values if value.ndim - c == 2), 0)
+    if height <= _ROWS:
+        return compute(*(value for value, _ in values))
+
+    def strip(top: int) -> NDArray[_Number]:
+        return compute(*(v[top : top + _ROWS] if v.ndim - c == 2 else v for v, c in values))
+
+    first = strip(0)
+    result = np.empty((height, *first.shape[1:]), first.dtype)
+    result[:_ROWS] = first
+
+    def fill(top: int) -> None:
+        result[top : top + _ROWS] = strip(top)
+
+    with ThreadPoolExecutor(max_workers=4) as pool:
+        list(pool.map(fill, range(_ROWS, height, _ROWS)))
+    return result
 
 
 def sample_texels(value: Array, color: bool, places: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -62,12 +96,13 @@ def sample_texels(value: Array, color: bool, places: NDArray[np.float64]) -> NDA
 
 def srgb8(linear: Array) -> NDArray[np.uint8]:
     """8-bit sRGB codes of linear values, clipped to [0, 1]: through a table of 65536 steps, at most 0.06 codes off."""
-    return _srgb_codes()[unorm(linear, 65535).astype(np.uint16)]
+    table = _srgb_codes()
+    return _codes(lambda rows: table[unorm(rows, 65535).astype(np.uint16)], linear)
 
 
 def unorm8(values: Array) -> NDArray[np.uint8]:
     """8-bit codes of values in [0, 1], clipped and rounded."""
-    return unorm(values, 255).astype(np.uint8)
+    return _codes(lambda rows: unorm(rows, 255).astype(np.uint8), values)
 
 
 def unorm(values: Array, largest: int) -> Array:
@@ -80,7 +115,12 @@ def unorm(values: Array, largest: int) -> Array:
 
 def normal_to_unorm8(normal: Array) -> NDArray[np.uint8]:
     """Unit vectors (H, W, 3) as 8-bit codes, 127.5 being 0."""
-    return unorm8(normal * np.float32(0.5) + np.float32(0.5))
+    half = np.float32(0.5)
+    return _codes(lambda rows: unorm(rows * half + half, 255).astype(np.uint8), normal)
+
+
+def _codes(encode: Callable[[Array], NDArray[np.uint8]], values: Array) -> NDArray[np.uint8]:
+    return in_strips(encode, (values, max(values.ndim - 2, 0)))
 
 
 @cache

@@ -83,3 +83,8 @@ def test_table_is_shared_and_cannot_be_changed() -> None:
     with pytest.raises(ValueError):
         table[0, 0] = 0
     assert table.min() >= 0 and table.sum(-1).max() <= 1 + 1e-15
+
+
+def test_the_kept_table_is_the_integrated_one() -> None:
+    """Where the integration changes: np.save of `integrated_table()` over exporters/hir_exporters/albedo_table.npy."""
+    np.testing.assert_allclose(brdf.albedo_table(), brdf.integrated_table(), rtol=0, atol=1e-12)

@@ -24,7 +24,7 @@ def lamp(rows: int = 128) -> np.ndarray:
     """A dim sky with a warm lamp of 12 degrees and a cool gradient."""
     d = latlong_directions(rows, 2 * rows)
     toward = np.array([0.6, 0.5, 0.62]) / np.linalg.norm([0.6, 0.5, 0.62])
-    spot = 20 * np.exp(-((1 - d @ toward) / (1 - np.cos(np.radians(12)))) ** 2)
+    spot = 20 * np.exp(-(((1 - d @ toward) / (1 - np.cos(np.radians(12)))) ** 2))
     return spot[..., None] * [1, 0.8, 0.5] + 0.2 + 0.1 * d[..., 1:2] * [0.2, 0.5, 1]
 
 
