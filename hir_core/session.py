@@ -76,7 +76,12 @@ class Session:
         load: Callable[[Path], Value],
         scene_of: Callable[[Value], Any] = lambda value: value,
     ) -> Value:
-        """The result of a stage: read where a finished one of the same settings and input exists, else computed."""
+        """The result of a stage: read where a finished one of the same settings and input exists, else computed.
+
+        After the stage that `--until` names it raises `StopRun`: what belongs to that stage has been recorded by then.
+        """
+        if self.until in self.document["stages"]:
+            raise StopRun
         self.key = _hash(self.key, name, settings, self.config.seed, self.config.deterministic)
         record = self.directory.record(name)
         found = self._stored(name, record, load)
@@ -91,8 +96,6 @@ class Session:
             self.plugins.notify("hir_stage_finished", stage=name, scene=scene_of(value), report=record.report)
         self.document["stages"][name] = {"report": record.report, "warnings": record.warnings}
         self._write()
-        if name == self.until:
-            raise StopRun
         return value
 
     def finish(self) -> None:

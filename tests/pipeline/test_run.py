@@ -117,7 +117,10 @@ def test_finished_run_is_reused_whole_and_a_setting_redoes_what_depends_on_it(
 
 
 def test_until_leaves_a_run_that_goes_on(tiny_capture: Path, quick: Reconstruct, finished: Run, tmp_path: Path) -> None:
-    first = quick(tiny_capture, tmp_path / "run", until="atlas", deterministic=True)
+    begun = quick(tiny_capture, tmp_path / "run", until="initializer", deterministic=True)
+    # the cameras are there for other programs already
+    assert begun.directory.cameras.read_bytes() == finished.directory.cameras.read_bytes()
+    first = quick(tiny_capture, tmp_path / "run", until="atlas", resume=True, deterministic=True)
     assert not first.directory.scene.exists()
     rest = quick(tiny_capture, tmp_path / "run", resume=True, deterministic=True)
     assert rest.reused == ("initializer", "geometry", "atlas")
