@@ -49,8 +49,8 @@ def test_run_json_holds_settings_and_timings_json_the_clock(finished: Run) -> No
     assert document["settings"]["geometry"]["triangles"] == 1500 and document["seed"] == 0
     assert set(document["stages"]) == set(STAGES) == set(timings["stages"])
     assert document["versions"]["torch"] and any("visual_hull" in plugin for plugin in document["plugins"])
-    text = json.dumps(document)
-    assert "seconds" not in text.replace("iterations", "") and "started" not in text
+    text = json.dumps({name: value for name, value in document.items() if name != "settings"})
+    assert "seconds" not in text and "started" not in text
     assert all(timings["stages"][name]["seconds"] >= 0 for name in STAGES)
 
 
