@@ -24,6 +24,8 @@ class GltfConfig:
     """Whether tangents are written: by default where there is a normal map."""
     lods: tuple[int, ...] = ()
     """Further levels of detail as triangle counts, written beside the file as NAME_lod1, NAME_lod2 and so on."""
+    lod_normals: bool = True
+    """Bake the finest mesh's normals into a normal map for each level of detail."""
     quantize: bool = False
     """KHR_mesh_quantization: 16-bit positions, 8-bit normals and tangents, 16-bit UVs. Readers without it fail."""
     environment: bool = True

@@ -5,12 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from hir_exporters.asset import Asset, AssetMesh
+from hir_exporters.asset import Asset, AssetMaterial, AssetMesh
 from hir_exporters.configs import GltfConfig
 from hir_exporters.formats import create_exporter
 from hir_exporters.readback import read_gltf
 from hir_exporters.simplify import simplify
+from hir_exporters.tangents import with_tangents
 from hir_exporters.topology import weld
+from hir_exporters.uv_raster import texel_cover
 
 Sphere = Callable[..., AssetMesh]
 
@@ -104,3 +106,73 @@ def test_levels_of_detail_are_files_of_their_own(textured_asset: Asset, suffix: 
     counts = [len(read_gltf(tmp_path / f"x{level}.{suffix}").corner_positions) for level in ("", "_lod1", "_lod2")]
     assert counts[0] == len(textured_asset.mesh.faces) and 190 <= counts[1] <= 200 and 70 <= counts[2] <= 80
     assert report.files[0] == path and all(file.is_file() for file in report.files)
+
+
+def shading(mesh: AssetMesh, normal: np.ndarray | None, size: int, texels: np.ndarray) -> np.ndarray:
+    """Unit normals (N, 3) that a shader sees at texels, from the mesh and its map."""
+    cover = texel_cover(mesh.uvs, mesh.faces, size)
+    n, t = cover.interpolated(mesh.normals, mesh.faces), np.zeros((len(cover.texels), 4))
+    seen = n
+    if normal is not None:
+        t = cover.interpolated(mesh.tangents, mesh.faces)
+        b = np.cross(n, t[:, :3]) * np.sign(t[:, 3:])
+        x, y, z = normal.reshape(-1, 3)[cover.texels].T[..., None]
+        seen = x * t[:, :3] + y * b + z * n
+    result = np.zeros((size * size, 3))
+    result[cover.texels] = seen / np.linalg.norm(seen, axis=-1, keepdims=True)
+    return result[texels]
+
+
+@pytest.mark.parametrize("mapped", [False, True])
+def test_a_level_of_detail_shades_as_the_finest(
+    mapped: bool, textured_asset: Asset, make_sphere: Sphere, tmp_path: Path
+) -> None:
+    """Read back from the file: within 8 bits of the fine mesh's normals, which the coarse mesh alone is far from.
+
+    Measured without a map of the finest's own: mean 0.17 degrees, hundredth worst 0.29; 4.8 degrees without the map.
+    """
+    fine = make_sphere(60, 120, wobble=0.15)
+    vectors = trimesh.Trimesh(*(lambda f, g: (fine.positions[f], g[fine.faces]))(*weld(fine.positions)), process=False)
+    fine = replace(fine, normals=vectors.vertex_normals[weld(fine.positions)[1]])
+    normal = textured_asset.material.normal if mapped else None
+    asset = replace(textured_asset, mesh=fine, material=replace(textured_asset.material, normal=normal))
+    create_exporter("glb", GltfConfig(lods=(600,))).write(asset, tmp_path / "x.glb")
+    back = read_gltf(tmp_path / "x_lod1.glb")
+    assert back.normal is not None
+    size, count = back.normal.shape[0], len(back.corner_positions)
+    assert size == 32 and 500 < count <= 600
+    coarse = with_tangents(
+        AssetMesh(
+            back.corner_positions.reshape(-1, 3),
+            back.corner_normals.reshape(-1, 3),
+            back.corner_uvs.reshape(-1, 2),
+            np.arange(3 * count).reshape(-1, 3),
+        )
+    )
+    inner = np.intersect1d(*(texel_cover(m.uvs, m.faces, size).texels for m in (fine, coarse)))
+    inner = inner[(inner // size > 1) & (inner // size < size - 2)]  # at the poles triangles have no texture
+    want = shading(with_tangents(fine), normal, size, inner)
+    with_map, without = (
+        np.degrees(np.arccos(np.clip((shading(coarse, m, size, inner) * want).sum(-1), -1, 1)))
+        for m in (back.normal, None)
+    )
+    assert with_map.mean() < 0.3 and np.quantile(with_map, 0.99) < 0.6 and without.mean() > 4
+
+
+def test_overlapping_textures_keep_their_own_normals_and_say_so(make_sphere: Sphere, tmp_path: Path) -> None:
+    mesh = make_sphere(20, 40)
+    folded = replace(mesh, uvs=np.abs(mesh.uvs - [0.5, 0]) * [2, 1])
+    asset = Asset(folded, AssetMaterial("dielectric", [0.5] * 3, [0.04] * 3, 0.3))
+    report = create_exporter("glb", GltfConfig(lods=(300,))).write(asset, tmp_path / "x.glb")
+    assert any("keeps its own normals" in warning for warning in report.warnings)
+    assert read_gltf(tmp_path / "x_lod1.glb").normal is None
+
+
+def test_every_texel_belongs_to_one_triangle(make_sphere: Sphere) -> None:
+    mesh = make_sphere(7, 13)
+    cover = texel_cover(mesh.uvs, mesh.faces, 64)
+    assert cover.overlap == 0 and (cover.weights >= -1e-9).all()
+    places = cover.interpolated(mesh.uvs, mesh.faces) * 64 - 0.5
+    np.testing.assert_allclose(places[:, 1] * 64 + places[:, 0], cover.texels, atol=1e-6)
+    full = texel_cover(np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]]), np.array([[0, 1, 2], [0, 2, 3]]), 32)
+    np.testing.assert_array_equal(full.texels, np.arange(1024))

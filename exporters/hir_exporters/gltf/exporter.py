@@ -17,8 +17,8 @@ from hir_exporters.environment import world_radiance
 from hir_exporters.exporter import Edit, Exporter, ExportReport
 from hir_exporters.gltf.binary import glb_bytes
 from hir_exporters.gltf.document import Gathered, build_document, gather
+from hir_exporters.gltf.lods import level_of_detail
 from hir_exporters.images import write_hdr
-from hir_exporters.simplify import simplify
 from hir_exporters.surface_images import limited, reduction_warning
 
 if TYPE_CHECKING:
@@ -57,12 +57,11 @@ def _write(asset: Asset, destination: Path, config: GltfConfig, edit: Edit | Non
     warnings += gathered.warnings
     files = _write_document(gathered, destination, config, edit, embed)
     for level, triangles in enumerate(config.lods, start=1):
-        coarse = simplify(gathered.mesh, triangles)
-        if len(coarse.faces) > max(1.1 * triangles, triangles + 2):
-            warnings += (f"level of detail {level} has {len(coarse.faces)} triangles: seams and folds allow no fewer",)
+        coarse, missing = level_of_detail(gathered, level, triangles, config)
+        warnings += missing
         path = destination.with_name(f"{destination.stem}_lod{level}{destination.suffix}")
         # The same images again: a level of detail must be of use on its own.
-        files += _write_document(replace(gathered, mesh=coarse), path, config, edit, embed)
+        files += _write_document(coarse, path, config, edit, embed)
     if config.environment and asset.environment is not None:
         radiance, light_warnings = world_radiance(asset)
         files.append(destination.with_suffix(".hdr"))

@@ -1,0 +1,43 @@
+"""Levels of detail: fewer triangles under the same textures, with the normals that were lost in a map."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from hir_exporters.asset import textures
+from hir_exporters.configs import GltfConfig
+from hir_exporters.gltf.document import Gathered
+from hir_exporters.normal_bake import baked_normals
+from hir_exporters.simplify import simplify
+from hir_exporters.surface_images import encode_images
+from hir_exporters.tangents import with_tangents
+from hir_exporters.texture_maps import normal_to_unorm8
+
+PLAIN_SIZE = 1024
+"""Side of the map for assets without textures, at most `max_texture_size`."""
+
+
+def level_of_detail(
+    gathered: Gathered, level: int, triangles: int, config: GltfConfig
+) -> tuple[Gathered, tuple[str, ...]]:
+    """The gathered asset with about `triangles` triangles, and what could not be had."""
+    coarse = simplify(replace(gathered.asset.mesh, tangents=None), triangles)
+    warnings: tuple[str, ...] = ()
+    if len(coarse.faces) > max(1.1 * triangles, triangles + 2):
+        warnings += (f"level of detail {level} has {len(coarse.faces)} triangles: seams and folds allow no fewer",)
+    material = gathered.asset.material
+    if not config.lod_normals:
+        mesh = with_tangents(coarse) if gathered.mesh.tangents is not None else coarse
+        return replace(gathered, mesh=mesh), warnings
+    coarse = with_tangents(coarse)
+    sizes = [max(value.shape[:2]) for _, value in textures(material)]
+    size = max(sizes) if material.normal is None and sizes else PLAIN_SIZE
+    size = min(size if material.normal is None else max(material.normal.shape[:2]), config.max_texture_size)
+    normal = baked_normals(gathered.asset.mesh, material.normal, coarse, size)
+    if normal is None:
+        warnings += (f"level of detail {level} keeps its own normals: its texture coordinates overlap or leave 0…1",)
+        return replace(gathered, mesh=coarse), warnings
+    codes = normal_to_unorm8(normal)
+    others = [image for image in gathered.images if image.name != "normal.png"]
+    images = others + encode_images([("normal", codes)])
+    return replace(gathered, mesh=coarse, packed=replace(gathered.packed, normal_image=codes), images=images), warnings
