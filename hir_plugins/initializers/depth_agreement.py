@@ -31,6 +31,10 @@ class DepthMap:
     weight: Tensor
     """H W, 0…1, 0 where `inverse` is."""
 
+    def to(self, device: str) -> DepthMap:
+        """The same on another device."""
+        return DepthMap(self.camera, self.inverse.to(device), self.weight.to(device))
+
     def points(self) -> tuple[Array, NDArray[np.int_], NDArray[np.int_]]:
         """World points (N, 3), with their rows and columns."""
         inverse = self.inverse.cpu().numpy().astype(np.float64)

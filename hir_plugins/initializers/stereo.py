@@ -15,7 +15,7 @@ from torch import Tensor
 from torch.nn.functional import interpolate
 
 from hir_core.capture import Array, Capture, OrientedPoints
-from hir_core.errors import CaptureError, StageError
+from hir_core.errors import CaptureError, MissingExtraError, StageError
 from hir_core.interfaces import Initializer
 from hir_core.scene import Scene
 from hir_plugins.initializers.carving import Volume
@@ -24,6 +24,7 @@ from hir_plugins.initializers.depth_agreement import DepthMap, believed, oriente
 from hir_plugins.initializers.depth_fusion import Verdict, carved, judged, volume_of
 from hir_plugins.initializers.object_ball import object_ball
 from hir_plugins.initializers.options import PoissonOptions, StereoOptions, VisualHullOptions
+from hir_plugins.initializers.patch_match import available, patch_match
 from hir_plugins.initializers.poisson import poisson_surface
 from hir_plugins.initializers.surface import extract_surface, keep_large_components
 from hir_plugins.initializers.surface_sweep import Sweep, SweptView, inverse_depth_step, sweep
@@ -63,12 +64,14 @@ class Stereo(Initializer):
             raise CaptureError(f"initializer.stereo.window is {config.window}; it must be odd, 3 or more")
         if not 1 <= config.levels <= 6 or config.max_image_size < 32:
             raise CaptureError("initializer.stereo needs 1 to 6 levels and a max_image_size of at least 32")
+        if config.method == "patch_match" and not available():
+            raise MissingExtraError("initializer.stereo.method is patch_match, which needs a COLMAP built with CUDA; "
+                                    "install one with: pip install pycolmap-cuda12, or leave the method at auto")
         self._config = config
         self._report: dict[str, Any] = {}
 
     def initialize(self, capture: Capture, scene: Scene | None, workspace: Path) -> tuple[Capture, Scene | None]:
         """The capture with dense oriented points, and a mesh. Captures without cameras are a `CaptureError`."""
-        del workspace
         cameras = capture.cameras
         if len(cameras) < 3:
             raise CaptureError(f"{capture.path}: stereo needs at least three photographs, there are {len(cameras)}")
@@ -78,8 +81,10 @@ class Stereo(Initializer):
             self._config.surface in ("auto", "tsdf") and (masked >= 2 or scene is not None)
         )
         volume = _volume(capture, scene, self._config) if carve else None
-        measured = measure(capture, volume, self._config)
-        self._report = {"method": f"surface sweep in torch on {_device(self._config)}"}
+        by_colmap = self._config.method != "sweep" and available()
+        measured = measure(capture, volume, self._config, workspace if by_colmap else None)
+        sweep_name = f"surface sweep in torch on {_device(self._config)}"
+        self._report = {"method": "COLMAP PatchMatch on cuda" if by_colmap else sweep_name}
         if measured.points is None:
             if scene is None:
                 raise StageError("stereo measured no depth that photographs agree on; the object may have too little "
@@ -114,10 +119,13 @@ class Stereo(Initializer):
         return self._report
 
 
-def measure(capture: Capture, volume: Volume | None, options: StereoOptions) -> Measured:
+def measure(
+    capture: Capture, volume: Volume | None, options: StereoOptions, folder: Path | None = None
+) -> Measured:
     """Depth maps of all views, confirmed by each other, from coarse to fine; each level starts from the last's surface.
 
-    Without a volume the sweep starts at the front of a ball around what the photographs are about.
+    Without a volume the sweep starts at the front of a ball around what the photographs are about. With a `folder` to
+    work in, COLMAP's PatchMatch measures instead of the sweep, at the finest level alone.
     """
     device = _device(options)
     front = keep_large_components(*extract_surface(volume), min_share=_MIN_COMPONENT) if volume is not None else None
@@ -132,20 +140,23 @@ def measure(capture: Capture, volume: Volume | None, options: StereoOptions) -> 
     ]  # fmt: skip
     near = neighbours([p.camera for p in photographs], center, options.neighbours)
     bound = Surface(*front)
-    maps: list[DepthMap] = []
-    dense: list[Tensor] = []
     current, verdict, mesh = bound, None, front if volume is not None else None
+    dense: list[Tensor] = []
+    maps: list[DepthMap] = []
     with torch.inference_mode():
-        for level in reversed(range(options.levels)):
-            views = [p.at(2**level, current, bound, device) for p in photographs]
-            if dense:
-                views = [replace(v, inverse=_enlarged(d, v)) for v, d in zip(views, dense, strict=True)]
-            steps = _steps(views, near, center)
-            first = level == options.levels - 1
-            found = [_swept(views, i, near[i], steps[i], bound if first else None, options) for i in range(len(views))]
-            maps = believed(views, found, near, steps, options.window, options.min_views)
+        for level in [0] if folder is not None else reversed(range(options.levels)):
+            if folder is not None:
+                maps = [m.to(device) for m in patch_match(photographs, near, center, radius, folder)]
+            else:
+                views = [p.at(2**level, current, bound, device) for p in photographs]
+                if dense:
+                    views = [replace(v, inverse=_enlarged(d, v)) for v, d in zip(views, dense, strict=True)]
+                steps = _steps(views, near, center)
+                solid = bound if level == options.levels - 1 else None
+                found = [_swept(views, i, near[i], steps[i], solid, options) for i in range(len(views))]
+                maps = believed(views, found, near, steps, options.window, options.min_views)
+                dense = [inverse for inverse, _ in found] if volume is None else []
             if volume is None:
-                dense = [inverse for inverse, _ in found]
                 continue
             result = carved(volume, maps, min_weight=1.0)
             mesh = keep_large_components(*extract_surface(result), min_share=_MIN_COMPONENT)

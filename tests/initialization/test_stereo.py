@@ -7,12 +7,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pycolmap
 import pytest
 import torch
 from numpy.typing import NDArray
+from PIL import Image
 
 from hir_core.capture import Array, Camera, Capture
-from hir_core.errors import CaptureError
+from hir_core.errors import CaptureError, MissingExtraError
 from hir_core.scene import Mesh, Scene, Topology
 from hir_plugins.initializers.carving import Volume
 from hir_plugins.initializers.depth_agreement import DepthMap, oriented_points
@@ -333,6 +335,44 @@ def test_stereo_leaves_a_convex_thing_as_its_outlines_show_it(painted: bool) -> 
     shell = Surface(whole.mesh.positions.double().numpy(), whole.mesh.faces.numpy())
     moved = np.abs(shell.signed_distance(scene.mesh.positions.double().numpy()))
     assert np.quantile(moved, 0.99) < 0.016
+
+
+def test_what_colmap_measures_is_carved_like_our_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Everything around COLMAP's PatchMatch; PatchMatch itself needs CUDA: its place is taken by the true depth."""
+    capture = bowl_capture(dent=True)
+    asked: dict[str, float] = {}
+
+    def measured(workspace: str, options: pycolmap.PatchMatchOptions, cancellation_token: object) -> None:
+        folder = Path(workspace)
+        asked.update(low=options.depth_min, high=options.depth_max)
+        model = pycolmap.Reconstruction(str(folder / "sparse"))
+        neighbours = (folder / "stereo" / "patch-match.cfg").read_text().splitlines()
+        assert neighbours[0::2] == [model.images[i].name for i in sorted(model.images)]
+        for image in model.images.values():
+            lens = model.cameras[image.camera_id]
+            intrinsics, pose = np.eye(3), np.eye(4)
+            intrinsics[[0, 1, 0, 1], [0, 1, 2, 2]] = lens.params
+            pose[:3] = image.cam_from_world().matrix()
+            depth = bowl_depth(Camera(intrinsics, pose, lens.width, lens.height)).astype(np.float32)
+            with Image.open(folder / "images" / image.name) as picture:
+                assert picture.size == (lens.width, lens.height)
+            stored = pycolmap.DepthMap.from_array(depth, options.depth_min, options.depth_max)
+            stored.write(str(folder / "stereo" / "depth_maps" / f"{image.name}.geometric.bin"))
+
+    monkeypatch.setattr("hir_plugins.initializers.stereo.available", lambda: True)
+    monkeypatch.setattr("pycolmap.patch_match_stereo", measured)
+    stereo = Stereo(QUICK)
+    solved, scene = stereo.initialize(capture, None, tmp_path)
+    assert stereo.report()["method"] == "COLMAP PatchMatch on cuda"
+    assert asked["low"] < 3 - 0.8 and asked["high"] > 3 + 0.8
+    assert abs(dent_of(scene) - BOWL) < 0.02 and solved.points is not None
+
+
+def test_patch_match_without_cuda_says_what_to_install() -> None:
+    if pycolmap.has_cuda:
+        pytest.skip("this COLMAP has CUDA")
+    with pytest.raises(MissingExtraError, match="pycolmap-cuda12"):
+        Stereo(StereoOptions(method="patch_match"))
 
 
 def test_a_given_surface_stays_where_photographs_agree_on_nothing() -> None:
