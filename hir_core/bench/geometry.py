@@ -1,0 +1,104 @@
+"""Silhouette renderers: value and gradient of a silhouette's area against exact polygons, as meshes and images grow."""
+# ruff: noqa: TID253 - it renders
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import partial
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from hir_core.bench.measure import measure
+from hir_core.bench.plan import Plan
+from hir_core.bench.polygons import REFERENCE_SIZE, STEP, Slopes, area, exact_slopes
+from hir_core.bench.results import Row, Timing
+from hir_core.bench.shapes import Faces, Positions, bumpy_sphere, cameras, full_targets, mesh_of
+from hir_core.interfaces import GeometryRenderer
+
+LEVELS, SIZES = (4, 5, 6, 7), (256, 512, 1024)
+"""5k, 20k, 82k and 328k triangles."""
+
+BATCH = 8
+"""Views of one step, as a fit takes them."""
+
+Gradients = Callable[[], tuple[list[NDArray[np.float64]], list[float]]]
+"""Gradient of the area (V, 3), and the area in pixels, of each camera."""
+
+
+def geometry(plan: Plan) -> Iterator[Row]:
+    """Rows for each size: every differentiable renderer that is installed, the reference, and a peer."""
+    components = plan.plugins.components("geometry_renderer")
+    names = [c.component.name for c in components if "differentiable" in c.component.traits]
+    last: dict[str, Timing] = {}
+    for level in LEVELS[:2] if plan.quick else LEVELS:
+        positions, faces = bumpy_sphere(level)
+        slopes = exact_slopes(positions, faces)
+        triangles = len(faces)
+        view, direction = cameras(REFERENCE_SIZE)[0], slopes.directions[0]
+        timing = measure(partial(area, positions + STEP * direction, faces, view), plan.repeats, False)
+        yield Row({"triangles": triangles, "image": "exact"}, "polygons (shapely), value alone", "reference", timing)
+        for size in SIZES[:1] if plan.quick else SIZES:
+            case = {"triangles": triangles, "image": size}
+            for name in names:
+                if plan.too_slow(last.get(name), 4 if size == SIZES[0] else 3):
+                    yield Row(case, name, "ours", None, note=plan.left_out(last[name]))
+                    continue
+                renderer = plan.plugins.create("geometry_renderer", name, {})
+                errors = judged(by_overlap(renderer, positions, faces, size), slopes, size)
+                batch = BATCH if name not in last or last[name].median < 0.5 else 1
+                last[name] = measure(one_step(renderer, positions, faces, size, batch), plan.repeats)
+                yield Row(case, name, "ours", per_view(last[name], batch), errors, f"a view of a step of {batch}")
+                last[name] = per_view(last[name], batch)
+            if plan.peers and not plan.too_slow(last.get("peer"), 3):
+                from hir_core.bench.peers.projective import SAMPLES, projective_gradients
+
+                found = projective_gradients(positions, faces, cameras(size))
+                errors = judged(found, slopes, size)
+                last["peer"] = per_view(measure(found, min(plan.repeats, 2), False), 2)
+                yield Row(case, f"Mitsuba direct_projective, {SAMPLES} samples", "peer", last["peer"], errors)
+
+
+def judged(gradients: Gradients, slopes: Slopes, size: int) -> dict[str, float]:
+    """Root mean square error of directional derivatives over cameras and directions, and of the areas; relative."""
+    found, areas = gradients()
+    scale = (REFERENCE_SIZE / size) ** 2
+    derivatives = np.array([[(g * d).sum() * scale for d in slopes.directions] for g in found])
+    gradient = np.sqrt(np.mean((derivatives - slopes.values) ** 2) / np.mean(slopes.values**2))
+    value = np.sqrt(np.mean((np.array(areas) * scale / slopes.areas - 1) ** 2))
+    return {"gradient error": float(gradient), "area error": float(value)}
+
+
+def by_overlap(renderer: GeometryRenderer, positions: Positions, faces: Faces, size: int) -> Gradients:
+    """By the interface's `overlap`, all cameras in one batch."""
+
+    def run() -> tuple[list[NDArray[np.float64]], list[float]]:
+        mesh = mesh_of(positions, faces, grad=True)
+        areas, _ = renderer.overlap(mesh, full_targets(cameras(size)))
+        grads = [torch.autograd.grad(a, mesh.positions, retain_graph=True)[0] for a in areas.unbind()]
+        return [g.double().numpy() for g in grads], areas.detach().tolist()
+
+    return run
+
+
+def one_step(
+    renderer: GeometryRenderer, positions: Positions, faces: Faces, size: int, batch: int
+) -> Callable[[], object]:
+    """Value and gradient of a batch of views, as a step of the fit does it."""
+    mesh = mesh_of(positions, faces, grad=True)
+    targets = full_targets((cameras(size) * batch)[:batch])
+
+    def run() -> None:
+        covered, shared = renderer.overlap(mesh, targets)
+        (covered + shared).sum().backward()  # type: ignore[no-untyped-call]
+
+    return run
+
+
+def per_view(timing: Timing, views: int) -> Timing:
+    """The share of one view."""
+    return Timing(
+        timing.minimum / views, timing.median / views, timing.maximum / views, timing.repeats, timing.cpu / views,
+        timing.memory_bytes,
+    )  # fmt: skip
