@@ -48,6 +48,10 @@ class UsdConfig:
     """Written into the file; positions are not changed."""
     environment: bool = True
     """Write the environment as NAME.hdr and NAME_lit.usda, a layer that adds a dome light to the asset."""
+    materialx: bool = False
+    """Write NAME_openpbr.usda, a layer that adds the material as OpenPBR in MaterialX. Not in packages."""
+    subsets: bool = True
+    """Name the faces that some view saw, and the rest, as subsets `observed` and `unobserved`, where that is known."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +61,7 @@ class UsdzConfig(UsdConfig):
     workflow: Literal["auto", "metallic", "specular"] = "metallic"
     budget: Literal["none", "quicklook", "web", "desktop"] = "quicklook"
     max_texture_size: int = 2048
+    subsets: bool = False
 
 
 @dataclass(frozen=True)

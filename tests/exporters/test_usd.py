@@ -147,3 +147,78 @@ def test_names_that_usd_cannot_have_are_refused(
     with pytest.raises(ExportError, match=file.replace(".", r"\.")):
         create_exporter(format_name).write(textured_asset, tmp_path / file)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("kind", ["textured_asset", "constant_asset"])
+def test_openpbr_lies_in_a_layer_of_its_own(kind: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
+    """The ids that usd-core does not know are all that validators report, and only of that layer."""
+    from pxr import Usd, UsdShade
+
+    create_exporter("usda", UsdConfig(materialx=True)).write(request.getfixturevalue(kind), tmp_path / "x.usda")
+    layers = sorted(tmp_path.glob("*.usda"))
+    found = {f.file.name: {g.code for g in validate_usd(layers) if g.file == f.file} for f in validate_usd(layers)}
+    assert found == {"x_openpbr.usda": {"MissingShaderIdInRegistry"}}
+    stage = Usd.Stage.Open(str(tmp_path / "x_openpbr.usda"))
+    [material] = [UsdShade.Material(p) for p in stage.Traverse() if p.IsA(UsdShade.Material)]
+    names = [material.ComputeSurfaceSource(context)[0].GetIdAttr().Get() for context in ("mtlx", "")]
+    assert names == ["ND_open_pbr_surface_surfaceshader", "UsdPreviewSurface"]
+
+
+def test_openpbr_uses_nodes_and_inputs_that_materialx_has(textured_asset: Asset, tmp_path: Path) -> None:
+    materialx = pytest.importorskip("MaterialX", reason="the definitions are read from the wheel of MaterialX")
+    from pxr import Usd, UsdShade
+
+    definitions = materialx.createDocument()
+    materialx.loadLibraries(materialx.getDefaultDataLibraryFolders(), materialx.getDefaultDataSearchPath(), definitions)
+    create_exporter("usda", UsdConfig(materialx=True)).write(textured_asset, tmp_path / "x.usda")
+    types = {"color3f": "color3", "float3": "vector3", "vector3f": "vector3", "float2": "vector2", "asset": "filename"}
+    stage, count = Usd.Stage.Open(str(tmp_path / "x_openpbr.usda")), 0
+    for prim in stage.Traverse():
+        shader = UsdShade.Shader(prim)
+        if not shader or not str(shader.GetIdAttr().Get()).startswith("ND_"):
+            continue
+        definition = definitions.getNodeDef(shader.GetIdAttr().Get())
+        assert definition is not None, shader.GetIdAttr().Get()
+        for inputs in shader.GetInputs():
+            declared = definition.getActiveInput(inputs.GetBaseName())
+            assert declared is not None, inputs.GetFullName()
+            kind = str(inputs.GetTypeName())
+            assert declared.getType() == types.get(kind, kind), inputs.GetFullName()
+            source = inputs.GetConnectedSources()[0]
+            if source:
+                given = definitions.getNodeDef(UsdShade.Shader(source[0].source.GetPrim()).GetIdAttr().Get())
+                assert given.getActiveOutput(source[0].sourceName).getType() == declared.getType()
+            count += 1
+    assert count > 12
+
+
+def test_openpbr_is_refused_where_it_cannot_be(textured_asset: Asset, tmp_path: Path) -> None:
+    for suffix, config in (
+        ("usda", UsdConfig(materialx=True, workflow="specular")),
+        ("usdz", UsdzConfig(materialx=True)),
+    ):
+        with pytest.raises(ExportError, match="materialx"):
+            create_exporter(suffix, config).write(textured_asset, tmp_path / f"x.{suffix}")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_no_view_saw_is_a_subset(textured_asset: Asset, tmp_path: Path) -> None:
+    from pxr import Usd, UsdGeom
+
+    seen = np.zeros((32, 32), bool)
+    seen[:16] = True  # the upper half of the texture, which is the upper half of the sphere
+    asset = dataclasses.replace(textured_asset, material=dataclasses.replace(textured_asset.material, observed=seen))
+    create_exporter("usda").write(asset, tmp_path / "x.usda")
+    stage = Usd.Stage.Open(str(tmp_path / "x.usda"))
+    [mesh] = [UsdGeom.Mesh(p) for p in stage.Traverse() if p.IsA(UsdGeom.Mesh)]
+    subsets = {
+        s.GetPrim().GetName(): np.asarray(s.GetIndicesAttr().Get()) for s in UsdGeom.Subset.GetAllGeomSubsets(mesh)
+    }
+    height = asset.mesh.positions[asset.mesh.faces].mean(axis=1)[:, 1]
+    np.testing.assert_array_equal(subsets["observed"], np.flatnonzero(height > 0))
+    np.testing.assert_array_equal(subsets["unobserved"], np.flatnonzero(height < 0))
+    assert UsdGeom.Subset.ValidateFamily(mesh, UsdGeom.Tokens.face, "observation")[0]
+    assert validate_usd([tmp_path / "x.usda"]) == []
+    create_exporter("usda", UsdConfig(subsets=False)).write(asset, tmp_path / "y.usda")
+    create_exporter("usda").write(textured_asset, tmp_path / "z.usda")
+    assert b"GeomSubset" not in (tmp_path / "y.usda").read_bytes() + (tmp_path / "z.usda").read_bytes()

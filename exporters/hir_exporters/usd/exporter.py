@@ -18,6 +18,7 @@ from hir_exporters.exporter import Edit, Exporter, ExportReport
 from hir_exporters.images import write_hdr
 from hir_exporters.surface_images import EncodedImage, encode_images, limited, reduction_warning
 from hir_exporters.usd.light import light_layer
+from hir_exporters.usd.openpbr import openpbr_stage
 from hir_exporters.usd.package import PackageSizeError, usdz_bytes
 from hir_exporters.usd.stage import build_stage, prim_name
 from hir_exporters.usd.surface import UsdSurface, usd_surface
@@ -41,9 +42,12 @@ class UsdExporter(Exporter):
         if destination.suffix not in (".usda", ".usdc", ".usd"):
             raise ExportError(f"{destination} is not a name for a USD layer; end it with .usda or .usdc")
         _check_name(destination)
-        asset, surface, images, warnings = _gather(asset, self._config)
+        config = self._config
+        if config.materialx and config.workflow == "specular":
+            raise ExportError("materialx: OpenPBR is written from the metallic workflow; set workflow=metallic or auto")
+        asset, surface, images, warnings = _gather(asset, config)
         paths = {name: f"./{destination.stem}_{image.name}" for name, image in images.items()}
-        stage = build_stage(asset, surface, paths, self._config.meters_per_unit)
+        stage = build_stage(asset, surface, paths, config.meters_per_unit, config.subsets)
         if edit is not None:
             edit(stage, asset)
         layer = layer_bytes(stage, destination.suffix)
@@ -52,7 +56,11 @@ class UsdExporter(Exporter):
             files.append(destination.with_name(f"{destination.stem}_{image.name}"))
             write_bytes_atomic(files[-1], image.data)
         write_bytes_atomic(destination, layer)
-        light_files, light_warnings = _write_light(asset, destination, self._config)
+        if config.materialx:
+            files.append(destination.with_name(f"{destination.stem}_openpbr.usda"))
+            over = openpbr_stage(surface, prim_name(asset.name), destination.name, paths, config.meters_per_unit)
+            write_bytes_atomic(files[-1], layer_bytes(over, ".usda"))
+        light_files, light_warnings = _write_light(asset, destination, config)
         return _report(files + light_files, warnings + light_warnings, surface, start)
 
 
@@ -69,7 +77,10 @@ class UsdzExporter(Exporter):
             raise ExportError(f"{destination} is not a name for a USD package; end it with .usdz")
         _check_name(destination)
         asset, surface, images, warnings = _gather(asset, self._config)
-        stage = build_stage(asset, surface, {name: i.name for name, i in images.items()}, self._config.meters_per_unit)
+        if self._config.materialx:
+            raise ExportError("materialx: AR Quick Look reads no MaterialX; write usda or usdc for it")
+        names = {name: image.name for name, image in images.items()}
+        stage = build_stage(asset, surface, names, self._config.meters_per_unit, self._config.subsets)
         if edit is not None:
             edit(stage, asset)
         root = f"{prim_name(asset.name)}.usdc"
@@ -109,7 +120,7 @@ def _gather(asset: Asset, config: UsdConfig) -> tuple[Asset, UsdSurface, dict[st
     asset, warnings = apply_budget(asset, config.budget)
     warnings += reduction_warning(asset.material, config.max_texture_size)
     asset = replace(asset, material=limited(asset.material, config.max_texture_size))
-    surface = usd_surface(asset.material, config.workflow)
+    surface = usd_surface(asset.material, "metallic" if config.materialx else config.workflow)
     images = encode_images(list(surface.images.items()))
     return asset, surface, dict(zip(surface.images, images, strict=True)), warnings + surface.warnings
 

@@ -11,14 +11,20 @@ import numpy as np
 from hir_exporters.asset import Asset
 from hir_exporters.conventions import flip_v
 from hir_exporters.gltf.geometry import unit
+from hir_exporters.texture_maps import sample_texels
 from hir_exporters.usd.surface import UsdSurface, add_material
 
 if TYPE_CHECKING:
     from pxr import Usd
 
 
-def build_stage(asset: Asset, surface: UsdSurface, textures: Mapping[str, str], meters_per_unit: float) -> Usd.Stage:
-    """A stage in memory; `textures` gives the asset path of each image of the surface by its name."""
+def build_stage(
+    asset: Asset, surface: UsdSurface, textures: Mapping[str, str], meters_per_unit: float, subsets: bool = False
+) -> Usd.Stage:
+    """A stage in memory; `textures` gives the asset path of each image of the surface by its name.
+
+    `subsets` names the faces that some view saw and those that none did, where the material knows (`observed`).
+    """
     from pxr import Kind, Sdf, Usd, UsdGeom, UsdShade
 
     stage = Usd.Stage.CreateInMemory()
@@ -31,6 +37,8 @@ def build_stage(asset: Asset, surface: UsdSurface, textures: Mapping[str, str], 
     if asset.provenance:
         prim.SetCustomDataByKey("hir", _custom_data(asset.provenance))
     mesh = _add_mesh(asset, stage, root.AppendChild("Geometry"))
+    if subsets:
+        _add_subsets(asset, mesh)
     material = add_material(surface, stage, root.AppendChild("Material"), textures)
     UsdShade.MaterialBindingAPI.Apply(mesh).Bind(material)
     return stage
@@ -58,6 +66,23 @@ def _add_mesh(asset: Asset, stage: Usd.Stage, path: Any) -> Any:
     st = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex)
     st.Set(Vt.Vec2fArray.FromNumpy(flip_v(data.uvs).astype(np.float32)))
     return mesh.GetPrim()
+
+
+def _add_subsets(asset: Asset, mesh: Any) -> None:
+    """A face counts as seen where the texel at its middle is; nothing is added where all or none are."""
+    from pxr import UsdGeom, Vt
+
+    if asset.material.observed is None:
+        return
+    middles = asset.mesh.uvs[asset.mesh.faces].mean(axis=1).astype(np.float64) % 1.0
+    seen = sample_texels(asset.material.observed, False, middles) > 0.5
+    if seen.all() or not seen.any():
+        return
+    for name, faces in (("observed", np.flatnonzero(seen)), ("unobserved", np.flatnonzero(~seen))):
+        indices = Vt.IntArray.FromNumpy(faces.astype(np.int32))
+        UsdGeom.Subset.CreateGeomSubset(
+            UsdGeom.Mesh(mesh), name, UsdGeom.Tokens.face, indices, "observation", UsdGeom.Tokens.partition
+        )
 
 
 def _custom_data(value: Any) -> Any:
