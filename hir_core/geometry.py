@@ -24,12 +24,13 @@ from hir_core.loose_pieces import without_loose_pieces
 from hir_core.mask_residue import NOTABLE, Residue, mask_residue
 from hir_core.mesh_checks import MeshState, inspect_mesh
 from hir_core.mesh_transfer import remeshed
-from hir_core.optimize import Batches, Keep, OptimizationReport, Schedule, Terms, optimize
+from hir_core.optimize import Batches, Keep, OptimizationReport, Schedule, Terms, optimize, sum_of, tell_troubles
 from hir_core.photo_refinement import refine_by_photographs
 from hir_core.progress import Progress
 from hir_core.remeshing import surface_area
 from hir_core.scene import Mesh, Scene
 from hir_core.silhouettes import SilhouetteTargets, intersection_over_union
+from hir_core.trouble import vertices_at_fault, views_at_fault
 from hir_core.untangling import untangle
 from hir_core.view_trust import ViewTrust
 from hir_core.working_frame import unit_similarity
@@ -68,7 +69,8 @@ def fit_geometry(
     targets = renderer.prepare(capture.views, settings.downsample).to(mesh.positions.device)
     if len(targets) == 0:
         raise StageError("the geometry stage was given no views; name a capture with photographs")
-    fit = _Fit(renderer, targets, settings, context, _hold_out(len(targets), settings.held_out))
+    names = [view.name for view in capture.views]
+    fit = _Fit(renderer, targets, settings, context, _hold_out(len(targets), settings.held_out), names)
     before = inspect_mesh(*_arrays(mesh))
     first = fit.errors(mesh, list(range(len(targets))))
     loose = 0
@@ -101,7 +103,6 @@ def fit_geometry(
         mesh = mesh.with_positions(torch.from_numpy(mended).to(mesh.positions))
         after = inspect_mesh(*_arrays(mesh))
     last = fit.errors(mesh, list(range(len(targets))))
-    names = [view.name for view in capture.views]
     train = fit.train
     residue = mask_residue(renderer, mesh, targets, [i for i in train if i not in fit.trust.distrusted()])
     _advise(replace(before, components=before.components - loose), after, residue, fit, names, context)
@@ -133,6 +134,8 @@ class _Fit:
     settings: GeometrySettings
     context: StageContext
     held: list[int]
+    names: list[str]
+    """Of the views, for whoever is told of them."""
 
     def __post_init__(self) -> None:
         self.areas = self.targets.areas
@@ -186,6 +189,13 @@ def _fit_level(mesh: Mesh, fit: _Fit, level: int, levels: int) -> tuple[Mesh, Op
 
     best = _Best(unknown)
 
+    def locate(step: int, term: str) -> str:
+        current = mesh.with_positions(decode(unknown).detach())
+        if term == "silhouette":
+            views = [fit.train[i] for i in batches(step)]
+            return views_at_fault(current, views, fit.names, lambda moved, view: 1 - fit.iou(moved, [view]))
+        return vertices_at_fault(current, lambda moved: sum_of(energies(replace(scene, mesh=moved))))
+
     def after_step(step: int) -> bool:
         if not fit.held or (step + 1) % CHECK_STEPS:
             return False
@@ -207,9 +217,11 @@ def _fit_level(mesh: Mesh, fit: _Fit, level: int, levels: int) -> tuple[Mesh, Op
         after_step=after_step,
         keep=Keep(context.checkpoints / f"level_{level}.npz", context.checkpoint_seconds),
         beside=Together(best=best, trust=fit.trust),
+        locate=locate,
         first_step=level * steps,
         total_steps=levels * steps,
     )
+    tell_troubles(report, context.warn)
     with torch.no_grad():
         return (
             mesh.with_positions(decode(best.kept if fit.held and best.seen else unknown).detach()),

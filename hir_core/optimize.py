@@ -227,6 +227,13 @@ def _note(result: OptimizationReport, step: int, term: str, locate: Callable[[in
     result.troubles.append(f"step {step}: {term} is not finite" + (f" at {place}" if place else ""))
 
 
+def tell_troubles(report: OptimizationReport, warn: Callable[[str], None]) -> None:
+    """Warns of steps that were left out: how many, and where the first of them failed."""
+    if report.skipped:
+        count = sum(report.skipped.values())
+        warn(f"{count} of {report.steps} steps were left out: {report.troubles[0]}")
+
+
 def sum_of(terms: Terms) -> Float[Tensor, ""]:
     """The loss; no terms at all are a zero without gradient."""
     values = list(terms.values())

@@ -45,24 +45,25 @@ class Details:
     images: Float[Tensor, "N 3 H W"]
     """float16: as fine as what it came from, and half the memory."""
     inside: Bool[Tensor, "N H W"]
-    pixels: tuple[NDArray[np.int64], ...]
+    pixels: tuple[NDArray[np.int32], ...]
     """For each view, the (x, y) of pixels whose whole window lies inside the object."""
     cameras: tuple[Camera, ...]
+    names: tuple[str, ...]
 
     @classmethod
     def of(cls, views: Sequence[View], downsample: int) -> Details:
         """Reads the photographs; a view without a mask counts as covered everywhere."""
-        parts = [_detail(view, downsample) for view in views]
-        height, width = (max(p[0].shape[d] for p in parts) for d in (1, 2))
-        images = torch.zeros(len(parts), 3, height, width, dtype=torch.float16)
-        inside = torch.zeros(len(parts), height, width, dtype=torch.bool)
+        cameras = tuple(view.camera.downsampled(downsample) for view in views if view.camera is not None)
+        height, width = max(c.height for c in cameras), max(c.width for c in cameras)
+        images = torch.zeros(len(views), 3, height, width, dtype=torch.float16)
+        inside = torch.zeros(len(views), height, width, dtype=torch.bool)
         pixels = []
-        for i, (detail, mask) in enumerate(parts):
+        for i, view in enumerate(views):  # one at a time: float32 of all of them would be twice as much again
+            detail, mask = _detail(view, downsample)
             h, w = mask.shape
             images[i, :, :h, :w], inside[i, :h, :w] = detail.half(), mask
-            pixels.append(np.argwhere(mask.numpy())[:, ::-1].copy())
-        cameras = tuple(view.camera.downsampled(downsample) for view in views if view.camera is not None)
-        return cls(images, inside, tuple(pixels), cameras)
+            pixels.append(np.argwhere(mask.numpy())[:, ::-1].astype(np.int32))
+        return cls(images, inside, tuple(pixels), cameras, tuple(view.name for view in views))
 
 
 def finest_downsample(views: Sequence[View], downsample: int) -> int:
@@ -106,7 +107,8 @@ def draw_pairs(
         if len(pixels) == 0 or not near[view]:
             continue
         chosen = pixels[generator.integers(len(pixels), size=count)]
-        parts.append((np.full(count, view), generator.choice(np.array(near[view]), size=count), chosen))
+        others = generator.choice(np.array(near[view]), size=count)
+        parts.append((np.full(count, view), others, chosen.astype(np.int64)))
     if not parts:
         empty = np.empty(0, np.int64)
         return PixelPairs(empty, empty, empty.reshape(0, 2))
@@ -147,8 +149,10 @@ def disagreement(mesh: Mesh, details: Details, pairs: PixelPairs) -> tuple[Float
 def _detail(view: View, downsample: int) -> tuple[Float[Tensor, "3 H W"], Bool[Tensor, "H W"]]:
     pixels = view.pixels(downsample)
     color = torch.from_numpy(np.ascontiguousarray(pixels.color_linear, dtype=np.float32))
-    color = _srgb(torch.nan_to_num(color, nan=0.0, posinf=1.0, neginf=0.0)).permute(2, 0, 1)
+    known = torch.isfinite(color).all(dim=2)  # what is not a colour is not compared
+    color = _srgb(torch.where(known[..., None], color, 0.0)).permute(2, 0, 1)
     mask = torch.ones(color.shape[1:]) if pixels.mask is None else torch.from_numpy(pixels.mask.astype(np.float32))
+    mask = mask * known
     covered = (mask >= INSIDE).float()[None]
     weight = _blurred(covered).clamp_min(1e-3)
     detail = (color - _blurred(color * covered) / weight) * covered

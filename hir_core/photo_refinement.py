@@ -22,7 +22,7 @@ from hir_core.capture import Capture
 from hir_core.config import GeometrySettings
 from hir_core.context import StageContext
 from hir_core.large_steps import LargeSteps, UniformAdam
-from hir_core.optimize import Batches, Keep, Schedule, Terms, optimize
+from hir_core.optimize import Batches, Keep, Schedule, Terms, optimize, tell_troubles
 from hir_core.photo_consistency import (
     Details,
     disagreement,
@@ -31,6 +31,7 @@ from hir_core.photo_consistency import (
     neighbours,
 )
 from hir_core.scene import Mesh
+from hir_core.trouble import views_at_fault
 
 COARSEST = 4
 """The first level sees photographs at this fraction of the finest resolution that is used."""
@@ -141,6 +142,19 @@ def _fit_level(
             "silhouette": SILHOUETTE_WEIGHT * (1 - outline).mean().to(unknown),
         }
 
+    def locate(step: int, term: str) -> str:
+        current = mesh.with_positions(large.decode(unknown).detach())
+        if term == "silhouette":
+            views = [train[i] for i in outlined(step)]
+            return views_at_fault(current, views, details.names, lambda moved, view: 1 - iou(moved, [view]))
+
+        def compared(moved: Mesh, view: int) -> Tensor:
+            pairs = draw_pairs(details, near, [view], PIXELS_A_VIEW, np.random.default_rng((seed, step)))
+            difference, _ = disagreement(moved, details, pairs)
+            return _huber(difference).mean() if len(difference) else 0.0 * moved.positions.sum()
+
+        return views_at_fault(current, [train[i] for i in shown(step)], details.names, compared)
+
     report = optimize(
         loss,
         UniformAdam([unknown], rate),
@@ -148,9 +162,11 @@ def _fit_level(
         stage="geometry",
         report=lambda progress: context.report(replace(progress, message="photographs")),
         keep=Keep(context.checkpoints / f"photographs_{level}.npz", context.checkpoint_seconds),
+        locate=locate,
         first_step=level * steps,
         total_steps=len(factors) * steps,
     )
+    tell_troubles(report, context.warn)
     with torch.no_grad():
         return mesh.with_positions(large.decode(unknown).detach()), report.curves.get("photographs", np.zeros(0))
 

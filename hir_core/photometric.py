@@ -17,8 +17,9 @@ from hir_core.config import ReflectanceSettings
 from hir_core.energies import Energies
 from hir_core.errors import StageError
 from hir_core.interfaces import PreparedReflectance
-from hir_core.optimize import Batches, Keep, Schedule, optimize
+from hir_core.optimize import Batches, Keep, Schedule, optimize, tell_troubles
 from hir_core.scene import Scene
+from hir_core.trouble import elements_at_fault
 
 if TYPE_CHECKING:
     from hir_core.context import StageContext
@@ -46,7 +47,8 @@ def object_pixels(capture: Capture, views: Sequence[int], downsample: int, devic
         mask = pixels.mask if pixels.mask is not None else np.ones(pixels.color_linear.shape[:2], np.float32)
         rows, columns = np.nonzero(mask >= INSIDE)
         index.append(np.stack([np.full(len(rows), view), columns, rows], axis=1))
-        color.append(np.nan_to_num(pixels.color_linear[rows, columns]) / capture.views[view].exposure)
+        _check(pixels.color_linear[rows, columns], capture.views[view].name)
+        color.append(pixels.color_linear[rows, columns] / capture.views[view].exposure)
         saturated.append(pixels.saturated[rows, columns])
         first.append(first[-1] + len(rows))
     if first[-1] == 0:
@@ -101,6 +103,18 @@ def fit_by_gradient(
         difference = torch.where(pixels.saturated[rows] & (difference > 0), torch.zeros_like(difference), difference)
         return {"rgb": settings.rgb_weight * difference.abs().sum(), **energies(state)}
 
+    def locate(step: int, term: str) -> str:
+        with torch.no_grad():
+            state, rows = current(), draw(step)
+            assert state.material is not None and state.environment is not None
+            shown = prepared.radiance(state.material, state.environment, pixels.index[rows])
+            broken = ~torch.isfinite(shown - pixels.color[rows]).all(dim=1)
+        views = pixels.index[rows][broken, 0].unique().tolist()
+        if term == "rgb" and views:
+            return f"{int(broken.sum())} pixels of view {', '.join(map(str, views[:5]))}"
+        named = {"diffuse albedo": diffuse, "specular albedo": specular, "roughness": roughness, "light": radiance}
+        return elements_at_fault(named)
+
     def hold(_: int) -> bool:
         with torch.no_grad():
             for value, low, high in limits:
@@ -114,8 +128,10 @@ def fit_by_gradient(
         stage="reflectance",
         report=context.report,
         after_step=hold,
+        locate=locate,
         keep=Keep(context.checkpoints / "gradient.npz", context.checkpoint_seconds),
     )
+    tell_troubles(result, context.warn)
     done = current()
     assert done.material is not None and done.environment is not None
     finished = replace(
@@ -123,6 +139,12 @@ def fit_by_gradient(
     )
     light = replace(done.environment, radiance=radiance.detach())
     return replace(scene, material=finished, environment=light), {"steps": result.steps, "skipped": result.skipped}
+
+
+def _check(color: np.ndarray, view: str) -> None:
+    if not np.isfinite(color).all():
+        bad = int((~np.isfinite(color).all(axis=1)).sum())
+        raise StageError(f"view {view} has {bad} pixels of the object that are NaN or infinite; mend or leave it out")
 
 
 class _Draw:

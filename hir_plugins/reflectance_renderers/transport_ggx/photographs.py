@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,7 +47,11 @@ def photographed(
     pixels = capture.views[view].pixels(downsample)
     device = transport.surface.positions.device
     inside = _inside(pixels.mask, pixels.color_linear.shape[:2])
-    rows, columns = np.nonzero(inside)
+    known = np.isfinite(pixels.color_linear).all(axis=2)
+    if lost := int((inside & ~known).sum()):
+        name = capture.views[view].name
+        warnings.warn(f"view {name}: {lost} pixels of the object are NaN or infinite and left out", stacklevel=2)
+    rows, columns = np.nonzero(inside & known)
     if len(rows) > most:
         # the draw depends on the view alone: a fit does not change because another view is added
         chosen = np.sort(np.random.default_rng((seed, view)).choice(len(rows), most, replace=False))
@@ -57,7 +62,7 @@ def photographed(
     found &= (points.normal * points.to_eye).sum(1) > GRAZING
     kept = found.nonzero()[:, 0]
     color = torch.from_numpy(pixels.color_linear[rows, columns]).to(device)
-    color = torch.nan_to_num(color, nan=0.0, posinf=0.0, neginf=0.0).clamp_min(0) / capture.views[view].exposure
+    color = color.clamp_min(0) / capture.views[view].exposure
     clipped = pixels.saturated[rows, columns][:, None] & (pixels.color_linear[rows, columns] >= CLIPPED)
     return Photographed(points.take(kept), color[kept], torch.from_numpy(clipped).to(device)[kept])
 
