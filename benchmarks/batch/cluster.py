@@ -58,6 +58,10 @@ class Story:
 
 def tell(folder: Path, captures: int = 12, say: Callable[[str], None] = print) -> Story:
     """Runs the story below an empty folder."""
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    # Ray makes its workers give way to all other programs: on a machine with other work they stand still
+    os.environ.setdefault("RAY_worker_niceness", "0")
+    os.environ["OMP_NUM_THREADS"] = "1"
     import ray
     from ray.cluster_utils import Cluster
 
@@ -190,8 +194,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--page", type=Path, help="Where to keep batch.html.")
     options = parser.parse_args(arguments)
     logging.getLogger("werkzeug").setLevel(logging.ERROR)
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    os.environ["OMP_NUM_THREADS"] = "1"
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # the nodes end with the program
     began = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
         try:

@@ -9,6 +9,7 @@ from typing import Any, Literal
 from hir_core.batch.groups import GROUPS
 from hir_core.batch.job import Outcome
 from hir_core.batch.patience import Patience
+from hir_core.run_directory import jsonable
 
 State = Literal["waiting", "running", "done", "failed"]
 Step = Literal["next group", "done", "unchanged", "again", "failed"]
@@ -58,7 +59,7 @@ class Chain:
             self.state, self.reason = "done", ""
             if outcome.state == "unchanged":
                 return "unchanged"
-            self.record = {key: value for key, value in outcome.record.items() if key != "thumbnail"}
+            self.record = jsonable({key: value for key, value in outcome.record.items() if key != "thumbnail"})
             return "done"
         if outcome.state == "trouble" and self.failures + 1 < patience.tries:
             self.failures += 1

@@ -171,6 +171,8 @@ class Batch:
         outcome = ended.outcome or Outcome("trouble", ended.reason, lines=(f"[driver] {ended.reason}",))
         now = time.monotonic()
         del self._begun[chain.name]
+        if task.told is None and outcome.pid:
+            self._started(task, outcome.node, outcome.pid)  # it was over before its worker was heard
         before = chain.state
         step = chain.settle(outcome, self._patience, now, random.random())
         self._count(before, chain.state)
@@ -215,9 +217,12 @@ class Batch:
         if task is None or task.chain.attempt != told.attempt:
             return  # of a task that is over
         if task.told is None:
-            self.event("group_started", told.name, group=GROUPS[told.group].name, node=told.node, pid=told.pid)
+            self._started(task, told.node, told.pid)
         task.told = told
         self.event("progress", told.name, stage=told.stage, step=told.step, steps=told.steps)
+
+    def _started(self, task: Running, node: str, pid: int) -> None:
+        self.event("group_started", task.chain.name, group=GROUPS[task.chain.group].name, node=node, pid=pid)
 
     def _enter(self, chain: Chain, state: State) -> None:
         self._count(chain.state, state)

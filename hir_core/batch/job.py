@@ -64,6 +64,8 @@ class Outcome:
     reason: str = ""
     """One sentence for `failed` and `trouble`."""
     content: str = ""
+    node: str = ""
+    pid: int = 0
     seconds: Mapping[str, float] = field(default_factory=dict)
     """`stage`, `compute`, `store`: to bring the input, to run the stages, to keep the result."""
     bytes_stored: int = 0

@@ -10,7 +10,6 @@ from typing import Any, Final
 
 from hir_core.batch import storage
 from hir_core.batch.chain import Chain
-from hir_core.batch.layout import json_bytes
 from hir_core.batch.storage import Place
 from hir_core.errors import InputError
 
@@ -58,11 +57,19 @@ class Manifest:
         began = time.monotonic()
         if not force and began < self._due:
             return False
-        document = {"format": FORMAT, "version": VERSION, **self._facts, "updated": now_text()}
-        storage.write(self._at, json_bytes(document | {"captures": self.captures(chains)}))
+        facts = {"format": FORMAT, "version": VERSION, **self._facts, "updated": now_text()}
+        storage.write(self._at, document_bytes(facts, self.captures(chains)))
         ended = time.monotonic()
         self._due = ended + max(LEAST_SECONDS, (ended - began) / SHARE)
         return True
+
+
+def document_bytes(facts: Mapping[str, Any], captures: Mapping[str, Any]) -> bytes:
+    """A capture a line: quick to write for a million of them, and to search by line."""
+    head = json.dumps(facts, sort_keys=True, ensure_ascii=False)[:-1]
+    encode = json.JSONEncoder(sort_keys=True, ensure_ascii=False, allow_nan=False).encode
+    lines = ",\n".join(f"{encode(name)}: {encode(captures[name])}" for name in sorted(captures))
+    return f'{head}, "captures": {{\n{lines}\n}}}}\n'.encode()
 
 
 def now_text() -> str:

@@ -91,7 +91,9 @@ class Worker:
         where = f"{platform.node()} {os.getpid()} {self.group.name}"
         lines = tuple(f"[{where}] {line}" for line in self.lines)
         seconds = {name: round(value, 3) for name, value in self.seconds.items()}
-        return Outcome(state, reason, self.content, seconds, self.stored, lines, record or {})
+        return Outcome(
+            state, reason, self.content, platform.node(), os.getpid(), seconds, self.stored, lines, record or {}
+        )
 
     def _restore(self, destination: Destination, mark: str, place: Desk) -> set[str]:
         """Fetches what earlier groups made and this node has not; names of the groups that the store keeps."""

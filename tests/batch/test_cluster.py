@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -119,3 +120,30 @@ def foreign_listeners(parent: int) -> list[str]:
             if connection.status == psutil.CONN_LISTEN and address not in ("127.0.0.1", "::1"):
                 found.append(f"{process.name()} {address}:{connection.laddr.port}")
     return found
+
+
+def test_tasks_on_a_gpu_have_processes_of_their_own(tmp_path: Path) -> None:
+    """Through Ray's client, on a node that says it has a GPU: CUDA keeps the device that a process saw first."""
+    pytest.importorskip("ray", reason="ray is not installed: pip install -e '.[batch]'")
+    from ray.cluster_utils import Cluster
+
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    small_captures(tmp_path / "shelf", 2)
+    cluster = Cluster()
+    cluster.add_node(num_cpus=2, num_gpus=1, ray_client_server_port=port, include_dashboard=False)
+    try:
+        command = [sys.executable, "-m", "hir_core.cli", "batch", f"{tmp_path}/shelf/*", "-o", str(tmp_path / "out"),
+                   "--json", "--gpus", "0.5", "--address", f"ray://127.0.0.1:{port}", "--cache",
+                   str(tmp_path / "cache"), *WORDS, "--set", "device=auto"]  # fmt: skip
+        done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True, timeout=600)
+    finally:
+        cluster.shutdown()
+    events = [json.loads(line) for line in done.stdout.splitlines()]
+    assert "1 GPUs" in next(event["message"] for event in events if event["event"] == "message")
+    started = [event for event in events if event["event"] == "group_started"]
+    with_gpu = [event["pid"] for event in started if event["group"] in ("geometry", "reflectance")]
+    without = {event["pid"] for event in started} - set(with_gpu)
+    assert len(with_gpu) == len(set(with_gpu)) == 4, "each its own"
+    assert 1 <= len(without) <= 2, "the others share their workers"
+    assert sum(event["event"] == "capture_finished" for event in events) == 2
