@@ -27,6 +27,7 @@ COMMANDS = {
     "view": "hir_core.cli.view:view_command",
     "report": "hir_core.cli.report:report_command",
     "bench": "hir_core.cli.bench:bench_command",
+    "edit": "hir_core.cli.edit:edit_command",
     "cameras": "hir_core.cli.cameras:cameras_command",
     "plugins": "hir_core.cli.plugins:plugins_command",
     "new-plugin": "hir_core.cli.new_plugin:new_plugin_command",

@@ -1,0 +1,73 @@
+"""`hir edit`: factors do what they say, a new light is in place of the old one, the run stays as it was."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hir_exporters.images import read_ldr, write_hdr
+from hir_exporters.scene_files import load_scene
+
+from hir_core.cli import main
+from hir_core.edit import Edit, edited
+from hir_core.errors import InputError
+from hir_core.pipeline import Run
+from hir_core.testing.assets import textured_asset
+
+
+def test_factors_are_those_of_engines() -> None:
+    asset = textured_asset()
+    found = edited(asset, Edit(roughness=1.5, tint=(1.0, 0.5, 0.25), specular=2.0))
+    np.testing.assert_allclose(
+        np.sqrt(found.material.roughness), np.minimum(np.sqrt(asset.material.roughness) * 1.5, 1), rtol=1e-5
+    )
+    np.testing.assert_allclose(found.material.diffuse_albedo, asset.material.diffuse_albedo * [1, 0.5, 0.25], rtol=1e-6)
+    np.testing.assert_allclose(
+        found.material.specular_albedo, np.minimum(asset.material.specular_albedo * 2, 1), rtol=1e-6
+    )
+    assert found.provenance["edited"] == "roughness × 1.5, albedo × 1 0.5 0.25, specular × 2"
+    np.testing.assert_array_equal(found.mesh.positions, asset.mesh.positions)
+    np.testing.assert_array_equal(edited(asset, Edit()).material.roughness, asset.material.roughness)
+
+
+def test_light_is_replaced_strength_included(tmp_path: Path) -> None:
+    radiance = np.full((8, 16, 3), 2.0, np.float32)
+    write_hdr(tmp_path / "even.hdr", radiance)
+    found = edited(textured_asset(), Edit(light=f"{tmp_path / 'even.hdr'}*0.25"))
+    assert found.environment is not None and found.environment.frame == "world"
+    np.testing.assert_allclose(found.environment.radiance, 0.5, rtol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("edit", "said"),
+    [
+        (Edit(roughness=-1), "--roughness"),
+        (Edit(specular=float("nan")), "--specular"),
+        (Edit(tint=(1, -1, 1)), "--tint"),
+        (Edit(light="gone.hdr"), "gone.hdr"),
+    ],
+)
+def test_what_makes_no_sense_is_said(edit: Edit, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        edited(textured_asset(), edit)
+
+
+def test_command_writes_a_scene_and_a_picture(finished: Run, tmp_path: Path) -> None:
+    before = (finished.directory.scene / "scene.json").read_bytes()
+    words = ["edit", str(finished.path), "-o", str(tmp_path / "red"), "--tint", "1", "0.1", "0.1", "--size", "48", "-q"]
+    with pytest.raises(SystemExit) as stop:
+        main(words)
+    assert stop.value.code == 0
+    assert (finished.directory.scene / "scene.json").read_bytes() == before
+    plain, red = load_scene(finished.directory.scene), load_scene(tmp_path / "red")
+    np.testing.assert_allclose(
+        red.material.diffuse_albedo[..., 1], plain.material.diffuse_albedo[..., 1] * 0.1, rtol=1e-5
+    )
+    picture = read_ldr(tmp_path / "red.png")
+    assert picture.shape == (48, 96, 4)
+    left, right = picture[:, :48], picture[:, 48:]
+    inside = (left[..., 3] > 0.5) & (right[..., 3] > 0.5)
+    assert inside.mean() > 0.05
+    assert right[inside][:, 1].mean() < 0.7 * left[inside][:, 1].mean(), "less green"
+    assert right[inside][:, 0].mean() > 0.8 * left[inside][:, 0].mean(), "as much red"
