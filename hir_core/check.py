@@ -11,6 +11,7 @@ from hir_exporters.conventions import linear_to_srgb
 from numpy.typing import NDArray
 
 from hir_core.capture import Array, Camera, Capture, Pixels, View
+from hir_core.exif import camera_record
 
 if TYPE_CHECKING:
     from hir_core.interfaces import MaskSource
@@ -54,6 +55,8 @@ class CaptureCheck:
     with_camera: int
     directions_covered: float | None
     """Share of the sphere of directions within 30° of some camera, seen from the object; None without cameras."""
+    flashes: int
+    """Photographs whose record says that the flash fired."""
     headlight: float | None
     """1 for a light carried by the camera, 0 for one that stands in the world; None where it cannot be told."""
     advice: tuple[str, ...] = field(default=())
@@ -96,6 +99,7 @@ def check_capture(capture: Capture, surface: tuple[Array, Array] | None = None) 
         duplicates=tuple((capture.views[i].name, capture.views[j].name) for i, j in _duplicates([p for p, _ in small])),
         with_camera=len(cameras),
         directions_covered=directions_covered(cameras),
+        flashes=sum(camera_record(view.path).flash is True for view in capture.views if view.path is not None),
         headlight=headlight,
     )
     return CaptureCheck(**{**vars(check), "advice": tuple(_advice(check))})
@@ -350,6 +354,9 @@ def _advice(check: CaptureCheck) -> list[str]:
         said.append(f"the object reaches the border of {len(cut)} photographs, such as {cut[0]}")
     if check.directions_covered is not None and check.directions_covered < 0.25:
         said.append("the photographs look from few sides: what no camera sees will be guessed")
+    if check.flashes > len(views) / 2:
+        said.append(f"the flash fired in {check.flashes} photographs: its light moves with the camera, which "
+                    "light_frame = camera fits")  # fmt: skip
     if check.headlight is not None and check.headlight > _HEADLIGHT_SLOPE:
         said.append("the light moves with the camera (a flash, or a turntable): light_frame = camera fits it")
     return said

@@ -13,7 +13,7 @@ import pycolmap
 
 from hir_core.capture import Array, Camera, View
 from hir_core.errors import CaptureError
-from hir_plugins.readers.exif import gps_position
+from hir_core.exif import gps_position
 
 _LEAST_PLACES = 5
 _TRUSTED = 0.05

@@ -97,8 +97,8 @@ class StereoOptions:
     """How depth is measured and what it may change."""
 
     method: Literal["auto", "sweep", "patch_match"] = "auto"
-    """`sweep` is ours, for any processor or GPU; `patch_match` is COLMAP's, which needs a COLMAP built with CUDA; `auto`
-    prefers it. run.json says which it was."""
+    """`sweep` is ours, for any processor or GPU; `patch_match` is COLMAP's, which needs a COLMAP built with CUDA;
+    `auto` prefers it. run.json says which it was."""
     max_image_size: int = 400
     """Photographs are made a whole number of times smaller until their longer side is not above this."""
     levels: int = 2

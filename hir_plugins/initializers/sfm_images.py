@@ -12,7 +12,7 @@ from hir_exporters.conventions import linear_to_srgb
 from numpy.typing import NDArray
 
 from hir_core.capture import Camera, Pixels, View
-from hir_plugins.readers.exif import CameraRecord, camera_record
+from hir_core.exif import CameraRecord, camera_record
 
 _MASK_MARGIN = 0.01
 """Features may lie this share of the picture's side outside of the mask: outlines are features too."""

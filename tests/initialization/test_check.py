@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 from scipy.ndimage import gaussian_filter
 
 from hir_core.capture import Camera, Capture, Pixels
@@ -120,3 +121,12 @@ def test_the_contact_sheet_shows_all(sample: Capture) -> None:
     assert sheet.shape == (4 * 64, 6 * 64, 3) and sheet.dtype == np.uint8
     for i in range(24):
         assert np.ptp(sheet[(i // 6) * 64 : (i // 6) * 64 + 64, (i % 6) * 64 : (i % 6) * 64 + 64]) > 60
+
+
+def test_a_fired_flash_is_a_light_on_the_camera(sample: Capture, tmp_path: Path) -> None:
+    exif = Image.Exif()
+    exif.get_ifd(0x8769)[0x9209] = 1
+    Image.new("RGB", (8, 8)).save(tmp_path / "flash.jpg", exif=exif)
+    flashed = replace(sample, views=tuple(replace(view, path=tmp_path / "flash.jpg") for view in sample.views))
+    assert any("the flash fired" in sentence for sentence in check_capture(flashed).advice)
+    assert not any("flash fired" in sentence for sentence in check_capture(sample).advice)

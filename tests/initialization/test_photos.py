@@ -9,8 +9,8 @@ import pytest
 from PIL import Image
 
 from hir_core.errors import CaptureError
+from hir_core.exif import camera_record
 from hir_core.plugin import NoOptions
-from hir_plugins.readers.exif import camera_record
 from hir_plugins.readers.photos import PhotosReader
 
 READER = PhotosReader(NoOptions())
