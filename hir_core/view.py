@@ -58,7 +58,7 @@ LIGHT_ROWS: Final = 256
 def view_page(source: Path, light: Path | None = None, photographs: bool = True) -> str:
     """The page for a run, a scene folder, or a file; `light` is a lat-long .hdr or .exr in the asset's axes.
 
-    A .glb is shown as it is; other formats as independent readers read them back. Without `light`, the run's light or
+    A .glb is shown as it is; other formats, and Draco, as independent readers read them back. Without `light`, the run's light or
     the .hdr beside the file. `photographs` puts a run's beside it. Raises `InputError` naming what cannot be shown.
     """
     title, glb, radiance = _shown(source)
@@ -140,8 +140,8 @@ def _shown(source: Path) -> tuple[str, bytes, np.ndarray | None]:
         raise InputError(f"{source} is not there; give a run, a scene folder or a file such as a .glb")
     beside = source.with_suffix(".hdr")
     radiance = read_hdr(beside) if beside.is_file() else None
-    if source.suffix.lower() == ".glb":
-        return source.stem, source.read_bytes(), radiance
+    if source.suffix.lower() == ".glb" and b"KHR_draco_mesh_compression" not in (data := source.read_bytes()):
+        return source.stem, data, radiance
     if source.suffix.lower() not in READERS:
         raise InputError(f"{source} cannot be shown; known are runs, scene folders and {', '.join(READERS)}")
     back = written_asset(read_back(source))

@@ -10,7 +10,7 @@ import sys
 import unreal
 
 FOLDER = "/Game/hir"
-YAW_DEG = 90.0  # the panorama has glTF's +Z in its middle, Unreal's cubemaps have +X there
+YAW_DEG = 180.0  # the importer makes Unreal's Y of glTF's +Z, our panorama's middle; Unreal's panorama has -Y there
 
 
 def imported(file):

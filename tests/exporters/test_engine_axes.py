@@ -6,8 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hir_exporters.asset import Asset
+from hir_exporters.configs import GltfConfig
+from hir_exporters.conventions import srgb_to_linear
 from hir_exporters.formats import create_exporter
-from hir_exporters.images import read_hdr
+from hir_exporters.images import read_hdr, read_ldr
 
 Direction = np.ndarray
 COLORS = {
@@ -47,12 +49,20 @@ def godot(d: Direction) -> tuple[float, float]:
     return np.arctan2(d[0], -d[2]) / TAU, height(d[1])
 
 
+def unreal(d: Direction) -> tuple[float, float]:
+    """glTF's (x, y, z) as the importer's (x, z, y); the sky light's turn of 180 degrees; FImageViewLongLat's lookup."""
+    x, y, z = d[0], d[2], d[1]
+    sine, cosine = np.sin(np.pi), np.cos(np.pi)
+    x, y = x * cosine - y * sine, x * sine + y * cosine
+    return 0.5 + np.arctan2(x, -y) / TAU, height(z)
+
+
 def usd(d: Direction) -> tuple[float, float]:
     """UsdLux: +Y the pole, longitude 0 is +Z and in the middle, +X at longitude pi/2, a quarter to the left."""
     return 0.5 - np.arctan2(d[0], d[2]) / TAU, height(d[1])
 
 
-@pytest.mark.parametrize("engine", [three, blender, unity, godot, usd])
+@pytest.mark.parametrize("engine", [three, blender, unity, unreal, godot, usd])
 def test_each_axis_shows_its_colour(
     engine: Callable[[Direction], tuple[float, float]], textured_asset: Asset, tmp_path: Path
 ) -> None:
@@ -63,3 +73,26 @@ def test_each_axis_shows_its_colour(
         u, v = engine(np.add(axis, (1e-6, 2e-6, 3e-6)))
         pixel = image[min(int(v * rows), rows - 1), int((u % 1) * columns)]
         np.testing.assert_allclose(pixel, color, atol=0.01, err_msg=f"{engine.__name__} {axis}")
+
+
+def test_light_inside_gltf_has_its_colours_on_the_faces(textured_asset: Asset, tmp_path: Path) -> None:
+    """EXT_lights_image_based: faces in OpenGL's order (+X, -X, +Y, -Y, +Z, -Z), of a left-handed world: z mirrored."""
+    create_exporter("gltf", GltfConfig(image_based_light=True)).write(textured_asset, tmp_path / "x.gltf")
+    faces = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]
+    for number, (x, y, z) in enumerate(faces):
+        codes = read_ldr(tmp_path / f"x_light_0_{number}.png")
+        middle = srgb_to_linear(codes[60:68, 60:68, :3]) / codes[60:68, 60:68, 3:]
+        np.testing.assert_allclose(middle.mean((0, 1)), COLORS[x, y, -z], atol=0.02, err_msg=str(number))
+
+
+def test_the_ready_scripts_turn_the_light_as_tested() -> None:
+    """What the formulas above assume stands in the scripts and on the pages."""
+    root = Path(__file__).resolve().parents[2]
+    for file, words in {
+        "examples/engines/unreal_import.py": "YAW_DEG = 180.0",
+        "examples/engines/HirAssetImporter.cs": "Rotation = 90f",
+        "examples/engines/blender_import.py": "math.radians(90)",
+        "examples/engines/threejs.html": "-Math.PI / 2",
+        "docs/engines/unreal.md": "*Source Cubemap Angle* 180", "docs/engines/README.md": "| Unreal 5.5 | 180°",
+    }.items():  # fmt: skip
+        assert words in (root / file).read_text(encoding="utf-8"), file

@@ -1,6 +1,7 @@
 import dataclasses
 import json
 import struct
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -265,3 +266,31 @@ def test_files_that_are_not_ours_are_read_or_refused_by_name(shared: Path) -> No
             read_gltf(path)
         except InputError as error:
             assert path.name in str(error)
+
+
+def test_draco_is_read_by_others_and_within_its_steps(textured_asset: Asset, node_tools: Path, tmp_path: Path) -> None:
+    pytest.importorskip("DracoPy", reason="hir[compress] is not installed")
+    for suffix in ("glb", "gltf"):
+        path = tmp_path / f"d.{suffix}"
+        create_exporter(suffix, GltfConfig(compression="draco")).write(textured_asset, path)
+        create_exporter(suffix, GltfConfig()).write(textured_asset, tmp_path / f"f.{suffix}")
+        document = document_of(path)
+        assert document["extensionsRequired"] == ["KHR_draco_mesh_compression"]
+        check = verify_file(path, textured_asset)
+        assert check.problems == () and 0 < check.positions < 2 / 65535 and 0 < check.uvs < 2 / 16383
+        assert 0 < check.normals_degrees < 0.1
+        findings = validate_gltf([path], node_tools)
+        assert {f.code for f in findings if f.severity != "information"} == set()
+    sizes = [Path(tmp_path / name).stat().st_size for name in ("d.glb", "f.glb")]
+    assert sizes[0] < sizes[1]
+
+
+def test_draco_is_refused_where_it_cannot_be(
+    textured_asset: Asset, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    with pytest.raises(ExportError, match="choose one"):
+        create_exporter("glb", GltfConfig(compression="draco", quantize=True)).write(textured_asset, tmp_path / "a.glb")
+    monkeypatch.setitem(sys.modules, "DracoPy", None)
+    with pytest.raises(ExportError, match=r"DracoPy.*hir\[compress\]"):
+        create_exporter("glb", GltfConfig(compression="draco")).write(textured_asset, tmp_path / "a.glb")
+    assert list(tmp_path.iterdir()) == []

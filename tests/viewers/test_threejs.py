@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from hir_exporters.configs import GltfConfig
+from hir_exporters.formats import create_exporter
 from parity.browser import module_folder
 from parity.engines import in_browser
 
@@ -68,3 +72,18 @@ def test_same_colours(shots: list[tuple[np.ndarray, np.ndarray]]) -> None:
         assert flat.sum() > 5000
         assert np.abs(shown[flat] - ours[flat]).mean(axis=0).max() < 2 / 255
         np.testing.assert_allclose(shown[flat].mean(axis=0) / ours[flat].mean(axis=0), 1.0, atol=0.01)
+
+
+def test_draco_looks_the_same(chromium: list[str], tmp_path: Path) -> None:
+    """three.js' own decoder: less than a code apart in the mean, and not a mirrored or empty picture."""
+    pytest.importorskip("DracoPy", reason="hir[compress] is not installed")
+    if module_folder("three") is None:
+        pytest.skip("three.js is not installed: run tools/setup.sh test")
+    pictures = {}
+    for compression in ("none", "draco"):
+        file = tmp_path / f"{compression}.glb"
+        create_exporter("glb", GltfConfig(compression=compression)).write(asset(), file)
+        light = file.with_suffix(".hdr")
+        [pictures[compression]] = in_browser("three.html", file, light, [orbit_cameras(6, 25.0, 256)[0]])
+    assert error(pictures["none"], pictures["none"][:, ::-1]) > 0.02
+    assert error(pictures["none"], pictures["draco"]) < 1 / 255

@@ -64,6 +64,19 @@ class BinaryWriter:
         self._document.accessors.append(accessor)
         return len(self._document.accessors) - 1
 
+    def described_accessor(
+        self, count: int, kind: type[np.generic], width: int, bounds: tuple[NDArray[Any], NDArray[Any]] | None = None
+    ) -> int:
+        """Index of a new accessor without data: an extension of the primitive brings them. `bounds` are (low, high)."""
+        from pygltflib import Accessor
+
+        component = _COMPONENTS[np.dtype(kind).name]
+        accessor = Accessor(byteOffset=None, componentType=component, normalized=False, count=count, type=_TYPES[width])
+        if bounds is not None:
+            accessor.min, accessor.max = bounds[0].tolist(), bounds[1].tolist()
+        self._document.accessors.append(accessor)
+        return len(self._document.accessors) - 1
+
     def data(self) -> bytes:
         """Everything appended so far."""
         return b"".join(self._chunks)

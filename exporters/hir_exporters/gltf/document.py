@@ -11,6 +11,7 @@ from hir_exporters.environment import world_radiance
 from hir_exporters.errors import ExportError
 from hir_exporters.gltf import image_based_light, ior, specular, specular_glossiness
 from hir_exporters.gltf.binary import BinaryWriter
+from hir_exporters.gltf.draco import add_draco_primitive
 from hir_exporters.gltf.geometry import add_primitive
 from hir_exporters.gltf.images import add_textures
 from hir_exporters.gltf.quantization import add_quantized_primitive
@@ -104,7 +105,11 @@ def build_document(gathered: Gathered, config: GltfConfig, files_prefix: str | N
         document.asset.extras = {"hir": dict(gathered.asset.provenance)}
     writer = BinaryWriter(document)
     node = Node(name=gathered.asset.name, mesh=0)
-    if config.quantize:
+    if config.quantize and config.compression != "none":
+        raise ExportError("quantize and compression=draco both change the mesh; choose one of them")
+    if config.compression == "draco":
+        primitive = add_draco_primitive(document, gathered.mesh, writer, 0)
+    elif config.quantize:
         primitive = add_quantized_primitive(document, gathered.mesh, writer, 0, node)
     else:
         primitive = add_primitive(gathered.mesh, writer, 0)

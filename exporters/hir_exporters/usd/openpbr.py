@@ -1,4 +1,4 @@
-"""The material as OpenPBR 1.1 (MaterialX 1.39) in a layer of its own: usd-core has no MaterialX and minds its `ND_*` ids.
+"""The material as OpenPBR 1.1 (MaterialX 1.39) in a layer of its own: usd-core knows none of MaterialX's `ND_*` ids.
 
 OpenPBR's base, metalness, roughness and ior are those of UsdPreviewSurface's metallic workflow, and take its textures.
 Its lobe gives back multiple scattering, and its non-metal has the Fresnel formula itself in Schlick's place.

@@ -75,7 +75,7 @@ def _add_subsets(asset: Asset, mesh: Any) -> None:
     if asset.material.observed is None:
         return
     middles = asset.mesh.uvs[asset.mesh.faces].mean(axis=1).astype(np.float64) % 1.0
-    seen = sample_texels(asset.material.observed, False, middles) > 0.5
+    seen = sample_texels(asset.material.observed.astype(np.float32), False, middles) > 0.5
     if seen.all() or not seen.any():
         return
     for name, faces in (("observed", np.flatnonzero(seen)), ("unobserved", np.flatnonzero(~seen))):
