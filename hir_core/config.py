@@ -146,6 +146,9 @@ class RunConfig:
     seed: int = 0
     deterministic: bool = False
     """Same files for the same input, seed and device; slower, one thread where that is what it takes."""
+    max_memory: str = ""
+    """Memory that a run may take, such as `4GB`: caches and batches shrink to fit, and a stage that cannot is refused
+    before it starts. Empty: no limit."""
     checkpoint_seconds: float = 30.0
     """Seconds between the states that a stage under way keeps on disk; it goes on from the last one."""
     observers: dict[str, dict[str, Any] | Literal[False]] = field(default_factory=dict)

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Int
     from torch import Tensor
 
+    from hir_core.memory import CaptureSize
     from hir_core.scene import EnvironmentMap, Material, Mesh, Scene
     from hir_core.selection import Rung
     from hir_core.silhouettes import SilhouetteTargets
@@ -82,6 +83,10 @@ class GeometryRenderer(ABC):
     def overlap(self, mesh: Mesh, targets: SilhouetteTargets) -> tuple[Float[Tensor, " B"], Float[Tensor, " B"]]:
         """For each target: area of the silhouette and of its intersection with the mask, in pixels; differentiable."""
 
+    def memory(self, size: CaptureSize, views_per_step: int) -> int:
+        """Bytes that the targets of a capture and a step of some views take, about; by default masks in float32."""
+        return 4 * size.pixels + 40 * views_per_step * size.width * size.height
+
 
 class PreparedReflectance(ABC):
     """A scene's fixed geometry and a capture's cameras, with all that can be computed once."""
@@ -131,6 +136,14 @@ class ReflectanceRenderer(ABC):
     @abstractmethod
     def render(self, scene: Scene, camera: Camera) -> Float[Tensor, "H W 4"]:
         """Linear premultiplied colour and antialiased coverage."""
+
+    def memory(self, size: CaptureSize) -> int:
+        """Bytes that a fit to a capture takes, about; by default the float32 colours and places of all pixels."""
+        return 40 * size.pixels
+
+    def smaller(self) -> Mapping[str, Any]:
+        """Options under which a fit takes less memory; empty where there are none."""
+        return {}
 
 
 class Regularizer(ABC):

@@ -18,7 +18,8 @@ from hir_core.determinism import determinism
 from hir_core.errors import CaptureError
 from hir_core.initialize import files_read, initialize
 from hir_core.manager import PluginManager
-from hir_core.pixel_cache import PixelCache
+from hir_core.memory import plan_memory, size_of
+from hir_core.pixel_cache import DEFAULT_BYTES, PixelCache
 from hir_core.readers import find_reader, read_capture
 from hir_core.run_directory import STAGES, RunDirectory, claimed_run
 from hir_core.session import Session, StopRun, check_until, resolve_device
@@ -96,9 +97,8 @@ def reconstruct(
 
 def run_stages(path: Path, session: Session) -> Asset:
     """A folder ─ reader ─► capture ─ initializers ─► mesh ─ fits ─► scene ─ bake ─► asset ─► files."""
+    capture, names, photographs = open_capture(path, session)
     config = session.config
-    photographs = PixelCache()
-    capture, names = open_capture(path, photographs, session)
     capture, scene = initializer_stage(capture, session)
     write_cameras(session.directory.cameras, capture.transformed(asset_from_working(session)), names)
     capture = photographs.undistort(capture)
@@ -109,11 +109,15 @@ def run_stages(path: Path, session: Session) -> Asset:
     return export_stage(asset, config, session)
 
 
-def open_capture(path: Path, photographs: PixelCache, session: Session) -> tuple[Capture, list[str]]:
-    """The train split, decoded at most once, and the names of its photographs; starts the session's records."""
+def open_capture(path: Path, session: Session) -> tuple[Capture, list[str], PixelCache]:
+    """The train split, decoded at most once, and the names of its photographs; starts the session's records.
+
+    From here on the session's settings are those that fit into the memory that is allowed.
+    """
     capture = read_capture(path, "train", session.plugins, session.config.reader)
     if not capture.views:
         raise CaptureError(f"{path} holds no photographs to fit; is it the folder of a capture?")
+    session.allow(plan_memory(session.config, session.plugins, size_of(capture)))
     mark = fingerprint(capture)
     session.key = mark
     session.start(
@@ -126,7 +130,8 @@ def open_capture(path: Path, photographs: PixelCache, session: Session) -> tuple
             "fingerprint": mark,
         }
     )
-    return photographs.wrap(capture), [view.name for view in capture.views]
+    photographs = PixelCache(session.memory.cache_bytes if session.memory is not None else DEFAULT_BYTES)
+    return photographs.wrap(capture), [view.name for view in capture.views], photographs
 
 
 def initializer_stage(capture: Capture, session: Session) -> tuple[Capture, Scene]:

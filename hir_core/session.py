@@ -19,6 +19,7 @@ from hir_core.errors import ConfigError, InputError
 from hir_core.listener import Listener
 from hir_core.machine import describe_machine, peak_memory_bytes, versions
 from hir_core.manager import PluginManager
+from hir_core.memory import Plan, gigabytes
 from hir_core.run_directory import STAGES, RunDirectory, StageRecord, jsonable
 
 Value = TypeVar("Value")
@@ -47,6 +48,14 @@ class Session:
     """run.json so far."""
     timings: dict[str, Any] = field(default_factory=dict)
     """timings.json so far."""
+    memory: Plan | None = None
+    """What each stage is expected to take."""
+
+    def allow(self, plan: Plan) -> None:
+        """Takes the settings of a plan and says what is different in them."""
+        self.config, self.memory = plan.config, plan
+        for change in plan.changes:
+            self._say(f"to stay within {gigabytes(plan.limit)} of memory: {change}")
 
     def start(self, capture: Mapping[str, Any]) -> None:
         """Writes run.json and timings.json as they are before the first stage, and tells the observers."""
@@ -62,6 +71,8 @@ class Session:
             "stages": {},
             "metrics": self._old_metrics(),
         }
+        if self.memory is not None and self.memory.limit:
+            self.document["memory"] = self.memory.document()
         old = self.directory.read_timings()
         self.timings = {"machine": describe_machine(self.device), "started": _now(), "stages": old.get("stages", {})}
         self._write()
@@ -119,6 +130,8 @@ class Session:
     ) -> tuple[Value, StageRecord]:
         if self.directory.record(name) is not None:
             self._say(f"{name}: done again, its settings or input changed or it was interrupted")
+        if self.memory is not None and self.memory.limit and self.memory.total(name):
+            self._say(f"{name}: about {gigabytes(self.memory.total(name))} of memory expected")
         workspace = self.directory.begin(name, self.key)
         warnings: list[str] = []
 

@@ -22,6 +22,7 @@ from hir_core.run_directory import STAGES
 @click.option("--triangles", type=click.IntRange(min=0), help="Triangles of the mesh; 0 derives them from the views.")
 @click.option("--texture-size", type=click.IntRange(min=0), help="Side of the textures; 0 derives it from the views.")
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of all random numbers.")
+@click.option("--max-memory", metavar="SIZE", help="Stay within it, such as 4GB: caches and batches shrink to fit.")
 @click.option("--deterministic", is_flag=True, help="The same files for the same input and machine; slower.")
 @plugin_option
 @loudness_options
@@ -37,6 +38,7 @@ def reconstruct_command(
     triangles: int | None,
     texture_size: int | None,
     seed: int | None,
+    max_memory: str | None,
     deterministic: bool,
     plugin_files: tuple[str, ...],
     quiet: bool,
@@ -53,7 +55,7 @@ def reconstruct_command(
         chosen.append(f"atlas.texture_size={texture_size}")
     if plugin_files:
         chosen.append(f"plugins={json.dumps(plugin_files)}")
-    overrides: dict[str, Any] = {"seed": seed, "deterministic": deterministic or None}
+    overrides: dict[str, Any] = {"seed": seed, "max_memory": max_memory, "deterministic": deterministic or None}
     _check_heavy_packages()
     plugins = PluginManager.discover(plugin_files)
     for problem in plugins.problems:

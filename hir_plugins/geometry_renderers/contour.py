@@ -18,12 +18,16 @@ from torch import Tensor
 
 from hir_core.capture import Camera, View
 from hir_core.interfaces import GeometryRenderer
+from hir_core.memory import CaptureSize
 from hir_core.scene import Mesh, Topology
 from hir_core.silhouettes import SilhouetteTargets
 from hir_plugins.geometry_renderers.mask_sums import ContourTargets, masks_at
 from hir_plugins.geometry_renderers.options import ContourOptions
 from hir_plugins.geometry_renderers.outline import CameraBatch, EdgeTable, Segments, find_segments
 from hir_plugins.geometry_renderers.scanlines import Crossings, find_crossings
+
+STEP_BYTES = 128 << 20
+"""Of a step on a mesh of 100k triangles, whatever the number of views: outlines are lines."""
 
 
 @final
@@ -65,6 +69,11 @@ class Contour(GeometryRenderer):
                 area = area.index_add(0, crossings.view, motion)
                 overlap = overlap.index_add(0, crossings.view, motion * coverage)
         return area, overlap
+
+    def memory(self, size: CaptureSize, views_per_step: int) -> int:
+        """Masks, and their values and sums along rows and columns; a step's outlines are small beside them."""
+        del views_per_step
+        return 16 * size.pixels + STEP_BYTES
 
     def render(self, mesh: Mesh, cameras: Sequence[Camera]) -> Float[Tensor, "B H W"]:
         """Antialiased coverage (box filter), the mean of rows and columns; views smaller than the largest are padded

@@ -13,6 +13,7 @@ from torch import Tensor
 from hir_core.capture import Camera, Capture
 from hir_core.errors import ConfigError, StageError
 from hir_core.interfaces import ReflectanceRenderer
+from hir_core.memory import CaptureSize
 from hir_core.scene import Mesh, Scene
 from hir_plugins.reflectance_renderers.mitsuba_ggx.options import MitsubaGGXOptions
 from hir_plugins.reflectance_renderers.variant import mitsuba_on
@@ -23,6 +24,10 @@ if TYPE_CHECKING:
 
 _SCOUTS = 16
 """Rays for each pixel that look for the object before paths are traced."""
+
+
+PATHS_BYTES = 256 << 20
+"""Of one launch of `prepared.LANES` paths."""
 
 
 @final
@@ -37,6 +42,10 @@ class MitsubaGGX(ReflectanceRenderer):
             raise ConfigError("reflectance_renderer.mitsuba_ggx.max_depth must lie in 2 … 16 (2: direct light only)")
         self._config = config
         self._cached: tuple[Mesh, Surface] | None = None
+
+    def memory(self, size: CaptureSize) -> int:
+        """Colour and place of all pixels, and the paths of one launch."""
+        return 40 * size.pixels + PATHS_BYTES
 
     def prepare(self, scene: Scene, capture: Capture, downsample: int = 1) -> PreparedMitsuba:
         """Builds the acceleration structure for the cameras of a capture."""

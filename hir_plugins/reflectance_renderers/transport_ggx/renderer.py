@@ -12,12 +12,19 @@ from torch import Tensor
 from hir_core.capture import Camera, Capture
 from hir_core.errors import StageError
 from hir_core.interfaces import ReflectanceRenderer
+from hir_core.memory import CaptureSize
 from hir_core.scene import Scene
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.shading import shade_points
 from hir_plugins.reflectance_renderers.transport_ggx.solver import TransportSolver
 from hir_plugins.reflectance_renderers.transport_ggx.surface import see
 from hir_plugins.reflectance_renderers.transport_ggx.transport import Transport, build_transport
+
+LOBE_BYTES = 150
+"""Of one direction of a pixel: where it looks with four weights, its cosines, and its row of the matrices."""
+PIXEL_BYTES = 400
+EQUATION_BYTES = 340
+"""Of one pixel that textures are solved from: its row, the row's transpose, and the vectors of the solver."""
 
 
 @final
@@ -26,6 +33,20 @@ class TransportGGX(ReflectanceRenderer):
 
     def __init__(self, config: TransportGGXOptions) -> None:
         self._options = config
+
+    def memory(self, size: CaptureSize) -> int:
+        """Lobes of the pixels that light and model are fitted to, or the equations of the textures, and irradiance."""
+        options = self._options
+        fit = min(options.pixels, size.pixels) * (options.samples * LOBE_BYTES + PIXEL_BYTES)
+        textures = min(options.texture_pixels, size.pixels) * EQUATION_BYTES
+        return fit + textures + options.cells * 2 * options.diffuse_rows**2 * 4
+
+    def smaller(self) -> dict[str, int]:
+        """Half the pixels of the fit and of the textures, down to an eighth."""
+        options, least = self._options, TransportGGXOptions().pixels // 8
+        if options.pixels // 2 < least:
+            return {}
+        return {"pixels": options.pixels // 2, "texture_pixels": options.texture_pixels // 2}
 
     def prepare(self, scene: Scene, capture: Capture, downsample: int = 1) -> TransportSolver:
         """Caches transport for the scene's mesh and a light of the size of the scene's."""
