@@ -76,8 +76,9 @@ def _tiles(captures: Mapping[str, Mapping[str, Any]]) -> str:
     done, failed = states.count("done"), states.count("failed")
     found = [value for entry in captures.values() if (value := figure(entry, "object")) is not None]
     hours = sum(seconds_of(entry) or 0.0 for entry in captures.values()) / 3600
+    spent = f"{hours:,.1f} h" if hours >= 1 else f"{60 * hours:.1f} min"
     tiles = [(f"{done:,}", "done"), (f"{failed:,}", "failed"), (f"{len(states) - done - failed:,}", "not finished"),
-             (f"{median(found):.1f} dB" if found else "–", "median PSNR, object"), (f"{hours:.2f} h", "in all stages"),
+             (f"{median(found):.1f} dB" if found else "–", "median PSNR, object"), (spent, "in all stages"),
              (f"{sum(bool(entry.get('warnings')) for entry in captures.values()):,}", "with warnings")]  # fmt: skip
     return "".join(f"<div class=tile><b>{value}</b><span>{label}</span></div>" for value, label in tiles)
 

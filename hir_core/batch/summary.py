@@ -36,7 +36,7 @@ def _mean(values: list[float | None]) -> float | None:
 
 def _thumbnail(run: RunDirectory, views: list[dict[str, Any]]) -> str:
     """The worst view's photograph beside its fit, a JPEG as a data: address; empty where no view was rendered."""
-    from PIL import Image
+    from PIL import Image, ImageChops, ImageOps
 
     shown = [view for view in views if view["object"] is not None]
     if not shown:
@@ -44,11 +44,12 @@ def _thumbnail(run: RunDirectory, views: list[dict[str, Any]]) -> str:
     worst = min(shown, key=lambda view: view["object"])
     side = THUMBNAIL_SIDE
     pair = Image.new("RGB", (2 * side, side))
-    for i, kind in enumerate(("true", "fit")):
-        with Image.open(run.report / worst[kind]) as opened:
-            picture = opened.convert("RGB")
-        picture.thumbnail((side, side), Image.Resampling.LANCZOS)
-        pair.paste(picture, (i * side + (side - picture.width) // 2, (side - picture.height) // 2))
+    pictures = [Image.open(run.report / worst[kind]).convert("RGB") for kind in ("true", "fit")]
+    # around the object, which is all that is not black
+    box = ImageChops.lighter(*pictures).getbbox() or (0, 0, *pictures[0].size)
+    for i, picture in enumerate(pictures):
+        shown_part = ImageOps.contain(picture.crop(box), (side - 4, side - 4), Image.Resampling.LANCZOS)
+        pair.paste(shown_part, (i * side + (side - shown_part.width) // 2, (side - shown_part.height) // 2))
     stream = io.BytesIO()
     pair.save(stream, format="JPEG", quality=80)
     return "data:image/jpeg;base64," + base64.b64encode(stream.getvalue()).decode("ascii")
