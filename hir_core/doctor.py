@@ -28,6 +28,7 @@ MODULES: Final = {
         "open3d": "open3d", "xatlas": "xatlas", "cholespy": "cholespy", "fast_simplification": "fast-simplification",
         "cv2": "opencv-python-headless", "skimage": "scikit-image", "matplotlib": "matplotlib",
     },
+    "batch": {"ray": "ray", "fsspec": "fsspec"},
     "evaluate": {"lpips": "lpips", "flip_evaluator": "flip-evaluator"},
 }  # fmt: skip
 """Modules of each extra and the distributions that hold them."""
