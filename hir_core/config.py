@@ -111,6 +111,8 @@ class ReflectanceSettings:
     specular_start: float = 0.04
     light_frame: Literal["auto", "world", "camera"] = "auto"
     """Whether the light stands in the world or is carried by the camera (turntable, flash)."""
+    conserve_energy: bool = True
+    """No texel gives back more light than it gets: ρd + ρs ≤ 1 in the `paper` model, each ≤ 1 in `dielectric`."""
     known_environment: str = ""
     """A lat-long file that is the light, in the capture's axes, `FILE` or `FILE*STRENGTH`; it is then not fitted."""
     enabled: bool = True

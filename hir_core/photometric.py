@@ -15,6 +15,7 @@ from torch import Tensor
 from hir_core.capture import Capture
 from hir_core.config import ReflectanceSettings
 from hir_core.energies import Energies
+from hir_core.energy_guard import conserving
 from hir_core.errors import StageError
 from hir_core.interfaces import PreparedReflectance
 from hir_core.optimize import Batches, Keep, Schedule, optimize, tell_troubles
@@ -119,6 +120,9 @@ def fit_by_gradient(
         with torch.no_grad():
             for value, low, high in limits:
                 value.clamp_(low, high)
+            if settings.conserve_energy:
+                guarded, _ = conserving(replace(material, diffuse_albedo=diffuse, specular_albedo=specular))
+                diffuse.copy_(guarded.diffuse_albedo)
         return False
 
     result = optimize(

@@ -18,6 +18,7 @@ from hir_core.capture import Capture
 from hir_core.config import ReflectanceSettings
 from hir_core.context import StageContext, passed_on
 from hir_core.energies import prepare_energies
+from hir_core.energy_guard import conserving
 from hir_core.errors import ConfigError, StageError
 from hir_core.interfaces import PreparedReflectance, ReflectanceRenderer, ReflectanceSolver
 from hir_core.photometric import fit_by_gradient, object_pixels
@@ -41,8 +42,14 @@ def fit_reflectance(
     prepared = renderer.prepare(start, capture, settings.downsample)
     with passed_on(context):
         if settings.method == "gradient" or not isinstance(prepared, ReflectanceSolver):
-            return _by_gradient(start, prepared, capture, settings, context)
-        return _by_solver(start, prepared, capture, settings, context)
+            fitted, report = _by_gradient(start, prepared, capture, settings, context)
+        else:
+            fitted, report = _by_solver(start, prepared, capture, settings, context)
+    if settings.conserve_energy and fitted.material is not None:
+        material, changed = conserving(fitted.material)
+        fitted = replace(fitted, material=material)
+        report["energy_guarded"] = round(changed, 5)
+    return fitted, report
 
 
 def starting_scene(scene: Scene, capture: Capture, settings: ReflectanceSettings) -> Scene:

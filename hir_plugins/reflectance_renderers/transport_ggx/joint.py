@@ -66,6 +66,12 @@ def predict(
     return diffuse * specular.diffuse_share(rho_s) + specular.radiance(sources, rho_s, alpha)
 
 
+def exposed(block: Block, radiance: Float[Tensor, "P 3"], unknowns: Unknowns) -> Float[Tensor, "P 3"]:
+    """What the photographs show of a radiance: each has its own exposure, where that is fitted."""
+    exposure = unknowns.exposure
+    return radiance if exposure is None else radiance * exposure[block.view][:, None]
+
+
 def at_pixels(block: Block, values: Float[Tensor, "#V C"]) -> Float[Tensor, "#P C"]:
     """Vertex values at the pixels of a block; a uniform value stays one row."""
     return values if len(values) == 1 else block.vertices @ values
@@ -83,6 +89,11 @@ def srgb(linear: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
     return torch.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear.clamp_min(0.0031308) ** (1 / 2.4) - 0.055)
 
 
+def linear(encoded: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
+    """The inverse of `srgb`."""
+    return torch.where(encoded <= 0.04045, encoded / 12.92, ((encoded.clamp_min(0.04045) + 0.055) / 1.055) ** 2.4)
+
+
 @dataclass(frozen=True)
 class FitSettings:
     """How the unknowns are moved."""
@@ -94,6 +105,7 @@ class FitSettings:
     diffuse_rate: float = 0.06
     specular_rate: float = 0.05
     width_rate: float = 0.08
+    gain_rate: float = 0.02
     width_hold: float = 0.35
     """Share of the steps before α moves: under a light that is still flat, every lobe would widen."""
     refresh: int = 15
@@ -127,6 +139,7 @@ def fit(
             (unknowns.diffuse, settings.diffuse_rate),
             (unknowns.specular, settings.specular_rate),
             (unknowns.width, settings.width_rate),
+            (unknowns.gain, settings.gain_rate),
         )
         if p is not None and p.requires_grad
     ]
@@ -151,7 +164,7 @@ def fit(
         index = step % len(blocks)
         optimizer.zero_grad()
         radiance = predict(transport, blocks[index], specular[index], unknowns, settings.bounces)
-        difference = residual(blocks[index], radiance)
+        difference = residual(blocks[index], exposed(blocks[index], radiance, unknowns))
         loss = torch.nn.functional.huber_loss(difference, torch.zeros_like(difference), delta=settings.huber)
         smoothness = _smoothness(unknowns, settings, edges)
         (loss + smoothness).backward()
@@ -214,7 +227,7 @@ def refresh(blocks: Sequence[Block], specular: Sequence[SpecularBlock | None], u
 
 
 def _leaves(unknowns: Unknowns, settings: FitSettings) -> Unknowns:
-    for value in (unknowns.diffuse, unknowns.specular, unknowns.width):
+    for value in (unknowns.diffuse, unknowns.specular, unknowns.width, unknowns.gain):
         if value is not None:
             value.requires_grad_()
     unknowns.light.requires_grad_(not settings.known_light)

@@ -33,6 +33,8 @@ class TransportGGXOptions:
     """Weight of the light's chroma: of two explanations of a tint, the surface's wins."""
     known_light: bool = False
     """Hold the light as it is given."""
+    view_gain: bool = False
+    """Fit a brightness of each photograph, where exposures drifted or a cloud passed."""
     block_pixels: int = 65_536
     """Pixels of a gradient step; memory grows with it."""
     render_samples: int = 32

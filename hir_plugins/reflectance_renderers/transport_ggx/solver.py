@@ -117,6 +117,8 @@ class TransportSolver(ReflectanceSolver):
             joint.refresh([block], specular, fit.unknowns)
             with torch.no_grad():
                 radiance = joint.predict(self._transport, block, specular[0], fit.unknowns, fit.rung.bounces)
+                if fit.unknowns.gain is not None:
+                    radiance = radiance * _exposures(block, radiance, len(self._capture.views))[block.view][:, None]
                 error = joint.residual(block, radiance.clamp(0, 1)).square().mean(dim=1).cpu().double().numpy()
             view = block.view.cpu().numpy()
             total += np.bincount(view, error, len(total))
@@ -187,11 +189,12 @@ class TransportSolver(ReflectanceSolver):
         if start is None:
             light = self._scene.environment.radiance.clamp(1e-6, LIGHT_LIMIT).log()
             diffuse = self._albedo_of_photographs(photographs, rung, light.exp())
-            base = Unknowns(light, torch.logit(diffuse), None, None)
+            gain = light.new_zeros(len(self._capture.views)) if self._options.view_gain else None
+            base = Unknowns(light, torch.logit(diffuse), None, None, gain)
         else:
             base = start.unknowns
         if rung.brdf == "diffuse":
-            return Unknowns(base.light, base.diffuse, None, None)
+            return Unknowns(base.light, base.diffuse, None, None, base.gain)
         specular, width = base.specular, base.width
         vertices = len(base.diffuse)
         if specular is None or width is None:
@@ -204,7 +207,7 @@ class TransportSolver(ReflectanceSolver):
             specular = specular.clamp_min(LEAST_START).expand(vertices, -1)
         if rung.roughness == "map" and len(width) == 1:
             width = width.expand(vertices, -1)
-        return Unknowns(base.light, base.diffuse, specular.contiguous(), width.contiguous())
+        return Unknowns(base.light, base.diffuse, specular.contiguous(), width.contiguous(), base.gain)
 
     def _probe(
         self, photographs: Photographed, unknowns: Unknowns, settings: FitSettings, rung: Rung
@@ -247,3 +250,14 @@ def _camera_rotations(capture: Capture, device: torch.device) -> Float[Tensor, "
     """From the world to the axes of a light that each view's camera carries."""
     rotations = np.stack([c.world_to_camera[:3, :3] for c in capture.cameras])
     return UPRIGHT.to(device) @ torch.from_numpy(rotations.astype(np.float32)).to(device)
+
+
+def _exposures(block: Block, radiance: Tensor, views: int) -> Float[Tensor, " views"]:
+    """The factor that brings each view's radiance nearest to its photograph: a held-out view's was never fitted."""
+    known = ~block.saturated.any(dim=1)
+    photograph = joint.linear(block.color_srgb)
+    above, below = (
+        torch.zeros(views, device=radiance.device).index_add(0, block.view[known], (radiance * other).sum(dim=1)[known])
+        for other in (photograph, radiance)
+    )
+    return torch.where(below > 0, above / below.clamp_min(1e-12), torch.ones_like(below))

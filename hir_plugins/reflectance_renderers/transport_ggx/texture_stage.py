@@ -89,7 +89,10 @@ def solve_scene(
                                 observed=observed)
         report(1.0)
     shown = int(observed.sum()) / max(int(surface.covered.sum()), 1)
-    return material, {"texture_equations": sum(len(e.gain) for e in equations), "observed": round(shown, 4)}
+    facts: dict[str, Any] = {"texture_equations": sum(len(e.gain) for e in equations), "observed": round(shown, 4)}
+    if unknowns.exposure is not None:
+        facts["view_gain"] = [round(float(e), 4) for e in unknowns.exposure]
+    return material, facts
 
 
 def _equations(
@@ -130,7 +133,9 @@ def _equations(
             gain = gain * (1 - rho_s * a - b).clamp_min(0)
     index, bilinear = bilinear_texels(points.uvs(transport.surface), *size)
     importance = srgb_slope(part.color.clamp(DARKEST, 1)).square()
-    return [TexelEquations(index, bilinear, gain, part.color - specular, importance, part.saturated)]
+    exposure = unknowns.exposure
+    color = part.color if exposure is None else part.color / exposure[points.view][:, None]
+    return [TexelEquations(index, bilinear, gain, color - specular, importance, part.saturated)]
 
 
 def _light(

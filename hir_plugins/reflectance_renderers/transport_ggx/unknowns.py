@@ -11,6 +11,8 @@ from torch import Tensor
 
 ALPHA_LOW = 0.01
 """Narrowest lobe the cached directions resolve in a light of 64 rows."""
+GAIN_LIMIT = 2.0
+"""A photograph's exposure is held within e² of the others': more is another scene."""
 LIGHT_LIMIT = 1e5
 """Radiance is held below this: a sun of 1e4 fits, an overflow does not."""
 
@@ -23,6 +25,13 @@ class Unknowns:
     diffuse: Float[Tensor, "V 3"]
     specular: Float[Tensor, "#V C"] | None
     width: Float[Tensor, "#V 1"] | None
+    gain: Float[Tensor, " views"] | None = None
+    """Logarithm of each photograph's brightness beside the others; None where all were exposed alike."""
+
+    @property
+    def exposure(self) -> Float[Tensor, " views"] | None:
+        """Factor of each photograph; their geometric mean is 1, for a common one is the light's."""
+        return None if self.gain is None else (self.gain - self.gain.mean()).clamp(-GAIN_LIMIT, GAIN_LIMIT).exp()
 
     @property
     def radiance(self) -> Float[Tensor, "H W 3"]:
@@ -48,13 +57,14 @@ class Unknowns:
 
     def to(self, device: torch.device | str) -> Unknowns:
         """The same on another device."""
-        specular, width = (None if v is None else v.to(device) for v in (self.specular, self.width))
-        return Unknowns(self.light.to(device), self.diffuse.to(device), specular, width)
+        return Unknowns(*(None if v is None else v.to(device) for v in self._values()))  # type: ignore[arg-type]
 
     def detached(self) -> Unknowns:
         """A copy outside the graph."""
-        specular, width = (None if v is None else v.detach().clone() for v in (self.specular, self.width))
-        return Unknowns(self.light.detach().clone(), self.diffuse.detach().clone(), specular, width)
+        return Unknowns(*(None if v is None else v.detach().clone() for v in self._values()))  # type: ignore[arg-type]
+
+    def _values(self) -> list[Tensor | None]:
+        return [self.light, self.diffuse, self.specular, self.width, self.gain]
 
 
 def width_of(alpha: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
