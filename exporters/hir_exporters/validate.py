@@ -1,4 +1,4 @@
-"""Independent validators of written files: Khronos' for glTF (node), pxr's for USD."""
+"""Independent validators of written files: Khronos' for glTF (node), pxr's and NVIDIA's for USD."""
 
 from __future__ import annotations
 
@@ -70,4 +70,26 @@ def validate_usd(files: Sequence[Path]) -> list[Finding]:
             elif error.GetType() == kinds.Warn:
                 severity = "warning"
             findings.append(Finding(Path(file), severity, str(error.GetName()), str(error.GetMessage())))
+    return findings
+
+
+def validate_omniverse(files: Sequence[Path]) -> list[Finding]:
+    """What omniverse-asset-validator's rules say of USD files, but for those that advise against text files.
+
+    Raises `ExportError` where it is not installed: there is none for Python 3.13 and newer.
+    """
+    try:
+        import omni.asset_validator as omniverse
+    except ImportError:
+        raise ExportError("NVIDIA's validator is missing: pip install omniverse-asset-validator") from None
+    kinds = omniverse.IssueSeverity
+    severities: dict[object, Literal["error", "warning", "information"]] = {
+        kinds.ERROR: "error", kinds.FAILURE: "error", kinds.WARNING: "warning", kinds.INFO: "information"
+    }  # fmt: skip
+    findings = []
+    for file in files:
+        for issue in omniverse.ValidationEngine(init_rules=True).validate(str(file)).issues():
+            rule = issue.rule.__name__ if issue.rule else "?"
+            if issue.severity != kinds.NONE and "Ascii" not in rule:  # text was asked for
+                findings.append(Finding(Path(file), severities[issue.severity], rule, str(issue.message)))
     return findings

@@ -1,0 +1,89 @@
+"""Every profile × format of meshes from one triangle to a million, for every validator."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import validate_exports
+from hir_exporters.asset import Asset, AssetMaterial, AssetMesh
+from hir_exporters.validate import Finding, validate_omniverse
+
+Texture = Callable[..., np.ndarray]
+
+
+@pytest.fixture(autouse=True)
+def _validators(node_tools: Path) -> None:
+    """The tests skip where a validator is not installed."""
+    pytest.importorskip("omni.asset_validator", reason="omniverse-asset-validator needs Python < 3.13")
+
+
+def plate(columns: int, rows: int, triangles: int = 1 << 30) -> AssetMesh:
+    """A bent sheet of 2 * columns * rows triangles, or the first few of them."""
+    v, u = np.meshgrid(np.linspace(0, 1, rows + 1), np.linspace(0, 1, columns + 1), indexing="ij")
+    positions = np.stack([u - 0.5, 0.5 - v, 0.1 * np.sin(6 * u)], axis=-1).reshape(-1, 3)
+    slope = 0.6 * np.cos(6 * u)
+    normals = np.stack([-slope, 0 * u, np.ones_like(u)], axis=-1).reshape(-1, 3)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    a = (np.arange(rows)[:, None] * (columns + 1) + np.arange(columns)).ravel()
+    b, c, d = a + columns + 1, a + columns + 2, a + 1
+    faces = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], axis=1).reshape(-1, 3)[:triangles]
+    used, faces = np.unique(faces, return_inverse=True)
+    uvs = np.stack([u, v], axis=-1).reshape(-1, 2)
+    return AssetMesh(positions[used], normals[used], uvs[used], faces.reshape(-1, 3))
+
+
+def told(findings: list[Finding]) -> list[str]:
+    return [f"{f.file.name}: {f.severity} {f.code} {f.message}" for f in findings]
+
+
+@pytest.mark.parametrize("triangles", [1, 2])
+def test_one_and_two_triangles(triangles: int, textured_asset: Asset, tmp_path: Path) -> None:
+    asset = replace(textured_asset, mesh=plate(1, 1, triangles))
+    assert len(asset.mesh.faces) == triangles
+    files = validate_exports.written(asset, tmp_path)
+    assert len(files) >= 17
+    assert told(validate_exports.complaints(files)) == []
+
+
+@pytest.mark.slow
+def test_a_million_triangles(textured_asset: Asset, tmp_path: Path) -> None:
+    asset = replace(textured_asset, mesh=plate(1000, 500))
+    assert len(asset.mesh.faces) == 1_000_000
+    assert told(validate_exports.complaints(validate_exports.written(asset, tmp_path))) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("model", ["paper", "dielectric"])
+def test_every_kind_of_material(model: str, textured_asset: Asset, make_texture: Texture, tmp_path: Path) -> None:
+    kinds = {
+        "constant": AssetMaterial(model, [0.5] * 3, [0.1] * 3, 0.2),
+        "colored": replace(textured_asset.material, model=model),
+        "metal": AssetMaterial(model, [0.0] * 3, make_texture(16, 3, 0.4, 0.95), make_texture(16, 1, 0.1, 0.5)[..., 0]),
+    }
+    for name, material in kinds.items():
+        files = validate_exports.written(replace(textured_asset, material=material), tmp_path / name)
+        assert told(validate_exports.complaints(files)) == [], name
+
+
+def test_the_tool_says_what_it_found(
+    textured_asset: Asset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from hir_exporters.scene_files import save_scene
+
+    save_scene(replace(textured_asset, mesh=plate(1, 1)), tmp_path / "run" / "scene")
+    monkeypatch.setattr("sys.argv", ["validate_exports", str(tmp_path / "run")])
+    assert validate_exports.main() == 0
+    assert "0 complaints" in capsys.readouterr().out
+    spoiled = Finding(tmp_path / "x_openpbr.usda", "error", "MissingShaderIdInRegistry", "shader 'Phong'")
+    monkeypatch.setattr(validate_exports, "validate_usd", lambda files: [spoiled])
+    assert validate_exports.main() == 1
+    assert "Phong" in capsys.readouterr().out
+
+
+def test_nvidias_validator_would_complain(tmp_path: Path) -> None:
+    (tmp_path / "bad.usda").write_text('#usda 1.0\ndef Mesh "x" { int[] faceVertexCounts = [3] }\n')
+    assert {"error"} <= {finding.severity for finding in validate_omniverse([tmp_path / "bad.usda"])}
