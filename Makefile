@@ -3,7 +3,7 @@ PYTHON := .venv/bin/python
 HIR := .venv/bin/hir
 DEMO := demo
 
-.PHONY: demo test test-all lint docs stability kill-test fuzz clean setup setup-test help
+.PHONY: demo test test-all lint docs stability kill-test fuzz bench paper-table ablations scaling clean setup setup-test help
 
 help:
 	@echo "make demo      reconstruct the sample capture, export it, say where the files are"
@@ -15,6 +15,8 @@ help:
 	@echo "make stability  the table of numerical hard cases, docs/stability.md"
 	@echo "make kill-test  kill a small run at 50 random moments, resume, compare all files"
 	@echo "make fuzz      feed changed files to every reader for 10 minutes"
+	@echo "make bench     measure every component beside its reference; write docs/benchmarks.md and README's table"
+	@echo "make paper-table, ablations, scaling  the paper's experiments; write docs/experiments.md; each goes on where it stopped"
 	@echo "make clean     remove .venv and what the demo made"
 
 setup:
@@ -62,6 +64,25 @@ fuzz: setup-test
 kill-test: setup-test
 	@OMP_NUM_THREADS=1 $(PYTHON) tools/kill_test.py --kills 50
 	@OMP_NUM_THREADS=1 $(PYTHON) tools/kill_test.py --kills 10 --kind traced
+
+# what fits is measured on HIR_SHARED's captures where they are, else on the sample capture, whose true mesh is not known
+CAPTURE = $(firstword $(wildcard $(or $(HIR_SHARED),../shared)/captures/spot) examples/sample_capture)
+
+bench: setup-test
+	@$(PYTHON) -m pip install --quiet --disable-pip-version-check -e '.[bench]'
+	@$(HIR) bench geometry reflectance regularizers export initializers --capture $(CAPTURE) -o benchmarks/results -q > /dev/null
+	@$(HIR) bench end-to-end --quick --capture $(CAPTURE) --workspace build/bench -o benchmarks/results -q > /dev/null
+	@$(PYTHON) tools/write_benchmarks.py
+	@echo "figures: $(CURDIR)/docs/benchmarks.md"
+
+paper-table: setup-test
+	@$(PYTHON) -m benchmarks.experiments paper-table
+
+ablations: setup-test
+	@$(PYTHON) -m benchmarks.experiments images terms lights
+
+scaling: setup-test
+	@$(PYTHON) -m benchmarks.experiments scaling
 
 clean:
 	rm -rf .venv $(DEMO)

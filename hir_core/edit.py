@@ -106,7 +106,7 @@ def edit_run(
 
 
 def portrait(asset: Asset, plugins: PluginManager, size: int = 512, turn_deg: float = 25.0) -> Array:
-    """Picture (size, size, 4) of an asset from the front right, sRGB with straight alpha, path traced."""
+    """Picture (size, size, 4) of an asset, sRGB with straight alpha, path traced; from +Z turned towards +X."""
     from hir_core.bake import scene_from_asset
     from hir_core.metrics import unassociate
     from hir_core.reference import reference_renderer, render_view
@@ -115,7 +115,7 @@ def portrait(asset: Asset, plugins: PluginManager, size: int = 512, turn_deg: fl
 
     scene = scene_from_asset(asset)
     scene = move_scene(scene, unit_similarity(scene.mesh))
-    camera = orbit_cameras(round(360 / turn_deg), 20.0, size)[1]
+    camera = orbit_cameras(360, 20.0, size)[round(turn_deg) % 360]
     _, renderer = reference_renderer(plugins, "", {"render_samples": 128})
     color, coverage = unassociate(render_view(renderer, scene, camera, "portrait"))
     encoded = np.asarray(linear_to_srgb(np.clip(color, 0, 1)), np.float32)

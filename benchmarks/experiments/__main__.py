@@ -6,6 +6,7 @@ import argparse
 import subprocess
 import time
 
+from benchmarks.experiments.page import write_page
 from benchmarks.experiments.studies import STUDIES
 
 
@@ -37,8 +38,6 @@ def main() -> None:
                 print(f"{name}: {label}: not finished; the next call goes on", flush=True)
                 return
             print(f"{name}: {label}: {time.monotonic() - started:.0f} s", flush=True)
-    from benchmarks.experiments.page import write_page
-
     print(write_page())
 
 

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks.experiments.captures import made_smaller
+from hir_core.bench.captures import made_smaller
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = ROOT / "benchmarks" / "results" / "experiments"
@@ -85,7 +85,11 @@ def facts(folder: Path) -> dict[str, Any]:
     timings = json.loads((folder / "timings.json").read_text(encoding="utf-8"))
     run = json.loads((folder / "run.json").read_text(encoding="utf-8"))
     stages = {
-        name: {"seconds": stage["seconds"], "peak_memory_bytes": stage["peak_memory_bytes"]}
+        name: {
+            "seconds": stage["seconds"],
+            "peak_memory_bytes": stage["peak_memory_bytes"],
+            "seconds_per_step": seconds_per_step(stage["progress"]),
+        }
         for name, stage in timings["stages"].items()
     }
     return {
@@ -97,6 +101,13 @@ def facts(folder: Path) -> dict[str, Any]:
         "machine": timings["machine"],
         "versions": run["versions"],
     }
+
+
+def seconds_per_step(progress: list[list[float]]) -> float | None:
+    """Of a loop, from its first block to its last, so that preparation does not count; None for one block."""
+    if len(progress) < 2 or progress[-1][0] == progress[0][0]:
+        return None
+    return (progress[-1][1] - progress[0][1]) / (progress[-1][0] - progress[0][0])
 
 
 def hir(*words: object, seconds: float | None = None) -> None:

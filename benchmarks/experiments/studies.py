@@ -91,10 +91,26 @@ SCALING = Study(
     tuple((f"{views} × {side}²", full(views, side)) for views in (20, 80, 300) for side in (256, 512, 1024)),
 )
 
+PAPER_STEPS = Cell(
+    "paper_steps",
+    "spot",
+    80,
+    512,
+    "paper",
+    (
+        "geometry.iterations_per_view=0",
+        "geometry.iterations=4",
+        "reflectance.iterations_per_view=0",
+        "reflectance.iterations=12",
+    ),
+    (),
+)
+"""A few steps of the paper's two stages, from which the time of all of them is extrapolated."""
+
 PRESETS = Study(
     "The paper's table, in our rows",
     "captures/spot, 80 photographs of 512², views that no fit has seen.",
-    (("`fast`", full(80, 512)),),
+    (("`fast`", full(80, 512)), ("`paper`, a few steps", PAPER_STEPS)),
 )
 
 STUDIES = {"images": IMAGES, "terms": TERMS, "lights": LIGHTS, "paper-table": PRESETS, "scaling": SCALING}

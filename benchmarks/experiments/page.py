@@ -1,0 +1,179 @@
+"""docs/experiments.md from the results that are stored: nothing is run here."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from benchmarks.experiments.cells import EVALUATED_VIEWS, PATHS, ROOT, Cell
+from benchmarks.experiments.studies import (
+    IMAGES,
+    LIGHTER,
+    LIGHTS,
+    PAPER_STEPS,
+    PRESETS,
+    SCALING,
+    TERMS,
+    Study,
+)
+
+PAGE = ROOT / "docs" / "experiments.md"
+TEMPLATE = Path(__file__).with_name("experiments.template.md")
+
+PAPER_VIEWS, GEOMETRY_STEPS, REFLECTANCE_STEPS = 80, 200, 400
+"""Steps for each view of the paper's two stages (METHOD, phases 2a and 2b)."""
+
+Result = dict[str, Any]
+
+
+def write_page() -> Path:
+    """Writes the page; returns its path."""
+    PAGE.write_text(page(), encoding="utf-8")
+    return PAGE
+
+
+def page() -> str:
+    """The template with its tables."""
+    parts = {
+        "presets": presets_table(),
+        "images": study_table(IMAGES),
+        "terms": study_table(TERMS),
+        "lights": study_table(LIGHTS),
+        "scaling": scaling_table(),
+        "lighter": ", ".join(f"`{setting}`" for setting in LIGHTER),
+        "views": str(EVALUATED_VIEWS),
+        "paths": str(PATHS),
+        "lpips": lpips_sentence(),
+    }
+    text = TEMPLATE.read_text(encoding="utf-8")
+    for name, part in parts.items():
+        text = text.replace(f"<!--{name}-->", part)
+    return text
+
+
+def study_table(study: Study) -> str:
+    """One row a cell, and which cells have not run."""
+    lines = [
+        study.text,
+        "",
+        "| | unseen, frame / object | SSIM | LPIPS | FLIP | relit, object (scaled) | Chamfer, radii | normals | "
+        "albedo (scaled) | seconds | model |",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    for label, cell in study.rows:
+        result = cell.stored()
+        lines.append(f"| {label} | " + " | ".join(cells_of(result)) + " |")
+    return "\n".join([*lines, *not_run(study)])
+
+
+def cells_of(result: Result | None) -> list[str]:
+    """The figures of one row; dashes where there is none."""
+    if result is None:
+        return ["–"] * 10
+    test, relit = result["figures"].get("test", {}), result["figures"].get("relight_0", {})
+    surface, albedo = test.get("surface", {}).get("seen", {}), test.get("albedo", {})
+    psnr = test.get("psnr", {})
+    both = f"{number(psnr.get('frame'), 2)} / {number(psnr.get('object'), 2)} dB"
+    under = (
+        f"{number(relit.get('psnr', {}).get('object'), 2)} ({number(relit.get('psnr_scaled', {}).get('object'), 2)})"
+    )
+    return [
+        both,
+        number(test.get("ssim"), 4),
+        number(test.get("lpips"), 4),
+        number(test.get("flip"), 4),
+        under if relit else "–",
+        number(surface.get("chamfer"), 5),
+        number(surface.get("normal_error_deg"), 1, "°"),
+        f"{number(albedo.get('psnr'), 1)} ({number(albedo.get('psnr_scaled'), 1)})" if albedo else "–",
+        f"{result['seconds']:.0f}",
+        str(result["rung"]),
+    ]
+
+
+def presets_table() -> str:
+    """LPIPS, SSIM, PSNR, training and rendering time, as the paper's Table 1 has them; the paper's own rows below."""
+    lines = [
+        "| | LPIPS | SSIM | PSNR, frame / object | training | rendering a view |",
+        "|---|---|---|---|---|---|",
+    ]
+    for label, cell in PRESETS.rows:
+        if cell is PAPER_STEPS:
+            continue
+        result = cell.stored()
+        if result is None:
+            lines.append(f"| ours, {label}: spot | – | – | – | – | – |")
+            continue
+        test, minutes = result["figures"]["test"], result["seconds"] / 60
+        lines.append(
+            f"| ours, {label}: spot | {number(test['lpips'], 4)} | {number(test['ssim'], 3)} "
+            f"| {number(test['psnr']['frame'], 2)} / {number(test['psnr']['object'], 2)} | {minutes:.1f} min "
+            f"| {number(test['seconds_per_view'], 1)} s |"
+        )
+    lines.append(f"| ours, `paper`: spot | – | – | – | {paper_time()} | |")
+    lines.append("| ours, `best` | – | – | – | there is no such preset yet | |")
+    lines += [
+        "| the paper: pig | 0.0124 | 0.975 | 35.01 / – | ~3 h, RTX 3090 | ~1 s |",
+        "| the paper: pomegranate | 0.0230 | 0.903 | 34.28 / – | ~2.5 h, RTX 3090 | ~1 s |",
+        "| the paper: hotdog | 0.0088 | 0.951 | 33.89 / – | ~3 h, RTX 3090 | ~1 s |",
+    ]
+    return "\n".join([*lines, *not_run(PRESETS)])
+
+
+def paper_time() -> str:
+    """All steps of the paper's recipe at the seconds that a few of them took."""
+    result = PAPER_STEPS.stored()
+    if result is None:
+        return "not measured yet"
+    geometry, reflectance = (result["stages"][name]["seconds_per_step"] for name in ("geometry", "reflectance"))
+    if geometry is None or reflectance is None:
+        return "not measured yet"
+    hours = PAPER_VIEWS * (GEOMETRY_STEPS * geometry + REFLECTANCE_STEPS * reflectance) / 3600
+    return (
+        f"{hours:.0f} h, **extrapolated**: {PAPER_VIEWS * GEOMETRY_STEPS:,} steps of {geometry:.2f} s and "
+        f"{PAPER_VIEWS * REFLECTANCE_STEPS:,} of {reflectance:.2f} s"
+    )
+
+
+def scaling_table() -> str:
+    """Seconds and memory by number and size of photographs."""
+    sizes = list(dict.fromkeys(cell.side for _, cell in SCALING.rows))
+    lines = ["| photographs | " + " | ".join(f"{side}²" for side in sizes) + " |", "|---|" + "---|" * len(sizes)]
+    for views in dict.fromkeys(cell.views for _, cell in SCALING.rows):
+        found = []
+        for side in sizes:
+            cell = next(c for _, c in SCALING.rows if c.views == views and c.side == side)
+            found.append(scaling_cell(cell))
+        lines.append(f"| {views} | " + " | ".join(found) + " |")
+    return "\n".join([SCALING.text, "", *lines, *not_run(SCALING)])
+
+
+def scaling_cell(cell: Cell) -> str:
+    """Seconds of the two long stages and of all, and peak memory."""
+    result = cell.stored()
+    if result is None:
+        return "–"
+    stages = result["stages"]
+    parts = "geometry {:.0f}, reflectance {:.0f}".format(*(stages[n]["seconds"] for n in ("geometry", "reflectance")))
+    return f"{result['seconds']:.0f} s ({parts}), {result['peak_memory_bytes'] / 2**30:.1f} GiB"
+
+
+def not_run(study: Study) -> list[str]:
+    """A sentence that names cells without a result."""
+    missing = [label for label, cell in study.rows if cell.stored() is None]
+    return ["", f"Not run yet: {'; '.join(missing)}."] if missing else []
+
+
+def lpips_sentence() -> str:
+    """Why LPIPS's cells are empty, in the words of the run."""
+    for study in (PRESETS, IMAGES, TERMS, LIGHTS):
+        for _, cell in study.rows:
+            found = (cell.stored() or {"figures": {}})["figures"].get("test", {}).get("lpips_missing")
+            if found:
+                return f"Empty cells of LPIPS: {found}."
+    return ""
+
+
+def number(value: float | None, digits: int, unit: str = "") -> str:
+    """With so many digits; a dash where there is none."""
+    return "–" if value is None else f"{value:.{digits}f}{unit}"

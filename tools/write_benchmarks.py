@@ -1,0 +1,143 @@
+"""Writes docs/benchmarks.md, its plots and README's table from benchmarks/results; tests compare.
+
+`python tools/write_benchmarks.py [--runs RUN…]`: with runs, first keeps what finished and evaluated runs say of
+themselves in benchmarks/results/whole_runs.json. `hir bench … -o benchmarks/results` writes the other files.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+from hir_core.bench.results import Result
+from hir_core.bench.tables import markdown
+
+ROOT = Path(__file__).resolve().parent.parent
+RESULTS = ROOT / "benchmarks" / "results"
+PAGE = ROOT / "docs" / "benchmarks.md"
+IMAGES = ROOT / "docs" / "images"
+README = ROOT / "README.md"
+BEGIN, END = "<!-- whole runs, by tools/write_benchmarks.py -->", "<!-- end of whole runs -->"
+
+TEMPLATE = Path(__file__).with_name("benchmarks.template.md")
+SUITES = ("geometry", "reflectance", "regularizers", "export", "initializers", "end-to-end")
+
+
+def whole_runs() -> list[dict[str, Any]]:
+    """What was kept of finished runs."""
+    path = RESULTS / "whole_runs.json"
+    return list(json.loads(path.read_text(encoding="utf-8"))["runs"]) if path.is_file() else []
+
+
+def gathered(run: Path) -> dict[str, Any]:
+    """What a finished, evaluated run says of itself."""
+    document = json.loads((run / "run.json").read_text(encoding="utf-8"))
+    timings = json.loads((run / "timings.json").read_text(encoding="utf-8"))
+    first = next(iter(json.loads((run / "capture" / "cameras.json").read_text(encoding="utf-8"))["views"]))
+    kept = ("psnr", "psnr_scaled", "ssim", "lpips", "flip", "iou", "light", "surface", "albedo", "light_error")
+    return {
+        "capture": document["capture"]["name"],
+        "preset": document["settings"]["preset"],
+        "views": document["capture"]["views"],
+        "side": max(first["width"], first["height"]),
+        "stages": {name: stage["seconds"] for name, stage in timings["stages"].items()},
+        "peak_memory_bytes": max(stage["peak_memory_bytes"] for stage in timings["stages"].values()),
+        "threads": timings["machine"].get("threads"),
+        "processor": timings["machine"]["processor"],
+        "date": timings["finished"][:10],
+        "rung": document["stages"]["reflectance"]["report"].get("rung"),
+        "metrics": {split: {k: m[k] for k in kept if k in m} for split, m in document["metrics"].items()},
+    }
+
+
+def runs_table(runs: list[dict[str, Any]]) -> str:
+    """README's table."""
+    lines = [
+        "| capture | minutes | unseen views, frame / object | SSIM | relit, frame (scaled per channel) |",
+        "|---|---|---|---|---|",
+    ]
+    for run in runs:
+        seconds = sum(run["stages"].values())
+        threads = f" ({run['threads']} thread{'s' if run['threads'] != 1 else ''})" if run["threads"] else ""
+        test = run["metrics"]["test"]
+        relit = ", ".join(
+            f"{m['psnr']['frame']:.1f} ({m['psnr_scaled']['frame']:.1f})"
+            for m in (run["metrics"][split] for split in sorted(run["metrics"]))
+            if not m["light"]["fitted"]
+        )
+        lines.append(
+            f"| {run['capture']}, {run['views']} × {run['side']}² | {seconds / 60:.1f}{threads} "
+            f"| {test['psnr']['frame']:.1f} / {test['psnr']['object']:.1f} dB | {test['ssim']:.3f} "
+            f"| {relit + ' dB' if relit else '–'} |"
+        )
+    return "\n".join(lines)
+
+
+def stages_table(runs: list[dict[str, Any]]) -> str:
+    """Where the time went."""
+    names = list(dict.fromkeys(name for run in runs for name in run["stages"]))
+    order = [n for n in ("initializer", "geometry", "atlas", "reflectance", "bake", "export") if n in names]
+    lines = ["| capture | " + " | ".join(order) + " | peak memory | model |", "|---|" + "---|" * (len(order) + 2)]
+    for run in runs:
+        cells = [f"{run['stages'].get(name, 0.0):.1f} s" for name in order]
+        memory = f"{run['peak_memory_bytes'] / 2**30:.1f} GiB"
+        lines.append(f"| {run['capture']} | " + " | ".join([*cells, memory, str(run["rung"])]) + " |")
+    return "\n".join(lines)
+
+
+def page() -> str:
+    """docs/benchmarks.md."""
+    runs = whole_runs()
+    days = ", ".join(dict.fromkeys(run["date"] for run in runs))
+    parts = {
+        "runs": runs_table(runs),
+        "stages": stages_table(runs),
+        "origin": f"{runs[0]['processor']}, no GPU; {days}." if runs else "",
+        **{suite: section(suite) for suite in SUITES},
+    }
+    text = TEMPLATE.read_text(encoding="utf-8")
+    for name, part in parts.items():
+        text = text.replace(f"<!--{name}-->", part)
+    return text
+
+
+def section(suite: str) -> str:
+    """Table and plot of one suite."""
+    path = RESULTS / f"{suite}.json"
+    if not path.is_file():
+        return "Not measured yet."
+    text = markdown(Result.read(path)).rstrip()
+    if (RESULTS / f"{suite}.svg").is_file():
+        text += f"\n\n![hir bench {suite}: seconds as cases grow, and against error](images/bench_{suite}.svg)"
+    return text
+
+
+def with_table(readme: str) -> str:
+    """README with the table of today's results between its marks."""
+    before, _, rest = readme.partition(BEGIN)
+    _, _, after = rest.partition(END)
+    return f"{before}{BEGIN}\n{runs_table(whole_runs())}\n{END}{after}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", nargs="*", type=Path, default=[])
+    options = parser.parse_args()
+    if options.runs:
+        RESULTS.mkdir(parents=True, exist_ok=True)
+        text = json.dumps(
+            {"runs": [gathered(run) for run in options.runs]}, indent=1, sort_keys=True, ensure_ascii=False
+        )
+        (RESULTS / "whole_runs.json").write_text(text + "\n", encoding="utf-8")
+    PAGE.write_text(page(), encoding="utf-8")
+    for suite in SUITES:
+        if (RESULTS / f"{suite}.svg").is_file():
+            shutil.copy(RESULTS / f"{suite}.svg", IMAGES / f"bench_{suite}.svg")
+    README.write_text(with_table(README.read_text(encoding="utf-8")), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
