@@ -42,7 +42,7 @@ def plot_svg(result: Result) -> str:
     growth.legend(fontsize=6, frameon=False)
     figure.suptitle(f"hir bench {result.suite}", fontsize=10)
     stream = io.StringIO()
-    with matplotlib.rc_context({"svg.hashsalt": "hir", "svg.fonttype": "path"}):
+    with matplotlib.rc_context({"svg.hashsalt": "hir", "svg.fonttype": "none"}):
         figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
     return stream.getvalue()
 

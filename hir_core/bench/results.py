@@ -66,8 +66,11 @@ class Result:
     settings: Mapping[str, Any] = field(default_factory=dict)
 
     def write(self, path: Path) -> None:
-        """As JSON."""
-        write_json(path, {"format": FORMAT, "version": VERSION} | asdict(self))
+        """As JSON; cases and errors as pairs, for their order is that of a table's columns."""
+        document = {"format": FORMAT, "version": VERSION} | asdict(self)
+        for row in document["rows"]:
+            row |= {"case": list(row["case"].items()), "errors": list(row["errors"].items())}
+        write_json(path, document)
 
     @classmethod
     def read(cls, path: Path) -> Result:
@@ -77,12 +80,13 @@ class Result:
             raise InputError(f"{path} is not a result of hir bench that this program reads")
         try:
             rows = tuple(
-                Row(**(row | {"timing": None if row["timing"] is None else Timing(**row["timing"])}))
+                Row(dict(row["case"]), row["method"], row["role"],
+                    None if row["timing"] is None else Timing(**row["timing"]), dict(row["errors"]), row["note"])
                 for row in document["rows"]
-            )
+            )  # fmt: skip
             known = ("suite", "machine", "versions", "date", "settings")
             return cls(rows=rows, **{name: document[name] for name in known})
-        except (KeyError, TypeError) as error:
+        except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"{path}: a row or field is malformed ({error})") from error
 
 
