@@ -37,6 +37,7 @@ def gathered(run: Path) -> dict[str, Any]:
     document = json.loads((run / "run.json").read_text(encoding="utf-8"))
     timings = json.loads((run / "timings.json").read_text(encoding="utf-8"))
     first = next(iter(json.loads((run / "capture" / "cameras.json").read_text(encoding="utf-8"))["views"]))
+    test = json.loads((run / "evaluation" / "test" / "metrics.json").read_text(encoding="utf-8"))
     kept = ("psnr", "psnr_scaled", "ssim", "lpips", "flip", "iou", "light", "surface", "albedo", "light_error")
     return {
         "capture": document["capture"]["name"],
@@ -45,6 +46,7 @@ def gathered(run: Path) -> dict[str, Any]:
         "side": max(first["width"], first["height"]),
         "stages": {name: stage["seconds"] for name, stage in timings["stages"].items()},
         "peak_memory_bytes": max(stage["peak_memory_bytes"] for stage in timings["stages"].values()),
+        "seconds_per_view": round(sum(view["seconds"] for view in test["views"]) / len(test["views"]), 2),
         "threads": timings["machine"].get("threads"),
         "processor": timings["machine"]["processor"],
         "date": timings["finished"][:10],

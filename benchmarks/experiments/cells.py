@@ -17,7 +17,7 @@ RESULTS = ROOT / "benchmarks" / "results" / "experiments"
 WORK = Path(os.environ.get("HIR_EXPERIMENTS", ROOT / "build" / "experiments"))
 """Captures and runs, which are large and can be made again."""
 
-EVALUATED_VIEWS = 6
+EVALUATED_VIEWS = 8
 PATHS = 128
 
 

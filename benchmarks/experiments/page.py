@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
-from benchmarks.experiments.cells import EVALUATED_VIEWS, PATHS, ROOT, Cell
+from benchmarks.experiments.cells import EVALUATED_VIEWS, PATHS, RESULTS, ROOT, Cell
 from benchmarks.experiments.studies import (
     IMAGES,
     LIGHTER,
@@ -16,8 +17,10 @@ from benchmarks.experiments.studies import (
     TERMS,
     Study,
 )
+from hir_core.manager import PluginManager
 
 PAGE = ROOT / "docs" / "experiments.md"
+WHOLE_RUNS = RESULTS.parent / "whole_runs.json"
 TEMPLATE = Path(__file__).with_name("experiments.template.md")
 
 PAPER_VIEWS, GEOMETRY_STEPS, REFLECTANCE_STEPS = 80, 200, 400
@@ -97,21 +100,17 @@ def presets_table() -> str:
         "| | LPIPS | SSIM | PSNR, frame / object | training | rendering a view |",
         "|---|---|---|---|---|---|",
     ]
-    for label, cell in PRESETS.rows:
-        if cell is PAPER_STEPS:
-            continue
-        result = cell.stored()
-        if result is None:
-            lines.append(f"| ours, {label}: spot | – | – | – | – | – |")
-            continue
-        test, minutes = result["figures"]["test"], result["seconds"] / 60
+    for run in json.loads(WHOLE_RUNS.read_text(encoding="utf-8"))["runs"]:
+        test, minutes = run["metrics"]["test"], sum(run["stages"].values()) / 60
+        threads = f", {run['threads']} thread" + "s" * (run["threads"] != 1) if run["threads"] else ""
         lines.append(
-            f"| ours, {label}: spot | {number(test['lpips'], 4)} | {number(test['ssim'], 3)} "
-            f"| {number(test['psnr']['frame'], 2)} / {number(test['psnr']['object'], 2)} | {minutes:.1f} min "
-            f"| {number(test['seconds_per_view'], 1)} s |"
+            f"| ours, `{run['preset']}`: {run['capture']} | {number(test['lpips'], 4)} | {number(test['ssim'], 3)} "
+            f"| {number(test['psnr']['frame'], 2)} / {number(test['psnr']['object'], 2)} | {minutes:.1f} min{threads} "
+            f"| {number(run['seconds_per_view'], 1)} s |"
         )
     lines.append(f"| ours, `paper`: spot | – | – | – | {paper_time()} | |")
-    lines.append("| ours, `best` | – | – | – | there is no such preset yet | |")
+    if "best" not in PluginManager.discover().presets():
+        lines.append("| ours, `best` | – | – | – | there is no such preset yet | |")
     lines += [
         "| the paper: pig | 0.0124 | 0.975 | 35.01 / – | ~3 h, RTX 3090 | ~1 s |",
         "| the paper: pomegranate | 0.0230 | 0.903 | 34.28 / – | ~2.5 h, RTX 3090 | ~1 s |",

@@ -6,11 +6,17 @@ from dataclasses import dataclass
 
 from benchmarks.experiments.cells import Cell
 
+SIDE = 128
 LIGHTER = (
-    "reflectance_renderer.transport_ggx.pixels=80000",
-    "reflectance_renderer.transport_ggx.texture_pixels=800000",
+    "geometry.iterations=150",
+    "geometry.photograph_iterations=50",
+    "reflectance_renderer.transport_ggx.steps=100",
+    "reflectance_renderer.transport_ggx.cells=3000",
+    "reflectance_renderer.transport_ggx.vertices=15000",
+    "reflectance_renderer.transport_ggx.pixels=40000",
+    "reflectance_renderer.transport_ggx.texture_pixels=400000",
 )
-"""A third of the pixels that `fast` fits to: studies of differences need many runs more than the last tenth of a dB."""
+"""Small photographs and fewer steps: studies of differences need many runs more than the last decibel."""
 
 
 @dataclass(frozen=True)
@@ -23,9 +29,9 @@ class Study:
 
 
 def studied(name: str, *settings: str, capture: str = "spot", views: int = 80) -> Cell:
-    """A cell of the studies of differences: 256², `fast` on a third of its pixels, and what it varies."""
+    """A cell of the studies of differences: `fast` with lighter settings, and what it varies."""
     splits = ("test",) if capture.startswith("made:") else ("test", "relight_0")
-    return Cell(name, capture, views, 256, settings=(*LIGHTER, *settings), splits=splits)
+    return Cell(name, capture, views, SIDE, settings=(*LIGHTER, *settings), splits=splits)
 
 
 def full(views: int, side: int) -> Cell:
@@ -38,13 +44,13 @@ BASE = studied("spot_80")
 
 IMAGES = Study(
     "Number of photographs",
-    "captures/spot at 256²: what fewer photographs cost. (The paper: 150 suffice, 250 match the truth.)",
+    f"captures/spot at {SIDE}²: what fewer photographs cost. (The paper: 150 suffice, 250 match the truth.)",
     tuple((f"{n} photographs", BASE if n == 80 else studied(f"spot_{n}", views=n)) for n in (10, 20, 40, 80)),
 )
 
 TERMS = Study(
     "Each term of the loss",
-    "captures/spot, 80 photographs of 256². Each row leaves out one term of `fast`, or adds one of the paper's.",
+    f"captures/spot, 80 photographs of {SIDE}². Each row leaves out one term of `fast`, or adds one of the paper's.",
     (
         ("all of `fast`", BASE),
         ("without bending energy", studied("no_bending", "geometry.regularizers.laplacian=false")),
@@ -64,7 +70,7 @@ TERMS = Study(
             studied(
                 "bilateral",
                 "reflectance.model='specular_map'",
-                "reflectance.regularizers.bilateral_specular={weight=1.0, average=true, neighbours=32}",
+                "reflectance.regularizers.bilateral_specular={weight=1.0, average=true}",
             ),
         ),
     ),
@@ -72,7 +78,7 @@ TERMS = Study(
 
 LIGHTS = Study(
     "A lamp on the camera, and light around",
-    "The same cow: 60 photographs of 256² that Cycles rendered with a lamp beside the lens "
+    f"The same cow: 60 photographs of {SIDE}² that Cycles rendered with a lamp beside the lens "
     "(`tools/render_capture_in_blender.py`), and 60 of captures/spot in its hall. Held-out views choose between light "
     "in the world and light on the camera; the last row forbids the right one.",
     (
@@ -109,8 +115,8 @@ PAPER_STEPS = Cell(
 
 PRESETS = Study(
     "The paper's table, in our rows",
-    "captures/spot, 80 photographs of 512², views that no fit has seen.",
-    (("`fast`", full(80, 512)), ("`paper`, a few steps", PAPER_STEPS)),
+    "Whole runs that `tools/write_benchmarks.py --runs` gathered, and a few steps of the paper's recipe.",
+    (("`paper`, a few steps", PAPER_STEPS),),
 )
 
 STUDIES = {"images": IMAGES, "terms": TERMS, "lights": LIGHTS, "paper-table": PRESETS, "scaling": SCALING}
