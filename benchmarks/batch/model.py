@@ -65,7 +65,7 @@ class Overhead:
     """From handing a task out to its outcome, beside what the worker does: Ray, staging, keeping."""
     handling: float = 0.004
     """Of the driver, for each task."""
-    entry: float = 1.5e-5
+    entry: float = 2.4e-5
     """Of the driver, for each capture, whenever it writes the manifest."""
     tasks_of_a_worker: int = 64
 

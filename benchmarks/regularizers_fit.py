@@ -1,0 +1,145 @@
+"""What regularizers of the material bring on unseen views: `python -m benchmarks.regularizers_fit RUN…`.
+
+Takes the mesh and cameras of finished runs, fits light and material to the train split, and goes on from there with the
+gradient steps of the reflectance stage, once for each set of terms. Prints object PSNR over pixels of the test split,
+which no fit saw, and of the train split, as a Markdown table.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from hir_core.capture import Capture
+from hir_core.config import ReflectanceSettings
+from hir_core.context import StageContext
+from hir_core.energies import prepare_energies
+from hir_core.interfaces import PreparedReflectance
+from hir_core.manager import PluginManager
+from hir_core.photometric import ObjectPixels, fit_by_gradient, object_pixels
+from hir_core.pixel_cache import PixelCache
+from hir_core.readers import read_capture
+from hir_core.reflectance import starting_scene
+from hir_core.scene import Scene
+from hir_core.scene_store import load_stage_scene
+from hir_core.selection import Rung
+from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
+from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGGX
+
+Terms = Mapping[str, Mapping[str, Any]]
+TERMS: Mapping[str, Terms] = {
+    "none": {},
+    "total_variation, 10": {"total_variation": {"weight": 10.0}},
+    "total_variation, 100": {"total_variation": {"weight": 100.0}},
+    "bilateral_specular over texels, 1": {"bilateral_specular": {"weight": 1.0, "places": "texels"}},
+    "joint_bilateral, 1e4": {"joint_bilateral": {"weight": 1e4}},
+    "joint_bilateral, 1e5": {"joint_bilateral": {"weight": 1e5}},
+    "albedo_scale, 1e5": {"albedo_scale": {"weight": 1e5}},
+}
+PIXELS = 60_000
+
+
+def study(run: Path, rung: Rung, settings: ReflectanceSettings, downsample: int, names: list[str]) -> None:
+    """One table for the mesh of one run."""
+    capture, train, test = captures_of(run)
+    plugins = PluginManager.discover()
+    scene = starting_scene(load_stage_scene(run / "stages" / "3-atlas" / "scene"), capture, settings)
+    solver = TransportGGX(TransportGGXOptions()).prepare(scene, capture, downsample)
+    first = solver.fit(Rung(), None, train, 0.4, lambda share: None)
+    fit = solver.fit(rung, first, train, 1.0, lambda share: None)
+    fitted, _ = solver.scene(fit, train, lambda share: None)
+    pixels, train_part, test_part = (object_pixels(capture, v, downsample, "cpu") for v in (train, train, test))
+    print(f"\n{run.name}, {rung.name}, {settings.iterations} steps of rate {settings.learning_rate}\n")
+    print("| terms | unseen dB | gain | train dB | mean ρd | seconds |\n|---|---|---|---|---|---|")
+    base = decibels(solver, fitted, test_part)
+    row("no gradient steps", base, base, decibels(solver, fitted, train_part), fitted, 0.0)
+    context = StageContext(plugins, Path())
+    for name in names:
+        began = time.process_time()
+        energies = prepare_energies(fitted, TERMS[name], context)
+        scene, _ = fit_by_gradient(
+            fitted,
+            solver,
+            pixels,
+            settings,
+            energies,
+            replace(context, checkpoint_seconds=1e9),
+            steps=settings.iterations,
+        )
+        seconds = time.process_time() - began
+        row(name, decibels(solver, scene, test_part), base, decibels(solver, scene, train_part), scene, seconds)
+
+
+def row(name: str, unseen: np.ndarray, base: np.ndarray, seen: np.ndarray, scene: Scene, seconds: float) -> None:
+    """Mean gain over the scene before the gradient steps, with its standard error over the views."""
+    assert scene.material is not None
+    gain = unseen - base
+    noise = gain.std(ddof=1) / np.sqrt(len(gain))
+    albedo = float(scene.material.diffuse_albedo.mean())
+    print(f"| {name} | {unseen.mean():.2f} | {gain.mean():+.2f} ± {noise:.2f} | {seen.mean():.2f} | {albedo:.4f} "
+          f"| {seconds:.0f} |", flush=True)  # fmt: skip
+
+
+def captures_of(run: Path) -> tuple[Capture, list[int], list[int]]:
+    """Train and test views of a run's capture as one capture in the run's working frame, and the numbers of each."""
+    document = json.loads((run / "run.json").read_text())
+    plugins, cache = PluginManager.discover(), PixelCache()
+    working_from_source = np.linalg.inv(np.array(document["asset_from_working"])) @ np.array(
+        document["asset_from_source"]
+    )
+    parts = []
+    for split in ("train", "test"):
+        found = cache.wrap(read_capture(Path(document["capture"]["path"]), split, plugins))
+        parts.append(found.transformed(working_from_source @ np.linalg.inv(found.world_from_source)))
+    count = [len(part.views) for part in parts]
+    whole = replace(parts[0], views=parts[0].views + parts[1].views)
+    return whole, list(range(count[0])), list(range(count[0], sum(count)))
+
+
+def decibels(prepared: PreparedReflectance, scene: Scene, pixels: ObjectPixels) -> np.ndarray:
+    """Object PSNR of each view in sRGB, over some of its pixels."""
+    assert scene.material is not None and scene.environment is not None
+    step = max(1, len(pixels.index) // PIXELS)
+    index, color = pixels.index[::step], pixels.color[::step]
+    with torch.no_grad():
+        shown = torch.cat([prepared.radiance(scene.material, scene.environment, part) for part in index.split(16384)])
+        error = (srgb(shown) - srgb(color)).square().mean(dim=1)
+    views = index[:, 0].unique().tolist()
+    return np.array([-10 * np.log10(float(error[index[:, 0] == view].mean())) for view in views])
+
+
+def srgb(linear: Tensor) -> Tensor:
+    """Clipped, as a screen shows it."""
+    linear = linear.clamp(0, 1)
+    return torch.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear.clamp_min(0.0031308) ** (1 / 2.4) - 0.055)
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("runs", type=Path, nargs="+")
+    parser.add_argument("--specular", choices=["uniform", "map"], default="uniform")
+    parser.add_argument("--roughness", choices=["uniform", "map"], default="uniform")
+    parser.add_argument("--bounces", type=int, default=0)
+    parser.add_argument("--iterations", type=int, default=300)
+    parser.add_argument("--rate", type=float, default=0.02)
+    parser.add_argument("--downsample", type=int, default=1)
+    parser.add_argument("--terms", nargs="+", default=list(TERMS))
+    given = parser.parse_args()
+    rung = Rung("dielectric", given.specular, given.roughness, bounces=given.bounces)
+    settings = ReflectanceSettings(iterations=given.iterations, learning_rate=given.rate, learning_rate_end=0.05)
+    for run in given.runs:
+        study(run, rung, settings, given.downsample, given.terms)
+
+
+if __name__ == "__main__":
+    main()
