@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,6 +20,8 @@ if TYPE_CHECKING:
     from hir_core.manager import PluginManager
 
 INTERVAL_SECONDS = 0.25
+HEARTBEAT_SECONDS = 0.5
+"""A stage that says nothing for this long is said to be alive, with its seconds; nobody waits 5 s in silence."""
 
 
 class Listener:
@@ -49,6 +53,27 @@ class Listener:
         now = time.monotonic()
         if now - self._told >= INTERVAL_SECONDS or progress.step >= progress.steps:
             self._tell(now)
+
+    @contextlib.contextmanager
+    def beating(self) -> Iterator[None]:
+        """While the block runs, a thread repeats the last progress where the stage is silent."""
+        if self._on_progress is None:
+            yield
+            return
+        ended = threading.Event()
+        thread = threading.Thread(target=self._beat, args=(ended, self._on_progress), name="hir-heartbeat", daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            ended.set()
+            thread.join()
+
+    def _beat(self, ended: threading.Event, tell: Callable[[Progress], None]) -> None:
+        while not ended.wait(HEARTBEAT_SECONDS):
+            if time.monotonic() - self._told >= HEARTBEAT_SECONDS:
+                last = self._last or Progress(self._stage, 0, 1, 0.0)
+                tell(replace(last, seconds=time.perf_counter() - self._started, scalars={}))
 
     def close(self, seconds: float) -> None:
         """Passes on what still waits, and the end of the stage."""

@@ -59,6 +59,11 @@ class RunDirectory:
     def cameras(self) -> Path:
         return self.path / "capture" / "cameras.json"
 
+    @property
+    def log(self) -> Path:
+        """What was said, with dates; rotates."""
+        return self.path / "log.txt"
+
     def evaluation(self, split: str) -> Path:
         """Where `hir evaluate` writes the figures and pictures of a split."""
         return self.path / "evaluation" / split

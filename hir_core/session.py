@@ -21,6 +21,7 @@ from hir_core.machine import describe_machine, peak_memory_bytes, versions
 from hir_core.manager import PluginManager
 from hir_core.memory import Plan, gigabytes
 from hir_core.run_directory import STAGES, RunDirectory, StageRecord, jsonable
+from hir_core.run_log import write_log
 
 Value = TypeVar("Value")
 Report = Mapping[str, Any]
@@ -157,7 +158,8 @@ class Session:
         )
         seed_everything(self.config.seed)
         started = time.perf_counter()
-        value, report = compute(context)
+        with listener.beating():
+            value, report = compute(context)
         seconds = time.perf_counter() - started
         listener.close(seconds)
         folder = self.directory.stage(name)
@@ -192,6 +194,7 @@ class Session:
         self.directory.write_timings(self.timings)
 
     def _say(self, sentence: str) -> None:
+        write_log(self.directory.log, sentence)
         if self.on_message is not None:
             self.on_message(sentence)
 

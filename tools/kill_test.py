@@ -61,7 +61,7 @@ WARM = (
 )  # fmt: skip
 """Imported once, before any child: none of it starts a thread."""
 
-CLOCKED = {"timings.json", "report.html", ".lock"}
+CLOCKED = {"timings.json", "report.html", "log.txt", ".lock"}
 """Files that tell seconds."""
 
 

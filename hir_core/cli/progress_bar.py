@@ -78,7 +78,8 @@ class ProgressBar:
         if progress.stage == self._stage and now - self._spoken < 4.5:
             return
         self._stage, self._spoken = progress.stage, now
-        parts = [f"{progress.stage}: {progress.step}/{progress.steps}", progress.message, left, error]
+        done = f"{progress.stage}: {progress.step}/{progress.steps} after {time_text(progress.seconds)}"
+        parts = [done, progress.message, left, error]
         print(", ".join(part for part in parts if part), file=sys.stderr, flush=True)
 
 

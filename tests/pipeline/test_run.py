@@ -32,7 +32,7 @@ def files(folder: Path) -> dict[str, bytes]:
 def test_run_directory_is_that_of_the_design(finished: Run) -> None:
     names = {entry.name for entry in finished.path.iterdir()} - {".lock"}
     assert names == {
-        "run.json", "timings.json", "capture", "stages", "scene", "exports", "report", "report.html",
+        "run.json", "timings.json", "log.txt", "capture", "stages", "scene", "exports", "report", "report.html",
     }  # fmt: skip
     stages = sorted(entry.name for entry in (finished.path / "stages").iterdir())
     assert stages == [f"{i + 1}-{name}" for i, name in enumerate(STAGES)]

@@ -109,7 +109,7 @@ def _hdr(path: Path) -> object:
 
 
 def _photo(path: Path) -> object:
-    from hir_plugins.readers.exif import camera_record
+    from hir_core.exif import camera_record
 
     return camera_record(path), _ldr(path)
 
