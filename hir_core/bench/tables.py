@@ -33,11 +33,8 @@ def origin(result: Result) -> str:
     machine = result.machine
     kept = ("hir", "python", "torch", "mitsuba", "open3d", "numpy")
     programs = ", ".join(f"{name} {result.versions[name]}" for name in kept if name in result.versions)
-    gpu = machine.get("gpu") or "no GPU"
-    return (
-        f"{machine.get('processor')}, {machine.get('cores')} cores, {machine.get('threads', '?')} threads, {gpu}; "
-        f"{programs}; {result.date}."
-    )
+    threads = f", {machine['threads']} of them used" if machine.get("threads") else ""
+    return f"{machine.get('processor')}, {machine.get('cores')} cores{threads}, no GPU used; {programs}; {result.date}."
 
 
 def labelled(row: Row) -> str:
