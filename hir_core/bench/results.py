@@ -67,7 +67,7 @@ class Result:
 
     def write(self, path: Path) -> None:
         """As JSON; cases and errors as pairs, for their order is that of a table's columns."""
-        document = {"format": FORMAT, "version": VERSION} | asdict(self)
+        document: dict[str, Any] = {"format": FORMAT, "version": VERSION} | asdict(self)
         for row in document["rows"]:
             row |= {"case": list(row["case"].items()), "errors": list(row["errors"].items())}
         write_json(path, document)
