@@ -19,8 +19,8 @@ export async function start({ asset, light, toward, photographs = [] }) {
   renderer.toneMapping = THREE.NoToneMapping;
   const scene = new THREE.Scene();
   const plain = new THREE.Color(0x17181b);
-  const panorama = light ? readLight(light) : evenSky();
-  scene.environment = panorama;
+  const lamps = { own: light && { panorama: readLight(light), turn: QUARTER }, even: { panorama: evenSky(), turn: 0 } };
+  if (!light) element("lamp").querySelector("[value=own]").remove();
 
   const { scene: model } = await new GLTFLoader().parseAsync(asset, "");
   scene.add(model);
@@ -77,9 +77,10 @@ export async function start({ asset, light, toward, photographs = [] }) {
     const degrees = Number(element("turn").value), stops = Number(element("exposure").value);
     element("turned").textContent = `${degrees}°`;
     element("stops").textContent = `${stops > 0 ? "+" : ""}${stops}`;
-    const turn = (light ? QUARTER : 0) + THREE.MathUtils.degToRad(degrees);
-    scene.environmentRotation.set(0, turn, 0);
-    scene.backgroundRotation.set(0, turn, 0);
+    const { panorama, turn } = lamps[element("lamp").value];
+    scene.environment = panorama;
+    scene.environmentRotation.set(0, turn + THREE.MathUtils.degToRad(degrees), 0);
+    scene.backgroundRotation.copy(scene.environmentRotation);
     scene.background = element("background").checked ? panorama : plain;
     scene.environmentIntensity = scene.backgroundIntensity = 2 ** stops;
     controls.autoRotate = element("spin").checked;
@@ -89,7 +90,7 @@ export async function start({ asset, light, toward, photographs = [] }) {
     const box = element(name);
     if (choice) choice.checked = true;
     else if (box && box.type === "checkbox") box.checked = true;
-    else if (box && box.type === "range") box.value = value;
+    else if (box && (box.type === "range" || box.id === "lamp")) box.value = value;
   }
   element("panel").addEventListener("input", apply);
   apply();

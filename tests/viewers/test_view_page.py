@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from hir_exporters.asset import Asset
 from hir_exporters.atomic import write_text_atomic
-from hir_exporters.conventions import linear_to_srgb
+from hir_exporters.conventions import direction_to_latlong_uv, linear_to_srgb, srgb_to_linear
 from hir_exporters.formats import create_exporter
 from hir_exporters.images import read_ldr, write_png
 from hir_exporters.scene_files import save_scene
-from parity.browser import module_folder
+from parity.browser import module_folder, pictures_in_browser
 
 from hir_core.capture import Camera
 from hir_core.cli import main
@@ -32,7 +32,7 @@ BACKGROUND = np.array([0x17, 0x18, 0x1B])
 FOLDERS = ("three", "build", "controls", "loaders", "utils")
 """Where the npm package keeps what is shipped."""
 
-Shot = Callable[[Path, str], np.ndarray]
+Shot = Callable[..., np.ndarray]
 
 
 def glossy() -> Asset:
@@ -57,9 +57,9 @@ def shot(chromium: list[str], tmp_path_factory: pytest.TempPathFactory) -> Shot:
     """A picture (SIDE, SIDE, 3), sRGB in 0…1, of the page opened from disk with settings after the #."""
     folder = tmp_path_factory.mktemp("shots")
 
-    def take(page: Path, settings: str) -> np.ndarray:
+    def take(page: Path, settings: str, milliseconds: int = 4000) -> np.ndarray:
         # the browser's virtual clock runs ahead of its decoders: on a busy machine it needs more of it
-        for budget in (4000, 16_000, 64_000, 256_000):
+        for budget in (milliseconds * factor for factor in (1, 4, 16, 64)):
             words = [
                 *chromium, f"--user-data-dir={folder / 'profile'}", f"--window-size={SIDE},{SIDE}",
                 f"--virtual-time-budget={budget}", f"--screenshot={folder / 'shot.png'}",
@@ -100,6 +100,69 @@ def test_lit_picture_is_our_render_and_its_light_turns(page: Path, shot: Shot) -
     right, turned = error(shot(page, "")), error(shot(page, "turn=120"))
     assert right < 0.02, "edges of colours and three.js' prefiltered light"
     assert turned > 3 * right
+
+
+def test_the_light_is_switched_and_shown(page: Path, shot: Shot) -> None:
+    """Under the even light a matt surface has 0.8 of its albedo; the light behind it lies where its map has it."""
+    even, albedo = (srgb_to_linear(shot(page, settings)) for settings in ("lamp=even", "channel=albedo"))
+    inside = (albedo > 0.02).all(axis=-1)  # the background is 0.01
+    assert inside.sum() > 10_000
+    np.testing.assert_allclose(np.median(even[inside] / albedo[inside], axis=0), 0.8, atol=0.02)
+
+    environment, camera = glossy().environment, first_camera()
+    shown = shot(page, "background")
+    for x, y in ((4, 4), (SIDE - 5, 6), (5, SIDE - 6), (SIDE - 6, SIDE - 5)):
+        ray = np.linalg.inv(camera.intrinsics) @ [x + 0.5, y + 0.5, 1]
+        u, v = direction_to_latlong_uv(camera.world_to_camera[:3, :3].T @ ray)
+        height, width = environment.radiance.shape[:2]
+        meant = linear_to_srgb(np.minimum(environment.radiance[int(v * height), int(u * width) % width], 1))
+        np.testing.assert_allclose(shown[y, x], meant, atol=0.02)
+
+
+ANSWER = """<script>
+(async () => {
+  const root = document.documentElement, canvas = document.getElementById("canvas");
+  const pause = (milliseconds) => new Promise((done) => setTimeout(done, milliseconds));
+  while (root.dataset.ready !== "yes") await pause(50);
+  canvas.setPointerCapture = canvas.releasePointerCapture = () => {}; // only real pointers can be captured
+  const at = (kind, x) => canvas.dispatchEvent(new PointerEvent(kind, {
+    pointerId: 1, pointerType: "mouse", button: 0, buttons: 1, clientX: x, clientY: 300, bubbles: true,
+  }));
+  at("pointerdown", 10);
+  at("pointermove", 10 + DRAG * innerHeight);
+  at("pointerup", 10 + DRAG * innerHeight);
+  let before = "", now = canvas.toDataURL();
+  while (before !== now) { // the turn swings out
+    await pause(400);
+    [before, now] = [now, canvas.toDataURL()];
+  }
+  const body = await (await fetch(now)).blob();
+  await fetch("/picture/0", { method: "POST", body });
+})();
+</script></body>"""
+
+
+@pytest.mark.slow
+def test_a_drag_over_half_the_height_turns_the_asset_by_half(page: Path, chromium: list[str], tmp_path: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+
+    def taken(drag: float, toward: str) -> np.ndarray:
+        changes = {
+            "connect-src blob: data:": "connect-src blob: data: 'self'", '"toward": null': f'"toward": {toward}',
+            "</title>": "</title><script>location.hash = 'bare&channel=albedo'</script>",
+            "</body>": ANSWER.replace("DRAG", str(drag)),
+        }  # fmt: skip
+        changed = text
+        for old, new in changes.items():
+            assert changed.count(old) == 1, old
+            changed = changed.replace(old, new)
+        (tmp_path / "page.html").write_text(changed, encoding="utf-8")
+        [picture] = pictures_in_browser(chromium, tmp_path / "page.html", [{}], {})
+        return picture[..., :3]
+
+    front, back, dragged = taken(0, "null"), taken(0, "[-0.55, 0.35, -1]"), taken(0.5, "null")
+    assert np.abs(back - front).mean() > 0.02, "the two sides differ"
+    assert np.abs(dragged - back).mean() < 0.05 * np.abs(dragged - front).mean()
 
 
 def test_channels_show_the_maps(page: Path, shot: Shot) -> None:
