@@ -65,6 +65,7 @@ def test_every_generator_is_seeded() -> None:
     assert draw() != first
 
 
+@pytest.mark.slow
 def test_two_runs_have_identical_files(
     finished: Run, tiny_capture: Path, quick: Callable[..., Run], tmp_path: Path
 ) -> None:

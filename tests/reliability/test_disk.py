@@ -34,6 +34,7 @@ def small_disk(folder: Path, size: str, options: str = "") -> Iterator[Path]:
         subprocess.run(["umount", str(folder)], check=True)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="tmpfs")
 def test_a_full_disk_ends_a_run_in_one_sentence_and_the_run_goes_on_when_there_is_room(
     tiny_capture: Path, finished: Run, quick: Callable[..., Run], tmp_path: Path

@@ -35,7 +35,7 @@ def test_changed_files_are_read_or_refused_in_one_sentence(target: Target) -> No
     seeds = target.seeds()
 
     @settings(
-        max_examples=8 if target.slow else 40,
+        max_examples=4 if target.slow else 15,
         deadline=None,
         derandomize=True,
         database=None,

@@ -48,6 +48,7 @@ def _until(condition, process: subprocess.Popen[str]) -> None:  # type: ignore[n
         time.sleep(0.02)
 
 
+@pytest.mark.slow
 def test_a_killed_command_goes_on_inside_its_stage(tiny_capture: Path, tmp_path: Path) -> None:
     """The real command: SIGKILL once the geometry stage has kept a state; the resume goes on from there."""
     run = tmp_path / "run"
@@ -66,6 +67,7 @@ def test_a_killed_command_goes_on_inside_its_stage(tiny_capture: Path, tmp_path:
     assert scenes[0].read_bytes() == scenes[1].read_bytes()
 
 
+@pytest.mark.slow
 def test_a_second_process_on_one_run_is_refused(tiny_capture: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
     words = _command(tiny_capture, run, "--set", "geometry.iterations=100000")
@@ -109,6 +111,7 @@ def test_an_old_folder_stays_until_the_new_one_is_whole(tmp_path: Path) -> None:
     assert not (tmp_path / "b.txt").exists() and len(list(tmp_path.iterdir())) == 1
 
 
+@pytest.mark.slow
 def test_a_damaged_result_is_computed_again(tiny_capture: Path, quick, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     run = quick(tiny_capture, tmp_path / "run", until="geometry", deterministic=True)
     stored = RunDirectory(run.path).stage("initializer") / "scene" / "arrays.npz"
