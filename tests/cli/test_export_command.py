@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -129,3 +130,25 @@ def test_a_full_destination_leaves_nothing(suffix: str, tmp_path: Path) -> None:
         signal.signal(signal.SIGXFSZ, old_action)
     assert [p.name for p in tmp_path.iterdir() if p.stat().st_size > 300 or p.name.startswith(".")] == []
     assert not (tmp_path / f"x.{suffix}").exists()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs the rights of POSIX")
+@pytest.mark.parametrize("suffix", ["glb", "gltf", "usda", "usdz", "obj", "hdr", "exr", "ktx", "dds", "sh.json"])
+def test_a_read_only_destination_is_named_and_left_alone(suffix: str) -> None:
+    """A superuser may write everywhere, so that the test gives that up for a moment."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name) / "locked"
+        folder.mkdir(mode=0o555)
+        Path(name).chmod(0o755)
+        asset, exporter = plate(), create_exporter(suffix)
+        exporter.write(asset, Path(name) / f"before.{suffix}")  # so that everything is imported
+        root = os.geteuid() == 0
+        try:
+            if root:
+                os.seteuid(65534)
+            with pytest.raises(ExportError, match=r"locked.*rights"):
+                exporter.write(asset, folder / f"x.{suffix}")
+        finally:
+            if root:
+                os.seteuid(0)
+        assert list(folder.iterdir()) == []

@@ -8,13 +8,16 @@ import sys
 from pathlib import Path
 
 import hir_exporters
+import numpy as np
 import pytest
 from hir_exporters import materials
 from hir_exporters.asset import Asset, AssetMaterial
 from hir_exporters.scene_files import save_scene
 
 PACKAGE = Path(hir_exporters.__file__).parent
-README = Path(__file__).resolve().parents[2] / "exporters" / "README.md"
+ROOT = Path(__file__).resolve().parents[2]
+README = ROOT / "exporters" / "README.md"
+FORMATS_PAGE = ROOT / "docs" / "formats.md"
 
 
 def test_the_readme_builds_an_asset_in_ten_lines(tmp_path: Path) -> None:
@@ -44,6 +47,35 @@ def test_the_readme_states_the_residuals_that_the_code_computes() -> None:
     text = README.read_text(encoding="utf-8")
     table = text.split("<!-- residuals -->")[1].split("<!-- /residuals -->")[0].strip().splitlines()
     assert table[2:] == residual_rows(), "\n".join(residual_rows())
+
+
+def formats_rows() -> list[str]:
+    half = np.zeros((8, 8, 1)) + (np.arange(8) < 4)[:, None]
+    materials_by_name = {
+        "`paper`, grey lobe of 0.1": AssetMaterial("paper", [0.5, 0.4, 0.3], [0.1] * 3, 0.25),
+        "`paper`, coloured lobe": AssetMaterial("paper", [0.3, 0.2, 0.1], [0.3, 0.2, 0.1], 0.25),
+        "`dielectric`, ρs = 0.04": AssetMaterial("dielectric", [0.5, 0.4, 0.3], [0.04] * 3, 0.25),
+        "`dielectric`, ρs = 0.08": AssetMaterial("dielectric", [0.5, 0.4, 0.3], [0.08] * 3, 0.25),
+        "`dielectric`, coloured non-metal": AssetMaterial("dielectric", [0.3, 0.2, 0.1], [0.15, 0.08, 0.05], 0.25),
+        "`dielectric`, gold": AssetMaterial("dielectric", [0.0] * 3, [0.9, 0.7, 0.3], 0.2),
+        "half gold, half plastic": AssetMaterial(
+            "dielectric", (1 - half) * 0.5 * np.ones(3), half * [0.86, 0.66, 0.26] + 0.04, 0.2
+        ),
+    }  # fmt: skip
+    rows = []
+    for name, material in materials_by_name.items():
+        found = [materials.to_gltf(material, p).residual for p in ("khr", "blender", "metalrough", "unity-legacy")]
+        found += [materials.to_usd_metallic(material).residual, materials.to_specular_workflow(material).residual]
+        rows.append(f"| {name} | " + " | ".join(f"{x:.3f}" for x in found) + " |")
+    return rows
+
+
+def test_the_formats_page_states_the_schema_and_the_residuals() -> None:
+    text = FORMATS_PAGE.read_text(encoding="utf-8")
+    shown = text.split("<!-- schema -->")[1].split("<!-- /schema -->")[0].strip()
+    assert shown == "```json\n" + (PACKAGE / "scene.schema.json").read_text(encoding="utf-8").strip() + "\n```"
+    table = text.split("<!-- residuals -->")[1].split("<!-- /residuals -->")[0].strip().splitlines()
+    assert table[2:] == formats_rows(), "\n".join(formats_rows())
 
 
 def test_every_module_of_the_readme_exists() -> None:

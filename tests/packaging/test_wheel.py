@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 import venv
@@ -75,3 +76,13 @@ def test_a_saved_scene_is_exported(programs: Path, tmp_path: Path) -> None:
     said(programs / "hir", "export", tmp_path / "scene", *formats, "-o", tmp_path / "out", folder=tmp_path)
     assert {file.suffix for file in (tmp_path / "out").iterdir()} >= {".glb", ".usdz", ".obj", ".hdr"}
     assert (tmp_path / "out" / "flag.glb").read_bytes()[:4] == b"glTF"
+
+
+def test_the_ten_lines_of_the_readme(programs: Path, tmp_path: Path) -> None:
+    """What `pip install` alone gives is enough for them."""
+    text = (ROOT / "exporters" / "README.md").read_text(encoding="utf-8")
+    [block] = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    said(programs / "python", "-c", block, folder=tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["tile.glb", "tile.hdr", "tile.usdz", "tile_lit.usda"]
+    code = "import sys, hir_exporters.gltf.exporter, hir_exporters.usd.exporter; print('torch' in sys.modules)"
+    assert said(programs / "python", "-c", code, folder=tmp_path) == "False\n"
