@@ -1,11 +1,10 @@
-"""The geometry stage on real captures: `python -m benchmarks.geometry_fit CAPTURE… [--start sphere|hull]`, a Markdown
-table.
+"""The geometry stage on real captures: `python -m benchmarks.geometry_fit CAPTURE… [--start sphere|hull]`, Markdown.
 
-The start is a sphere or a visual hull of voxels four pixels wide. The fit sees the train split alone; IoU (coverage
-and mask
-thresholded at one half), the outline's mean signed offset (difference of areas over the mask's outline) and the Chamfer
-distance (mean of both directions, in radii, between 100,000 points on each surface) are measured on the test split
-and the capture's true mesh. Seconds are CPU seconds of the stage, with as many threads as OMP_NUM_THREADS allows.
+The start is a sphere or a visual hull of voxels four pixels wide. The fit sees the train split alone. Measured on the
+test split and the capture's true mesh or pictures: IoU (coverage and mask thresholded at one half), the outline's mean
+signed offset (difference of areas over the mask's outline), Chamfer distance (mean of both directions, in radii,
+between 100,000 points on each surface), median angle of the normals and mean error of depth. Seconds are CPU seconds of
+the stage, with as many threads as OMP_NUM_THREADS allows.
 """
 
 from __future__ import annotations
@@ -20,6 +19,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from benchmarks.true_pictures import PictureErrors, picture_errors
 from hir_core.capture import Capture
 from hir_core.config import load_config
 from hir_core.context import StageContext
@@ -40,6 +40,7 @@ class Figures:
     iou: float
     offset_px: float
     chamfer: float | None
+    pictures: PictureErrors | None
 
 
 def silhouette_figures(mesh: Mesh, test: Capture) -> tuple[float, float]:
@@ -91,7 +92,13 @@ def start_mesh(kind: str, capture: Capture, plugins: PluginManager, workspace: P
 
 def figures(mesh: Mesh, test: Capture, true: tuple[NDArray[np.float64], NDArray[np.int64]] | None) -> Figures:
     """All of them."""
-    return Figures(*silhouette_figures(mesh, test), None if true is None else chamfer(mesh, true))
+    distance = None if true is None else chamfer(mesh, true)
+    return Figures(*silhouette_figures(mesh, test), distance, picture_errors(mesh, test))
+
+
+def pair(before: float | None, after: float | None, form: str) -> str:
+    """A cell of the table."""
+    return "–" if before is None or after is None else f"{before:{form}} → {after:{form}}"
 
 
 def main() -> None:
@@ -103,8 +110,9 @@ def main() -> None:
     options = parser.parse_args()
     plugins = PluginManager.discover()
     settings = load_config(plugins, preset=options.preset, assignments=options.assignments).geometry
-    print("| capture | start | CPU s | IoU test | offset, px | Chamfer | triangles | genus | self-intersecting |")
-    print("|---|---|---|---|---|---|---|---|---|", flush=True)
+    titles = ["capture", "start", "CPU s", "IoU test", "offset, px", "Chamfer", "normals, °", "depth", "triangles",
+              "genus", "self-intersecting"]  # fmt: skip
+    print(f"| {' | '.join(titles)} |\n|{'---|' * len(titles)}", flush=True)
     for path in options.captures:
         train, test = (read_capture(path, split, plugins) for split in ("train", "test"))
         true = true_mesh(path / "reference.obj", test)
@@ -116,13 +124,15 @@ def main() -> None:
             seconds = time.process_time() - clock
         before, after = figures(scene.mesh, test, true), figures(fitted.mesh, test, true)
         state = inspect_mesh(fitted.mesh.positions.double().numpy(), fitted.mesh.faces.numpy())
-        distance = "–" if after.chamfer is None else f"{before.chamfer:.4f} → {after.chamfer:.4f}"
-        print(
-            f"| {path.name} | {options.start} | {seconds:.0f} | {before.iou:.4f} → {after.iou:.4f} "
-            f"| {before.offset_px:+.3f} → {after.offset_px:+.3f} | {distance} | {state.triangles} | {state.genus} "
-            f"| {state.self_intersecting} |",
-            flush=True,
-        )
+        old, new = before.pictures, after.pictures
+        cells = [
+            path.name, options.start, f"{seconds:.0f}", pair(before.iou, after.iou, ".4f"),
+            pair(before.offset_px, after.offset_px, "+.3f"), pair(before.chamfer, after.chamfer, ".4f"),
+            pair(old.normal_degrees if old else None, new.normal_degrees if new else None, ".1f"),
+            pair(old.depth if old else None, new.depth if new else None, ".4f"),
+            str(state.triangles), str(state.genus), str(state.self_intersecting),
+        ]  # fmt: skip
+        print(f"| {' | '.join(cells)} |", flush=True)
 
 
 if __name__ == "__main__":
