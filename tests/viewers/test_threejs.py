@@ -9,6 +9,7 @@ import pytest
 from hir_exporters.configs import GltfConfig
 from hir_exporters.formats import create_exporter
 from parity.browser import module_folder
+from parity.costs import rows
 from parity.engines import in_browser
 
 from hir_core.manager import PluginManager
@@ -87,3 +88,9 @@ def test_draco_looks_the_same(chromium: list[str], tmp_path: Path) -> None:
         [pictures[compression]] = in_browser("three.html", file, light, [orbit_cameras(6, 25.0, 256)[0]])
     assert error(pictures["none"], pictures["none"][:, ::-1]) > 0.02
     assert error(pictures["none"], pictures["draco"]) < 1 / 255
+
+
+def test_the_page_states_what_the_formula_costs(shared: Path) -> None:
+    text = (Path(__file__).resolve().parents[2] / "docs" / "engines" / "threejs.md").read_text(encoding="utf-8")
+    table = text.split("<!-- costs -->")[1].split("<!-- /costs -->")[0].strip().splitlines()
+    assert table[2:] == rows(shared / "envmaps" / "studio.hdr")

@@ -1,0 +1,60 @@
+"""What three.js' published formula costs on the metal object, part by part: `python -m parity.costs`.
+
+Points of the surface from four sides, directions and light are those of our own model (`hir_exporters.surface_points`),
+so that each row differs from it in nothing but what it names. PSNR in dB, sRGB.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+from hir_exporters.brdf_slice import model_brdf
+from hir_exporters.conventions import linear_to_srgb
+from hir_exporters.engine_shaders import Texels, three
+from hir_exporters.materials import MetallicSurface, to_gltf
+from hir_exporters.surface_points import surface_points
+from hir_exporters.texture_maps import sample_texels
+from numpy.typing import NDArray
+
+from parity.scenes import metal_egg
+
+Array = NDArray[np.float64]
+
+
+def rows(light: Path) -> list[str]:
+    """Lines of the table in docs/engines/threejs.md."""
+    asset = metal_egg(light).asset
+    surface, points = to_gltf(asset.material, "khr"), surface_points(asset)
+    assert isinstance(surface, MetallicSurface)
+    texels = Texels(points, surface, None)
+    specular = sample_texels(asset.material.specular_albedo, True, points.places)
+    wanted = _encoded(points.shade(model_brdf(points.slices, "dielectric", 0 * specular, specular)))
+
+    f0, schlick = texels.base, points.slices.schlick[..., None]
+    a, b = points.lobe_terms()
+    correlated = points.shade(
+        (f0[:, None, None] + (1 - f0[:, None, None]) * schlick) * points.correlated_lobe[..., None]
+    )
+    single, lost, mean = f0 * a + b, 1 - (a + b), f0 + (1 - f0) / 21
+    returned = single * mean / (1 - lost * mean) * lost * points.irradiance_over_pi()
+    bend = texels.roughness**4
+    toward = (1 - bend) * points.reflected + bend * points.normals
+    toward /= np.linalg.norm(toward, axis=-1, keepdims=True)
+    prefiltered = points.prefiltered(toward, texels.roughness[:, 0] ** 2) * single
+    pictures = {
+        "height-correlated G": correlated,
+        "the same, and light that bounces inside the lobe": correlated + returned,
+        "height-correlated G, light prefiltered for n = v = r": prefiltered,
+        "all of it": three(points, texels),
+    }
+    return [f"| {name} | {-10 * np.log10(np.mean((_encoded(p) - wanted) ** 2)):.1f} |" for name, p in pictures.items()]
+
+
+def _encoded(linear: Array) -> Array:
+    return np.asarray(linear_to_srgb(np.clip(linear, 0, 1)), np.float64)
+
+
+if __name__ == "__main__":
+    print("\n".join(rows(Path(os.environ["HIR_SHARED"]) / "envmaps" / "studio.hdr")))
