@@ -95,6 +95,8 @@ def tell(folder: Path, captures: int = 12, say: Callable[[str], None] = print) -
         story.refused = store.refused
         story.manifest = json.loads(_fetch("tonight/batch.json"))
         story.page = _fetch("tonight/batch.html").decode()
+        (folder / "batch.html").write_text(story.page, encoding="utf-8")
+        (folder / "events.json").write_text(json.dumps([story.first, story.second, story.third]), encoding="utf-8")
         story.log = _fetch(f"tonight/.batch/logs/{shelf[-1].name}.log").decode()
         _compare(shelf[:-1], folder, story)
     say(summary(story))

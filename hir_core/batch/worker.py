@@ -52,6 +52,7 @@ class Worker:
         self.stored = 0
         self.lines: list[str] = []
         self._tell, self._told = tell, 0.0
+        self._staged = ""
         self._clock = time.perf_counter()
 
     def work(self) -> Outcome:
@@ -63,6 +64,7 @@ class Worker:
         destination = Destination(Place(job.destination))
         with desk(Path(job.cache) if job.cache else default_cache(), job.destination, job.name) as place:
             capture, self.content = place.stage(Place(job.source), job.content)
+            self._staged = str(capture)
             if job.finished == (self.content, job.settings) and storage.exists(
                 destination.result(job.name) / "run.json"
             ):
@@ -89,6 +91,9 @@ class Worker:
         """The outcome, with all that was measured and said on the way."""
         self.lines += [reason, *trace.splitlines()] if reason else []
         where = f"{platform.node()} {os.getpid()} {self.group.name}"
+        if self._staged:  # the user knows the capture's own address, and the staged copy goes
+            reason = reason.replace(self._staged, self.job.source)
+            self.lines = [line.replace(self._staged, self.job.source) for line in self.lines]
         lines = tuple(f"[{where}] {line}" for line in self.lines)
         seconds = {name: round(value, 3) for name, value in self.seconds.items()}
         return Outcome(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import signal
 import sys
 import time
@@ -92,8 +93,12 @@ def batch_command(
     before = signal.signal(signal.SIGTERM, _interrupt)  # clusters end jobs so
     out = sys.stdout
     try:
-        # libraries that print must not print between the events
-        with BatchTable(quiet=quiet or as_json) as table, contextlib.redirect_stdout(sys.stderr):
+        # Ray prints pages about a worker that died; what it means for the batch is said in a sentence
+        with (
+            BatchTable(quiet=quiet or as_json) as table,
+            open(os.devnull, "w") as nowhere,
+            contextlib.redirect_stdout(sys.stderr if verbose else nowhere),
+        ):
             told = partial(print_event, out) if as_json else table.event
             batch = Batch(words, destination, options, told, table.update)
             chains = batch.run()

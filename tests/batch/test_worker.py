@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -78,12 +77,13 @@ def test_chain_on_a_store_makes_what_a_single_run_makes(
 
 
 def test_broken_capture_is_one_sentence_and_a_log(tiny: Path, config: RunConfig, memory: Place, tmp_path: Path) -> None:
-    broken = tmp_path / "broken"
-    shutil.copytree(tiny, broken)
-    photograph = next((broken / "train").iterdir())
-    photograph.write_bytes(photograph.read_bytes()[:300])
-    outcome = run(job_for(broken, memory / "out", config, tmp_path / "node"))
-    assert outcome.state == "failed" and photograph.name in outcome.reason and "\n" not in outcome.reason
+    source = memory / "shelf" / "broken"
+    storage.upload({file.relative_to(tiny).as_posix(): file for file in tiny.rglob("*") if file.is_file()}, source)
+    photograph = min((tiny / "train").iterdir())
+    storage.write(source / "train" / photograph.name, photograph.read_bytes()[:300])
+    outcome = run(job_for(source, memory / "out", config, tmp_path / "node"))
+    assert outcome.state == "failed" and "\n" not in outcome.reason
+    assert outcome.reason.startswith(f"{source}/train/{photograph.name} "), "not the staged copy's path"
     assert any("Traceback" in line for line in outcome.lines)
     assert storage.files(memory / "out" / "broken") == {} and Destination(memory / "out").record("broken") == {}
 
