@@ -19,6 +19,7 @@ import sys
 import time
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -30,7 +31,7 @@ from hir_core.scene_store import load_stage_scene
 from hir_plugins.regularizers.bilateral_cells import bilateral_deviation, cells_of, cubes_of
 from hir_plugins.regularizers.bilateral_pairs import deviation_of_pairs, weight_error
 from hir_plugins.regularizers.material_options import BilateralSpecularOptions
-from hir_plugins.regularizers.places import places_of
+from hir_plugins.regularizers.places import Places, places_of
 
 DEFAULTS = BilateralSpecularOptions()
 MOST_PAIRS = 25_000
@@ -147,8 +148,9 @@ def sigma(avocado: Path, spot: Path, count: int = 20_000) -> None:
         guide = diffuse + 0.03 * torch.randn(diffuse.shape, generator=generator)
         diagonal = (positions.amax(0) - positions.amin(0)).norm()
         widths = (0.025, 0.05, 0.1, 0.2, 0.4)
-        print(f"\n{name}: {len(positions)} places; noise of ρs 0.02, of ρd 0.03; spread of the true ρs "
-              f"{float(specular.std()):.3f}\n\n| σ1 \\ σ2 | {' | '.join(map(str, widths))} |\n|{'---|' * 6}")  # fmt: skip
+        spread = float(specular.std())
+        print(f"\n{name}: {len(positions)} places; noise of ρs 0.02, of ρd 0.03; spread of the true ρs {spread:.3f}\n")
+        print(f"| σ1 \\ σ2 | {' | '.join(map(str, widths))} |\n|{'---|' * 6}")
         for near in (0.01, 0.02, 0.03, 0.04, 0.06):
             cubes = cubes_of(positions / (near * diagonal), 3.0, 0.75)
             left = []
@@ -159,7 +161,7 @@ def sigma(avocado: Path, spot: Path, count: int = 20_000) -> None:
 
 
 def _true_avocado(path: Path, count: int) -> tuple[Tensor, Tensor, Tensor]:
-    mesh = trimesh.load(path, force="mesh", process=False)
+    mesh: Any = trimesh.load(path, force="mesh", process=False)
     material = mesh.visual.material
     color = _linear(np.asarray(material.baseColorTexture.convert("RGB"), dtype=np.float32) / 255)
     metal = torch.from_numpy(
@@ -173,7 +175,7 @@ def _true_avocado(path: Path, count: int) -> tuple[Tensor, Tensor, Tensor]:
 def _true_spot(path: Path, count: int) -> tuple[Tensor, Tensor, Tensor]:
     from PIL import Image
 
-    mesh = trimesh.load(path, force="mesh", process=False)
+    mesh: Any = trimesh.load(path, force="mesh", process=False)
     picture = Image.open(path.with_name("spot_texture.png")).convert("RGB")
     places = _texels(mesh, count)
     diffuse = places.values(_linear(np.asarray(picture, dtype=np.float32) / 255))
@@ -181,7 +183,7 @@ def _true_spot(path: Path, count: int) -> tuple[Tensor, Tensor, Tensor]:
     return places.positions, diffuse, 0.04 + 0.08 * dark.expand(-1, 3)
 
 
-def _texels(mesh: trimesh.Trimesh, count: int):  # type: ignore[no-untyped-def]  # noqa: ANN202
+def _texels(mesh: Any, count: int) -> Places:
     faces = torch.from_numpy(np.asarray(mesh.faces, dtype=np.int64))
     uv = np.asarray(mesh.visual.uv, dtype=np.float32) * [1, -1] + [0, 1]
     ours = Mesh(torch.from_numpy(np.asarray(mesh.vertices, dtype=np.float32)), Topology(faces, faces),

@@ -38,27 +38,39 @@ from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGG
 Terms = Mapping[str, Mapping[str, Any]]
 TERMS: Mapping[str, Terms] = {
     "none": {},
+    "total_variation, 1": {"total_variation": {"weight": 1.0}},
     "total_variation, 10": {"total_variation": {"weight": 10.0}},
-    "total_variation, 100": {"total_variation": {"weight": 100.0}},
-    "bilateral_specular over texels, 1": {"bilateral_specular": {"weight": 1.0, "places": "texels"}},
+    "joint_bilateral, 1e3": {"joint_bilateral": {"weight": 1e3}},
     "joint_bilateral, 1e4": {"joint_bilateral": {"weight": 1e4}},
-    "joint_bilateral, 1e5": {"joint_bilateral": {"weight": 1e5}},
+    "bilateral_specular, 0.02": {"bilateral_specular": {"weight": 0.02, "places": "texels"}},
     "albedo_scale, 1e5": {"albedo_scale": {"weight": 1e5}},
 }
 PIXELS = 60_000
 
 
-def study(run: Path, rung: Rung, settings: ReflectanceSettings, downsample: int, names: list[str]) -> None:
+def study(
+    run: Path,
+    rung: Rung,
+    settings: ReflectanceSettings,
+    downsample: int,
+    names: list[str],
+    views: int,
+    keep: Path | None,
+) -> None:
     """One table for the mesh of one run."""
     capture, train, test = captures_of(run)
+    train = train[:: max(1, round(len(train) / views))] if views else train
     plugins = PluginManager.discover()
     scene = starting_scene(load_stage_scene(run / "stages" / "3-atlas" / "scene"), capture, settings)
     solver = TransportGGX(TransportGGXOptions()).prepare(scene, capture, downsample)
+    if keep is not None:
+        solver.keep(keep / f"{run.name}-{rung.name}-{len(train)}", 30.0)
     first = solver.fit(Rung(), None, train, 0.4, lambda share: None)
     fit = solver.fit(rung, first, train, 1.0, lambda share: None)
     fitted, _ = solver.scene(fit, train, lambda share: None)
     pixels, train_part, test_part = (object_pixels(capture, v, downsample, "cpu") for v in (train, train, test))
-    print(f"\n{run.name}, {rung.name}, {settings.iterations} steps of rate {settings.learning_rate}\n")
+    print(f"\n{run.name}, {len(train)} photographs, {rung.name}, {settings.iterations} steps "
+          f"of {settings.batch_pixels} pixels, rate {settings.learning_rate}\n")  # fmt: skip
     print("| terms | unseen dB | gain | train dB | mean ρd | seconds |\n|---|---|---|---|---|---|")
     base = decibels(solver, fitted, test_part)
     row("no gradient steps", base, base, decibels(solver, fitted, train_part), fitted, 0.0)
@@ -130,15 +142,19 @@ def main() -> None:
     parser.add_argument("--specular", choices=["uniform", "map"], default="uniform")
     parser.add_argument("--roughness", choices=["uniform", "map"], default="uniform")
     parser.add_argument("--bounces", type=int, default=0)
-    parser.add_argument("--iterations", type=int, default=300)
-    parser.add_argument("--rate", type=float, default=0.02)
+    parser.add_argument("--iterations", type=int, default=80)
+    parser.add_argument("--rate", type=float, default=0.005)
     parser.add_argument("--downsample", type=int, default=1)
+    parser.add_argument("--views", type=int, default=0, help="so many photographs of the train split; 0: all")
+    parser.add_argument("--keep", type=Path, help="a folder for the fits, which a second call reads again")
     parser.add_argument("--terms", nargs="+", default=list(TERMS))
     given = parser.parse_args()
     rung = Rung("dielectric", given.specular, given.roughness, bounces=given.bounces)
-    settings = ReflectanceSettings(iterations=given.iterations, learning_rate=given.rate, learning_rate_end=0.05)
+    settings = ReflectanceSettings(
+        iterations=given.iterations, learning_rate=given.rate, learning_rate_end=0.05, batch_pixels=8192
+    )
     for run in given.runs:
-        study(run, rung, settings, given.downsample, given.terms)
+        study(run, rung, settings, given.downsample, given.terms, given.views, given.keep)
 
 
 if __name__ == "__main__":

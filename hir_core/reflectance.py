@@ -22,6 +22,7 @@ from hir_core.energy_guard import conserving
 from hir_core.errors import ConfigError, StageError
 from hir_core.interfaces import PreparedReflectance, ReflectanceRenderer, ReflectanceSolver
 from hir_core.photometric import fit_by_gradient, object_pixels
+from hir_core.polish import polished
 from hir_core.progress import Progress
 from hir_core.scene import EnvironmentMap, Material, Scene
 from hir_core.selection import Rung, climb, default_rung, forced_rung
@@ -62,11 +63,14 @@ def starting_scene(scene: Scene, capture: Capture, settings: ReflectanceSettings
     specular: Tensor = torch.full((3,), settings.specular_start, device=device)
     if settings.method == "gradient" and rung.specular == "map" and diffuse.ndim == 3:
         specular = specular.expand(diffuse.shape[0], diffuse.shape[1], 3).contiguous()
+    roughness = torch.full((1,), settings.roughness_start, device=device)
+    if settings.method == "gradient" and rung.roughness == "map" and diffuse.ndim == 3:
+        roughness = roughness.expand(diffuse.shape[0], diffuse.shape[1], 1).contiguous()
     material = Material(
         model="dielectric" if rung.brdf == "diffuse" else rung.brdf,
         diffuse_albedo=diffuse if settings.method != "gradient" else torch.full_like(diffuse, settings.diffuse_start),
         specular_albedo=specular,
-        roughness=torch.full((1,), settings.roughness_start, device=device),
+        roughness=roughness,
     )
     size = (settings.environment_height, settings.environment_width)
     if settings.known_environment:
@@ -114,6 +118,9 @@ def _by_solver(
     report: dict[str, Any] = {"rung": rung.name, "bounces": rung.bounces, "light_frame": rung.light_frame,
                               "ladder": [step.row() for step in steps], **facts}
     energies = prepare_energies(fitted, settings.regularizers, context)
+    if energies and not settings.iterations:
+        context.warn(f"the regularizers {', '.join(energies.terms)} act in gradient steps after the solver, and "
+                     "reflectance.iterations is 0: they have no effect")
     if energies and settings.iterations:
         pixels = object_pixels(capture, everything, settings.downsample, str(scene.mesh.positions.device))
         fitted, refined = fit_by_gradient(
@@ -121,6 +128,8 @@ def _by_solver(
             fit_light=not settings.known_environment, fit_specular=rung.brdf != "diffuse",
         )
         report["refinement"] = refined
+    if settings.polish_iterations:
+        fitted, report["polish"] = polished(fitted, capture, settings, energies, context)
     return fitted, report | _light_report(fitted)
 
 

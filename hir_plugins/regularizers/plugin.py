@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 from hir_core.plugin import Component, NoOptions, hookimpl
-from hir_plugins.regularizers.material_options import BilateralSpecularOptions, TotalVariationOptions
+from hir_plugins.regularizers.material_options import (
+    AlbedoScaleOptions,
+    BilateralSpecularOptions,
+    JointBilateralOptions,
+    TotalVariationOptions,
+)
 from hir_plugins.regularizers.mesh_options import EdgeLengthOptions, LaplacianOptions
 
 LAPLACIAN = Component(
@@ -46,8 +51,30 @@ BILATERAL_SPECULAR = Component(
     summary="Gives places that are near and of like diffuse colour like specular albedo (the paper's term).",
     requires=("torch", "jaxtyping"),
     extra="reconstruct",
-    traits=frozenset({"differentiable", "material"}),
+    traits=frozenset({"differentiable", "scale_invariant", "material"}),
     testing="hir_plugins.regularizers.ideals:constant_specular",
+)
+
+JOINT_BILATERAL = Component(
+    name="joint_bilateral",
+    target="hir_plugins.regularizers.joint_bilateral:JointBilateral",
+    config=JointBilateralOptions,
+    summary="Pulls places together that are near and alike in all maps; keeps the edges of each.",
+    requires=("torch", "jaxtyping"),
+    extra="reconstruct",
+    traits=frozenset({"differentiable", "scale_invariant", "material"}),
+    testing="hir_plugins.regularizers.ideals:constant_textures",
+)
+
+ALBEDO_SCALE = Component(
+    name="albedo_scale",
+    target="hir_plugins.regularizers.albedo_scale:AlbedoScale",
+    config=AlbedoScaleOptions,
+    summary="Holds the mean diffuse albedo where it was at the start.",
+    requires=("torch", "jaxtyping"),
+    extra="reconstruct",
+    traits=frozenset({"differentiable", "rigid_invariant", "scale_invariant", "material"}),
+    testing="hir_plugins.regularizers.ideals:constant_textures",
 )
 
 TOTAL_VARIATION = Component(
@@ -57,7 +84,7 @@ TOTAL_VARIATION = Component(
     summary="Keeps textures, and the light if asked, piecewise flat.",
     requires=("torch", "jaxtyping"),
     extra="reconstruct",
-    traits=frozenset({"differentiable", "material", "environment"}),
+    traits=frozenset({"differentiable", "rigid_invariant", "scale_invariant", "material", "environment"}),
     testing="hir_plugins.regularizers.ideals:constant_textures",
 )
 
@@ -69,5 +96,7 @@ def hir_register_regularizers() -> list[Component]:
         NORMAL_CONSISTENCY,
         EDGE_LENGTH,
         BILATERAL_SPECULAR,
+        JOINT_BILATERAL,
+        ALBEDO_SCALE,
         TOTAL_VARIATION,
     ]

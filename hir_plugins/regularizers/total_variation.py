@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import math
+import warnings
+from collections.abc import Callable
 from typing import TYPE_CHECKING, final
 
 import torch
@@ -12,9 +14,11 @@ from torch import Tensor
 
 from hir_core.errors import StageError
 from hir_core.interfaces import Regularizer
-from hir_core.scene import Scene
+from hir_core.scene import Mesh, Scene, Texture
 from hir_core.texels import texel_surface
 from hir_plugins.regularizers.material_options import TotalVariationOptions
+from hir_plugins.regularizers.mesh_variation import mesh_variation
+from hir_plugins.regularizers.places import places_of
 
 if TYPE_CHECKING:
     from hir_core.interfaces import Energy
@@ -28,7 +32,8 @@ class TotalVariation(Regularizer):
 
     Textures: length in the unit square of the borders between covered texels times the step across; charts do not
     touch each other. Light: the same with lengths on the unit sphere. Refining a map without changing it changes
-    nothing. Constants cost nothing.
+    nothing. Constants cost nothing. With `places = "vertices"` a texture is taken as its values at the vertices, linear
+    between them: `mesh_variation`.
     """
 
     def __init__(self, config: TotalVariationOptions) -> None:
@@ -44,6 +49,9 @@ class TotalVariation(Regularizer):
             if weight and texture.ndim == 3 and tuple(texture.shape[:2]) not in covered:
                 size = (texture.shape[0], texture.shape[1])
                 covered[size] = texel_surface(scene.mesh, size).covered
+        if not covered and not self._config.environment:
+            warnings.warn("regularizer total_variation has no effect: no map that it weighs is a texture", stacklevel=2)
+        at_vertices = self._at_vertices(scene.mesh, bool(covered)) if self._config.places == "vertices" else None
         sky = self._config.environment
 
         def energy(scene: Scene) -> Float[Tensor, ""]:
@@ -52,12 +60,23 @@ class TotalVariation(Regularizer):
             for name, weight in weights.items():
                 texture = getattr(scene.material, name)
                 if weight and texture.ndim == 3:
-                    total = total + weight * texture_variation(texture, covered[tuple(texture.shape[:2])])
+                    known = covered[tuple(texture.shape[:2])]
+                    found = at_vertices(texture) if at_vertices else texture_variation(texture, known)
+                    total = total + weight * found
             if sky and scene.environment is not None:
                 total = total + sky * environment_variation(scene.environment.radiance)
             return total
 
         return energy
+
+    @staticmethod
+    def _at_vertices(mesh: Mesh, textured: bool) -> Callable[[Texture], Float[Tensor, ""]] | None:
+        if not textured:
+            return None
+        places = places_of(mesh, "vertices", (1, 1))
+        used, faces = torch.unique(mesh.faces, return_inverse=True)
+        positions = mesh.positions.detach()[used]
+        return lambda texture: mesh_variation(positions, faces, places.values(texture))
 
 
 def texture_variation(texture: Float[Tensor, "H W C"], covered: Bool[Tensor, "H W"]) -> Float[Tensor, ""]:
