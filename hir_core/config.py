@@ -113,6 +113,12 @@ class ReflectanceSettings:
     """Whether the light stands in the world or is carried by the camera (turntable, flash)."""
     conserve_energy: bool = True
     """No texel gives back more light than it gets: ρd + ρs ≤ 1 in the `paper` model, each ≤ 1 in `dielectric`."""
+    polish_iterations: int = 0
+    """Steps of path tracing that end the stage, kept where held-out views gain; 0 for none."""
+    polish_renderer: str = "mitsuba_ggx"
+    """Renderer of these steps."""
+    polish_rate: float = 0.003
+    """Learning rate of these steps, falling to a tenth."""
     known_environment: str = ""
     """A lat-long file that is the light, in the capture's axes, `FILE` or `FILE*STRENGTH`; it is then not fitted."""
     enabled: bool = True

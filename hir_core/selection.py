@@ -30,6 +30,8 @@ FIRST_EFFORT = 0.4
 EFFORT = 0.5
 """Share of a full fit that each candidate and its control get."""
 HOLD_OUT_EVERY = 8
+FEWEST_HELD_OUT = 3
+"""One view alone has no standard error, so that no rung above the first could ever stay."""
 FEWEST_VIEWS = 6
 """With fewer views none can be spared: the ladder is not climbed and the default rung is fitted."""
 
@@ -94,8 +96,7 @@ def climb(
     views and on as many of those it was fitted to. A rung named in the settings is fitted without a vote.
     """
     every = list(range(views))
-    held_out = every[HOLD_OUT_EVERY // 2 :: HOLD_OUT_EVERY] if views >= FEWEST_VIEWS else []
-    training = [v for v in every if v not in held_out]
+    training, held_out = split_views(views)
     forced = forced_rung(settings)
     if forced is not None or not held_out:
         rung = forced or default_rung(settings)
@@ -177,6 +178,18 @@ class _Ladder:
     ) -> None:
         level = float(np.mean(decibels(errors)))
         self.steps.append(Step(rung, level, gain, noise, kept, time.perf_counter() - began))
+
+
+def split_views(views: int) -> tuple[list[int], list[int]]:
+    """Numbers of the views that are fitted while models are chosen, and of those held out: none where too few."""
+    every = list(range(views))
+    if views < FEWEST_VIEWS:
+        held_out = []
+    elif views < FEWEST_HELD_OUT * HOLD_OUT_EVERY:
+        held_out = [int((i + 0.5) * views / FEWEST_HELD_OUT) for i in range(FEWEST_HELD_OUT)]
+    else:
+        held_out = every[HOLD_OUT_EVERY // 2 :: HOLD_OUT_EVERY]
+    return [v for v in every if v not in held_out], held_out
 
 
 def compare(before: NDArray[np.float64], after: NDArray[np.float64]) -> tuple[float, float]:

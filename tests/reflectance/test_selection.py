@@ -12,7 +12,7 @@ import pytest
 from hir_core.config import ReflectanceSettings
 from hir_core.errors import ConfigError
 from hir_core.interfaces import ReflectanceSolver
-from hir_core.selection import HOLD_OUT_EVERY, Rung, climb, compare, forced_rung
+from hir_core.selection import HOLD_OUT_EVERY, Rung, climb, compare, forced_rung, split_views
 
 
 class Scripted(ReflectanceSolver):
@@ -92,6 +92,16 @@ def test_held_out_views_are_never_fitted() -> None:
     held_out = set(range(24)[HOLD_OUT_EVERY // 2 :: HOLD_OUT_EVERY])
     assert held_out
     assert all(held_out.isdisjoint(views) for _, views in solver.fitted)
+
+
+@pytest.mark.parametrize("views", range(6, 30))
+def test_few_views_can_climb_too(views: int) -> None:
+    """One held-out view alone has no standard error: captures of 6 to 11 photographs stayed diffuse for ever."""
+    training, held_out = split_views(views)
+    assert len(held_out) >= 3 and len(training) >= len(held_out) and sorted(training + held_out) == list(range(views))
+    solver = Scripted(lambda rung: 1e-3 if rung.brdf == "diffuse" else 1e-4)
+    _, rung, _ = climb(solver, ReflectanceSettings(light_frame="world"), views, lambda *_: None)
+    assert rung.brdf != "diffuse"
 
 
 def test_too_few_views_fit_the_default_without_a_vote() -> None:

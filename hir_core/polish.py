@@ -1,0 +1,95 @@
+"""A short run of path tracing from a fast fit, kept only where held-out views gain (DESIGN section 7)."""
+# ruff: noqa: TID253 - part of the heavy side of hir
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from hir_core.capture import Capture
+from hir_core.config import ReflectanceSettings
+from hir_core.energies import Energies
+from hir_core.photometric import ObjectPixels, fit_by_gradient, object_pixels
+from hir_core.scene import Scene
+from hir_core.selection import SIGNIFICANCE, compare, decibels, split_views
+
+if TYPE_CHECKING:
+    from hir_core.context import StageContext
+    from hir_core.interfaces import PreparedReflectance, ReflectanceRenderer
+
+JUDGED_PIXELS = 4096
+"""Pixels of each held-out view that are compared, the same before and after."""
+PASSES = 8
+"""Independent renderings that are averaged for that: the tracer's noise would weigh on both sides."""
+
+
+def polished(
+    scene: Scene, capture: Capture, settings: ReflectanceSettings, energies: Energies, context: StageContext
+) -> tuple[Scene, dict[str, Any]]:
+    """The scene after `polish_iterations` steps through `polish_renderer`, or as it was where views do not gain.
+
+    The steps see the training part of the views alone. The report holds the mean held-out PSNR before and after, the
+    gain and its standard error. Too few views to judge by leave the scene as it was, with a warning.
+    """
+    training, held_out = split_views(len(capture.views))
+    if not held_out:
+        context.warn("too few views to judge a polish by: it was left out")
+        return scene, {"kept": False, "held_out_views": 0}
+    began = time.perf_counter()
+    options = context.options.get("reflectance_renderer", {}).get(settings.polish_renderer, {})
+    renderer: ReflectanceRenderer = context.plugins.create("reflectance_renderer", settings.polish_renderer, options)
+    prepared = renderer.prepare(scene, capture, settings.downsample)
+    device = str(scene.mesh.positions.device)
+    judged = [object_pixels(capture, [view], settings.downsample, device) for view in held_out]
+    before = view_errors(scene, prepared, judged, context.seed)
+    steps = replace(settings, learning_rate=settings.polish_rate, learning_rate_end=0.1, batch="pixels")
+    assert scene.material is not None
+    fitted, _ = fit_by_gradient(
+        scene, prepared, object_pixels(capture, training, settings.downsample, device), steps, energies, context,
+        steps=settings.polish_iterations, fit_light=not settings.known_environment,
+        fit_specular=bool((scene.material.specular_albedo > 0).any()),
+    )  # fmt: skip
+    after = view_errors(fitted, prepared, judged, context.seed)
+    gain, noise = compare(before, after)
+    kept = bool(gain > SIGNIFICANCE * noise)
+    report = {
+        "renderer": settings.polish_renderer, "steps": settings.polish_iterations, "held_out_views": len(held_out),
+        "before_db": round(float(np.mean(decibels(before))), 3), "after_db": round(float(np.mean(decibels(after))), 3),
+        "gain_db": round(gain, 3), "noise_db": round(noise, 3), "kept": kept,
+    }  # fmt: skip
+    if not kept:
+        context.warn(f"path tracing for {time.perf_counter() - began:.0f} s brought held-out views {gain:+.2f} ± "
+                     f"{noise:.2f} dB: the result without it is kept")  # fmt: skip
+    return fitted if kept else scene, report
+
+
+def view_errors(
+    scene: Scene, prepared: PreparedReflectance, views: Sequence[ObjectPixels], seed: int
+) -> NDArray[np.float64]:
+    """Mean squared sRGB error of each view, over pixels drawn from `seed`; a clipped pixel may be brighter."""
+    assert scene.material is not None and scene.environment is not None
+    errors = []
+    for number, pixels in enumerate(views):
+        count = len(pixels.index)
+        chosen = np.random.default_rng((seed, number)).permutation(count)[:JUDGED_PIXELS]
+        rows = torch.from_numpy(np.sort(chosen)).to(pixels.index.device)
+        with torch.no_grad():
+            torch.manual_seed(seed)
+            shown = torch.stack(
+                [prepared.radiance(scene.material, scene.environment, pixels.index[rows]) for _ in range(PASSES)]
+            ).mean(dim=0)
+        difference = _srgb(shown.clamp(0, 1)) - _srgb(pixels.color[rows].clamp(0, 1))
+        difference = torch.where(pixels.saturated[rows] & (difference > 0), torch.zeros_like(difference), difference)
+        errors.append(float(difference.double().square().mean()))
+    return np.array(errors)
+
+
+def _srgb(linear: Tensor) -> Tensor:
+    return torch.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear.clamp_min(0.0031308) ** (1 / 2.4) - 0.055)
