@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import tarfile
 from collections.abc import Iterator
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from hir_core.batch.groups import Group
 from hir_core.errors import InputError
@@ -38,9 +38,15 @@ def pack(run: Path, group: Group) -> bytes:
 
 
 def unpack(content: bytes, run: Path) -> None:
-    """Adds what `pack` packed to the folder of a run; names that lead out of it are an `InputError`."""
+    """Adds what `pack` packed to the folder of a run; links and names that lead out of it are an `InputError`."""
     try:
         with tarfile.open(fileobj=io.BytesIO(content)) as archive:
-            archive.extractall(run, filter="data")
+            for member in archive:
+                place = PurePosixPath(member.name)
+                stream = archive.extractfile(member) if member.isreg() else None
+                if stream is None or place.is_absolute() or ".." in place.parts:
+                    raise InputError(f"stored stages are damaged (they hold {member.name!r}); they are made again")
+                (run / place).parent.mkdir(parents=True, exist_ok=True)
+                (run / place).write_bytes(stream.read())
     except (tarfile.TarError, EOFError) as error:
         raise InputError(f"stored stages are damaged ({error}); they are made again") from error
