@@ -36,7 +36,7 @@ class Listener:
         self._waiting: dict[str, list[np.ndarray]] = {}
         self._last: Progress | None = None
         self._told = 0.0
-        self._started = time.perf_counter()
+        self._started = self._phase_started = time.perf_counter()
         self.seconds: list[tuple[int, float]] = []
         """Pairs of step and seconds since the stage began, one for each block."""
 
@@ -48,8 +48,12 @@ class Listener:
             self._waiting.setdefault(name, []).append(block)
             self._curves.setdefault(name, []).append(block)
             self._steps.setdefault(name, []).append(np.arange(progress.step - len(block) + 1, progress.step + 1))
-        # a stage may count its seconds level by level; what is left follows from those of the whole stage
-        self._last = replace(progress, stage=self._stage, seconds=time.perf_counter() - self._started)
+        # a stage may count its seconds level by level, and begin to count anew: what is left follows from its phase
+        if self._last is not None and (progress.steps != self._last.steps or progress.step < self._last.step):
+            self._phase_started = time.perf_counter() - progress.seconds
+        now = time.perf_counter()
+        spent, phase = now - self._started, now - self._phase_started
+        self._last = replace(progress, stage=self._stage, seconds=spent, phase_seconds=phase)
         now = time.monotonic()
         if now - self._told >= INTERVAL_SECONDS or progress.step >= progress.steps:
             self._tell(now)
@@ -73,7 +77,9 @@ class Listener:
         while not ended.wait(HEARTBEAT_SECONDS):
             if time.monotonic() - self._told >= HEARTBEAT_SECONDS:
                 last = self._last or Progress(self._stage, 0, 1, 0.0)
-                tell(replace(last, seconds=time.perf_counter() - self._started, scalars={}))
+                now = time.perf_counter()
+                spent, phase = now - self._started, now - self._phase_started
+                tell(replace(last, seconds=spent, phase_seconds=phase, scalars={}))
 
     def close(self, seconds: float) -> None:
         """Passes on what still waits, and the end of the stage."""

@@ -18,8 +18,11 @@ class Progress:
     seconds: float
     scalars: Mapping[str, np.ndarray] = field(default_factory=dict)
     message: str = ""
+    phase_seconds: float | None = None
+    """Seconds of the phase that `step` and `steps` count, where a stage has several; None: `seconds`."""
 
     @property
     def seconds_left(self) -> float:
         """Estimate from the steps done so far; 0 before the first."""
-        return self.seconds / self.step * (self.steps - self.step) if self.step else 0.0
+        spent = self.seconds if self.phase_seconds is None else self.phase_seconds
+        return spent / self.step * (self.steps - self.step) if self.step else 0.0

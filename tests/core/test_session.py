@@ -138,3 +138,20 @@ def test_listener_tells_in_blocks_and_keeps_every_scalar(tmp_path: Path) -> None
     steps, values = read_curves(tmp_path / "curves.npz")["loss"]
     np.testing.assert_array_equal(steps, np.arange(1, 1001))
     np.testing.assert_allclose(values, 1 / np.arange(1, 1001))
+
+
+def test_a_second_phase_of_a_stage_has_its_own_time_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    """800 steps of outlines took ten minutes; the third of 300 steps with photographs does not mean a day."""
+    clock = iter([0.0, 600.0, 610.0])
+    monkeypatch.setattr("hir_core.listener.time.perf_counter", lambda: now[0])
+    now = [next(clock)]
+    told: list[Progress] = []
+    listener = Listener("geometry", PluginManager(), told.append)
+    now[0] = next(clock)
+    listener.report(Progress("geometry", 800, 800, 600.0))
+    now[0] = next(clock)
+    listener.report(Progress("geometry", 100, 300, 10.0))
+    listener.close(610.0)
+    assert told[-1].seconds == 610.0 and listener._last is not None
+    assert Progress("x", 100, 300, 610.0, phase_seconds=10.0).seconds_left == pytest.approx(20.0)
+    assert told[-1].phase_seconds == pytest.approx(10.0)
