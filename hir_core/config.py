@@ -179,6 +179,8 @@ def load_config(
     for assignment in assignments:
         assign(assigned, assignment)
     preset = preset or assigned.get("preset") or from_file.get("preset") or RunConfig.preset
+    if not isinstance(preset, str):
+        raise ConfigError(f"preset is {preset!r}; it is the name of a preset, such as {RunConfig.preset!r}")
     settings: dict[str, Any] = read_toml(plugins.preset(preset))
     for layer in (from_file, assigned, {k: v for k, v in overrides.items() if v is not None}):
         settings = merge(settings, layer)

@@ -37,4 +37,7 @@ def read_capture(path: Path, split: str, plugins: PluginManager, reader: str = "
     known = found.splits(path)
     if split not in known:
         raise CaptureError(f"{path} has no split {split!r}; it has: {', '.join(known) or 'none'}")
-    return replace(found.read(path, split), reader=name)
+    try:
+        return replace(found.read(path, split), reader=name)
+    except OSError as error:  # such as a name in a file of cameras that is longer than the system takes
+        raise CaptureError(f"{path} cannot be read as {name}: {error.strerror or error}") from error

@@ -113,7 +113,15 @@ def child(name: str, seconds: float, findings: Path, plain: bool) -> int:
         corpus.mkdir(exist_ok=True)
         for number, seed in enumerate(seeds):
             (corpus / f"seed-{number}").write_bytes(seed)
-        words = [sys.argv[0], str(corpus), "-rss_limit_mb=0", "-verbosity=0", "-close_fd_mask=2", "-max_len=65536"]
+        words = [
+            sys.argv[0],
+            str(corpus),
+            "-rss_limit_mb=0",
+            "-verbosity=0",
+            "-close_fd_mask=2",
+            "-max_len=65536",
+            f"-artifact_prefix={findings}/libfuzzer-",
+        ]
         engine.Setup(words, attack, custom_mutator=changed)
         engine.Fuzz()
     except BaseException:

@@ -231,3 +231,22 @@ def test_settings_name_what_exists_and_import_nothing_by_themselves(tmp_path: Pa
     with pytest.raises(HirError, match="evil:run"):
         load_config(PluginManager.discover(), file=tmp_path / "a.toml")
     assert not (tmp_path / "sprung").exists()
+
+
+def test_what_the_fuzzer_found_stays_mended(tmp_path: Path) -> None:
+    """A preset that is a list, a photograph's name of 5000 letters."""
+    from hir_core.config import load_config
+    from hir_core.manager import PluginManager
+    from hir_core.readers import read_capture
+
+    plugins = PluginManager.discover()
+    for preset in ("preset = []", "preset = {}", "preset = 3"):
+        (tmp_path / "a.toml").write_text(preset)
+        with pytest.raises(HirError):
+            load_config(plugins, file=tmp_path / "a.toml")
+    (tmp_path / "model").mkdir()
+    seeds.colmap_text(tmp_path / "model")
+    images = tmp_path / "model" / "sparse" / "0" / "images.txt"
+    images.write_text(images.read_text().replace("a.png", "a" * 5000 + ".png"))
+    with pytest.raises(HirError):
+        read_capture(tmp_path / "model", "train", plugins)

@@ -1,0 +1,57 @@
+"""Installs hir with the oldest versions that pyproject.toml allows, and runs the tests that need no more than that.
+
+    python tools/lower_bounds.py [FOLDER]
+
+FOLDER gets the virtual environment (by default a temporary one). The base install is tested: reading and writing
+assets, `hir export`, `hir check`, plugins. Exit code 1 where a test fails.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+import tomllib
+import venv
+from pathlib import Path
+
+from packaging.requirements import Requirement
+
+ROOT = Path(__file__).resolve().parent.parent
+TESTS = ["tests/exporters", "tests/core/test_manager.py", "tests/reliability/test_hostile_files.py"]
+TOOLS = ["pytest", "hypothesis", "mpmath", "jsonschema"]
+
+
+def main() -> int:
+    if len(sys.argv) > 1:
+        return tested(Path(sys.argv[1]))
+    with tempfile.TemporaryDirectory() as folder:
+        return tested(Path(folder))
+
+
+def lowest() -> list[str]:
+    """`name==version` of each dependency of the base install, as old as it may be."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    bounds = []
+    for line in project["dependencies"]:
+        requirement = Requirement(line)
+        [version] = [s.version for s in requirement.specifier if s.operator == ">="]
+        bounds.append(f"{requirement.name}=={version}")
+    return bounds
+
+
+def tested(folder: Path) -> int:
+    """Makes the environment and runs the tests; their exit code."""
+    place = folder / "lower-bounds"
+    venv.EnvBuilder(with_pip=True, clear=True).create(place)
+    python = place / "bin" / "python"
+    constraints = folder / "lowest.txt"
+    constraints.write_text("\n".join(lowest()) + "\n")
+    words = ["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--constraint", str(constraints)]
+    subprocess.run([python, *words, str(ROOT), *TOOLS], check=True)
+    print("\n".join(lowest()), flush=True)
+    return subprocess.run([python, "-m", "pytest", "-q", "-p", "no:cacheprovider", *TESTS], cwd=ROOT).returncode
+
+
+if __name__ == "__main__":
+    sys.exit(main())
