@@ -6,7 +6,6 @@ a tuned one (half, 16 paths, rate 2e-2 falling to 2e-3). Each is stopped after g
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -43,6 +42,7 @@ PAPER: Final = Recipe("the paper's recipe in stock Mitsuba", 128, 4, 1e-4, 1e-4,
 TUNED: Final = Recipe("stock Mitsuba, tuned", 256, 16, 2e-2, 2e-3, 1.0, (64, 128))
 SECONDS: Final = (60.0, 120.0)
 TEXTURE: Final = 512
+FITTED: Final = ("base_color.data", "bsdf.roughness.value", "bsdf.specular", "light.data")
 EVALUATED_VIEWS: Final = 4
 EVALUATED_SAMPLES: Final = 64
 
@@ -70,10 +70,9 @@ def fit(scene: Scene, train: Capture, test: Capture, recipe: Recipe, seconds: fl
     mi.set_variant("llvm_ad_rgb")
     mi.set_log_level(mi.LogLevel.Error)
     began = time.perf_counter()
-    stage = _stage(mi, scene, recipe)
+    stage = textured_stage(mi, scene, recipe)
     parameters = mi.traverse(stage)
-    keys = ["object.bsdf.base_color.data", "object.bsdf.roughness.value", "object.bsdf.specular.value", "light.data"]
-    keys = [key for key in keys if key in dict(parameters.properties)]
+    keys = [key for key, _ in parameters if key.endswith(FITTED)]
     optimizer = mi.ad.Adam(lr=recipe.rate)
     for key in keys:
         optimizer[key] = parameters[key]
@@ -91,44 +90,40 @@ def fit(scene: Scene, train: Capture, test: Capture, recipe: Recipe, seconds: fl
         dr.backward(recipe.weight * dr.sum(dr.abs(color - pictures[view]), axis=None))
         optimizer.step()
         for key in keys:
-            optimizer[key] = dr.clip(optimizer[key], 1e-3, 1e3 if key == "light.data" else 1.0)
+            optimizer[key] = dr.clip(optimizer[key], 1e-3, 1e3 if key.endswith("light.data") else 1.0)
         parameters.update(optimizer)
         step += 1
     return _judged(mi, stage, integrator, test, recipe.side), step
 
 
-def _stage(mi: Any, scene: Scene, recipe: Recipe) -> Any:
+def textured_stage(mi: Any, scene: Scene, recipe: Recipe) -> Any:
     """The mesh with a grey texture of its own under a grey panorama."""
-    import trimesh
-
     mesh = scene.mesh
     assert mesh.uvs is not None and mesh.topology.uv_faces is not None
     corners, uv_corners = mesh.faces.numpy().reshape(-1), mesh.topology.uv_faces.numpy().reshape(-1)
     pairs, index = np.unique(np.stack([corners, uv_corners], 1), axis=0, return_inverse=True)
-    uv = mesh.uvs.numpy()[pairs[:, 1]] * [1, -1] + [0, 1]
-    visual = trimesh.visual.TextureVisuals(uv=uv)
-    split = trimesh.Trimesh(
-        mesh.positions.numpy()[pairs[:, 0]], index.reshape(-1, 3), vertex_normals=mesh.normals.numpy()[pairs[:, 0]],
-        visual=visual, process=False,
-    )  # fmt: skip
     rows, columns = recipe.light
     grey = mi.Bitmap(np.full((TEXTURE, TEXTURE, 3), 0.5, np.float32))
     light = mi.Bitmap(np.full((rows, columns, 3), 0.5, np.float32))
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "mesh.ply"
-        # trimesh writes a PLY's texture coordinates as s and t, which Mitsuba reads
-        file.write_bytes(trimesh.exchange.ply.export_ply(split, vertex_normal=True, include_attributes=False))
-        return mi.load_dict({
-            "type": "scene",
-            "object": {
-                "type": "ply", "filename": str(file),
-                "bsdf": {
-                    "type": "principled", "specular": 0.5, "roughness": 0.3,
-                    "base_color": {"type": "bitmap", "bitmap": grey, "raw": True},
-                },
-            },
-            "light": {"type": "envmap", "bitmap": light},
-        })  # fmt: skip
+    surface = mi.Properties()
+    surface["bsdf"] = mi.load_dict({
+        "type": "principled", "specular": 0.5, "roughness": 0.3,
+        "base_color": {"type": "bitmap", "bitmap": grey, "raw": True},
+    })  # fmt: skip
+    shape = mi.Mesh(
+        "object", len(pairs), len(mesh.faces), has_vertex_normals=True, has_vertex_texcoords=True, props=surface
+    )
+    arrays = {
+        "vertex_positions": mesh.positions.numpy()[pairs[:, 0]],
+        "vertex_normals": mesh.normals.numpy()[pairs[:, 0]],
+        "vertex_texcoords": mesh.uvs.numpy()[pairs[:, 1]],
+        "faces": index.astype(np.uint32),
+    }
+    parameters = mi.traverse(shape)
+    for name, values in arrays.items():
+        parameters[name] = np.ascontiguousarray(values, np.uint32 if name == "faces" else np.float32).ravel()
+    parameters.update()
+    return mi.load_dict({"type": "scene", "object": shape, "light": {"type": "envmap", "bitmap": light}})
 
 
 def _photographs(mi: Any, capture: Capture, side: int) -> tuple[list[Any], list[Any]]:
