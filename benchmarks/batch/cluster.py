@@ -70,8 +70,8 @@ def tell(folder: Path, captures: int = 12, say: Callable[[str], None] = print) -
     with refusing_s3() as store:
         _fill(shelf)
         cluster = Cluster()
-        nodes = [cluster.add_node(num_cpus=1, include_dashboard=False) for _ in range(NODES)]
         try:
+            nodes = [add_node(cluster, num_cpus=1) for _ in range(NODES)]
             say(f"{NODES} nodes at {cluster.address}, S3 at {store.url}, {captures} captures, one of them broken")
             command = [sys.executable, "-m", "hir_core.cli", "batch", "s3://shelf/*", "-o", "s3://results/tonight",
                        "--address", cluster.address, "--json", "--deterministic", "--request",
@@ -101,6 +101,17 @@ def tell(folder: Path, captures: int = 12, say: Callable[[str], None] = print) -
         _compare(shelf[:-1], folder, story)
     say(summary(story))
     return story
+
+
+def add_node(cluster: Any, **options: Any) -> Any:
+    """A node of a local cluster; Ray gives one 30 s to begin, which a busy machine may exceed once."""
+    for tries in range(3, 0, -1):
+        try:
+            return cluster.add_node(include_dashboard=False, **options)
+        except Exception as error:  # that is its type
+            if tries == 1 or "timed out during startup" not in str(error):
+                raise
+    raise AssertionError
 
 
 def summary(story: Story) -> str:

@@ -13,7 +13,8 @@ from typing import Any, Final, Self
 
 from hir_core.batch.groups import GROUPS, Request
 from hir_core.batch.job import Job, Outcome, Told
-from hir_core.errors import InputError, MissingExtraError
+from hir_core.batch.patience import one_line
+from hir_core.errors import InputError, MissingExtraError, StageError
 from hir_core.machine import usable_cores
 
 TASKS_OF_A_WORKER: Final = 64
@@ -102,10 +103,17 @@ class Cluster:
 
     def _start(self) -> None:
         self.own = True
-        self._ray.init(
-            address="local", num_cpus=usable_cores(), include_dashboard=False, log_to_driver=False,
-            logging_level="error", object_store_memory=OBJECT_STORE_BYTES,
-        )  # fmt: skip
+        options = {"num_cpus": usable_cores(), "include_dashboard": False, "log_to_driver": False,
+                   "logging_level": "error", "object_store_memory": OBJECT_STORE_BYTES}  # fmt: skip
+        try:
+            self._ray.init(address="local", **options)
+        except Exception as error:  # a plain one, when a busy machine needs more than Ray's 30 s to begin
+            self._ray.shutdown()
+            self._say(f"Ray did not start ({one_line(error)}); trying once more")
+            try:
+                self._ray.init(address="local", **options)
+            except Exception as final:
+                raise StageError(f"Ray cannot be started on this machine: {one_line(final)}") from final
         reached = "no Ray cluster was found, so " if self._address == "auto" else ""
         self._say(f"Ray: {reached}one was started on this machine: {describe(self.nodes())}")
 

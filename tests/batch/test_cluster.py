@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.batch.cluster import Story, tell
+from benchmarks.batch.cluster import Story, add_node, tell
 from benchmarks.batch.shelf import WORDS, small_captures
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(os.name != "posix", reason="signals")]
@@ -131,8 +131,8 @@ def test_tasks_on_a_gpu_have_processes_of_their_own(tmp_path: Path) -> None:
         port = free.getsockname()[1]
     small_captures(tmp_path / "shelf", 2)
     cluster = Cluster()
-    cluster.add_node(num_cpus=2, num_gpus=1, ray_client_server_port=port, include_dashboard=False)
     try:
+        add_node(cluster, num_cpus=2, num_gpus=1, ray_client_server_port=port)
         command = [sys.executable, "-m", "hir_core.cli", "batch", f"{tmp_path}/shelf/*", "-o", str(tmp_path / "out"),
                    "--json", "--gpus", "0.5", "--address", f"ray://127.0.0.1:{port}", "--cache",
                    str(tmp_path / "cache"), *WORDS, "--set", "device=auto"]  # fmt: skip
