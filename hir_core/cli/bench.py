@@ -97,6 +97,11 @@ def _run(suite: str, plan: Plan, output: Path | None, quiet: bool) -> None:
             click.echo(line.rstrip(), err=True)
         if output is not None:
             result.write(output / f"{suite}.json")
+    if not result.rows:
+        click.echo(
+            f"{suite}: nothing was measured; are there captures with known cameras and a reference.obj?", err=True
+        )
+        return
     if output is not None:
         write_text_atomic(output / f"{suite}.md", markdown(result))
         write_text_atomic(output / f"{suite}.svg", plot_svg(result))

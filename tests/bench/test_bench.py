@@ -168,6 +168,14 @@ class TestSuites:
         assert found.rows and all(r.timing is not None or r.note for r in found.rows)
         assert (tmp_path / f"{suite}.svg").stat().st_size > 1000
 
+    def test_a_capture_without_truth_leaves_nothing_behind(
+        self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        with pytest.raises(SystemExit) as stop:
+            main(["bench", "initializers", "--capture", str(SAMPLE), "-o", str(tmp_path)])
+        assert stop.value.code == 0 and "nothing was measured" in capsys.readouterr().err
+        assert not list(tmp_path.iterdir())
+
     def test_what_is_missing_is_said(self, capsys: pytest.CaptureFixture[str]) -> None:
         for words, said in (
             (["bench", "speed"], "there is no suite 'speed'"),
