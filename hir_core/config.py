@@ -178,9 +178,11 @@ def load_config(
     assigned: dict[str, Any] = {}
     for assignment in assignments:
         assign(assigned, assignment)
-    preset = preset or assigned.get("preset") or from_file.get("preset") or RunConfig.preset
-    if not isinstance(preset, str):
-        raise ConfigError(f"preset is {preset!r}; it is the name of a preset, such as {RunConfig.preset!r}")
+    for given in (assigned.get("preset", ""), from_file.get("preset", "")):
+        if not isinstance(given, str):
+            raise ConfigError(f"preset is {given!r}; it is the name of a preset, such as {RunConfig.preset!r}")
+        preset = preset or given
+    preset = preset or RunConfig.preset
     settings: dict[str, Any] = read_toml(plugins.preset(preset))
     for layer in (from_file, assigned, {k: v for k, v in overrides.items() if v is not None}):
         settings = merge(settings, layer)

@@ -75,10 +75,13 @@ class VideoFrame:
     def __call__(self) -> Pixels:
         with _opened(self.path) as container:
             stream = container.streams.video[0]
-            container.seek(self.time, stream=stream)
-            for frame in container.decode(stream):
-                if frame.pts is not None and frame.pts >= self.time:
-                    return _pixels(_upright(frame, "rgb24"))
+            try:
+                container.seek(self.time, stream=stream)
+                for frame in container.decode(stream):
+                    if frame.pts is not None and frame.pts >= self.time:
+                        return _pixels(_upright(frame, "rgb24"))
+            except Exception as error:  # PyAV's own types, some of which call themselves a lack of permission
+                raise CaptureError(f"{self.path} breaks at {self.time} ({' '.join(str(error).split())})") from None
         raise CaptureError(f"{self.path} has no frame at {self.time} any more; was it changed?")
 
 
@@ -122,6 +125,13 @@ def _video(path: Path) -> Path | None:
     return found[0] if found[0].resolve().is_relative_to(path.resolve()) else None
 
 
+_ALONE = {
+    "protocol_whitelist": "file",
+    "format_whitelist": "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpegts,mpeg,ogg,flv,asf",
+}
+"""Containers that hold their pictures: a playlist, whatever its ending, would open other files and addresses."""
+
+
 def _opened(path: Path) -> Any:
     try:
         import av
@@ -129,7 +139,7 @@ def _opened(path: Path) -> Any:
         raise ConfigError(f"{path} is a video; install its reader with: pip install av, "
                           "or save its frames as photographs") from None
     try:
-        container = av.open(str(path))
+        container = av.open(str(path), options=_ALONE)
     except Exception as error:  # PyAV raises its own types for each way a file can be broken
         raise CaptureError(f"{path} cannot be opened as a video ({' '.join(str(error).split())})") from None
     if not container.streams.video:

@@ -233,6 +233,23 @@ def test_settings_name_what_exists_and_import_nothing_by_themselves(tmp_path: Pa
     assert not (tmp_path / "sprung").exists()
 
 
+def test_a_playlist_that_calls_itself_a_video_opens_nothing(capture: Path) -> None:
+    pytest.importorskip("av", reason="videos are read by PyAV: pip install av")
+    from hir_core.manager import PluginManager
+    from hir_core.readers import read_capture
+
+    seeds.video(capture.parent)
+    (capture.parent / "clip.mp4").rename(capture.parent / "secret.mp4")
+    for text in (
+        "ffconcat version 1.0\nfile ../secret.mp4\n",
+        "#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\n../secret.mp4\n#EXT-X-ENDLIST\n",
+        "#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\nhttp://127.0.0.1:9/x.ts\n#EXT-X-ENDLIST\n",
+    ):
+        (capture / "clip.mp4").write_text(text)
+        with pytest.raises(HirError, match="cannot be opened as a video"):
+            read_capture(capture, "train", PluginManager.discover())
+
+
 def test_what_the_fuzzer_found_stays_mended(tmp_path: Path) -> None:
     """A preset that is a list, a photograph's name of 5000 letters."""
     from hir_core.config import load_config
