@@ -12,9 +12,10 @@ import numpy as np
 from hir_exporters.images import read_exr, write_exr, write_png
 from numpy.typing import NDArray
 
-from hir_core.capture import Array, Capture, EnvironmentSource, Pixels, View
+from hir_core.capture import Capture, Pixels, View
 from hir_core.capture_files import restore_capture
-from hir_core.errors import CaptureError, InputError
+from hir_core.errors import CaptureError
+from hir_core.evaluation.lighting import lit_scene
 from hir_core.export import file_stem
 from hir_core.metrics import (
     OBJECT_COVERAGE,
@@ -32,18 +33,14 @@ from hir_core.metrics.published import stanford_orb
 from hir_core.readers import find_reader
 from hir_core.reference import (
     OpenRun,
-    light_of,
     open_for_rendering,
-    parse_light,
     reference_renderer,
     render_view,
-    same_light,
 )
 from hir_core.run_directory import RunDirectory, claimed_run, write_json
 
 if TYPE_CHECKING:
     from hir_core.manager import PluginManager
-    from hir_core.scene import Scene
 
 Told = Callable[[int, int, str], None]
 
@@ -104,7 +101,7 @@ def evaluate_run(
     if question.views:
         chosen = spread(len(capture.views), question.views)
         capture = replace(capture, views=tuple(capture.views[i] for i in chosen))
-    scene, light = _lit(run, path, capture, question, plugins)
+    scene, light = lit_scene(run, path, capture, question.relight, plugins, question.device)
     renderer_name, renderer = reference_renderer(plugins, question.renderer, question.options, run.bounces)
     perceptions = Perceptions.find(question.download)
     folder = directory.evaluation(_label(question))
@@ -196,42 +193,6 @@ def masked_pixels(view: View) -> Truth:
     if pixels.mask is None:
         raise CaptureError(f"view {view.name} has no mask, so its background cannot be told from the object; add alpha")
     return Truth(pixels.color_linear, pixels.mask, pixels.saturated)
-
-
-def _lit(
-    run: OpenRun, path: Path, capture: Capture, question: Question, plugins: PluginManager
-) -> tuple[Scene, dict[str, Any]]:
-    """The scene under the light that the question asks for, and what that light is."""
-    source = capture.environment
-    if question.relight:
-        file, strength = parse_light(question.relight)
-        axes = _environment_axes(path, capture, run, plugins)
-        source = EnvironmentSource(file, strength, axes)
-    elif source is None or _is_training_light(path, source, run, plugins):
-        return run.scene, {"fitted": True}
-    if source.path.suffix.lower() not in (".hdr", ".exr"):
-        raise InputError(f"{source.path}: a light is a lat-long .hdr or .exr file")
-    light = light_of(source, capture.world_from_source, question.device)
-    return run.lit_by(light), {"fitted": False, "file": source.path.name, "strength": source.strength}
-
-
-def _environment_axes(path: Path, capture: Capture, run: OpenRun, plugins: PluginManager) -> Array:
-    """3×3 of `EnvironmentSource`: as the split or train says; the asset's axes where a capture names no light."""
-    if capture.environment is not None:
-        return capture.environment.source_from_environment
-    _, reader = find_reader(path, plugins)
-    train = reader.read(path, "train").environment if "train" in reader.splits(path) else None
-    if train is not None:
-        return train.source_from_environment
-    linear = capture.world_from_source[:3, :3]
-    return np.asarray(linear.T / np.cbrt(np.linalg.det(linear)))
-
-
-def _is_training_light(path: Path, source: EnvironmentSource, run: OpenRun, plugins: PluginManager) -> bool:
-    _, reader = find_reader(path, plugins)
-    if "train" not in reader.splits(path):
-        return False
-    return same_light(source, reader.read(path, "train").environment)
 
 
 def _figures(fit: Image, truth: Truth, perceptions: Perceptions, relit: bool) -> dict[str, Any]:

@@ -1,0 +1,95 @@
+"""Results of `hir evaluate` as tables in the terminal."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+
+def print_table(results: list[dict[str, Any]]) -> None:
+    """One row for each run; then the conventions of Stanford-ORB, and what was compared with the truth."""
+    from rich.console import Console
+
+    console = Console(highlight=False)
+    console.print(table_of(results, PICTURES))
+    for key, columns in FURTHER.items():
+        if any(key in r for r in results):
+            console.print()
+            console.print(table_of([r for r in results if key in r], columns))
+    for sentence in dict.fromkeys(r["lpips_missing"] for r in results if r["lpips_missing"]):
+        console.print(sentence, markup=False)
+
+
+Columns = tuple[tuple[str, str, int, bool], ...]
+"""Heading, dotted place in the result, digits, whether more is better."""
+
+PICTURES: Columns = (
+    ("PSNR frame", "psnr.frame", 2, True),
+    ("object", "psnr.object", 2, True),
+    ("scaled frame", "psnr_scaled.frame", 2, True),
+    ("object", "psnr_scaled.object", 2, True),
+    ("SSIM", "ssim", 4, True),
+    ("LPIPS", "lpips", 4, False),
+    ("FLIP", "flip", 4, False),
+    ("mask IoU", "iou", 4, True),
+)
+
+FURTHER: dict[str, Columns] = {
+    "stanford_orb": (
+        ("Stanford-ORB: PSNR-H", "stanford_orb.psnr_h", 2, True),
+        ("PSNR-L", "stanford_orb.psnr_l", 2, True),
+        ("SSIM", "stanford_orb.ssim", 4, True),
+        ("LPIPS", "stanford_orb.lpips", 4, False),
+    ),
+    "surface": (
+        ("Chamfer, radii", "surface.chamfer", 5, False),
+        ("accuracy", "surface.accuracy", 5, False),
+        ("completeness", "surface.completeness", 5, False),
+        ("seen Chamfer", "surface.seen.chamfer", 5, False),
+        ("F at .005", "surface.seen.f_score.0|005", 4, True),
+        ("normals, °", "surface.seen.normal_error_deg", 2, False),
+    ),
+    "albedo": (
+        ("albedo PSNR", "albedo.psnr", 2, True),
+        ("scaled", "albedo.psnr_scaled", 2, True),
+        ("ORB", "albedo.stanford_orb_psnr", 2, True),
+    ),
+    "light_error": (
+        ("light, texels", "light_error.texels", 3, False),
+        ("mirror ball", "light_error.spheres.mirror", 3, False),
+        ("silver", "light_error.spheres.silver", 3, False),
+        ("diffuse", "light_error.spheres.diffuse", 3, False),
+        ("colour, °", "light_error.angular_deg.diffuse", 2, False),
+    ),
+}
+
+
+def table_of(results: list[dict[str, Any]], columns: Columns) -> Any:
+    """Rows of runs, with the best of each column in bold where there are several."""
+    from rich.table import Table
+
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for heading in ("run", "split"):
+        table.add_column(heading, overflow="fold")
+    for heading, *_ in columns:
+        table.add_column(heading, justify="right", overflow="fold")
+    best = {}
+    for _, place, digits, more in columns:
+        values = [round(v, digits) for r in results if (v := value_at(r, place)) is not None]
+        best[place] = (max if more else min)(values) if len(values) > 1 else None
+    for r in results:
+        cells = []
+        for _, place, digits, _ in columns:
+            value = value_at(r, place)
+            text = "–" if value is None else f"{value:.{digits}f}"
+            cells.append(f"[bold]{text}[/bold]" if value is not None and round(value, digits) == best[place] else text)
+        table.add_row(Path(r["run"]).name, r["split"], *cells)
+    return table
+
+
+def value_at(result: dict[str, Any], place: str) -> float | None:
+    """The number at `a.b.c` of nested tables; `|` stands for a point inside a name."""
+    found: Any = result
+    for part in place.split("."):
+        found = found.get(part.replace("|", ".")) if isinstance(found, dict) else None
+    return found if isinstance(found, float | int) else None
