@@ -14,6 +14,7 @@ import pycolmap
 from hir_exporters.conventions import srgb_to_linear
 
 from hir_core.capture import Array, Camera, Capture, OrientedPoints, View
+from hir_core.determinism import threads
 from hir_core.errors import CaptureError
 from hir_core.interfaces import Initializer
 from hir_core.lens import camera_lens, resample
@@ -38,7 +39,8 @@ class Colmap(Initializer):
     """
 
     def __init__(self, config: ColmapOptions) -> None:
-        self._config = config
+        # COLMAP's threads meet in any order, and its random numbers are each thread's own
+        self._config = replace(config, threads=threads(config.threads))
         self._report: dict[str, Any] = {}
 
     def initialize(self, capture: Capture, scene: Scene | None, workspace: Path) -> tuple[Capture, Scene | None]:
