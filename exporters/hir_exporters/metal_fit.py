@@ -41,9 +41,8 @@ def fit_metallic(model: str, diffuse: Array, specular: Array, alpha: Array) -> A
         alpha = resize(alpha, *small) if alpha.ndim == 2 else alpha
 
     def nearest(diffuse: Array, specular: Array, alpha: Array) -> Array:
-        # The loss is a small difference of large terms: float64 here, where the texels are few.
-        seen = _Projected(model, *(np.asarray(value, np.float64) for value in (diffuse, specular, alpha)))
-        losses = [seen.loss(m) for m in _METALNESS_STEPS]
+        seen = _Projected(model, diffuse, specular, alpha)
+        losses = [seen.loss(m) for m in _METALNESS_STEPS.astype(alpha.dtype)]
         return np.asarray(_METALNESS_STEPS[np.argmin(losses, axis=0)])
 
     metallic = in_strips(nearest, (diffuse, 1), (specular, 1), (alpha, 0))
@@ -67,13 +66,13 @@ def fit_specular_workflow(model: str, diffuse: Array, specular: Array, alpha: Ar
     _, gram = gram_table()
     one = np.array([0, 1.0, 0, 0, 0, 0])
     system = np.stack([np.stack([gram[:, 1, 1], gram[:, 1, 3]], -1), np.stack([gram[:, 3, 1], gram[:, 3, 3]], -1)], -2)
-    parts = (*_target_parts(model), -_S)
+    parts = _parts(model)
     rights = [np.stack([gram @ part @ one, gram @ part @ _R], axis=-1) for part in parts]
     solutions = [np.linalg.solve(system, right[..., None])[..., 0] for right in rights]
 
     def fitted(diffuse: Array, specular: Array, alpha: Array) -> Array:
         lookup = _Lookup(alpha)
-        factors = (*_target_factors(model, diffuse, specular), np.ones((), np.float32))
+        factors = _factors(model, diffuse, specular)
         x, f0 = (sum(f * lookup(s[:, k])[..., None] for f, s in zip(factors, solutions, strict=True)) for k in (0, 1))
         # Where F0 would be negative the best X is that of F0 = 0.
         alone = sum(
@@ -88,7 +87,7 @@ def fit_specular_workflow(model: str, diffuse: Array, specular: Array, alpha: Ar
 
 
 class _Projected:
-    """A model's texels t as <t, P> and <t, R>, (…, 3), beside the inner products of P, R and S (…, 1)."""
+    """A model's texels less S, e, as <e, P> and <e, R>, (…, 3), beside the inner products of P and R (…, 1)."""
 
     def __init__(self, model: str, diffuse: Array, specular: Array, alpha: Array) -> None:
         _, gram = gram_table()
@@ -97,39 +96,35 @@ class _Projected:
         def inner(left: _Table, right: _Table) -> Array:
             return lookup(np.einsum("i,tij,j->t", left, gram, right))[..., None]
 
-        factors, parts = _target_factors(model, diffuse, specular), _target_parts(model)
+        factors, parts = _factors(model, diffuse, specular), _parts(model)
         on_p, on_r = (sum(f * inner(part, side) for f, part in zip(factors, parts, strict=True)) for side in (_P, _R))
         self._on_p, self._on_r = np.asarray(on_p), np.asarray(on_r)
         self._pp, self._pr, self._rr = inner(_P, _P), inner(_P, _R), inner(_R, _R)
-        self._sp, self._sr = inner(_S, _P), inner(_S, _R)
 
     def base_terms(self, m: Array) -> tuple[Array, Array]:
         """<t - C, U> and <U, U>, whose ratio is the best base colour, at metalness m (…, 1) or ()."""
         p, r = 1 - m, m
-        top = p * (self._on_p - self._sp) + r * (self._on_r - self._sr)
-        top = top - CORE_F0 * p * (p * self._pr + r * self._rr)
+        top = p * self._on_p + r * self._on_r - np.asarray(CORE_F0, p.dtype) * p * (p * self._pr + r * self._rr)
         return top, p * p * self._pp + 2 * p * r * self._pr + r * r * self._rr
 
-    def loss(self, m: float) -> Array:
+    def loss(self, m: NDArray[np.floating]) -> Array:
         """Squared difference (…) from core glTF at its best base colour, summed over colour, without what has no m."""
-        top, bottom = self.base_terms(np.asarray(m))
+        top, bottom = self.base_terms(m)
         base = np.clip(top / bottom, 0.0, 1.0)
-        fixed = CORE_F0 * (1 - m)  # of R in C
-        constant = fixed * (2 * (self._sr - self._on_r) + fixed * self._rr)
+        fixed = np.asarray(CORE_F0, m.dtype) * (1 - m)  # of R in C
+        constant = fixed * (fixed * self._rr - 2 * self._on_r)
         return np.asarray((constant + base * (base * bottom - 2 * top)).sum(axis=-1))
 
 
-def _target_parts(model: str) -> tuple[NDArray[np.float64], ...]:
-    """Coordinates in BASIS of the terms of a model, for the factors of `_target_factors`."""
+def _parts(model: str) -> tuple[NDArray[np.float64], ...]:
+    """Coordinates in BASIS of the terms of a model less S, which all targets reflect; for the factors of `_factors`."""
     if model == "paper":
-        return np.array([1.0, 0, 0, 0, 0, 0]), np.array([0, 0, 1.0, 1, 0, 0])
-    return np.array([0, 0, 0, 0, 1.0, 0]), np.array([0, 0, 0, 1.0, 0, 0]), np.array([0, 0, 0, 0, 0, -1.0]), _S
+        return np.array([1.0, 0, 0, 0, 0, 0]), np.array([0, 0, 1.0, 1, 0, 0]), -_S
+    return np.array([0, 0, 0, 0, 1.0, 0]), np.array([0, 0, 0, 1.0, 0, 0]), np.array([0, 0, 0, 0, 0, -1.0])
 
 
-def _target_factors(model: str, diffuse: Array, specular: Array) -> tuple[Array, ...]:
-    if model == "paper":
-        return diffuse, specular
-    return diffuse, specular, diffuse * specular, np.ones((), np.float32)
+def _factors(model: str, diffuse: Array, specular: Array) -> tuple[Array, ...]:
+    return diffuse, specular, np.ones((), np.float32) if model == "paper" else diffuse * specular
 
 
 class _Lookup:

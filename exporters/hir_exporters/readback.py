@@ -21,6 +21,9 @@ from hir_exporters.errors import InputError
 from hir_exporters.materials import MetallicSurface, SpecularSurface
 from hir_exporters.usd.containment import check_inside, check_layers
 
+Pixels = NDArray[Any]
+"""(H, W, C) codes of 8 bits, or float32 in [0, 1]."""
+
 
 @dataclass(frozen=True)
 class ReadBack:
@@ -133,7 +136,7 @@ def _gltf_material(
     core, extensions = material.pbrMetallicRoughness, material.extensions or {}
     specular = extensions.get("KHR_materials_specular", {})
 
-    def pixels(reference: Any) -> NDArray[np.float32] | None:
+    def pixels(reference: Any) -> Pixels | None:
         if reference is None:
             return None
         index = reference["index"] if isinstance(reference, dict) else reference.index
@@ -162,7 +165,7 @@ def _gltf_material(
             residual=0.0,
         )
     normal = pixels(material.normalTexture)
-    return surface, legacy, None if normal is None else normal[..., :3] * 2 - 1
+    return surface, legacy, None if normal is None else _unit(normal[..., :3]) * 2 - 1
 
 
 def _usd_material(
@@ -199,8 +202,7 @@ def _usd_texture(connection: Any, channel: str, path: Path) -> NDArray[np.floati
     asset = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(file.resolvedPath))
     image = _decoded(bytes(asset.GetBuffer()))
     scale, bias = node.GetInput("scale"), node.GetInput("bias")
-    if node.GetInput("sourceColorSpace").Get() == "sRGB":
-        image = srgb_to_linear(image)
+    image = _linear(image) if node.GetInput("sourceColorSpace").Get() == "sRGB" else _unit(image)
     count = image.shape[2]
     if scale:
         image = image * np.asarray(scale.Get(), np.float32)[:count] + np.asarray(bias.Get(), np.float32)[:count]
@@ -233,19 +235,28 @@ def _beside(path: Path, uri: str) -> bytes:
     return file.read_bytes()
 
 
-def _decoded(data: bytes) -> NDArray[np.float32]:
+def _decoded(data: bytes) -> Pixels:
+    """(H, W, C): 8-bit codes as they are, wider ones in [0, 1]."""
     from PIL import Image
 
     with Image.open(io.BytesIO(data)) as image:
         pixels = np.asarray(image)
     pixels = pixels[..., None] if pixels.ndim == 2 else pixels
-    return pixels.astype(np.float32) / np.float32(255)
+    return pixels if pixels.dtype == np.uint8 else pixels.astype(np.float32) / np.float32(65535)
 
 
-def _linear(pixels: NDArray[np.float32] | None) -> NDArray[np.floating] | None:
-    return None if pixels is None else srgb_to_linear(pixels[..., :3])
+def _unit(pixels: Pixels) -> NDArray[np.float32]:
+    return pixels.astype(np.float32) / np.float32(255) if pixels.dtype == np.uint8 else pixels.astype(np.float32)
 
 
-def _times(factor: Any, texture: NDArray[np.floating] | None) -> NDArray[np.floating]:
+def _linear(pixels: Pixels | None) -> Any:
+    if pixels is None:
+        return None
+    if pixels.dtype != np.uint8:
+        return srgb_to_linear(pixels[..., :3])
+    return srgb_to_linear(np.arange(256, dtype=np.float32) / np.float32(255))[pixels[..., :3]]
+
+
+def _times(factor: Any, texture: Pixels | None) -> NDArray[np.floating]:
     constant = np.asarray(factor, np.float32)
-    return constant if texture is None else texture * constant
+    return constant if texture is None else _unit(texture) * constant

@@ -22,6 +22,11 @@ def resize(texture: Array, height: int, width: int) -> Array:
 
     if texture.shape[:2] == (height, width):
         return texture
+    tall, wide = texture.shape[0] // height, texture.shape[1] // width
+    if tall * height == texture.shape[0] and wide * width == texture.shape[1] and tall * wide > 0:
+        rows = texture.reshape(height, tall, texture.shape[1], -1).sum(axis=1)
+        blocks = rows.reshape(height, width, wide, -1).sum(axis=2) / texture.dtype.type(tall * wide)
+        return blocks.reshape(height, width, *texture.shape[2:])
     smaller = height < texture.shape[0] or width < texture.shape[1]
     method = Image.Resampling.BOX if smaller else Image.Resampling.BILINEAR
     planes = texture[..., None] if texture.ndim == 2 else texture
