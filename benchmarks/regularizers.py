@@ -34,7 +34,7 @@ from hir_plugins.regularizers.material_options import BilateralSpecularOptions
 from hir_plugins.regularizers.places import Places, places_of
 
 DEFAULTS = BilateralSpecularOptions()
-MOST_PAIRS = 25_000
+MOST_PAIRS = 10_000
 """Places up to which all pairs are summed."""
 
 
@@ -202,10 +202,10 @@ def main() -> None:
     commands = parser.add_subparsers(dest="command", required=True)
     command = commands.add_parser("speed")
     command.add_argument("run", type=Path)
-    command.add_argument("--counts", type=int, nargs="+", default=[5_000, 10_000, 20_000, 100_000, 300_000, 1_000_000])
+    command.add_argument("--counts", type=int, nargs="+", default=[2_500, 5_000, 10_000, 100_000, 300_000, 1_000_000])
     command = commands.add_parser("cells")
     command.add_argument("run", type=Path)
-    command.add_argument("--count", type=int, default=8_000)
+    command.add_argument("--count", type=int, default=3_000)
     command = commands.add_parser("sigma")
     command.add_argument("avocado", type=Path)
     command.add_argument("spot", type=Path)

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
@@ -48,16 +48,16 @@ def weight_error(cubes: Cubes, guide: Float[Tensor, "N G"], edge: float) -> Floa
         kernel = torch.exp(-0.5 * (feature[rows, None] - feature).square().sum(-1))
         away = feature[rows, None] - centroid
         spoken = torch.exp(-0.5 * away.square().sum(-1)) * (1 + (away * (feature - centroid)).sum(-1))
-        spoken = spoken * heard[cubes.cube[rows]][:, cubes.cube]
+        spoken = spoken * heard[cubes.block[rows]][:, cubes.cube]
         errors.append((kernel - spoken).abs().sum(1) / kernel.sum(1))
     return torch.cat(errors) if errors else feature.new_zeros(0)
 
 
-def _who_hears(cubes: Cubes) -> Tensor:
-    """(S, S): whether the cube of the row hears the cube of the column."""
-    count = len(cubes.first) - 1
-    heard = torch.zeros(count, count, dtype=torch.bool, device=cubes.heard.device)
-    listener = torch.repeat_interleave(torch.arange(count, device=heard.device), cubes.heard_first.diff())
+def _who_hears(cubes: Cubes) -> Bool[Tensor, "B S"]:
+    """Whether the block of the row hears the cube of the column."""
+    blocks = len(cubes.first) - 1
+    heard = torch.zeros(blocks, int(cubes.cube.max()) + 1, dtype=torch.bool, device=cubes.heard.device)
+    listener = torch.repeat_interleave(torch.arange(blocks, device=heard.device), cubes.heard_first.diff())
     heard[listener, cubes.heard] = True
     return heard
 

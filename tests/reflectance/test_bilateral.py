@@ -184,7 +184,7 @@ def test_pairs_grow_linearly() -> None:
     for count in (8_000, 32_000):
         positions, guide, values = surface(count, count / 200, 0.1)
         cubes = cubes_of(positions, CUTOFF, CELL)
-        pairs.append(sum(int((weight > 0).sum(1) @ real.sum(1)) for _, real, _, weight in
+        pairs.append(sum(int(sounding.sum(1) @ real.sum(1)) for _, real, _, sounding in
                          _tiles(cubes, cells_of(cubes, guide, values, CELL))))  # fmt: skip
     assert 4 <= pairs[1] / pairs[0] < 6
     assert pairs[1] < 0.05 * 32_000**2
