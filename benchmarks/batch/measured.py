@@ -1,7 +1,8 @@
 """What `hir batch` costs beside the runs themselves: `python -m benchmarks.batch.measured`.
 
 Small captures, `hir reconstruct` one after the other against one `hir batch`, wall seconds of whole commands: on one
-core, and on two cores with two captures at once. `check` compares local batches with benchmarks/batch/model.py.
+core, and on two cores with two captures at once. Then a batch of twice as many on two cores, against what the model of
+benchmarks/batch/model.py, calibrated on the batch of one core, says of it.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ class Measured:
 
 
 def alike() -> None:
-    """Batches and single runs get one thread and the same priority; Ray's workers would give way to all others."""
+    """Batches get one thread a task and the priority of single runs; Ray's workers would give way to all others."""
     os.environ["OMP_NUM_THREADS"] = "1"
     os.environ["RAY_worker_niceness"] = "0"  # noqa: SIM112 - so it is called
 
@@ -56,8 +57,7 @@ def run_batch(captures: Sequence[Path], out: Path, cores: int) -> Measured:
                str(out / "cache"), "--request", "reflectance.memory_gib=1", *WORDS]  # fmt: skip
     seen: list[dict[str, Any]] = []
     clock: dict[str, tuple[float, float]] = {}
-    affinity = ["taskset", "-c", ",".join(map(str, sorted(os.sched_getaffinity(0))[:cores]))]
-    with subprocess.Popen([*affinity, *HIR, *command], stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen([*on(cores), *HIR, *command], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         watched = psutil.Process(process.pid)
         for line in process.stdout:
@@ -77,12 +77,19 @@ def run_batch(captures: Sequence[Path], out: Path, cores: int) -> Measured:
     return Measured(time.perf_counter() - began, last[0] - first[0], last[1] - first[1], entries, fresh)
 
 
-def run_singles(captures: Sequence[Path], out: Path) -> float:
-    """Wall seconds of one `hir reconstruct` after the other."""
+def run_singles(captures: Sequence[Path], out: Path, cores: int) -> float:
+    """Wall seconds of one `hir reconstruct` after the other, each with as many threads as cores."""
+    environment = {**os.environ, "OMP_NUM_THREADS": str(cores)}
     began = time.perf_counter()
     for capture in captures:
-        subprocess.run([*HIR, "reconstruct", str(capture), "-o", str(out / capture.name), "-q", *WORDS], check=True)
+        command = [*on(cores), *HIR, "reconstruct", str(capture), "-o", str(out / capture.name), "-q", *WORDS]
+        subprocess.run(command, check=True, env=environment)
     return time.perf_counter() - began
+
+
+def on(cores: int) -> list[str]:
+    """Words before a command that keep it on the first cores of this machine."""
+    return ["taskset", "-c", ",".join(map(str, sorted(os.sched_getaffinity(0))[:cores]))]
 
 
 def calibrate(measured: Measured) -> tuple[Load, Overhead]:
@@ -105,47 +112,43 @@ def calibrate(measured: Measured) -> tuple[Load, Overhead]:
     return load, Overhead(worker_start=mean(start), task=median(between), handling=measured.driver / tasks)
 
 
-def check(small: int = 4, large: int = 12, cores: int = 2) -> list[str]:
-    """A small batch calibrates the model, which then says how long a large one takes: lines of Markdown."""
-    alike()
-    with tempfile.TemporaryDirectory() as folder:
-        shelf = small_captures(Path(folder) / "shelf", large)
-        load, overhead = calibrate(run_batch(shelf[:small], Path(folder) / "small", cores))
-        measured = run_batch(shelf, Path(folder) / "large", cores)
+def compare(small: Measured, large: Measured, cores: int) -> list[str]:
+    """What the model, calibrated on one batch, says of another: lines of Markdown."""
+    load, overhead = calibrate(small)
+    count = len(large.entries)
     fleet = Fleet(1, cores, memory_gib=16)
-    played = play(large, load, fleet, build_requests(1.0, 0.0, ["reflectance.memory_gib=1"]), overhead)
+    played = play(count, load, fleet, build_requests(1.0, 0.0, ["reflectance.memory_gib=1"]), overhead)
     groups = ", ".join(f"{seconds:.2f}" for seconds in load.seconds)
     return [
-        f"calibrated on {small} captures: groups {groups} s, a worker's start {overhead.worker_start:.1f} s, "
-        f"between tasks {overhead.task:.3f} s, driver {1000 * overhead.handling:.1f} ms a task",
-        "",
-        "| captures | cores | measured | model | difference |",
-        "|---|---|---|---|---|",
-        f"| {large} | {cores} | {measured.batch:.1f} s | {played.seconds:.1f} s | "
-        f"{played.seconds / measured.batch - 1:+.1%} |",
+        f"calibrated on {len(small.entries)} captures: groups {groups} s, a worker's start "
+        f"{overhead.worker_start:.1f} s, between tasks {overhead.task:.3f} s, driver "
+        f"{1000 * overhead.handling:.1f} ms a task",
+        f"{count} captures on {cores} cores: measured {large.batch:.1f} s, model {played.seconds:.1f} s "
+        f"({played.seconds / large.batch - 1:+.1%})",
     ]
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--captures", type=int, default=6, help="On one core; two more are worked on at once.")
-    parser.add_argument("--side", type=int, default=64)
+    parser.add_argument("--captures", type=int, default=6, help="On one core; twice as many on two.")
+    parser.add_argument("--side", type=int, default=64, help="Pixels of the photographs' sides.")
     options = parser.parse_args(arguments)
     alike()
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        shelf = small_captures(folder / "shelf", options.captures, side=options.side)
-        singles = run_singles(shelf, folder / "singles")
-        batch = run_batch(shelf, folder / "one", cores=1)
-        count = len(shelf)
+        folder, count = Path(name), options.captures
+        shelf = small_captures(folder / "shelf", 2 * count, side=options.side)
+        singles = run_singles(shelf[:count], folder / "singles", cores=1)
+        batch = run_batch(shelf[:count], folder / "one", cores=1)
         print(f"one core, {count} captures: hir reconstruct {singles:.1f} s, hir batch {batch.command:.1f} s, of which "
               f"Ray's start and end {batch.command - batch.batch:.1f} s")  # fmt: skip
         print(f"a capture: {(batch.command - singles) / count:+.2f} s, without Ray's start and end "
-              f"{(batch.batch - singles) / count:+.2f} s")  # fmt: skip
-        pair = run_singles(shelf[:2], folder / "pair")
+              f"{(batch.batch - singles) / count:+.2f} s", flush=True)  # fmt: skip
+        pair = run_singles(shelf[:2], folder / "pair", cores=2)
         both = run_batch(shelf[:2], folder / "both", cores=2)
         print(f"two cores, two captures: one after the other {pair:.1f} s, at once {both.command:.1f} s, of which "
-              f"Ray's start and end {both.command - both.batch:.1f} s")  # fmt: skip
+              f"Ray's start and end {both.command - both.batch:.1f} s", flush=True)  # fmt: skip
+        large = run_batch(shelf, folder / "large", cores=2)
+        print("\n".join(compare(batch, large, cores=2)))
 
 
 if __name__ == "__main__":

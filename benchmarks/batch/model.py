@@ -1,7 +1,7 @@
 """How long a large batch takes and what it costs: a simulation of captures, nodes, driver and store.
 
     python -m benchmarks.batch.model                 # 10³ and 10⁶ captures on fleets, from measured stage seconds
-    python -m benchmarks.batch.model --check         # local batches, measured, against what the model says of them
+    python -m benchmarks.batch.measured              # local batches, against what the model says of them
 
 The simulation knows what `hir batch` knows: groups, requests, the window of captures in progress, one driver that
 handles one outcome at a time and rewrites its manifest. It plays all tasks through, with spread and with workers that
@@ -57,7 +57,7 @@ class Fleet:
 
 @dataclass(frozen=True)
 class Overhead:
-    """Seconds that no stage computes; the figures are those that `--check` measured (docs/scaling.md)."""
+    """Seconds that no stage computes; the figures are those that benchmarks.batch.measured gives (docs/scaling.md)."""
 
     worker_start: float = 5.0
     """Until a new worker's process has loaded what it needs."""
@@ -221,15 +221,9 @@ def table(fleets: Sequence[tuple[str, int, Fleet]], shards: int = 1) -> list[str
 
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--check", action="store_true", help="Measure local batches and compare.")
     parser.add_argument("--shards", type=int, default=1, help="Split each batch and its fleet into so many.")
     options = parser.parse_args(arguments)
-    if options.check:
-        from benchmarks.batch.measured import check
-
-        print("\n".join(check()))
-    else:
-        print("\n".join(table(FLEETS, options.shards)))
+    print("\n".join(table(FLEETS, options.shards)))
 
 
 if __name__ == "__main__":
