@@ -201,12 +201,14 @@ def _usd_texture(connection: Any, channel: str, path: Path) -> NDArray[np.floati
     check_inside(path, file.resolvedPath, file.path)
     asset = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(file.resolvedPath))
     image = _decoded(bytes(asset.GetBuffer()))
+    chosen = slice(0, 3) if channel == "rgb" else slice("rgba".index(channel), "rgba".index(channel) + 1)
     scale, bias = node.GetInput("scale"), node.GetInput("bias")
-    image = _linear(image) if node.GetInput("sourceColorSpace").Get() == "sRGB" else _unit(image)
-    count = image.shape[2]
+    values = (
+        _linear(image[..., chosen]) if node.GetInput("sourceColorSpace").Get() == "sRGB" else _unit(image[..., chosen])
+    )
     if scale:
-        image = image * np.asarray(scale.Get(), np.float32)[:count] + np.asarray(bias.Get(), np.float32)[:count]
-    return image[..., :3] if channel == "rgb" else image[..., "rgba".index(channel)]
+        values = values * np.asarray(scale.Get(), np.float32)[chosen] + np.asarray(bias.Get(), np.float32)[chosen]
+    return np.asarray(values if channel == "rgb" else values[..., 0])
 
 
 def _gltf_image(document: Any, source: int, path: Path) -> bytes:
