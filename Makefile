@@ -3,7 +3,7 @@ PYTHON := .venv/bin/python
 HIR := .venv/bin/hir
 DEMO := demo
 
-.PHONY: demo test test-all lint docs stability kill-test fuzz bench paper-table ablations scaling clean setup setup-test help
+.PHONY: demo test test-all lint docs stability kill-test fuzz coverage lower-bounds supply-chain bench paper-table ablations scaling clean setup setup-test help
 
 help:
 	@echo "make demo      reconstruct the sample capture, export it, say where the files are"
@@ -17,6 +17,8 @@ help:
 	@echo "make fuzz      feed changed files to every reader for 10 minutes"
 	@echo "make bench     measure every component beside its reference; write docs/benchmarks.md and README's table"
 	@echo "make paper-table, ablations, scaling  the paper's experiments; write docs/experiments.md; each goes on where it stopped"
+	@echo "make coverage  branches of hir_core and hir_exporters that the quick tests reach"
+	@echo "make lower-bounds, make supply-chain   the oldest dependencies; SBOM and known vulnerabilities"
 	@echo "make clean     remove .venv and what the demo made"
 
 setup:
@@ -38,7 +40,7 @@ test: lint
 	@OMP_NUM_THREADS=1 $(PYTHON) -m pytest -n 2 --dist loadfile # two processes of one thread: made for two cores
 
 test-all: setup-test
-	@$(PYTHON) -m pytest -m "not gpu"
+	@$(PYTHON) -m pytest -m "not gpu" --random-order
 
 lint: setup-test
 	@$(PYTHON) -m ruff check .
@@ -53,6 +55,18 @@ parity: setup-test
 	@npm --prefix tools/parity ci --silent --no-fund --no-audit
 	@[ -n "$$HIR_BLENDER_PYTHON" ] || [ -x .venv-blender/bin/python ] || tools/setup.sh blender || true
 	@PYTHONPATH=tools $(PYTHON) -m parity
+
+coverage: setup-test
+	@$(PYTHON) -m pip install --quiet --disable-pip-version-check coverage
+	@OMP_NUM_THREADS=1 $(PYTHON) -m coverage run -m pytest -q
+	@$(PYTHON) -m coverage report --skip-covered --sort=cover
+
+lower-bounds: setup-test
+	@$(PYTHON) tools/lower_bounds.py
+
+supply-chain: setup-test
+	@$(PYTHON) -m pip install --quiet --disable-pip-version-check cyclonedx-bom pip-audit
+	@$(PYTHON) tools/supply_chain.py
 
 stability: setup-test
 	@$(PYTHON) -m tests.stability.table
