@@ -111,7 +111,10 @@ def section(suite: str) -> str:
     path = RESULTS / f"{suite}.json"
     if not path.is_file():
         return "Not measured yet."
-    text = markdown(Result.read(path)).rstrip()
+    result = Result.read(path)
+    text = markdown(result).rstrip()
+    if result.settings.get("quick"):
+        text += " The smallest sizes alone (`--quick`)."
     if (RESULTS / f"{suite}.svg").is_file():
         text += f"\n\n![hir bench {suite}: seconds as cases grow, and against error](images/bench_{suite}.svg)"
     return text
