@@ -1,8 +1,8 @@
 """What regularizers of the material bring on unseen views: `python -m benchmarks.regularizers_fit RUN…`.
 
-Takes the mesh and cameras of finished runs, fits light and material to the train split, and goes on from there with the
-gradient steps of the reflectance stage, once for each set of terms. Prints object PSNR over pixels of the test split,
-which no fit saw, and of the train split, as a Markdown table.
+Takes mesh, material and light of finished runs and goes on with the gradient steps that the reflectance stage takes
+where regularizers are set, once for each set of terms. Prints object PSNR over pixels of the test split, which no fit
+saw, and of the train split, as a Markdown table.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from hir_core.manager import PluginManager
 from hir_core.photometric import ObjectPixels, fit_by_gradient, object_pixels
 from hir_core.pixel_cache import PixelCache
 from hir_core.readers import read_capture
-from hir_core.reflectance import starting_scene
 from hir_core.scene import Scene
 from hir_core.scene_store import load_stage_scene
-from hir_core.selection import Rung
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGGX
+from hir_plugins.reflectance_renderers.transport_ggx.shading import Indirect, sample
+from hir_plugins.reflectance_renderers.transport_ggx.solver import TransportSolver
 
 Terms = Mapping[str, Mapping[str, Any]]
 TERMS: Mapping[str, Terms] = {
@@ -48,47 +48,53 @@ TERMS: Mapping[str, Terms] = {
 PIXELS = 60_000
 
 
-def study(
-    run: Path,
-    rung: Rung,
-    settings: ReflectanceSettings,
-    downsample: int,
-    names: list[str],
-    views: int,
-    keep: Path | None,
-) -> None:
-    """One table for the mesh of one run."""
+def study(run: Path, settings: ReflectanceSettings, downsample: int, names: list[str], specular_map: bool) -> None:
+    """One table for one run."""
     capture, train, test = captures_of(run)
-    train = train[:: max(1, round(len(train) / views))] if views else train
-    plugins = PluginManager.discover()
-    scene = starting_scene(load_stage_scene(run / "stages" / "3-atlas" / "scene"), capture, settings)
-    solver = TransportGGX(TransportGGXOptions()).prepare(scene, capture, downsample)
-    if keep is not None:
-        solver.keep(keep / f"{run.name}-{rung.name}-{len(train)}", 30.0)
-    first = solver.fit(Rung(), None, train, 0.4, lambda share: None)
-    fit = solver.fit(rung, first, train, 1.0, lambda share: None)
-    fitted, _ = solver.scene(fit, train, lambda share: None)
+    fitted = load_stage_scene(run / "stages" / "4-reflectance" / "scene")
+    solver = TransportGGX(TransportGGXOptions()).prepare(fitted, capture, downsample)
+    report = json.loads((run / "run.json").read_text())["stages"]["reflectance"]["report"]
+    if report["bounces"]:
+        solver._indirect = indirect_light(solver, fitted, report["bounces"])
+    if specular_map:
+        fitted = with_specular_map(fitted)
     pixels, train_part, test_part = (object_pixels(capture, v, downsample, "cpu") for v in (train, train, test))
-    print(f"\n{run.name}, {len(train)} photographs, {rung.name}, {settings.iterations} steps "
-          f"of {settings.batch_pixels} pixels, rate {settings.learning_rate}\n")  # fmt: skip
+    model = "a specular map" if specular_map else report["rung"]
+    print(f"\n{run.name}, {model}, {settings.iterations} steps of {settings.batch_pixels} pixels, rate "
+          f"{settings.learning_rate}\n")  # fmt: skip
     print("| terms | unseen dB | gain | train dB | mean ρd | seconds |\n|---|---|---|---|---|---|")
     base = decibels(solver, fitted, test_part)
     row("no gradient steps", base, base, decibels(solver, fitted, train_part), fitted, 0.0)
-    context = StageContext(plugins, Path())
+    context = StageContext(PluginManager.discover(), Path(), checkpoint_seconds=1e9)
     for name in names:
         began = time.process_time()
         energies = prepare_energies(fitted, TERMS[name], context)
-        scene, _ = fit_by_gradient(
-            fitted,
-            solver,
-            pixels,
-            settings,
-            energies,
-            replace(context, checkpoint_seconds=1e9),
-            steps=settings.iterations,
-        )
+        scene, _ = fit_by_gradient(fitted, solver, pixels, settings, energies, context, steps=settings.iterations)
         seconds = time.process_time() - began
         row(name, decibels(solver, scene, test_part), base, decibels(solver, scene, train_part), scene, seconds)
+
+
+def indirect_light(solver: TransportSolver, scene: Scene, bounces: int) -> Indirect:
+    """What parts of the surface throw at each other, as the run's own fit had it."""
+    assert scene.material is not None and scene.environment is not None
+    transport = solver._transport
+    surface = transport.surface
+    assert surface.corner_uvs is not None
+    uvs = torch.zeros(len(surface.positions), 2)
+    uvs[surface.faces.reshape(-1)] = surface.corner_uvs.reshape(-1, 2)
+    albedo = sample(scene.material.diffuse_albedo, uvs)
+    with torch.no_grad():
+        sources, irradiance = transport.sources(scene.environment.radiance, albedo, bounces)
+        _, direct = transport.sources(scene.environment.radiance, albedo, 0)
+    return Indirect(irradiance - direct, sources[transport.pyramid.texels :])
+
+
+def with_specular_map(scene: Scene) -> Scene:
+    """The one specular albedo of the surface as a map, which gradient steps may change place by place."""
+    assert scene.material is not None
+    size = scene.material.diffuse_albedo.shape[:2]
+    specular = scene.material.specular_albedo.expand(*size, 3).contiguous()
+    return replace(scene, material=replace(scene.material, specular_albedo=specular))
 
 
 def row(name: str, unseen: np.ndarray, base: np.ndarray, seen: np.ndarray, scene: Scene, seconds: float) -> None:
@@ -139,22 +145,17 @@ def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("runs", type=Path, nargs="+")
-    parser.add_argument("--specular", choices=["uniform", "map"], default="uniform")
-    parser.add_argument("--roughness", choices=["uniform", "map"], default="uniform")
-    parser.add_argument("--bounces", type=int, default=0)
+    parser.add_argument("--specular-map", action="store_true")
     parser.add_argument("--iterations", type=int, default=80)
     parser.add_argument("--rate", type=float, default=0.005)
     parser.add_argument("--downsample", type=int, default=1)
-    parser.add_argument("--views", type=int, default=0, help="so many photographs of the train split; 0: all")
-    parser.add_argument("--keep", type=Path, help="a folder for the fits, which a second call reads again")
     parser.add_argument("--terms", nargs="+", default=list(TERMS))
     given = parser.parse_args()
-    rung = Rung("dielectric", given.specular, given.roughness, bounces=given.bounces)
     settings = ReflectanceSettings(
         iterations=given.iterations, learning_rate=given.rate, learning_rate_end=0.05, batch_pixels=8192
     )
     for run in given.runs:
-        study(run, rung, settings, given.downsample, given.terms, given.views, given.keep)
+        study(run, settings, given.downsample, given.terms, given.specular_map)
 
 
 if __name__ == "__main__":

@@ -118,7 +118,7 @@ def _by_solver(
     report: dict[str, Any] = {"rung": rung.name, "bounces": rung.bounces, "light_frame": rung.light_frame,
                               "ladder": [step.row() for step in steps], **facts}
     energies = prepare_energies(fitted, settings.regularizers, context)
-    if energies and not settings.iterations:
+    if energies and not settings.iterations and not settings.polish_iterations:
         context.warn(f"the regularizers {', '.join(energies.terms)} act in gradient steps after the solver, and "
                      "reflectance.iterations is 0: they have no effect")
     if energies and settings.iterations:

@@ -1,7 +1,7 @@
 """Bilateral means of any number of places in linear time: places that are near and alike are taken together.
 
 A mean over all pairs costs n². Here the places q are gathered in cells: cubes of the surface, each divided again by
-the guide (albedo, say). Every place p hears the cells whose cube is nearer than the cutoff. A cell speaks with the
+the guide (albedo, say). A place p hears the cells of all cubes nearer than the cutoff, and each speaks with the
 first-order expansion of the kernel about its centroid x̄, so with weights `k(p, x̄)·(1 + (p − x̄)·(q − x̄))`: its number
 of places, their mean value and the covariance of value and place are all that is needed. How many cells a place
 hears depends on the widths of the kernel and on the colours around it, not on n; where every place has a cell of its
@@ -72,7 +72,7 @@ class Cells:
 
 
 def cubes_of(positions: Float[Tensor, "N 3"], cutoff: float, edge: float) -> Cubes:
-    """Sorts places (in σ) into cubes of `edge`; a block hears every cube with a place nearer than `cutoff` to its own."""
+    """Sorts places (in σ) into cubes of `edge`; a block hears all cubes whose bounds are within `cutoff` of its own."""
     from scipy.spatial import cKDTree
 
     points = positions.detach().cpu().double().numpy()
