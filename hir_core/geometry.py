@@ -94,12 +94,17 @@ def fit_geometry(
                 "skipped_steps": loop.skipped,
             }
         )
+    outlined = mesh
     photographs: dict[str, Any] = {"kept": False, "reason": "left out by the settings"}
     if settings.photographs == "auto":
         mesh, photographs = refine_by_photographs(mesh, capture, fit.iou, fit.held, settings, context)
     after = inspect_mesh(*_arrays(mesh))
     if after.self_intersecting > before.self_intersecting:
-        mended = untangle(*_arrays(mesh), allowed=before.self_intersecting)
+        positions, faces = _arrays(mesh)
+        # where photographs folded the surface, it goes back to what the outlines said; what they folded is smoothed
+        if photographs["kept"]:
+            positions = untangle(positions, faces, before.self_intersecting, toward=_arrays(outlined)[0])
+        mended = untangle(positions, faces, before.self_intersecting)
         mesh = mesh.with_positions(torch.from_numpy(mended).to(mesh.positions))
         after = inspect_mesh(*_arrays(mesh))
     last = fit.errors(mesh, list(range(len(targets))))

@@ -240,6 +240,25 @@ def test_trust_needs_a_crowd_and_a_clear_case() -> None:
     assert pair.update([0, 1], np.array([0.01, 0.9]), settled=True).tolist() == [1.0, 1.0]
 
 
+def test_untangling_goes_back_to_an_earlier_state_where_the_surface_folded() -> None:
+    before, faces = icosphere(4)
+    generator = np.random.default_rng(0)
+    # a bump all over, which is right, and three places turned inside out, which are not
+    bumped = before * (1 + 0.02 * np.cos(7 * before[:, :1]))
+    folded = bumped.copy()
+    for centre in generator.normal(size=(3, 3)):
+        place = before @ (centre / np.linalg.norm(centre)) > 0.97
+        folded[place] += generator.normal(scale=0.08, size=(int(place.sum()), 3))
+    assert inspect_mesh(folded, faces).self_intersecting > 20
+    mended = untangle(folded, faces, allowed=0, toward=before)
+    assert inspect_mesh(mended, faces).self_intersecting == 0
+    moved = np.linalg.norm(mended - folded, axis=1) > 0
+    assert 0.02 < moved.mean() < 0.3
+    # each vertex lies between where it was then and where it had gone
+    back, away = (np.linalg.norm(state[moved] - before[moved], axis=1) for state in (mended, folded))
+    assert (back < away).all()
+
+
 def test_untangling_takes_out_a_spike_and_leaves_the_rest() -> None:
     positions, faces = icosphere(3)
     spoilt = positions.copy()
