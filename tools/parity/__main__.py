@@ -107,6 +107,7 @@ def _pictures(file: Path, keep: bool, draw: Callable[[], list[Picture]]) -> list
 def _export(asset: Asset, folder: Path, name: str) -> None:
     """Every file that a row opens, and the light that all are given."""
     create_exporter("glb", GltfConfig(profile="khr")).write(asset, folder / f"{name}_khr.glb")
+    create_exporter("glb", GltfConfig(profile="metalrough")).write(asset, folder / f"{name}_metalrough.glb")
     create_exporter("glb", GltfConfig(profile="blender")).write(asset, folder / f"{name}_blender.glb")
     create_exporter("glb", GltfConfig(image_based_light=True)).write(asset, folder / f"{name}_lit.glb")
     create_exporter("usda", UsdConfig()).write(asset, folder / f"{name}_usda.usda")

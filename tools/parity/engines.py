@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from hir_core.capture import Camera
 from hir_core.manager import PluginManager
 from parity.browser import HERE, chromium_command, decoded_picture, module_folder, module_version, pictures_in_browser
+from parity.godot3 import godot_missing, godot_version, in_godot
 from parity.shots import shot_document
 
 Picture = NDArray[np.float32]
@@ -61,6 +62,12 @@ def openings(blender_samples: int) -> list[Opening]:
         web("Babylon.js", "babylonjs", "babylon.html"),
         web("Babylon.js", "babylonjs", "babylon.html", "lit.glb"),
         web("Filament", "filament", "filament.html"),
+        Opening(
+            f"Godot {godot_version()}" if not godot_missing() else "Godot 3",
+            "metalrough.glb",
+            in_godot,
+            godot_missing(),
+        ),
         cycles("blender.glb"),
         cycles("khr.glb"),
         cycles("usda_lit.usda", own_light=True),

@@ -18,13 +18,13 @@ from hir_exporters.exporter import Edit, Exporter, ExportReport
 from hir_exporters.images import write_hdr
 from hir_exporters.surface_images import EncodedImage, encode_images, limited, reduction_warning
 from hir_exporters.usd.light import light_layer
-from hir_exporters.usd.openpbr import openpbr_stage
+from hir_exporters.usd.openpbr import openpbr_layer
 from hir_exporters.usd.package import PackageSizeError, usdz_bytes
 from hir_exporters.usd.stage import build_stage, prim_name
 from hir_exporters.usd.surface import UsdSurface, usd_surface
 
 if TYPE_CHECKING:
-    from pxr import Usd
+    from pxr import Sdf
 
 QUICK_LOOK_BYTES = 25 << 20
 """Packages above this load slowly on a phone; the report warns."""
@@ -50,7 +50,7 @@ class UsdExporter(Exporter):
         stage = build_stage(asset, surface, paths, config.meters_per_unit, config.subsets)
         if edit is not None:
             edit(stage, asset)
-        layer = layer_bytes(stage, destination.suffix)
+        layer = layer_bytes(stage.GetRootLayer(), destination.suffix)
         files = [destination]
         for image in images.values():
             files.append(destination.with_name(f"{destination.stem}_{image.name}"))
@@ -58,7 +58,7 @@ class UsdExporter(Exporter):
         write_bytes_atomic(destination, layer)
         if config.materialx:
             files.append(destination.with_name(f"{destination.stem}_openpbr.usda"))
-            over = openpbr_stage(surface, prim_name(asset.name), destination.name, paths, config.meters_per_unit)
+            over = openpbr_layer(surface, prim_name(asset.name), destination.name, paths, config.meters_per_unit)
             write_bytes_atomic(files[-1], layer_bytes(over, ".usda"))
         light_files, light_warnings = _write_light(asset, destination, config)
         return _report(files + light_files, warnings + light_warnings, surface, start)
@@ -85,7 +85,9 @@ class UsdzExporter(Exporter):
             edit(stage, asset)
         root = f"{prim_name(asset.name)}.usdc"
         try:
-            package = usdz_bytes([(root, layer_bytes(stage, ".usdc")), *((i.name, i.data) for i in images.values())])
+            package = usdz_bytes(
+                [(root, layer_bytes(stage.GetRootLayer(), ".usdc")), *((i.name, i.data) for i in images.values())]
+            )
         except PackageSizeError as error:
             raise ExportError(f"{destination} would be larger than 4 GiB; reduce max_texture_size") from error
         if len(package) > QUICK_LOOK_BYTES:
@@ -97,14 +99,14 @@ class UsdzExporter(Exporter):
         return _report([destination, *light_files], warnings + light_warnings, surface, start)
 
 
-def layer_bytes(stage: Usd.Stage, suffix: str) -> bytes:
-    """The root layer as the bytes of a file of that suffix."""
+def layer_bytes(layer: Sdf.Layer, suffix: str) -> bytes:
+    """The layer as the bytes of a file of that suffix."""
     from pxr import Tf
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"layer{suffix}"
         try:
-            written = stage.GetRootLayer().Export(str(path))
+            written = layer.Export(str(path))
         except Tf.ErrorException:  # its text is several lines of USD's own sources
             written = False
         if not written:

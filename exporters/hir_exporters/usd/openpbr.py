@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING, Any, Final
 from hir_exporters.usd.surface import UsdSurface
 
 if TYPE_CHECKING:
-    from pxr import Usd
+    from pxr import Sdf
 
 MATERIALX_VERSION: Final = "1.39"
 
 _IMAGES: Final = {"base_color": "color3", "occlusion_roughness_metallic": "color3", "normal": "vector3"}
 
 
-def openpbr_stage(
+def openpbr_layer(
     surface: UsdSurface, prim: str, asset_file: str, textures: Mapping[str, str], meters_per_unit: float
-) -> Usd.Stage:
-    """A stage over the asset's file that adds the render context `mtlx` to its material; `surface` is metallic."""
+) -> Sdf.Layer:
+    """A layer over the asset's file that adds the render context `mtlx` to its material; `surface` is metallic."""
     from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
 
     assert surface.workflow == "metallic"
@@ -75,6 +75,8 @@ def openpbr_stage(
         normal.CreateInput("in", types.Vector3f).ConnectToSource(image("normal"))
         turned = normal.CreateOutput("out", types.Vector3f)
         shader.CreateInput("geometry_normal", types.Vector3f).ConnectToSource(turned)
-    # last: the file need not be there while the layer is made
-    stage.GetRootLayer().subLayerPaths.append(f"./{asset_file}")
-    return stage
+    # a layer without a stage: nothing looks for the file while it is made
+    layer = Sdf.Layer.CreateAnonymous(".usda")
+    layer.TransferContent(stage.GetRootLayer())
+    layer.subLayerPaths.append(f"./{asset_file}")
+    return layer
