@@ -135,5 +135,6 @@ def _to_device(value, device):  # type: ignore[no-untyped-def]
     if isinstance(value, Tensor):
         return value.to(device)
     if is_dataclass(value):
-        return type(value)(**{f.name: _to_device(getattr(value, f.name), device) for f in fields(value)})
+        moved = {f.name: _to_device(getattr(value, f.name), device) for f in fields(value)}
+        return type(value)(**moved)  # type: ignore[misc]
     return value

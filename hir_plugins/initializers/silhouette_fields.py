@@ -46,7 +46,7 @@ def signed_distance(mask: NDArray[np.float32]) -> NDArray[np.float32]:
     to_background = cv2.distanceTransform(inside.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     to_object = cv2.distanceTransform((~inside).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     distance = np.where(inside, to_background - 0.5, 0.5 - to_object).astype(np.float32)
-    contours = find_contours(mask, 0.5)  # type: ignore[no-untyped-call,unused-ignore]
+    contours = find_contours(mask, 0.5)
     if not contours:
         return distance
     steps = np.linspace(0.0, 1.0, 8, endpoint=False)[None, :, None]
