@@ -121,7 +121,7 @@ def fit_by_gradient(
             for value, low, high in limits:
                 value.clamp_(low, high)
             if settings.conserve_energy:
-                guarded, _ = conserving(replace(material, diffuse_albedo=diffuse, specular_albedo=specular))
+                guarded = conserving(replace(material, diffuse_albedo=diffuse, specular_albedo=specular))[0]
                 diffuse.copy_(guarded.diffuse_albedo)
         return False
 
