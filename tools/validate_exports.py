@@ -44,13 +44,14 @@ def main() -> int:
 def written(asset: Asset, folder: Path) -> list[Path]:
     """The asset in every profile × format, and each option that changes a file's structure."""
     files = []
-    for name, suffix, config in _kinds():
+    for name, suffix, config in kinds():
         report = create_exporter(suffix, config).write(asset, folder / f"{name}.{suffix}")
         files += [f for f in report.files if f.suffix in (".glb", ".gltf", ".usda", ".usdc", ".usdz")]
     return files
 
 
-def _kinds() -> Iterator[tuple[str, str, Any]]:
+def kinds() -> Iterator[tuple[str, str, Any]]:
+    """Name, format and options of each file that is written."""
     for suffix in ("glb", "gltf"):
         for profile in PROFILES:
             yield profile, suffix, GltfConfig(profile=profile)
@@ -67,10 +68,11 @@ def complaints(files: list[Path]) -> list[Finding]:
     gltf = [file for file in files if file.suffix in (".glb", ".gltf")]
     usd = [file for file in files if file.suffix.startswith(".usd")]
     found = validate_gltf(gltf, TOOLS) + validate_usd(usd) + validate_omniverse(usd)
-    return [f for f in found if f.severity != "information" and not _is_materialx(f)]
+    return [f for f in found if f.severity != "information" and not is_materialx(f)]
 
 
-def _is_materialx(finding: Finding) -> bool:
+def is_materialx(finding: Finding) -> bool:
+    """Whether usd-core only does not know an id of MaterialX, in the layer that may have them."""
     layer = finding.file.name.endswith("_openpbr.usda")
     return layer and finding.code == "MissingShaderIdInRegistry" and "ND_" in finding.message
 

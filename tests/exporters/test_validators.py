@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 import validate_exports
 from hir_exporters.asset import Asset, AssetMaterial, AssetMesh
-from hir_exporters.validate import Finding, validate_omniverse
+from hir_exporters.formats import create_exporter
+from hir_exporters.validate import Finding, validate_gltf, validate_omniverse, validate_usd
 
 Texture = Callable[..., np.ndarray]
 
@@ -50,10 +51,17 @@ def test_one_and_two_triangles(triangles: int, textured_asset: Asset, tmp_path: 
 
 
 @pytest.mark.slow
-def test_a_million_triangles(textured_asset: Asset, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("name", "suffix", "config"), list(validate_exports.kinds()))
+def test_a_million_triangles(
+    name: str, suffix: str, config: object, textured_asset: Asset, node_tools: Path, tmp_path: Path
+) -> None:
+    """NVIDIA's rules are left out: in Python, they take minutes for a fifth of that."""
     asset = replace(textured_asset, mesh=plate(1000, 500))
     assert len(asset.mesh.faces) == 1_000_000
-    assert told(validate_exports.complaints(validate_exports.written(asset, tmp_path))) == []
+    report = create_exporter(suffix, config).write(asset, tmp_path / f"{name}.{suffix}")
+    files = [file for file in report.files if file.suffix == f".{suffix}"]
+    findings = validate_gltf(files, node_tools) if suffix in ("glb", "gltf") else validate_usd(files)
+    assert told([f for f in findings if f.severity != "information" and not validate_exports.is_materialx(f)]) == []
 
 
 @pytest.mark.slow
