@@ -60,3 +60,17 @@ def test_flip_v_is_its_own_inverse_and_luminance_of_white_is_one() -> None:
     np.testing.assert_array_equal(c.flip_v(uvs), [[0.25, 1.0], [0.5, 0.0]])
     np.testing.assert_array_equal(c.flip_v(c.flip_v(uvs)), uvs)
     np.testing.assert_allclose(c.luminance(np.ones((2, 3))), 1.0, rtol=1e-15)
+
+
+def test_directions_go_through_pixel_centres() -> None:
+    directions = c.latlong_directions(2, 4)
+    half = np.sqrt(0.5)
+    np.testing.assert_allclose(directions[0, 0], [0.5, half, -0.5], atol=1e-12)
+    np.testing.assert_allclose(directions[1, 2], [-0.5, -half, 0.5], atol=1e-12)
+    assert directions.shape == (2, 4, 3) and directions.dtype == np.float64
+
+
+def test_luminance_keeps_single_precision() -> None:
+    grey = np.full((2, 3), 0.25, np.float32)
+    assert c.luminance(grey).dtype == np.float32 and c.luminance(grey.astype(np.float64)).dtype == np.float64
+    np.testing.assert_allclose(c.luminance(np.eye(3)), [0.2126, 0.7152, 0.0722])
