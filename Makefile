@@ -11,7 +11,7 @@ help:
 	@echo "make test-all  the slow ones too"
 	@echo "make lint      ruff and mypy"
 	@echo "make docs      the documentation as a site, in build/docs"
-	@echo "make parity    open exports in three.js, Babylon.js, Filament and Blender; write docs/engines/parity.md"
+	@echo "make parity    open exports in three.js, Babylon.js, Filament, Blender, Godot; write docs/engines/parity.md"
 	@echo "make stability  the table of numerical hard cases, docs/stability.md"
 	@echo "make kill-test  kill a small run at 50 random moments, resume, compare all files"
 	@echo "make fuzz      feed changed files to every reader for 10 minutes"
