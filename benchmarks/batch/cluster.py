@@ -83,8 +83,11 @@ def tell(folder: Path, captures: int = 12, say: Callable[[str], None] = print) -
             with _call(command, folder / "second.log") as process:
                 for event in _events(process, story.second):
                     if event["event"] == "group_started" and len(nodes) == NODES:
-                        say("a node leaves")
-                        cluster.remove_node(nodes.pop(), allow_graceful=False)
+                        found = [node for node in nodes[1:] if event["pid"] in workers_of(node)]
+                        for node in found:  # none where the worker is the head's
+                            say(f"the node leaves on which {event['capture']} is worked on")
+                            nodes.remove(node)
+                            cluster.remove_node(node, allow_graceful=False)
             story.codes.append(process.returncode)
             with _call(command, folder / "third.log") as process:
                 list(_events(process, story.third))
@@ -112,6 +115,14 @@ def add_node(cluster: Any, **options: Any) -> Any:
             if tries == 1 or "timed out during startup" not in str(error):
                 raise
     raise AssertionError
+
+
+def workers_of(node: Any) -> set[int]:
+    """Process ids of all that a local node started."""
+    import psutil
+
+    started = [entry.process.pid for entries in node.all_processes.values() for entry in entries]
+    return {child.pid for pid in started if psutil.pid_exists(pid) for child in psutil.Process(pid).children(True)}
 
 
 def summary(story: Story) -> str:

@@ -140,7 +140,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         singles = run_singles(shelf[:count], folder / "singles", cores=1)
         batch = run_batch(shelf[:count], folder / "one", cores=1)
         print(f"one core, {count} captures: hir reconstruct {singles:.1f} s, hir batch {batch.command:.1f} s, of which "
-              f"Ray's start and end {batch.command - batch.batch:.1f} s")  # fmt: skip
+              f"Ray's start and end {batch.command - batch.batch:.1f} s", flush=True)  # fmt: skip
         print(f"a capture: {(batch.command - singles) / count:+.2f} s, without Ray's start and end "
               f"{(batch.batch - singles) / count:+.2f} s", flush=True)  # fmt: skip
         pair = run_singles(shelf[:2], folder / "pair", cores=2)

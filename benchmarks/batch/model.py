@@ -87,9 +87,9 @@ class Played:
 
 def play(
     captures: int, load: Load, fleet: Fleet, requests: Requests, overhead: Overhead = Overhead(), seed: int = 0,
-    factors: Sequence[float] | None = None,
+    listed: int = 0,
 ) -> Played:  # fmt: skip
-    """Plays a batch through; `factors` are the captures' own speeds where they are known."""
+    """Plays a batch through; `listed` captures are in the manifest, by default those that are played."""
     chance = random.Random(seed)
     asked = [requests.of(group) for group in GROUPS]
     needs = [{name: amount for name, amount in request.resources().items() if amount > 0} for request in asked]
@@ -135,7 +135,7 @@ def play(
             while waiting[group] and all(free[k] + 1e-9 >= v for k, v in needs[group].items()):
                 start(time, group, waiting[group].popleft())
         while begun < captures and running + sum(map(len, waiting)) < room:
-            factor = factors[begun] if factors else math.exp(chance.gauss(0.0, load.spread))
+            factor = math.exp(chance.gauss(0.0, load.spread))
             begun += 1
             waiting[0].append(factor)
             if all(free[k] + 1e-9 >= v for k, v in needs[0].items()):
@@ -153,7 +153,7 @@ def play(
             free[name] += amount
         handled = max(now, driver_free)
         if handled >= manifest_due:
-            written = captures * overhead.entry
+            written = (listed or captures) * overhead.entry
             played.driver += written
             handled += written
             manifest_due = handled + max(1.0, written / 0.05)
@@ -175,6 +175,9 @@ def play(
         played.busy[name] = played.busy[name] / (total[name] * played.seconds) if total[name] else 0.0
     return played
 
+
+MOST_PLAYED = 100_000
+"""Of a larger batch so many are played, with the manifest of all, and their time is multiplied."""
 
 ONE_CORE = {
     "spot": (10.5, 74.3, 234.4, 4.9),
@@ -206,14 +209,16 @@ def table(fleets: Sequence[tuple[str, int, Fleet]], shards: int = 1) -> list[str
             "reads + writes | dollars |", "|---|---|---|---|---|---|---|---|---|"]  # fmt: skip
     for name, captures, fleet in fleets:
         part = replace(fleet, nodes=max(fleet.nodes // shards, 1))
-        found = play(captures // shards, load, part, requests)
-        hours = found.seconds / 3600
-        rate = captures * (load.bytes_in + load.bytes_out) / found.seconds
+        played = min(captures // shards, MOST_PLAYED)
+        found = play(played, load, part, requests, listed=captures // shards)
+        seconds = found.seconds * (captures // shards) / played
+        hours = seconds / 3600
+        rate = captures * (load.bytes_in + load.bytes_out) / seconds
         dollars = hours * fleet.nodes * fleet.dollars_per_hour
         rows.append(
             f"| {name} | {captures:,} | {hours:,.1f} | {captures / hours:,.0f} | {found.busy['CPU']:.0%} | "
             f"{found.driver:.1%} | {found.longest_wait:.1f} s | {rate / 1e6:,.1f} MB/s, "
-            f"{captures * load.requests_of_store / found.seconds:,.0f} requests/s | "
+            f"{captures * load.requests_of_store / seconds:,.0f} requests/s | "
             f"{f'{dollars:,.0f}' if dollars else '–'} |"
         )
     return rows

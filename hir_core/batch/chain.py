@@ -29,7 +29,7 @@ class Chain:
     failures: int = 0
     """Times that the infrastructure failed the group that is next."""
     retries: int = 0
-    """Times that it failed any group."""
+    """Times that it failed any group, in earlier calls too."""
     not_before: float = 0.0
     """Clock time before which the next task is not handed out."""
     reason: str = ""
@@ -87,6 +87,8 @@ class Chain:
         for name in ("listing", "content", "settings", "reason"):
             noted = entry.get(name)
             setattr(self, name, noted if isinstance(noted, str) else "")
+        retries = entry.get("retries")
+        self.retries = retries if isinstance(retries, int) else 0
         seconds = entry.get("seconds")
         if isinstance(seconds, dict):
             self.seconds = {str(k): dict(v) for k, v in seconds.items() if isinstance(v, dict)}

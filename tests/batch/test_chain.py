@@ -52,10 +52,10 @@ def test_unchanged_capture_keeps_what_is_known_of_its_result() -> None:
 
 def test_entry_of_an_earlier_call_is_remembered_and_a_damaged_one_does_no_harm() -> None:
     chain = Chain("cup", "cup")
-    chain.settle(Outcome("done", content="c0ffee", seconds={"compute": 2.0}), PATIENCE, 0.0, 0.0)
+    settle(chain, Outcome("trouble", "the node left"), Outcome("done", content="c0ffee", seconds={"compute": 2.0}))
     again = Chain("cup", "cup")
     again.take_over(chain.entry())
-    assert again.content == "c0ffee" and again.seconds == chain.seconds
+    assert (again.content, again.seconds, again.retries) == ("c0ffee", chain.seconds, 1)
     again.take_over({"seconds": 3, "content": None, "state": []})
     assert again.content == "" and again.state == "waiting" and again.seconds == chain.seconds
 
