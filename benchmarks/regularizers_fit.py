@@ -45,14 +45,21 @@ TERMS: Mapping[str, Terms] = {
     "bilateral_specular, 0.02": {"bilateral_specular": {"weight": 0.02, "places": "texels"}},
     "albedo_scale, 1e5": {"albedo_scale": {"weight": 1e5}},
 }
-PIXELS = 60_000
+PIXELS = 40_000
 
 
-def study(run: Path, settings: ReflectanceSettings, downsample: int, names: list[str], specular_map: bool) -> None:
+def study(
+    run: Path,
+    settings: ReflectanceSettings,
+    options: TransportGGXOptions,
+    downsample: int,
+    names: list[str],
+    specular_map: bool,
+) -> None:
     """One table for one run."""
     capture, train, test = captures_of(run)
     fitted = load_stage_scene(run / "stages" / "4-reflectance" / "scene")
-    solver = TransportGGX(TransportGGXOptions()).prepare(fitted, capture, downsample)
+    solver = TransportGGX(options).prepare(fitted, capture, downsample)
     report = json.loads((run / "run.json").read_text())["stages"]["reflectance"]["report"]
     if report["bounces"]:
         solver._indirect = indirect_light(solver, fitted, report["bounces"])
@@ -110,13 +117,13 @@ def row(name: str, unseen: np.ndarray, base: np.ndarray, seen: np.ndarray, scene
 def captures_of(run: Path) -> tuple[Capture, list[int], list[int]]:
     """Train and test views of a run's capture as one capture in the run's working frame, and the numbers of each."""
     document = json.loads((run / "run.json").read_text())
-    plugins, cache = PluginManager.discover(), PixelCache()
+    plugins = PluginManager.discover()
     working_from_source = np.linalg.inv(np.array(document["asset_from_working"])) @ np.array(
         document["asset_from_source"]
     )
     parts = []
     for split in ("train", "test"):
-        found = cache.wrap(read_capture(Path(document["capture"]["path"]), split, plugins))
+        found = PixelCache().wrap(read_capture(Path(document["capture"]["path"]), split, plugins))
         parts.append(found.transformed(working_from_source @ np.linalg.inv(found.world_from_source)))
     count = [len(part.views) for part in parts]
     whole = replace(parts[0], views=parts[0].views + parts[1].views)
@@ -148,14 +155,18 @@ def main() -> None:
     parser.add_argument("--specular-map", action="store_true")
     parser.add_argument("--iterations", type=int, default=80)
     parser.add_argument("--rate", type=float, default=0.005)
+    parser.add_argument("--pixels", type=int, default=8192, help="of a step")
+    parser.add_argument("--cells", type=int, default=6000)
+    parser.add_argument("--vertices", type=int, default=40_000)
     parser.add_argument("--downsample", type=int, default=1)
     parser.add_argument("--terms", nargs="+", default=list(TERMS))
     given = parser.parse_args()
     settings = ReflectanceSettings(
-        iterations=given.iterations, learning_rate=given.rate, learning_rate_end=0.05, batch_pixels=8192
+        iterations=given.iterations, learning_rate=given.rate, learning_rate_end=0.05, batch_pixels=given.pixels
     )
+    options = TransportGGXOptions(cells=given.cells, vertices=given.vertices)
     for run in given.runs:
-        study(run, settings, given.downsample, given.terms, given.specular_map)
+        study(run, settings, options, given.downsample, given.terms, given.specular_map)
 
 
 if __name__ == "__main__":
