@@ -7,7 +7,7 @@ measured.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -111,37 +111,41 @@ def plan_memory(config: RunConfig, plugins: PluginManager, size: CaptureSize) ->
 
 
 def _smaller(plan: Plan, plugins: PluginManager, size: CaptureSize) -> Plan | None:
-    """The next plan that takes less; None where nothing is left to shrink."""
-    config = plan.config
+    """The next plan under which the largest stage takes less; None where nothing is left to shrink."""
     worst = max(plan.stages, key=plan.total)
-    excess = plan.total(worst) - plan.limit
-    cache = max(LEAST_CACHE, min(plan.cache_bytes, size.pixels * DECODED) - excess)
-    if cache < min(plan.cache_bytes, size.pixels * DECODED):
-        said = f"the cache of decoded photographs has {gigabytes(cache)}"
-        changes = (*(c for c in plan.changes if not c.startswith("the cache")), said)
-        return _estimated(config, plugins, size, cache, plan.limit, changes)
+    for config, cache, said in _candidates(plan, plugins, size, worst):
+        changed = _estimated(config, plugins, size, cache, plan.limit, _with(plan.changes, said))
+        if changed.total(worst) < plan.total(worst):
+            return changed
+    return None
+
+
+def _candidates(
+    plan: Plan, plugins: PluginManager, size: CaptureSize, worst: str
+) -> Iterator[tuple[RunConfig, int, str]]:
+    """Settings, bytes of the cache, and what is said of the change, gentlest first."""
+    config, used = plan.config, min(plan.cache_bytes, size.pixels * DECODED)
+    cache = max(LEAST_CACHE, used - (plan.total(worst) - plan.limit))
+    if cache < used:
+        yield config, cache, f"cache of decoded photographs={gigabytes(cache)}"
     if worst == "reflectance":
         name = config.reflectance.renderer
-        table = config.reflectance_renderer.get(name, {})
-        options = dict(_reflectance_renderer(config, plugins).smaller())
-        if options:
-            renderers = config.reflectance_renderer | {name: table | options}
+        if options := dict(_reflectance_renderer(config, plugins).smaller()):
+            table = config.reflectance_renderer.get(name, {}) | options
             said = ", ".join(f"reflectance_renderer.{name}.{key}={value}" for key, value in options.items())
-            changed = replace(config, reflectance_renderer=renderers)
-            return _estimated(changed, plugins, size, plan.cache_bytes, plan.limit, _with(plan.changes, said))
+            yield (
+                replace(config, reflectance_renderer=config.reflectance_renderer | {name: table}),
+                plan.cache_bytes,
+                said,
+            )
     if worst == "geometry" and config.geometry.views_per_step > 1:
-        fewer = config.geometry.views_per_step // 2
-        changed = replace(config, geometry=replace(config.geometry, views_per_step=fewer))
-        said = f"geometry.views_per_step={fewer}"
-        return _estimated(changed, plugins, size, plan.cache_bytes, plan.limit, _with(plan.changes, said))
+        fewer = replace(config.geometry, views_per_step=config.geometry.views_per_step // 2)
+        yield replace(config, geometry=fewer), plan.cache_bytes, f"geometry.views_per_step={fewer.views_per_step}"
     if worst in ("geometry", "reflectance"):
         settings = getattr(config, worst)
         if settings.downsample * 2 <= MOST_DOWNSAMPLE:
             coarser = replace(settings, downsample=settings.downsample * 2)
-            changed = replace(config, **{worst: coarser})
-            said = f"{worst}.downsample={coarser.downsample}"
-            return _estimated(changed, plugins, size, plan.cache_bytes, plan.limit, _with(plan.changes, said))
-    return None
+            yield replace(config, **{worst: coarser}), plan.cache_bytes, f"{worst}.downsample={coarser.downsample}"
 
 
 def _with(changes: tuple[str, ...], said: str) -> tuple[str, ...]:
