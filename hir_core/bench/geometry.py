@@ -91,7 +91,7 @@ def one_step(
 
     def run() -> None:
         covered, shared = renderer.overlap(mesh, targets)
-        (covered + shared).sum().backward()  # type: ignore[no-untyped-call]
+        (covered + shared).sum().backward()
 
     return run
 

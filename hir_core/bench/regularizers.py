@@ -79,7 +79,7 @@ def scene_texture(scene: Scene) -> int:
 
 def methods_of(config: type) -> tuple[str, ...]:
     """The choices of an option `method`, where one of them is the slow one."""
-    names = {field.name for field in fields(config)}  # type: ignore[arg-type]
+    names = {field.name for field in fields(config)}
     hint: Any = get_type_hints(config).get("method") if "method" in names else None
     choices = get_args(hint) if get_origin(hint) is Literal else ()
     return tuple(choices) if SLOW_METHOD in choices else ()

@@ -135,7 +135,8 @@ class TestReferences:
     def test_the_slow_method_is_the_reference_of_the_fast_one(self) -> None:
         plugins = PluginManager.discover()
         config = plugins.find("regularizer", "bilateral_specular").component.config
-        assert set(regularizers.methods_of(config)) == {"neighbours", "all_pairs"}
+        methods = regularizers.methods_of(config)
+        assert regularizers.SLOW_METHOD in methods and len(methods) > 1
         assert regularizers.methods_of(plugins.find("regularizer", "laplacian").component.config) == ()
 
 
@@ -153,9 +154,10 @@ class TestSuites:
     def test_quick_regularizers_in_single_precision_are_those_in_double(self) -> None:
         plan = Plan(PluginManager.discover(), quick=True, repeats=1)
         rows = {r.method: r for r in rows_of("regularizers", plan)}
-        assert {"laplacian", "edge_length", "bilateral_specular, neighbours"} <= set(rows)
+        fast = {name for name in rows if ", " in name and not name.endswith(regularizers.SLOW_METHOD)}
+        assert {"laplacian", "edge_length"} <= set(rows) and fast
         for name, found in rows.items():
-            limit = 0.1 if "neighbours" in name else 1e-3  # what is left out beyond three σ; rounding
+            limit = 0.1 if name in fast else 1e-3  # what a fast method approximates; rounding
             assert found.errors["gradient error"] < limit, name
 
     @pytest.mark.slow

@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,7 +73,7 @@ def fit(scene: Scene, train: Capture, test: Capture, recipe: Recipe, seconds: fl
     stage = textured_stage(mi, scene, recipe)
     parameters = mi.traverse(stage)
     keys = [key for key, _ in parameters if key.endswith(FITTED)]
-    optimizer = mi.ad.Adam(lr=recipe.rate)
+    optimizer = cast(Any, mi.ad).Adam(lr=recipe.rate)
     for key in keys:
         optimizer[key] = parameters[key]
     parameters.update(optimizer)
