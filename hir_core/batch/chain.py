@@ -50,7 +50,8 @@ class Chain:
         self.content = outcome.content or self.content
         group = GROUPS[self.group].name
         if outcome.state in ("done", "unchanged"):
-            self.seconds.setdefault(group, {}).update(outcome.seconds)
+            if not outcome.reused:
+                self.seconds.setdefault(group, {}).update(outcome.seconds)
             self.failures = 0
             if outcome.state == "done" and self.group + 1 < len(GROUPS):
                 self.group += 1

@@ -178,7 +178,9 @@ class Batch:
         self._count(before, chain.state)
         wall = round(now - task.began, 3)
         facts = {"group": GROUPS[group].name, "seconds": wall}
-        if step in ("next group", "done"):
+        if outcome.reused:
+            self.event("group_reused", chain.name, **facts)
+        elif step in ("next group", "done"):
             chain.seconds[GROUPS[group].name]["wall"] = wall
             self.estimate.learn(group, sum(outcome.seconds.values()))
             self.event("group_finished", chain.name, **facts)

@@ -71,5 +71,7 @@ class Outcome:
     bytes_stored: int = 0
     lines: tuple[str, ...] = ()
     """For the capture's log."""
+    reused: bool = False
+    """Whether an earlier task had finished the group, and this one only found that out."""
     record: Mapping[str, Any] = field(default_factory=dict)
     """After the last group: what the summary shows of the result."""

@@ -51,6 +51,7 @@ class Worker:
         self.seconds: dict[str, float] = {}
         self.stored = 0
         self.lines: list[str] = []
+        self.reused = False
         self._tell, self._told = tell, 0.0
         self._staged = ""
         self._clock = time.perf_counter()
@@ -97,8 +98,9 @@ class Worker:
         lines = tuple(f"[{where}] {line}" for line in self.lines)
         seconds = {name: round(value, 3) for name, value in self.seconds.items()}
         return Outcome(
-            state, reason, self.content, platform.node(), os.getpid(), seconds, self.stored, lines, record or {}
-        )
+            state, reason, self.content, platform.node(), os.getpid(), seconds, self.stored, lines, self.reused,
+            record or {},
+        )  # fmt: skip
 
     def _restore(self, destination: Destination, mark: str, place: Desk) -> set[str]:
         """Fetches what earlier groups made and this node has not; names of the groups that the store keeps."""
@@ -120,10 +122,11 @@ class Worker:
         from hir_core.pipeline import reconstruct
 
         config = self.job.config
-        reconstruct(
+        result = reconstruct(
             capture, run, config=config, resume=True, until=self.group.until,
             plugins=PluginManager.discover(tuple(config.plugins)), on_progress=self._report, on_message=self._say,
         )  # fmt: skip
+        self.reused = set(self.group.stages) <= set(result.reused)
 
     def _publish(self, destination: Destination, place: Desk) -> dict[str, Any]:
         """Result, then record, then the end of what was kept for others: a batch that dies between finds its way."""

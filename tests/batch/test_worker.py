@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -52,7 +53,9 @@ def test_chain_on_a_store_makes_what_a_single_run_makes(
     for i, group in enumerate(GROUPS):
         job = replace(job_for(source, out, config, tmp_path / f"node{i}", i), content=content, listing="as listed")
         outcome = run(job, told)
-        assert outcome.state == "done", outcome
+        assert outcome.state == "done" and not outcome.reused, outcome
+        if i == 0:
+            assert run(job).reused, "what is kept is not computed again"
         content = outcome.content
         kept = set(storage.files(Destination(out).work("cow")))
         assert {Path(name).stem for name in kept} == ({g.name for g in GROUPS[: i + 1]} if i < 3 else set()), group
@@ -108,7 +111,7 @@ def test_refusals_are_sorted(
 
     monkeypatch.setattr("hir_core.pipeline.reconstruct", wrong)
     assert run(job).reason == "this is a bug: ZeroDivisionError: division by zero"
-    monkeypatch.setattr("hir_core.pipeline.reconstruct", lambda *_, **__: None)
+    monkeypatch.setattr("hir_core.pipeline.reconstruct", lambda *_, **__: SimpleNamespace(reused=()))
     storage.write(Destination(memory / "out").lease, json_bytes({"owner": "another batch"}))
     superseded = run(job)
     assert superseded.state == "trouble" and "another batch" in superseded.reason
