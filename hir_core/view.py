@@ -58,8 +58,9 @@ LIGHT_ROWS: Final = 256
 def view_page(source: Path, light: Path | None = None, photographs: bool = True) -> str:
     """The page for a run, a scene folder, or a file; `light` is a lat-long .hdr or .exr in the asset's axes.
 
-    A .glb is shown as it is; other formats, and Draco, as independent readers read them back. Without `light`, the run's light or
-    the .hdr beside the file. `photographs` puts a run's beside it. Raises `InputError` naming what cannot be shown.
+    A .glb is shown as it is; other formats, and Draco, as independent readers read them back. Without `light`, the
+    run's light or the .hdr beside the file. `photographs` puts a run's beside it. Raises `InputError` naming what
+    cannot be shown.
     """
     title, glb, radiance = _shown(source)
     if light is not None:
