@@ -59,11 +59,11 @@ class Fleet:
 class Overhead:
     """Seconds that no stage computes; the figures are those that benchmarks.batch.measured gives (docs/scaling.md)."""
 
-    worker_start: float = 5.0
+    worker_start: float = 7.4
     """Until a new worker's process has loaded what it needs."""
-    task: float = 0.15
+    task: float = 0.63
     """From handing a task out to its outcome, beside what the worker does: Ray, staging, keeping."""
-    handling: float = 0.004
+    handling: float = 0.022
     """Of the driver, for each task."""
     entry: float = 2.4e-5
     """Of the driver, for each capture, whenever it writes the manifest."""
