@@ -91,6 +91,8 @@ def batch_command(
         config, build_requests(cpus, gpus, requests), address, tries, retry_failed, at_once, not drop_stages, cache
     )
     before = signal.signal(signal.SIGTERM, _interrupt)  # clusters end jobs so
+    # `hir` leaves 1.5 s after Ctrl-C whatever happens; to end tasks and Ray and to write batch.json takes longer
+    watched = signal.set_wakeup_fd(-1)
     out = sys.stdout
     try:
         # Ray prints pages about a worker that died; what it means for the batch is said in a sentence
@@ -107,6 +109,7 @@ def batch_command(
         raise click.exceptions.Exit(130) from None
     finally:
         signal.signal(signal.SIGTERM, before)
+        signal.set_wakeup_fd(watched)
     failed = [chain for chain in chains if chain.state == "failed"]
     if not quiet and not as_json:
         click.echo(f"{len(chains) - len(failed)} done, {len(failed)} failed")
