@@ -18,7 +18,7 @@ from pathlib import Path
 from packaging.requirements import Requirement
 
 ROOT = Path(__file__).resolve().parent.parent
-TESTS = ["tests/exporters", "tests/core/test_manager.py", "tests/reliability/test_hostile_files.py"]
+TESTS = ["tests/exporters", "tests/core/test_manager.py"]
 TOOLS = ["pytest", "hypothesis", "mpmath", "jsonschema"]
 
 
