@@ -9,11 +9,12 @@ import shutil
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import Any, Final
 
 from hir_exporters.atomic import is_partial, remove_partials, write_text_atomic
 
 from hir_core.errors import HirError, InputError, StageError
+from hir_core.file_lock import try_lock
 
 STAGES: Final = ("initializer", "geometry", "atlas", "reflectance", "bake", "export")
 """The stages in the order of a run; folders are numbered from 1."""
@@ -186,25 +187,10 @@ def claimed_run(path: str | os.PathLike[str], resume: bool) -> Iterator[RunDirec
     except OSError as error:
         raise InputError(f"cannot write into {folder}: {error.strerror}; choose another folder") from error
     with stream:
-        _lock(stream, folder)
+        if not try_lock(stream):
+            raise StageError(f"another process works on {folder}; wait for it to end, or choose another folder")
         remove_partials(folder)  # of a run that was killed
         yield RunDirectory(folder)
-
-
-def _lock(stream: IO[bytes], folder: Path) -> None:
-    """An advisory lock that ends with the process, however it ends."""
-    try:
-        if os.name == "posix":
-            import fcntl
-
-            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        else:
-            import msvcrt
-
-            stream.seek(0)
-            msvcrt.locking(stream.fileno(), msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined,unused-ignore]
-    except OSError:
-        raise StageError(f"another process works on {folder}; wait for it to end, or choose another folder") from None
 
 
 def read_json(path: Path) -> dict[str, Any]:

@@ -12,13 +12,14 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Final
+from typing import Final
 
 from hir_core.batch import storage
 from hir_core.batch.content import content_mark
 from hir_core.batch.patience import StoreError
 from hir_core.batch.storage import Place
 from hir_core.errors import CaptureError
+from hir_core.file_lock import try_lock
 
 KEEP_SECONDS: Final = 6 * 3600.0
 """A desk that nobody came back to for so long is cleared; a tenth of an hour when the disk is nearly full."""
@@ -90,7 +91,7 @@ def desk(cache: Path, destination: str, name: str) -> Iterator[Desk]:
     folder.mkdir(exist_ok=True)
     with open(folder / "lock", "a+b") as stream:
         until = time.monotonic() + LOCK_SECONDS
-        while not _locked(stream):
+        while not try_lock(stream):
             if time.monotonic() > until:
                 raise StoreError(f"another worker of this node still works on {name}")
             time.sleep(0.2)
@@ -107,22 +108,5 @@ def sweep(cache: Path, now: float) -> None:
         with contextlib.suppress(OSError):  # another worker was faster
             if now - folder.stat().st_mtime > keep:
                 with open(folder / "lock", "a+b") as stream:
-                    if _locked(stream):
+                    if try_lock(stream):
                         shutil.rmtree(folder)
-
-
-def _locked(stream: IO[bytes]) -> bool:
-    """Takes an advisory lock that ends with the process, however it ends; False where another has it."""
-    try:
-        if os.name == "posix":
-            import fcntl
-
-            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        else:
-            import msvcrt
-
-            stream.seek(0)
-            msvcrt.locking(stream.fileno(), msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined,unused-ignore]
-    except OSError:
-        return False
-    return True
