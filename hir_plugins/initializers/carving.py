@@ -113,10 +113,8 @@ class Carver:
         for number, view in enumerate(self._views):
             value = _sample(view, points)
             seen += torch.isfinite(value)
-            if keep == 1:
-                lowest = torch.minimum(lowest, value[:, None])
-            else:
-                lowest = torch.cat([lowest, value[:, None]], dim=1).sort(dim=1).values[:, :keep]
+            for rank in range(keep):
+                lowest[:, rank], value = torch.minimum(lowest[:, rank], value), torch.maximum(lowest[:, rank], value)
             if number % 8 == 7 and np.isfinite(cut):
                 alive = lowest[:, -1] > -cut
                 if alive.float().mean() < 0.8:
