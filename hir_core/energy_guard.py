@@ -19,7 +19,7 @@ def conserving(material: Material) -> tuple[Material, float]:
     specular = _unit(material.specular_albedo)
     diffuse = _unit(material.diffuse_albedo)
     if material.model == "paper":
-        diffuse = torch.minimum(*torch.broadcast_tensors(diffuse, 1 - _like(specular, diffuse)))
+        diffuse = torch.minimum(*torch.broadcast_tensors(diffuse, 1 - specular_like(specular, diffuse)))
     changed = (diffuse - material.diffuse_albedo).abs() > 1e-6
     guarded = replace(material, diffuse_albedo=diffuse, specular_albedo=specular)
     return guarded, float((changed | ~torch.isfinite(material.diffuse_albedo)).float().mean())
@@ -29,7 +29,7 @@ def _unit(albedo: Tensor) -> Tensor:
     return torch.nan_to_num(albedo, nan=0.0, posinf=1.0, neginf=0.0).clamp(0, 1)
 
 
-def _like(specular: Tensor, diffuse: Tensor) -> Tensor:
+def specular_like(specular: Tensor, diffuse: Tensor) -> Tensor:
     """A specular map at the size of the diffuse one."""
     if specular.ndim != 3 or diffuse.ndim != 3 or specular.shape[:2] == diffuse.shape[:2]:
         return specular if specular.ndim != 3 or diffuse.ndim == 3 else specular.amax(dim=(0, 1))

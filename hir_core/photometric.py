@@ -15,7 +15,7 @@ from torch import Tensor
 from hir_core.capture import Capture
 from hir_core.config import ReflectanceSettings
 from hir_core.energies import Energies
-from hir_core.energy_guard import conserving
+from hir_core.energy_guard import specular_like
 from hir_core.errors import StageError
 from hir_core.interfaces import PreparedReflectance
 from hir_core.optimize import Batches, Keep, Schedule, optimize, tell_troubles
@@ -120,9 +120,9 @@ def fit_by_gradient(
         with torch.no_grad():
             for value, low, high in limits:
                 value.clamp_(low, high)
-            if settings.conserve_energy:
-                guarded = conserving(replace(material, diffuse_albedo=diffuse, specular_albedo=specular))[0]
-                diffuse.copy_(guarded.diffuse_albedo)
+            if settings.conserve_energy and material.model == "paper":
+                # NaN stays NaN here: it is for the guards of the optimisation to catch
+                diffuse.copy_(torch.minimum(diffuse, 1 - specular_like(specular, diffuse)))
         return False
 
     result = optimize(
