@@ -28,6 +28,7 @@ from torch import Tensor
 
 from hir_core.scene import Mesh, Topology
 from hir_core.scene_store import load_stage_scene
+from hir_core.srgb import srgb_to_linear
 from hir_plugins.regularizers.bilateral_cells import bilateral_deviation, cells_of, cubes_of
 from hir_plugins.regularizers.bilateral_pairs import deviation_of_pairs, weight_error
 from hir_plugins.regularizers.material_options import BilateralSpecularOptions
@@ -169,7 +170,8 @@ def sigma(avocado: Path, spot: Path, count: int = 20_000) -> None:
 def _true_avocado(path: Path, count: int) -> tuple[Tensor, Tensor, Tensor]:
     mesh: Any = trimesh.load(path, force="mesh", process=False)
     material = mesh.visual.material
-    color = _linear(np.asarray(material.baseColorTexture.convert("RGB"), dtype=np.float32) / 255)
+    picture = np.asarray(material.baseColorTexture.convert("RGB"), dtype=np.float32) / 255
+    color = srgb_to_linear(torch.from_numpy(picture))
     metal = torch.from_numpy(
         np.asarray(material.metallicRoughnessTexture.convert("RGB"), dtype=np.float32)[..., 2:] / 255
     )
@@ -184,7 +186,7 @@ def _true_spot(path: Path, count: int) -> tuple[Tensor, Tensor, Tensor]:
     mesh: Any = trimesh.load(path, force="mesh", process=False)
     picture = Image.open(path.with_name("spot_texture.png")).convert("RGB")
     places = _texels(mesh, count)
-    diffuse = places.values(_linear(np.asarray(picture, dtype=np.float32) / 255))
+    diffuse = places.values(srgb_to_linear(torch.from_numpy(np.asarray(picture, dtype=np.float32) / 255)))
     dark = (diffuse.mean(dim=1, keepdim=True) < 0.4).float()
     return places.positions, diffuse, 0.04 + 0.08 * dark.expand(-1, 3)
 
@@ -197,9 +199,6 @@ def _texels(mesh: Any, count: int) -> Places:
     side = round(256 * (count / len(places_of(ours, "texels", (256, 256)).positions)) ** 0.5)
     return places_of(ours, "texels", (side, side))
 
-
-def _linear(encoded: np.ndarray) -> Tensor:
-    return torch.from_numpy(np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)).float()
 
 
 def main() -> None:

@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from hir_core.capture import Capture
 from hir_core.config import ReflectanceSettings
@@ -30,6 +29,7 @@ from hir_core.pixel_cache import PixelCache
 from hir_core.readers import read_capture
 from hir_core.scene import Scene
 from hir_core.scene_store import load_stage_scene
+from hir_core.srgb import linear_to_srgb
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGGX
 from hir_plugins.reflectance_renderers.transport_ggx.shading import Indirect, sample
@@ -137,15 +137,10 @@ def decibels(prepared: PreparedReflectance, scene: Scene, pixels: ObjectPixels) 
     index, color = pixels.index[::step], pixels.color[::step]
     with torch.no_grad():
         shown = torch.cat([prepared.radiance(scene.material, scene.environment, part) for part in index.split(16384)])
-        error = (srgb(shown) - srgb(color)).square().mean(dim=1)
+        error = (linear_to_srgb(shown.clamp(0, 1)) - linear_to_srgb(color.clamp(0, 1))).square().mean(dim=1)
     views = index[:, 0].unique().tolist()
     return np.array([-10 * np.log10(float(error[index[:, 0] == view].mean())) for view in views])
 
-
-def srgb(linear: Tensor) -> Tensor:
-    """Clipped, as a screen shows it."""
-    linear = linear.clamp(0, 1)
-    return torch.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear.clamp_min(0.0031308) ** (1 / 2.4) - 0.055)
 
 
 def main() -> None:

@@ -20,6 +20,7 @@ from torch.nn.functional import avg_pool2d, normalize
 
 from hir_core.capture import Camera, View
 from hir_core.scene import Mesh
+from hir_core.srgb import linear_to_srgb
 from hir_core.surface_rays import SurfaceRays
 
 WINDOW = 7
@@ -150,7 +151,7 @@ def _detail(view: View, downsample: int) -> tuple[Float[Tensor, "3 H W"], Bool[T
     pixels = view.pixels(downsample)
     color = torch.from_numpy(np.ascontiguousarray(pixels.color_linear, dtype=np.float32))
     known = torch.isfinite(color).all(dim=2)  # what is not a colour is not compared
-    color = _srgb(torch.where(known[..., None], color, 0.0)).permute(2, 0, 1)
+    color = linear_to_srgb(torch.where(known[..., None], color, 0.0).clamp(0, 1)).permute(2, 0, 1)
     mask = torch.ones(color.shape[1:]) if pixels.mask is None else torch.from_numpy(pixels.mask.astype(np.float32))
     mask = mask * known
     covered = (mask >= INSIDE).float()[None]
@@ -166,11 +167,6 @@ def _blurred(image: Float[Tensor, "C H W"]) -> Float[Tensor, "C H W"]:
     for _ in range(2):
         image = avg_pool2d(image[None], WINDOW, 1, WINDOW // 2, count_include_pad=False)[0]
     return image
-
-
-def _srgb(linear: Tensor) -> Tensor:
-    linear = linear.clamp(0, 1)
-    return torch.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear.clamp_min(0.0031308) ** (1 / 2.4) - 0.055)
 
 
 def _rays(cameras: Sequence[Camera], pairs: PixelPairs) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -20,6 +20,7 @@ from hir_core.errors import StageError
 from hir_core.interfaces import PreparedReflectance
 from hir_core.optimize import Batches, Keep, Schedule, optimize, tell_troubles
 from hir_core.scene import Scene
+from hir_core.srgb import linear_to_srgb
 from hir_core.trouble import elements_at_fault
 
 if TYPE_CHECKING:
@@ -175,7 +176,4 @@ class _Draw:
 
 
 def _compared(linear: Tensor, settings: ReflectanceSettings) -> Tensor:
-    if settings.loss_space == "linear":
-        return linear
-    linear = linear.clamp_min(0)
-    return torch.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear.clamp_min(0.0031308) ** (1 / 2.4) - 0.055)
+    return linear if settings.loss_space == "linear" else linear_to_srgb(linear)

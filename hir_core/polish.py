@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from hir_core.capture import Capture
 from hir_core.config import ReflectanceSettings
@@ -19,6 +18,7 @@ from hir_core.energies import Energies
 from hir_core.photometric import ObjectPixels, fit_by_gradient, object_pixels
 from hir_core.scene import Scene
 from hir_core.selection import SIGNIFICANCE, compare, decibels, split_views
+from hir_core.srgb import linear_to_srgb
 
 if TYPE_CHECKING:
     from hir_core.context import StageContext
@@ -85,11 +85,7 @@ def view_errors(
             shown = torch.stack(
                 [prepared.radiance(scene.material, scene.environment, pixels.index[rows]) for _ in range(PASSES)]
             ).mean(dim=0)
-        difference = _srgb(shown.clamp(0, 1)) - _srgb(pixels.color[rows].clamp(0, 1))
+        difference = linear_to_srgb(shown.clamp(0, 1)) - linear_to_srgb(pixels.color[rows].clamp(0, 1))
         difference = torch.where(pixels.saturated[rows] & (difference > 0), torch.zeros_like(difference), difference)
         errors.append(float(difference.double().square().mean()))
     return np.array(errors)
-
-
-def _srgb(linear: Tensor) -> Tensor:
-    return torch.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear.clamp_min(0.0031308) ** (1 / 2.4) - 0.055)

@@ -11,10 +11,10 @@ from hir_exporters.images import quantize
 from hir_exporters.rgbe import decode_rgbe, encode_rgbe
 from hir_exporters.texture_maps import normal_to_unorm8, srgb8, unorm8
 
+from hir_core import srgb
 from hir_core.capture import Pixels
 from hir_core.metrics import psnr, unassociate
 from hir_core.report_pictures import light_picture
-from hir_plugins.reflectance_renderers.transport_ggx import joint, textures
 from tests.stability.case import Case
 
 _WHERE = "np.where(x <= .0031308, 12.92 x, 1.055 x**(1/2.4) − .055), differentiated on both sides"
@@ -52,10 +52,10 @@ def _curves() -> list[Case]:
         cases.append(
             Case(
                 "reflectance",
-                "hir_plugins.reflectance_renderers.transport_ggx.joint.srgb",
+                "hir_core.srgb.linear_to_srgb",
                 f"gradient at {x:g}",
                 "12.92 at black, 0 below",
-                lambda x=x: _slope(joint.srgb, x),
+                lambda x=x: _slope(srgb.linear_to_srgb, x),
                 lambda x=x: _slope(_curve, x),
                 12.92 if x >= 0 else 0.0,
                 formula=_WHERE,
@@ -64,10 +64,10 @@ def _curves() -> list[Case]:
         cases.append(
             Case(
                 "reflectance",
-                "hir_plugins.reflectance_renderers.transport_ggx.textures.srgb_slope",
+                "hir_core.srgb.srgb_slope",
                 f"slope at {x:g}",
                 "12.92",
-                lambda x=x: textures.srgb_slope(torch.tensor(x)),
+                lambda x=x: srgb.srgb_slope(torch.tensor(x)),
                 "1.055 / 2.4 * x**(1/2.4 - 1)",
                 12.92,
                 {"x": x},

@@ -19,6 +19,7 @@ from torch import Tensor
 
 from hir_core.errors import StageError
 from hir_core.optimize import PATIENCE_NONFINITE
+from hir_core.srgb import linear_to_srgb
 from hir_plugins.reflectance_renderers.brdf import Model
 from hir_plugins.reflectance_renderers.transport_ggx.fit_files import FitFile, Loop
 from hir_plugins.reflectance_renderers.transport_ggx.linear_map import LinearMap
@@ -79,19 +80,8 @@ def at_pixels(block: Block, values: Float[Tensor, "#V C"]) -> Float[Tensor, "#P 
 
 def residual(block: Block, radiance: Float[Tensor, "P 3"]) -> Float[Tensor, "P 3"]:
     """Fit minus photograph in sRGB; a clipped pixel never pulls the fit below white."""
-    difference = srgb(radiance) - block.color_srgb
+    difference = linear_to_srgb(radiance) - block.color_srgb
     return torch.where(block.saturated & (difference > 0), torch.zeros_like(difference), difference)
-
-
-def srgb(linear: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
-    """The sRGB curve, continued beyond 1, differentiable everywhere."""
-    linear = linear.clamp_min(0)
-    return torch.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear.clamp_min(0.0031308) ** (1 / 2.4) - 0.055)
-
-
-def linear(encoded: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
-    """The inverse of `srgb`."""
-    return torch.where(encoded <= 0.04045, encoded / 12.92, ((encoded.clamp_min(0.04045) + 0.055) / 1.055) ** 2.4)
 
 
 @dataclass(frozen=True)

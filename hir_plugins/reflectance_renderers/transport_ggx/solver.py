@@ -19,6 +19,7 @@ from hir_core.capture import Capture
 from hir_core.interfaces import ReflectanceSolver
 from hir_core.scene import EnvironmentMap, Material, Scene, Topology
 from hir_core.selection import Rung
+from hir_core.srgb import linear_to_srgb, srgb_to_linear
 from hir_plugins.reflectance_renderers.transport_ggx import joint
 from hir_plugins.reflectance_renderers.transport_ggx.fit_files import FitFiles
 from hir_plugins.reflectance_renderers.transport_ggx.joint import Block, FitSettings
@@ -180,7 +181,7 @@ class TransportSolver(ReflectanceSolver):
             alpha = unknowns.alpha.detach()
             alpha = alpha if len(alpha) == 1 else vertices.matrix @ alpha
             lobes = self._transport.lobes(part.points, alpha, self._options.samples, rotation, seed)
-        return Block(lobes, vertices, None if direct else cells, direct, joint.srgb(part.color), part.saturated,
+        return Block(lobes, vertices, None if direct else cells, direct, linear_to_srgb(part.color), part.saturated,
                      part.points.view)
 
     def _begin(self, rung: Rung, start: Fit | None, photographs: Photographed) -> Unknowns:
@@ -255,7 +256,7 @@ def _camera_rotations(capture: Capture, device: torch.device) -> Float[Tensor, "
 def _exposures(block: Block, radiance: Tensor, views: int) -> Float[Tensor, " views"]:
     """The factor that brings each view's radiance nearest to its photograph: a held-out view's was never fitted."""
     known = ~block.saturated.any(dim=1)
-    photograph = joint.linear(block.color_srgb)
+    photograph = srgb_to_linear(block.color_srgb)
     above, below = (
         torch.zeros(views, device=radiance.device).index_add(0, block.view[known], (radiance * other).sum(dim=1)[known])
         for other in (photograph, radiance)

@@ -14,6 +14,7 @@ from hir_core.atlas import TexelSurface, dilate, fill_unobserved, texel_surface,
 from hir_core.capture import Capture
 from hir_core.scene import Material, Mesh, Scene, Topology
 from hir_core.selection import Rung
+from hir_core.srgb import srgb_slope
 from hir_plugins.reflectance_renderers.brdf import directional_albedo_terms
 from hir_plugins.reflectance_renderers.transport_ggx.moving_light import pixel_irradiance
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
@@ -23,7 +24,6 @@ from hir_plugins.reflectance_renderers.transport_ggx.textures import (
     TexelEquations,
     bilinear_texels,
     solve_texels,
-    srgb_slope,
 )
 from hir_plugins.reflectance_renderers.transport_ggx.transport import Transport
 from hir_plugins.reflectance_renderers.transport_ggx.unknowns import Unknowns

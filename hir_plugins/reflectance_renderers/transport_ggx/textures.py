@@ -53,12 +53,6 @@ def bilinear_texels(
     return index, weight
 
 
-def srgb_slope(linear: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
-    """Derivative of the sRGB curve."""
-    bright = 1.055 / 2.4 * linear.clamp_min(0.0031308) ** (1 / 2.4 - 1)
-    return torch.where(linear <= 0.0031308, torch.full_like(linear, 12.92), bright)
-
-
 def solve_texels(
     equations: list[TexelEquations],
     start: Float[Tensor, "H W 3"],
