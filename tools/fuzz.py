@@ -124,7 +124,8 @@ def child(name: str, seconds: float, findings: Path, plain: bool) -> int:
         ]
         engine.Setup(words, attack, custom_mutator=changed)
         engine.Fuzz()
-    except BaseException:
+    except BaseException as error:
+        print(f"{type(error).__name__}: {error}", file=sys.stderr)
         remove_folders()
         return 1
     return 0

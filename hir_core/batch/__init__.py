@@ -1,4 +1,4 @@
 """Many captures on Ray: each a chain of tasks that resume the same run, staged through a local cache.
 
-`run_batch` in `hir_core.batch.driver` is what `hir batch` calls.
+`Batch` in `hir_core.batch.driver` is what `hir batch` runs.
 """

@@ -18,7 +18,7 @@ from hir_core.batch import storage
 from hir_core.batch.content import content_mark
 from hir_core.batch.patience import StoreError
 from hir_core.batch.storage import Place
-from hir_core.errors import CaptureError
+from hir_core.errors import CaptureError, InputError
 from hir_core.file_lock import try_lock
 
 KEEP_SECONDS: Final = 6 * 3600.0
@@ -32,7 +32,11 @@ LOCK_SECONDS: Final = 60.0
 def default_cache() -> Path:
     """Below the folder for temporary files: what lies there can always be fetched or made again."""
     owner = os.getuid() if hasattr(os, "getuid") else os.getlogin()
-    return Path(tempfile.gettempdir()) / f"hir-batch-{owner}"
+    cache = Path(tempfile.gettempdir()) / f"hir-batch-{owner}"
+    cache.mkdir(exist_ok=True, mode=0o700)
+    if hasattr(os, "getuid") and cache.stat().st_uid != os.getuid():  # everybody may write beside it
+        raise InputError(f"{cache} belongs to another user; name a folder of your own with --cache")
+    return cache
 
 
 @dataclass(frozen=True)

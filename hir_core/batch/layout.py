@@ -1,7 +1,7 @@
 """Where things lie in a batch's destination, and how a result becomes one.
 
 `NAME/` is the run of a capture, `batch.json` and `batch.html` the summary. Below `.batch/`: `lease.json` of the batch
-that works here, `records/NAME.json` of each finished capture, `work/` with the stages of unfinished ones, `logs/`.
+that works here, `records/NAME.json` of each finished capture, `unfinished/` with the stages of others, `logs/`.
 """
 
 from __future__ import annotations
@@ -50,9 +50,9 @@ class Destination:
     def log(self, name: str) -> Place:
         return self.root / ".batch" / "logs" / f"{name}.log"
 
-    def work(self, name: str) -> Place:
+    def unfinished(self, name: str) -> Place:
         """What unfinished chains of a capture left."""
-        return self.root / ".batch" / "work" / name
+        return self.root / ".batch" / "unfinished" / name
 
     def record(self, name: str) -> dict[str, Any]:
         """What is known of a finished capture; empty where it is not finished or the record is no JSON object."""
@@ -69,18 +69,18 @@ class Destination:
 
     def stored_groups(self, name: str, mark: str) -> list[Group]:
         """Groups of unfinished work, input and settings as in `mark`, whose stages can be fetched."""
-        there = storage.files(self.work(name) / mark)
+        there = storage.files(self.unfinished(name) / mark)
         return [group for group in GROUPS if f"{group.name}.tar" in there]
 
     def store_group(self, name: str, mark: str, group: Group, run: Path) -> int:
         """Keeps what a group made, for whichever node goes on; returns its bytes."""
         content = pack(run, group)
-        storage.write(self.work(name) / mark / f"{group.name}.tar", content)
+        storage.write(self.unfinished(name) / mark / f"{group.name}.tar", content)
         return len(content)
 
     def fetch_group(self, name: str, mark: str, group: Group, run: Path) -> None:
         """Adds what a group made to a local run folder."""
-        content = storage.read(self.work(name) / mark / f"{group.name}.tar")
+        content = storage.read(self.unfinished(name) / mark / f"{group.name}.tar")
         if content is None:
             raise InputError(f"the stored stages of {group.name} are gone; they are made again")
         unpack(content, run)

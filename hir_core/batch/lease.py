@@ -13,9 +13,8 @@ from typing import Any, Final, Self
 
 from hir_core.batch import storage
 from hir_core.batch.layout import json_bytes
-from hir_core.batch.patience import StoreError
 from hir_core.batch.storage import Place
-from hir_core.errors import InputError
+from hir_core.errors import HirError, InputError
 
 RENEW_SECONDS: Final = 10.0
 STALE_SECONDS: Final = 60.0
@@ -67,7 +66,7 @@ class Lease:
                 self.lost = owner_of(self._at) not in (self.token, "")
                 if not self.lost:
                     storage.write(self._at, self._document())
-            except StoreError as error:
+            except HirError as error:  # rights that were taken away, too: a thread that died would say nothing
                 self._say(f"the lease was not renewed: {error}")
 
     def _document(self) -> bytes:

@@ -141,7 +141,7 @@ class Worker:
             directory.write_run(document)
         self.stored = destination.publish(job.name, place.run, job.keep_stages)
         destination.write_record(job.name, record | {"bytes": self.stored})
-        storage.remove(destination.work(job.name))
+        storage.remove(destination.unfinished(job.name))
         place.clear()
         return record | {"bytes": self.stored}
 

@@ -88,7 +88,14 @@ def batch_command(
     config = load_config(plugins, preset, config_file, chosen, deterministic=deterministic or None)
     words = [*expand(captures), *(line for name in lists for line in read_list(name))]
     options = Options(
-        config, build_requests(cpus, gpus, requests), address, tries, retry_failed, at_once, not drop_stages, cache
+        config,
+        build_requests(cpus, gpus, requests),
+        address,
+        tries,
+        retry_failed,
+        at_once,
+        not drop_stages,
+        cache and cache.resolve(),  # workers have folders of their own that they are in
     )
     before = signal.signal(signal.SIGTERM, _interrupt)  # clusters end jobs so
     # `hir` leaves 1.5 s after Ctrl-C whatever happens; to end tasks and Ray and to write batch.json takes longer

@@ -65,7 +65,7 @@ def test_begun_capture_goes_on_with_the_first_group_that_is_not_kept(cup: Chain,
     entry = {"state": "running", "listing": listing_mark(storage.files(Place(cup.source))), "content": "c0ffee"}
     for i, group in enumerate(GROUPS[:3]):
         assert look(cup, "set", destination, entry, False).group == i
-        storage.write(destination.work("cup") / work_mark("c0ffee", "set") / f"{group.name}.tar", b"")
+        storage.write(destination.unfinished("cup") / work_mark("c0ffee", "set") / f"{group.name}.tar", b"")
     assert look(cup, "set", destination, entry, False).group == 3
     assert look(cup, "other", destination, entry, False).group == 0
 

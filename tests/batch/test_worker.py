@@ -57,7 +57,7 @@ def test_chain_on_a_store_makes_what_a_single_run_makes(
         if i == 0:
             assert run(job).reused, "what is kept is not computed again"
         content = outcome.content
-        kept = set(storage.files(Destination(out).work("cow")))
+        kept = set(storage.files(Destination(out).unfinished("cow")))
         assert {Path(name).stem for name in kept} == ({g.name for g in GROUPS[: i + 1]} if i < 3 else set()), group
     assert content == content_mark(tiny) and {t.stage for t in told} >= {"initializer", "geometry", "reflectance"}
 
@@ -115,4 +115,4 @@ def test_refusals_are_sorted(
     storage.write(Destination(memory / "out").lease, json_bytes({"owner": "another batch"}))
     superseded = run(job)
     assert superseded.state == "trouble" and "another batch" in superseded.reason
-    assert storage.files(Destination(memory / "out").work("cow")) == {}
+    assert storage.files(Destination(memory / "out").unfinished("cow")) == {}
