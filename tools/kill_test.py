@@ -1,6 +1,6 @@
 """Kills a small run with SIGKILL at random moments, resumes it, and compares every file with an unbroken run's.
 
-    python tools/kill_test.py [--kills 50] [--seed 0] [--kind cached|traced] [--keep FOLDER]
+    python tools/kill_test.py [--kills 50] [--seed 0] [--kind cached|traced|sfm] [--keep FOLDER] [--photographs FOLDER]
 
 One warm process imports everything and forks a child for each run, so that a kill costs seconds. Moments are drawn
 evenly over the length of a run, from a seed. Prints what was interrupted; exit code 1 if any file differs.
@@ -51,11 +51,35 @@ KINDS = {
         "reflectance_renderer.mitsuba_ggx.samples": "4",
         "reflectance_renderer.mitsuba_ggx.render_samples": "4",
     },
+    "sfm": {
+        "initializers": '["colmap", "mesh_file"]',
+        "initializer.colmap.max_image_size": "500",
+        "initializer.colmap.max_features": "2048",
+    },
 }
-"""The renderer on cached transport with its ladder of models; the path tracer with gradient steps."""
+"""The renderer on cached transport with its ladder of models; the path tracer with gradient steps; cameras solved from
+photographs alone, and the colours that a mesh has in them."""
+
+UNTIL = {"sfm": "initializer"}
+PHOTOGRAPHS = 12
+OCTAHEDRON = """v .3 0 0
+v 0 .3 0
+v 0 0 .3
+v -.3 0 0
+v 0 -.3 0
+v 0 0 -.3
+f 1 2 3
+f 2 4 3
+f 4 5 3
+f 5 1 3
+f 2 1 6
+f 4 2 6
+f 5 4 6
+f 1 5 6
+"""
 
 WARM = (
-    "torch", "mitsuba", "open3d", "trimesh", "xatlas", "scipy.optimize", "hir_core.report_pictures",
+    "torch", "mitsuba", "open3d", "pycolmap", "trimesh", "xatlas", "scipy.optimize", "hir_core.report_pictures",
     "hir_plugins.initializers.visual_hull", "hir_plugins.geometry_renderers.contour",
     "hir_plugins.reflectance_renderers.transport_ggx.renderer",
 )  # fmt: skip
@@ -71,20 +95,41 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--kind", choices=KINDS, default="cached")
     parser.add_argument("--keep", type=Path, help="work here and leave everything")
+    parser.add_argument("--photographs", type=Path, help="kind sfm: 12 of this folder; else of a painted room")
     options = parser.parse_args()
     for module in WARM:
         import_module(module)
     with tempfile.TemporaryDirectory() as folder:
         place = options.keep or Path(folder)
         place.mkdir(parents=True, exist_ok=True)
-        return kill_and_resume(place, options.kills, options.seed, options.kind)
+        return kill_and_resume(captured(place / "capture", options.kind, options.photographs), place, options)
 
 
-def kill_and_resume(place: Path, kills: int, seed: int, kind: str) -> int:
-    """Prints a line for each kill; returns 0 if all runs ended with the files of the unbroken one, else 1."""
+def captured(folder: Path, kind: str, photographs: Path | None) -> Path:
+    """What is reconstructed: the sample capture, small, or photographs without cameras."""
     from tests.pipeline.conftest import make_tiny
 
-    capture = make_tiny(place / "capture", train=10, test=1)
+    if kind != "sfm":
+        return make_tiny(folder, train=10, test=1)
+    folder.mkdir()
+    folder.with_name("octahedron.obj").write_text(OCTAHEDRON)
+    if photographs is not None:
+        some = sorted(p for p in photographs.iterdir() if p.suffix.lower() in (".jpg", ".jpeg", ".png"))[:PHOTOGRAPHS]
+        for path in some:
+            shutil.copy(path, folder / path.name)
+    else:
+        from hir_exporters.images import write_png
+
+        from tests.initialization.test_colmap import cameras_on_an_arc, room
+
+        for number, camera in enumerate(cameras_on_an_arc(PHOTOGRAPHS)):
+            write_png(folder / f"{number:02}.png", room(camera, 0))
+    return folder
+
+
+def kill_and_resume(capture: Path, place: Path, options: argparse.Namespace) -> int:
+    """Prints a line for each kill; returns 0 if all runs ended with the files of the unbroken one, else 1."""
+    kills, kind = options.kills, options.kind
     started = time.monotonic()
     if wait(start(capture, place / "whole", kind)) != 0:
         print((place / "whole.log").read_text())
@@ -92,7 +137,7 @@ def kill_and_resume(place: Path, kills: int, seed: int, kind: str) -> int:
     length = time.monotonic() - started
     truth = final_files(place / "whole")
     print(f"unbroken run: {length:.1f} s, {len(truth)} files, {sum(map(len, truth.values())) / 1e6:.1f} MB", flush=True)
-    draw = random.Random(seed)
+    draw = random.Random(options.seed)
     same, where = 0, Counter()
     for number in range(kills):
         run = place / f"run-{number}"
@@ -129,7 +174,12 @@ def start(capture: Path, run: Path, kind: str) -> int:
         from hir_core.pipeline import reconstruct
 
         settings = [f"{key}={value}" for key, value in (SMALL | KINDS[kind]).items()]
-        reconstruct(capture, run, assignments=settings, device="cpu", deterministic=True, resume=True, on_message=print)
+        if kind == "sfm":
+            settings.append(f"initializer.mesh_file.path={capture.with_name('octahedron.obj')}")
+        reconstruct(
+            capture, run, assignments=settings, device="cpu", deterministic=True, resume=True, on_message=print,
+            until=UNTIL.get(kind),
+        )  # fmt: skip
         code = 0
     except BaseException:
         import traceback
@@ -157,8 +207,8 @@ def differences(truth: dict[str, bytes], found: dict[str, bytes]) -> list[str]:
 
 
 def interrupted_in(run: Path) -> tuple[str, int]:
-    """The stage under way and the number of states that it has kept."""
-    kept = len(list(run.rglob("work/checkpoints/*.npz"))) if run.exists() else 0
+    """The stage under way and the number of states that it has kept, COLMAP's database counted as one."""
+    kept = len([*run.rglob("work/checkpoints/*.npz"), *run.rglob("work/**/database.db")]) if run.exists() else 0
     ended = False
     for record in sorted(run.glob("stages/*/stage.json")):
         ended = json.loads(record.read_text())["finished"]

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pycolmap
+from hir_exporters.atomic import atomic_path
 
 from hir_core.errors import StageError
 from hir_plugins.initializers.options import ColmapOptions
@@ -86,7 +87,13 @@ def match(database: Path, folder: Path, count: int, options: ColmapOptions) -> N
     chosen = options.matching
     if chosen == "auto":
         chosen = "exhaustive" if count <= _MANY_IMAGES else "vocabulary"
-    common: dict[str, Any] = {"matching_options": matching, "device": pycolmap.Device.cpu}
+    verification = pycolmap.TwoViewGeometryOptions()
+    # drawn anew for each pair: what a pair gives depends neither on the pairs before it, which a resumed run skips, nor
+    # on the thread
+    verification.ransac.random_seed = options.seed
+    common: dict[str, Any] = {
+        "matching_options": matching, "verification_options": verification, "device": pycolmap.Device.cpu,
+    }  # fmt: skip
     if chosen == "exhaustive":
         run: Callable[[Any], Any] = lambda token: pycolmap.match_exhaustive(  # noqa: E731
             str(database), cancellation_token=token, **common)
@@ -122,7 +129,8 @@ def _vocabulary(database: Path, folder: Path, options: ColmapOptions) -> Path:
     build = pycolmap.VisualIndex.BuildOptions()
     build.num_visual_words = int(min(16384, max(256, len(stacked) // 20)))
     index.build(build, pycolmap.FeatureDescriptorsFloat(kind, stacked.astype(np.float32)))
-    index.write(str(path))
+    with atomic_path(path) as temporary:
+        index.write(str(temporary))
     return path
 
 

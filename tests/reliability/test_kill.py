@@ -29,9 +29,8 @@ def _kill_test(*words: str) -> str:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["cached", "traced"])
-def test_killed_runs_end_with_the_same_files(kind: str) -> None:
-    kills = "50" if kind == "cached" else "10"
+@pytest.mark.parametrize(("kind", "kills"), [("cached", "50"), ("traced", "10"), ("sfm", "10")])
+def test_killed_runs_end_with_the_same_files(kind: str, kills: str) -> None:
     assert f"{kills} of {kills} the same" in _kill_test("--kills", kills, "--kind", kind)
 
 
