@@ -6,11 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pytest
 import torch
 
 from hir_core.capture import Capture, Pixels, View
-from hir_core.energy_guard import conserving
 from hir_core.scene import EnvironmentMap, Material, Scene
 from hir_core.selection import Rung
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
@@ -70,35 +68,3 @@ def test_a_photograph_that_was_not_fitted_is_judged_at_its_own_exposure() -> Non
     as_others = replace(fit, unknowns=replace(fit.unknowns, gain=None))
     # what is left is the rim that no other photograph shows
     assert found > 28 and found > 6 - 10 * np.log10(solver.errors(as_others, [5])[0])  # type: ignore[attr-defined]
-
-
-def material(model: str, diffuse: object, specular: object) -> Material:
-    as_tensor = [torch.as_tensor(v, dtype=torch.float32) for v in (diffuse, specular)]
-    return Material(model, *as_tensor, torch.tensor([0.3]))  # type: ignore[arg-type]
-
-
-def test_white_and_glossy_at_once_gives_back_what_it_got() -> None:
-    guarded, changed = conserving(material("paper", [0.9, 0.5, 1.2], [0.3, 0.3, 0.3]))
-    np.testing.assert_allclose(guarded.diffuse_albedo, [0.7, 0.5, 0.7], atol=1e-6)
-    np.testing.assert_allclose(guarded.specular_albedo, 0.3)
-    assert changed == pytest.approx(2 / 3)
-
-
-def test_a_coupled_diffuse_part_keeps_both_albedos() -> None:
-    guarded, changed = conserving(material("dielectric", [0.9, 0.9, 0.9], [0.9, 0.9, 0.9]))
-    np.testing.assert_allclose(guarded.diffuse_albedo, 0.9)
-    assert changed == 0
-
-
-@pytest.mark.parametrize("diffuse", [(8, 8, 3), (3,)])
-@pytest.mark.parametrize("specular", [(4, 4, 3), (8, 8, 3), (3,)])
-def test_maps_of_any_size_and_values_that_are_none(diffuse: tuple[int, ...], specular: tuple[int, ...]) -> None:
-    generator = torch.Generator().manual_seed(0)
-    rho_d, rho_s = (3 * torch.rand(shape, generator=generator) - 1 for shape in (diffuse, specular))
-    rho_d.view(-1)[0], rho_s.view(-1)[0] = torch.nan, torch.inf
-    guarded, _ = conserving(material("paper", rho_d, rho_s))
-    for value in (guarded.diffuse_albedo, guarded.specular_albedo):
-        assert bool(torch.isfinite(value).all()) and float(value.min()) >= 0 and float(value.max()) <= 1
-    assert guarded.diffuse_albedo.shape == diffuse and guarded.specular_albedo.shape == specular
-    if diffuse == specular:
-        assert float((guarded.diffuse_albedo + guarded.specular_albedo).max()) <= 1 + 1e-6

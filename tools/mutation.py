@@ -1,0 +1,136 @@
+"""Changes each line of the modules whose numbers matter, and counts the changes that their tests notice (mutmut).
+
+    python tools/mutation.py [conventions|materials|losses …] [--workspace FOLDER] [--children 1]
+
+Works on a copy, where `hir_exporters` lies beside the other packages, as mutmut names modules by their path. Prints the
+score of each module and every change that survived, with the line it changed. Needs mutmut (pip install 'hir[audit]').
+What has been measured in FOLDER is not measured again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+SURVIVED = {0: "survived", 33: "no test", 5: "no test", None: "not measured"}
+"""mutmut's exit codes of changes that nothing noticed; by all others a test failed, or did not end."""
+
+
+@dataclass(frozen=True)
+class Subject:
+    """Modules and the quick tests that are to notice their changes."""
+
+    modules: tuple[str, ...]
+    tests: tuple[str, ...]
+
+
+SUBJECTS = {
+    "conventions": Subject(("hir_exporters/conventions.py",), ("tests/exporters/test_conventions.py",)),
+    "materials": Subject(("hir_exporters/materials.py",), ("tests/exporters/test_materials.py",)),
+    "losses": Subject(
+        tuple(f"hir_core/{name}.py" for name in ("photometric", "silhouettes", "energies", "energy_guard", "srgb")),
+        (
+            "tests/reflectance/test_photometric.py",
+            "tests/reflectance/test_energy_guard.py",
+            "tests/geometry/test_losses.py",
+        ),
+    ),
+}
+
+SETTINGS = """
+[tool.mutmut]
+source_paths = ["hir_core", "hir_exporters", "hir_plugins"]
+only_mutate = {modules}
+also_copy = ["tools"]
+pytest_add_cli_args = ["-p", "no:dash", "-p", "no:randomly", "--import-mode=importlib", "-m", "not slow and not gpu"]
+pytest_add_cli_args_test_selection = {tests}
+mutate_only_covered_lines = false
+use_setproctitle = false
+track_dependencies = false
+
+[tool.pytest.ini_options]
+pythonpath = ["tools", "."]
+markers = ["slow: slow", "gpu: gpu"]
+"""
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("subjects", nargs="*", help=f"of {', '.join(SUBJECTS)}; by default all")
+    parser.add_argument("--workspace", type=Path)
+    parser.add_argument("--children", type=int, default=1)
+    options = parser.parse_args()
+    if unknown := set(options.subjects) - SUBJECTS.keys():
+        parser.error(f"no subject {', '.join(sorted(unknown))}; there are {', '.join(SUBJECTS)}")
+    with tempfile.TemporaryDirectory() as folder:
+        for name in options.subjects or SUBJECTS:
+            measure(name, (options.workspace or Path(folder)) / name, options.children)
+    return 0
+
+
+def measure(name: str, place: Path, children: int) -> None:
+    """Prints the score of a subject and what survived."""
+    subject = SUBJECTS[name]
+    copy(subject, place)
+    paths = [str(place / "mutants"), str(place)]
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(paths)}
+    words = [sys.executable, "-m", "mutmut", "run", "--max-children", str(children)]
+    done = subprocess.run(words, cwd=place, env=environment, capture_output=True, text=True)
+    counted: Counter[str] = Counter()
+    left: list[str] = []
+    for module in subject.modules:
+        record = place / "mutants" / f"{module}.meta"
+        if not record.is_file():
+            print(f"{name}: mutmut stopped early\n{done.stdout[-2000:]}{done.stderr[-2000:]}")
+            return
+        for mutant, code in json.loads(record.read_text())["exit_code_by_key"].items():
+            verdict = SURVIVED.get(code, "noticed")
+            counted[verdict] += 1
+            if verdict != "noticed":
+                left.append(f"  {verdict}: {mutant}: {changed_line(mutant, place, environment)}")
+    total = sum(counted.values())
+    print(f"{name}: {counted['noticed']} of {total} changes noticed ({counted['noticed'] / max(total, 1):.1%})")
+    print("\n".join(left), flush=True)
+
+
+def copy(subject: Subject, place: Path) -> None:
+    """What mutmut works on; files that are the same stay as they are, so that their results hold."""
+    place.mkdir(parents=True, exist_ok=True)
+    folders = {"hir_core": ROOT / "hir_core", "hir_plugins": ROOT / "hir_plugins", "tests": ROOT / "tests"}
+    folders |= {"hir_exporters": ROOT / "exporters" / "hir_exporters", "examples": ROOT / "examples"}
+    for name, source in folders.items():
+        for path in source.rglob("*"):
+            target = place / name / path.relative_to(source)
+            if path.is_file() and "__pycache__" not in path.parts and not same(path, target):
+                target.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy2(path, target)
+    shutil.copytree(ROOT / "tools" / "parity", place / "tools" / "parity", dirs_exist_ok=True,
+                    ignore=shutil.ignore_patterns("node_modules"))  # fmt: skip
+    settings = SETTINGS.format(modules=json.dumps(subject.modules), tests=json.dumps(subject.tests))
+    (place / "pyproject.toml").write_text(settings)
+
+
+def same(path: Path, other: Path) -> bool:
+    """Have both files the same content?"""
+    return other.is_file() and path.read_bytes() == other.read_bytes()
+
+
+def changed_line(mutant: str, place: Path, environment: dict[str, str]) -> str:
+    """The line as it was and as it became."""
+    words = [sys.executable, "-m", "mutmut", "show", mutant]
+    shown = subprocess.run(words, cwd=place, env=environment, capture_output=True, text=True).stdout
+    lines = [line for line in shown.splitlines() if line[:1] in "+-" and line[:3] not in ("+++", "---")]
+    return " → ".join(line[1:].strip() for line in lines)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
