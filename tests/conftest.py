@@ -6,9 +6,13 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 from parity.browser import chromium_command
 
 ROOT = Path(__file__).resolve().parent.parent
+
+settings.register_profile("hir", deadline=None)  # a busy machine is no failure
+settings.load_profile("hir")
 
 
 @pytest.fixture(scope="session")

@@ -72,34 +72,37 @@ def main() -> int:
     if unknown := set(options.subjects) - SUBJECTS.keys():
         parser.error(f"no subject {', '.join(sorted(unknown))}; there are {', '.join(SUBJECTS)}")
     with tempfile.TemporaryDirectory() as folder:
-        for name in options.subjects or SUBJECTS:
-            measure(name, (options.workspace or Path(folder)) / name, options.children)
-    return 0
+        place = options.workspace or Path(folder)
+        measured = [measure(name, place / name, options.children) for name in options.subjects or SUBJECTS]
+    return 0 if all(measured) else 1
 
 
-def measure(name: str, place: Path, children: int) -> None:
-    """Prints the score of a subject and what survived."""
+def measure(name: str, place: Path, children: int) -> bool:
+    """Prints the score of a subject and what survived; was it measured?"""
     subject = SUBJECTS[name]
     copy(subject, place)
     paths = [str(place / "mutants"), str(place)]
     environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(paths)}
     words = [sys.executable, "-m", "mutmut", "run", "--max-children", str(children)]
     done = subprocess.run(words, cwd=place, env=environment, capture_output=True, text=True)
+    if done.returncode:
+        print(f"{name}: mutmut stopped early\n{done.stdout[-3000:]}{done.stderr[-3000:]}")
+        return False
     counted: Counter[str] = Counter()
-    left: list[str] = []
+    left: dict[str, str] = {}
     for module in subject.modules:
-        record = place / "mutants" / f"{module}.meta"
-        if not record.is_file():
-            print(f"{name}: mutmut stopped early\n{done.stdout[-2000:]}{done.stderr[-2000:]}")
-            return
-        for mutant, code in json.loads(record.read_text())["exit_code_by_key"].items():
+        record = json.loads((place / "mutants" / f"{module}.meta").read_text())
+        for mutant, code in record["exit_code_by_key"].items():
             verdict = SURVIVED.get(code, "noticed")
             counted[verdict] += 1
             if verdict != "noticed":
-                left.append(f"  {verdict}: {mutant}: {changed_line(mutant, place, environment)}")
+                left[mutant] = verdict
     total = sum(counted.values())
     print(f"{name}: {counted['noticed']} of {total} changes noticed ({counted['noticed'] / max(total, 1):.1%})")
-    print("\n".join(left), flush=True)
+    changes = changed_lines(list(left), place, environment)
+    for mutant, change in zip(left, changes, strict=True):
+        print(f"  {left[mutant]}: {mutant}: {change}", flush=True)
+    return True
 
 
 def copy(subject: Subject, place: Path) -> None:
@@ -124,12 +127,21 @@ def same(path: Path, other: Path) -> bool:
     return other.is_file() and path.read_bytes() == other.read_bytes()
 
 
-def changed_line(mutant: str, place: Path, environment: dict[str, str]) -> str:
-    """The line as it was and as it became."""
-    words = [sys.executable, "-m", "mutmut", "show", mutant]
-    shown = subprocess.run(words, cwd=place, env=environment, capture_output=True, text=True).stdout
-    lines = [line for line in shown.splitlines() if line[:1] in "+-" and line[:3] not in ("+++", "---")]
-    return " → ".join(line[1:].strip() for line in lines)
+SHOW = """
+import sys
+from mutmut.mutation.diff_apply import get_diff_for_mutant
+for mutant in sys.argv[1:]:
+    lines = [line for line in get_diff_for_mutant(mutant).splitlines() if line[:1] in "+-"]
+    print(" → ".join(line[1:].strip() for line in lines if line[:3] not in ("+++", "---")))
+"""
+
+
+def changed_lines(mutants: list[str], place: Path, environment: dict[str, str]) -> list[str]:
+    """For each change the line as it was and as it became."""
+    words = [sys.executable, "-c", SHOW, *mutants]
+    return subprocess.run(
+        words, cwd=place, env=environment, capture_output=True, text=True, check=True
+    ).stdout.splitlines()
 
 
 if __name__ == "__main__":

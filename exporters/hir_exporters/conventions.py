@@ -61,8 +61,8 @@ def direction_to_latlong_uv(directions: ArrayLike) -> NDArray[np.floating]:
     """
     d = _floating(directions)
     x, y, z = d[..., 0], d[..., 1], d[..., 2]
+    # beside the seam the quotient is a whole unit in the last place off 1/2: no remainder rounds up to 1
     u = (0.5 - np.arctan2(x, z) / (2 * np.pi)) % 1.0
-    u = np.where(u >= 1.0, 0.0, u)  # the remainder of a tiny negative number rounds up to 1
     # atan2 keeps full precision at the poles, where acos loses half of the digits.
     v = np.arctan2(np.hypot(x, z), y) / np.pi
     return np.stack([u, v], axis=-1).astype(d.dtype, copy=False)

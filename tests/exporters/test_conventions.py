@@ -24,6 +24,26 @@ def test_float32_stays_float32() -> None:
     assert c.linear_to_srgb([1]).dtype == np.float64
 
 
+def test_single_precision_goes_through_every_conversion() -> None:
+    one, two = np.float32([0.25, 0.5, 1.0]), np.float32([[0.25, 0.5], [0.5, 1.0]])
+    for value in (
+        c.linear_to_srgb(one),
+        c.direction_to_latlong_uv(one),
+        c.latlong_uv_to_direction(two, two),
+        c.flip_v(two),
+    ):
+        assert value.dtype == np.float32
+    assert c.latlong_uv_to_direction(one, one.astype(np.float64)).dtype == np.float32, "the first decides"
+    for value in (c.direction_to_latlong_uv([1, 2, 3]), c.latlong_uv_to_direction(0, 1), c.srgb_to_linear(1)):
+        assert value.dtype == np.float64
+    assert c.srgb_to_linear(np.float16([0.5])).dtype == np.float64
+
+
+def test_the_toe_holds_its_end() -> None:
+    assert c.srgb_to_linear(0.04045) == 0.04045 / 12.92 and c.linear_to_srgb(0.0031308) == 0.0031308 * 12.92
+    assert c.srgb_to_linear(-1.0) == -1 / 12.92 and c.linear_to_srgb(-1.0) == -12.92
+
+
 def test_z_up_becomes_y_up_by_a_rotation() -> None:
     np.testing.assert_array_equal(c.Z_UP_TO_Y_UP @ [1, 2, 3], [1, 3, -2])
     assert np.linalg.det(c.Z_UP_TO_Y_UP) == 1
@@ -37,6 +57,19 @@ def test_z_up_becomes_y_up_by_a_rotation() -> None:
 def test_lat_long_axes(direction: list[int], uv: tuple[float, float]) -> None:
     np.testing.assert_allclose(c.direction_to_latlong_uv(direction), uv, atol=1e-15)
     np.testing.assert_allclose(c.latlong_uv_to_direction(*uv), direction, atol=1e-15)
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+def test_both_sides_of_the_seam_stay_inside(kind: type[np.floating]) -> None:
+    """(−0, 0, −1) lies at an angle of −π, where u would be 1."""
+    tiny = np.array([0.0, 1e-30, 1e-12, 1e-8, 1e-6], kind)
+    x = np.concatenate([tiny, -tiny])
+    directions = np.stack([x, np.zeros_like(x), np.full_like(x, -1)], axis=1)
+    uv = c.direction_to_latlong_uv(directions)
+    assert uv.shape == (10, 2) and uv.min() >= 0 and uv[:, 0].max() < 1
+    assert uv[5, 0] == 0
+    np.testing.assert_allclose(np.minimum(uv[:, 0], 1 - uv[:, 0]), 0, atol=1e-6)
+    np.testing.assert_allclose(uv[:, 1], 0.5, atol=1e-7)
 
 
 @given(st.tuples(*[st.floats(-1e3, 1e3)] * 3).filter(lambda d: np.linalg.norm(d) > 1e-3))
