@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import os
+import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -91,3 +96,43 @@ def test_a_cache_that_is_full_still_reads(tmp_path: Path) -> None:
         for view, plain in zip(wrapped.views, capture.views, strict=True):
             assert (view.pixels().color_linear == plain.pixels().color_linear).all()
     assert 0 < cache.bytes <= 32 * 32 * 17 * 2
+
+
+FEW_STEPS = (
+    "geometry.iterations=30", "geometry.photograph_iterations=10", "reflectance_renderer.transport_ggx.steps=30",
+    "checkpoint_seconds=10",
+)  # fmt: skip
+"""Memory is that of full length: batches, caches and unknowns are the same in every step."""
+
+
+def repeated(source: Path, folder: Path, views: int) -> Path:
+    """A capture's training views, again and again, each in a file of its own."""
+    document = json.loads((source / "transforms_train.json").read_text())
+    frames, document["frames"] = document["frames"], []
+    (folder / "train").mkdir(parents=True)
+    for number in range(views):
+        frame = frames[number % len(frames)]
+        shutil.copy((source / frame["file_path"]).with_suffix(".png"), folder / "train" / f"{number:03}.png")
+        document["frames"].append(frame | {"file_path": f"./train/{number:03}"})
+    (folder / "transforms_train.json").write_text(json.dumps(document))
+    return folder
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="no peak of memory is told")
+def test_300_views_of_512_take_at_most_4_gigabytes(shared: Path, tmp_path: Path) -> None:
+    """docs/reliability.md has the figures."""
+    capture = repeated(shared / "captures" / "spot", tmp_path / "capture", 300)
+    words = [sys.executable, "-m", "hir_core.cli", "reconstruct", str(capture), "-o", str(tmp_path / "run"), "-q",
+             "--max-memory", "4GB", "--until", "bake", "--device", "cpu"]  # fmt: skip
+    settings = [word for assignment in FEW_STEPS for word in ("--set", assignment)]
+    subprocess.run([*words, *settings], check=True, env=os.environ | {"OMP_NUM_THREADS": "1"})
+    stages = json.loads((tmp_path / "run" / "timings.json").read_text())["stages"]
+    estimated = json.loads((tmp_path / "run" / "run.json").read_text())["memory"]["estimated_bytes"]
+    measured = {name: stage["peak_memory_bytes"] for name, stage in stages.items()}
+    print({name: f"{size / (1 << 30):.2f} GiB of {estimated[name] / (1 << 30):.2f}" for name, size in measured.items()})
+    assert max(measured.values()) <= 4 << 30
+    assert set(measured) >= {"initializer", "geometry", "atlas", "reflectance", "bake"}
+    # a peak is that of all stages so far
+    told = list(measured)
+    assert all(measured[name] <= max(estimated[n] for n in told[: i + 1]) for i, name in enumerate(told))
