@@ -3,7 +3,7 @@ PYTHON := .venv/bin/python
 HIR := .venv/bin/hir
 DEMO := demo
 
-.PHONY: demo test test-all lint docs stability kill-test fuzz coverage lower-bounds supply-chain bench paper-table ablations scaling clean setup setup-test help
+.PHONY: demo test test-all lint docs stability kill-test fuzz coverage mutation lower-bounds supply-chain bench paper-table ablations scaling clean setup setup-test help
 
 help:
 	@echo "make demo      reconstruct the sample capture, export it, say where the files are"
@@ -18,6 +18,7 @@ help:
 	@echo "make bench     measure every component beside its reference; write docs/benchmarks.md and README's table"
 	@echo "make paper-table, ablations, scaling  the paper's experiments; write docs/experiments.md; each goes on where it stopped"
 	@echo "make coverage  branches of hir_core and hir_exporters that the quick tests reach"
+	@echo "make mutation  change each line of materials, conventions and losses; count what their tests notice"
 	@echo "make lower-bounds, make supply-chain   the oldest dependencies; SBOM and known vulnerabilities"
 	@echo "make clean     remove .venv and what the demo made"
 
@@ -57,27 +58,33 @@ parity: setup-test
 	@PYTHONPATH=tools $(PYTHON) -m parity
 
 coverage: setup-test
-	@$(PYTHON) -m pip install --quiet --disable-pip-version-check coverage
+	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --constraint requirements/ci.txt coverage
 	@OMP_NUM_THREADS=1 $(PYTHON) -m coverage run -m pytest -q
+	@$(PYTHON) -m coverage combine --quiet
 	@$(PYTHON) -m coverage report --skip-covered --sort=cover
+
+mutation: setup-test
+	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --constraint requirements/ci.txt mutmut
+	@$(PYTHON) tools/mutation.py
 
 lower-bounds: setup-test
 	@$(PYTHON) tools/lower_bounds.py
 
 supply-chain: setup-test
-	@$(PYTHON) -m pip install --quiet --disable-pip-version-check cyclonedx-bom pip-audit
+	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --constraint requirements/ci.txt cyclonedx-bom pip-audit
 	@$(PYTHON) tools/supply_chain.py
 
 stability: setup-test
 	@$(PYTHON) -m tests.stability.table
 
 fuzz: setup-test
-	@$(PYTHON) -m pip install --quiet --disable-pip-version-check atheris || true # without it changes are drawn at random
+	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --constraint requirements/ci.txt atheris || true # without it changes are drawn at random
 	@OMP_NUM_THREADS=1 $(PYTHON) tools/fuzz.py --seconds 600
 
 kill-test: setup-test
 	@OMP_NUM_THREADS=1 $(PYTHON) tools/kill_test.py --kills 50
 	@OMP_NUM_THREADS=1 $(PYTHON) tools/kill_test.py --kills 10 --kind traced
+	@OMP_NUM_THREADS=1 $(PYTHON) tools/kill_test.py --kills 10 --kind sfm
 
 # what fits is measured on HIR_SHARED's captures where they are, else on the sample capture, whose true mesh is not known
 CAPTURE = $(firstword $(wildcard $(or $(HIR_SHARED),../shared)/captures/spot) examples/sample_capture)
