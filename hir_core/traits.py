@@ -16,6 +16,8 @@ TRAITS: Mapping[str, Mapping[str, str]] = {
         "makes_surface": "returns a scene with a mesh",
         "needs_cameras": "every view must have a camera",
         "needs_masks": "views must have masks",
+        "needs_points": "the capture must have oriented points",
+        "measures_points": "leaves oriented points in the capture",
         "reads_files": "`files` names what it reads beyond the photographs, so that a changed file is noticed",
     },
     "geometry_renderer": {

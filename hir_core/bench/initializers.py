@@ -5,9 +5,10 @@ from __future__ import annotations
 import tempfile
 import time
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from hir_core.bench.captures import true_mesh
 from hir_core.bench.measure import peak_bytes, reset_peak
@@ -21,7 +22,13 @@ from hir_core.pixel_cache import PixelCache
 from hir_core.readers import read_capture
 from hir_core.scene import Scene
 
-VIEWS = (20, 40, 80)
+VIEWS = (20, 80)
+
+Step = tuple[str, Mapping[str, Any]]
+"""An initializer and its options."""
+
+VARIANTS: Mapping[str, Sequence[Mapping[str, Any]]] = {"stereo": ({"surface": "tsdf"},)}
+"""Options that make another method of an initializer."""
 
 
 def initializers(plan: Plan) -> Iterator[Row]:
@@ -39,7 +46,7 @@ def initializers(plan: Plan) -> Iterator[Row]:
             capture = decoded(replace(whole, views=tuple(whole.views[i] for i in spread(len(whole.views), count))))
             case: Case = {"capture": path.name, "views": count}
             for chain in chains(plan, capture):
-                label = ", ".join(chain)
+                label = ", ".join(" ".join((name, *map(str, options.values()))) for name, options in chain)
                 if plan.too_slow(last.get(label), 2):
                     yield Row(case, label, "ours", None, note=plan.left_out(last[label]))
                     continue
@@ -57,33 +64,40 @@ def initializers(plan: Plan) -> Iterator[Row]:
                 yield Row(case, label, "ours", last[label], errors, "truth that unseen views see")
 
 
-def chains(plan: Plan, capture: Capture) -> list[tuple[str, ...]]:
-    """What is suggested for the capture; each that makes a surface by itself, and each after the suggested chain."""
-    surfaces = [
-        r.component.name for r in plan.plugins.components("initializer")
-        if {"makes_surface"} <= r.component.traits and "reads_files" not in r.component.traits and not r.missing
-    ]  # fmt: skip
-    suggested = tuple(plan.plugins.suggest_initializers(capture))
-    found = [suggested, *((name,) for name in surfaces), *((*suggested, n) for n in surfaces if n not in suggested)]
-    return list(dict.fromkeys(chain for chain in found if chain))
+def chains(plan: Plan, capture: Capture) -> list[tuple[Step, ...]]:
+    """The chain that is suggested for the capture; each initializer that makes a surface, alone where it can be, else
+    after one that measures points; each after the suggested chain; and variants of those."""
+    known = {
+        r.component.name: r.component.traits for r in plan.plugins.components("initializer")
+        if not r.missing and "reads_files" not in r.component.traits
+    }  # fmt: skip
+    suggested: tuple[Step, ...] = tuple((name, {}) for name in plan.plugins.suggest_initializers(capture))
+    measuring: list[Step] = [(name, {}) for name, traits in known.items() if "measures_points" in traits]
+    found = [suggested]
+    for name in (name for name, traits in known.items() if "makes_surface" in traits):
+        before = [(step,) for step in measuring] if "needs_points" in known[name] else [()]
+        found += [(*steps, (name, options)) for steps in before for options in ({}, *VARIANTS.get(name, ()))]
+        if name not in dict(suggested):
+            found += [(*suggested, *steps, (name, {})) for steps in before]
+    return [chain for i, chain in enumerate(found) if chain and chain not in found[:i]]
 
 
-def run(chain: Sequence[str], capture: Capture, plan: Plan) -> tuple[Scene, Timing]:
+def run(chain: Sequence[Step], capture: Capture, plan: Plan) -> tuple[Scene, Timing]:
     """The chain's scene; one run, photographs decoded beforehand, vertex colours left out where that can be."""
     scene: Scene | None = None
     before = reset_peak()
     wall, cpu = time.perf_counter(), time.process_time()
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        for name in chain:
+        for name, options in chain:
             config = plan.plugins.find("initializer", name).component.config
             known = getattr(config, "__dataclass_fields__", {})
-            options = {"vertex_colors": False} if "vertex_colors" in known else {}
+            options = {**options, **({"vertex_colors": False} if "vertex_colors" in known else {})}
             capture, scene = plan.plugins.create("initializer", name, options).initialize(capture, scene, Path(folder))
     seconds, after = time.perf_counter() - wall, peak_bytes()
     memory = None if before is None or after is None else max(0, after - before)
     if scene is None:
-        raise HirError(f"{', '.join(chain)} made no surface")
+        raise HirError(f"{', '.join(name for name, _ in chain)} made no surface")
     return scene, Timing(seconds, seconds, seconds, 1, time.process_time() - cpu, memory)
 
 

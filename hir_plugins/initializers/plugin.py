@@ -54,7 +54,7 @@ STEREO = Component(
     summary="Measures depth in all photographs and carves it out of the visual hull.",
     requires=("torch", "jaxtyping", "open3d", "cv2", "skimage", "pycolmap"),
     extra="reconstruct",
-    traits=frozenset({"needs_cameras", "makes_surface"}),
+    traits=frozenset({"needs_cameras", "makes_surface", "measures_points"}),
 )
 
 POISSON = Component(
@@ -64,7 +64,7 @@ POISSON = Component(
     summary="A surface through the points that stereo measured.",
     requires=("torch", "jaxtyping", "open3d"),
     extra="reconstruct",
-    traits=frozenset({"needs_cameras", "makes_surface"}),
+    traits=frozenset({"needs_cameras", "needs_points", "makes_surface"}),
     testing="hir_plugins.initializers.cases:without_masks",
 )
 
