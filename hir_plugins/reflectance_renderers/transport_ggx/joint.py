@@ -31,6 +31,9 @@ from hir_plugins.reflectance_renderers.transport_ggx.unknowns import Unknowns
 REDRAW = 1.5
 """Lobes are drawn anew when α has moved by this factor."""
 
+ALBEDO_NOISE = 0.02
+"""Differences of log albedo between neighbours below this cost little: no edge, but noise and slow change."""
+
 
 @dataclass(frozen=True, eq=False)
 class Block:
@@ -102,6 +105,7 @@ class FitSettings:
     """Steps between updates of the lobes to the current α."""
     light_smoothness: float = 1e-4
     light_whiteness: float = 1e-3
+    albedo_smoothness: float = 1e-3
     map_smoothness: float = 3e-3
     huber: float = 0.1
     known_light: bool = False
@@ -232,6 +236,11 @@ def _smoothness(unknowns: Unknowns, settings: FitSettings, edges: Tensor) -> Ten
     # lights are whiter than surfaces: what tint both could explain is the surface's
     chroma = (light - light.mean(dim=-1, keepdim=True)).square().mean()
     energy = settings.light_smoothness * energy + settings.light_whiteness * chroma
+    if settings.albedo_smoothness and len(edges):
+        # albedo changes in few places: a gradient that shading explains, too, is shading
+        albedo = torch.nn.functional.logsigmoid(unknowns.diffuse)
+        change = (albedo[edges[:, 0]] - albedo[edges[:, 1]]).square().sum(dim=1)
+        energy = energy + settings.albedo_smoothness * ((change + ALBEDO_NOISE**2).sqrt() - ALBEDO_NOISE).mean()
     for value in (unknowns.specular, unknowns.width):
         if value is not None and len(value) > 1:
             energy = energy + settings.map_smoothness * (value[edges[:, 0]] - value[edges[:, 1]]).square().mean()

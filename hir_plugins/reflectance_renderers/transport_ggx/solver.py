@@ -96,7 +96,8 @@ class TransportSolver(ReflectanceSolver):
         known = self._options.known_light
         settings = FitSettings(steps, rung.brdf, rung.bounces, known_light=known,
                                light_smoothness=self._options.light_smoothness,
-                               light_whiteness=self._options.light_whiteness)
+                               light_whiteness=self._options.light_whiteness,
+                               albedo_smoothness=self._options.albedo_smoothness)
         begun = file is not None and file.begun()
         if rung.brdf != "diffuse" and (start is None or start.unknowns.width is None) and not begun:
             unknowns = self._probe(photographs, unknowns, settings, rung)
@@ -232,7 +233,10 @@ class TransportSolver(ReflectanceSolver):
         return sum(last) / len(last) if last else math.inf
 
     def _albedo_of_photographs(self, photographs: Photographed, rung: Rung, light: Tensor) -> Float[Tensor, "V 3"]:
-        """Colour over irradiance at each vertex, held near the mean of all where few pixels see it."""
+        """Mean colour over mean irradiance; under a known light each vertex's own, held near the mean where few see it.
+
+        While the light is sought all vertices begin alike: shading that an albedo begins with it never gives back.
+        """
         transport = self._transport
         count = len(transport.surface.positions)
         if len(photographs) == 0:
@@ -240,9 +244,11 @@ class TransportSolver(ReflectanceSolver):
         block = self._block(photographs, replace(rung, brdf="diffuse"), Unknowns(light.log(), light, None, None), 0)
         sources, irradiance = transport.sources(light, torch.zeros(count, 3, device=light.device), 0)
         arriving = block.direct @ sources if block.direct is not None else block.cells @ irradiance  # type: ignore[operator]
+        mean = photographs.color.mean(dim=0) / (arriving / torch.pi).mean(dim=0).clamp_min(1e-6)
+        if not self._options.known_light:
+            return mean.clamp(0.02, 0.95).expand(count, 3).contiguous()
         shown = block.vertices.transposed @ photographs.color
         white = block.vertices.transposed @ (arriving / torch.pi)
-        mean = photographs.color.mean(dim=0) / (arriving / torch.pi).mean(dim=0).clamp_min(1e-6)
         weight = 0.05 * white.mean()
         return ((shown + weight * mean) / (white + weight).clamp_min(1e-9)).clamp(0.02, 0.95)
 
