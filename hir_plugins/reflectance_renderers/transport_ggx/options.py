@@ -32,7 +32,7 @@ class TransportGGXOptions:
     light_whiteness: float = 1e-3
     """Weight of the light's chroma: of two explanations of a tint, the surface's wins."""
     albedo_smoothness: float = 1e-3
-    """Weight of differences of log albedo between neighbouring vertices while the light is sought; edges cost little."""
+    """Weight of differences of log albedo between neighbouring vertices while light is sought; edges cost little."""
     known_light: bool = False
     """Hold the light as it is given."""
     view_gain: bool = False
