@@ -10,7 +10,9 @@ from typing import Any
 
 import numpy as np
 from hir_exporters.atomic import atomic_path
+from numpy.typing import NDArray
 
+from hir_core.array_files import read_arrays
 from hir_core.capture import Camera, Capture, OrientedPoints, View
 from hir_core.errors import InputError
 from hir_core.run_directory import read_json, write_json
@@ -99,40 +101,44 @@ def save_capture(capture: Capture, folder: Path) -> None:
 
 
 def restore_capture(capture: Capture, folder: Path) -> Capture:
-    """The capture that `save_capture` saw; `capture` gives the photographs, by name."""
-    document = read_json(folder / "capture.json")
+    """What `save_capture` saw, with the photographs of `capture`, by name; `InputError` where it is damaged."""
+    document, arrays = read_json(folder / "capture.json"), read_arrays(folder / "capture.npz")
     known = {view.name: view for view in capture.views}
-    views: list[View] = []
-    with np.load(folder / "capture.npz", allow_pickle=False) as arrays:
-        for i, entry in enumerate(document["views"]):
-            if entry["name"] not in known:
-                raise InputError(f"{folder / 'capture.json'} names {entry['name']!r}, which {capture.path} lacks")
-            camera = entry["camera"]
-            views.append(
-                replace(
-                    known[entry["name"]],
-                    camera=None if camera is None else camera_from_document(camera, str(folder / "capture.json")),
-                    mask=arrays.get(f"mask_{i}"),
-                    distortion=tuple(float(k) for k in entry["distortion"]),
-                    exposure=float(entry["exposure"]),
-                )
-            )
-        points = None
-        if "points_positions" in arrays:
-            points = OrientedPoints(
-                **{
-                    name: arrays[f"points_{name}"]
-                    for name in ("positions", "normals", "colors")
-                    if f"points_{name}" in arrays
-                }
-            )
-    return replace(
-        capture,
-        views=tuple(views),
-        points=points,
-        light_frame=document["light_frame"],
-        world_from_source=np.array(document["world_from_source"], dtype=np.float64),
-    )
+    try:
+        views = tuple(
+            _restored(known, entry, arrays.get(f"mask_{i}"), str(folder / "capture.json"))
+            for i, entry in enumerate(document["views"])
+        )
+        return replace(
+            capture,
+            views=views,
+            points=_points(arrays),
+            light_frame={"world": "world", "camera": "camera"}[document["light_frame"]],  # type: ignore[arg-type]
+            world_from_source=np.array(document["world_from_source"], dtype=np.float64).reshape(4, 4),
+        )
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        reason = f"{type(error).__name__}: {error}"
+        raise InputError(f"{folder} is no whole capture of a run ({reason}); run without --resume") from error
+
+
+def _restored(known: Mapping[str, View], entry: Mapping[str, Any], mask: NDArray[Any] | None, source: str) -> View:
+    if entry["name"] not in known:
+        raise InputError(f"{source} names {entry['name']!r}, which the capture lacks")
+    camera = None if entry["camera"] is None else camera_from_document(entry["camera"], source)
+    if mask is not None and (mask.dtype.kind not in "fiub" or mask.ndim != 2):
+        raise ValueError(f"the mask of {entry['name']} is no picture")
+    distortion, exposure = tuple(float(k) for k in entry["distortion"]), float(entry["exposure"])
+    return replace(known[entry["name"]], camera=camera, mask=mask, distortion=distortion, exposure=exposure)
+
+
+def _points(arrays: Mapping[str, NDArray[Any]]) -> OrientedPoints | None:
+    named = {name: arrays[key] for name in ("positions", "normals", "colors") if (key := f"points_{name}") in arrays}
+    if "positions" not in named:
+        return None
+    shape = (len(named["positions"]), 3)
+    if any(a.shape != shape or a.dtype.kind not in "fiu" for a in named.values()):
+        raise ValueError("its points are not three numbers each")
+    return OrientedPoints(**named)
 
 
 def write_cameras(path: Path, capture: Capture, all_names: Sequence[str]) -> None:

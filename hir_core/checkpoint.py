@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol
@@ -13,6 +12,9 @@ import torch
 from hir_exporters.atomic import atomic_write
 from numpy.typing import NDArray
 from torch import Tensor
+
+from hir_core import array_files
+from hir_core.errors import InputError
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -90,9 +92,8 @@ def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
 def read_arrays(path: Path) -> Arrays:
     """What `write_arrays` wrote; nothing where there is no such file or it is damaged."""
     try:
-        with np.load(path, allow_pickle=False) as stored:
-            return {name: stored[name] for name in stored.files}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+        return array_files.read_arrays(path)
+    except InputError:
         return {}
 
 

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from hir_exporters.atomic import atomic_path
 
+from hir_core.array_files import read_arrays
+from hir_core.errors import InputError
 from hir_core.interrupt import raise_lost_interrupt
 from hir_core.progress import Progress
 
@@ -109,9 +111,21 @@ class Listener:
 
 
 def read_curves(path: Path) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Steps and values of each scalar of a stage; empty where none were kept."""
+    """Steps and values of each scalar of a stage; empty where none were kept, `InputError` where they are damaged."""
     if not path.exists():
         return {}
-    with np.load(path, allow_pickle=False) as arrays:
-        names = [n for n in arrays.files if not n.endswith("@step")]
-        return {n: (arrays[f"{n}@step"], arrays[n]) for n in names}
+    curves: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+    arrays = read_arrays(path)
+    for name, values in arrays.items():
+        if name.endswith("@step"):
+            continue
+        steps = arrays.get(f"{name}@step")
+        if (
+            steps is None
+            or steps.ndim != 1
+            or steps.shape != values.shape
+            or {steps.dtype.kind, values.dtype.kind} - set("fiu")
+        ):
+            raise InputError(f"{path} holds a curve {name!r} that is not a number a step; run without --resume")
+        curves[name] = steps, values
+    return curves

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ import torch
 from hir_exporters.atomic import atomic_directory, atomic_path
 from hir_exporters.images import read_exr, write_exr
 
+from hir_core.array_files import read_arrays
 from hir_core.errors import InputError
 from hir_core.run_directory import read_json, write_json
 from hir_core.scene import EnvironmentMap, Material, Mesh, Scene, Topology
@@ -62,12 +62,7 @@ def load_stage_scene(folder: Path, device: str = "cpu") -> Scene:
 
 
 def _arrays(folder: Path) -> dict[str, torch.Tensor]:
-    found: dict[str, torch.Tensor] = {}
-    try:
-        with np.load(folder / "arrays.npz", allow_pickle=False) as arrays:
-            found |= {name: torch.from_numpy(arrays[name]) for name in arrays.files}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise InputError(f"{folder / 'arrays.npz'} cannot be read ({error}); run without --resume") from error
+    found = {name: torch.from_numpy(array) for name, array in read_arrays(folder / "arrays.npz").items()}
     for path in sorted(folder.glob("*.exr")):
         found[path.stem] = torch.from_numpy(np.ascontiguousarray(read_exr(path)))
     return found

@@ -59,7 +59,7 @@ class Destination:
         content = storage.read(self._record(name))
         try:
             found = json.loads(content or b"{}")
-        except ValueError:
+        except (ValueError, RecursionError):
             return {}
         return found if isinstance(found, dict) else {}
 

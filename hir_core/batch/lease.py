@@ -77,7 +77,7 @@ def read_lease(at: Place) -> dict[str, Any]:
     """The lease as it is; empty where there is none or it is no JSON object."""
     try:
         found = json.loads(storage.read(at) or b"{}")
-    except ValueError:
+    except (ValueError, RecursionError):
         return {}
     return found if isinstance(found, dict) else {}
 
@@ -90,10 +90,11 @@ def owner_of(at: Place) -> str:
 def died(lease: dict[str, Any], now: float) -> bool:
     """Whether the batch of a lease ended: it is silent, or it ran on this machine and its process is gone."""
     renewed = lease.get("renewed")
-    if not isinstance(renewed, int | float) or now - renewed > STALE_SECONDS:
+    # NaN, which Python's JSON reads, is no time
+    if not isinstance(renewed, int | float) or not now - renewed <= STALE_SECONDS:
         return True
     pid = lease.get("pid")
-    if os.name != "posix" or lease.get("host") != platform.node() or not isinstance(pid, int):
+    if os.name != "posix" or lease.get("host") != platform.node() or not isinstance(pid, int) or not 0 < pid < 1 << 31:
         return False
     try:
         os.kill(pid, 0)

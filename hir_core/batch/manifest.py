@@ -6,10 +6,10 @@ import json
 import time
 from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
-from typing import Any, Final
+from typing import Any, Final, get_args
 
 from hir_core.batch import storage
-from hir_core.batch.chain import Chain
+from hir_core.batch.chain import Chain, State
 from hir_core.batch.storage import Place
 from hir_core.errors import InputError
 
@@ -36,14 +36,15 @@ class Manifest:
             return {}
         try:
             document = json.loads(content)
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise InputError(f"{self._at} is not JSON ({error}); move it away to begin anew") from None
         captures = document.get("captures") if isinstance(document, dict) else None
         if not isinstance(captures, dict) or document.get("format") != FORMAT or document.get("version") != VERSION:
             raise InputError(f"{self._at} is no batch's manifest of version {VERSION}; choose another destination")
-        found: dict[str, Mapping[str, Any]] = {
-            name: entry for name, entry in captures.items() if isinstance(entry, dict)
-        }
+        broken = [name for name, entry in captures.items() if not _sound(entry)]
+        if broken:
+            raise InputError(f"{self._at}: the entry of {broken[0]!r} is damaged; move the file away to begin anew")
+        found: dict[str, Mapping[str, Any]] = captures
         self._others = dict(found)
         self._facts["started"] = document.get("started", self._facts.get("started"))
         return found
@@ -62,6 +63,19 @@ class Manifest:
         ended = time.monotonic()
         self._due = ended + max(LEAST_SECONDS, (ended - began) / SHARE)
         return True
+
+
+def _sound(entry: Any) -> bool:
+    """Has an entry all that the page and the next call take from it?"""
+    if not isinstance(entry, dict) or entry.get("state") not in get_args(State):
+        return False
+    tables = [entry.get("psnr") or {}, entry.get("stage_seconds") or {}]
+    return (
+        all(isinstance(table, dict) for table in tables)
+        and all(isinstance(seconds, int | float) for seconds in tables[1].values())
+        and isinstance(entry.get("warnings") or [], list)
+        and isinstance(entry.get("retries") or 0, int)
+    )
 
 
 def document_bytes(facts: Mapping[str, Any], captures: Mapping[str, Any]) -> bytes:

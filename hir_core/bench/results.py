@@ -8,6 +8,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final, Literal
 
+from pydantic import TypeAdapter
+
 from hir_core.errors import InputError
 from hir_core.machine import describe_machine, versions
 from hir_core.run_directory import read_json, write_json
@@ -79,15 +81,12 @@ class Result:
         if document.get("format") != FORMAT or document.get("version") != VERSION:
             raise InputError(f"{path} is not a result of hir bench that this program reads")
         try:
-            rows = tuple(
-                Row(dict(row["case"]), row["method"], row["role"],
-                    None if row["timing"] is None else Timing(**row["timing"]), dict(row["errors"]), row["note"])
-                for row in document["rows"]
-            )  # fmt: skip
+            rows = [row | {"case": dict(row["case"]), "errors": dict(row["errors"])} for row in document["rows"]]
             known = ("suite", "machine", "versions", "date", "settings")
-            return cls(rows=rows, **{name: document[name] for name in known})
+            fields = {name: document[name] for name in known} | {"rows": rows}
+            return TypeAdapter(cls).validate_python(fields)
         except (KeyError, TypeError, ValueError) as error:
-            raise InputError(f"{path}: a row or field is malformed ({error})") from error
+            raise InputError(f"{path}: a row or field is malformed ({' '.join(str(error).split())})") from error
 
 
 def error_names(rows: Sequence[Row]) -> list[str]:

@@ -183,6 +183,50 @@ def _capture(folder: Path) -> object:
     return [view.pixels() for view in capture.views[:1]]
 
 
+def _restored(folder: Path) -> object:
+    from hir_core.capture_files import restore_capture
+
+    return [view.pixels() for view in restore_capture(seeds.two_views(folder), folder).views]
+
+
+def _curves(folder: Path) -> object:
+    from hir_core.report.convergence import curves, history
+    from hir_core.run_directory import open_run
+
+    directory = open_run(folder)
+    return curves(directory), history(directory, directory.read_run(), directory.read_timings())
+
+
+def _marks(folder: Path) -> object:
+    from hir_plugins.initializers.metric_scale import read_marks
+
+    return read_marks(folder / "bar.txt")
+
+
+def _bench(folder: Path) -> object:
+    from hir_core.bench import compare, tables
+    from hir_core.bench.results import Result
+
+    result = Result.read(folder / "geometry.json")
+    return tables.markdown(result), compare.markdown(result, result)
+
+
+def _batch(folder: Path) -> object:
+    from hir_core.batch.manifest import Manifest
+    from hir_core.batch.page import page
+    from hir_core.batch.storage import Place
+
+    captures = Manifest(Place(str(folder / "batch.json")), {}).read()
+    return page("it", captures, list(captures), {}, "today")
+
+
+def _lease(folder: Path) -> object:
+    from hir_core.batch.lease import died, read_lease
+    from hir_core.batch.storage import Place
+
+    return died(read_lease(Place(str(folder / "lease.json"))), 0.0)
+
+
 def _mesh(name: str) -> Callable[[Path], object]:
     def read(folder: Path) -> object:
         from hir_plugins.initializers.mesh_file import load_mesh
@@ -218,6 +262,13 @@ TARGETS = [
     Target("stage_arrays", "arrays.npz", _stage_scene, seeds.stage_scene),
     Target("stage_scene", "scene.json", _stage_scene, seeds.stage_scene),
     Target("checkpoint", "state.npz", _checkpoint, seeds.checkpoint),
+    Target("stage_capture", "capture.json", _restored, seeds.stage_capture),
+    Target("stage_masks", "capture.npz", _restored, seeds.stage_capture),
+    Target("curves", "stages/4-reflectance/curves.npz", _curves, seeds.run),
+    Target("scale_bar", "bar.txt", _marks, seeds.scale_bar),
+    Target("bench_json", "geometry.json", _bench, seeds.bench),
+    Target("batch_json", "batch.json", _batch, seeds.batch),
+    Target("batch_lease", "lease.json", _lease, seeds.batch),
     Target("transforms_json", "transforms_train.json", _capture, seeds.transforms),
     Target("colmap_text", "sparse/0/images.txt", _capture, seeds.colmap_text),
     Target("colmap_cameras", "sparse/0/cameras.txt", _capture, seeds.colmap_text),

@@ -5,12 +5,19 @@ from __future__ import annotations
 import io
 import json
 import os
+import platform
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from hir_exporters.asset import Asset, AssetEnvironment, AssetMaterial, AssetMesh
 from hir_exporters.images import encode_png
 from hir_exporters.scene_files import save_scene
+
+from hir_core.batch.manifest import FORMAT, VERSION, document_bytes
+from hir_core.bench.results import Result, Row, Timing
+from hir_core.capture import Camera, Capture, OrientedPoints, Pixels, View
+from hir_core.capture_files import save_capture
 
 ROOT = Path(__file__).resolve().parents[2]
 MESHES = ("obj", "ply", "stl", "off", "glb")
@@ -81,15 +88,17 @@ def run(folder: Path) -> None:
             "asset_from_working": np.eye(4).tolist(),
         }
     )
-    directory.write_timings({"machine": {"cores": 2}, "stages": {"geometry": {"seconds": 1.0}}, "seconds": 3.0})
+    timed = {"geometry": {"seconds": 1.0}, "reflectance": {"seconds": 2.0, "progress": [[0, 0.1], [10, 1.9]]}}
+    directory.write_timings({"machine": {"cores": 2}, "stages": timed, "seconds": 3.0})
     for name in STAGES:
         directory.begin(name, "key")
         directory.finish(StageRecord(name, "key", True, {"a": 1}, ()))
+    curve = {"held_out_psnr": np.linspace(20, 30, 4), "held_out_psnr@step": np.array([2, 4, 6, 8])}
+    np.savez(directory.stage("reflectance") / "curves.npz", **curve)  # type: ignore[arg-type]
 
 
 def cameras(folder: Path) -> None:
     """capture/cameras.json of a run."""
-    from hir_core.capture import Camera
     from hir_core.capture_files import camera_document
 
     document = camera_document(Camera(_K, _POSE, 64, 48))
@@ -128,6 +137,52 @@ def checkpoint(folder: Path) -> None:
     x.sum().backward()
     optimizer.step()
     save_checkpoint(folder / "state.npz", optimizer, 1, {"notes": np.frombuffer(b"{}", np.uint8)})
+
+
+def two_views(folder: Path) -> Capture:
+    """A capture in memory, one view of it without a mask."""
+    black = Pixels(np.zeros((48, 64, 3), np.float32), None, np.zeros((48, 64), bool))
+    camera = Camera(_K, _POSE, 64, 48)
+    mask = np.ones((48, 64), np.float32)
+    return Capture(folder, (View("a", camera, lambda: black, mask=mask), View("b", None, lambda: black)))
+
+
+def stage_capture(folder: Path) -> None:
+    """What the first stage leaves of its capture."""
+    points = OrientedPoints(np.eye(3), np.eye(3), np.ones((3, 3)))
+    save_capture(replace(two_views(folder), points=points), folder)
+
+
+def scale_bar(folder: Path) -> None:
+    """Marks of both ends of a bar."""
+    (folder / "bar.txt").write_text("# a bar\nIMG 0012 a 811.5 402\nIMG_0013.jpg b 1e2 -3\n")
+
+
+def bench(folder: Path) -> None:
+    """Figures of a benchmark."""
+    timing = Timing(0.1, 0.2, 0.3, 3, 0.15, 1 << 20)
+    rows = (
+        Row({"size": 10, "kind": "ball"}, "contour", "ours", timing, {"IoU": 0.1, "dB": 30.0}),
+        Row({"size": 10, "kind": "ball"}, "other", "peer", None, note="too slow"),
+    )
+    Result("geometry", rows, {"processor": "one", "cores": 2}, {"hir": "0"}, "2026-01-01").write(
+        folder / "geometry.json"
+    )
+
+
+def batch(folder: Path) -> None:
+    """The manifest of a batch of two captures, and the lease of the machine that works on it."""
+    done = {
+        "state": "done",
+        "psnr": {"object": 25.0, "frame": 30.0},
+        "stage_seconds": {"geometry": 1.5},
+        "warnings": ["w"],
+    }
+    failed = {"state": "failed", "reason": "geometry: no", "retries": 2, "group": "geometry"}
+    facts = {"format": FORMAT, "version": VERSION, "started": "today"}
+    (folder / "batch.json").write_bytes(document_bytes(facts, {"a": done, "b": failed}))
+    lease = {"owner": "token", "host": platform.node(), "pid": 1, "renewed": 0.0}
+    (folder / "lease.json").write_text(json.dumps(lease))
 
 
 def transforms(folder: Path) -> None:
