@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from difflib import get_close_matches
 from functools import cache
 from typing import Any, TypeVar, get_type_hints
@@ -14,6 +15,9 @@ Options = TypeVar("Options")
 
 def build_options(kind: type[Options], values: Mapping[str, Any], owner: str) -> Options:
     """Builds `kind` from `values`; unknown keys, wrong types and non-finite numbers raise `ConfigError`."""
+    if not values:
+        with suppress(TypeError, ValueError):  # pydantic says below which option has no default
+            return kind()
     from pydantic import ValidationError
 
     try:

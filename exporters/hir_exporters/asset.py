@@ -23,6 +23,7 @@ PAPER_SPECULAR_MAX: Final = 4 / np.pi
 """Largest specular albedo of the `paper` model: its authors divide the lobe by pi where we divide by 4."""
 
 _UNIT_TOLERANCE = 1e-2
+_VECTORS = 1 << 16  # checked at a time: what is computed of them stays in a processor's cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,23 +221,28 @@ def _check_shape(name: str, value: NDArray[Any], shape: tuple[int | None, ...], 
 
 
 def _check_finite(name: str, value: NDArray[Any]) -> None:
+    if value.size and np.isfinite(value.min()) and np.isfinite(value.max()):  # NaN is the least and the largest of all
+        return
     bad = value.size - int(np.isfinite(value).sum())
     if bad:
         raise InputError(f"{name} holds {bad} NaN or infinite values; remove or replace them")
 
 
 def _check_range(name: str, value: NDArray[Any], low: float, high: float) -> None:
-    _check_finite(name, value)
+    least, most = value.min(), value.max()
+    if not (np.isfinite(least) and np.isfinite(most)):
+        _check_finite(name, value)
     slack = 1e-6  # one float32 rounding of a value at the border
-    if value.min() < low * (1 - slack) - slack * (low == 0) or value.max() > high * (1 + slack):
-        raise InputError(
-            f"{name} goes from {value.min():.6g} to {value.max():.6g}; it must be from {low:.4g} to {high:.4g}"
-        )
+    if least < low * (1 - slack) - slack * (low == 0) or most > high * (1 + slack):
+        raise InputError(f"{name} goes from {least:.6g} to {most:.6g}; it must be from {low:.4g} to {high:.4g}")
 
 
 def _check_unit(name: str, vectors: NDArray[np.float32]) -> None:
-    squared = np.einsum("...i,...i->...", vectors, vectors)  # float32: the tolerance is a hundredth
-    bad = int((np.abs(np.sqrt(squared) - 1) > _UNIT_TOLERANCE).sum())
+    bad = 0
+    for first in range(0, len(vectors), _VECTORS):
+        part = vectors[first : first + _VECTORS]
+        squared = np.einsum("ij,ij->i", part, part)  # float32: the tolerance is a hundredth
+        bad += int((np.abs(np.sqrt(squared, out=squared) - 1) > _UNIT_TOLERANCE).sum())
     if bad:
         raise InputError(f"{name} has {bad} vectors that are not of length 1; normalise them")
 

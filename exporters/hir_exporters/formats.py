@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
@@ -29,14 +31,20 @@ class Format:
     """`module:Class`, imported when it is used."""
     config: type
     summary: str
+    libraries: tuple[str, ...] = ()
+    """Modules of others that writing it needs, imported when something is written."""
 
+
+_GLTF, _USD = ("pygltflib",), ("pxr.Usd", "pxr.UsdGeom", "pxr.UsdShade")
 
 FORMATS: Final[dict[str, Format]] = {
-    "glb": Format("hir_exporters.gltf.exporter:GlbExporter", GltfConfig, "glTF 2.0 in one binary file."),
-    "gltf": Format("hir_exporters.gltf.exporter:GltfExporter", GltfConfig, "glTF 2.0 with textures as files."),
-    "usda": Format("hir_exporters.usd.exporter:UsdExporter", UsdConfig, "USD as text, with textures as files."),
-    "usdc": Format("hir_exporters.usd.exporter:UsdExporter", UsdConfig, "USD in binary, with textures as files."),
-    "usdz": Format("hir_exporters.usd.exporter:UsdzExporter", UsdzConfig, "USD in one package, for AR Quick Look."),
+    "glb": Format("hir_exporters.gltf.exporter:GlbExporter", GltfConfig, "glTF 2.0 in one binary file.", _GLTF),
+    "gltf": Format("hir_exporters.gltf.exporter:GltfExporter", GltfConfig, "glTF 2.0 with textures as files.", _GLTF),
+    "usda": Format("hir_exporters.usd.exporter:UsdExporter", UsdConfig, "USD as text, with textures as files.", _USD),
+    "usdc": Format("hir_exporters.usd.exporter:UsdExporter", UsdConfig, "USD in binary, with textures as files.", _USD),
+    "usdz": Format(
+        "hir_exporters.usd.exporter:UsdzExporter", UsdzConfig, "USD in one package, for AR Quick Look.", _USD
+    ),
     "obj": Format("hir_exporters.obj:ObjExporter", ObjConfig, "Wavefront OBJ with an MTL in its PBR dialect."),
     "hdr": Format("hir_exporters.environment_files:HdrExporter", EnvironmentConfig, "The light, Radiance RGBE."),
     "exr": Format("hir_exporters.environment_files:ExrExporter", EnvironmentConfig, "The light, OpenEXR float32."),
@@ -61,3 +69,15 @@ def create_exporter(name: str, config: Any = None) -> Exporter:
     exporter = getattr(import_module(module), attribute)(FORMATS[name].config() if config is None else config)
     assert isinstance(exporter, Exporter)
     return exporter
+
+
+def import_writers(names: Iterable[str]) -> None:
+    """Imports now what writing these formats will need; what is not installed, or no format of ours, is passed over.
+
+    For programs that read their asset in another thread meanwhile: decoders leave the interpreter to this one.
+    """
+    for name in names:
+        if name in FORMATS:
+            for module in (FORMATS[name].target.partition(":")[0], *FORMATS[name].libraries):
+                with suppress(ImportError):
+                    import_module(module)

@@ -84,23 +84,22 @@ def read_exr(
         low, high = header["dataWindow"]
         width, height = (int(edge) for edge in high.astype(np.int64) - low.astype(np.int64) + 1)
         _check_size(source, height, width, max_pixels)
-        channels_read = OpenEXR.File(str(source), separate_channels=True).channels()
-        planes = {name: channel.pixels for name, channel in channels_read.items()}
+        if any((c.xSampling, c.ySampling) != (1, 1) for c in header["channels"] if c.name in "RGBAY"):
+            raise InputError(f"{source} has subsampled channels; save it with full-size channels")
+        planes = _exr_planes(str(source))
     except InputError:
         raise
     except Exception as error:  # the binding raises RuntimeError, ValueError and KeyError on broken files
         raise InputError(f"{source} is a broken OpenEXR file ({error}); make it again") from error
-    names = next((layout for layout in ("RGBA", "RGB", "Y") if all(name in planes for name in layout)), None)
-    if names is None:
+    layout = next((layout for layout in ("RGBA", "RGB", "Y") if layout in planes), None)
+    if layout is None:
         raise InputError(f"{source} has the channels {', '.join(sorted(planes)) or 'none'}; R, G, B or Y are needed")
-    if channels == 3:
-        names = "RGB" if names != "Y" else "YYY"
-    elif channels == 1 and names != "Y":
+    if channels == 1 and layout != "Y":
         raise InputError(f"{source} has colour where one channel (Y) is expected")
-    if any(planes[name].shape != (height, width) for name in names):
-        raise InputError(f"{source} has subsampled channels; save it with full-size channels")
-    pixels = np.stack([planes[name].astype(np.float32) for name in names], axis=-1)
-    return _finite(source, pixels)
+    pixels = planes[layout].astype(np.float32, copy=False).reshape(height, width, len(layout))
+    if channels == 3:
+        pixels = pixels.repeat(3, axis=-1) if layout == "Y" else pixels[..., :3]
+    return _finite(source, np.ascontiguousarray(pixels))
 
 
 def encode_png(image: NDArray[np.generic], bits: int = 8) -> bytes:
@@ -192,7 +191,28 @@ def _check_size(source: Path, height: int, width: int, max_pixels: int) -> None:
         raise InputError(f"{source} is {width} x {height}, more than {max_pixels} pixels; make it smaller")
 
 
+def _exr_planes(source: str) -> dict[str, NDArray[np.generic]]:
+    """Pixels (H, W) of each channel of an OpenEXR file, RGB or RGBA as one (H, W, 3 or 4)."""
+    import OpenEXR
+
+    try:
+        together = {name: channel.pixels for name, channel in OpenEXR.File(source).channels().items()}
+    except ValueError:  # the binding does not join channels of different types
+        together = {}
+    # Before 3.5 it joined them wrongly, but only where the result is not float32.
+    if together and all(pixels.dtype == np.float32 for pixels in together.values()):
+        return together
+    channels = OpenEXR.File(source, separate_channels=True).channels()
+    planes = {name: channel.pixels for name, channel in channels.items()}
+    for layout in ("RGBA", "RGB"):
+        if all(name in planes for name in layout):
+            return {layout: np.stack([planes[name].astype(np.float32) for name in layout], axis=-1)}
+    return planes
+
+
 def _finite(source: Path, pixels: NDArray[np.float32]) -> NDArray[np.float32]:
+    if np.isfinite(pixels.min()) and np.isfinite(pixels.max()):  # NaN is the least and the largest of all
+        return pixels
     bad = pixels.size - int(np.isfinite(pixels).sum())
     if bad:
         raise InputError(f"{source} holds {bad} NaN or infinite values; replace them and save it again")

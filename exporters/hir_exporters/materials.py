@@ -146,7 +146,7 @@ def _dielectric_with_extensions(material: AssetMaterial) -> MetallicSurface:
 def _mixture(material: AssetMaterial) -> MetallicSurface:
     """Metal where there is metal, over a non-metal whose reflectance is what metal leaves of rho_s."""
     model, diffuse, specular, alpha = _together(material)
-    metal = in_strips(lambda s: s.max(axis=-1) > METAL_F0, (specular, 1))
+    metal = in_strips(lambda s: (s[..., 0] > METAL_F0) | (s[..., 1] > METAL_F0) | (s[..., 2] > METAL_F0), (specular, 1))
     metallic = fit_metallic(model, diffuse, specular, alpha) * metal
 
     def texels(diffuse: Array, specular: Array, alpha: Array, metallic: Array) -> Array:

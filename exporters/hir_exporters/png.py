@@ -12,7 +12,7 @@ import zlib
 import numpy as np
 from numpy.typing import NDArray
 
-_STRIP = 256  # rows filtered at a time: keeps the working set near the cache and memory small
+_STRIP = 64  # rows filtered at a time: keeps the working set near the cache and memory small
 _COLOR_TYPES = {1: 0, 2: 4, 3: 2, 4: 6}
 _LEVEL = 4  # zlib: 6 takes 2.5 times as long for files a few percent smaller
 
@@ -44,7 +44,7 @@ def _filtered(rows: NDArray[np.uint8], step: int) -> NDArray[np.uint8]:
             up[0] = rows[top - 1]
         corner[:, step:] = up[:, :-step]
         candidates = [strip - left, strip - up, strip - _paeth(left, up, corner)]
-        cost = np.stack([np.minimum(c, 0 - c).sum(axis=1, dtype=np.int64) for c in candidates])
+        cost = np.stack([np.minimum(c, 0 - c).sum(axis=1, dtype=np.uint32) for c in candidates])
         best = cost.argmin(axis=0)
         out = result[top : top + _STRIP]
         out[:, 0] = np.array([1, 2, 4], np.uint8)[best]
@@ -54,10 +54,22 @@ def _filtered(rows: NDArray[np.uint8], step: int) -> NDArray[np.uint8]:
 
 
 def _paeth(left: NDArray[np.uint8], up: NDArray[np.uint8], corner: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    a, b, c = left.astype(np.int16), up.astype(np.int16), corner.astype(np.int16)
-    near_left, near_up, near_corner = np.abs(b - c), np.abs(a - c), np.abs(a + b - 2 * c)
-    first = (near_left <= near_up) & (near_left <= near_corner)
-    return np.where(first, left, np.where(near_up <= near_corner, up, corner))
+    """Paeth's predictor, all of it in 8 bits: a sixth of the time of the formula as it is written.
+
+    left + up - corner lies |up - corner| from left, |left - corner| from up, and from the corner the difference of both
+    distances, if the corner is between left and up; if it is not, their sum, so that the corner is not the nearest.
+    """
+    from_left = np.maximum(up, corner) - np.minimum(up, corner)
+    from_up = np.maximum(left, corner) - np.minimum(left, corner)
+    nearest = _where(from_left <= from_up, left, up)
+    smaller = np.minimum(from_left, from_up)
+    between = (corner > np.minimum(left, up)) & (corner < np.maximum(left, up))
+    return _where(between & (np.maximum(from_left, from_up) - smaller < smaller), corner, nearest)
+
+
+def _where(condition: NDArray[np.bool_], one: NDArray[np.uint8], other: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    mask = 0 - condition.view(np.uint8)  # numpy.where takes ten times as long
+    return np.asarray(other ^ ((one ^ other) & mask))
 
 
 def _deflated(scanlines: NDArray[np.uint8]) -> bytes:

@@ -106,19 +106,24 @@ def read_usd(path: Path) -> ReadBack:
             raise InputError(f"{path} holds {len(meshes)} meshes where one was written")
         mesh = UsdGeom.Mesh(meshes[0])
         faces = np.asarray(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 3)
-        st = np.asarray(UsdGeom.PrimvarsAPI(mesh).GetPrimvar("st").Get(), np.float64)
+        st = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("st")
+        uvs = _by_corner(st.ComputeFlattened(), st.GetInterpolation(), faces) * [1, -1] + [0, 1]
         material, _ = UsdShade.MaterialBindingAPI(mesh).ComputeBoundMaterial()
         shader, *_ = material.ComputeSurfaceSource()
         surface, legacy, normal = _usd_material(UsdShade.Shader(shader), path)
-        positions, normals = (
-            np.asarray(attribute.Get(), np.float64)[faces]
-            for attribute in (mesh.GetPointsAttr(), mesh.GetNormalsAttr())
-        )
-        return ReadBack(positions, normals, st[faces] * [1, -1] + [0, 1], surface, legacy, normal)
+        positions = _by_corner(mesh.GetPointsAttr().Get(), "vertex", faces)
+        normals = _by_corner(mesh.GetNormalsAttr().Get(), mesh.GetNormalsInterpolation(), faces)
+        return ReadBack(positions, normals, uvs, surface, legacy, normal)
     except InputError:
         raise
     except Exception as error:  # OpenUSD's errors span lines, and broken text fails in its own decoder
         raise InputError(f"{path} cannot be read back as USD ({_reason(error)})") from error
+
+
+def _by_corner(values: Any, interpolation: str, faces: NDArray[np.int32]) -> NDArray[np.float64]:
+    """Values (F, 3, C) of corners from those of points or of corners."""
+    array = np.asarray(values, np.float64)
+    return array.reshape(*faces.shape, -1) if interpolation == "faceVarying" else array[faces]
 
 
 def _reason(error: Exception) -> str:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
+from collections import OrderedDict
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from threading import Lock
 from typing import Literal
 
 import numpy as np
@@ -119,10 +122,35 @@ def encode_images(
         name, pixels = item
         if image_format == "jpeg" and pixels.shape[2] == 3 and "normal" not in name:
             return EncodedImage(f"{name}.jpg", _encode_jpeg(pixels, quality), "image/jpeg")
-        return EncodedImage(f"{name}.png", encode_png(pixels), "image/png")
+        return EncodedImage(f"{name}.png", _RECENT.png(pixels), "image/png")
 
     with ThreadPoolExecutor(max_workers=4) as pool:
         return list(pool.map(encode, images))
+
+
+class RecentImages:
+    """Encodes PNG, and keeps the last few files: formats written one after the other mostly share their images."""
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._files: OrderedDict[tuple[bytes, tuple[int, ...]], bytes] = OrderedDict()
+        self._lock = Lock()
+
+    def png(self, pixels: Image8) -> bytes:
+        """The file of 8-bit pixels (H, W, C), found by what they are (SHA-256), not by where they lie."""
+        key = hashlib.sha256(np.ascontiguousarray(pixels).data).digest(), pixels.shape
+        with self._lock:
+            found = self._files.get(key)
+        data = encode_png(pixels) if found is None else found
+        with self._lock:
+            self._files[key] = data
+            self._files.move_to_end(key)
+            while len(self._files) > self._most:
+                self._files.popitem(last=False)
+        return data
+
+
+_RECENT = RecentImages(8)
 
 
 def _encode_jpeg(pixels: Image8, quality: int) -> bytes:

@@ -57,13 +57,13 @@ def constant_if_uniform(value: Array, channels: int) -> Array:
     if value.ndim - channels != 2:
         return value
     first = value[0, 0]
-    if not (value[::_ROWS] == first).all():  # nearly always enough
+    if not (value[::64] == first).all():  # nearly always enough
         return value
     return np.asarray(first) if (value == first).all() else value
 
 
-_ROWS = 64
-"""Of a strip: its values stay in a processor's cache, and textures of any size need little memory."""
+_STRIP = 1 << 16
+"""Texels of a strip: its values stay near a processor's cache, and textures of any size need little memory."""
 
 
 def in_strips(compute: Callable[..., NDArray[_Number]], *values: tuple[Array, int]) -> NDArray[_Number]:
@@ -71,22 +71,23 @@ def in_strips(compute: Callable[..., NDArray[_Number]], *values: tuple[Array, in
 
     `values` are (texture or constant, number of channel axes); the result has the textures' height and width.
     """
-    height = next((value.shape[0] for value, c in values if value.ndim - c == 2), 0)
-    if height <= _ROWS:
+    height, width = next((value.shape[:2] for value, c in values if value.ndim - c == 2), (0, 0))
+    if height * width <= _STRIP:
         return compute(*(value for value, _ in values))
+    rows = max(1, _STRIP // width)
 
     def strip(top: int) -> NDArray[_Number]:
-        return compute(*(v[top : top + _ROWS] if v.ndim - c == 2 else v for v, c in values))
+        return compute(*(v[top : top + rows] if v.ndim - c == 2 else v for v, c in values))
 
     first = strip(0)
     result = np.empty((height, *first.shape[1:]), first.dtype)
-    result[:_ROWS] = first
+    result[:rows] = first
 
     def fill(top: int) -> None:
-        result[top : top + _ROWS] = strip(top)
+        result[top : top + rows] = strip(top)
 
     with ThreadPoolExecutor(max_workers=4) as pool:
-        list(pool.map(fill, range(_ROWS, height, _ROWS)))
+        list(pool.map(fill, range(rows, height, rows)))
     return result
 
 

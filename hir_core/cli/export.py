@@ -75,7 +75,10 @@ def export_command(
 
     A MESH is an .obj, .ply, .glb, .gltf or USD file with texture coordinates; it brings its material, or is given one.
     """
+    from concurrent.futures import ThreadPoolExecutor
+
     from hir_exporters.exporter import ExportReport
+    from hir_exporters.formats import import_writers
 
     from hir_core.export import export_asset
     from hir_core.manager import PluginManager
@@ -84,7 +87,10 @@ def export_command(
     plugins = PluginManager.discover(plugin_files)
     wanted = list(dict.fromkeys(formats))
     options = _options(plugins, assignments, wanted, profile, budget, lod)
-    asset = _asset(source, {name: text for name, text in maps.items() if text is not None}, light)
+    with ThreadPoolExecutor(max_workers=1) as beside:
+        reading = beside.submit(_asset, source, {n: text for n, text in maps.items() if text is not None}, light)
+        import_writers(wanted)
+        asset = reading.result()
 
     def told(name: str, report: ExportReport) -> None:
         for warning in report.warnings:

@@ -1,3 +1,4 @@
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -174,3 +175,42 @@ def test_a_huge_header_is_refused_before_anything_is_decoded(tmp_path: Path) -> 
             read(tmp_path / name)
     with pytest.raises(InputError, match="not there"):
         images.read_ldr(tmp_path / "none.png")
+
+
+def test_exr_channels_may_have_different_types(tmp_path: Path) -> None:
+    import OpenEXR
+
+    pixels = np.random.default_rng(0).random((4, 6, 4), np.float32)
+    for half in ("R", "B", "A", "RGBA"):
+        planes = {c: pixels[..., i].astype(np.float16 if c in half else np.float32) for i, c in enumerate("RGBA")}
+        OpenEXR.File({"type": OpenEXR.scanlineimage}, dict(planes)).write(str(tmp_path / "a.exr"))
+        read = images.read_exr(tmp_path / "a.exr")
+        np.testing.assert_array_equal(read, np.stack([planes[c].astype(np.float32) for c in "RGBA"], -1))
+        np.testing.assert_array_equal(images.read_exr(tmp_path / "a.exr", channels=3), read[..., :3])
+
+
+def test_subsampled_exr_is_refused(tmp_path: Path) -> None:
+    images.write_exr(tmp_path / "half.exr", np.ones((4, 6), np.float32))
+    whole = (tmp_path / "half.exr").read_bytes()
+    entry = b"Y\0" + struct.pack("<IBxxx", 2, 0)  # float32, not perceptually linear; then both samplings
+    assert entry + struct.pack("<II", 1, 1) in whole
+    (tmp_path / "half.exr").write_bytes(
+        whole.replace(entry + struct.pack("<II", 1, 1), entry + struct.pack("<II", 2, 2))
+    )
+    with pytest.raises(InputError, match=r"half\.exr has subsampled channels"):
+        images.read_exr(tmp_path / "half.exr")
+
+
+def test_the_predictor_of_png_is_that_of_its_text() -> None:
+    """ISO 15948, 9.4: of left, up and corner the one nearest to left + up - corner, in this order where they tie."""
+    from hir_exporters.png import _paeth
+
+    codes = np.arange(256, dtype=np.uint8)
+    for first in range(0, 256, 64):
+        left, up, corner = np.meshgrid(codes[first : first + 64], codes, codes, indexing="ij")
+        a, b, c = (values.astype(np.int16) for values in (left, up, corner))
+        near_left, near_up, near_corner = abs(b - c), abs(a - c), abs(a + b - 2 * c)
+        wanted = np.where(
+            (near_left <= near_up) & (near_left <= near_corner), a, np.where(near_up <= near_corner, b, c)
+        )
+        np.testing.assert_array_equal(_paeth(left, up, corner), wanted)

@@ -1,4 +1,5 @@
 import dataclasses
+import importlib.util
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -10,8 +11,9 @@ from hir_exporters.configs import UsdConfig, UsdzConfig
 from hir_exporters.errors import ExportError
 from hir_exporters.formats import create_exporter
 from hir_exporters.usd.package import usdz_bytes
-from hir_exporters.validate import validate_usd
+from hir_exporters.validate import validate_omniverse, validate_usd
 from hir_exporters.verify import verify_file
+from pxr import Usd, UsdGeom
 
 FORMATS = ["usda", "usdc", "usdz"]
 
@@ -222,3 +224,35 @@ def test_what_no_view_saw_is_a_subset(textured_asset: Asset, tmp_path: Path) -> 
     create_exporter("usda", UsdConfig(subsets=False)).write(asset, tmp_path / "y.usda")
     create_exporter("usda").write(textured_asset, tmp_path / "z.usda")
     assert b"GeomSubset" not in (tmp_path / "y.usda").read_bytes() + (tmp_path / "z.usda").read_bytes()
+
+
+def test_seams_of_the_texture_do_not_tear_the_surface(textured_asset: Asset, tmp_path: Path) -> None:
+    """Charts may touch at a corner, with one UV or two: NVIDIA's rules mind such a vertex, and repeated values."""
+    corners = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [-1, 1, 0], [-1, 0, 0], [-1, -1, 0], [0, -1, 0], [1, -1, 0]]
+    uvs = np.asarray(corners, np.float32)[:, :2] / 2 + 0.5
+    ring = [[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5], [0, 5, 6], [0, 6, 7], [0, 7, 8], [0, 8, 1]]
+    # Two charts of two triangles keep their places in the texture, the other triangles have theirs moved by half.
+    moved = np.concatenate([uvs, uvs + np.array([0, 1])])
+    faces = [face if i in (0, 1, 4, 5) else [v + 9 for v in face] for i, face in enumerate(ring)]
+    mesh = AssetMesh([*corners, *corners], [[0, 0, 1]] * 18, moved, faces)
+    used, index = np.unique(mesh.faces, return_inverse=True)
+    mesh = AssetMesh(mesh.positions[used], mesh.normals[used], mesh.uvs[used], index.reshape(-1, 3))
+    asset = dataclasses.replace(textured_asset, mesh=mesh)
+    for suffix in FORMATS:
+        path = create_exporter(suffix).write(asset, tmp_path / f"x.{suffix}").files[0]
+        stage = Usd.Stage.Open(str(path))
+        prim = UsdGeom.Mesh(stage.GetDefaultPrim().GetChild("Geometry"))
+        st = UsdGeom.PrimvarsAPI(prim).GetPrimvar("st")
+        assert len(prim.GetPointsAttr().Get()) == 9 and st.GetInterpolation() == "faceVarying"
+        assert len(st.GetIndices()) == 24 and len(st.Get()) == len(np.unique(mesh.uvs, axis=0))
+        assert verify_file(path, asset).problems == () and validate_usd([path]) == []
+        if importlib.util.find_spec("omni"):
+            assert [f for f in validate_omniverse([path]) if f.severity != "information"] == []
+
+
+def test_points_with_two_normals_stay_two(constant_asset: Asset, tmp_path: Path) -> None:
+    corners = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 0], [1, 0, 0], [0, 0, -1]]
+    mesh = AssetMesh(corners, [[0, 0, 1]] * 3 + [[0, -1, 0]] * 3, np.zeros((6, 2)), [[0, 1, 2], [3, 4, 5]])
+    path = create_exporter("usda").write(dataclasses.replace(constant_asset, mesh=mesh), tmp_path / "x.usda").files[0]
+    stage = Usd.Stage.Open(str(path))
+    assert len(UsdGeom.Mesh(stage.GetDefaultPrim().GetChild("Geometry")).GetPointsAttr().Get()) == 6

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from hir_exporters.asset import Asset, AssetMesh
+from hir_exporters.asset import Asset, AssetMaterial, AssetMesh
 from hir_exporters.configs import GltfConfig
 from hir_exporters.environment import world_radiance
 from hir_exporters.errors import ExportError
@@ -42,15 +43,35 @@ class Gathered:
 
 def gather(asset: Asset, config: GltfConfig) -> Gathered:
     """Convert the material, compute tangents where they are wanted, and encode the images."""
+    wanted = config.tangents == "always" or (config.tangents == "auto" and asset.material.normal is not None)
+    with ThreadPoolExecutor(max_workers=1) as beside:
+        mesh = beside.submit(with_tangents, asset.mesh) if wanted else None
+        converted, base, packed, images = _surface(asset.material, config)
+    legacy = converted if isinstance(converted, SpecularSurface) else None
+    return Gathered(
+        asset=asset,
+        mesh=asset.mesh if mesh is None else mesh.result(),
+        packed=packed,
+        legacy=legacy,
+        images=images,
+        light=_light(asset, config),
+        warnings=converted.warnings + _light_warning(asset, config),
+        residuals={config.profile: converted.residual, "metalrough": base.residual}
+        if legacy is not None
+        else {config.profile: converted.residual},
+    )
+
+
+def _surface(
+    material: AssetMaterial, config: GltfConfig
+) -> tuple[MetallicSurface | SpecularSurface, MetallicSurface, PackedSurface, list[EncodedImage]]:
+    """The material as the profile says it, what core readers see of it, and that packed, with all images as files."""
     if config.image_format == "ktx2":
         raise ExportError(
             "image_format is 'ktx2': no Python package encodes KTX2; export png, then run Khronos' toktx or "
             "`gltf-transform uastc` on the file"
         )
-    material = asset.material
-    wanted = config.tangents == "always" or (config.tangents == "auto" and material.normal is not None)
     converted = to_gltf(material, config.profile)
-    legacy = converted if isinstance(converted, SpecularSurface) else None
     base = converted if isinstance(converted, MetallicSurface) else to_gltf(material, "metalrough")
     assert isinstance(base, MetallicSurface)
     packed = pack_surface(base, material.normal)
@@ -63,20 +84,9 @@ def gather(asset: Asset, config: GltfConfig) -> Gathered:
         else packed.specular_weight_image,
     }
     named = [(name, image) for name, image in pixels.items() if image is not None]
-    if legacy is not None:
-        named += specular_glossiness.specular_glossiness_images(legacy).items()
-    return Gathered(
-        asset=asset,
-        mesh=with_tangents(asset.mesh) if wanted else asset.mesh,
-        packed=packed,
-        legacy=legacy,
-        images=encode_images(named, config.image_format, config.jpeg_quality),
-        light=_light(asset, config),
-        warnings=converted.warnings + _light_warning(asset, config),
-        residuals={config.profile: converted.residual, "metalrough": base.residual}
-        if legacy is not None
-        else {config.profile: converted.residual},
-    )
+    if isinstance(converted, SpecularSurface):
+        named += specular_glossiness.specular_glossiness_images(converted).items()
+    return converted, base, packed, encode_images(named, config.image_format, config.jpeg_quality)
 
 
 def _light_warning(asset: Asset, config: GltfConfig) -> tuple[str, ...]:

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hir_exporters.asset import Asset
+from hir_exporters.asset import Asset, AssetMesh
 from hir_exporters.conventions import flip_v
 from hir_exporters.gltf.geometry import unit
 from hir_exporters.texture_maps import sample_texels
+from hir_exporters.topology import weld
 from hir_exporters.usd.surface import UsdSurface, add_material
 
 if TYPE_CHECKING:
@@ -51,21 +52,38 @@ def prim_name(name: str) -> str:
 
 
 def _add_mesh(asset: Asset, stage: Usd.Stage, path: Any) -> Any:
-    from pxr import Sdf, UsdGeom, Vt
+    """Seams of the texture are not those of the surface: equal points with one normal are one, corners have UVs."""
+    from pxr import UsdGeom, Vt
 
     mesh = UsdGeom.Mesh.Define(stage, path)
     data = asset.mesh
-    mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(data.positions))
+    normals = unit(data.normals)
+    first, point = weld(np.concatenate([data.positions, normals], axis=1))
+    mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(data.positions[first]))
     mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(data.faces), 3, np.int32)))
-    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(data.faces.reshape(-1)))
-    mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(unit(data.normals)))
+    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(point[data.faces].astype(np.int32).reshape(-1)))
+    mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(normals[first]))
     mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     mesh.CreateOrientationAttr(UsdGeom.Tokens.rightHanded)
     mesh.CreateExtentAttr(UsdGeom.PointBased.ComputeExtent(mesh.GetPointsAttr().Get()))
-    st = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex)
-    st.Set(Vt.Vec2fArray.FromNumpy(flip_v(data.uvs).astype(np.float32)))
+    _add_uvs(data, mesh, len(first) < len(point))
     return mesh.GetPrim()
+
+
+def _add_uvs(data: AssetMesh, mesh: Any, seams: bool) -> None:
+    """`st` by corner where points have several, else by point; what repeats is indexed."""
+    from pxr import Sdf, UsdGeom, Vt
+
+    uvs = flip_v(data.uvs).astype(np.float32)
+    first, index = weld(uvs)
+    kind = UsdGeom.Tokens.faceVarying if seams else UsdGeom.Tokens.vertex
+    st = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, kind)
+    if seams or len(first) < len(uvs):
+        used = index[data.faces] if seams else index
+        st.SetIndices(Vt.IntArray.FromNumpy(used.astype(np.int32).reshape(-1)))
+        uvs = uvs[first]
+    st.Set(Vt.Vec2fArray.FromNumpy(uvs))
 
 
 def _add_subsets(asset: Asset, mesh: Any) -> None:
