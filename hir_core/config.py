@@ -18,6 +18,10 @@ Tables = dict[str, dict[str, Any]]
 """Options of components, keyed by component."""
 
 
+MOST_DEPTH = 32
+"""Settings are a few tables deep; what is far deeper would end in Python's recursion limit."""
+
+
 @dataclass(frozen=True)
 class GeometrySettings:
     """How the mesh is fitted to the masks."""
@@ -198,11 +202,23 @@ def read_toml(path: Path) -> dict[str, Any]:
     """A TOML file as a table; what is wrong with it is said with its name and line."""
     try:
         with path.open("rb") as stream:
-            return tomllib.load(stream)
+            table = tomllib.load(stream)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ConfigError(f"{path}: not valid TOML: {error}") from None
+    if _depth(table) > MOST_DEPTH:
+        raise ConfigError(f"{path}: its tables and lists are nested deeper than {MOST_DEPTH} levels")
+    return table
+
+
+def _depth(value: Any) -> int:
+    """Levels of tables and lists in a value; 0 for a number or a text."""
+    levels, current = 0, [value]
+    while current := [v for v in current if isinstance(v, dict | list)]:
+        levels += 1
+        current = [inner for v in current for inner in (v.values() if isinstance(v, dict) else v)]
+    return levels
 
 
 def assign(table: dict[str, Any], assignment: str) -> None:
@@ -212,9 +228,11 @@ def assign(table: dict[str, Any], assignment: str) -> None:
         raise ConfigError(f"--set {assignment!r}: write it as key=value, such as geometry.iterations=100")
     try:
         value = tomllib.loads(f"value = {text.strip()}")["value"]
-    except tomllib.TOMLDecodeError:
+    except (tomllib.TOMLDecodeError, RecursionError):
         value = text.strip()
     *parents, leaf = [part.strip() for part in key.split(".")]
+    if len(parents) + _depth(value) > MOST_DEPTH:
+        raise ConfigError(f"--set {assignment[:40]!r}…: it is nested deeper than {MOST_DEPTH} levels")
     for parent in parents:
         table = table.setdefault(parent, {})
         if not isinstance(table, dict):
@@ -247,8 +265,9 @@ def _check_components(config: RunConfig, plugins: PluginManager) -> None:
         for name, options in stage.regularizers.items():
             found = plugins.find("regularizer", name)
             if options is not False:
-                build_options(found.component.config, {k: v for k, v in options.items() if k != "weight"},
-                              f"regularizer {name!r}")
+                build_options(
+                    found.component.config, {k: v for k, v in options.items() if k != "weight"}, f"regularizer {name!r}"
+                )
     plugins.find("geometry_renderer", config.geometry.renderer)
     plugins.find("reflectance_renderer", config.reflectance.renderer)
     chains = (("initializer", config.initializers), ("mask_source", config.masks), ("exporter", config.export))
