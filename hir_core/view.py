@@ -51,6 +51,9 @@ MODULES: Final[tuple[tuple[str, dict[str, str]], ...]] = (
 )  # fmt: skip
 """Each module with its imports, after what it imports."""
 
+COMPRESSIONS: Final = (b"KHR_draco_mesh_compression", b"EXT_meshopt_compression")
+"""Extensions of glTF whose decoders the page does not bring."""
+
 LIGHT_ROWS: Final = 256
 """A larger light is reduced: three.js blurs it for reflections anyway."""
 
@@ -58,9 +61,9 @@ LIGHT_ROWS: Final = 256
 def view_page(source: Path, light: Path | None = None, photographs: bool = True) -> str:
     """The page for a run, a scene folder, or a file; `light` is a lat-long .hdr or .exr in the asset's axes.
 
-    A .glb is shown as it is; other formats, and Draco, as independent readers read them back. Without `light`, the
-    run's light or the .hdr beside the file. `photographs` puts a run's beside it. Raises `InputError` naming what
-    cannot be shown.
+    A .glb is shown as it is; other formats, and compressed ones, as independent readers read them back. Without
+    `light`, the run's light or the .hdr beside the file. `photographs` puts a run's beside it. Raises `InputError`
+    naming what cannot be shown.
     """
     title, glb, radiance = _shown(source)
     if light is not None:
@@ -141,7 +144,8 @@ def _shown(source: Path) -> tuple[str, bytes, np.ndarray | None]:
         raise InputError(f"{source} is not there; give a run, a scene folder or a file such as a .glb")
     beside = source.with_suffix(".hdr")
     radiance = read_hdr(beside) if beside.is_file() else None
-    if source.suffix.lower() == ".glb" and b"KHR_draco_mesh_compression" not in (data := source.read_bytes()):
+    data = source.read_bytes() if source.suffix.lower() == ".glb" else None
+    if data is not None and not any(name in data for name in COMPRESSIONS):
         return source.stem, data, radiance
     if source.suffix.lower() not in READERS:
         raise InputError(f"{source} cannot be shown; known are runs, scene folders and {', '.join(READERS)}")

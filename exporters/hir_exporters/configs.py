@@ -28,8 +28,9 @@ class GltfConfig:
     """Bake the finest mesh's normals into a normal map for each level of detail."""
     quantize: bool = False
     """KHR_mesh_quantization: 16-bit positions, 8-bit normals and tangents, 16-bit UVs. Readers without it fail."""
-    compression: Literal["none", "draco"] = "none"
-    """KHR_draco_mesh_compression, by DracoPy (`hir[compress]`). Readers without it fail."""
+    compression: Literal["none", "draco", "meshopt"] = "none"
+    """KHR_draco_mesh_compression, by DracoPy, or EXT_meshopt_compression, by meshopt (`hir[compress]`). Readers without
+    it fail."""
     environment: bool = True
     """Write the environment beside the file as NAME.hdr."""
     image_based_light: bool = False

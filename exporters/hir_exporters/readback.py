@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hir_exporters.conventions import srgb_to_linear
-from hir_exporters.errors import InputError
+from hir_exporters.errors import HirError, InputError
 from hir_exporters.materials import MetallicSurface, SpecularSurface
+from hir_exporters.readback_plain import EXPANDED, plain_glb
 from hir_exporters.usd.containment import check_inside, check_layers
 
 Pixels = NDArray[Any]
@@ -58,17 +59,23 @@ def read_gltf(path: Path) -> ReadBack:
     if not path.is_file():
         raise InputError(f"{path} is not there")
     try:
-        meshes: list[Any] = list(
-            trimesh.load_scene(path, process=False, resolver=Unquoting(str(path))).geometry.values()
-        )
-        if len(meshes) != 1:
-            raise InputError(f"{path} holds {len(meshes)} meshes where one was written")
-        [mesh] = meshes
+        document = GLTF2().load(str(path))
+        source: Path | io.BytesIO = path
+        kind = path.suffix[1:]
+        if not EXPANDED.isdisjoint(document.extensionsRequired or []):
+            source, kind = io.BytesIO(plain_glb(document, lambda i: _gltf_buffer(document, i, path))), "glb"
+        scene: Any = trimesh.load_scene(source, file_type=kind, process=False, resolver=Unquoting(str(path)))
+        if len(scene.geometry) != 1:
+            raise InputError(f"{path} holds {len(scene.geometry)} meshes where one was written")
+        [mesh] = scene.geometry.values()
+        to_world = scene.graph[scene.graph.nodes_geometry[0]][0]
         faces = np.asarray(mesh.faces)
+        positions = mesh.vertices[faces] @ to_world[:3, :3].T + to_world[:3, 3]
+        normals = mesh.vertex_normals[faces] @ np.linalg.inv(to_world[:3, :3])
         uvs = np.asarray(mesh.visual.uv) * [1, -1] + [0, 1]  # trimesh turns v upwards
-        surface, legacy, normal = _gltf_material(GLTF2().load(str(path)), path)
-        return ReadBack(mesh.vertices[faces], mesh.vertex_normals[faces], uvs[faces], surface, legacy, normal)
-    except InputError:
+        surface, legacy, normal = _gltf_material(document, path)
+        return ReadBack(positions, normals, uvs[faces], surface, legacy, normal)
+    except HirError:
         raise
     except Exception as error:  # two libraries, each with many ways to fail on a broken file
         raise InputError(f"{path} cannot be read back as glTF ({type(error).__name__}: {error})") from error

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from hir_exporters.asset import Asset
+from hir_exporters.asset import Asset, AssetMesh
 from hir_exporters.errors import ExportError
 from hir_exporters.materials import metallic_residual, specular_residual
 from hir_exporters.readback import ReadBack, read_gltf, read_usd
@@ -63,6 +63,7 @@ def compare(path: Path, asset: Asset, back: ReadBack, profile: str = "khr") -> V
     if back.corner_positions.shape != (len(mesh.faces), 3, 3):
         problems.append(f"{path.name} has {len(back.corner_positions)} triangles instead of {len(mesh.faces)}")
         return Verification(path, 1.0, 1.0, 180.0, 1.0, tuple(problems))
+    back = _turned(back, mesh)
     size = float(np.linalg.norm(mesh.positions.max(axis=0) - mesh.positions.min(axis=0))) or 1.0
     positions = float(np.abs(back.corner_positions - mesh.positions[mesh.faces]).max()) / size
     uvs = float(np.abs(back.corner_uvs - mesh.uvs[mesh.faces]).max())
@@ -86,3 +87,17 @@ def compare(path: Path, asset: Asset, back: ReadBack, profile: str = "khr") -> V
     if (back.normal is None) is not (asset.material.normal is None):
         problems.append(f"{path.name}: the normal map is {'missing' if back.normal is None else 'one too many'}")
     return Verification(path, positions, uvs, normals, brdf, tuple(problems))
+
+
+def _turned(back: ReadBack, mesh: AssetMesh) -> ReadBack:
+    """Triangles with the corner first that is the mesh's first: codecs may turn a triangle without changing it."""
+    wanted = np.concatenate([mesh.positions, mesh.uvs], axis=1)[mesh.faces]
+    have = np.concatenate([back.corner_positions, back.corner_uvs], axis=-1)
+    turns = [(np.arange(3) + k) % 3 for k in range(3)]
+    off = np.stack([np.abs(have[:, turn] - wanted).sum(axis=(1, 2)) for turn in turns])
+    order = np.asarray(turns)[off.argmin(axis=0)][:, :, None]  # the first where they tie
+    positions, normals, uvs = (
+        np.take_along_axis(values, order, axis=1)
+        for values in (back.corner_positions, back.corner_normals, back.corner_uvs)
+    )
+    return replace(back, corner_positions=positions, corner_normals=normals, corner_uvs=uvs)

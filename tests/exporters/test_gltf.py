@@ -194,6 +194,9 @@ def test_quantized_mesh_is_within_its_steps(textured_asset: Asset, tmp_path: Pat
     from hir_exporters.tangents import with_tangents
 
     np.testing.assert_allclose(positions, with_tangents(textured_asset.mesh).positions, atol=1.01 / 65534)
+    check = verify_file(tmp_path / "q.glb", textured_asset)  # by a reader that applies the node and undoes the steps
+    assert check.problems == () and 0 < check.positions < 1 / 65534 and 0 < check.uvs < 0.51 / 65535
+    assert 0 < check.normals_degrees < 0.4
 
 
 @pytest.mark.parametrize("suffix", ["glb", "gltf"])
@@ -285,6 +288,26 @@ def test_draco_is_read_by_others_and_within_its_steps(textured_asset: Asset, nod
     assert sizes[0] < sizes[1]
 
 
+@pytest.mark.parametrize("quantize", [False, True])
+def test_meshopt_is_read_by_others_and_loses_nothing(
+    quantize: bool, textured_asset: Asset, node_tools: Path, tmp_path: Path
+) -> None:
+    pytest.importorskip("meshopt", reason="hir[compress] is not installed")
+    for suffix in ("glb", "gltf"):
+        path = tmp_path / f"m.{suffix}"
+        create_exporter(suffix, GltfConfig(compression="meshopt", quantize=quantize)).write(textured_asset, path)
+        create_exporter(suffix, GltfConfig(quantize=quantize)).write(textured_asset, tmp_path / f"f.{suffix}")
+        document = document_of(path)
+        wanted = ["EXT_meshopt_compression", *(["KHR_mesh_quantization"] if quantize else [])]
+        assert sorted(document["extensionsRequired"]) == wanted
+        check, plain = (verify_file(tmp_path / f"{name}.{suffix}", textured_asset) for name in ("m", "f"))
+        assert check.problems == () and dataclasses.replace(check, file=plain.file) == plain
+        findings = validate_gltf([path], node_tools)
+        assert {f.code for f in findings if f.severity != "information"} == set()
+    sizes = [Path(tmp_path / name).stat().st_size for name in ("m.glb", "f.glb")]
+    assert sizes[0] < sizes[1]
+
+
 def test_draco_is_refused_where_it_cannot_be(
     textured_asset: Asset, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -293,4 +316,7 @@ def test_draco_is_refused_where_it_cannot_be(
     monkeypatch.setitem(sys.modules, "DracoPy", None)
     with pytest.raises(ExportError, match=r"DracoPy.*hir\[compress\]"):
         create_exporter("glb", GltfConfig(compression="draco")).write(textured_asset, tmp_path / "a.glb")
+    monkeypatch.setitem(sys.modules, "meshopt", None)
+    with pytest.raises(ExportError, match=r"meshopt.*hir\[compress\]"):
+        create_exporter("glb", GltfConfig(compression="meshopt")).write(textured_asset, tmp_path / "a.glb")
     assert list(tmp_path.iterdir()) == []

@@ -75,19 +75,22 @@ def test_same_colours(shots: list[tuple[np.ndarray, np.ndarray]]) -> None:
         np.testing.assert_allclose(shown[flat].mean(axis=0) / ours[flat].mean(axis=0), 1.0, atol=0.01)
 
 
-def test_draco_looks_the_same(chromium: list[str], tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "library"), [("draco", "DracoPy"), pytest.param("meshopt", "meshopt", marks=pytest.mark.slow)]
+)
+def test_compressed_files_look_the_same(name: str, library: str, chromium: list[str], tmp_path: Path) -> None:
     """three.js' own decoder: less than a code apart in the mean, and not a mirrored or empty picture."""
-    pytest.importorskip("DracoPy", reason="hir[compress] is not installed")
+    pytest.importorskip(library, reason="hir[compress] is not installed")
     if module_folder("three") is None:
         pytest.skip("three.js is not installed: run tools/setup.sh test")
     pictures = {}
-    for compression in ("none", "draco"):
+    for compression in ("none", name):
         file = tmp_path / f"{compression}.glb"
         create_exporter("glb", GltfConfig(compression=compression)).write(asset(), file)
         light = file.with_suffix(".hdr")
         [pictures[compression]] = in_browser("three.html", file, light, [orbit_cameras(6, 25.0, 256)[0]])
     assert error(pictures["none"], pictures["none"][:, ::-1]) > 0.02
-    assert error(pictures["none"], pictures["draco"]) < 1 / 255
+    assert error(pictures["none"], pictures[name]) < 1 / 255
 
 
 def test_the_page_states_what_the_formula_costs(shared: Path) -> None:

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hir_exporters.gltf import meshopt
+
 if TYPE_CHECKING:
     from pygltflib import GLTF2
 
@@ -19,10 +21,13 @@ _TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 class BinaryWriter:
     """Appends data to a document's one buffer, with its views and accessors."""
 
-    def __init__(self, document: GLTF2) -> None:
+    def __init__(self, document: GLTF2, compressed: bool = False) -> None:
+        """`compressed`: accessors' data as EXT_meshopt_compression; images stay as they are."""
         self._document = document
+        self._compressed = compressed
         self._chunks: list[bytes] = []
         self._length = 0
+        self._plain_length = 0
 
     def view(self, data: bytes, target: int | None = None, stride: int | None = None) -> int:
         """Index of a new buffer view of `data`, aligned to four bytes."""
@@ -51,8 +56,9 @@ class BinaryWriter:
             data = padded.tobytes()
         else:
             data = rows.astype(rows.dtype.newbyteorder("<")).tobytes()
+        view = self._meshopt_view(data, len(rows), target) if self._compressed else self.view(data, target, stride)
         accessor = Accessor(
-            bufferView=self.view(data, target, stride),
+            bufferView=view,
             byteOffset=0,
             componentType=_COMPONENTS[rows.dtype.name],
             normalized=normalized,
@@ -63,6 +69,49 @@ class BinaryWriter:
             accessor.min, accessor.max = rows.min(axis=0).tolist(), rows.max(axis=0).tolist()
         self._document.accessors.append(accessor)
         return len(self._document.accessors) - 1
+
+    def _meshopt_view(self, data: bytes, count: int, target: int) -> int:
+        """Index of a new view of a buffer that nobody stores, whose content its extension holds."""
+        from pygltflib import BufferView
+
+        stride, triangles = len(data) // count, target == ELEMENT_ARRAY_BUFFER
+        rows = np.frombuffer(data, f"<u{stride}" if triangles else np.uint8)
+        stream = meshopt.encoded(rows if triangles else rows.reshape(count, stride), triangles)
+        kept = self.view(stream)
+        described = self._document.bufferViews.pop(kept)
+        self._document.bufferViews.append(
+            BufferView(
+                buffer=1,
+                byteOffset=self._plain_length,
+                byteLength=len(data),
+                target=target,
+                byteStride=None if triangles else stride,
+                extensions={
+                    meshopt.NAME: {
+                        "buffer": 0,
+                        "byteOffset": described.byteOffset,
+                        "byteLength": described.byteLength,
+                        "byteStride": stride,
+                        "count": count,
+                        "mode": "TRIANGLES" if triangles else "ATTRIBUTES",
+                    }
+                },
+            )
+        )
+        self._plain_length += len(data) + -len(data) % 4
+        return kept
+
+    def add_buffers(self) -> None:
+        """Tells the document the size of what was appended; the buffer that nobody stores says what it is."""
+        from pygltflib import Buffer
+
+        self._document.buffers.append(Buffer(byteLength=self._length))
+        if self._plain_length:
+            self._document.buffers.append(
+                Buffer(byteLength=self._plain_length, extensions={meshopt.NAME: {"fallback": True}})
+            )
+            self._document.extensionsUsed.append(meshopt.NAME)
+            self._document.extensionsRequired.append(meshopt.NAME)
 
     def described_accessor(
         self, count: int, kind: type[np.generic], width: int, bounds: tuple[NDArray[Any], NDArray[Any]] | None = None

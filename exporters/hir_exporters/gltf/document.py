@@ -106,16 +106,16 @@ def _light(asset: Asset, config: GltfConfig) -> tuple[list[EncodedImage], dict[s
 
 def build_document(gathered: Gathered, config: GltfConfig, files_prefix: str | None) -> tuple[GLTF2, BinaryWriter]:
     """The document and its buffer's writer; images inside, or beside it as files that begin with `files_prefix`."""
-    from pygltflib import GLTF2, Attributes, Buffer, Mesh, Node, Scene
+    from pygltflib import GLTF2, Attributes, Mesh, Node, Scene
     from pygltflib import Asset as Header
 
     document = GLTF2(asset=Header(version="2.0", generator=GENERATOR))
     document.extensionsUsed, document.extensionsRequired = [], []
     if gathered.asset.provenance:
         document.asset.extras = {"hir": dict(gathered.asset.provenance)}
-    writer = BinaryWriter(document)
+    writer = BinaryWriter(document, config.compression == "meshopt")
     node = Node(name=gathered.asset.name, mesh=0)
-    if config.quantize and config.compression != "none":
+    if config.quantize and config.compression == "draco":
         raise ExportError("quantize and compression=draco both change the mesh; choose one of them")
     if config.compression == "draco":
         primitive = add_draco_primitive(document, gathered.mesh, writer, 0)
@@ -137,7 +137,7 @@ def build_document(gathered: Gathered, config: GltfConfig, files_prefix: str | N
     document.scene = 0
     if gathered.light is not None:
         image_based_light.add_light(document, *gathered.light, embedding, files_prefix or "")
-    document.buffers.append(Buffer(byteLength=len(writer.data())))
+    writer.add_buffers()
     return document, writer
 
 
