@@ -83,7 +83,12 @@ class TransportSolver(ReflectanceSolver):
     def fit(
         self, rung: Rung, start: Any, views: Sequence[int], effort: float, report: Callable[[float], None]
     ) -> Fit:
-        """Adam on cached transport; a rung's new unknowns start from the values of the earlier fit."""
+        """Adam on cached transport; a rung's new unknowns start from the values of the earlier fit.
+
+        Without one a diffuse model is fitted first: light and albedo before the lobes that depend on both.
+        """
+        if start is None and rung.brdf != "diffuse":
+            start = self.fit(Rung("diffuse", light_frame=rung.light_frame), None, views, effort, lambda share: None)
         file = self._files.next(rung, tuple(views), effort) if self._files is not None else None
         device = self._transport.surface.positions.device
         ended = file.result() if file is not None else None
@@ -99,7 +104,7 @@ class TransportSolver(ReflectanceSolver):
                                light_whiteness=self._options.light_whiteness,
                                albedo_smoothness=self._options.albedo_smoothness)
         begun = file is not None and file.begun()
-        if rung.brdf != "diffuse" and (start is None or start.unknowns.width is None) and not begun:
+        if rung.brdf != "diffuse" and start is not None and start.unknowns.width is None and not begun:
             unknowns = self._probe(photographs, unknowns, settings, rung)
         fitted = joint.fit(
             self._transport, lambda state: self._blocks(photographs, rung, state), unknowns, settings, self._edges,
