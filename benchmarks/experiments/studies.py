@@ -63,6 +63,14 @@ TERMS = Study(
             "without whiteness of the light",
             studied("no_light_whiteness", "reflectance_renderer.transport_ggx.light_whiteness=0.0"),
         ),
+        (
+            "without few edges in the albedo",
+            studied("no_albedo_smoothness", "reflectance_renderer.transport_ggx.albedo_smoothness=0.0"),
+        ),
+        (
+            "albedo begun from the photographs, shading included",
+            studied("albedo_start", "reflectance_renderer.transport_ggx.start='photographs'"),
+        ),
         ("diffuse alone: no lobe", studied("diffuse", "reflectance.model='diffuse'")),
         ("a specular map", studied("specular_map", "reflectance.model='specular_map'")),
         (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,9 @@ class TransportGGXOptions:
     """Weight of differences between neighbouring texels of the light's logarithm."""
     light_whiteness: float = 1e-3
     """Weight of the light's chroma: of two explanations of a tint, the surface's wins."""
+    start: Literal["uniform", "photographs"] = "uniform"
+    """Albedo that a fit begins with: one for all, or each vertex's colour over its irradiance, shading included; always
+    the second under a known light."""
     albedo_smoothness: float = 1e-3
     """Weight of differences of log albedo between neighbouring vertices while light is sought; edges cost little."""
     known_light: bool = False

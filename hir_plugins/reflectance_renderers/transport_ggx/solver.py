@@ -238,9 +238,9 @@ class TransportSolver(ReflectanceSolver):
         return sum(last) / len(last) if last else math.inf
 
     def _albedo_of_photographs(self, photographs: Photographed, rung: Rung, light: Tensor) -> Float[Tensor, "V 3"]:
-        """Mean colour over mean irradiance; under a known light each vertex's own, held near the mean where few see it.
+        """Mean colour over mean irradiance, or each vertex's own, held near the mean where few pixels see it.
 
-        While the light is sought all vertices begin alike: shading that an albedo begins with it never gives back.
+        While the light is sought all should begin alike: shading that an albedo begins with it never gives back.
         """
         transport = self._transport
         count = len(transport.surface.positions)
@@ -250,7 +250,7 @@ class TransportSolver(ReflectanceSolver):
         sources, irradiance = transport.sources(light, torch.zeros(count, 3, device=light.device), 0)
         arriving = block.direct @ sources if block.direct is not None else block.cells @ irradiance  # type: ignore[operator]
         mean = photographs.color.mean(dim=0) / (arriving / torch.pi).mean(dim=0).clamp_min(1e-6)
-        if not self._options.known_light:
+        if self._options.start == "uniform" and not self._options.known_light:
             return mean.clamp(0.02, 0.95).expand(count, 3).contiguous()
         shown = block.vertices.transposed @ photographs.color
         white = block.vertices.transposed @ (arriving / torch.pi)
