@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from hir_exporters.asset import Asset, AssetEnvironment, AssetMaterial, AssetMesh, validate_asset
 from hir_exporters.conventions import srgb_to_linear
-from hir_exporters.errors import InputError
+from hir_exporters.errors import HirError, InputError
 from hir_exporters.images import read_exr, read_hdr, read_ldr
 from hir_exporters.materials import MetallicSurface, simplified
-from hir_exporters.readback import read_gltf_surface, read_usd
+from hir_exporters.readback import gltf_scene, read_gltf_surface, read_usd
 from hir_exporters.written_asset import decoded_surface, written_asset
 
 Array = NDArray[np.floating]
@@ -82,8 +82,17 @@ def _trimesh_mesh(path: Path) -> AssetMesh:
     import trimesh
 
     try:
-        loaded = trimesh.load_scene(path, process=False, maintain_order=True)
+        if path.suffix.lower() in (".glb", ".gltf"):
+            from pygltflib import GLTF2
+
+            loaded = gltf_scene(path, GLTF2().load(str(path)))
+        else:
+            loaded = trimesh.load_scene(path, process=False, maintain_order=True)
         parts: list[Any] = [m for m in loaded.dump() if isinstance(m, trimesh.Trimesh) and len(m.faces)]
+    except HirError:
+        raise
+    except IndexError as error:
+        raise InputError(f"{path}: mesh.faces, or what describes it, has an index out of range ({error})") from error
     except Exception as error:  # a library with many ways to fail on a broken file
         raise InputError(f"{path} cannot be read as a mesh ({type(error).__name__}: {error})") from error
     if not parts:

@@ -46,25 +46,14 @@ class ReadBack:
 
 def read_gltf(path: Path) -> ReadBack:
     """A .glb or .gltf with one mesh and one material. Raises `InputError` naming the file where it cannot be read."""
-    import trimesh
     from pygltflib import GLTF2
-
-    class Unquoting(trimesh.resolvers.FilePathResolver):
-        """trimesh looks for files under the names that a .gltf quotes for URIs."""
-
-        def get(self, name: str) -> bytes:
-            return bytes(super().get(unquote(name)))
 
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path} is not there")
     try:
         document = GLTF2().load(str(path))
-        source: Path | io.BytesIO = path
-        kind = path.suffix[1:]
-        if not EXPANDED.isdisjoint(document.extensionsRequired or []):
-            source, kind = io.BytesIO(plain_glb(document, lambda i: _gltf_buffer(document, i, path))), "glb"
-        scene: Any = trimesh.load_scene(source, file_type=kind, process=False, resolver=Unquoting(str(path)))
+        scene = gltf_scene(path, document)
         if len(scene.geometry) != 1:
             raise InputError(f"{path} holds {len(scene.geometry)} meshes where one was written")
         [mesh] = scene.geometry.values()
@@ -79,6 +68,23 @@ def read_gltf(path: Path) -> ReadBack:
         raise
     except Exception as error:  # two libraries, each with many ways to fail on a broken file
         raise InputError(f"{path} cannot be read back as glTF ({type(error).__name__}: {error})") from error
+
+
+def gltf_scene(path: Path, document: Any) -> Any:
+    """The `trimesh.Scene` of a .glb or .gltf, whose `pygltflib.GLTF2` says what trimesh does not know (`EXPANDED`)."""
+    import trimesh
+
+    class Unquoting(trimesh.resolvers.FilePathResolver):
+        """trimesh looks for files under the names that a .gltf quotes for URIs."""
+
+        def get(self, name: str) -> bytes:
+            return bytes(super().get(unquote(name)))
+
+    source: Path | io.BytesIO = path
+    kind = path.suffix[1:]
+    if not EXPANDED.isdisjoint(document.extensionsRequired or []):
+        source, kind = io.BytesIO(plain_glb(document, lambda i: _gltf_buffer(document, i, path))), "glb"
+    return trimesh.load_scene(source, file_type=kind, process=False, resolver=Unquoting(str(path)))
 
 
 def read_gltf_surface(

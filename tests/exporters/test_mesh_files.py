@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hir_exporters.asset import Asset, describe
+from hir_exporters.configs import GltfConfig
 from hir_exporters.conventions import linear_to_srgb
 from hir_exporters.errors import InputError
 from hir_exporters.formats import create_exporter
@@ -36,6 +37,13 @@ def test_an_exported_core_material_comes_back(textured_asset: Asset, suffix: str
     assert back.provenance == {"made_from": f"x.{suffix}"}
 
 
+def test_a_quantized_mesh_has_its_size(constant_asset: Asset, tmp_path: Path) -> None:
+    create_exporter("glb", GltfConfig(quantize=True)).write(constant_asset, tmp_path / "q.glb")
+    read, mesh = load_mesh_asset(tmp_path / "q.glb").mesh, constant_asset.mesh
+    np.testing.assert_allclose(read.positions[read.faces], mesh.positions[mesh.faces], atol=4e-5)
+    np.testing.assert_allclose(read.uvs[read.faces], mesh.uvs[mesh.faces], atol=1e-5)
+
+
 def test_maps_and_light_by_hand(textured_asset: Asset, tmp_path: Path) -> None:
     create_exporter("obj").write(textured_asset, tmp_path / "x.obj")
     create_exporter("hdr").write(textured_asset, tmp_path / "sky.hdr")
@@ -58,11 +66,13 @@ def test_bad_input_names_file_and_field(textured_asset: Asset, tmp_path: Path) -
     (tmp_path / "empty.obj").write_text("v 0 0 0\n")
     (tmp_path / "nan.obj").write_text("v nan 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nf 1/1 2/2 3/3\n")
     (tmp_path / "far.obj").write_text("mtllib ../../secret.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1/1 2/1 3/1\n")
+    (tmp_path / "beyond.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nf 1/1 2/2 9/3\n")
     (tmp_path / "broken.glb").write_bytes(b"glTF\0\0\0\0")
     (tmp_path / "mesh.txt").write_text("")
     for name, message in {
         "bare.obj": "bare.obj.*mesh.uvs", "empty.obj": "empty.obj", "nan.obj": "nan.obj.*mesh.positions",
-        "far.obj": "outside", "broken.glb": "broken.glb", "mesh.txt": "known are", "none.glb": "not there",
+        "far.obj": "outside", "beyond.obj": "beyond.obj.*mesh.faces.*index out of range",
+        "broken.glb": "broken.glb", "mesh.txt": "known are", "none.glb": "not there",
     }.items():  # fmt: skip
         with pytest.raises(InputError, match=message):
             load_mesh_asset(tmp_path / name)
