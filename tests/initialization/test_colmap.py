@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import sqlite3
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +17,8 @@ from hir_core.errors import CaptureError
 from hir_core.plugin import NoOptions
 from hir_plugins.initializers.colmap import Colmap
 from hir_plugins.initializers.options import ColmapOptions
+from hir_plugins.initializers.sfm import attempts, matched
+from hir_plugins.initializers.sfm_images import write_images
 from hir_plugins.readers.photos import PhotosReader
 
 from .silhouettes import Fixed, look_at, make_view
@@ -101,6 +105,22 @@ def test_a_second_run_takes_up_the_first(arc: tuple[Capture, list[Camera]], tmp_
     assert (tmp_path / "images" / "00000.jpg").stat().st_mtime_ns == stamp
     for a, b in zip(first.cameras, second.cameras, strict=True):
         np.testing.assert_allclose(a.world_to_camera, b.world_to_camera, atol=1e-3)
+
+
+def test_a_pair_matches_the_same_whatever_was_matched_before(arc: tuple[Capture, list[Camera]], tmp_path: Path) -> None:
+    """What a kill left out is matched later, without the pairs that come before it."""
+    options = ColmapOptions(threads=1, focal_length=310.0, max_features=512)
+    images, _ = write_images(arc[0].views[:4], tmp_path, options.max_image_size, known=False)
+    database = matched(images, tmp_path / "attempt", attempts(options, False)[0], options)
+    with closing(sqlite3.connect(database)) as opened, opened:
+        query = "SELECT pair_id, rows, data FROM two_view_geometries WHERE rows > 0 ORDER BY pair_id"
+        whole = opened.execute(query).fetchall()
+        for pair, _, _ in whole[::2]:
+            for table in ("matches", "two_view_geometries"):
+                opened.execute(f"DELETE FROM {table} WHERE pair_id = ?", (pair,))
+    matched(images, tmp_path / "attempt", attempts(options, False)[0], options)
+    with closing(sqlite3.connect(database)) as opened:
+        assert len(whole) == 6 and opened.execute(query).fetchall() == whole
 
 
 def test_what_cannot_be_solved_is_one_sentence(arc: tuple[Capture, list[Camera]], tmp_path: Path) -> None:

@@ -113,6 +113,18 @@ def test_masks_that_leave_nothing_are_one_sentence(capture: Capture) -> None:
         object_pixels(capture.__class__(capture.path, (_empty(capture.views[0]),)), [0], 1, "cpu")
 
 
+def test_pixels_that_are_no_colours_are_counted_by_view(capture: Capture) -> None:
+    pixels = capture.views[0].read()
+    color = pixels.color_linear.copy()
+    color[1, 2, 0], color[1, 2, 1], color[2, 0, 2] = np.nan, np.inf, -np.inf
+    color[0, 0] = np.nan  # outside of the mask
+    sick = replace(capture.views[0], read=lambda: replace(pixels, color_linear=color))
+    with pytest.raises(StageError, match=r"^view a has 2 pixels of the object that are NaN or infinite; mend or leave"):
+        object_pixels(replace(capture, views=(sick,)), [0], 1, "cpu")
+    color[1, 2], color[2, 0] = 0.5, 0.5
+    assert len(object_pixels(replace(capture, views=(sick,)), [0], 1, "cpu").index) == 2
+
+
 def _empty(view: View) -> View:
     pixels = replace(view.read(), mask=np.zeros((3, 4), np.float32))
     return replace(view, read=lambda: pixels)
