@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-import sqlite3
-from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pycolmap
 import pytest
 from numpy.typing import NDArray
 
@@ -17,8 +16,7 @@ from hir_core.errors import CaptureError
 from hir_core.plugin import NoOptions
 from hir_plugins.initializers.colmap import Colmap
 from hir_plugins.initializers.options import ColmapOptions
-from hir_plugins.initializers.sfm import attempts, matched
-from hir_plugins.initializers.sfm_images import write_images
+from hir_plugins.initializers.sfm_matches import match
 from hir_plugins.readers.photos import PhotosReader
 
 from .silhouettes import Fixed, look_at, make_view
@@ -107,20 +105,28 @@ def test_a_second_run_takes_up_the_first(arc: tuple[Capture, list[Camera]], tmp_
         np.testing.assert_allclose(a.world_to_camera, b.world_to_camera, atol=1e-3)
 
 
-def test_a_pair_matches_the_same_whatever_was_matched_before(arc: tuple[Capture, list[Camera]], tmp_path: Path) -> None:
-    """What a kill left out is matched later, without the pairs that come before it."""
-    options = ColmapOptions(threads=1, focal_length=310.0, max_features=512)
-    images, _ = write_images(arc[0].views[:4], tmp_path, options.max_image_size, known=False)
-    database = matched(images, tmp_path / "attempt", attempts(options, False)[0], options)
-    with closing(sqlite3.connect(database)) as opened, opened:
-        query = "SELECT pair_id, rows, data FROM two_view_geometries WHERE rows > 0 ORDER BY pair_id"
-        whole = opened.execute(query).fetchall()
-        for pair, _, _ in whole[::2]:
-            for table in ("matches", "two_view_geometries"):
-                opened.execute(f"DELETE FROM {table} WHERE pair_id = ?", (pair,))
-    matched(images, tmp_path / "attempt", attempts(options, False)[0], options)
-    with closing(sqlite3.connect(database)) as opened:
-        assert len(whole) == 6 and opened.execute(query).fetchall() == whole
+def test_each_pair_draws_its_own_trials(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """What a resumed run finds for a pair may not depend on the pairs that it skips."""
+    given: list[pycolmap.TwoViewGeometryOptions] = []
+    monkeypatch.setattr(pycolmap, "match_exhaustive", lambda _, **more: given.append(more["verification_options"]))
+    match(tmp_path / "database.db", tmp_path, 3, ColmapOptions(matching="exhaustive"))
+    rng = np.random.default_rng(0)
+    camera = pycolmap.Camera.create_from_model_name(1, "PINHOLE", 300.0, 320, 240)
+    camera.has_prior_focal_length = True
+    points = rng.uniform(-1, 1, (60, 3)) + np.array([0, 0, 4])
+    turned = look_at(np.array([1.0, 0, 0]), np.array([0.0, 0, 4]), 300.0, 320, 240).project(points)[0]
+    pixels = [300 * points[:, :2] / points[:, 2:] + [160, 120], turned]
+    # a pixel of noise, and half of the matches are wrong: the trials decide which ones count
+    a, b = (np.vstack([p + rng.normal(0, 1, (60, 2)), rng.uniform(0, 240, (60, 2))]) for p in pixels)
+    pairs = np.stack([np.arange(120)] * 2, axis=1).astype(np.uint32)
+
+    def found(options: pycolmap.TwoViewGeometryOptions) -> list[bytes]:
+        options.ransac.max_num_trials, options.ransac.min_num_trials = 100, 10
+        results = [pycolmap.estimate_two_view_geometry(camera, a, camera, b, pairs, options) for _ in range(4)]
+        return [result.inlier_matches.tobytes() for result in results]
+
+    assert len(set(found(given[0]))) == 1
+    assert len(set(found(pycolmap.TwoViewGeometryOptions()))) > 1, "COLMAP's own default draws on and on"
 
 
 def test_what_cannot_be_solved_is_one_sentence(arc: tuple[Capture, list[Camera]], tmp_path: Path) -> None:
