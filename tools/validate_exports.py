@@ -11,6 +11,7 @@ import argparse
 import sys
 import tempfile
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
 
@@ -57,6 +58,10 @@ def kinds() -> Iterator[tuple[str, str, Any]]:
         for profile in PROFILES:
             yield profile, suffix, GltfConfig(profile=profile)
     yield "quantized", "glb", GltfConfig(quantize=True)
+    yield "lit", "glb", GltfConfig(image_based_light=True)
+    for name, library in (("draco", "DracoPy"), ("meshopt", "meshopt")):
+        if find_spec(library):
+            yield name, "glb", GltfConfig(compression=name)
     for workflow in ("metallic", "specular"):
         for suffix in ("usda", "usdc"):
             yield workflow, suffix, UsdConfig(workflow=workflow)
