@@ -99,7 +99,7 @@ class FitSettings:
     specular_rate: float = 0.05
     width_rate: float = 0.08
     gain_rate: float = 0.02
-    width_hold: float = 0.35
+    width_hold: float = 0.7
     """Share of the steps before α moves: under a light that is still flat, every lobe would widen."""
     refresh: int = 15
     """Steps between updates of the lobes to the current α."""
