@@ -86,7 +86,8 @@ def measure(name: str, place: Path, children: int) -> bool:
     words = [sys.executable, "-m", "mutmut", "run", "--max-children", str(children)]
     done = subprocess.run(words, cwd=place, env=environment, capture_output=True, text=True)
     if done.returncode:
-        print(f"{name}: mutmut stopped early\n{done.stdout[-3000:]}{done.stderr[-3000:]}")
+        said = [line for line in done.stdout.splitlines() if line[1:2] != " "]  # not the spinner's
+        print(f"{name}: mutmut stopped early", *said[-30:], done.stderr[-3000:], sep="\n")
         return False
     counted: Counter[str] = Counter()
     left: dict[str, str] = {}
@@ -107,7 +108,8 @@ def measure(name: str, place: Path, children: int) -> bool:
 
 def copy(subject: Subject, place: Path) -> None:
     """What mutmut works on; files that are the same stay as they are, so that their results hold."""
-    place.mkdir(parents=True, exist_ok=True)
+    # Python remembers that a folder of its path is not there: it must be before mutmut fills it
+    (place / "mutants").mkdir(parents=True, exist_ok=True)
     folders = {"hir_core": ROOT / "hir_core", "hir_plugins": ROOT / "hir_plugins", "tests": ROOT / "tests"}
     folders |= {"hir_exporters": ROOT / "exporters" / "hir_exporters", "examples": ROOT / "examples"}
     for name, source in folders.items():
