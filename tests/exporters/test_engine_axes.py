@@ -1,13 +1,14 @@
 """The six-colour light through the panorama formula of each engine, with the turn that docs/engines/README.md gives."""
 
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hir_exporters.asset import Asset
+from hir_exporters.asset import Asset, AssetEnvironment
 from hir_exporters.configs import GltfConfig
-from hir_exporters.conventions import srgb_to_linear
+from hir_exporters.conventions import latlong_directions, srgb_to_linear
 from hir_exporters.formats import create_exporter
 from hir_exporters.images import read_hdr, read_ldr
 
@@ -83,6 +84,25 @@ def test_light_inside_gltf_has_its_colours_on_the_faces(textured_asset: Asset, t
         codes = read_ldr(tmp_path / f"x_light_0_{number}.png")
         middle = srgb_to_linear(codes[60:68, 60:68, :3]) / codes[60:68, 60:68, 3:]
         np.testing.assert_allclose(middle.mean((0, 1)), COLORS[x, y, -z], atol=0.02, err_msg=str(number))
+
+
+def test_light_inside_gltf_goes_on_over_the_edges_of_faces(textured_asset: Asset, tmp_path: Path) -> None:
+    """OpenGL's table of faces (4.6, table 8.19) for the mirrored direction, rows stored from the bottom.
+
+    So it was seen in Babylon.js; faces the other way up show the six colours as well, and edges all over a metal.
+    """
+    light = AssetEnvironment((0.5 + 0.45 * latlong_directions(64, 128)).astype(np.float32))
+    asset = dataclasses.replace(textured_asset, environment=light)
+    create_exporter("gltf", GltfConfig(image_based_light=True)).write(asset, tmp_path / "x.gltf")
+    faces = [read_ldr(tmp_path / f"x_light_0_{number}.png") for number in range(6)]
+    for direction in np.random.default_rng(0).normal(size=(300, 3)):
+        x, y, z = direction / np.linalg.norm(direction) * [1, 1, -1]
+        axis = int(np.abs([x, y, z]).argmax())
+        number = 2 * axis + int([x, y, z][axis] < 0)
+        s, t = [(-z, -y), (z, -y), (x, z), (x, -z), (x, -y), (-x, -y)][number] / np.abs([x, y, z][axis])
+        size = len(faces[number])
+        codes = faces[number][size - 1 - int((t + 1) / 2 * size), int((s + 1) / 2 * size)]
+        np.testing.assert_allclose(srgb_to_linear(codes[:3]) / codes[3], 0.5 + 0.45 * np.array([x, y, -z]), atol=0.02)
 
 
 def test_the_ready_scripts_turn_the_light_as_tested() -> None:

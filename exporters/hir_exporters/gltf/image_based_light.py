@@ -1,7 +1,8 @@
 """EXT_lights_image_based: the light inside the file, for Babylon.js and few others; the .hdr beside it serves the rest.
 
-Six faces a level as PNG in RGBD: sRGB codes of radiance times the alpha, which is what brings the brightest channel to
-1. Levels are even in perceptual roughness. Irradiance coefficients are those of irradiance itself, not over pi.
+Six faces a level, rows from the bottom, as PNG in RGBD: sRGB codes of radiance times the alpha, which is what brings
+the brightest channel to 1. Levels are even in perceptual roughness. Irradiance coefficients are those of irradiance
+itself, not over pi.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ def light_images(radiance: NDArray[np.floating]) -> tuple[list[EncodedImage], di
     levels = len(level_sizes(SIZE))
     cube = prefiltered_cube(scaled, [even_roughness(k, levels) for k in range(levels)], SIZE)
     images = [
-        EncodedImage(f"light_{k}_{face}.png", encode_png(rgbd(pixels)), "image/png")
+        EncodedImage(f"light_{k}_{face}.png", encode_png(rgbd(pixels[::-1])), "image/png")
         for k, level in enumerate(cube)
         for face, pixels in enumerate(level)
     ]
