@@ -31,7 +31,7 @@ from hir_core.remeshing import surface_area
 from hir_core.scene import Mesh, Scene
 from hir_core.silhouettes import SilhouetteTargets, intersection_over_union
 from hir_core.trouble import vertices_at_fault, views_at_fault
-from hir_core.untangling import untangle
+from hir_core.untangling import separate, untangle
 from hir_core.view_trust import ViewTrust
 from hir_core.working_frame import unit_similarity
 
@@ -101,7 +101,9 @@ def fit_geometry(
     after = inspect_mesh(*_arrays(mesh))
     if after.self_intersecting > before.self_intersecting:
         positions, faces = _arrays(mesh)
-        # where photographs folded the surface, it goes back to what the outlines said; what they folded is smoothed
+        # sheets that graze are pushed apart; where photographs folded the surface, it goes back to what the outlines
+        # said; what they folded is smoothed
+        positions = separate(positions, faces, before.self_intersecting)
         if photographs["kept"]:
             positions = untangle(positions, faces, before.self_intersecting, toward=_arrays(outlined)[0])
         mended = untangle(positions, faces, before.self_intersecting)

@@ -18,7 +18,7 @@ from hir_core.geometry import fit_geometry
 from hir_core.manager import PluginManager
 from hir_core.mesh_checks import inspect_mesh
 from hir_core.scene import Mesh, Scene
-from hir_core.untangling import untangle
+from hir_core.untangling import separate, untangle
 from hir_core.view_trust import ViewTrust
 from hir_plugins.geometry_renderers import plugin as renderers
 from hir_plugins.geometry_renderers.contour import Contour
@@ -257,6 +257,22 @@ def test_untangling_goes_back_to_an_earlier_state_where_the_surface_folded() -> 
     # each vertex lies between where it was then and where it had gone
     back, away = (np.linalg.norm(state[moved] - before[moved], axis=1) for state in (mended, folded))
     assert (back < away).all()
+
+
+def test_sheets_that_graze_are_pushed_apart() -> None:
+    lower, faces = icosphere(4)
+    upper = lower + np.array([0.0, 1.999, 0.0])
+    positions, both = np.concatenate([lower, upper]), np.concatenate([faces, faces + len(lower)])
+    assert inspect_mesh(positions, both).self_intersecting > 0
+    mended = separate(positions, both, allowed=0)
+    assert inspect_mesh(mended, both).self_intersecting == 0
+    edge = np.linalg.norm(lower[faces[:, 0]] - lower[faces[:, 1]], axis=1).mean()
+    moved = np.linalg.norm(mended - positions, axis=1)
+    assert moved.max() < edge
+    assert (moved > 0).mean() < 0.05
+    # each sphere gives way to its own side
+    assert (mended[: len(lower), 1] <= lower[:, 1] + 1e-12).all()
+    assert (mended[len(lower) :, 1] >= upper[:, 1] - 1e-12).all()
 
 
 def test_untangling_takes_out_a_spike_and_leaves_the_rest() -> None:
