@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 
 import numpy as np
@@ -20,6 +20,9 @@ from hir_core.interfaces import GeometryRenderer
 LEVELS, SIZES = (4, 5, 6, 7), (256, 512, 1024)
 """5k, 20k, 82k and 328k triangles."""
 
+GROWTH = 4
+"""Times as long as for a quarter of the triangles or pixels, at most, by the growth of either."""
+
 BATCH = 8
 """Views of one step, as a fit takes them."""
 
@@ -31,7 +34,7 @@ def geometry(plan: Plan) -> Iterator[Row]:
     """Rows for each size: every differentiable renderer that is installed, the reference, and a peer."""
     components = plan.plugins.components("geometry_renderer")
     names = [c.component.name for c in components if "differentiable" in c.component.traits]
-    last: dict[str, Timing] = {}
+    known: dict[tuple[str, int, int], Timing] = {}
     for level in LEVELS[:2] if plan.quick else LEVELS:
         positions, faces = bumpy_sphere(level)
         slopes = exact_slopes(positions, faces)
@@ -42,22 +45,30 @@ def geometry(plan: Plan) -> Iterator[Row]:
         for size in SIZES[:1] if plan.quick else SIZES:
             case = {"triangles": triangles, "image": size}
             for name in names:
-                if plan.too_slow(last.get(name), 4 if size == SIZES[0] else 3):
-                    yield Row(case, name, "ours", None, note=plan.left_out(last[name]))
+                before = smaller(known, name, level, size)
+                if plan.too_slow(before, GROWTH):
+                    assert before is not None
+                    known[name, level, size] = before
+                    yield Row(case, name, "ours", None, note=plan.left_out(before))
                     continue
                 renderer = plan.plugins.create("geometry_renderer", name, {})
                 errors = judged(by_overlap(renderer, positions, faces, size), slopes, size)
-                batch = BATCH if name not in last or last[name].median < 0.5 else 1
-                last[name] = measure(one_step(renderer, positions, faces, size, batch), plan.repeats)
-                yield Row(case, name, "ours", per_view(last[name], batch), errors, f"a view of a step of {batch}")
-                last[name] = per_view(last[name], batch)
-            if plan.peers and not plan.too_slow(last.get("peer"), 3):
+                batch = BATCH if before is None or before.median < 0.5 else 1
+                step = measure(one_step(renderer, positions, faces, size, batch), plan.repeats)
+                known[name, level, size] = per_view(step, batch)
+                yield Row(case, name, "ours", known[name, level, size], errors, f"a view of a step of {batch}")
+            if plan.peers and not plan.too_slow(smaller(known, "peer", level, size), GROWTH):
                 from hir_core.bench.peers.projective import SAMPLES, projective_gradients
 
                 found = projective_gradients(positions, faces, cameras(size))
                 errors = judged(found, slopes, size)
-                last["peer"] = per_view(measure(found, min(plan.repeats, 2), False), 2)
-                yield Row(case, f"Mitsuba direct_projective, {SAMPLES} samples", "peer", last["peer"], errors)
+                timing = known["peer", level, size] = per_view(measure(found, min(plan.repeats, 2), False), 2)
+                yield Row(case, f"Mitsuba direct_projective, {SAMPLES} samples", "peer", timing, errors)
+
+
+def smaller(known: Mapping[tuple[str, int, int], Timing], name: str, level: int, size: int) -> Timing | None:
+    """What a renderer took for a quarter of the triangles, else for a quarter of the pixels."""
+    return known.get((name, level - 1, size)) or known.get((name, level, size // 2))
 
 
 def judged(gradients: Gradients, slopes: Slopes, size: int) -> dict[str, float]:
