@@ -100,7 +100,7 @@ class FitSettings:
     width_rate: float = 0.08
     gain_rate: float = 0.02
     width_hold: float = 0.7
-    """Share of the steps before α moves: under a light that is still flat, every lobe would widen."""
+    """Share of the steps before α moves: under a flat light every lobe would widen, under a blurred one narrow."""
     refresh: int = 15
     """Steps between updates of the lobes to the current α."""
     light_smoothness: float = 1e-4

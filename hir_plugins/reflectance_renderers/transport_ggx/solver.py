@@ -104,7 +104,7 @@ class TransportSolver(ReflectanceSolver):
                                light_whiteness=self._options.light_whiteness,
                                albedo_smoothness=self._options.albedo_smoothness)
         begun = file is not None and file.begun()
-        if rung.brdf != "diffuse" and start is not None and start.unknowns.width is None and not begun:
+        if rung.brdf != "diffuse" and start.unknowns.width is None and not begun:
             unknowns = self._probe(photographs, unknowns, settings, rung)
         fitted = joint.fit(
             self._transport, lambda state: self._blocks(photographs, rung, state), unknowns, settings, self._edges,
