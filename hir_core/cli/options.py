@@ -45,5 +45,6 @@ def settings_options(function: Function) -> Function:
         function
     )
     return click.option(
-        "--preset", default="", metavar="NAME", help="Settings to start from: fast (default), paper, or a plugin's."
+        "--preset", default="", metavar="NAME",
+        help="Settings to start from: fast (default), best, paper, or a plugin's.",
     )(function)
