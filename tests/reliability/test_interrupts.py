@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -13,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from hir_core.interrupt import PATIENCE_SECONDS
+from hir_core.run_directory import STAGES, RunDirectory
 from tests.pipeline.conftest import QUICK
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals")
@@ -53,7 +55,7 @@ def test_a_call_into_native_code_does_not_hold_it_up() -> None:
 
 @pytest.mark.slow
 def test_any_moment_of_a_run_ends_in_time_and_resumes(tiny_capture: Path, tmp_path: Path) -> None:
-    """Twelve moments of one run, which goes on after each."""
+    """Twelve moments of runs that go on after each; one that has ended makes room for the next."""
     settings = [word for assignment in QUICK for word in ("--set", assignment)]
     words = [
         sys.executable, "-m", "hir_core.cli", "reconstruct", str(tiny_capture), "-o", str(tmp_path / "run"), *settings,
@@ -66,13 +68,23 @@ def test_any_moment_of_a_run_ends_in_time_and_resumes(tiny_capture: Path, tmp_pa
             child.send_signal(signal.SIGINT)
             started = time.monotonic()
             code = child.wait(timeout=60)
-            if code == 130:
-                interrupted += 1
-                slowest = max(slowest, time.monotonic() - started)
-            else:
-                assert code == 0, child.stderr.read() if child.stderr else ""
-                break
-    print(f"{interrupted} interrupts, slowest {slowest:.2f} s")
-    assert interrupted and slowest < LIMIT_SECONDS
+            took = time.monotonic() - started
+            told = child.stderr.read() if child.stderr else ""
+        if code == 130:
+            interrupted += 1
+            slowest = max(slowest, took)
+        else:
+            # nothing left to interrupt: the run has ended, and Python, which gives signals back to the system before
+            # it takes its modules apart, at most ends by the signal itself
+            assert code in (0, -signal.SIGINT) and _has_ended(tmp_path / "run"), told
+            shutil.rmtree(tmp_path / "run")
+    print(f"{interrupted} of 12 interrupted while they worked, slowest {slowest:.2f} s")
+    assert interrupted >= 6 and slowest < LIMIT_SECONDS
     done = subprocess.run(words, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    assert done.returncode == 0 and _has_ended(tmp_path / "run"), done.stderr
+
+
+def _has_ended(run: Path) -> bool:
+    """Has every stage ended, and is the report there?"""
+    records = [RunDirectory(run).record(name) for name in STAGES]
+    return all(record is not None and record.finished for record in records) and (run / "report.html").exists()
