@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from hir_core.bench.captures import made_smaller
+from benchmarks.experiments.rendered import ROOT, WORK, rendered, shared
+from hir_core.bench.captures import made_smaller, stretched
 
-ROOT = Path(__file__).resolve().parents[2]
 RESULTS = ROOT / "benchmarks" / "results" / "experiments"
-WORK = Path(os.environ.get("HIR_EXPERIMENTS", ROOT / "build" / "experiments"))
-"""Captures and runs, which are large and can be made again."""
 
 EVALUATED_VIEWS = 8
 PATHS = 128
@@ -27,12 +24,16 @@ class Cell:
 
     name: str
     capture: str
-    """Below HIR_SHARED/captures; or `made:` and a folder of WORK/captures that Blender filled."""
+    """Below HIR_SHARED/captures; or `made:` and the name of one that Blender renders (`rendered.py`)."""
     views: int = 80
     side: int = 256
     preset: str = "fast"
     settings: tuple[str, ...] = ()
     splits: tuple[str, ...] = ("test", "relight_0", "relight_1")
+    evaluated: int = EVALUATED_VIEWS
+    """Views of each split that are judged, at PATHS; 0 for all of them, as `hir evaluate` does by default."""
+    stretched: bool = False
+    """Views repeated and pictures enlarged where the capture has fewer and smaller ones: for time and memory alone."""
 
     @property
     def result(self) -> Path:
@@ -48,18 +49,17 @@ class Cell:
     def source(self) -> Path | None:
         """The capture, or None where it is not on this machine."""
         if self.capture.startswith("made:"):
-            folder = WORK / "captures" / self.capture.removeprefix("made:")
+            folder = rendered(self.capture.removeprefix("made:"))
         else:
-            folder = Path(os.environ.get("HIR_SHARED", ROOT.parent / "shared")) / "captures" / self.capture
+            folder = shared() / "captures" / self.capture
         return folder if (folder / "transforms_train.json").is_file() else None
 
     def run(self, seconds: float | None = None) -> dict[str, Any]:
         """Fits, evaluates and stores; a run that was stopped goes on. Raises `TimeoutExpired` after `seconds`."""
         source = self.source()
         assert source is not None, f"{self.capture} is not there"
-        small = made_smaller(
-            source, WORK / "captures" / f"{source.name}_{self.views}_{self.side}", self.views, self.side
-        )
+        make, kind = (stretched, "_stretched") if self.stretched else (made_smaller, "")
+        small = make(source, WORK / "captures" / f"{source.name}_{self.views}_{self.side}{kind}", self.views, self.side)
         folder = WORK / "runs" / self.name
         fit = ["reconstruct", small, "-o", folder, "--resume", "--preset", self.preset, "--set", "export=[]"]
         for setting in self.settings:
@@ -69,8 +69,8 @@ class Cell:
         for split in self.splits:
             if (small / f"transforms_{split}.json").is_file():
                 truth = ["--truth"] if split == "test" else []
-                hir("evaluate", folder, "--split", split, "--views", str(EVALUATED_VIEWS), *truth,
-                    "--set", f"render_samples={PATHS}", seconds=seconds)  # fmt: skip
+                part = ["--views", str(self.evaluated), "--set", f"render_samples={PATHS}"] if self.evaluated else []
+                hir("evaluate", folder, "--split", split, *part, *truth, seconds=seconds)
                 found = json.loads((folder / "evaluation" / split / "metrics.json").read_text(encoding="utf-8"))
                 figures[split] = {key: value for key, value in found.items() if key not in ("views", "run", "capture")}
         document = {"cell": asdict(self), "figures": figures} | facts(folder)

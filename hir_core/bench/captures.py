@@ -51,6 +51,40 @@ def made_smaller(source: Path, folder: Path, views: int, side: int) -> Path:
     return folder
 
 
+def stretched(source: Path, folder: Path, views: int, side: int) -> Path:
+    """A copy with exactly `views` train views of `side` pixels, for time and memory alone.
+
+    More views than there are come again; larger pictures are enlarged, and show nothing new. Fewer and smaller ones
+    are those of `made_smaller`, and the other splits stay as it leaves them.
+    """
+    if (folder / "stretched.json").is_file():
+        return folder
+    made_smaller(source, folder, views, side)
+    path = folder / "transforms_train.json"
+    document: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    frames, document["frames"] = document["frames"], []
+    for number in range(views):
+        frame = frames[number % len(frames)]
+        name = f"stretched/{number:04d}"
+        (folder / "stretched").mkdir(exist_ok=True)
+        _enlarge(folder / Path(frame["file_path"]).with_suffix(".png"), folder / f"{name}.png", side)
+        document["frames"].append(frame | {"file_path": f"./{name}"})
+    path.write_text(json.dumps(document, indent=1), encoding="utf-8")
+    (folder / "stretched.json").write_text(json.dumps({"source": source.name, "views": views, "side": side}))
+    return folder
+
+
+def _enlarge(source: Path, target: Path, side: int) -> None:
+    from PIL import Image
+
+    with Image.open(source) as picture:
+        if max(picture.size) >= side:
+            shutil.copy(source, target)
+            return
+        shape = (side, round(side * picture.height / picture.width))
+        picture.convert("RGBA").convert("RGBa").resize(shape, Image.Resampling.BICUBIC).convert("RGBA").save(target)
+
+
 def extent(source: Path) -> tuple[int, int]:
     """Train views and pixels of the longer side of a NeRF-synthetic capture."""
     try:

@@ -200,6 +200,19 @@ class TestCaptures:
         np.testing.assert_allclose(small[..., 3].mean(), large[..., 3].mean(), atol=0.5 / 255)
         assert (folder / "transforms_relight_0.json").is_file() and list(folder.glob("*.hdr"))
 
+    def test_stretched_repeats_views_and_enlarges_pictures(self, tmp_path: Path) -> None:
+        folder = captures.stretched(SAMPLE, tmp_path / "large", 26, 320)
+        frames = json.loads((folder / "transforms_train.json").read_text())["frames"]
+        assert len(frames) == 26 and captures.extent(folder) == (26, 320)
+        assert frames[25]["transform_matrix"] == frames[1]["transform_matrix"]
+        enlarged = read_ldr(folder / Path(frames[1]["file_path"]).with_suffix(".png"))
+        original = json.loads((SAMPLE / "transforms_train.json").read_text())["frames"][1]
+        small = read_ldr(SAMPLE / Path(original["file_path"]).with_suffix(".png"))
+        assert enlarged.shape == (320, 320, 4)
+        np.testing.assert_allclose(enlarged[..., 3].mean(), small[..., 3].mean(), atol=2 / 255)
+        fewer = captures.stretched(SAMPLE, tmp_path / "small", 5, 64)
+        assert captures.extent(fewer) == (5, 64)
+
     def test_reducing_averages_light_where_it_is_covered(self) -> None:
         picture = np.zeros((2, 2, 4), np.float32)
         picture[0, 0] = [1, 1, 1, 1]
