@@ -152,16 +152,13 @@ def fit(
                 file.save(loop)
             if _drifted(blocks[0], unknowns):
                 loop.drawn = unknowns.detached()
+                blocks, specular = [], []  # the old ones go before there are new ones: each takes gigabytes
                 blocks = draw(loop.drawn)
                 specular = specular_blocks(blocks, settings.model)
             refresh(blocks, specular, unknowns)
         index = step % len(blocks)
         optimizer.zero_grad()
-        radiance = predict(transport, blocks[index], specular[index], unknowns, settings.bounces)
-        difference = residual(blocks[index], exposed(blocks[index], radiance, unknowns))
-        loss = torch.nn.functional.huber_loss(difference, torch.zeros_like(difference), delta=settings.huber)
-        smoothness = _smoothness(unknowns, settings, edges)
-        (loss + smoothness).backward()
+        loss, difference, smoothness = _descend(transport, blocks[index], specular[index], unknowns, settings, edges)
         if unknowns.width is not None and step < settings.width_hold * settings.steps:
             unknowns.width.grad = None
         if not _finite(optimizer):
@@ -176,7 +173,7 @@ def fit(
         in_a_row = 0
         optimizer.step()
         schedule.step()
-        on_step(step, float(loss.detach()))
+        on_step(step, float(loss))
     if loop.skipped:
         warnings.warn(
             f"{loop.skipped} of {settings.steps} steps of the {settings.model} fit had no finite gradient and were "
@@ -186,11 +183,24 @@ def fit(
     return unknowns.detached()
 
 
+def _descend(
+    transport: Transport, block: Block, specular: SpecularBlock | None, unknowns: Unknowns, settings: FitSettings,
+    edges: Tensor,
+) -> tuple[Tensor, Tensor, Tensor]:  # fmt: skip
+    """Leaves gradients; loss, difference to the photographs and smoothness without their graph, which holds lobes."""
+    radiance = predict(transport, block, specular, unknowns, settings.bounces)
+    difference = residual(block, exposed(block, radiance, unknowns))
+    loss = torch.nn.functional.huber_loss(difference, torch.zeros_like(difference), delta=settings.huber)
+    smoothness = _smoothness(unknowns, settings, edges)
+    (loss + smoothness).backward()
+    return loss.detach(), difference.detach(), smoothness.detach()
+
+
 def _trouble(block: Block, difference: Tensor, smoothness: Tensor, unknowns: Unknowns) -> str:
     """Which term is not finite, in which views, or which unknown's gradient."""
     if not bool(torch.isfinite(smoothness)):
         return "the smoothness is not finite"
-    bad = ~torch.isfinite(difference.detach()).all(dim=1)
+    bad = ~torch.isfinite(difference).all(dim=1)
     if bool(bad.any()):
         views = block.view[bad].unique().tolist()
         return f"the difference to the photographs is not finite in {int(bad.sum())} pixels of views {views}"

@@ -49,7 +49,7 @@ class Pattern:
         by_row = csr_matrix((places, self._flat.cpu().numpy(), self._start.cpu().numpy()), shape)
         by_column = by_row.tocsc()
         parts = by_column.data, by_column.indptr, by_column.indices
-        order, start, owner = (torch.from_numpy(p.astype(np.int32)).to(self.columns.device) for p in parts)
+        order, start, owner = (torch.from_numpy(p.astype(np.int32, copy=False)).to(self.columns.device) for p in parts)
         return order, start, owner
 
 

@@ -22,6 +22,8 @@ from hir_plugins.reflectance_renderers.transport_ggx.transport import Transport,
 
 LOBE_BYTES = 150
 """Of one direction of a pixel: where it looks with four weights, its cosines, and its row of the matrices."""
+HEMISPHERE_BYTES = 64
+"""Of one direction of a pixel's irradiance, where the light moves with the camera: four entries, twice."""
 PIXEL_BYTES = 400
 EQUATION_BYTES = 340
 """Of one pixel that textures are solved from: its row, the row's transpose, and the vectors of the solver."""
@@ -35,11 +37,15 @@ class TransportGGX(ReflectanceRenderer):
         self._options = config
 
     def memory(self, size: CaptureSize) -> int:
-        """Lobes of the pixels that light and model are fitted to, or the equations of the textures, and irradiance."""
+        """Irradiance of cells, and lobes of the pixels that are fitted to or, later, the equations of the textures.
+
+        The light may move with the camera: nobody knows before it was tried.
+        """
         options = self._options
-        fit = min(options.pixels, size.pixels) * (options.samples * LOBE_BYTES + PIXEL_BYTES)
+        lobes = options.samples * LOBE_BYTES + options.diffuse_samples * HEMISPHERE_BYTES
+        fit = min(options.pixels, size.pixels) * (lobes + PIXEL_BYTES)
         textures = min(options.texture_pixels, size.pixels) * EQUATION_BYTES
-        return fit + textures + options.cells * 2 * options.diffuse_rows**2 * 4
+        return max(fit, textures) + options.cells * 4 * options.diffuse_rows**2 * 4
 
     def smaller(self) -> dict[str, int]:
         """Half the pixels of the fit and of the textures, down to an eighth."""

@@ -23,7 +23,7 @@ from hir_core.srgb import linear_to_srgb, srgb_to_linear
 from hir_plugins.reflectance_renderers.transport_ggx import joint
 from hir_plugins.reflectance_renderers.transport_ggx.fit_files import FitFiles
 from hir_plugins.reflectance_renderers.transport_ggx.joint import Block, FitSettings
-from hir_plugins.reflectance_renderers.transport_ggx.moving_light import pixel_irradiance
+from hir_plugins.reflectance_renderers.transport_ggx.moving_light import irradiance_of, pixel_irradiance
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.photographs import Photographed, join, photographed
 from hir_plugins.reflectance_renderers.transport_ggx.shading import Indirect, shade
@@ -246,14 +246,17 @@ class TransportSolver(ReflectanceSolver):
         count = len(transport.surface.positions)
         if len(photographs) == 0:
             return torch.full((count, 3), 0.5, device=light.device)
-        block = self._block(photographs, replace(rung, brdf="diffuse"), Unknowns(light.log(), light, None, None), 0)
+        vertices, cells = transport.interpolation(photographs.points)
         sources, irradiance = transport.sources(light, torch.zeros(count, 3, device=light.device), 0)
-        arriving = block.direct @ sources if block.direct is not None else block.cells @ irradiance  # type: ignore[operator]
+        arriving = cells @ irradiance
+        if rung.light_frame == "camera":
+            samples = self._options.diffuse_samples
+            arriving = irradiance_of(transport, photographs.points, samples, self._rotation, sources)
         mean = photographs.color.mean(dim=0) / (arriving / torch.pi).mean(dim=0).clamp_min(1e-6)
         if self._options.start == "uniform" and not self._options.known_light:
             return mean.clamp(0.02, 0.95).expand(count, 3).contiguous()
-        shown = block.vertices.transposed @ photographs.color
-        white = block.vertices.transposed @ (arriving / torch.pi)
+        shown = vertices.transposed @ photographs.color
+        white = vertices.transposed @ (arriving / torch.pi)
         weight = 0.05 * white.mean()
         return ((shown + weight * mean) / (white + weight).clamp_min(1e-9)).clamp(0.02, 0.95)
 

@@ -1,0 +1,53 @@
+"""What a fit holds in memory: nothing of all pixels at once, nothing twice."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Sequence
+
+import pytest
+import torch
+
+from hir_core.selection import Rung
+from hir_plugins.reflectance_renderers.transport_ggx import joint, moving_light, solver
+from hir_plugins.reflectance_renderers.transport_ggx.joint import Block, FitSettings
+from hir_plugins.reflectance_renderers.transport_ggx.lobes import Lobes
+from hir_plugins.reflectance_renderers.transport_ggx.moving_light import irradiance_of, pixel_irradiance
+from hir_plugins.reflectance_renderers.transport_ggx.unknowns import Unknowns
+
+from .test_light_and_albedo import solver_of
+
+
+def test_irradiance_of_many_points_is_that_of_their_matrix(monkeypatch: pytest.MonkeyPatch) -> None:
+    fit, _ = solver_of()
+    points = fit._photographs(range(2)).points
+    sources = torch.rand(fit._transport.pyramid.texels + len(fit._transport.cells), 3)
+    monkeypatch.setattr(moving_light, "PIXELS_AT_ONCE", len(points) // 3)
+    given = (fit._transport, points, 4, fit._rotation)
+    assert torch.equal(irradiance_of(*given, sources), pixel_irradiance(*given).matrix @ sources)
+
+
+def test_a_fit_under_a_moving_light_begins_without_the_matrix_of_all_pixels(monkeypatch: pytest.MonkeyPatch) -> None:
+    """300 views of 512²: it took 2 GB for the mean of three numbers."""
+    fit, _ = solver_of()
+    monkeypatch.setattr(solver, "pixel_irradiance", lambda *_: pytest.fail("3 kB a pixel"))
+    begun = fit._begin(Rung(light_frame="camera"), None, fit._photographs(range(6)))
+    assert bool(torch.isfinite(begun.diffuse).all())
+
+
+def test_lobes_are_let_go_before_new_ones_are_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    fit, _ = solver_of()
+    rung, photographs = Rung("dielectric", "uniform"), fit._photographs(range(6))
+    earlier: list[weakref.ref[Lobes]] = []
+    monkeypatch.setattr(joint, "_drifted", lambda *_: True)
+
+    def draw(state: Unknowns) -> Sequence[Block]:
+        assert all(lobes() is None for lobes in earlier), "the lobes of both widths at once"
+        blocks = fit._blocks(photographs, rung, state)
+        earlier.extend(weakref.ref(block.lobes) for block in blocks if block.lobes is not None)
+        return blocks
+
+    settings = FitSettings(20, "dielectric", 0, refresh=5)
+    start = fit._begin(rung, None, photographs)
+    joint.fit(fit._transport, draw, start, settings, fit._edges, lambda *_: None)
+    assert len(earlier) == 5, "one at the start, and one at each refresh"
