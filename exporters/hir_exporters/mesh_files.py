@@ -98,6 +98,11 @@ def _trimesh_mesh(path: Path) -> AssetMesh:
     if not parts:
         raise InputError(f"{path}: mesh.faces holds no triangles")
     for part in parts:
+        positions, faces = np.asarray(part.vertices), np.asarray(part.faces)
+        if positions.ndim != 2 or positions.shape[1] != 3:
+            raise InputError(f"{path}: mesh.positions are not three numbers a vertex")
+        if faces.min() < 0 or faces.max() >= len(positions):
+            raise InputError(f"{path}: mesh.faces has an index out of range (it has {len(positions)} vertices)")
         uvs = getattr(part.visual, "uv", None)
         if uvs is None or len(uvs) != len(part.vertices):
             raise InputError(f"{path}: mesh.uvs is missing: it has no texture coordinates; unwrap the mesh first")

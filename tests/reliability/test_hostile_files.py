@@ -251,7 +251,7 @@ def test_a_playlist_that_calls_itself_a_video_opens_nothing(capture: Path) -> No
 
 
 def test_what_the_fuzzer_found_stays_mended(tmp_path: Path) -> None:
-    """A preset that is a list, a photograph's name of 5000 letters."""
+    """A preset that is a list, a photograph's name of 5000 letters, vertices of one number, indices read from elsewhere."""
     from hir_core.config import load_config
     from hir_core.manager import PluginManager
     from hir_core.readers import read_capture
@@ -267,3 +267,13 @@ def test_what_the_fuzzer_found_stays_mended(tmp_path: Path) -> None:
     images.write_text(images.read_text().replace("a.png", "a" * 5000 + ".png"))
     with pytest.raises(HirError):
         read_capture(tmp_path / "model", "train", plugins)
+    (tmp_path / "thin.obj").write_text("v 0\nv 1\nv 2\nvt 0 1\nvt 1 1\nvt 1 0\nf 1/1 2/2 3/3\n")
+    with pytest.raises(HirError, match=r"mesh\.positions are not three numbers"):
+        load_mesh_asset(tmp_path / "thin.obj")
+    seeds.mesh(tmp_path)
+    document = json.loads((tmp_path / "mesh.gltf").read_text())
+    indices = document["bufferViews"][document["accessors"][0]["bufferView"]]
+    indices["buffer"] = document["bufferViews"][document["accessors"][1]["bufferView"]]["buffer"]
+    (tmp_path / "mixed.gltf").write_text(json.dumps(document))
+    with pytest.raises(HirError, match=r"mesh\.faces has an index out of range"):
+        load_mesh_asset(tmp_path / "mixed.gltf")
