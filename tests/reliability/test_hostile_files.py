@@ -251,7 +251,7 @@ def test_a_playlist_that_calls_itself_a_video_opens_nothing(capture: Path) -> No
 
 
 def test_what_the_fuzzer_found_stays_mended(tmp_path: Path) -> None:
-    """A preset that is a list, a photograph's name of 5000 letters, vertices of one number, indices read from elsewhere."""
+    """A preset that is a list, a photograph's name of 5000 letters, vertices of one number, indices from elsewhere."""
     from hir_core.config import load_config
     from hir_core.manager import PluginManager
     from hir_core.readers import read_capture
