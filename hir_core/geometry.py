@@ -38,7 +38,9 @@ from hir_core.working_frame import unit_similarity
 EDGE_PIXELS = 4.0
 """Edges of the final mesh, in pixels: a circle of 50 pixels radius is then off by 0.04 pixels."""
 
-TRIANGLES_MIN, TRIANGLES_MAX = 2_000, 400_000
+TRIANGLES_MIN, TRIANGLES_MAX = 8_000, 400_000
+"""Many small photographs tell more than one of them: a cow in 80 of 128² lost its ears and horns at 1,800 triangles
+(IoU 0.952 on held-out views; 0.970 at 6,000, 0.971 at 20,000)."""
 
 NEAR_START = 0.1
 """Below this median error (1 − IoU) a start counts as near."""
