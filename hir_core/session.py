@@ -17,7 +17,7 @@ from hir_core.context import StageContext
 from hir_core.determinism import seed_everything
 from hir_core.errors import ConfigError, InputError
 from hir_core.listener import Listener
-from hir_core.machine import describe_machine, peak_memory_bytes, versions
+from hir_core.machine import describe_machine, peak_memory_bytes, return_freed_memory, versions
 from hir_core.manager import PluginManager
 from hir_core.memory import Plan, gigabytes
 from hir_core.run_directory import STAGES, RunDirectory, StageRecord, jsonable
@@ -168,6 +168,7 @@ class Session:
         record = StageRecord(name, self.key, True, jsonable(report), tuple(warnings))
         self.directory.finish(record)
         shutil.rmtree(context.checkpoints, ignore_errors=True)
+        return_freed_memory()
         self.timings["stages"][name] = {
             "seconds": round(seconds, 3),
             "peak_memory_bytes": peak_memory_bytes(),

@@ -15,11 +15,13 @@ import pytest
 
 from hir_core.config import RunConfig, load_config
 from hir_core.errors import ConfigError, StageError
+from hir_core.machine import return_freed_memory
 from hir_core.manager import PluginManager
 from hir_core.memory import CaptureSize, parse_size, plan_memory
 from hir_core.pipeline import Run
 from hir_core.pixel_cache import PixelCache
 from hir_core.run_directory import STAGES
+from tests.reliability.test_long_runs import resident_bytes
 
 PLUGINS = PluginManager.discover()
 LARGE = CaptureSize(300, 512, 512)
@@ -97,6 +99,16 @@ def test_a_cache_that_is_full_still_reads(tmp_path: Path) -> None:
         for view, plain in zip(wrapped.views, capture.views, strict=True):
             assert (view.pixels().color_linear == plain.pixels().color_linear).all()
     assert 0 < cache.bytes <= 32 * 32 * 17 * 2
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="glibc")
+def test_freed_memory_goes_back_to_the_system() -> None:
+    parts = [bytes(2000) for _ in range(100_000)]
+    pinned = parts[-1]  # what lies on top keeps all below
+    before = resident_bytes()
+    parts.clear()
+    return_freed_memory()
+    assert resident_bytes() < before - (150 << 20) and pinned
 
 
 FEW_STEPS = (
