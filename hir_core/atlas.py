@@ -32,6 +32,8 @@ _PACK_LIMIT = 1024
 """Charts are packed on at most this many texels: finer packing takes minutes and gains nothing."""
 _USED = 0.6
 """Part of an atlas that charts fill, measured on spot, bumpy spheres and marching-cubes meshes (0.58 to 0.79)."""
+_SLACK = 0.07
+"""A power of two that is 5 % too small is taken: twice of it costs four times the memory."""
 _OVERLAP_LIMIT = 0.002
 """Part of texels that may be claimed twice in coordinates that a mesh brings along."""
 
@@ -89,8 +91,9 @@ def unwrap_mesh(mesh: Mesh, size: int, padding: int = 4) -> tuple[Mesh, dict[str
 
 
 def texture_size(mesh: Mesh, cameras: Sequence[Camera]) -> int:
-    """Side of a square texture, a power of two, with about one texel for each pixel of the views that see best.
+    """Side of a square texture, a power of two, with at least one texel for each pixel of the views that see best.
 
+    Fewer blur: captures/spot asks for 641, and its unseen views have 0.35 dB more (object) with 1024 than with 512.
     Counts, for each face that looks at a camera and lies in its image, the pixels it fills; occlusion is ignored.
     """
     positions = mesh.positions.detach().cpu().numpy().astype(np.float64)
@@ -99,7 +102,7 @@ def texture_size(mesh: Mesh, cameras: Sequence[Camera]) -> int:
     for camera in cameras:
         most = np.maximum(most, _face_pixels(positions, faces, camera))
     side = math.sqrt(float(most.sum()) / _USED)
-    power = round(math.log2(max(side, 1.0)))
+    power = math.ceil(math.log2(max(side, 1.0)) - _SLACK)
     return int(min(max(2**power, SMALLEST), LARGEST))
 
 

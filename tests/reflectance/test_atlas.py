@@ -170,13 +170,14 @@ def test_fill_of_a_component_without_any_view_is_the_median() -> None:
     assert torch.equal(fill_unobserved(texture, mesh, nothing, surface), texture)
 
 
-def test_texture_size_is_about_a_texel_a_pixel() -> None:
-    """A square that fills a 256² image: 256 texels a side, and twice as many for twice the resolution."""
+def test_texture_has_a_texel_for_each_pixel() -> None:
+    """A square that fills a 256² image, on 0.6 of the texture: the next power of two above 330, twice it for twice the
+    resolution."""
     def camera(width: int):  # type: ignore[no-untyped-def]
         return looking_at((0.0, 1.0 / 2 * 2 * 1.5 * 2, 0.0), width, width, focal=1.5)
 
-    assert texture_size(square(), [camera(256)]) == 256
-    assert texture_size(square(), [camera(512)]) == 512
+    assert texture_size(square(), [camera(256)]) == 512
+    assert texture_size(square(), [camera(512)]) == 1024
     assert texture_size(square(), [looking_at((0.0, -3.0, 0.0), 512, 512)]) == 64, "seen from behind"
 
 
