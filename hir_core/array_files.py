@@ -14,7 +14,8 @@ from hir_core.errors import InputError
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     """All arrays of an archive by name; `InputError` where there is none, it is damaged, or holds objects."""
     try:
-        with np.load(path, allow_pickle=False) as stored:
+        # a file that is no archive, numpy leaves open
+        with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as stored:
             return {name: stored[name] for name in stored.files}
     except Exception as error:  # zip, zlib and numpy's headers, which are parsed as Python, raise whatever they like
         reason = " ".join(str(error).split()) or type(error).__name__

@@ -34,7 +34,7 @@ def hir(*words: object) -> int:
         (["reconstruct", "{tmp}", "-o", "{tmp}/run"], "no capture that an installed reader knows"),
         (
             ["reconstruct", SAMPLE, "-o", "{tmp}/run", "--preset", "fastest"],
-            "no preset 'fastest'; there are: fast, paper",
+            "no preset 'fastest'; there are: best, fast, paper",
         ),
         (
             ["reconstruct", SAMPLE, "-o", "{tmp}/run", "--set", "geometry.iteration=3"],
