@@ -7,6 +7,7 @@ unless the caller names it.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -82,13 +83,15 @@ def _trimesh_mesh(path: Path) -> AssetMesh:
     import trimesh
 
     try:
-        if path.suffix.lower() in (".glb", ".gltf"):
-            from pygltflib import GLTF2
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # of numbers that are refused below, in words
+            if path.suffix.lower() in (".glb", ".gltf"):
+                from pygltflib import GLTF2
 
-            loaded = gltf_scene(path, GLTF2().load(str(path)))
-        else:
-            loaded = trimesh.load_scene(path, process=False, maintain_order=True)
-        parts: list[Any] = [m for m in loaded.dump() if isinstance(m, trimesh.Trimesh) and len(m.faces)]
+                loaded = gltf_scene(path, GLTF2().load(str(path)))
+            else:
+                loaded = trimesh.load_scene(path, process=False, maintain_order=True)
+            parts: list[Any] = [m for m in loaded.dump() if isinstance(m, trimesh.Trimesh) and len(m.faces)]
     except HirError:
         raise
     except IndexError as error:
