@@ -52,6 +52,8 @@ def aligned(positions: Array, faces: NDArray[np.int64], points: Array) -> tuple[
             ending = open3d.pipelines.registration.ICPConvergenceCriteria(max_iteration=rounds)
             result = open3d.pipelines.registration.registration_icp(source, target, reach, transform, method, ending)
             transform = np.asarray(result.transformation)
+        if not np.isfinite(transform).all():
+            continue  # no point was in reach
         scale = np.cbrt(np.linalg.det(transform[:3, :3]))
         if 0.3 < scale < 3:
             # measured at the mesh's size, or shrinking all points into one would fit best

@@ -18,7 +18,7 @@ Inside = Callable[[Array, Array], NDArray[np.bool_]]
 def look_at(position: Array, target: Array, focal: float, width: int, height: int) -> Camera:
     forward = target - position
     forward = forward / np.linalg.norm(forward)
-    right = np.cross(forward, [0.0, 1.0, 0.0])
+    right = np.cross(forward, [0.0, 1.0, 0.0] if abs(forward[1]) < 0.999 else [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
     rotation = np.stack([right, np.cross(forward, right), forward])
     pose = np.eye(4)
