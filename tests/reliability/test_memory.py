@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -118,24 +117,13 @@ FEW_STEPS = (
 """Memory is that of full length: batches, caches and unknowns are the same in every step."""
 
 
-def repeated(source: Path, folder: Path, views: int) -> Path:
-    """A capture's training views, again and again, each in a file of its own."""
-    document = json.loads((source / "transforms_train.json").read_text())
-    frames, document["frames"] = document["frames"], []
-    (folder / "train").mkdir(parents=True)
-    for number in range(views):
-        frame = frames[number % len(frames)]
-        shutil.copy((source / frame["file_path"]).with_suffix(".png"), folder / "train" / f"{number:03}.png")
-        document["frames"].append(frame | {"file_path": f"./train/{number:03}"})
-    (folder / "transforms_train.json").write_text(json.dumps(document))
-    return folder
-
-
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="no peak of memory is told")
 def test_300_views_of_512_take_at_most_4_gigabytes(shared: Path, tmp_path: Path) -> None:
     """docs/reliability.md has the figures."""
-    capture = repeated(shared / "captures" / "spot", tmp_path / "capture", 300)
+    from hir_core.bench.captures import stretched
+
+    capture = stretched(shared / "captures" / "spot", tmp_path / "capture", 300, 512)
     words = [sys.executable, "-m", "hir_core.cli", "reconstruct", str(capture), "-o", str(tmp_path / "run"), "-q",
              "--max-memory", "4GB", "--until", "bake", "--device", "cpu"]  # fmt: skip
     settings = [word for assignment in FEW_STEPS for word in ("--set", assignment)]
