@@ -1,0 +1,48 @@
+"""What `hir check` advises: a sentence for each fault, none without."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from hir_core.check import CaptureCheck, ViewCheck, _advice
+
+VIEWS = tuple(ViewCheck(f"{i:02}", 64, 48, 0.0, 0.3, 1.0, 0.2, agreement=0.9) for i in range(25))
+GOOD = CaptureCheck(VIEWS, (), len(VIEWS), 0.6, 0, 0.1)
+
+
+def with_view(**changes: object) -> CaptureCheck:
+    """The good capture, its third photograph changed."""
+    return replace(GOOD, views=(*VIEWS[:2], replace(VIEWS[2], **changes), *VIEWS[3:]))  # type: ignore[arg-type]
+
+
+def test_a_good_capture_needs_no_advice() -> None:
+    assert _advice(GOOD) == []
+
+
+@pytest.mark.parametrize(
+    ("check", "said"),
+    [
+        (replace(GOOD, views=VIEWS[:6], with_camera=6), "6 photographs are few"),
+        (replace(GOOD, with_camera=20), "5 of 25 photographs have no camera"),
+        (replace(GOOD, views=tuple(replace(v, agreement=0.5) for v in VIEWS)), "do not agree (IoU 0.50)"),
+        (with_view(agreement=0.7), "the masks of 02 disagree with the others"),
+        (with_view(width=32), "have 2 sizes"),
+        (with_view(sharpness=0.2), "1 photographs are blurred compared with the others: 02"),
+        (with_view(saturated=0.2), "1 photographs have more than 5 % clipped pixels, such as 02"),
+        (with_view(brightness=1.5), "differs by more than a factor of 4"),
+        (with_view(touches_border=True), "reaches the border of 1 photographs, such as 02"),
+        (replace(GOOD, duplicates=(("03", "04"),)), "1 pairs of photographs are the same, such as 03 and 04"),
+        (replace(GOOD, directions_covered=0.1), "look from few sides"),
+        (replace(GOOD, flashes=13), "the flash fired in 13 photographs"),
+        (replace(GOOD, headlight=0.8), "the light moves with the camera (a flash"),
+    ],
+)
+def test_each_fault_has_its_sentence(check: CaptureCheck, said: str) -> None:
+    [sentence] = _advice(check)
+    assert said in sentence
+
+
+def test_a_black_photograph_is_not_only_blurred() -> None:
+    assert any("1 photographs are black, such as 02" in s for s in _advice(with_view(sharpness=0, brightness=0)))
