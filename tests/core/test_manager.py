@@ -250,3 +250,46 @@ def test_a_plugin_from_a_file_names_the_packages_to_install(tmp_path: Path) -> N
     manager.register(plugin_of(component(requires=("no_such_module",), extra="reconstruct")), "my.py", "")
     with pytest.raises(MissingExtraError, match=r"install it with: pip install no_such_module$"):
         manager.create("regularizer", "thing")
+
+
+def test_a_second_preset_or_observer_of_a_name_is_told_and_ignored(tmp_path: Path) -> None:
+    class Twice:
+        @hookimpl
+        def hir_register_presets(self) -> dict[str, str]:
+            return {"quick": str(tmp_path / "quick.toml")}
+
+        @hookimpl
+        def hir_register_observers(self) -> dict[str, object]:
+            return {"notes": None}
+
+    plugins = PluginManager()
+    for distribution in ("first", "second"):
+        plugins.register(Twice(), distribution, "1")
+    assert sorted(plugins.problems) == [
+        "observer 'notes' of second is ignored: first has one of that name",
+        "preset 'quick' of second is ignored: first has one of that name",
+    ]
+
+
+def test_the_suggestion_of_the_latest_plugin_that_has_one_wins() -> None:
+    class Says:
+        def __init__(self, words: list[str] | None) -> None:
+            self.words = words
+
+        @hookimpl
+        def hir_suggest_initializers(self, capture: object) -> list[str] | None:
+            return self.words
+
+    plugins = PluginManager()
+    assert plugins.suggest_initializers(None) == []
+    for number, words in enumerate((["mesh_file"], ["colmap"], None)):
+        plugins.register(Says(words), f"plugin{number}", "1")
+    assert plugins.suggest_initializers(None) == ["colmap"]
+
+
+def test_a_named_plugin_that_is_refused_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "odd.py").write_text(
+        "from hir_core.plugin import hookimpl\n@hookimpl\ndef hir_register_something():\n    return []\n"
+    )
+    with pytest.raises(PluginError, match="hir_register_something"):
+        PluginManager().register_named(str(tmp_path / "odd.py"))

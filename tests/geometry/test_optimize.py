@@ -186,7 +186,7 @@ def test_large_steps_solve_their_own_equation() -> None:
     large = LargeSteps(mesh.topology, len(positions), 19.0)
     u = large.encode(mesh.positions).requires_grad_(True)
     x = large.decode(u)
-    assert float((x - mesh.positions).abs().max()) < 1e-5
+    assert float((x - mesh.positions).detach().abs().max()) < 1e-5
     weight = torch.randn(x.shape, generator=torch.Generator().manual_seed(1))
     (x * weight).sum().backward()
     # the matrix is symmetric: (I + λL) applied to the gradient gives the weight back
@@ -202,3 +202,28 @@ def test_uniform_adam_keeps_the_direction_of_a_first_step() -> None:
     y.grad = torch.zeros(2)
     UniformAdam([y], 0.5).step()
     assert y.tolist() == [1.0, 1.0]
+
+
+def test_the_caller_may_end_a_loop() -> None:
+    x, optimizer = _line(3.0)
+    report = optimize(
+        lambda _: {"far": (x - 1).square().sum()}, optimizer, Schedule(50), stage="test", after_step=lambda s: s == 6
+    )
+    assert report.stopped_early and report.steps == 7 and len(report.curves["far"]) == 7
+
+
+def test_of_many_bad_steps_the_first_are_told_and_all_counted() -> None:
+    x, optimizer = _line(3.0)
+
+    def loss(step: int) -> dict[str, torch.Tensor]:
+        return {"far": (x - 1).square().sum() * (float("nan") if step % 2 else 1.0)}
+
+    report = optimize(loss, optimizer, Schedule(100), stage="test", locate=lambda step, term: f"place {step}")
+    assert report.skipped == {"far": 50} and len(report.troubles) == PATIENCE_NONFINITE
+    assert report.troubles[0] == "step 1: far is not finite at place 1"
+
+
+def test_no_terms_are_a_loss_of_zero() -> None:
+    x, optimizer = _line(3.0)
+    report = optimize(lambda _: {}, optimizer, Schedule(3), stage="test")
+    assert report.curves["loss"].tolist() == [0.0] * 3 and x.item() == 3.0

@@ -171,3 +171,32 @@ def test_a_light_that_moves_with_the_camera_is_the_runs_own(tmp_path: Path) -> N
     cameras = {"a": orbit_cameras(1, 20.0, 48)[0]}
     found = verify_export(report, carried, {}, Rerender(carried, cameras, np.eye(4), plugins, side=48, samples=16))
     assert found.report["light"] == "the run's own" and found.report["psnr"]["object"] > 45
+
+
+@pytest.mark.parametrize(
+    ("report", "sentence"),
+    [
+        ({"not_read": "no independent reader"}, "no independent reader"),
+        ({"mean_radiance": 0.0012}, "read back: mean radiance off by 0.0012"),
+        ({"brdf": 0.01}, "read back: material off by 1.0% on the BRDF slice"),
+        ({"not_rendered": "no light"}, "read back; not re-rendered: no light"),
+        (
+            {"psnr": {"object": 41.26, "views": {"a": 40.0, "b": 42.5}}, "engines": {"blender": 50.2, "unity": 31.8}},
+            "read back; re-rendered from 2 cameras: 41.3 dB (worst 40.0); by the formulas of engines, in dB: "
+            "blender 50, unity 32",
+        ),
+    ],
+)
+def test_what_was_verified_in_one_line(report: dict[str, object], sentence: str) -> None:
+    assert Verified(report, ()).sentence() == sentence
+
+
+def test_a_light_with_nothing_to_compare_it_with_is_told(tmp_path: Path) -> None:
+    write_hdr(tmp_path / "light.hdr", np.ones((4, 8, 3), np.float32))
+    report = ExportReport((tmp_path / "light.hdr",))
+    asset = replace(ball("paper"), environment=None)
+    found = verify_export(report, asset)
+    assert found.report == {"not_read": "the asset has no light to compare with"} and found.warnings == ()
+    light = np.full((4, 8, 3), 1.1, np.float32)
+    [problem] = verify_export(report, replace(asset, environment=AssetEnvironment(light))).warnings
+    assert problem == "light.hdr: the light's mean is off by 9.1%"
