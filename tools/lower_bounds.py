@@ -50,7 +50,9 @@ def tested(folder: Path) -> int:
     words = ["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--constraint", str(constraints)]
     subprocess.run([python, *words, str(ROOT), *TOOLS], check=True)
     print("\n".join(lowest()), flush=True)
-    return subprocess.run([python, "-m", "pytest", "-q", "-p", "no:cacheprovider", *TESTS], cwd=ROOT).returncode
+    # old releases warn of what newer Pythons will take away: no fault of theirs or ours
+    words = ["-m", "pytest", "-q", "-p", "no:cacheprovider", "-W", "default", *TESTS]
+    return subprocess.run([python, *words], cwd=ROOT).returncode
 
 
 if __name__ == "__main__":
