@@ -87,7 +87,7 @@ def surface_of(mesh: Path, capture: Capture) -> tuple[Array, Array]:
         positions, normals = np.asarray(loaded.vertices, float), np.asarray(loaded.vertex_normals, float)
     except Exception as error:  # trimesh's readers fail in as many ways as there are formats
         raise InputError(f"{mesh} cannot be read as a mesh ({type(error).__name__}: {error})") from error
-    if not len(positions) or not np.isfinite(positions).all():
+    if not len(loaded.faces) or not np.isfinite(positions).all():
         raise InputError(f"{mesh} holds no mesh of finite positions")
     world = capture.world_from_source
     turned = normals @ world[:3, :3].T

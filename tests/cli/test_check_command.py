@@ -68,3 +68,17 @@ def test_no_heavy_package_is_imported() -> None:
         "assert not {'torch', 'mitsuba', 'drjit', 'open3d', 'cv2'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+
+
+def test_a_mesh_tells_how_the_light_moves(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    import trimesh
+
+    trimesh.creation.icosphere(subdivisions=3, radius=0.5).export(tmp_path / "ball.obj")
+    assert hir("check", SAMPLE, "--mesh", tmp_path / "ball.obj", "-q", "--sheet", tmp_path / "sheet.png") == 0
+    told = capsys.readouterr().out.splitlines()
+    assert told[0].startswith("24 photographs of 256×256 (transforms_json), 24 cameras, 24 masks")
+    assert "light follows the camera: " in told[0] and str(tmp_path / "sheet.png") not in told
+    (tmp_path / "empty.obj").write_text("v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    for name, said in (("none.obj", "is not there"), ("empty.obj", "no mesh of finite positions")):
+        assert hir("check", SAMPLE, "--mesh", tmp_path / name) == 2
+        assert said in capsys.readouterr().err

@@ -247,3 +247,25 @@ def test_three_is_shipped_unchanged(name: str) -> None:
 
     [original] = [path for path in three.glob("**/*") if path.name == name and path.parts[-2] in FOLDERS]
     assert (Path(view.__file__).parent / "viewer" / "three" / name).read_bytes() == original.read_bytes()
+
+
+def test_a_page_is_served_to_this_machine_alone() -> None:
+    import threading
+    import urllib.error
+    import urllib.request
+
+    from hir_core.view import serve
+
+    address: list[str] = []
+    ready = threading.Event()
+    threading.Thread(
+        target=serve, args=("<p>ä</p>",), kwargs={"on_ready": lambda at: (address.append(at), ready.set())}, daemon=True
+    ).start()
+    assert ready.wait(10) and address[0].startswith("http://127.0.0.1:")
+    with urllib.request.urlopen(address[0]) as answer:
+        assert answer.read().decode() == "<p>ä</p>" and "utf-8" in answer.headers["Content-Type"]
+    with pytest.raises(urllib.error.HTTPError, match="404") as missing:
+        urllib.request.urlopen(address[0] + "else")
+    missing.value.close()
+    with pytest.raises(InputError, match="cannot be used"):
+        serve("", int(address[0].rstrip("/").rpartition(":")[2]))
