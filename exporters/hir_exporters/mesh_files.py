@@ -7,6 +7,7 @@ unless the caller names it.
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -170,7 +171,7 @@ def _mtl_maps(path: Path) -> SurfaceMaps:
     """What the first material of an .obj's .mtl says; empty where there is none."""
     library = next((name for key, name in _statements(path, limit=2000) if key == "mtllib"), None)
     file = None if library is None else _beside(path, library)
-    if file is None or not file.is_file():
+    if file is None or not os.path.isfile(file):  # pathlib's raises where a name is too long
         return SurfaceMaps()
     said: dict[str, str] = {}
     for key, value in _statements(file):
@@ -211,7 +212,10 @@ def _statements(path: Path, limit: int = 1 << 30) -> list[tuple[str, str]]:
 
 def _beside(path: Path, name: str) -> Path:
     """A file that another names, which must lie in the other's folder."""
-    file = (path.parent / name.replace("\\", "/")).resolve()
+    try:
+        file = (path.parent / name.replace("\\", "/")).resolve()
+    except (OSError, RuntimeError, ValueError) as error:  # a name with a null in it, links that go round
+        raise InputError(f"{path} names {name[:80]!r}, which is no file ({error})") from error
     if not file.is_relative_to(path.parent.resolve()):
         raise InputError(f"{path} names {name!r}, which lies outside of its folder; put the file beside it")
     return file

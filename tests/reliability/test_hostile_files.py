@@ -277,3 +277,9 @@ def test_what_the_fuzzer_found_stays_mended(tmp_path: Path) -> None:
     (tmp_path / "mixed.gltf").write_text(json.dumps(document))
     with pytest.raises(HirError, match=r"mesh\.faces has an index out of range"):
         load_mesh_asset(tmp_path / "mixed.gltf")
+    square = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 1\nvt 1 1\nvt 1 0\nf 1/1 2/2 3/3\n"
+    (tmp_path / "null.obj").write_text("mtllib a\0b.mtl\n" + square)
+    with pytest.raises(HirError, match="which is no file"):
+        load_mesh_asset(tmp_path / "null.obj")
+    (tmp_path / "long.obj").write_text(f"mtllib {'a' * 5000}.mtl\n" + square)
+    assert len(load_mesh_asset(tmp_path / "long.obj").mesh.faces) == 1, "a material that is not there is none"
