@@ -42,6 +42,9 @@ TRIANGLES_MIN, TRIANGLES_MAX = 8_000, 400_000
 """Many small photographs tell more than one of them: a cow in 80 of 128² lost its ears and horns at 1,800 triangles
 (IoU 0.952 on held-out views; 0.970 at 6,000, 0.971 at 20,000)."""
 
+WORSE = 0.005
+"""Loss of IoU on held-out views, start to end, that is said aloud."""
+
 NEAR_START = 0.1
 """Below this median error (1 − IoU) a start counts as near."""
 
@@ -115,9 +118,11 @@ def fit_geometry(
     train = fit.train
     residue = mask_residue(renderer, mesh, targets, [i for i in train if i not in fit.trust.distrusted()])
     _advise(replace(before, components=before.components - loose), after, residue, fit, names, context)
+    held_out = {"before": _mean_iou(first, fit.held), "after": _mean_iou(last, fit.held)}
+    _advise_outlines(held_out, context)
     report = {
         "iou_train": {"before": _mean_iou(first, train), "after": _mean_iou(last, train)},
-        "iou_held_out": {"before": _mean_iou(first, fit.held), "after": _mean_iou(last, fit.held)},
+        "iou_held_out": held_out,
         "views": {
             "train": len(train),
             "held_out": [names[i] for i in fit.held],
@@ -319,6 +324,16 @@ def _pixel_size(mesh: Mesh, camera: Camera) -> float:
 
 def _mean_iou(errors: Mapping[int, float], views: list[int]) -> float | None:
     return float(np.mean([1 - errors[i] for i in views])) if views else None
+
+
+def _advise_outlines(held_out: Mapping[str, float | None], context: StageContext) -> None:
+    """Says aloud that the stage lost what its start had."""
+    before, after = held_out["before"], held_out["after"]
+    if before is not None and after is not None and before - after > WORSE:
+        context.warn(
+            f"the outlines of held-out views fit worse than the start's did (IoU {before:.4f} → {after:.4f}); "
+            "try more triangles (geometry.triangles), or geometry.photographs='off'"
+        )
 
 
 def _advise(

@@ -157,6 +157,18 @@ def test_lost_thin_parts_are_said_aloud(tmp_path: Path) -> None:
     assert any("thin parts" in sentence for sentence in said)
 
 
+def test_a_mesh_too_coarse_for_its_outlines_is_said_aloud(tmp_path: Path) -> None:
+    body, faces = icosphere(4)
+    spiky = body * (0.5 + 0.5 * np.abs(np.sin(7 * body[:, :1])) ** 8)
+    said: list[str] = []
+    _, report = _fit(
+        Scene(mesh_of(spiky, faces)), capture_of(spiky, faces, around(16, 128)),
+        replace(SETTINGS, iterations=5, triangles=500, photographs="off"), tmp_path, said,
+    )  # fmt: skip
+    assert report["iou_held_out"]["before"] - report["iou_held_out"]["after"] > 0.005
+    assert any("held-out views fit worse" in sentence for sentence in said)
+
+
 def test_loose_pieces_that_no_mask_needs_are_dropped_and_needed_ones_stay(tmp_path: Path) -> None:
     body, faces = icosphere(3)
     inner, needed = body * 0.2 + [0.1, 0.0, 0.0], body * 0.15 + [0.0, 0.95, 0.0]
