@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +12,8 @@ from PIL import Image, ImageDraw, ImageFont
 
 _TEXT = Path(__file__).with_name("parity.template.md")
 _TILE = 192
+_LETTERS = 18
+"""A line beside a row of pictures holds these."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +80,7 @@ def _sheet(rows: list[Row]) -> Image.Image:
     sheet = Image.new("RGB", (margin + width * _TILE, len(rows) * _TILE), (20, 21, 24))
     draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(13)
     for index, row in enumerate(rows):
-        lines = [*row.engine.split(" ", 1), row.file]
+        lines = [*textwrap.wrap(row.engine, _LETTERS), row.file]
         if row.frame is not None:
             lines.append(f"{row.frame:.1f} / {row.inside:.1f} dB")
         draw.multiline_text((10, index * _TILE + 60), "\n".join(line for line in lines if line), (225, 224, 220), font)
