@@ -9,7 +9,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks.experiments.rendered import ROOT, WORK, rendered, shared
+from benchmarks.experiments.folders import ROOT, WORK, shared
+from benchmarks.experiments.rendered import rendered
 from hir_core.bench.captures import made_smaller, stretched
 
 RESULTS = ROOT / "benchmarks" / "results" / "experiments"

@@ -6,19 +6,12 @@ import os
 import subprocess
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
-WORK = Path(os.environ.get("HIR_EXPERIMENTS", ROOT / "build" / "experiments"))
-"""Captures and runs, which are large and can be made again."""
+from benchmarks.experiments.folders import ROOT, WORK, shared
 
 COMMANDS = {
     "flash": ("--views", "60", "--test-views", "8", "--size", "128", "--samples", "64", "--light", "camera"),
 }
 """Options of `tools/render_capture_in_blender.py` for each, with captures/spot's mesh and its texture."""
-
-
-def shared() -> Path:
-    """The folder of captures and models."""
-    return Path(os.environ.get("HIR_SHARED", ROOT.parent / "shared"))
 
 
 def rendered(name: str) -> Path:

@@ -1,0 +1,15 @@
+"""Where the studies find their captures and keep what they make."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+WORK = Path(os.environ.get("HIR_EXPERIMENTS", ROOT / "build" / "experiments"))
+"""Captures and runs, which are large and can be made again."""
+
+
+def shared() -> Path:
+    """The folder of captures and models."""
+    return Path(os.environ.get("HIR_SHARED", ROOT.parent / "shared"))
