@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from hir_exporters.atomic import atomic_path, write_bytes_atomic
 from hir_exporters.errors import ExportError, InputError
+from hir_exporters.native_output import silenced
 from hir_exporters.png import png_bytes
 from hir_exporters.rgbe import RgbeError, decode_rgbe, encode_rgbe, read_size
 
@@ -86,7 +87,8 @@ def read_exr(
         _check_size(source, height, width, max_pixels)
         if any((c.xSampling, c.ySampling) != (1, 1) for c in header["channels"] if c.name in "RGBAY"):
             raise InputError(f"{source} has subsampled channels; save it with full-size channels")
-        planes = _exr_planes(str(source))
+        with silenced():  # OpenEXR prints a line for each row that a cut-off file lacks
+            planes = _exr_planes(str(source))
     except InputError:
         raise
     except Exception as error:  # the binding raises RuntimeError, ValueError and KeyError on broken files
