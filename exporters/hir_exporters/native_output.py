@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import os
 import threading
 from collections.abc import Iterator
@@ -16,9 +17,9 @@ _LOCK: Final = threading.Lock()
 def silenced() -> Iterator[None]:
     """Standard output and error of the process lead nowhere meanwhile, those of other threads, too: for short calls.
 
-    A stream that the process does not have is left as it is.
+    Bindings print through Python, too. A stream that the process does not have is left as it is.
     """
-    with _LOCK, contextlib.ExitStack() as restored:
+    with _LOCK, contextlib.ExitStack() as restored, contextlib.redirect_stdout(io.StringIO()):
         with contextlib.suppress(OSError):
             nowhere = os.open(os.devnull, os.O_WRONLY)
             restored.callback(os.close, nowhere)
