@@ -149,7 +149,7 @@ def _shown(source: Path) -> tuple[str, bytes, np.ndarray | None]:
         return source.stem, data, radiance
     if source.suffix.lower() not in READERS:
         raise InputError(f"{source} cannot be shown; known are runs, scene folders and {', '.join(READERS)}")
-    back = written_asset(read_back(source))
+    back = written_asset(read_back(source, foreign=True))
     environment = None if radiance is None else AssetEnvironment(radiance)
     return source.stem, *_as_glb(Asset(back.mesh, back.material, environment, name=source.stem))
 

@@ -4,7 +4,8 @@
 
 Each target of tests/reliability/fuzz_targets.py gets a process of its own and an equal share of the time. With atheris
 (pip install atheris) libFuzzer steers by the branches of our code that a change reaches; without it, or with --plain,
-changes are drawn at random. A process may take 4 GiB and a file 10 s. The bytes of a finding are kept; exit code 1.
+changes are drawn at random. A process may take 4 GiB and a file 10 s. The bytes of a finding are kept, those before a
+process's sudden end, too (NAME.last); exit code 1.
 """
 
 from __future__ import annotations
@@ -43,6 +44,7 @@ def main() -> int:
     names = [t.name for t in TARGETS if not options.only or t.name in options.only]
     share, failed = options.seconds / len(names), []
     for name in names:
+        (options.findings / f"{name}.txt").unlink(missing_ok=True)
         words = [sys.executable, __file__, "--child", name, "--seconds", str(share), "--findings", options.findings]
         done = subprocess.run(
             [*map(str, words), *(["--plain"] if options.plain else [])], capture_output=True, text=True
@@ -51,7 +53,9 @@ def main() -> int:
         print(f"{name:<22} {tried}", flush=True)
         if done.returncode:
             failed.append(name)
-            print("\n".join((done.stdout + done.stderr).splitlines()[-25:]), flush=True)
+            told = options.findings / f"{name}.txt"
+            why = told.read_text() if told.is_file() else done.stdout + done.stderr
+            print("\n".join([f"exit code {done.returncode}", *why.splitlines()[-25:]]), flush=True)
     print(
         f"{len(names)} targets, {options.seconds:.0f} s: "
         + (f"findings in {', '.join(failed)}" if failed else "no finding")
@@ -78,16 +82,18 @@ def child(name: str, seconds: float, findings: Path, plain: bool) -> int:
     # what a target imports when it runs is imported now, so that no time of the first file goes there
     target(seeds[0])
     rng, tried, ends = random.Random(0), 0, time.monotonic() + seconds
+    last = findings / f"{name}.last"
 
     def attack(data: bytes) -> None:
         nonlocal tried
         tried += 1
+        last.write_bytes(data)  # native code may end the process, which leaves no time to write
         started = time.monotonic()
         try:
             target(data)
         except BaseException:
             (findings / name).write_bytes(data)
-            traceback.print_exc()
+            (findings / f"{name}.txt").write_text(traceback.format_exc())  # libFuzzer closes stderr
             raise
         took = time.monotonic() - started
         if took > SECONDS_A_FILE:
@@ -95,6 +101,7 @@ def child(name: str, seconds: float, findings: Path, plain: bool) -> int:
             raise TimeoutError(f"{took:.1f} s")
         if time.monotonic() > ends:
             print(f"tried {tried} files", flush=True)
+            last.unlink()
             remove_folders()
             sys.stdout.flush()
             os._exit(0)

@@ -22,7 +22,8 @@ from hir_exporters.conventions import srgb_to_linear
 from hir_exporters.errors import HirError, InputError
 from hir_exporters.images import read_exr, read_hdr, read_ldr
 from hir_exporters.materials import MetallicSurface, simplified
-from hir_exporters.readback import gltf_scene, read_gltf_surface, read_usd
+from hir_exporters.readback import gltf_scene, read_gltf_surface
+from hir_exporters.usd.foreign import read_foreign_usd
 from hir_exporters.written_asset import decoded_surface, written_asset
 
 Array = NDArray[np.floating]
@@ -56,7 +57,7 @@ def load_mesh_asset(path: Path, maps: SurfaceMaps | None = None, light: Path | N
     if not path.is_file():
         raise InputError(f"{path} is not there")
     if suffix.startswith(".usd"):
-        written = written_asset(read_usd(path))
+        written = written_asset(read_foreign_usd(path))
         mesh, material = written.mesh, written.material
         if maps != SurfaceMaps():
             raise InputError(f"{path} brings its own material; textures can be given with .obj, .ply, .glb and .gltf")

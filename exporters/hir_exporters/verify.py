@@ -13,6 +13,7 @@ from hir_exporters.asset import Asset, AssetMesh
 from hir_exporters.errors import ExportError
 from hir_exporters.materials import metallic_residual, specular_residual
 from hir_exporters.readback import ReadBack, read_gltf, read_usd
+from hir_exporters.usd.foreign import read_foreign_usd
 
 READERS: Final[Mapping[str, Callable[[Path], ReadBack]]] = {
     ".glb": read_gltf, ".gltf": read_gltf, ".usda": read_usd, ".usdc": read_usd, ".usdz": read_usd
@@ -48,13 +49,15 @@ def verify_file(path: Path, asset: Asset, profile: str = "khr") -> Verification:
     return compare(path, asset, read_back(path), profile)
 
 
-def read_back(path: Path) -> ReadBack:
-    """What independent readers see in a file. Raises `ExportError` for suffixes not in `READERS`, `InputError` for
-    files that cannot be read.
+def read_back(path: Path, *, foreign: bool = False) -> ReadBack:
+    """What independent readers see in a file; `foreign`: one that we did not write, which may end OpenUSD's process.
+
+    Raises `ExportError` for suffixes not in `READERS`, `InputError` for files that cannot be read.
     """
     if path.suffix not in READERS:
         raise ExportError(f"{path}: no independent reader checks {path.suffix!r} files")
-    return READERS[path.suffix](path)
+    reader = READERS[path.suffix]
+    return read_foreign_usd(path) if foreign and reader is read_usd else reader(path)
 
 
 def compare(path: Path, asset: Asset, back: ReadBack, profile: str = "khr") -> Verification:

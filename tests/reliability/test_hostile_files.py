@@ -144,6 +144,25 @@ def test_usd_composes_no_layer_outside_its_folder(capture: Path) -> None:
     assert "outside" in str(found.value) or "leads" in str(found.value)
 
 
+def test_a_usd_that_ends_openusd_is_refused(tmp_path: Path) -> None:
+    """The fuzzer's finding: read in this process, it would end the tests (\"Dereferenced an invalid SdfPrimSpec\")."""
+    (tmp_path / "x.usdz").write_bytes((Path(__file__).parent / "ends_openusd.usdz").read_bytes())
+    with pytest.raises(HirError, match="OpenUSD ended its process") as found:
+        load_mesh_asset(tmp_path / "x.usdz")
+    assert "\n" not in str(found.value)
+
+
+def test_a_usd_is_read_with_no_module_of_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A stranger's folder may hold a numpy.py; the process that reads must not take it."""
+    from hir_exporters.formats import create_exporter
+
+    create_exporter("usda").write(seeds.asset(), tmp_path / "x.usda")
+    (tmp_path / "numpy.py").write_text("open('taken', 'w')\n")
+    monkeypatch.chdir(tmp_path)
+    assert len(load_mesh_asset(Path("x.usda")).mesh.faces) == len(seeds.asset().mesh.faces)
+    assert not (tmp_path / "taken").exists()
+
+
 def test_usd_reads_no_texture_outside_its_folder(capture: Path) -> None:
     from hir_exporters.formats import create_exporter
 
