@@ -35,7 +35,9 @@ class Subject:
 
 SUBJECTS = {
     "conventions": Subject(("hir_exporters/conventions.py",), ("tests/exporters/test_conventions.py",)),
-    "materials": Subject(("hir_exporters/materials.py",), ("tests/exporters/test_materials.py",)),
+    "materials": Subject(
+        ("hir_exporters/materials.py",), ("tests/exporters/test_materials.py", "tests/exporters/test_metal_mixture.py")
+    ),
     "losses": Subject(
         tuple(f"hir_core/{name}.py" for name in ("photometric", "silhouettes", "energies", "energy_guard", "srgb")),
         (

@@ -177,3 +177,145 @@ def test_corners_of_the_parameters_stay_finite(model: str, specular: float, alph
             for field in dataclasses.fields(surface):
                 if field.name != "warnings":
                     assert np.isfinite(getattr(surface, field.name)).all(), field.name
+
+
+PROFILES = ("khr", "blender", "metalrough", "unity-legacy", "usd")
+
+
+def converted(material: AssetMaterial, profile: str) -> materials.MetallicSurface | materials.SpecularSurface:
+    return materials.to_usd_metallic(material) if profile == "usd" else materials.to_gltf(material, profile)
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("material", [GREY_PAPER, COLOR_PAPER, PLASTIC, COATED, GOLD])
+def test_what_a_conversion_says_of_its_error_is_its_error(material: AssetMaterial, profile: str) -> None:
+    """The residual, again from the surface alone and by the formula of the engine that reads it."""
+    surface = converted(material, profile)
+    alpha = float(material.roughness)
+    tested = brdf_slice.brdf_slice([alpha])
+    colors = [np.asarray(c, np.float64)[None] for c in (material.diffuse_albedo, material.specular_albedo)]
+    wanted = brdf_slice.model_brdf(tested, material.model, *colors)
+    one = np.ones(1)
+    if isinstance(surface, materials.SpecularSurface):
+        written = engine_models.specular_workflow_brdf(tested, surface.diffuse[None], surface.specular[None])
+    elif profile == "blender" and material.model == "paper":
+        written = engine_models.blender_brdf(tested, surface.base_color[None], surface.specular_color[None])
+    else:
+        written = engine_models.gltf_brdf(
+            tested, surface.base_color[None], surface.metallic * one, surface.specular_weight * one,
+            surface.specular_color[None], surface.ior,
+        )  # fmt: skip
+    assert surface.residual == pytest.approx(brdf_slice.relative_error(tested, written, wanted), rel=1e-5, abs=1e-7)
+    assert float(surface.roughness) == pytest.approx(np.sqrt(alpha), rel=1e-6)
+    assert not surface.warnings
+    for field in dataclasses.fields(surface):
+        if field.name not in ("residual", "warnings", "ior"):
+            assert getattr(surface, field.name).dtype == np.float32, field.name
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+def test_maps_of_one_value_become_constants(profile: str) -> None:
+    """One and three channels tell a small map from a colour: also for maps three texels wide."""
+    for side in (1, 3, 8):
+        material = AssetMaterial(
+            "paper", np.full((side, side, 3), 0.3), np.full((side, side, 3), 0.1), np.full((side, side), 0.2)
+        )
+        simple = materials.simplified(material)
+        assert simple.diffuse_albedo.shape == simple.specular_albedo.shape == (3,) and simple.roughness.shape == ()
+        surface, alone = converted(material, profile), converted(simple, profile)
+        for field in dataclasses.fields(surface):
+            np.testing.assert_array_equal(getattr(surface, field.name), getattr(alone, field.name))
+
+
+def test_surfaces_of_maps_keep_what_is_uniform_as_constants(make_texture: Texture) -> None:
+    material = AssetMaterial("paper", make_texture(8, 3, 0.1, 0.4), [0.1] * 3, 0.2)
+    surface = materials.to_specular_workflow(dataclasses.replace(material, model="dielectric"))
+    assert surface.diffuse.shape == (8, 8, 3) and surface.specular.shape == (3,)
+    surface = materials.to_specular_workflow(AssetMaterial("dielectric", [0.3] * 3, make_texture(8, 3, 0.02, 0.1), 0.2))
+    assert surface.diffuse.shape == (3,) and surface.specular.shape == (8, 8, 3)
+    np.testing.assert_array_equal(surface.diffuse, np.float32(0.3))
+    surface = materials.to_gltf(material, "khr")
+    assert (surface.base_color.shape, surface.specular_color.shape) == ((8, 8, 3), (3,))
+    assert surface.specular_weight.shape == surface.metallic.shape == ()
+
+
+@pytest.mark.parametrize(
+    ("specular", "own_ior"),
+    [
+        ([0.08] * 3, True), ([0.08, 0.08 - 7e-5, 0.08], True), ([0.08, 0.0795, 0.08], False), ([0.0] * 3, False),
+        ([materials.METAL_F0] * 3, True), ([materials.METAL_F0 + 1e-4] * 3, False), ([0.9] * 3, False),
+    ],
+)  # fmt: skip
+def test_usd_takes_an_ior_for_grey_non_metals_only(specular: list[float], own_ior: bool) -> None:
+    material = AssetMaterial("dielectric", [0.5, 0.4, 0.3], specular, 0.2)
+    surface = materials.to_usd_metallic(material)
+    assert (surface.ior != 1.5) == own_ior
+    if own_ior:
+        np.testing.assert_array_equal(surface.base_color, material.diffuse_albedo)
+        assert engine_models.ior_to_f0(surface.ior) == pytest.approx(specular[0], rel=1e-5)
+    assert materials.to_usd_metallic(dataclasses.replace(material, model="paper")).ior == 1.5
+
+
+def test_usd_fits_a_map_of_grey_reflectance(make_texture: Texture) -> None:
+    """One ior holds for the whole surface: a map has none, not even one of greys."""
+    grey = np.repeat(make_texture(8, 1, 0.05, 0.1), 3, axis=2)
+    assert materials.to_usd_metallic(AssetMaterial("dielectric", [0.4] * 3, grey, 0.2)).ior == 1.5
+
+
+def test_core_reflectance_has_a_tolerance_of_two_percent_each_way() -> None:
+    for factor, core in [(1.019, True), (0.981, True), (1.021, False), (0.979, False), (1.03, False), (0.97, False)]:
+        surface = materials.to_gltf(
+            dataclasses.replace(PLASTIC, specular_albedo=np.full(3, 0.04 * factor, np.float32)), "khr"
+        )
+        assert bool((surface.specular_color == 1).all()) == core, factor
+    both = dataclasses.replace(PLASTIC, specular_albedo=np.float32([0.04, 0.05, 0.04]))
+    assert not (materials.to_gltf(both, "khr").specular_color == 1).all()
+
+
+def test_a_paper_material_without_a_lobe_is_written_without_one() -> None:
+    surface = materials.to_gltf(AssetMaterial("paper", [0.5, 0.4, 0.3], [0.0] * 3, 0.3), "khr")
+    assert float(surface.specular_weight) == 0 and surface.residual < 0.06
+    assert float(surface.roughness) == pytest.approx(np.sqrt(0.3), rel=1e-6)
+    np.testing.assert_array_equal(surface.base_color, np.float32([0.5, 0.4, 0.3]))
+
+
+def test_texels_without_a_lobe_have_weight_zero_and_white(make_texture: Texture) -> None:
+    specular = make_texture(8, 3, 0.1, 0.3)
+    specular[2:4] = 0
+    surface = materials.to_gltf(AssetMaterial("paper", [0.5, 0.4, 0.3], specular, 0.3), "khr")
+    f0 = float(engine_models.ior_to_f0(1000.0))
+    np.testing.assert_array_equal(surface.specular_weight[2:4], 0)
+    np.testing.assert_allclose(surface.specular_color[2:4] * f0, 1, rtol=1e-6)
+    np.testing.assert_allclose(surface.specular_weight, specular.max(axis=-1), rtol=1e-6)
+    np.testing.assert_allclose(surface.specular_color.max(axis=-1) * f0, 1, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("profile", "what"), [("khr", "base"), ("blender", "base"), ("unity-legacy", "diffuse")])
+def test_the_warning_of_too_much_light_names_the_colour_and_the_share(profile: str, what: str) -> None:
+    diffuse = np.full((4, 4, 3), 0.3, np.float32)
+    diffuse[0, :, 1] = 0.98
+    surface = materials.to_gltf(AssetMaterial("paper", diffuse, [0.5] * 3, 0.3), profile)
+    assert len(surface.warnings) == 1
+    assert surface.warnings[0].startswith("25.0% of the texels") and f" {what} colour " in surface.warnings[0]
+    assert not materials.to_gltf(AssetMaterial("paper", diffuse / 2, [0.4] * 3, 0.3), profile).warnings
+
+
+def test_maps_of_different_size_combine_at_the_larger(make_texture: Texture) -> None:
+    """Each map alone large: the specular fit needs all three at one size."""
+    for a, b, c in ((8, 4, 4), (4, 8, 4), (4, 4, 8)):
+        albedos = make_texture(a, 3, 0.1, 0.3), make_texture(b, 3, 0.1, 0.2)
+        material = AssetMaterial("paper", *albedos, make_texture(c, 1, 0.1, 0.4)[..., 0])
+        for surface in (materials.to_gltf(material, "metalrough"), materials.to_specular_workflow(material)):
+            color = surface.base_color if isinstance(surface, materials.MetallicSurface) else surface.diffuse
+            assert color.shape == (8, 8, 3)
+            assert surface.roughness.shape == (c, c)
+
+
+def test_a_residual_is_measured_over_the_whole_texture() -> None:
+    """A colour that cannot be written, in each quarter of a map in turn, is seen each time."""
+    for rows, columns in [(a, b) for a in (slice(0, 4), slice(4, 8)) for b in (slice(0, 4), slice(4, 8))]:
+        specular = np.full((8, 8, 3), 0.1, np.float32)
+        specular[rows, columns] = [0.5, 0.1, 0.02]
+        surface = materials.to_gltf(AssetMaterial("paper", [0.3] * 3, specular, 0.2), "khr")
+        assert surface.residual > 0.01
+    assert materials.to_gltf(AssetMaterial("paper", [0.3] * 3, np.full((8, 8, 3), 0.1), 0.2), "khr").residual < 1e-6

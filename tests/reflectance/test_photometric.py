@@ -173,7 +173,8 @@ def test_only_what_is_wanted_moves(capture: Capture, tmp_path: Path) -> None:
             assert torch.equal(material.specular_albedo, start.material.specular_albedo) is not specular
             assert torch.equal(material.roughness, start.material.roughness) is not specular
             assert not torch.equal(material.diffuse_albedo, start.material.diffuse_albedo)
-            assert not any(t.requires_grad for t in (material.diffuse_albedo, material.roughness, radiance))
+            values = material.diffuse_albedo, material.specular_albedo, material.roughness, radiance
+            assert not any(t.requires_grad for t in values)
     material, radiance, *_ = run(start, pixels, tmp_path, ReflectanceSettings())
     assert not bool((radiance == 0.5).all()) and not torch.equal(material.roughness, start.material.roughness)
     assert start.material.diffuse_albedo.tolist() == pytest.approx([0.3] * 3), "the start stays as it was"
@@ -230,7 +231,11 @@ def test_a_step_sees_one_view_or_some_pixels_of_all(capture: Capture, tmp_path: 
     some = _Draw(pixels, ReflectanceSettings(batch_pixels=13), 0)
     assert len(some(0)) == 13 and some(0).tolist() == some(0).tolist() != some(1).tolist()
     assert some(0).tolist() != _Draw(pixels, ReflectanceSettings(batch_pixels=13), 1)(0).tolist()
-    assert int(some(0).min()) >= 0 and int(torch.cat([some(i) for i in range(20)]).max()) == 13
+    drawn = torch.cat([some(i) for i in range(20)])
+    assert int(drawn.min()) == 0 and int(drawn.max()) == 13
+    many = replace(pixels, index=torch.zeros(30, 3, dtype=torch.long), first=list(range(31)))
+    orders = [[int(_Draw(many, ReflectanceSettings(batch="views"), seed)(i)[0]) for i in range(30)] for seed in (0, 1)]
+    assert orders[0] != orders[1] and sorted(orders[0]) == sorted(orders[1]) == list(range(30))
 
 
 def test_trouble_names_pixels_and_views_and_is_warned_of(capture: Capture, tmp_path: Path) -> None:
@@ -242,22 +247,46 @@ def test_trouble_names_pixels_and_views_and_is_warned_of(capture: Capture, tmp_p
     assert bool(torch.isfinite(material.diffuse_albedo).all())
 
 
-def test_trouble_of_a_term_names_the_values_it_was_given(tmp_path: Path) -> None:
-    start = scene()
-    assert start.material is not None
-    broken = replace(start.material, roughness=torch.tensor([torch.nan]))
+def test_views_in_trouble_are_named_one_by_one(tmp_path: Path) -> None:
+    """Of eight the first five."""
+    index = torch.stack([torch.arange(8), torch.ones(8, dtype=torch.long), torch.zeros(8, dtype=torch.long)], dim=1)
+    pixels = ObjectPixels(index, torch.ones(8, 3), torch.zeros(8, 1, dtype=torch.bool), list(range(9)))
 
-    class Matte(Product):
+    class Dark(Product):
         def radiance(self, material: Material, environment: EnvironmentMap, pixels: torch.Tensor) -> torch.Tensor:
-            return super().radiance(replace(material, roughness=torch.zeros(1)), environment, pixels)
+            return super().radiance(material, environment, pixels) * torch.nan
+
+    with pytest.raises(StageError, match=r"rgb is not finite at 8 pixels of view 0, 1, 2, 3, 4(?!,)"):
+        run(scene(), pixels, tmp_path, ReflectanceSettings(), prepared=Dark(), steps=30)
+
+
+@pytest.mark.parametrize(
+    ("field", "name"),
+    [("diffuse_albedo", "diffuse albedo"), ("specular_albedo", "specular albedo"), ("roughness", "roughness"),
+     ("radiance", "light")],
+)  # fmt: skip
+def test_trouble_of_a_term_names_the_values_it_was_given(tmp_path: Path, field: str, name: str) -> None:
+    start = scene()
+    assert start.material is not None and start.environment is not None
+    sick = torch.full((2, 4, 3) if field == "radiance" else (1,) if field == "roughness" else (3,), torch.nan)
+    if field == "radiance":
+        start = replace(start, environment=replace(start.environment, radiance=sick))
+    else:
+        start = replace(start, material=replace(start.material, **{field: sick}))
+
+    class Constant(Product):
+        def radiance(self, material: Material, environment: EnvironmentMap, pixels: torch.Tensor) -> torch.Tensor:
+            return 0.5 + 0 * sum(
+                torch.nan_to_num(v).sum() for v in (material.diffuse_albedo, environment.radiance)
+            ) + torch.zeros(len(pixels), 3)  # fmt: skip
 
     def energy(state: Scene) -> torch.Tensor:
-        assert state.material is not None
-        return state.material.roughness.sum()
+        assert state.material is not None and state.environment is not None
+        return (state.environment.radiance if field == "radiance" else getattr(state.material, field)).sum()
 
-    with pytest.raises(StageError, match=r"stage reflectance: .*because of 'r' .*r is not finite at .*roughness"):
-        run(replace(start, material=broken), _bright(1.0), tmp_path, ReflectanceSettings(),
-            Energies({"r": (1.0, energy)}), Matte(), steps=30, fit_specular=False)  # fmt: skip
+    with pytest.raises(StageError, match=rf"stage reflectance: .*because of 'r' .*r is not finite at .*\b{name}\b"):
+        run(start, _bright(1.0), tmp_path, ReflectanceSettings(),
+            Energies({"r": (1.0, energy)}), Constant(), steps=30, fit_specular=False)  # fmt: skip
 
 
 def test_the_state_is_kept_as_often_as_asked(tmp_path: Path) -> None:
@@ -269,9 +298,11 @@ def test_terms_are_weighted_and_left_out_by_settings() -> None:
     plugins = PluginManager.discover()
     context = StageContext(plugins, Path())
     bumpy = scene()
-    table = {"laplacian": {"weight": 2.0}, "edge_length": False, "normal_consistency": {"weight": 0}}
+    table = {"edge_length": False, "laplacian": {"weight": 2.0}, "normal_consistency": {"weight": 0}}
     terms = prepare_energies(bumpy, table, context)  # type: ignore[arg-type]
     assert set(terms.terms) == {"laplacian"} and terms.terms["laplacian"][0] == 2.0
     plain = prepare_energies(bumpy, {"laplacian": {}}, context)
     assert float(terms(bumpy)["laplacian"]) == pytest.approx(2 * float(plain(bumpy)["laplacian"]), rel=1e-6)
     assert float(plain(bumpy)["laplacian"]) > 0
+    other = prepare_energies(bumpy, {"laplacian": {"weight": 1.0, "cotangent": True}}, context)
+    assert float(other(bumpy)["laplacian"]) != pytest.approx(float(plain(bumpy)["laplacian"]), rel=1e-3)

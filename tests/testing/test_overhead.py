@@ -106,7 +106,7 @@ def test_no_hook_runs_in_an_inner_loop(tmp_path: Path, quick: Callable[..., Run]
     assert plugins.problems == []
     capture = make_tiny(tmp_path / "capture")
     steps = ("geometry.iterations=300", "reflectance.iterations=100", "reflectance.batch_pixels=64")
-    term = 'reflectance.regularizers={ total_variation = { weight = 1.0 } }'
+    term = "reflectance.regularizers={ total_variation = { weight = 1.0 } }"
     run = quick(capture, tmp_path / "run", *steps, term, 'export=["glb"]', plugins=plugins)
     timings = run.directory.read_timings()["stages"]
     assert counting.calls["hir_run_started"] == 1
@@ -138,5 +138,3 @@ def test_hooks_are_called_from_few_places() -> None:
         "hir_core/pipeline.py",
         "hir_core/session.py",
     }
-
-
