@@ -36,7 +36,9 @@ def test_paper_model_is_exact_by_the_ratified_text_for_grey_specular() -> None:
 
 
 def test_colored_paper_specular_is_exact_in_blender_and_near_by_the_text() -> None:
-    assert materials.to_gltf(COLOR_PAPER, "blender").residual < 1e-6
+    for_blender = materials.to_gltf(COLOR_PAPER, "blender")
+    assert for_blender.residual < 1e-6 and for_blender.ior == materials.NO_FRESNEL_IOR
+    np.testing.assert_array_equal(for_blender.specular_color, COLOR_PAPER.specular_albedo)
     assert 0.01 < materials.to_gltf(COLOR_PAPER, "khr").residual < 0.05
 
 
