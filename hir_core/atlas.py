@@ -106,9 +106,7 @@ def texture_size(mesh: Mesh, cameras: Sequence[Camera]) -> int:
     return int(min(max(2**power, SMALLEST), LARGEST))
 
 
-def _face_pixels(
-    positions: NDArray[np.float64], faces: NDArray[np.int64], camera: Camera
-) -> NDArray[np.float64]:
+def _face_pixels(positions: NDArray[np.float64], faces: NDArray[np.int64], camera: Camera) -> NDArray[np.float64]:
     """Area in pixels of each face that faces the camera inside its image, else 0."""
     pixels, depth = camera.project(positions)
     a, b, c = pixels[faces[:, 0]], pixels[faces[:, 1]], pixels[faces[:, 2]]
@@ -149,9 +147,7 @@ def _baked_colors(mesh: Mesh, surface: TexelSurface, padding: int) -> Material:
     return Material("paper", dilate(texture, surface.covered, 2 * padding), black, rough)
 
 
-def texture_of_vertices(
-    mesh: Mesh, values: Float[Tensor, "V C"], surface: TexelSurface
-) -> Float[Tensor, "H W C"]:
+def texture_of_vertices(mesh: Mesh, values: Float[Tensor, "V C"], surface: TexelSurface) -> Float[Tensor, "H W C"]:
     """A texture of values that are linear on each face; 0 outside the charts."""
     texture = values.new_zeros((*surface.covered.shape, values.shape[1]))
     texture[surface.covered] = interpolate(values, mesh.faces, surface.face, surface.barycentric)

@@ -105,9 +105,7 @@ def check_capture(capture: Capture, surface: tuple[Array, Array] | None = None) 
     return CaptureCheck(**{**vars(check), "advice": tuple(_advice(check))})
 
 
-def mask_agreement(
-    cameras: Sequence[Camera | None], masks: Sequence[NDArray[np.float32] | None]
-) -> list[float | None]:
+def mask_agreement(cameras: Sequence[Camera | None], masks: Sequence[NDArray[np.float32] | None]) -> list[float | None]:
     """Per view the IoU of its mask and the re-projected hull of all masks; None for views without mask or camera.
 
     The hull is carved on a coarse grid with a vote of nine in ten views, so that a wrong mask shows in its own figure.

@@ -17,7 +17,7 @@ from hir_core.context import StageContext
 from hir_core.determinism import seed_everything
 from hir_core.errors import ConfigError, InputError
 from hir_core.listener import Listener
-from hir_core.machine import describe_machine, peak_memory_bytes, return_freed_memory, versions
+from hir_core.machine import describe_machine, peak_memory_bytes, processor_seconds, return_freed_memory, versions
 from hir_core.manager import PluginManager
 from hir_core.memory import Plan, gigabytes
 from hir_core.run_directory import STAGES, RunDirectory, StageRecord, jsonable
@@ -157,10 +157,10 @@ class Session:
             warn=warn,
         )
         seed_everything(self.config.seed)
-        started = time.perf_counter()
+        started, worked = time.perf_counter(), processor_seconds()
         with listener.beating():
             value, report = compute(context)
-        seconds = time.perf_counter() - started
+        seconds, worked = time.perf_counter() - started, processor_seconds() - worked
         listener.close(seconds)
         folder = self.directory.stage(name)
         save(value, folder)
@@ -171,6 +171,7 @@ class Session:
         return_freed_memory()
         self.timings["stages"][name] = {
             "seconds": round(seconds, 3),
+            "processor_seconds": round(worked, 3),
             "peak_memory_bytes": peak_memory_bytes(),
             "finished": _now(),
             "progress": listener.seconds,

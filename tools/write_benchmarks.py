@@ -38,13 +38,15 @@ def gathered(run: Path) -> dict[str, Any]:
     timings = json.loads((run / "timings.json").read_text(encoding="utf-8"))
     first = next(iter(json.loads((run / "capture" / "cameras.json").read_text(encoding="utf-8"))["views"]))
     test = json.loads((run / "evaluation" / "test" / "metrics.json").read_text(encoding="utf-8"))
+    # a thread's own work is what a clock shows where nothing else runs; of several threads only the clock knows
+    seconds = "processor_seconds" if timings["machine"].get("threads") == 1 else "seconds"
     kept = ("psnr", "psnr_scaled", "ssim", "lpips", "flip", "iou", "light", "surface", "albedo", "light_error")
     return {
         "capture": document["capture"]["name"],
         "preset": document["settings"]["preset"],
         "views": document["capture"]["views"],
         "side": max(first["width"], first["height"]),
-        "stages": {name: stage["seconds"] for name, stage in timings["stages"].items()},
+        "stages": {name: stage[seconds] for name, stage in timings["stages"].items()},
         "peak_memory_bytes": max(stage["peak_memory_bytes"] for stage in timings["stages"].values()),
         "seconds_per_view": round(sum(view["seconds"] for view in test["views"]) / len(test["views"]), 2),
         "threads": timings["machine"].get("threads"),

@@ -88,6 +88,7 @@ def facts(folder: Path) -> dict[str, Any]:
     stages = {
         name: {
             "seconds": stage["seconds"],
+            "processor_seconds": stage["processor_seconds"],
             "peak_memory_bytes": stage["peak_memory_bytes"],
             "seconds_per_step": seconds_per_step(stage["progress"]),
         }
@@ -96,6 +97,7 @@ def facts(folder: Path) -> dict[str, Any]:
     return {
         "stages": stages,
         "seconds": sum(stage["seconds"] for stage in stages.values()),
+        "processor_seconds": sum(stage["processor_seconds"] for stage in stages.values()),
         "peak_memory_bytes": max(stage["peak_memory_bytes"] for stage in stages.values()),
         "rung": run["stages"]["reflectance"]["report"].get("rung"),
         "triangles": run["stages"]["bake"]["report"].get("triangles"),

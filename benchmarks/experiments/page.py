@@ -162,13 +162,13 @@ def scaling_table() -> str:
 
 
 def scaling_cell(cell: Cell) -> str:
-    """Seconds of the two long stages and of all, and peak memory."""
+    """Processor seconds of all and of the two long stages, and peak memory."""
     result = cell.stored()
     if result is None:
         return "–"
     stages = result["stages"]
-    parts = "geometry {:.0f}, reflectance {:.0f}".format(*(stages[n]["seconds"] for n in ("geometry", "reflectance")))
-    return f"{result['seconds']:.0f} s ({parts}), {result['peak_memory_bytes'] / 2**30:.1f} GiB"
+    parts = " + ".join(f"{stages[n]['processor_seconds']:.0f}" for n in ("geometry", "reflectance"))
+    return f"{result['processor_seconds']:.0f} s ({parts}), {result['peak_memory_bytes'] / 2**30:.1f} GiB"
 
 
 def not_run(study: Study) -> list[str]:

@@ -100,7 +100,8 @@ LIGHTS = Study(
 
 SCALING = Study(
     "Scaling",
-    "Whole runs of `fast` as it is: wall-clock seconds and peak memory by number and size of photographs. "
+    "Whole runs of `fast` as it is: processor seconds (those of geometry + reflectance) and peak memory by number and "
+    "size of photographs, one thread: what a clock shows where nothing else runs. "
     "captures/spot has 80 photographs of 512²: where more are asked for they come again, larger ones are enlarged.",
     tuple((f"{views} × {side}²", full(views, side)) for views in (20, 80, 300) for side in (256, 512, 1024)),
 )
