@@ -1,5 +1,4 @@
 """Initializer: a surface through the capture's oriented points by screened Poisson reconstruction."""
-# ruff: noqa: TID253 - loaded when it runs
 
 from __future__ import annotations
 
@@ -7,11 +6,11 @@ from pathlib import Path
 from typing import final
 
 import numpy as np
-import open3d
+from hir_exporters.apart import ChildError, call_apart
 from numpy.typing import NDArray
 
 from hir_core.capture import Array, Capture, OrientedPoints
-from hir_core.errors import CaptureError
+from hir_core.errors import CaptureError, StageError
 from hir_core.interfaces import Initializer
 from hir_core.scene import Scene
 from hir_plugins.initializers.cleaning import cleaned, edge_length
@@ -45,14 +44,11 @@ def poisson_surface(points: OrientedPoints, options: PoissonOptions) -> tuple[Ar
     assert points.normals is not None
     center = points.positions.mean(axis=0)
     size = float(np.ptp(points.positions, axis=0).max()) or 1.0
-    cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector((points.positions - center) / size))
-    cloud.normals = open3d.utility.Vector3dVector(points.normals)
     # an octree cell for each point or so on a surface: cells ~ 4^depth
     depth = options.depth or int(np.clip(np.round(np.log(len(points.positions)) / np.log(4)), 6, 9))
-    mesh, density = open3d.geometry.TriangleMesh.create_from_point_cloud_poisson(cloud, depth=depth, n_threads=1)
-    if options.trim > 0:
-        values = np.asarray(density)
-        mesh.remove_vertices_by_mask(values < np.quantile(values, options.trim))
-    positions = np.asarray(mesh.vertices) * size + center
-    faces = np.asarray(mesh.triangles).astype(np.int64)
-    return keep_large_components(positions, faces, options.min_component)
+    given = {"positions": (points.positions - center) / size, "normals": points.normals, "depth": depth}
+    try:  # open3d keeps Python's lock meanwhile: in a process of its own Ctrl-C and progress get through
+        found = call_apart("hir_plugins.initializers.screened_poisson:surface", given | {"trim": options.trim})
+    except ChildError as error:
+        raise StageError(f"poisson ended without a surface ({error}); leave it out of 'initializers'") from error
+    return keep_large_components(found["positions"] * size + center, found["faces"], options.min_component)

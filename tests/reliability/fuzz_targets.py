@@ -25,6 +25,9 @@ from hir_exporters.native_output import silenced
 from hir_core.manager import PluginManager
 from tests.reliability import seeds
 
+_REFUSED = 3
+"""Exit code of a fork that refused its file in words of ours."""
+
 PLACE = Path("/dev/shm") if Path("/dev/shm").is_dir() else Path(tempfile.gettempdir())
 """Files are written millions of times: into memory where the system has such a folder."""
 
@@ -259,7 +262,6 @@ def _usd(name: str) -> Callable[[Path], object]:
     def read(folder: Path) -> object:
         from hir_exporters import mesh_files
         from hir_exporters.readback import read_usd
-        from hir_exporters.usd.foreign import REFUSED
         from pxr import Usd, UsdGeom, UsdShade  # noqa: F401 # once, not in each fork
 
         child = os.fork()
@@ -270,13 +272,13 @@ def _usd(name: str) -> Callable[[Path], object]:
                     mesh_files.load_mesh_asset(folder / name)
                 code = 0
             except HirError as error:
-                code = REFUSED if _one_sentence(error) else 1
+                code = _REFUSED if _one_sentence(error) else 1
             except BaseException:
                 (folder / "why.txt").write_text(traceback.format_exc())
             finally:
                 os._exit(code)
         code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-        assert code <= 0 or code == REFUSED, (folder / "why.txt").read_text()
+        assert code <= 0 or code == _REFUSED, (folder / "why.txt").read_text()
         if code:
             raise HirError("refused, or OpenUSD's end")
         return None
