@@ -160,7 +160,8 @@ def _until_killed(
 
 def _call(command: Sequence[str], log: Path) -> subprocess.Popen[str]:
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log.open("w"), text=True, env=environment)
+    with log.open("w") as errors:  # the process has its own
+        return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True, env=environment)
 
 
 def _events(process: subprocess.Popen[str], events: list[Event]) -> Iterator[Event]:

@@ -10,6 +10,7 @@ from hir_core.bench.plan import Plan
 from hir_core.bench.results import Case, Row, Timing
 from hir_core.evaluation import Question, evaluate_run
 from hir_core.pipeline import reconstruct
+from hir_core.run_directory import STAGES
 
 VIEWS, SIDES = (20, 80, 300), (256, 512, 1024)
 EVALUATED_VIEWS, PATHS = 4, 128
@@ -42,7 +43,8 @@ def whole_run(capture: Path, folder: Path, case: Case, plan: Plan) -> Iterator[R
     """One row for each stage, then one for all."""
     run = reconstruct(capture, folder, resume=True, plugins=plan.plugins, assignments=("export=[]",))
     stages = run.directory.read_timings()["stages"]
-    for name, stage in stages.items():
+    for name in (name for name in STAGES if name in stages):
+        stage = stages[name]
         seconds, memory = float(stage["seconds"]), int(stage["peak_memory_bytes"])
         worked = float(stage["processor_seconds"])
         yield Row(case, name, "ours", Timing(seconds, seconds, seconds, 1, worked, memory))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import os
 import subprocess
 import sys
 from collections import Counter
@@ -60,9 +61,11 @@ def test_discovery_of_fifty_installed_plugins_takes_a_tenth_of_a_second(tmp_path
         "assert 'numpy' not in sys.modules, 'a plugin.py imports numpy'\n"
         "print(1000 * spent)"
     )
+    # what measures coverage in child processes, too, would be measured with it
+    plain = {name: value for name, value in os.environ.items() if not name.startswith("COVERAGE")}
     best = float("inf")
     for _ in range(5):
-        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=plain)
         assert done.returncode == 0, done.stderr
         best = min(best, float(done.stdout))
     assert 0 < best <= LIMIT_MS, f"{best:.0f} ms"
@@ -116,7 +119,9 @@ def test_no_hook_runs_in_an_inner_loop(tmp_path: Path, quick: Callable[..., Run]
     assert counting.steps >= 400, "the scalars of every step arrive"
     most = sum(4 * stage["seconds"] + 2 for stage in timings.values())
     assert counting.calls["hir_progress"] <= most, counting.calls
-    assert counting.calls["hir_progress"] < counting.steps / 4
+    if counting.steps > 16 * (timings["geometry"]["seconds"] + timings["reflectance"]["seconds"]):
+        # where a step takes a quarter of a second, four calls a second are a call each step
+        assert counting.calls["hir_progress"] < counting.steps / 4
 
 
 def test_hooks_are_called_from_few_places() -> None:

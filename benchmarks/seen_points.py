@@ -1,0 +1,134 @@
+"""Points of a finished run's mesh that unseen views show, with what every photograph says of them.
+
+They tell what limits a fit: photographs blended on the mesh show what it could look like (`blended`), one colour for
+all directions what no model of reflection costs, and `benchmarks.point_models` what each part of a model is worth,
+without textures, their resolution or a solver in between.
+
+    python -m benchmarks.seen_points CAPTURE RUN
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from hir_exporters.conventions import linear_to_srgb
+from hir_exporters.scene_files import load_scene
+from numpy.typing import NDArray
+
+from hir_core.capture import Camera
+from hir_core.manager import PluginManager
+from hir_core.readers import read_capture
+from hir_core.surface_rays import SurfaceRays
+
+Array = NDArray[np.floating]
+
+EACH_VIEW = 4000
+INSIDE = 0.99
+GRAZING = 0.15
+"""Photographs that see a point at a smaller cosine are left out."""
+OFFSET = 1e-3
+"""Of the object's size: how far above the surface a ray for visibility begins."""
+
+
+@dataclass(frozen=True)
+class SeenPoints:
+    """N points, T train views; colours are linear, directions lead to the camera."""
+
+    normals: Array
+    """Interpolated, (N, 3)."""
+    color: Array
+    """In the unseen view, (N, 3)."""
+    direction: Array
+    """To the unseen view, (N, 3)."""
+    colors: Array
+    """In each photograph, (N, T, 3)."""
+    directions: Array
+    """(N, T, 3)."""
+    seen: NDArray[np.bool_]
+    """Whether a photograph shows it, (N, T)."""
+
+
+def seen_points(capture: Path, run: Path, plugins: PluginManager, seed: int = 0) -> SeenPoints:
+    """Some points of each test view, drawn with `seed`."""
+    train, test = (read_capture(capture, split, plugins) for split in ("train", "test"))
+    mesh = load_scene(run / "scene").mesh
+    rays, size = SurfaceRays(mesh.positions, mesh.faces), float(np.ptp(mesh.positions, axis=0).max())
+    photographs = [view.pixels() for view in train.views]
+    random = np.random.default_rng(seed)
+    parts = []
+    for view, camera in zip(test.views, test.cameras, strict=True):
+        pixels = view.pixels()
+        assert pixels.mask is not None
+        rows, columns = np.nonzero(pixels.mask >= INSIDE)
+        drawn = random.choice(len(rows), min(EACH_VIEW, len(rows)), replace=False)
+        rows, columns = rows[drawn], columns[drawn]
+        origin, toward = camera.rays(np.stack([columns, rows], axis=1) + 0.5)
+        face, weights = rays.first_hits(np.broadcast_to(origin, toward.shape).astype(np.float32), toward)
+        hit = face >= 0
+        corners = mesh.faces[face[hit]]
+        points = (mesh.positions[corners] * weights[hit][..., None]).sum(axis=1)
+        normals = (mesh.normals[corners] * weights[hit][..., None]).sum(axis=1)
+        edges = np.diff(mesh.positions[corners], axis=1)
+        flat = np.cross(edges[:, 0], edges[:, 1])
+        flat /= np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-30)
+        above = points + OFFSET * size * flat
+        found = [
+            _photographed(points, above, flat, camera, p.color_linear, p.mask, rays)
+            for camera, p in zip(train.cameras, photographs, strict=True)
+        ]
+        colors, directions, seen = (np.stack([f[k] for f in found], axis=1) for k in range(3))
+        color = pixels.color_linear[rows, columns][hit]
+        parts.append((normals, color, -toward[hit], colors, directions, seen))
+    return SeenPoints(*(np.concatenate([part[k] for part in parts]) for k in range(6)))
+
+
+def _photographed(
+    points: Array, above: Array, flat: Array, camera: Camera, color: Array, mask: Array | None, rays: SurfaceRays
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Colours (N, 3) of points in one photograph, directions to it, and whether it shows them."""
+    toward = camera.center - points
+    toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+    place, depth = camera.project(points)
+    inside = (depth > 0) & (place > 1).all(axis=1) & (place < [camera.width - 1, camera.height - 1]).all(axis=1)
+    x, y = np.where(inside[:, None], place - 0.5, 0).T
+    column, row = np.floor(x).astype(int), np.floor(y).astype(int)
+    across, down = (x - column)[:, None], (y - row)[:, None]
+
+    def read(image: Array) -> Array:
+        upper = image[row, column] * (1 - across) + image[row, column + 1] * across
+        lower = image[row + 1, column] * (1 - across) + image[row + 1, column + 1] * across
+        return upper * (1 - down) + lower * down
+
+    covered = np.ones(len(points)) if mask is None else read(mask[..., None])[:, 0]
+    seen = inside & (covered >= INSIDE) & ((flat * toward).sum(axis=1) > GRAZING)
+    seen &= ~rays.hidden(above.astype(np.float32), toward.astype(np.float32))
+    return read(color), toward, seen
+
+
+def blended(points: SeenPoints, spread: float) -> Array:
+    """Mean colour (N, 3) of the photographs, those within about `spread` radians of the unseen view before others."""
+    cosine = np.clip((points.directions * points.direction[:, None]).sum(axis=2), -1, 1)
+    weight = points.seen / (np.arccos(cosine) ** 2 + spread**2)
+    return np.asarray((points.colors * weight[..., None]).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-12)[:, None])
+
+
+def decibels(points: SeenPoints, color: Array) -> float:
+    """PSNR of linear colours (N, 3) in sRGB, over the points that a photograph shows."""
+    known = points.seen.any(axis=1)
+    difference = linear_to_srgb(np.clip(color, 0, 1)) - linear_to_srgb(np.clip(points.color, 0, 1))
+    return float(-10 * np.log10(np.square(difference[known]).mean()))
+
+
+def main() -> None:
+    capture, run = map(Path, sys.argv[1:3])
+    points = seen_points(capture, run, PluginManager.discover())
+    print(f"{len(points.color):,} points, {points.seen.sum(axis=1).mean():.1f} photographs each")
+    for name, spread in (("one colour for all directions", 1e3), ("photographs blended, 0.03 rad", 0.03)):
+        print(f"{name}: {decibels(points, blended(points, spread)):.2f} dB")
+
+
+if __name__ == "__main__":
+    main()
