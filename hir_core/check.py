@@ -329,6 +329,10 @@ def _advice(check: CaptureCheck) -> list[str]:
         bad = [v.name for v in views if v.agreement is not None and v.agreement < middle - 0.12]
         if bad and middle >= 0.7:
             said.append(f"the masks of {', '.join(bad[:5])} disagree with the others")
+    empty = [v.name for v in views if v.mask_share == 0]
+    if empty:
+        said.append(f"the masks of {len(empty)} photographs show nothing, such as {empty[0]}: mend them, or leave "
+                    "these photographs out")  # fmt: skip
     sizes = {(v.width, v.height) for v in views}
     if len(sizes) > 1:
         said.append(f"the photographs have {len(sizes)} sizes")

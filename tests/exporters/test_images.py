@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from hir_exporters import images
 from hir_exporters.errors import ExportError, InputError
-from hir_exporters.rgbe import decode_rgbe, encode_rgbe
+from hir_exporters.rgbe import RgbeError, decode_rgbe, encode_rgbe
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from PIL import Image
@@ -224,3 +224,36 @@ def test_a_cut_off_exr_is_told_once_and_not_row_by_row(tmp_path: Path, capfd: py
     print("the streams are there again", flush=True)
     told = capfd.readouterr()
     assert told.out == "the streams are there again\n" and told.err == ""
+
+
+@pytest.mark.parametrize(
+    ("header", "said"),
+    [
+        (b"FORMAT=32-bit_rle_xyze\n", "only 32-bit_rle_rgbe is read"),
+        (b"EXPOSURE=bright\n", "'EXPOSURE=bright' is not a number"),
+        (b"COLORCORR=1 2\n", "'COLORCORR=1 2' is not a number"),
+        (b"EXPOSURE=-1\n", "EXPOSURE is not a positive number"),
+        (b"EXPOSURE=nan\n", "EXPOSURE is not a positive number"),
+        (b"EXPOSURE=1e-300\n", "float32 cannot hold"),
+    ],
+)
+def test_headers_of_hdr_files_that_make_no_sense(header: bytes, said: str) -> None:
+    body = b"\n-Y 1 +X 2\n" + bytes([128, 64, 32, 129] * 2)
+    with pytest.raises(RgbeError, match=said):
+        decode_rgbe(b"#?RADIANCE\n" + header + body)
+
+
+@pytest.mark.parametrize("size", [b"-Y 0 +X 2", b"-Y 2 +X 0", b"+X 2 -Y 1", b"-Y 1", b""])
+def test_hdr_files_without_a_size(size: bytes) -> None:
+    with pytest.raises(RgbeError, match=r"no pixels|resolution line"):
+        decode_rgbe(b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n" + size + b"\n" + bytes(8))
+
+
+def test_exposure_and_colour_correction_of_hdr_files_are_undone() -> None:
+    """Both may come more than once: their products count."""
+    pixel = bytes([128, 64, 32, 129])
+    plain = decode_rgbe(b"#?RADIANCE\n\n-Y 1 +X 1\n" + pixel)
+    header = b"EXPOSURE=2\nEXPOSURE=4\nCOLORCORR=1 2 4\n"
+    np.testing.assert_allclose(
+        decode_rgbe(b"#?RADIANCE\n" + header + b"\n-Y 1 +X 1\n" + pixel), plain / np.array([8, 16, 32]), rtol=1e-6
+    )

@@ -11,8 +11,10 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 
 from hir_core.capture import Camera, Capture, Pixels
-from hir_core.check import CaptureCheck, check_capture, contact_sheet, directions_covered, headlight_score
-from hir_core.plugin import NoOptions
+from hir_core.check import CaptureCheck, check_capture, contact_sheet, directions_covered, headlight_score, masked
+from hir_core.interfaces import MaskSource
+from hir_core.manager import PluginManager
+from hir_core.plugin import Component, NoOptions, hookimpl
 from hir_plugins.readers.transforms_json import TransformsJsonReader
 
 from .silhouettes import Fixed, coverage, dome, hits_sphere, make_view
@@ -130,3 +132,48 @@ def test_a_fired_flash_is_a_light_on_the_camera(sample: Capture, tmp_path: Path)
     flashed = replace(sample, views=tuple(replace(view, path=tmp_path / "flash.jpg") for view in sample.views))
     assert any("the flash fired" in sentence for sentence in check_capture(flashed).advice)
     assert not any("flash fired" in sentence for sentence in check_capture(sample).advice)
+
+
+def test_pictures_too_small_or_too_empty_for_a_judgement(sample: Capture) -> None:
+    """No sharpness, no hull and no direction: said as none, not as a fault."""
+    few = check_capture(replace(sample, views=sample.views[:2]))
+    assert all(view.agreement is None for view in few.views)
+    empty = [
+        replace(v, read=Fixed(replace(v.read(), mask=np.zeros_like(v.read().color_linear[..., 0]))))
+        for v in sample.views
+    ]
+    found = check_capture(replace(sample, views=tuple(empty)))
+    assert all(view.mask_share == 0 for view in found.views)
+    assert any("masks of 24 photographs show nothing, such as 003" in sentence for sentence in found.advice)
+    tiny = [replace(v, read=Fixed(v.read().downsampled(64)), camera=None) for v in sample.views]
+    assert all(np.isfinite(v.sharpness) for v in check_capture(replace(sample, views=tuple(tiny))).views)
+    pixels, cameras = [v.read() for v in sample.views], list(sample.cameras)
+    assert headlight_score(pixels, cameras, np.zeros((10, 3)), np.ones((10, 3))) is None, "ten points tell nothing"
+
+
+class Ones(MaskSource):
+    def __init__(self, config: NoOptions) -> None:
+        del config
+
+    def masks(self, capture: Capture, scene: object) -> list[np.ndarray | None]:
+        return [None if i == 1 else np.ones((256, 256), np.float32) for i in range(len(capture.views))]
+
+
+def test_masks_that_need_no_camera_are_found_for_views_without(sample: Capture) -> None:
+    """What a run would do first; views that have a mask keep it."""
+
+    plugins = PluginManager()
+    for traits in ({"automatic", "needs_cameras"}, {"automatic"}):
+        name = "_".join(sorted(traits))
+
+        class Plugin:
+            @hookimpl
+            def hir_register_mask_sources(self, name: str = name, traits: set[str] = traits) -> list[Component]:
+                return [Component(name, f"{__name__}:Ones", NoOptions, "Everything.", traits=frozenset(traits))]
+
+        plugins.register(Plugin(), name, "")
+    bare = [replace(v, read=Fixed(replace(v.read(), mask=None))) for v in sample.views[:3]]
+    found = masked(replace(sample, views=(*bare, sample.views[3])), plugins)
+    assert found.views[0].pixels().mask is not None and found.views[1].pixels().mask is None
+    np.testing.assert_array_equal(found.views[3].pixels().mask, sample.views[3].pixels().mask)
+    assert masked(sample, plugins) is sample

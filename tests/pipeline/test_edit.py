@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hir_exporters.images import read_ldr, write_hdr
-from hir_exporters.scene_files import load_scene
+from hir_exporters.scene_files import load_scene, save_scene
 
 from hir_core.cli import main
-from hir_core.edit import Edit, edited
+from hir_core.edit import Edit, edit_run, edited
 from hir_core.errors import InputError
+from hir_core.manager import PluginManager
 from hir_core.pipeline import Run
 from hir_core.testing.assets import textured_asset
 
@@ -71,3 +73,25 @@ def test_command_writes_a_scene_and_a_picture(finished: Run, tmp_path: Path) -> 
     assert inside.mean() > 0.05
     assert right[inside][:, 1].mean() < 0.7 * left[inside][:, 1].mean(), "less green"
     assert right[inside][:, 0].mean() > 0.8 * left[inside][:, 0].mean(), "as much red"
+
+
+def test_places_that_hold_something_else_are_left_alone(finished: Run, tmp_path: Path) -> None:
+    plugins = PluginManager.discover()
+    with pytest.raises(InputError, match="holds no finished scene"):
+        edit_run(tmp_path, Edit(), tmp_path / "out", plugins)
+    (tmp_path / "letters").mkdir()
+    (tmp_path / "letters" / "to_mother.txt").write_text("dear")
+    with pytest.raises(InputError, match="holds something else"):
+        edit_run(finished.path, Edit(), tmp_path / "letters", plugins, picture=False)
+    assert [file.name for file in (tmp_path / "letters").iterdir()] == ["to_mother.txt"]
+
+
+def test_a_scene_without_light_needs_one_for_its_picture(tmp_path: Path) -> None:
+    plugins = PluginManager.discover()
+    save_scene(replace(textured_asset(), environment=None), tmp_path / "dark")
+    with pytest.raises(InputError, match="has no light to be shown under; give one with --light"):
+        edit_run(tmp_path / "dark", Edit(), tmp_path / "out", plugins)
+    written = edit_run(tmp_path / "dark", Edit(roughness=0.5), tmp_path / "plain", plugins, picture=False)
+    assert written == [tmp_path / "plain" / "scene.json"]
+    again = edit_run(tmp_path / "plain", Edit(roughness=0.5), tmp_path / "plain", plugins, picture=False)
+    assert again == written, "a scene folder may be written over"
