@@ -17,7 +17,7 @@ help:
 	@echo "make fuzz      feed changed files to every reader for 10 minutes"
 	@echo "make bench     measure every component beside its reference; write docs/benchmarks.md and README's table"
 	@echo "make paper-table, ablations, scaling  the paper's experiments; write docs/experiments.md; each goes on where it stopped"
-	@echo "make coverage  branches of hir_core and hir_exporters that the quick tests reach"
+	@echo "make coverage  branches of hir_core and hir_exporters that tests reach, slow ones of plugins, benchmarks and batches too"
 	@echo "make mutation  change each line of materials, conventions and losses; count what their tests notice"
 	@echo "make lower-bounds, make supply-chain   the oldest dependencies; SBOM and known vulnerabilities"
 	@echo "make clean     remove .venv and what the demo made"
@@ -60,6 +60,7 @@ parity: setup-test
 coverage: setup-test
 	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --constraint requirements/ci.txt coverage
 	@OMP_NUM_THREADS=1 $(PYTHON) -m coverage run -m pytest -q
+	@OMP_NUM_THREADS=1 $(PYTHON) -m coverage run -m pytest -q -m slow tests/testing tests/bench tests/batch
 	@$(PYTHON) -m coverage combine --quiet
 	@$(PYTHON) -m coverage report --skip-covered --sort=cover
 
