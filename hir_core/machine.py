@@ -100,7 +100,7 @@ def processor_seconds() -> float:
 
 
 def peak_memory_bytes() -> int:
-    """Largest resident size of this process so far; 0 where the system does not say."""
+    """Largest resident size of this process so far, without that of its children; 0 where the system does not say."""
     try:
         import resource
     except ImportError:
