@@ -18,8 +18,6 @@ from hir_exporters.scene_files import load_scene, save_scene
 ROOT = Path(__file__).resolve().parents[2]
 HEAVY = ("torch", "mitsuba", "drjit", "open3d", "pycolmap")
 
-pytestmark = pytest.mark.slow
-
 
 def said(*words: object, folder: Path) -> str:
     """What a command prints; it runs outside the checkout, and one that fails shows what it said."""
@@ -76,6 +74,18 @@ def test_a_saved_scene_is_exported(programs: Path, tmp_path: Path) -> None:
     said(programs / "hir", "export", tmp_path / "scene", *formats, "-o", tmp_path / "out", folder=tmp_path)
     assert {file.suffix for file in (tmp_path / "out").iterdir()} >= {".glb", ".usdz", ".obj", ".hdr"}
     assert (tmp_path / "out" / "flag.glb").read_bytes()[:4] == b"glTF"
+    # as somebody's USD file: by a process of its own, which finds the package where this one does
+    said(
+        programs / "hir",
+        "export",
+        tmp_path / "out" / "flag.usdz",
+        "-f",
+        "glb",
+        "-o",
+        tmp_path / "again",
+        folder=tmp_path,
+    )
+    assert (tmp_path / "again" / "flag.glb").read_bytes()[:4] == b"glTF"
 
 
 def test_the_ten_lines_of_the_readme(programs: Path, tmp_path: Path) -> None:
