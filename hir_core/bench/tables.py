@@ -8,8 +8,10 @@ from hir_core.bench.results import Result, Row, Timing, error_names
 
 
 def markdown(result: Result) -> str:
-    """One table of all rows, and a line that says what they were taken on."""
-    return f"{table(result.rows)}\n\n{origin(result)}\n"
+    """A table of the rows of each kind of case, and a line that says what they were taken on."""
+    kinds = list(dict.fromkeys(tuple(row.case) for row in result.rows)) or [()]
+    tables = [table([row for row in result.rows if tuple(row.case) == kind]) for kind in kinds]
+    return "\n\n".join([*tables, origin(result)]) + "\n"
 
 
 def table(rows: Sequence[Row]) -> str:

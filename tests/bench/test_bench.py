@@ -84,6 +84,13 @@ class TestFiles:
         widths = {line.count("|") for line in text.splitlines() if line.startswith("|")}
         assert len(widths) == 1
 
+    def test_cases_of_different_kinds_have_tables_of_their_own(self) -> None:
+        fits = Row({"capture": "spot"}, "fit", "ours", Timing(1, 1, 1, 1, 1), {"unseen dB": 30.0})
+        text = tables.markdown(result(row("a", (1, 2, 3), 0.1), fits))
+        first, second, told = text.strip().split("\n\n")
+        assert first.startswith("| size | method") and "capture" not in first and "30.00" not in first
+        assert second.startswith("| capture | method") and "30.00" in second and "a, 2 cores" in told
+
     def test_plot_is_the_same_for_the_same_rows(self) -> None:
         pytest.importorskip("matplotlib", reason="pip install 'hir[reconstruct]'")
         rows = result(row("a", (1, 2, 3), 0.1), row("a", (2, 4, 6), 0.05, size=2), row("b", (9, 9, 9)))
