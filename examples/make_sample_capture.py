@@ -1,6 +1,6 @@
 """Makes examples/sample_capture: fewer and smaller views of a NeRF-synthetic style capture, with smaller lights.
 
-python examples/make_sample_capture.py CAPTURE DESTINATION
+    python examples/make_sample_capture.py CAPTURE DESTINATION
 """
 
 from __future__ import annotations

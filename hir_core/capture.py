@@ -133,10 +133,8 @@ class View:
             pixels = undistort(pixels, camera_lens(self.camera, self.distortion))
         if self.mask is not None:
             if self.mask.shape != pixels.color_linear.shape[:2]:
-                raise CaptureError(
-                    f"the mask of {self.name} is {self.mask.shape[1]}×{self.mask.shape[0]}, "
-                    f"its image {pixels.color_linear.shape[1]}×{pixels.color_linear.shape[0]}"
-                )
+                raise CaptureError(f"the mask of {self.name} is {self.mask.shape[1]}×{self.mask.shape[0]}, "
+                                   f"its image {pixels.color_linear.shape[1]}×{pixels.color_linear.shape[0]}")
             pixels = replace(pixels, mask=self.mask)
         return pixels.downsampled(downsample)
 
@@ -193,8 +191,6 @@ class Capture:
         """The cameras of all views; an error names the first view without one."""
         missing = [v.name for v in self.views if v.camera is None]
         if missing:
-            raise CaptureError(
-                f"{self.path}: view {missing[0]} has no camera; run an initializer that finds cameras, "
-                'such as: --set \'initializers=["colmap", "visual_hull"]\''
-            )
+            raise CaptureError(f"{self.path}: view {missing[0]} has no camera; run an initializer that finds cameras, "
+                               "such as: --set 'initializers=[\"colmap\", \"visual_hull\"]'")
         return [v.camera for v in self.views if v.camera is not None]

@@ -96,9 +96,8 @@ def resample(image: NDArray[np.float32], lens: Lens) -> NDArray[np.float32]:
     try:
         import cv2
     except ImportError:
-        raise MissingExtraError(
-            "removing lens distortion needs opencv; install it with: pip install 'hir[reconstruct]'"
-        ) from None
+        raise MissingExtraError("removing lens distortion needs opencv; install it with: "
+                                "pip install 'hir[reconstruct]'") from None
     columns, rows = _lookup(lens, *image.shape[:2])
     moved = cv2.remap(image, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(moved, dtype=np.float32)

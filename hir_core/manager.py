@@ -120,10 +120,8 @@ class PluginManager:
                 self._add(kind, component, distribution, version, name, plugin)
         for observer, options in (self._ask(plugin, "hir_register_observers", name) or {}).items():
             if observer in self._observers:
-                self.problems.append(
-                    f"observer {observer!r} of {distribution} is ignored: "
-                    f"{self._observers[observer][1]} has one of that name"
-                )
+                self.problems.append(f"observer {observer!r} of {distribution} is ignored: "
+                                     f"{self._observers[observer][1]} has one of that name")
             else:
                 self._observers[observer] = (options, distribution)
         for preset, path in (self._ask(plugin, "hir_register_presets", name) or {}).items():
@@ -213,10 +211,8 @@ class PluginManager:
             if inspect.isclass(plugin):  # an observer with a state of its own: one for each manager
                 plugin = plugin()
         except Exception as error:
-            self.problems.append(
-                f"{distribution}: entry point {entry_point.name!r} cannot be imported "
-                f"({type(error).__name__}: {error}); reinstall or remove {distribution}"
-            )
+            self.problems.append(f"{distribution}: entry point {entry_point.name!r} cannot be imported "
+                                 f"({type(error).__name__}: {error}); reinstall or remove {distribution}")
             return
         self.register(plugin, distribution, version)
 
@@ -240,10 +236,8 @@ class PluginManager:
             return
         other = self._registered.get((kind, component.name))
         if other is not None:
-            self.problems.append(
-                f"{kind} {component.name!r} of {distribution} is ignored: "
-                f"{other.distribution} has one of that name; remove one of the two"
-            )
+            self.problems.append(f"{kind} {component.name!r} of {distribution} is ignored: "
+                                 f"{other.distribution} has one of that name; remove one of the two")
             return
         module = getattr(plugin, "__name__", None) or type(plugin).__module__
         self._registered[kind, component.name] = Registered(kind, component, distribution, version, module)
@@ -292,10 +286,8 @@ def _resolve(registered: Registered) -> Any:
     try:
         found = getattr(import_module(module), attribute)
     except (ImportError, AttributeError) as error:
-        raise PluginError(
-            f"{registered.kind} {registered.component.name!r} of {registered.distribution} cannot be "
-            f"loaded from {registered.component.target!r}: {error}"
-        ) from error
+        raise PluginError(f"{registered.kind} {registered.component.name!r} of {registered.distribution} cannot be "
+                          f"loaded from {registered.component.target!r}: {error}") from error
     if not inspect.isclass(found):
         raise PluginError(f"{registered.component.target!r} of {registered.distribution} is not a class")
     return found

@@ -107,41 +107,25 @@ def _by_solver(
     solver.keep(context.checkpoints, context.checkpoint_seconds)
     fit, rung, steps = climb(solver, settings, views, lambda name, share: bar.tell(name, share, 0.6), bar.judged)
     if not steps and forced_rung(settings) is None:
-        context.warn(
-            f"{views} views are too few to hold some out, so the model was not chosen but set: {rung.name}; "
-            "take at least 6 photographs to let them decide"
-        )
+        context.warn(f"{views} views are too few to hold some out, so the model was not chosen but set: {rung.name}; "
+                     "take at least 6 photographs to let them decide")
     everything = list(range(views))
     if steps:
         bar.base = 0.6
         fit = solver.fit(rung, fit, everything, 1.0, lambda share: bar.tell(f"{rung.name}, all views", share, 0.2))
     bar.base = 0.8
     fitted, facts = solver.scene(fit, everything, lambda share: bar.tell("textures", share, 0.2))
-    report: dict[str, Any] = {
-        "rung": rung.name,
-        "bounces": rung.bounces,
-        "light_frame": rung.light_frame,
-        "ladder": [step.row() for step in steps],
-        **facts,
-    }
+    report: dict[str, Any] = {"rung": rung.name, "bounces": rung.bounces, "light_frame": rung.light_frame,
+                              "ladder": [step.row() for step in steps], **facts}
     energies = prepare_energies(fitted, settings.regularizers, context)
     if energies and not settings.iterations and not settings.polish_iterations:
-        context.warn(
-            f"the regularizers {', '.join(energies.terms)} act in gradient steps after the solver, and "
-            "reflectance.iterations is 0: they have no effect"
-        )
+        context.warn(f"the regularizers {', '.join(energies.terms)} act in gradient steps after the solver, and "
+                     "reflectance.iterations is 0: they have no effect")
     if energies and settings.iterations:
         pixels = object_pixels(capture, everything, settings.downsample, str(scene.mesh.positions.device))
         fitted, refined = fit_by_gradient(
-            fitted,
-            solver,
-            pixels,
-            settings,
-            energies,
-            context,
-            steps=settings.iterations,
-            fit_light=not settings.known_environment,
-            fit_specular=rung.brdf != "diffuse",
+            fitted, solver, pixels, settings, energies, context, steps=settings.iterations,
+            fit_light=not settings.known_environment, fit_specular=rung.brdf != "diffuse",
         )
         report["refinement"] = refined
     if settings.polish_iterations:
@@ -158,14 +142,7 @@ def _by_gradient(
     energies = prepare_energies(scene, settings.regularizers, context)
     rung: Rung = forced_rung(settings) or default_rung(settings)
     fitted, report = fit_by_gradient(
-        scene,
-        prepared,
-        pixels,
-        settings,
-        energies,
-        context,
-        steps=steps,
-        fit_light=not settings.known_environment,
+        scene, prepared, pixels, settings, energies, context, steps=steps, fit_light=not settings.known_environment,
         fit_specular=rung.brdf != "diffuse",
     )
     return fitted, {"rung": rung.name, "ladder": [], **report} | _light_report(fitted)

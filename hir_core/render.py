@@ -1,5 +1,6 @@
 """`hir render`: pictures of a finished run."""
 
+
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence

@@ -82,21 +82,12 @@ class Step:
 
     def row(self) -> dict[str, Any]:
         """For run.json: everything but the seconds, which differ from run to run."""
-        return {
-            "name": self.rung.name,
-            **asdict(self.rung),
-            "held_out_db": round(self.held_out_db, 3),
-            "gain_db": round(self.gain_db, 3),
-            "noise_db": round(self.noise_db, 3),
-            "kept": self.kept,
-        }
+        return {"name": self.rung.name, **asdict(self.rung), "held_out_db": round(self.held_out_db, 3),
+                "gain_db": round(self.gain_db, 3), "noise_db": round(self.noise_db, 3), "kept": self.kept}
 
 
 def climb(
-    solver: ReflectanceSolver,
-    settings: ReflectanceSettings,
-    views: int,
-    tell: Callable[[str, float], None],
+    solver: ReflectanceSolver, settings: ReflectanceSettings, views: int, tell: Callable[[str, float], None],
     judged: Callable[[float, float], None] = lambda *_: None,
 ) -> tuple[Any, Rung, list[Step]]:
     """Climbs the ladder on training views, judged by held-out ones; returns the best fit and its rung.
@@ -136,12 +127,8 @@ class _Ladder:
     """The best fit so far; each vote pits candidates against the same rung fitted as much longer."""
 
     def __init__(
-        self,
-        solver: ReflectanceSolver,
-        training: Sequence[int],
-        held_out: Sequence[int],
-        tell: Callable[[str, float], None],
-        judged: Callable[[float, float], None],
+        self, solver: ReflectanceSolver, training: Sequence[int], held_out: Sequence[int],
+        tell: Callable[[str, float], None], judged: Callable[[float, float], None],
     ) -> None:
         self._solver = solver
         self._training = training

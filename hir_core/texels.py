@@ -142,7 +142,9 @@ def _inside(
     return faces[local[inside]], row[inside] * width + column[inside], weights
 
 
-def dilate(texture: Float[Tensor, "H W C"], covered: Bool[Tensor, "H W"], iterations: int) -> Float[Tensor, "H W C"]:
+def dilate(
+    texture: Float[Tensor, "H W C"], covered: Bool[Tensor, "H W"], iterations: int
+) -> Float[Tensor, "H W C"]:
     """Carries charts outwards, one ring of texels an iteration, so that bilinear filtering at seams reads the chart.
 
     Differentiable in `texture`; covered texels are returned as they are.

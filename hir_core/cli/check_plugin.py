@@ -51,10 +51,8 @@ def check_plugin_command(
     results: list[Result] = []
     for registered in named(name, plugins):
         if registered.missing:
-            raise PluginError(
-                f"{registered.kind} {registered.component.name!r} cannot run here: it needs "
-                f"{', '.join(registered.missing)}; install it with: {registered.install_command}"
-            )
+            raise PluginError(f"{registered.kind} {registered.component.name!r} cannot run here: it needs "
+                              f"{', '.join(registered.missing)}; install it with: {registered.install_command}")
         if not (as_json or quiet):
             click.echo(f"{registered.kind.replace('_', ' ')} {registered.component.name} ({registered.distribution})")
         for result in check_component(registered, only=only, options=options, plugins=plugins, raises=False):

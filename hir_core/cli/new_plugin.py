@@ -28,10 +28,8 @@ def new_plugin_command(name: str, kind: str, one_file: bool, output: Path) -> No
         path = write_one_file(name, output)
         click.echo(path)
         click.echo(f"check it with:  hir check-plugin {path}")
-        click.echo(
-            f"use it with:    hir reconstruct PHOTOS -o RUN --plugin {path} "
-            f"--set reflectance.regularizers.{path.stem}.weight=1"
-        )
+        click.echo(f"use it with:    hir reconstruct PHOTOS -o RUN --plugin {path} "
+                   f"--set reflectance.regularizers.{path.stem}.weight=1")
         return
     written = write_plugin(name, kind.replace("-", "_"), output)
     folder = next(file.parent for file in written if file.name == "pyproject.toml")

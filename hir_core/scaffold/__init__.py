@@ -46,7 +46,7 @@ OUTLINES: Final[Mapping[str, Outline]] = {
         'min_points: int = 10\n    """With fewer points than this there is no hull."""',
         ("torch", "jaxtyping"),
         ("makes_surface",),
-        use='hir reconstruct PHOTOS -o RUN --set \'initializers=["colmap", "$name"]\'',
+        use="hir reconstruct PHOTOS -o RUN --set 'initializers=[\"colmap\", \"$name\"]'",
     ),
     "geometry_renderer": Outline(
         "Silhouettes, for a start those of contour.",

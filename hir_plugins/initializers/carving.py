@@ -201,11 +201,8 @@ def _search_box(carver: Carver) -> tuple[Array, Array, Tensor]:
         if not grown and not shrunk:
             return low, high, values
     if grown:
-        warnings.warn(
-            "the masks leave the object's extent open on some side; the hull is cut there. Add photographs "
-            "from other sides",
-            stacklevel=3,
-        )
+        warnings.warn("the masks leave the object's extent open on some side; the hull is cut there. Add photographs "
+                      "from other sides", stacklevel=3)
     return low, high, values
 
 
@@ -220,15 +217,11 @@ def _without_bad_views(carver: Carver, low: Array, high: Array) -> tuple[Carver,
         return carver, low, high
     names = [f.name for f, b in zip(carver.fields, bad, strict=True) if b]
     if bad.sum() > allowed:
-        warnings.warn(
-            f"{len(names)} of {count} masks contradict most of the others, such as {names[0]}: "
-            "cameras and masks do not agree well",
-            stacklevel=4,
-        )
+        warnings.warn(f"{len(names)} of {count} masks contradict most of the others, such as {names[0]}: "
+                      "cameras and masks do not agree well", stacklevel=4)
         return carver, low, high
-    warnings.warn(
-        f"the masks of {', '.join(names)} contradict nearly all others; they are left out of the hull", stacklevel=4
-    )
+    warnings.warn(f"the masks of {', '.join(names)} contradict nearly all others; they are left out of the hull",
+                  stacklevel=4)
     better = carver.without(bad)
     low, high, _ = _search_box(better)
     return better, low, high

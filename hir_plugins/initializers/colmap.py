@@ -59,10 +59,8 @@ class Colmap(Initializer):
         images, masked = write_images(capture.views, workspace, self._config.max_image_size, known=False)
         model = best_model(images, masked and self._config.use_masks, workspace, self._config)
         if model is None or model.num_reg_images() < 3:
-            raise CaptureError(
-                f"{capture.path}: COLMAP could not place the photographs. Take more of them, with much "
-                "overlap, from places a few degrees apart, sharp, and with texture in sight"
-            )
+            raise CaptureError(f"{capture.path}: COLMAP could not place the photographs. Take more of them, with much "
+                               "overlap, from places a few degrees apart, sharp, and with texture in sight")
         solved = solved_capture(capture, images, model)
         lost = [view.name for view in solved.views if view.camera is None]
         if lost:
@@ -141,20 +139,16 @@ def _placed(view: View, image: SfmImage, placed: Any, solved: Any) -> View:
 
 def _check_photographs(capture: Capture) -> None:
     if len(capture.views) < 3:
-        raise CaptureError(
-            f"{capture.path} has {len(capture.views)} photographs; finding cameras needs at least "
-            "three, better 30 from all sides"
-        )
+        raise CaptureError(f"{capture.path} has {len(capture.views)} photographs; finding cameras needs at least "
+                           "three, better 30 from all sides")
     flat = []
     for view in capture.views:
         image = view.read().color_linear[::4, ::4]
         if float(np.ptp(image)) < _MIN_CONTRAST:
             flat.append(view.name)
     if len(flat) > len(capture.views) - 3:
-        raise CaptureError(
-            f"{capture.path}: {len(flat)} of {len(capture.views)} photographs are of one colour, such "
-            f"as {flat[0]}; there is nothing to match"
-        )
+        raise CaptureError(f"{capture.path}: {len(flat)} of {len(capture.views)} photographs are of one colour, such "
+                           f"as {flat[0]}; there is nothing to match")
 
 
 def _object_frame(capture: Capture) -> tuple[Array, float]:
@@ -176,11 +170,8 @@ def _as_given(solved: Capture, given: Capture) -> Array:
     options.max_error, options.random_seed = 0.05 * float(np.ptp(new, axis=0).max()), 0
     fit: Any = pycolmap.estimate_sim3d_robust(old, new, options)
     if fit is None:
-        warnings.warn(
-            "the cameras that were solved do not resemble those that the capture has; held-out views "
-            "cannot be compared with this run",
-            stacklevel=3,
-        )
+        warnings.warn("the cameras that were solved do not resemble those that the capture has; held-out views "
+                      "cannot be compared with this run", stacklevel=3)
         return np.eye(4)
     similarity = np.eye(4)
     similarity[:3] = fit["tgt_from_src"].matrix()

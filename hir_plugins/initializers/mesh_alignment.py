@@ -1,5 +1,6 @@
 """Brings a mesh of unknown place, turn and size onto a capture's points."""
 
+
 from __future__ import annotations
 
 from itertools import permutations, product

@@ -99,18 +99,13 @@ class MeshFile(Initializer):
         transform = np.eye(4)
         if self._config.transform:
             if len(self._config.transform) != 16:
-                raise ConfigError(
-                    "initializer.mesh_file.transform needs 16 numbers, a 4×4 matrix in rows, not "
-                    f"{len(self._config.transform)}"
-                )
+                raise ConfigError("initializer.mesh_file.transform needs 16 numbers, a 4×4 matrix in rows, not "
+                                  f"{len(self._config.transform)}")
             transform = np.array(self._config.transform).reshape(4, 4)
             square = transform[:3, :3].T @ transform[:3, :3]
             scale = similarity_scale(transform)
-            if (
-                not scale > 0
-                or np.abs(square - np.eye(3) * scale**2).max() > 1e-4 * scale**2
-                or np.abs(transform[3] - [0, 0, 0, 1]).max() > 1e-9
-            ):
+            if not scale > 0 or np.abs(square - np.eye(3) * scale**2).max() > 1e-4 * scale**2 \
+                    or np.abs(transform[3] - [0, 0, 0, 1]).max() > 1e-9:
                 raise ConfigError("initializer.mesh_file.transform is not a similarity (turn, one scale, shift)")
         axes = self._config.axes
         if axes == "auto":

@@ -39,12 +39,8 @@ def matched(images: Sequence[SfmImage], folder: Path, attempt: Attempt, options:
     """The database in `folder` with features and matches; one that a kill left behind is taken up."""
     folder.mkdir(parents=True, exist_ok=True)
     database = folder / "database.db"
-    settings = {
-        "attempt": vars(attempt),
-        "camera": options.camera,
-        "model": options.camera_model,
-        "images": [(i.file, i.width, i.height, i.parameters) for i in images],
-    }
+    settings = {"attempt": vars(attempt), "camera": options.camera, "model": options.camera_model,
+                "images": [(i.file, i.width, i.height, i.parameters) for i in images]}
     _same_settings_or_new(folder, settings)
     pycolmap.set_random_seed(options.seed)
     pycolmap.logging.minloglevel = int(pycolmap.logging.ERROR)
@@ -79,11 +75,8 @@ def _map(database: Path, folder: Path, attempt: Attempt, options: ColmapOptions)
         pipeline.mapper.abs_pose_min_num_inliers = attempt.min_inliers
         pipeline.mapper.abs_pose_refine_focal_length = options.refine_intrinsics
         pipeline.mapper.abs_pose_refine_extra_params = options.refine_intrinsics
-        found = cancellable(
-            lambda token: pycolmap.incremental_mapping(
-                str(database), images, str(models), options=pipeline, cancellation_token=token
-            )
-        )
+        found = cancellable(lambda token: pycolmap.incremental_mapping(
+            str(database), images, str(models), options=pipeline, cancellation_token=token))
     return sorted(found.values(), key=lambda model: -model.num_reg_images())
 
 
@@ -92,11 +85,8 @@ def best_model(images: Sequence[SfmImage], masked: bool, workspace: Path, option
     best: Any = None
     for number, attempt in enumerate(attempts(options, masked)):
         if number and masked and not attempt.masked:
-            warnings.warn(
-                "few photographs could be placed by what lies inside of the masks; the background is used "
-                "too, which misleads where the object stands on a turntable",
-                stacklevel=3,
-            )
+            warnings.warn("few photographs could be placed by what lies inside of the masks; the background is used "
+                          "too, which misleads where the object stands on a turntable", stacklevel=3)
         models = solve(images, workspace / f"attempt-{number + 1}", attempt, options)
         if models and (best is None or models[0].num_reg_images() > best.num_reg_images()):
             best = models[0]
@@ -104,9 +94,6 @@ def best_model(images: Sequence[SfmImage], masked: bool, workspace: Path, option
         if best is not None and best.num_reg_images() >= options.enough * len(images):
             break
         if number + 1 < len(attempts(options, masked)):
-            warnings.warn(
-                f"{attempt.features} features a photograph join only {fragments[:5] or 'none'} of "
-                f"{len(images)}; trying more",
-                stacklevel=3,
-            )
+            warnings.warn(f"{attempt.features} features a photograph join only {fragments[:5] or 'none'} of "
+                          f"{len(images)}; trying more", stacklevel=3)
     return best

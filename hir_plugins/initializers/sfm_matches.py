@@ -34,7 +34,9 @@ class Attempt:
     masked: bool
 
 
-def extract(images: Sequence[SfmImage], folder: Path, database: Path, attempt: Attempt, options: ColmapOptions) -> None:
+def extract(
+    images: Sequence[SfmImage], folder: Path, database: Path, attempt: Attempt, options: ColmapOptions
+) -> None:
     """Fills the database with each picture's features; pictures of one camera share it."""
     extraction = pycolmap.FeatureExtractionOptions()
     extraction.use_gpu = False
@@ -94,8 +96,7 @@ def match(database: Path, folder: Path, count: int, options: ColmapOptions) -> N
     }  # fmt: skip
     if chosen == "exhaustive":
         run: Callable[[Any], Any] = lambda token: pycolmap.match_exhaustive(  # noqa: E731
-            str(database), cancellation_token=token, **common
-        )
+            str(database), cancellation_token=token, **common)
     elif chosen == "sequential":
         run = lambda token: pycolmap.match_sequential(str(database), cancellation_token=token, **common)  # noqa: E731
     else:
@@ -103,8 +104,7 @@ def match(database: Path, folder: Path, count: int, options: ColmapOptions) -> N
         pairing.num_images = min(count, 40)
         pairing.vocab_tree_path = str(_vocabulary(database, folder, options))
         run = lambda token: pycolmap.match_vocabtree(  # noqa: E731
-            str(database), pairing_options=pairing, cancellation_token=token, **common
-        )
+            str(database), pairing_options=pairing, cancellation_token=token, **common)
     cancellable(run)
 
 

@@ -74,11 +74,8 @@ def silhouette_fields(views: Sequence[View], downsample: int = 1) -> list[Silhou
         distance = signed_distance(mask)
         fields.append(SilhouetteField(view.name, view.camera.downsampled(downsample), distance.astype(np.float16)))
     if empty:
-        warnings.warn(
-            f"{len(empty)} masks show no outline (all object or all background) and are not used for the "
-            f"hull: {', '.join(empty[:5])}",
-            stacklevel=2,
-        )
+        warnings.warn(f"{len(empty)} masks show no outline (all object or all background) and are not used for the "
+                      f"hull: {', '.join(empty[:5])}", stacklevel=2)
     return fields
 
 
@@ -126,9 +123,8 @@ def focus_and_radius(fields: Sequence[SilhouetteField]) -> tuple[Array, float]:
     depth = np.einsum("vj,vj->v", focus - o, d)
     ahead = depth > 1e-6 * spread
     if not ahead.any():
-        raise CaptureError(
-            "the cameras look away from each other: their masks share no place; check the axes of the capture's cameras"
-        )
+        raise CaptureError("the cameras look away from each other: their masks share no place; check the axes of the "
+                           "capture's cameras")
     tangents = np.minimum(np.array(extents), 2.0)
     # what is nearer than the focus looks larger: r = t (z + r)
     radii = np.where(tangents < 0.9, tangents * depth / (1 - np.minimum(tangents, 0.9)), tangents * depth * 10)

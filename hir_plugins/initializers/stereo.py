@@ -65,10 +65,8 @@ class Stereo(Initializer):
         if not 1 <= config.levels <= 6 or config.max_image_size < 32:
             raise CaptureError("initializer.stereo needs 1 to 6 levels and a max_image_size of at least 32")
         if config.method == "patch_match" and not available():
-            raise MissingExtraError(
-                "initializer.stereo.method is patch_match, which needs a COLMAP built with CUDA; "
-                "install one with: pip install pycolmap-cuda12, or leave the method at auto"
-            )
+            raise MissingExtraError("initializer.stereo.method is patch_match, which needs a COLMAP built with CUDA; "
+                                    "install one with: pip install pycolmap-cuda12, or leave the method at auto")
         self._config = config
         self._report: dict[str, Any] = {}
 
@@ -89,10 +87,8 @@ class Stereo(Initializer):
         self._report = {"method": "COLMAP PatchMatch on cuda" if by_colmap else sweep_name}
         if measured.points is None:
             if scene is None:
-                raise StageError(
-                    "stereo measured no depth that photographs agree on; the object may have too little "
-                    "texture, or the photographs too little overlap"
-                )
+                raise StageError("stereo measured no depth that photographs agree on; the object may have too little "
+                                 "texture, or the photographs too little overlap")
             self._report["surface"] = "kept: photographs agree on no depth"
             return capture, scene
         solved = replace(capture, points=measured.points)
@@ -123,7 +119,9 @@ class Stereo(Initializer):
         return self._report
 
 
-def measure(capture: Capture, volume: Volume | None, options: StereoOptions, folder: Path | None = None) -> Measured:
+def measure(
+    capture: Capture, volume: Volume | None, options: StereoOptions, folder: Path | None = None
+) -> Measured:
     """Depth maps of all views, confirmed by each other, from coarse to fine; each level starts from the last's surface.
 
     Without a volume the sweep starts at the front of a ball around what the photographs are about. With a `folder` to

@@ -32,11 +32,8 @@ def triangulated(
     pipeline.num_threads = options.threads
     pipeline.random_seed = options.seed
     pictures = str(workspace / "images")
-    return cancellable(
-        lambda token: pycolmap.triangulate_points(
-            posed, str(database), pictures, str(models), options=pipeline, cancellation_token=token
-        )
-    )
+    return cancellable(lambda token: pycolmap.triangulate_points(
+        posed, str(database), pictures, str(models), options=pipeline, cancellation_token=token))
 
 
 def _posed(cameras: dict[str, Camera], database: Path) -> Any:

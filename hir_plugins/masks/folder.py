@@ -34,10 +34,8 @@ class Folder(MaskSource):
         del scene
         found = [self._file(view, capture.path) for view in capture.views]
         if self._config.path and capture.views and not any(found):
-            raise CaptureError(
-                f"{capture.path / self._config.path} holds no mask that is named like a photograph, "
-                f"such as {capture.views[0].name}.png"
-            )
+            raise CaptureError(f"{capture.path / self._config.path} holds no mask that is named like a photograph, "
+                               f"such as {capture.views[0].name}.png")
         missing = [v.name for v, f in zip(capture.views, found, strict=True) if f is None]
         if missing and len(missing) < len(found):
             counts = f"{len(missing)} of {len(found)} photographs"

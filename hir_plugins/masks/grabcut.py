@@ -76,7 +76,9 @@ def cut(
     return (labels & 1) == 1
 
 
-def _again(image: NDArray[np.uint8], sure: NDArray[np.bool_], region: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _again(
+    image: NDArray[np.uint8], sure: NDArray[np.bool_], region: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
     """Cuts inside of the region that the views agree on, and a little beyond it."""
     import cv2
 

@@ -40,9 +40,8 @@ class TensorBoardObserver:
         try:
             import torch.utils.tensorboard  # noqa: F401 - only where it was asked for
         except ImportError:
-            raise MissingExtraError(
-                "observer 'tensorboard' needs tensorboard; install it with: pip install 'hir[tensorboard]'"
-            ) from None
+            raise MissingExtraError("observer 'tensorboard' needs tensorboard; install it with: "
+                                    "pip install 'hir[tensorboard]'") from None
         self._folder = run_folder / NAME
         self._flush_seconds = build_options(TensorBoardOptions, table, "observer 'tensorboard'").flush_seconds
 

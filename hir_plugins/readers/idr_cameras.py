@@ -46,9 +46,8 @@ class IdrCamerasReader(CaptureReader):
         numbers = sorted(int(m[1]) for name in arrays if (m := re.fullmatch(r"world_mat_(\d+)", name)))
         photos = photos_of_first(path, _FOLDERS)
         if not numbers or len(photos) != len(numbers):
-            raise CaptureError(
-                f"{source} has {len(numbers)} cameras (world_mat_<i>), {path} {len(photos)} images; give one each"
-            )
+            raise CaptureError(f"{source} has {len(numbers)} cameras (world_mat_<i>), {path} {len(photos)} images; "
+                               "give one each")
         views, poses = [], []
         for number, photo, name in zip(numbers, photos, unique_names(photos, path), strict=True):
             owner = f"{source}, world_mat_{number}"

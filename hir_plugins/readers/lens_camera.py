@@ -45,16 +45,12 @@ def make_view(
     named_width, named_height = lens.width or width, lens.height or height
     scale_x, scale_y = width / named_width, height / named_height
     if not 0.98 < scale_x / scale_y < 1.02:
-        raise CaptureError(
-            f"{owner}: the image is {width}×{height}, the camera's {named_width:g}×{named_height:g}: "
-            "they differ in shape, so the image was cropped or turned"
-        )
+        raise CaptureError(f"{owner}: the image is {width}×{height}, the camera's {named_width:g}×{named_height:g}: "
+                           "they differ in shape, so the image was cropped or turned")
     numbers = (lens.fx * scale_x, lens.fy * scale_y, lens.cx * scale_x, lens.cy * scale_y)
     if not np.isfinite(numbers).all() or numbers[0] <= 0 or numbers[1] <= 0:
-        raise CaptureError(
-            f"{owner}: the focal length {lens.fx:g}, {lens.fy:g} and centre {lens.cx:g}, {lens.cy:g} "
-            "are not those of a camera"
-        )
+        raise CaptureError(f"{owner}: the focal length {lens.fx:g}, {lens.fy:g} and centre {lens.cx:g}, {lens.cy:g} "
+                           "are not those of a camera")
     fisheye = None
     try:
         if lens.model == "fisheye":

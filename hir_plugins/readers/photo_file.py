@@ -96,10 +96,8 @@ def read_mask(path: Path, width: int, height: int, orient: bool = False) -> NDAr
     """Coverage (H, W) in 0…1 of a mask file: its alpha channel where that varies, else its brightness."""
     pixels = read_encoded(path, orient)
     if pixels.shape[:2] != (height, width):
-        raise CaptureError(
-            f"the mask {path} is {pixels.shape[1]}×{pixels.shape[0]}, its image {width}×{height}; "
-            "make them the same size"
-        )
+        raise CaptureError(f"the mask {path} is {pixels.shape[1]}×{pixels.shape[0]}, its image {width}×{height}; "
+                           "make them the same size")
     if pixels.shape[2] in (2, 4) and pixels[..., -1].min() < pixels[..., -1].max():
         return np.ascontiguousarray(_unit(pixels[..., -1]))
     colors = pixels[..., : 1 if pixels.shape[2] <= 2 else 3]
@@ -114,10 +112,8 @@ def _pillow(path: Path) -> Any:
         try:
             from pillow_heif import register_heif_opener
         except ImportError:
-            raise CaptureError(
-                f"{path} is a HEIC picture; install its reader with: pip install pillow-heif, "
-                "or save the photographs as JPEG"
-            ) from None
+            raise CaptureError(f"{path} is a HEIC picture; install its reader with: pip install pillow-heif, "
+                               "or save the photographs as JPEG") from None
         register_heif_opener()
     if not path.is_file():
         raise CaptureError(f"{path} is {'a folder, not a picture' if path.is_dir() else 'not there'}")
@@ -175,9 +171,8 @@ def _read_deep(path: Path) -> NDArray[Any]:
     try:
         import cv2
     except ImportError:
-        raise MissingExtraError(
-            f"{path} has 16 bits a channel, which needs opencv; install it with: pip install 'hir[reconstruct]'"
-        ) from None
+        raise MissingExtraError(f"{path} has 16 bits a channel, which needs opencv; install it with: "
+                                "pip install 'hir[reconstruct]'") from None
     pixels = _guarded(path, lambda: cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED))
     if pixels is None:
         raise CaptureError(f"{path} is a broken picture; make it again or leave it out")
@@ -191,10 +186,8 @@ def _read_raw(path: Path) -> NDArray[Any]:
     try:
         import rawpy
     except ImportError:
-        raise CaptureError(
-            f"{path} is a camera's raw file; install its reader with: pip install rawpy, "
-            "or develop the photographs to JPEG or 16-bit TIFF, all with the same settings"
-        ) from None
+        raise CaptureError(f"{path} is a camera's raw file; install its reader with: pip install rawpy, "
+                           "or develop the photographs to JPEG or 16-bit TIFF, all with the same settings") from None
     with _guarded(path, lambda: rawpy.imread(str(path))) as raw:
         sizes = raw.sizes
         if sizes.raw_width * sizes.raw_height > MAX_PIXELS:

@@ -94,9 +94,8 @@ def _frames_of_split(
 ) -> list[tuple[int, dict[str, Any]]]:
     frames = content.get("frames")
     if not isinstance(frames, list) or not frames or not all(isinstance(f, dict) for f in frames):
-        raise CaptureError(
-            f"{source} has no frames; it needs a list 'frames' of objects with 'file_path' and 'transform_matrix'"
-        )
+        raise CaptureError(f"{source} has no frames; it needs a list 'frames' of objects with 'file_path' and "
+                           "'transform_matrix'")
     numbered = list(enumerate(frames))
     names = content.get(_SPLIT_LISTS.get(split, ""))
     if isinstance(names, list) and names:
@@ -108,7 +107,9 @@ def _frames_of_split(
     return chosen
 
 
-def _view(content: dict[str, Any], frame: dict[str, Any], source: Path, index: int, photo: Path, name: str) -> View:
+def _view(
+    content: dict[str, Any], frame: dict[str, Any], source: Path, index: int, photo: Path, name: str
+) -> View:
     owner = f"{source}, frame {index}"
     merged = {**content, **frame}
     camera_to_source = rigid(frame.get("transform_matrix"), owner)

@@ -136,9 +136,8 @@ def _opened(path: Path) -> Any:
     try:
         import av
     except ImportError:
-        raise ConfigError(
-            f"{path} is a video; install its reader with: pip install av, or save its frames as photographs"
-        ) from None
+        raise ConfigError(f"{path} is a video; install its reader with: pip install av, "
+                          "or save its frames as photographs") from None
     try:
         container = av.open(str(path), options=_ALONE)
     except Exception as error:  # PyAV raises its own types for each way a file can be broken

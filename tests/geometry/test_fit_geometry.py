@@ -32,9 +32,7 @@ pytest.importorskip("cholespy")
 PEANUT = icosphere(4)[0] * (1 + 0.35 * icosphere(4)[0][:, :1] ** 2) * [0.9, 0.55, 0.6], icosphere(4)[1]
 SETTINGS = GeometrySettings(
     photographs="off",
-    iterations=100,
-    triangles=2000,
-    regularizers={"laplacian": {"weight": 1e-5, "cotangent": True, "scale_free": True}},
+    iterations=100, triangles=2000, regularizers={"laplacian": {"weight": 1e-5, "cotangent": True, "scale_free": True}}
 )
 
 

@@ -46,9 +46,8 @@ def test_sixteen_bits_are_kept(tmp_path: Path, suffix: str, channels: int) -> No
     pixels[0, 0], pixels[0, 1, 0] = 1001, 65300
     assert cv2.imwrite(str(path), pixels[..., [2, 1, 0, 3][:channels]] if channels > 1 else pixels)
     read = PhotoFile(path)()
-    np.testing.assert_allclose(
-        read.color_linear, np.broadcast_to(srgb_to_linear(pixels[..., :3] / 65535), read.color_linear.shape), atol=1e-6
-    )
+    np.testing.assert_allclose(read.color_linear, np.broadcast_to(
+        srgb_to_linear(pixels[..., :3] / 65535), read.color_linear.shape), atol=1e-6)
     assert read.saturated[0, 1] and not read.saturated[0, 0]
     if channels == 4:
         assert read.mask is not None

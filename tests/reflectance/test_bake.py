@@ -19,14 +19,8 @@ def textured_scene() -> Scene:
     torch.manual_seed(0)
     mesh, _ = unwrap_mesh(bumpy_sphere(2), 64)
     normal = torch.nn.functional.normalize(torch.randn(8, 8, 3) * 0.1 + torch.tensor([0.0, 0.0, 1.0]), dim=-1)
-    material = Material(
-        "dielectric",
-        torch.rand(16, 16, 3),
-        torch.full((3,), 0.04),
-        torch.rand(8, 8, 1),
-        normal,
-        torch.rand(16, 16) > 0.5,
-    )
+    material = Material("dielectric", torch.rand(16, 16, 3), torch.full((3,), 0.04), torch.rand(8, 8, 1), normal,
+                        torch.rand(16, 16) > 0.5)
     turn = torch.tensor([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
     return Scene(mesh, material, EnvironmentMap(torch.rand(4, 8, 3), turn, "camera"))
 

@@ -79,14 +79,8 @@ def test_gain_within_its_noise_is_not_kept() -> None:
 )
 def test_every_answer_is_found_where_it_is_right(truth: Rung) -> None:
     def error(rung: Rung) -> float:
-        wrong = (
-            rung.brdf == truth.brdf,
-            rung.specular == truth.specular,
-            rung.roughness == truth.roughness,
-            rung.colored == truth.colored,
-            rung.bounces == truth.bounces,
-            rung.light_frame == truth.light_frame,
-        )
+        wrong = (rung.brdf == truth.brdf, rung.specular == truth.specular, rung.roughness == truth.roughness,
+                 rung.colored == truth.colored, rung.bounces == truth.bounces, rung.light_frame == truth.light_frame)
         return 1e-3 * 2.0 ** wrong.count(False)
 
     assert chosen(error) == truth

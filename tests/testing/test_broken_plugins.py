@@ -63,7 +63,9 @@ def test_every_contract_has_its_broken_plugin() -> None:
 
 
 @pytest.mark.parametrize(("kind", "component", "check"), cases(QUICK))
-def test_breaks_its_contract_and_no_other(kind: str, component: Component, check: str, plugins: PluginManager) -> None:
+def test_breaks_its_contract_and_no_other(
+    kind: str, component: Component, check: str, plugins: PluginManager
+) -> None:
     results = check_component(as_registered(kind, component), plugins=plugins, raises=False)
     assert failed(results) == [check], [r.detail for r in results if r.outcome == "failed"]
 

@@ -153,7 +153,9 @@ def _refused(initializer: Initializer, capture: Capture, name: str, folder: Path
     try:
         _, scene = initializer.initialize(capture, None, folder)
     except HirError as error:
-        require(len(str(error)) > 20, f"given {name}, it raises {type(error).__name__}({str(error)!r})")
+        require(
+            len(str(error)) > 20, f"given {name}, it raises {type(error).__name__}({str(error)!r})"
+        )
         return
     except Exception as error:
         require(False, f"given {name}, it raises {type(error).__name__}: {error}")

@@ -132,16 +132,8 @@ def _trace(tracer, points, face_cells, alpha, samples, pyramid, offset, rotation
     total = (lobe * inverse).sum(1, keepdim=True).clamp_min(1e-6)
     inverse = inverse * ((a + b) / total).clamp(0.5, 2.0)
     return Lobes(
-        columns.reshape(count, -1).int(),
-        bilinear.reshape(count, -1),
-        n_wi,
-        h[..., 2],
-        sin2,
-        h_wo,
-        n_wo,
-        inverse * above.reshape(count, samples),
-        alpha,
-        0,
+        columns.reshape(count, -1).int(), bilinear.reshape(count, -1), n_wi, h[..., 2], sin2, h_wo, n_wo,
+        inverse * above.reshape(count, samples), alpha, 0,
     )
 
 

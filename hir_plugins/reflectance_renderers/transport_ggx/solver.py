@@ -80,7 +80,9 @@ class TransportSolver(ReflectanceSolver):
         """Fits that have ended are read again from `folder`, one under way goes on from its last state."""
         self._files = FitFiles(folder, seconds)
 
-    def fit(self, rung: Rung, start: Any, views: Sequence[int], effort: float, report: Callable[[float], None]) -> Fit:
+    def fit(
+        self, rung: Rung, start: Any, views: Sequence[int], effort: float, report: Callable[[float], None]
+    ) -> Fit:
         """Adam on cached transport; a rung's new unknowns start from the values of the earlier fit.
 
         Without one a diffuse model is fitted first: light and albedo before the lobes that depend on both.
@@ -97,26 +99,16 @@ class TransportSolver(ReflectanceSolver):
         unknowns = self._begin(rung, start, photographs)
         steps = max(1, round(self._options.steps * effort))
         known = self._options.known_light
-        settings = FitSettings(
-            steps,
-            rung.brdf,
-            rung.bounces,
-            known_light=known,
-            light_smoothness=self._options.light_smoothness,
-            light_whiteness=self._options.light_whiteness,
-            albedo_smoothness=self._options.albedo_smoothness,
-        )
+        settings = FitSettings(steps, rung.brdf, rung.bounces, known_light=known,
+                               light_smoothness=self._options.light_smoothness,
+                               light_whiteness=self._options.light_whiteness,
+                               albedo_smoothness=self._options.albedo_smoothness)
         begun = file is not None and file.begun()
         if rung.brdf != "diffuse" and start.unknowns.width is None and not begun:
             unknowns = self._probe(photographs, unknowns, settings, rung)
         fitted = joint.fit(
-            self._transport,
-            lambda state: self._blocks(photographs, rung, state),
-            unknowns,
-            settings,
-            self._edges,
-            lambda step, _: report((step + 1) / steps),
-            file,
+            self._transport, lambda state: self._blocks(photographs, rung, state), unknowns, settings, self._edges,
+            lambda step, _: report((step + 1) / steps), file,
         )
         if file is not None:
             file.finish(fitted)
@@ -150,16 +142,8 @@ class TransportSolver(ReflectanceSolver):
             fit.unknowns.radiance, UPRIGHT.to(fit.unknowns.light) if moving else None, fit.rung.light_frame
         )
         material, facts = solve_scene(
-            self._transport,
-            self._scene,
-            self._capture,
-            views,
-            self._downsample,
-            fit.rung,
-            fit.unknowns,
-            self._rotation if moving else None,
-            self._options,
-            report,
+            self._transport, self._scene, self._capture, views, self._downsample, fit.rung, fit.unknowns,
+            self._rotation if moving else None, self._options, report,
         )
         return replace(self._scene, material=material, environment=environment), facts
 
@@ -203,15 +187,8 @@ class TransportSolver(ReflectanceSolver):
             alpha = unknowns.alpha.detach()
             alpha = alpha if len(alpha) == 1 else vertices.matrix @ alpha
             lobes = self._transport.lobes(part.points, alpha, self._options.samples, rotation, seed)
-        return Block(
-            lobes,
-            vertices,
-            None if direct else cells,
-            direct,
-            linear_to_srgb(part.color),
-            part.saturated,
-            part.points.view,
-        )
+        return Block(lobes, vertices, None if direct else cells, direct, linear_to_srgb(part.color), part.saturated,
+                     part.points.view)
 
     def _begin(self, rung: Rung, start: Fit | None, photographs: Photographed) -> Unknowns:
         """Unknowns of a rung, from an earlier fit or from the scene that was prepared."""
@@ -239,7 +216,9 @@ class TransportSolver(ReflectanceSolver):
             width = width.expand(vertices, -1)
         return Unknowns(base.light, base.diffuse, specular.contiguous(), width.contiguous(), base.gain)
 
-    def _probe(self, photographs: Photographed, unknowns: Unknowns, settings: FitSettings, rung: Rung) -> Unknowns:
+    def _probe(
+        self, photographs: Photographed, unknowns: Unknowns, settings: FitSettings, rung: Rung
+    ) -> Unknowns:
         """The start, narrow or wide, from which a short fit to some of the pixels gets farther."""
         part = self._thinned(photographs, PROBE_SHARE / 2)
         short = replace(settings, steps=max(1, round(PROBE_EFFORT * self._options.steps)))
@@ -252,11 +231,7 @@ class TransportSolver(ReflectanceSolver):
     def _short_fit(self, part: Photographed, rung: Rung, start: Unknowns, settings: FitSettings) -> float:
         losses: list[float] = []
         joint.fit(
-            self._transport,
-            lambda state: self._blocks(part, rung, state),
-            start,
-            settings,
-            self._edges,
+            self._transport, lambda state: self._blocks(part, rung, state), start, settings, self._edges,
             lambda _, loss: losses.append(loss),
         )
         last = losses[-max(1, len(losses) // 5) :]

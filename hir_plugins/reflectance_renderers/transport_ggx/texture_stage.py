@@ -78,17 +78,15 @@ def solve_scene(
         material = Material(
             model="paper" if rung.brdf == "paper" else "dielectric",
             diffuse_albedo=finished(diffuse),
-            specular_albedo=_map(mesh, surface, _rgb(unknowns.specular_albedo), finished)
-            if rung.brdf != "diffuse"
+            specular_albedo=_map(mesh, surface, _rgb(unknowns.specular_albedo), finished) if rung.brdf != "diffuse"
             else diffuse.new_zeros(3),
             roughness=_map(mesh, surface, unknowns.alpha, finished) if rung.brdf != "diffuse" else diffuse.new_ones(1),
             observed=observed,
         )
         if rung.brdf == "diffuse":
             # ρs = 0 is Lambert's law in the paper's model; `dielectric` would keep its grazing reflection
-            material = Material(
-                "paper", material.diffuse_albedo, material.specular_albedo, material.roughness, observed=observed
-            )
+            material = Material("paper", material.diffuse_albedo, material.specular_albedo, material.roughness,
+                                observed=observed)
         report(1.0)
     shown = int(observed.sum()) / max(int(surface.covered.sum()), 1)
     facts: dict[str, Any] = {"texture_equations": sum(len(e.gain) for e in equations), "observed": round(shown, 4)}
@@ -140,7 +138,9 @@ def _equations(
     return [TexelEquations(index, bilinear, gain, color - specular, importance, part.saturated)]
 
 
-def _light(transport: Transport, unknowns: Unknowns, rung: Rung, rotation: Tensor | None) -> tuple[Tensor, Tensor]:
+def _light(
+    transport: Transport, unknowns: Unknowns, rung: Rung, rotation: Tensor | None
+) -> tuple[Tensor, Tensor]:
     if rotation is not None:
         return transport.sky_only(unknowns.radiance), unknowns.radiance.new_zeros(0, 3)
     return transport.sources(unknowns.radiance, unknowns.diffuse_albedo, rung.bounces)
