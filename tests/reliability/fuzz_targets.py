@@ -11,6 +11,7 @@ import os
 import shutil
 import tempfile
 import traceback
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -264,7 +265,9 @@ def _usd(name: str) -> Callable[[Path], object]:
         from hir_exporters.readback import read_usd
         from pxr import Usd, UsdGeom, UsdShade  # noqa: F401 # once, not in each fork
 
-        child = os.fork()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # Python 3.12 warns of forks beside threads
+            child = os.fork()
         if child == 0:
             code = 1
             try:
@@ -273,6 +276,7 @@ def _usd(name: str) -> Callable[[Path], object]:
                 code = 0
             except HirError as error:
                 code = _REFUSED if _one_sentence(error) else 1
+                (folder / "why.txt").write_text(f"no single sentence: {error}")
             except BaseException:
                 (folder / "why.txt").write_text(traceback.format_exc())
             finally:
