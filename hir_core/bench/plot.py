@@ -5,24 +5,33 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 
-from hir_core.bench.results import Result, Row, error_names
+from hir_core.bench.results import Result, Row, error_names, kinds
 
 COLORS = ("#b4552d", "#2f6f8f", "#3f8f5f", "#8a5fa8", "#b08a1e", "#6b6d74", "#c2567a", "#4b6bd6")
 
 
 def plot_svg(result: Result) -> str:
-    """Two panels: seconds as cases grow, and seconds against the suite's first error; bars are the repeats' range."""
+    """Two panels for each kind of case: seconds as cases grow, and against its first error; bars are repeats' range."""
     import matplotlib
     from matplotlib.figure import Figure
 
-    rows = [row for row in result.rows if row.timing is not None]
-    if not rows:
+    found = kinds([row for row in result.rows if row.timing is not None])
+    if not found:
         return ""
+    figure = Figure(figsize=(12, 4.2 * len(found)), layout="constrained")
+    for rows, axes in zip(found, figure.subplots(len(found), 2, squeeze=False), strict=True):
+        _panels(rows, *axes)
+    figure.suptitle(f"hir bench {result.suite}", fontsize=10)
+    stream = io.StringIO()
+    with matplotlib.rc_context({"svg.hashsalt": "hir", "svg.fonttype": "none"}):
+        figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
+    return stream.getvalue()
+
+
+def _panels(rows: Sequence[Row], growth, exchange) -> None:  # type: ignore[no-untyped-def]
     errors = error_names(rows)
     methods = list(dict.fromkeys(row.method for row in rows))
     cases = list(dict.fromkeys(tuple(row.case.items()) for row in rows))
-    figure = Figure(figsize=(11, 4.2), layout="constrained")
-    growth, exchange = figure.subplots(1, 2)
     for i, method in enumerate(methods):
         own = [row for row in rows if row.method == method]
         style = {"color": COLORS[i % len(COLORS)], "marker": "os^Dv"[i // len(COLORS) % 5], "ms": 4,
@@ -39,12 +48,9 @@ def plot_svg(result: Result) -> str:
     for axes in (growth, exchange):
         axes.grid(True, color="#e2e0da", lw=0.5)
         axes.spines[["top", "right"]].set_visible(False)
-    growth.legend(fontsize=6, frameon=False)
-    figure.suptitle(f"hir bench {result.suite}", fontsize=10)
-    stream = io.StringIO()
-    with matplotlib.rc_context({"svg.hashsalt": "hir", "svg.fonttype": "none"}):
-        figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
-    return stream.getvalue()
+    # beside the panels: inside, it would lie on the curves
+    names = growth.get_legend_handles_labels()
+    exchange.legend(*names, fontsize=6, frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))
 
 
 def _panel(axes, rows: Sequence[Row], places: Sequence[float], style: dict[str, object], label: str) -> None:  # type: ignore[no-untyped-def]

@@ -89,6 +89,12 @@ class Result:
             raise InputError(f"{path}: a row or field is malformed ({' '.join(str(error).split())})") from error
 
 
+def kinds(rows: Sequence[Row]) -> list[list[Row]]:
+    """Rows whose cases are told by the same names together, in the order of their first ones."""
+    found = dict.fromkeys(tuple(row.case) for row in rows)
+    return [[row for row in rows if tuple(row.case) == kind] for kind in found]
+
+
 def error_names(rows: Sequence[Row]) -> list[str]:
     """Names of all errors, in the order in which they come up."""
     return list(dict.fromkeys(name for row in rows for name in row.errors))

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from hir_core.bench.results import Result, Row, Timing, error_names
+from hir_core.bench.results import Result, Row, Timing, error_names, kinds
 
 
 def markdown(result: Result) -> str:
     """A table of the rows of each kind of case, and a line that says what they were taken on."""
-    kinds = list(dict.fromkeys(tuple(row.case) for row in result.rows)) or [()]
-    tables = [table([row for row in result.rows if tuple(row.case) == kind]) for kind in kinds]
-    return "\n\n".join([*tables, origin(result)]) + "\n"
+    return "\n\n".join([*map(table, kinds(result.rows) or [[]]), origin(result)]) + "\n"
 
 
 def table(rows: Sequence[Row]) -> str:
