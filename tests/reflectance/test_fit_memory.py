@@ -10,7 +10,8 @@ import torch
 
 from hir_core.selection import Rung
 from hir_plugins.reflectance_renderers.transport_ggx import joint, moving_light, solver
-from hir_plugins.reflectance_renderers.transport_ggx.joint import Block, FitSettings
+from hir_plugins.reflectance_renderers.transport_ggx.blocks import Block
+from hir_plugins.reflectance_renderers.transport_ggx.joint import FitSettings
 from hir_plugins.reflectance_renderers.transport_ggx.lobes import Lobes
 from hir_plugins.reflectance_renderers.transport_ggx.moving_light import irradiance_of, pixel_irradiance
 from hir_plugins.reflectance_renderers.transport_ggx.unknowns import Unknowns

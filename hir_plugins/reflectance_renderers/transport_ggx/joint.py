@@ -1,4 +1,4 @@
-"""Light and material fitted together on cached transport: a few hundred noise-free steps of Adam.
+"""Light and material fitted together on cached transport: a few hundred noise-free steps of Adam, then closed form.
 
 Albedos, ρs and α live at the vertices of the refined surface (or are one value for all), the light in texels of its
 logarithm. Textures are solved afterwards at their own resolution (`textures.py`).
@@ -14,16 +14,23 @@ from dataclasses import dataclass, fields, replace
 from typing import Literal
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Int
 from torch import Tensor
 
 from hir_core.errors import StageError
 from hir_core.optimize import PATIENCE_NONFINITE
-from hir_core.srgb import linear_to_srgb
 from hir_plugins.reflectance_renderers.brdf import Model
+from hir_plugins.reflectance_renderers.transport_ggx.blocks import (
+    Block,
+    at_pixels,
+    exposed,
+    predict,
+    refresh,
+    residual,
+    specular_blocks,
+)
+from hir_plugins.reflectance_renderers.transport_ggx.closing import with_solved_albedo
 from hir_plugins.reflectance_renderers.transport_ggx.fit_files import FitFile, Loop
-from hir_plugins.reflectance_renderers.transport_ggx.linear_map import LinearMap
-from hir_plugins.reflectance_renderers.transport_ggx.lobes import Lobes
 from hir_plugins.reflectance_renderers.transport_ggx.specular import SpecularBlock
 from hir_plugins.reflectance_renderers.transport_ggx.transport import Transport
 from hir_plugins.reflectance_renderers.transport_ggx.unknowns import Unknowns
@@ -33,58 +40,6 @@ REDRAW = 1.5
 
 ALBEDO_NOISE = 0.02
 """Differences of log albedo between neighbours below this cost little: no edge, but noise and slow change."""
-
-
-@dataclass(frozen=True, eq=False)
-class Block:
-    """Some pixels with everything that predicts them."""
-
-    lobes: Lobes | None
-    """None for a diffuse model."""
-    vertices: LinearMap
-    cells: LinearMap | None
-    direct: LinearMap | None
-    """Irradiance from the pyramid for each pixel, where the light moves with the camera."""
-    color_srgb: Float[Tensor, "P 3"]
-    saturated: Bool[Tensor, "P 3"]
-    view: Int[Tensor, " P"]
-
-
-def predict(
-    transport: Transport, block: Block, specular: SpecularBlock | None, unknowns: Unknowns, bounces: int
-) -> Float[Tensor, "P 3"]:
-    """Linear radiance of the pixels of a block."""
-    albedo = unknowns.diffuse_albedo
-    if block.direct is not None:
-        sources = transport.sky_only(unknowns.radiance)
-        arriving = block.direct @ sources
-    else:
-        assert block.cells is not None
-        sources, irradiance = transport.sources(unknowns.radiance, albedo, bounces)
-        arriving = block.cells @ irradiance
-    diffuse = (block.vertices @ albedo) * arriving / torch.pi
-    if specular is None or unknowns.specular is None:
-        return diffuse
-    rho_s = at_pixels(block, unknowns.specular_albedo)
-    alpha = at_pixels(block, unknowns.alpha)
-    return diffuse * specular.diffuse_share(rho_s) + specular.radiance(sources, rho_s, alpha)
-
-
-def exposed(block: Block, radiance: Float[Tensor, "P 3"], unknowns: Unknowns) -> Float[Tensor, "P 3"]:
-    """What the photographs show of a radiance: each has its own exposure, where that is fitted."""
-    exposure = unknowns.exposure
-    return radiance if exposure is None else radiance * exposure[block.view][:, None]
-
-
-def at_pixels(block: Block, values: Float[Tensor, "#V C"]) -> Float[Tensor, "#P C"]:
-    """Vertex values at the pixels of a block; a uniform value stays one row."""
-    return values if len(values) == 1 else block.vertices @ values
-
-
-def residual(block: Block, radiance: Float[Tensor, "P 3"]) -> Float[Tensor, "P 3"]:
-    """Fit minus photograph in sRGB; a clipped pixel never pulls the fit below white."""
-    difference = linear_to_srgb(radiance) - block.color_srgb
-    return torch.where(block.saturated & (difference > 0), torch.zeros_like(difference), difference)
 
 
 @dataclass(frozen=True)
@@ -109,6 +64,8 @@ class FitSettings:
     map_smoothness: float = 3e-3
     huber: float = 0.1
     known_light: bool = False
+    solve_albedo: bool = True
+    """End with the albedos in closed form."""
 
 
 def fit(
@@ -180,7 +137,11 @@ def fit(
             f"skipped ({trouble}); look for broken pixels or triangles with: hir check",
             stacklevel=2,
         )
-    return unknowns.detached()
+    found = unknowns.detached()
+    if not settings.solve_albedo:
+        return found
+    refresh(blocks, specular, found)
+    return with_solved_albedo(transport, blocks, specular, found, settings.bounces)
 
 
 def _descend(
@@ -209,25 +170,12 @@ def _trouble(block: Block, difference: Tensor, smoothness: Tensor, unknowns: Unk
     return f"the gradient of {' and '.join(broken)} is not finite"
 
 
-def specular_blocks(blocks: Sequence[Block], model: str) -> list[SpecularBlock | None]:
-    """The specular matrices of each block; none for a diffuse model."""
-    return [None if b.lobes is None or model == "diffuse" else SpecularBlock(b.lobes, model) for b in blocks]  # type: ignore[arg-type]
-
-
 def _drifted(block: Block, unknowns: Unknowns) -> bool:
     if block.lobes is None or unknowns.width is None:
         return False
     with torch.no_grad():
         ratio = (at_pixels(block, unknowns.alpha) / block.lobes.drawn_alpha).log().abs().mean()
     return float(ratio) > math.log(REDRAW)
-
-
-def refresh(blocks: Sequence[Block], specular: Sequence[SpecularBlock | None], unknowns: Unknowns) -> None:
-    """Brings the specular matrices to the current α."""
-    for block, matrices in zip(blocks, specular, strict=True):
-        if matrices is not None:
-            with torch.no_grad():
-                matrices.refresh(at_pixels(block, unknowns.alpha), at_pixels(block, unknowns.specular_albedo))
 
 
 def _leaves(unknowns: Unknowns, settings: FitSettings) -> Unknowns:

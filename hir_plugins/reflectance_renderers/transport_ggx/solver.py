@@ -21,8 +21,9 @@ from hir_core.scene import EnvironmentMap, Material, Scene, Topology
 from hir_core.selection import Rung
 from hir_core.srgb import linear_to_srgb, srgb_to_linear
 from hir_plugins.reflectance_renderers.transport_ggx import joint
+from hir_plugins.reflectance_renderers.transport_ggx.blocks import Block, predict, refresh, residual, specular_blocks
 from hir_plugins.reflectance_renderers.transport_ggx.fit_files import FitFiles
-from hir_plugins.reflectance_renderers.transport_ggx.joint import Block, FitSettings
+from hir_plugins.reflectance_renderers.transport_ggx.joint import FitSettings
 from hir_plugins.reflectance_renderers.transport_ggx.moving_light import irradiance_of, pixel_irradiance
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.photographs import Photographed, join, photographed
@@ -120,13 +121,13 @@ class TransportSolver(ReflectanceSolver):
         total = np.zeros(len(self._capture.views))
         count = np.zeros(len(self._capture.views))
         for block in self._blocks(photographs, fit.rung, fit.unknowns):
-            specular = joint.specular_blocks([block], fit.rung.brdf)
-            joint.refresh([block], specular, fit.unknowns)
+            specular = specular_blocks([block], fit.rung.brdf)
+            refresh([block], specular, fit.unknowns)
             with torch.no_grad():
-                radiance = joint.predict(self._transport, block, specular[0], fit.unknowns, fit.rung.bounces)
+                radiance = predict(self._transport, block, specular[0], fit.unknowns, fit.rung.bounces)
                 if fit.unknowns.gain is not None:
                     radiance = radiance * _exposures(block, radiance, len(self._capture.views))[block.view][:, None]
-                error = joint.residual(block, radiance.clamp(0, 1)).square().mean(dim=1).cpu().double().numpy()
+                error = residual(block, radiance.clamp(0, 1)).square().mean(dim=1).cpu().double().numpy()
             view = block.view.cpu().numpy()
             total += np.bincount(view, error, len(total))
             count += np.bincount(view, minlength=len(count))
@@ -221,7 +222,7 @@ class TransportSolver(ReflectanceSolver):
     ) -> Unknowns:
         """The start, narrow or wide, from which a short fit to some of the pixels gets farther."""
         part = self._thinned(photographs, PROBE_SHARE / 2)
-        short = replace(settings, steps=max(1, round(PROBE_EFFORT * self._options.steps)))
+        short = replace(settings, steps=max(1, round(PROBE_EFFORT * self._options.steps)), solve_albedo=False)
         assert unknowns.width is not None
         wide = width_of(torch.full_like(unknowns.width, WIDE))
         starts = [unknowns, replace(unknowns, width=wide)]

@@ -1,28 +1,23 @@
-"""Diffuse albedo at the texture's own resolution: with light and lobes known, a sparse least-squares problem.
-
-All photographs' pixels see the bilinear texture through a known gain, `I − S = (1 − E)·irradiance/π · ρd(u, v)`.
-Conjugate gradients solve it for all texels and channels at once; residuals are weighed as the eye (sRGB) and a robust
-loss weigh them (iteratively re-weighted least squares), and the vertex solution holds what no pixel sees.
+"""Diffuse albedo at the texture's own resolution: all photographs' pixels see the bilinear texture, and the closed form
+solves it (`closed_form.py`); the solution at vertices holds what no pixel sees.
 """
 # ruff: noqa: TID253
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from hir_plugins.reflectance_renderers.transport_ggx.closed_form import AlbedoEquations, solve_albedo
 from hir_plugins.reflectance_renderers.transport_ggx.linear_map import LinearMap
 
 FEWEST_PIXELS = 1.0
 """Pixels that must look at a texel before it counts as observed."""
 LEAST_INFORMATION = 0.7
 """Weight of a texel's pixels, in units of the start's, from which it counts as observed."""
-_ROUNDS = 3
-_ITERATIONS = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,33 +64,21 @@ def solve_texels(
     lookup = LinearMap.from_rows(
         torch.cat([e.index for e in equations]), torch.cat([e.weight for e in equations]), height * width
     )
-    gain = torch.cat([e.gain for e in equations])
-    target = torch.cat([e.target for e in equations])
-    importance = torch.cat([e.importance for e in equations])
-    at_least = torch.cat([e.at_least for e in equations])
-    texture = start.reshape(-1, 3).clone()
-    anchor = texture.clone()
-    seen = lookup.transposed @ torch.ones_like(gain[:, :1])
-    for _ in range(_ROUNDS):
-        difference = gain * (lookup.matrix @ texture) - target
-        error = importance.sqrt() * difference.abs()
-        satisfied = at_least & (difference > 0)
-        robust = torch.where(satisfied, 0.0, importance * (huber / error.clamp_min(huber)))
-        normal = robust * gain * gain
-        diagonal = lookup.transposed @ normal
-        mean = diagonal[seen[:, 0] > 0.5].mean(dim=0) if bool((seen > 0.5).any()) else diagonal.new_ones(3)
-        hold = (prior * mean).clamp_min(1e-12)
+    rows = AlbedoEquations(
+        lookup,
+        torch.cat([e.gain for e in equations]),
+        torch.cat([e.target for e in equations]),
+        torch.cat([e.importance for e in equations]),
+        torch.cat([e.at_least for e in equations]),
+    )
 
-        def apply(x: Tensor, normal: Tensor = normal, hold: Tensor = hold) -> Tensor:
-            near = smooth / max(prior, 1e-12) * hold * _differences(x.reshape(height, width, 3)).reshape(-1, 3)
-            return lookup.transposed @ (normal * (lookup.matrix @ x)) + hold * x + near
+    def differences(x: Float[Tensor, "N 3"]) -> Float[Tensor, "N 3"]:
+        return _differences(x.reshape(height, width, 3)).reshape(-1, 3)
 
-        right = lookup.transposed @ (robust * gain * target) + hold * anchor
-        texture = _conjugate_gradients(apply, right, texture, 1 / (diagonal + hold), _ITERATIONS)
-        texture = texture.clamp(0, 1)
+    texture, seen, told = solve_albedo([rows], start.reshape(-1, 3), huber, prior, differences, smooth)
     # a texel that photographs only touch, or see in the dark, holds what it started from: it was not observed
-    told = (diagonal / hold).mean(dim=1) > LEAST_INFORMATION
-    return texture.reshape(height, width, 3), ((seen[:, 0] > FEWEST_PIXELS) & told).reshape(height, width)
+    observed = (seen > FEWEST_PIXELS) & (told > LEAST_INFORMATION)
+    return texture.reshape(height, width, 3), observed.reshape(height, width)
 
 
 def _differences(x: Float[Tensor, "H W C"]) -> Float[Tensor, "H W C"]:
@@ -107,24 +90,3 @@ def _differences(x: Float[Tensor, "H W C"]) -> Float[Tensor, "H W C"]:
             total.narrow(dim, 1, x.shape[dim] - 1).add_(step)
             total.narrow(dim, 0, x.shape[dim] - 1).sub_(step)
     return total
-
-
-def _conjugate_gradients(
-    apply: Callable[[Tensor], Tensor], right: Tensor, start: Tensor, preconditioner: Tensor, iterations: int
-) -> Tensor:
-    """Jacobi-preconditioned conjugate gradients, each column a system of its own."""
-    x = start
-    residual = right - apply(x)
-    z = preconditioner * residual
-    direction = z
-    rho = (residual * z).sum(0)
-    for _ in range(iterations):
-        image = apply(direction)
-        step = rho / (direction * image).sum(0).clamp_min(1e-30)
-        x = x + step * direction
-        residual = residual - step * image
-        z = preconditioner * residual
-        new = (residual * z).sum(0)
-        direction = z + (new / rho.clamp_min(1e-30)) * direction
-        rho = new
-    return x

@@ -1,0 +1,91 @@
+"""Some pixels with everything that predicts them: what a gradient step, a judgement and the closed form look at."""
+# ruff: noqa: TID253
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from hir_core.srgb import linear_to_srgb
+from hir_plugins.reflectance_renderers.transport_ggx.linear_map import LinearMap
+from hir_plugins.reflectance_renderers.transport_ggx.lobes import Lobes
+from hir_plugins.reflectance_renderers.transport_ggx.specular import SpecularBlock
+from hir_plugins.reflectance_renderers.transport_ggx.transport import Transport
+from hir_plugins.reflectance_renderers.transport_ggx.unknowns import Unknowns
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Some pixels with everything that predicts them."""
+
+    lobes: Lobes | None
+    """None for a diffuse model."""
+    vertices: LinearMap
+    cells: LinearMap | None
+    direct: LinearMap | None
+    """Irradiance from the pyramid for each pixel, where the light moves with the camera."""
+    color_srgb: Float[Tensor, "P 3"]
+    saturated: Bool[Tensor, "P 3"]
+    view: Int[Tensor, " P"]
+
+
+def predict(
+    transport: Transport, block: Block, specular: SpecularBlock | None, unknowns: Unknowns, bounces: int
+) -> Float[Tensor, "P 3"]:
+    """Linear radiance of the pixels of a block."""
+    gain, lobe = gain_and_lobe(transport, block, specular, unknowns, bounces)
+    diffuse = (block.vertices @ unknowns.diffuse_albedo) * gain
+    return diffuse if lobe is None else diffuse + lobe
+
+
+def gain_and_lobe(
+    transport: Transport, block: Block, specular: SpecularBlock | None, unknowns: Unknowns, bounces: int
+) -> tuple[Float[Tensor, "P 3"], Float[Tensor, "P 3"] | None]:
+    """What each pixel shows of its diffuse albedo, and the radiance of its lobe; None for a diffuse model."""
+    if block.direct is not None:
+        sources = transport.sky_only(unknowns.radiance)
+        arriving = block.direct @ sources
+    else:
+        assert block.cells is not None
+        sources, irradiance = transport.sources(unknowns.radiance, unknowns.diffuse_albedo, bounces)
+        arriving = block.cells @ irradiance
+    gain = arriving / torch.pi
+    if specular is None or unknowns.specular is None:
+        return gain, None
+    rho_s = at_pixels(block, unknowns.specular_albedo)
+    alpha = at_pixels(block, unknowns.alpha)
+    return gain * specular.diffuse_share(rho_s), specular.radiance(sources, rho_s, alpha)
+
+
+def exposed(block: Block, radiance: Float[Tensor, "P 3"], unknowns: Unknowns) -> Float[Tensor, "P 3"]:
+    """What the photographs show of a radiance: each has its own exposure, where that is fitted."""
+    exposure = unknowns.exposure
+    return radiance if exposure is None else radiance * exposure[block.view][:, None]
+
+
+def at_pixels(block: Block, values: Float[Tensor, "#V C"]) -> Float[Tensor, "#P C"]:
+    """Vertex values at the pixels of a block; a uniform value stays one row."""
+    return values if len(values) == 1 else block.vertices @ values
+
+
+def residual(block: Block, radiance: Float[Tensor, "P 3"]) -> Float[Tensor, "P 3"]:
+    """Fit minus photograph in sRGB; a clipped pixel never pulls the fit below white."""
+    difference = linear_to_srgb(radiance) - block.color_srgb
+    return torch.where(block.saturated & (difference > 0), torch.zeros_like(difference), difference)
+
+
+def specular_blocks(blocks: Sequence[Block], model: str) -> list[SpecularBlock | None]:
+    """The specular matrices of each block; none for a diffuse model."""
+    return [None if b.lobes is None or model == "diffuse" else SpecularBlock(b.lobes, model) for b in blocks]  # type: ignore[arg-type]
+
+
+def refresh(blocks: Sequence[Block], specular: Sequence[SpecularBlock | None], unknowns: Unknowns) -> None:
+    """Brings the specular matrices to the current α."""
+    for block, matrices in zip(blocks, specular, strict=True):
+        if matrices is not None:
+            with torch.no_grad():
+                matrices.refresh(at_pixels(block, unknowns.alpha), at_pixels(block, unknowns.specular_albedo))
