@@ -39,7 +39,9 @@ def _panels(rows: Sequence[Row], growth, exchange) -> None:  # type: ignore[no-u
         _panel(growth, own, [cases.index(tuple(row.case.items())) for row in own], style, method)
         if errors:
             judged = [row for row in own if row.errors.get(errors[0]) is not None]
-            _panel(exchange, judged, [row.errors[errors[0]] for row in judged], style | {"ls": "none"}, method)
+            # budgets of one task make a curve; other cases are other tasks
+            curve = {} if len({_task(row) for row in own}) == 1 else {"ls": "none"}
+            _panel(exchange, judged, [row.errors[errors[0]] for row in judged], style | curve, method)
     growth.set(yscale="log", ylabel="seconds", xticks=range(len(cases)))
     growth.set_xticklabels([" ".join(str(v) for _, v in case) for case in cases], rotation=60, ha="right", fontsize=6)
     exchange.set(yscale="log", ylabel="seconds", xlabel=errors[0] if errors else "")
@@ -51,6 +53,10 @@ def _panels(rows: Sequence[Row], growth, exchange) -> None:  # type: ignore[no-u
     # beside the panels: inside, it would lie on the curves
     names = growth.get_legend_handles_labels()
     exchange.legend(*names, fontsize=6, frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))
+
+
+def _task(row: Row) -> tuple[tuple[str, object], ...]:
+    return tuple((name, value) for name, value in row.case.items() if name != "budget")
 
 
 def _panel(axes, rows: Sequence[Row], places: Sequence[float], style: dict[str, object], label: str) -> None:  # type: ignore[no-untyped-def]

@@ -3,38 +3,27 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import torch
 
-from hir_core.bench.captures import true_scene
-from hir_core.bench.initializers import decoded
-from hir_core.bench.measure import measure, peak_bytes, reset_peak
+from hir_core.bench.fits import fits
+from hir_core.bench.measure import measure
 from hir_core.bench.plan import Plan
-from hir_core.bench.results import Case, Row, Timing
+from hir_core.bench.results import Case, Row
 from hir_core.capture import Capture, Pixels, View
-from hir_core.config import ReflectanceSettings
-from hir_core.errors import HirError
-from hir_core.interfaces import ReflectanceRenderer, ReflectanceSolver
-from hir_core.readers import read_capture
+from hir_core.interfaces import ReflectanceRenderer
 from hir_core.reference import reference_renderer
-from hir_core.reflectance import starting_scene
 from hir_core.scene import EnvironmentMap, Scene
-from hir_core.selection import Rung, decibels
 from hir_core.testing.scenes import constant_material, looking_at, smooth_sphere, two_spheres, uneven_light
 
 SIZE = 48
 TRUE_PATHS = 2048
 PATHS = (16, 64, 256)
 WIDTHS = (0.03, 0.1, 0.3, 0.6)
-EFFORTS = (0.25, 0.5, 1.0, 2.0)
-FITTED = Rung("dielectric", "uniform", bounces=1)
-FIT_DOWNSAMPLE = 2
 
 
 def reflectance(plan: Plan) -> Iterator[Row]:
@@ -90,44 +79,3 @@ def difference(found: torch.Tensor, truth: torch.Tensor) -> dict[str, float]:
     seen = (truth.sum(1) > 0) & (found.sum(1) > 0)
     off, mean = (found - truth)[seen], truth[seen].mean()
     return {"mean error": float(off.abs().mean() / mean), "bias": float(off.mean() / mean)}
-
-
-def fits(path: Path, plan: Plan) -> Iterator[Row]:
-    """The solvers on a capture's true mesh: what more time brings on unseen views; peers on the same task."""
-    train, test = (decoded(read_capture(path, split, plan.plugins)) for split in ("train", "test"))
-    scene = true_scene(path, train)
-    if scene is None:
-        return
-    start = starting_scene(scene, train, ReflectanceSettings())
-    case: Case = {
-        "capture": path.name,
-        "views": len(train.views),
-        "image": max(train.cameras[0].width // FIT_DOWNSAMPLE, 1),
-    }
-    for found in plan.plugins.components("reflectance_renderer"):
-        if "solver" not in found.component.traits or found.missing:
-            continue
-        renderer = plan.plugins.create("reflectance_renderer", found.component.name, {})
-        for effort in EFFORTS[1:2] if plan.quick else EFFORTS:
-            before = reset_peak()
-            wall, cpu = time.perf_counter(), time.process_time()
-            solver = renderer.prepare(start, train, FIT_DOWNSAMPLE)
-            assert isinstance(solver, ReflectanceSolver)
-            fit = solver.fit(FITTED, None, range(len(train.views)), effort, lambda share: None)
-            seconds, after = time.perf_counter() - wall, peak_bytes()
-            memory = None if before is None or after is None else max(0, after - before)
-            unseen = renderer.prepare(start, test, FIT_DOWNSAMPLE)
-            assert isinstance(unseen, ReflectanceSolver)
-            level = float(decibels(unseen.errors(fit, range(len(test.views)))).mean())
-            timing = Timing(seconds, seconds, seconds, 1, time.process_time() - cpu, memory)
-            yield Row(case, f"{found.component.name}, effort {effort:g}", "ours", timing, {"unseen dB": level},
-                      "preparation included")  # fmt: skip
-    if plan.peers and not plan.quick:
-        from hir_core.bench.peers.color_map import color_map_rows
-        from hir_core.bench.peers.stock_mitsuba import stock_rows
-
-        for rows in (stock_rows, color_map_rows):
-            try:
-                yield from rows(replace(scene, environment=start.environment), train, test, case, path, plan)
-            except (ImportError, HirError) as error:
-                yield Row(case, rows.__name__.removesuffix("_rows"), "peer", None, note=f"not run: {error}")

@@ -44,7 +44,8 @@ def color_map_rows(scene: Scene, train: Capture, test: Capture, case: Case, path
         if split.startswith("relight"):
             errors[f"{split} dB"] = unlit_psnr(colored, read_capture(path, split, plan.plugins))
     timing = Timing(seconds, seconds, seconds, 1, time.process_time() - cpu)
-    yield Row(case, "open3d colour mapping: baked light", "peer", timing, errors, f"{VIEWS} photographs")
+    budget = {**case, "budget": f"{VIEWS} photographs"}
+    yield Row(budget, "open3d colour mapping: baked light", "peer", timing, errors, "other lights unscaled, object")
 
 
 def color_mapped(scene: Scene, train: Capture) -> Scene:

@@ -51,15 +51,16 @@ def stock_rows(scene: Scene, train: Capture, test: Capture, case: Case, path: Pa
     """A row for each recipe and each span of time that the plan's limit allows."""
     for recipe in (PAPER, TUNED):
         for seconds in SECONDS:
+            budget = {**case, "budget": f"{seconds:.0f} s"}
             if seconds > 2 * plan.limit_seconds:
-                yield Row(case, f"{recipe.name}, {seconds:.0f} s", "peer", None, note="left out: above the limit")
+                yield Row(budget, recipe.name, "peer", None, note="left out: above the limit")
                 continue
             began, cpu = time.perf_counter(), time.process_time()
             level, steps = fit(scene, train, test, recipe, seconds)
             spent = time.perf_counter() - began
             timing = Timing(spent, spent, spent, 1, time.process_time() - cpu)
-            label = f"{recipe.name}, {seconds:.0f} s"
-            yield Row(case, label, "peer", timing, {"unseen dB": level}, f"{steps} steps at {recipe.side}², judged too")
+            note = f"{steps} steps at {recipe.side}², judged too"
+            yield Row(budget, recipe.name, "peer", timing, {"unseen dB": level}, note)
 
 
 def fit(scene: Scene, train: Capture, test: Capture, recipe: Recipe, seconds: float) -> tuple[float, int]:
