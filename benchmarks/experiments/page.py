@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.experiments.cells import EVALUATED_VIEWS, PATHS, RESULTS, ROOT, Cell
+from benchmarks.experiments.scaling import growth_table, scaling_table
 from benchmarks.experiments.studies import (
     BEST,
     IMAGES,
@@ -42,7 +43,7 @@ def page() -> str:
         "images": study_table(IMAGES),
         "terms": study_table(TERMS),
         "lights": study_table(LIGHTS),
-        "scaling": scaling_table(),
+        "scaling": "\n".join([SCALING.text, "", *scaling_table(), *not_run(SCALING), *growth_table()]),
         "lighter": ", ".join(f"`{setting}`" for setting in LIGHTER),
         "views": str(EVALUATED_VIEWS),
         "paths": str(PATHS),
@@ -146,29 +147,6 @@ def paper_time() -> str:
         f"{hours:.0f} h, **extrapolated**: {PAPER_VIEWS * GEOMETRY_STEPS:,} steps of {geometry:.2f} s and "
         f"{PAPER_VIEWS * REFLECTANCE_STEPS:,} of {reflectance:.2f} s"
     )
-
-
-def scaling_table() -> str:
-    """Seconds and memory by number and size of photographs."""
-    sizes = list(dict.fromkeys(cell.side for _, cell in SCALING.rows))
-    lines = ["| photographs | " + " | ".join(f"{side}²" for side in sizes) + " |", "|---|" + "---|" * len(sizes)]
-    for views in dict.fromkeys(cell.views for _, cell in SCALING.rows):
-        found = []
-        for side in sizes:
-            cell = next(c for _, c in SCALING.rows if c.views == views and c.side == side)
-            found.append(scaling_cell(cell))
-        lines.append(f"| {views} | " + " | ".join(found) + " |")
-    return "\n".join([SCALING.text, "", *lines, *not_run(SCALING)])
-
-
-def scaling_cell(cell: Cell) -> str:
-    """Processor seconds of all and of the two long stages, and peak memory."""
-    result = cell.stored()
-    if result is None:
-        return "–"
-    stages = result["stages"]
-    parts = " + ".join(f"{stages[n]['processor_seconds']:.0f}" for n in ("geometry", "reflectance"))
-    return f"{result['processor_seconds']:.0f} s ({parts}), {result['peak_memory_bytes'] / 2**30:.1f} GiB"
 
 
 def not_run(study: Study) -> list[str]:

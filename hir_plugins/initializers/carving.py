@@ -22,6 +22,8 @@ _SLACK = 1.3
 _BOX_RESOLUTION = 40
 _MAX_GROWTH = 5
 _UNSEEN = -1e6
+_TOGETHER = 8
+"""Views that are sampled before places far outside are let go."""
 _MANY_VIEWS = 20
 """Photographs among which one that stands alone is wrong, and not the only one that looks into a gap."""
 _PIECE = 0.02
@@ -106,16 +108,17 @@ class Carver:
 
     def _field(self, points: Tensor, cut: float) -> Tensor:
         keep = self.tolerated + 1
+        # as many views at a time as are kept: one by one, thirty that are kept would make it quadratic in the views
+        together = max(_TOGETHER, keep)
         result = points.new_full((len(points),), _UNSEEN)
         index = torch.arange(len(points))
         lowest = points.new_full((len(points), keep), torch.inf)
-        seen = torch.zeros(len(points), dtype=torch.int32)
-        for number, view in enumerate(self._views):
-            value = _sample(view, points)
-            seen += torch.isfinite(value)
-            for rank in range(keep):
-                lowest[:, rank], value = torch.minimum(lowest[:, rank], value), torch.maximum(lowest[:, rank], value)
-            if number % 8 == 7 and np.isfinite(cut):
+        seen = torch.zeros(len(points), dtype=torch.int64)
+        for start in range(0, len(self._views), together):
+            values = torch.stack([_sample(view, points) for view in self._views[start : start + together]], dim=1)
+            seen += torch.isfinite(values).sum(dim=1)
+            lowest = _lowest(torch.cat([lowest, values], dim=1), keep)
+            if np.isfinite(cut):
                 alive = lowest[:, -1] > -cut
                 if alive.float().mean() < 0.8:
                     result[index[~alive]] = lowest[~alive, -1]
@@ -272,6 +275,13 @@ def _disagreement() -> CaptureError:
         "no place lies inside all masks: cameras and masks do not agree. Check that masks are white on the object, and "
         "the cameras' axes; initializer.visual_hull.tolerated_views forgives a few bad ones"
     )
+
+
+def _lowest(values: Tensor, keep: int) -> Tensor:
+    """The `keep` lowest of each row (N, M), the highest of them last."""
+    if keep == 1:
+        return values.amin(dim=1, keepdim=True)
+    return torch.from_numpy(np.partition(values.numpy(), keep - 1, axis=1)[:, :keep].copy())
 
 
 def _grid(first: Array, spacing: float, size: NDArray[np.int_]) -> Tensor:
