@@ -115,7 +115,11 @@ def climb(
     ladder.vote([replace(ladder.rung, brdf=model, specular="uniform") for model in models])  # type: ignore[arg-type]
     if ladder.rung.light_frame == "world":
         # before the maps: they would paint the light between parts of the object
+        before = ladder.rung
         ladder.vote([replace(ladder.rung, bounces=1)])
+        if ladder.rung != before and before.brdf != "diffuse":
+            # light between parts of the object can look like a lobe: with it, the lobe must prove itself again
+            ladder.question(replace(base, light_frame="world", bounces=1))
     if ladder.rung.brdf != "diffuse":
         ladder.vote([replace(ladder.rung, colored=True)])
         ladder.vote([replace(ladder.rung, specular="map")])
@@ -137,6 +141,7 @@ class _Ladder:
         self._tell = tell
         self._judged = judged
         self._errors: NDArray[np.float64] = np.empty(0)
+        self._start: Any = None
         self.fit: Any = None
         self.rung = Rung()
         self.steps: list[Step] = []
@@ -155,7 +160,7 @@ class _Ladder:
             # more steps alone lower the error: without this control every rung would look like a gain
             start = self.fit
             self.fit, self._errors = self._fitted(self.rung, start, EFFORT)
-        standing = self._errors
+        self._start, standing = start, self._errors
         for rung in candidates:
             began = time.perf_counter()
             fit, errors = self._fitted(rung, start, FIRST_EFFORT if afresh else EFFORT)
@@ -165,6 +170,16 @@ class _Ladder:
             if kept:
                 self.rung, self.fit, self._errors = rung, fit, errors
             self._record(rung, errors, gain, noise, kept, began)
+
+    def question(self, simpler: Rung) -> None:
+        """Goes back to a simpler rung unless what the last vote kept still gains on it; both had as many steps."""
+        began = time.perf_counter()
+        fit, errors = self._fitted(simpler, self._start, EFFORT)
+        gain, noise = compare(errors, self._errors)
+        kept = not (gain > SIGNIFICANCE * noise and gain > LEAST_GAIN_DB)
+        if kept:
+            self.rung, self.fit, self._errors = simpler, fit, errors
+        self._record(simpler, errors, -gain, noise, kept, began)
 
     def _fitted(self, rung: Rung, start: Any, effort: float) -> tuple[Any, NDArray[np.float64]]:
         fit = self._solver.fit(rung, start, self._training, effort, lambda share: self._tell(rung.name, share))

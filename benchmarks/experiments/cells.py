@@ -107,10 +107,11 @@ def facts(folder: Path) -> dict[str, Any]:
 
 
 def seconds_per_step(progress: list[list[float]]) -> float | None:
-    """Of a loop, from its first block to its last, so that preparation does not count; None for one block."""
+    """Of a loop, from its first block to its last: what comes before and after does not count; None for one block."""
     if len(progress) < 2 or progress[-1][0] == progress[0][0]:
         return None
-    return (progress[-1][1] - progress[0][1]) / (progress[-1][0] - progress[0][0])
+    last = next(seconds for step, seconds in progress if step == progress[-1][0])
+    return (last - progress[0][1]) / (progress[-1][0] - progress[0][0])
 
 
 def hir(*words: object, seconds: float | None = None) -> None:

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from benchmarks.experiments.cells import EVALUATED_VIEWS, PATHS, RESULTS, ROOT, Cell
+from benchmarks.experiments.cells import EVALUATED_VIEWS, PATHS, RESULTS, ROOT
 from benchmarks.experiments.scaling import growth_table, scaling_table
 from benchmarks.experiments.studies import (
     BEST,

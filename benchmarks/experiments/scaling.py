@@ -37,9 +37,9 @@ def growth_table() -> list[str]:
     pixels = large[0] * large[1] ** 2 / (small[0] * small[1] ** 2)
     lines = [
         "",
-        "Where the time goes, in processor seconds, and the steepest growth between two neighbours of the table above as a "
-        f"power of their pixels (1: linear), where the larger takes {WORTH_SECONDS:.0f} s or more. The largest run has "
-        f"{pixels:.0f} times the pixels of the smallest.",
+        "Where the time goes, in processor seconds, and the steepest growth between two neighbours of the table above,",
+        f"as a power of their pixels (1: linear), where the larger takes {WORTH_SECONDS:.0f} s or more. The largest run",
+        f"has {pixels:.0f} times the pixels of the smallest.",
         "",
         f"| stage | {small[0]} × {small[1]}² | {large[0]} × {large[1]}² | times | steepest |",
         "|---|---|---|---|---|",
@@ -48,9 +48,8 @@ def growth_table() -> list[str]:
         seconds = {size: stages[stage]["processor_seconds"] for size, stages in done.items()}
         ratio = seconds[large] / max(seconds[small], 1e-3)
         steepest = max(powers(seconds), default=None)
-        lines.append(
-            f"| {stage} | {seconds[small]:.1f} | {seconds[large]:.1f} | {ratio:.1f} | {'–' if steepest is None else f'{steepest:.2f}'} |"
-        )
+        power = "–" if steepest is None else f"{steepest:.2f}"
+        lines.append(f"| {stage} | {seconds[small]:.1f} | {seconds[large]:.1f} | {ratio:.1f} | {power} |")
     return lines
 
 

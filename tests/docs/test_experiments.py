@@ -48,6 +48,13 @@ def test_empty_cells_are_named(
     assert "not measured yet" in page.paper_time()
 
 
+def test_a_step_takes_what_lies_between_steps(experiments: dict[str, ModuleType]) -> None:
+    """Not what a stage does before its first one and after its last."""
+    per_step = experiments["cells"].seconds_per_step
+    assert per_step([[1, 600.0], [2, 615.0], [4, 660.0], [4, 1800.0]]) == 20.0
+    assert per_step([[1, 5.0], [1, 9.0]]) is None and per_step([]) is None
+
+
 def test_time_of_the_paper_is_all_its_steps(
     experiments: dict[str, ModuleType], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -39,19 +39,18 @@ def solve_albedo(
     start: Float[Tensor, "N 3"],
     huber: float,
     prior: float,
-    differences: Callable[[Float[Tensor, "N 3"]], Float[Tensor, "N 3"]] | None = None,
+    differences: Callable[[Float[Tensor, "N 3"], Float[Tensor, "N 3"]], Float[Tensor, "N 3"]] | None = None,
     smooth: float = 0.0,
 ) -> tuple[Float[Tensor, "N 3"], Float[Tensor, " N"], Float[Tensor, " N"]]:
     """Albedo in 0…1, how many pixels look at each, and what they say in units of what `start` says.
 
-    `prior` and `smooth` are the weights of the start and of `differences` (the gradient of half their squares), as
-    fractions of the mean weight of an albedo that is seen. `huber` is in sRGB.
+    `prior` and `smooth` are the weights of the start and of `differences` (the gradient of half their squares, of given
+    weights), as fractions of what the pixels of an albedo say on average: of as much light, each weighed as its own
+    pixels are, for black pixels count for a thousand times what white ones do. `huber` is in sRGB.
     """
     albedo = start.clone()
-    seen = start.new_zeros(len(start), 1)
-    for rows in equations:
-        seen = seen + rows.lookup.transposed @ torch.ones_like(rows.gain[:, :1])
-    told = torch.zeros_like(seen[:, 0])
+    seen, hold = _hold(equations, start)
+    told = torch.zeros_like(seen)
     for _ in range(_ROUNDS):
         robust = [_robust(rows, albedo, huber) for rows in equations]
         normal = [w * rows.gain * rows.gain for w, rows in zip(robust, equations, strict=True)]
@@ -59,22 +58,36 @@ def solve_albedo(
         for w, n, rows in zip(robust, normal, equations, strict=True):
             diagonal = diagonal + rows.lookup.transposed @ n
             right = right + rows.lookup.transposed @ (w * rows.gain * rows.target)
-        known = seen[:, 0] > 0.5
-        mean = diagonal[known].mean(dim=0) if bool(known.any()) else diagonal.new_ones(3)
-        hold = (prior * mean).clamp_min(1e-12)
 
-        def apply(x: Tensor, normal: list[Tensor] = normal, hold: Tensor = hold) -> Tensor:
-            image = hold * x
+        def apply(x: Tensor, normal: list[Tensor] = normal) -> Tensor:
+            image = prior * hold * x
             for n, rows in zip(normal, equations, strict=True):
                 image = image + rows.lookup.transposed @ (n * (rows.lookup.matrix @ x))
             if differences is not None and smooth > 0:
-                image = image + smooth / max(prior, 1e-12) * hold * differences(x)
+                image = image + differences(x, smooth * hold)
             return image
 
-        albedo = _conjugate_gradients(apply, right + hold * start, albedo, 1 / (diagonal + hold), _ITERATIONS)
+        preconditioner = 1 / (diagonal + prior * hold)
+        albedo = _conjugate_gradients(apply, right + prior * hold * start, albedo, preconditioner, _ITERATIONS)
         albedo = albedo.clamp(0, 1)
-        told = (diagonal / hold).mean(dim=1)
-    return albedo, seen[:, 0], told
+        told = (diagonal / (prior * hold)).mean(dim=1)
+    return albedo, seen, told
+
+
+def _hold(
+    equations: Sequence[AlbedoEquations], start: Float[Tensor, "N 3"]
+) -> tuple[Float[Tensor, " N"], Float[Tensor, "N 3"]]:
+    """Pixels that look at each albedo, and what they would say of it under the light that all have on average."""
+    seen, light, importance = (start.new_zeros(len(start), n) for n in (1, 3, 3))
+    for rows in equations:
+        seen = seen + rows.lookup.transposed @ torch.ones_like(rows.gain[:, :1])
+        light = light + rows.lookup.transposed @ rows.gain.square()
+        importance = importance + rows.lookup.transposed @ rows.importance
+    known = seen[:, 0] > 0.5
+    if not bool(known.any()):
+        return seen[:, 0], torch.ones_like(start)
+    each = torch.where(known[:, None], importance / seen.clamp_min(0.5), importance[known].sum(0) / seen[known].sum(0))
+    return seen[:, 0], (light[known].mean(dim=0) * each).clamp_min(1e-12)
 
 
 def _robust(rows: AlbedoEquations, albedo: Tensor, huber: float) -> Float[Tensor, "P 3"]:

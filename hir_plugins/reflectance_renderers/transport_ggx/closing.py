@@ -20,7 +20,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.transport import Transport
 from hir_plugins.reflectance_renderers.transport_ggx.unknowns import Unknowns
 
 HUBER_SRGB = 0.1
-PRIOR = 0.1
+PRIOR = 0.05
 """Hold on the albedo of the gradient steps, of the weight that a vertex's pixels have on average: few see each."""
 DARKEST = 0.003
 """Linear value below which the sRGB weight stops growing: noise rules there."""
@@ -32,13 +32,13 @@ def with_solved_albedo(
     transport: Transport, blocks: Sequence[Block], specular: Sequence[SpecularBlock | None], unknowns: Unknowns,
     bounces: int,
 ) -> Unknowns:  # fmt: skip
-    """The unknowns with the diffuse albedos that the pixels of `blocks` ask for; `specular` as `refresh` left it."""
+    """The unknowns with the albedos `solved` that the pixels of `blocks` ask for; `specular` as `refresh` left it."""
     with torch.no_grad():
         pairs = zip(blocks, specular, strict=True)
         rows = [_equations(transport, block, matrices, unknowns, bounces) for block, matrices in pairs]
         albedo, _, _ = solve_albedo(rows, unknowns.diffuse_albedo, HUBER_SRGB, PRIOR)
         solved = torch.logit(albedo.clamp(ALBEDO_LOW, ALBEDO_HIGH))
-    return replace(unknowns, diffuse=solved)
+    return replace(unknowns, solved=solved)
 
 
 def _equations(

@@ -108,4 +108,5 @@ def unknowns_of(arrays: Arrays) -> Unknowns | None:
     if not {"light", "diffuse"} <= set(arrays):
         return None
     found = {name: torch.from_numpy(np.array(value)) for name, value in arrays.items()}
-    return Unknowns(found["light"], found["diffuse"], *(found.get(name) for name in ("specular", "width", "gain")))
+    others = (found.get(name) for name in ("specular", "width", "gain", "solved"))
+    return Unknowns(found["light"], found["diffuse"], *others)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hir_core.capture import Capture
+from hir_core.errors import StageError
 from hir_core.interfaces import ReflectanceSolver
 from hir_core.scene import EnvironmentMap, Material, Scene, Topology
 from hir_core.selection import Rung
@@ -26,7 +27,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit_files import FitFiles
 from hir_plugins.reflectance_renderers.transport_ggx.joint import FitSettings
 from hir_plugins.reflectance_renderers.transport_ggx.moving_light import irradiance_of, pixel_irradiance
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
-from hir_plugins.reflectance_renderers.transport_ggx.photographs import Photographed, join, photographed
+from hir_plugins.reflectance_renderers.transport_ggx.photographs import GRAZING, Photographed, join, photographed
 from hir_plugins.reflectance_renderers.transport_ggx.shading import Indirect, shade
 from hir_plugins.reflectance_renderers.transport_ggx.texture_stage import solve_scene
 from hir_plugins.reflectance_renderers.transport_ggx.transport import Transport
@@ -40,6 +41,7 @@ WIDE = 0.3
 """The other width from which a lobe is tried: highlights and sheen lie in two valleys of the loss."""
 LEAST_START = math.log(0.03 / 0.97)
 """Logit of ρs from which a colour or a map starts at least: a logistic that has gone to 0 has no slope left."""
+GRAZING_DEGREES = math.degrees(math.asin(GRAZING))
 PROBE_EFFORT = 0.25
 PROBE_SHARE = 0.4
 
@@ -50,6 +52,11 @@ class Fit:
 
     rung: Rung
     unknowns: Unknowns
+
+    @property
+    def shown(self) -> Unknowns:
+        """What it is judged by and what its scene has."""
+        return self.unknowns.settled
 
 
 @final
@@ -97,6 +104,11 @@ class TransportSolver(ReflectanceSolver):
             report(1.0)
             return Fit(rung, ended.to(device))
         photographs = self._thinned(self._photographs(views), effort)
+        if not len(photographs):
+            raise StageError(
+                f"no pixel of {len(views)} photographs shows the surface from more than {GRAZING_DEGREES:.0f} degrees: "
+                "mesh, masks and cameras do not fit together, or all views graze it; see with: hir check"
+            )
         unknowns = self._begin(rung, start, photographs)
         steps = max(1, round(self._options.steps * effort))
         known = self._options.known_light
@@ -120,12 +132,12 @@ class TransportSolver(ReflectanceSolver):
         photographs = self._photographs(views)
         total = np.zeros(len(self._capture.views))
         count = np.zeros(len(self._capture.views))
-        for block in self._blocks(photographs, fit.rung, fit.unknowns):
+        for block in self._blocks(photographs, fit.rung, fit.shown):
             specular = specular_blocks([block], fit.rung.brdf)
-            refresh([block], specular, fit.unknowns)
+            refresh([block], specular, fit.shown)
             with torch.no_grad():
-                radiance = predict(self._transport, block, specular[0], fit.unknowns, fit.rung.bounces)
-                if fit.unknowns.gain is not None:
+                radiance = predict(self._transport, block, specular[0], fit.shown, fit.rung.bounces)
+                if fit.shown.gain is not None:
                     radiance = radiance * _exposures(block, radiance, len(self._capture.views))[block.view][:, None]
                 error = residual(block, radiance.clamp(0, 1)).square().mean(dim=1).cpu().double().numpy()
             view = block.view.cpu().numpy()
@@ -140,16 +152,16 @@ class TransportSolver(ReflectanceSolver):
         if fit.rung.bounces:
             self._indirect = self._indirect_light(fit)
         environment = EnvironmentMap(
-            fit.unknowns.radiance, UPRIGHT.to(fit.unknowns.light) if moving else None, fit.rung.light_frame
+            fit.shown.radiance, UPRIGHT.to(fit.shown.light) if moving else None, fit.rung.light_frame
         )
         material, facts = solve_scene(
-            self._transport, self._scene, self._capture, views, self._downsample, fit.rung, fit.unknowns,
+            self._transport, self._scene, self._capture, views, self._downsample, fit.rung, fit.shown,
             self._rotation if moving else None, self._options, report,
         )
         return replace(self._scene, material=material, environment=environment), facts
 
     def _indirect_light(self, fit: Fit) -> Indirect:
-        values, texels = fit.unknowns, self._transport.pyramid.texels
+        values, texels = fit.shown, self._transport.pyramid.texels
         with torch.no_grad():
             sources, irradiance = self._transport.sources(values.radiance, values.diffuse_albedo, fit.rung.bounces)
             _, direct = self._transport.sources(values.radiance, values.diffuse_albedo, 0)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from hir_core.atlas import TexelSurface, dilate, fill_unobserved, texel_surface, texture_of_vertices
@@ -21,6 +21,8 @@ from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGX
 from hir_plugins.reflectance_renderers.transport_ggx.photographs import Photographed, photographed
 from hir_plugins.reflectance_renderers.transport_ggx.surface import Surface
 from hir_plugins.reflectance_renderers.transport_ggx.textures import (
+    FEWEST_PIXELS,
+    LEAST_INFORMATION,
     TexelEquations,
     bilinear_texels,
     solve_texels,
@@ -35,6 +37,8 @@ PRIOR = 0.05
 """Hold on the vertex solution; without any, texels that few pixels see learn their noise."""
 SMOOTH = 0.02
 """Weight of differences between neighbouring texels: keeps apart what pixels tell from what they leave open."""
+KNOWN = 0.99
+"""Share of a texel's vertices that photographs tell of."""
 DARKEST = 0.003
 """Linear value below which the sRGB weight stops growing: noise rules there."""
 
@@ -59,17 +63,22 @@ def solve_scene(
     with torch.no_grad():
         sources, irradiance = _light(transport, unknowns, rung, rotation)
         equations = []
+        told = unknowns.light.new_zeros(len(transport.surface.positions), 2)
         most = max(64, options.texture_pixels // max(len(views), 1))
         for done, view in enumerate(views):
             part = photographed(transport, capture, view, most, downsample, options.seed + 1)
-            equations += _equations(
+            found = _equations(
                 transport, part, unknowns, rung, sources, irradiance, rotation, options, (height, width)
             )
+            told += _told(transport, part, found)
+            equations += found
             report(0.8 * (done + 1) / len(views))
         start = texture_of_vertices(mesh, unknowns.diffuse_albedo, surface)
         start = dilate(start, surface.covered, PADDING)
         diffuse, seen = solve_texels(equations, start, HUBER_SRGB, PRIOR, SMOOTH)
-        observed = seen & surface.covered
+        # between the pixels of a texture that is finer than the photographs stands what its vertices have of them
+        known = texture_of_vertices(mesh, _informed(told)[:, None].float(), surface)[..., 0] > KNOWN
+        observed = (seen | known) & surface.covered
         report(0.9)
 
         def finished(texture: Float[Tensor, "H W C"]) -> Float[Tensor, "H W C"]:
@@ -136,6 +145,23 @@ def _equations(
     exposure = unknowns.exposure
     color = part.color if exposure is None else part.color / exposure[points.view][:, None]
     return [TexelEquations(index, bilinear, gain, color - specular, importance, part.saturated)]
+
+
+def _told(transport: Transport, part: Photographed, equations: list[TexelEquations]) -> Float[Tensor, "V 2"]:
+    """Pixels that look at each vertex, and the light by which they see it, squared."""
+    if not equations:
+        return part.color.new_zeros(len(transport.surface.positions), 2)
+    vertices, _ = transport.interpolation(part.points)
+    light = equations[0].gain.square().mean(dim=1)
+    return vertices.transposed @ torch.stack([torch.ones_like(light), light], dim=1)
+
+
+def _informed(told: Float[Tensor, "V 2"]) -> Bool[Tensor, " V"]:
+    """Vertices that are seen, and by as much light as a texel must have to count as observed."""
+    seen, light = told.unbind(1)
+    known = seen > FEWEST_PIXELS
+    mean = light[known].mean() if bool(known.any()) else light.new_ones(())
+    return known & (light > LEAST_INFORMATION * PRIOR * mean)
 
 
 def _light(

@@ -72,8 +72,8 @@ def solve_texels(
         torch.cat([e.at_least for e in equations]),
     )
 
-    def differences(x: Float[Tensor, "N 3"]) -> Float[Tensor, "N 3"]:
-        return _differences(x.reshape(height, width, 3)).reshape(-1, 3)
+    def differences(x: Float[Tensor, "N 3"], weight: Float[Tensor, "N 3"]) -> Float[Tensor, "N 3"]:
+        return _differences(*(values.reshape(height, width, 3) for values in (x, weight))).reshape(-1, 3)
 
     texture, seen, told = solve_albedo([rows], start.reshape(-1, 3), huber, prior, differences, smooth)
     # a texel that photographs only touch, or see in the dark, holds what it started from: it was not observed
@@ -81,12 +81,13 @@ def solve_texels(
     return texture.reshape(height, width, 3), observed.reshape(height, width)
 
 
-def _differences(x: Float[Tensor, "H W C"]) -> Float[Tensor, "H W C"]:
-    """Each texel times the number of its neighbours, minus their sum: the gradient of ½ Σ (x_i − x_j)²."""
+def _differences(x: Float[Tensor, "H W C"], weight: Float[Tensor, "H W C"]) -> Float[Tensor, "H W C"]:
+    """The gradient of ½ Σ w_ij (x_i − x_j)² over neighbours, w_ij the smaller of their weights."""
     total = torch.zeros_like(x)
     for dim in (0, 1):
-        if x.shape[dim] > 1:
-            step = x.narrow(dim, 1, x.shape[dim] - 1) - x.narrow(dim, 0, x.shape[dim] - 1)
-            total.narrow(dim, 1, x.shape[dim] - 1).add_(step)
-            total.narrow(dim, 0, x.shape[dim] - 1).sub_(step)
+        if (last := x.shape[dim] - 1) > 0:
+            step = x.narrow(dim, 1, last) - x.narrow(dim, 0, last)
+            step = step * torch.minimum(weight.narrow(dim, 1, last), weight.narrow(dim, 0, last))
+            total.narrow(dim, 1, last).add_(step)
+            total.narrow(dim, 0, last).sub_(step)
     return total

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
@@ -27,6 +27,15 @@ class Unknowns:
     width: Float[Tensor, "#V 1"] | None
     gain: Float[Tensor, " views"] | None = None
     """Logarithm of each photograph's brightness beside the others; None where all were exposed alike."""
+
+    solved: Float[Tensor, "V 3"] | None = None
+    """Logits of ρd in closed form under all the rest, once a fit has ended. Another fit goes on from `diffuse`: from an
+    albedo that has taken up what the light lacks, it would not give it back."""
+
+    @property
+    def settled(self) -> Unknowns:
+        """With the albedo in closed form, where there is one: what a fit shows."""
+        return self if self.solved is None else replace(self, diffuse=self.solved, solved=None)
 
     @property
     def exposure(self) -> Float[Tensor, " views"] | None:
@@ -64,7 +73,7 @@ class Unknowns:
         return Unknowns(*(None if v is None else v.detach().clone() for v in self._values()))  # type: ignore[arg-type]
 
     def _values(self) -> list[Tensor | None]:
-        return [self.light, self.diffuse, self.specular, self.width, self.gain]
+        return [self.light, self.diffuse, self.specular, self.width, self.gain, self.solved]
 
 
 def width_of(alpha: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
