@@ -38,8 +38,8 @@ def growth_table() -> list[str]:
     lines = [
         "",
         "Where the time goes, in processor seconds, and the steepest growth between two neighbours of the table above,",
-        f"as a power of their pixels (1: linear), where the larger takes {WORTH_SECONDS:.0f} s or more. The largest run",
-        f"has {pixels:.0f} times the pixels of the smallest.",
+        f"as a power of their pixels (1: linear), where the larger takes {WORTH_SECONDS:.0f} s or more. The largest",
+        f"run has {pixels:.0f} times the pixels of the smallest.",
         "",
         f"| stage | {small[0]} × {small[1]}² | {large[0]} × {large[1]}² | times | steepest |",
         "|---|---|---|---|---|",
