@@ -86,6 +86,27 @@ def test_every_answer_is_found_where_it_is_right(truth: Rung) -> None:
     assert chosen(error) == truth
 
 
+def test_a_lobe_that_indirect_light_explains_is_dropped() -> None:
+    """In a matt bowl a lobe takes the place of light between its walls until that is modelled."""
+
+    def error(rung: Rung) -> float:
+        return 1e-3 if rung.bounces else 5e-3 if rung.brdf == "diffuse" else 3e-3
+
+    solver = Scripted(error)
+    _, rung, steps = climb(solver, ReflectanceSettings(light_frame="world"), 40, lambda *_: None)
+    assert rung == Rung(bounces=1)
+    kept = [(step.rung.brdf, step.rung.bounces) for step in steps if step.kept]
+    assert kept == [("diffuse", 0), ("paper", 0), ("paper", 1), ("diffuse", 1)]
+
+    def glossy(rung: Rung) -> float:
+        return (1e-3 if rung.bounces else 3e-3) * (1 if rung.brdf == "dielectric" else 2)
+
+    _, rung, steps = climb(Scripted(glossy), ReflectanceSettings(light_frame="world"), 40, lambda *_: None)
+    assert rung == Rung("dielectric", "uniform", bounces=1)
+    asked = next(step for step in steps if step.rung == Rung(bounces=1))
+    assert not asked.kept and asked.gain_db == pytest.approx(-3.01, abs=0.01)
+
+
 def test_held_out_views_are_never_fitted() -> None:
     solver = Scripted(lambda rung: 1e-3)
     climb(solver, ReflectanceSettings(), 24, lambda *_: None)
