@@ -33,10 +33,10 @@ from hir_core.reflectance import fit_reflectance, starting_scene
 from hir_core.scene import Scene
 from hir_core.selection import Rung
 
-EFFORTS = (0.125, 0.25, 0.5, 1.0, 2.0)
-POLISHED_EFFORT, POLISH_STEPS = 0.5, 40
-TUNED_STEPS = (50, 200)
-PAPER_STEPS = (200,)
+EFFORTS = (0.125, 0.25, 0.5, 1.0)
+POLISHED_EFFORT, POLISH_STEPS = 0.5, 20
+TUNED_STEPS = (50, 150)
+PAPER_STEPS = (100,)
 """Of 32,000 that the paper takes with 80 photographs."""
 FITTED = Rung("dielectric", "uniform", bounces=1)
 DOWNSAMPLE = 2
