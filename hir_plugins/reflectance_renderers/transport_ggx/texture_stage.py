@@ -33,7 +33,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.unknowns import Unknowns
 PADDING = 8
 """Rings of texels around charts that repeat their border, for filtering and mip maps."""
 HUBER_SRGB = 0.05
-PRIOR = 0.05
+PRIOR = 0.01
 """Hold on the vertex solution; without any, texels that few pixels see learn their noise."""
 SMOOTH = 0.02
 """Weight of differences between neighbouring texels: keeps apart what pixels tell from what they leave open."""
@@ -148,11 +148,11 @@ def _equations(
 
 
 def _told(transport: Transport, part: Photographed, equations: list[TexelEquations]) -> Float[Tensor, "V 2"]:
-    """Pixels that look at each vertex, and the light by which they see it, squared."""
+    """Pixels that look at each vertex, and the light by which they see it, squared; a clipped one does not tell."""
     if not equations:
         return part.color.new_zeros(len(transport.surface.positions), 2)
     vertices, _ = transport.interpolation(part.points)
-    light = equations[0].gain.square().mean(dim=1)
+    light = (equations[0].gain.square() * ~equations[0].at_least).mean(dim=1)
     return vertices.transposed @ torch.stack([torch.ones_like(light), light], dim=1)
 
 
