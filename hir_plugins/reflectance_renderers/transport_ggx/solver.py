@@ -55,7 +55,7 @@ class Fit:
 
     @property
     def shown(self) -> Unknowns:
-        """What it is judged by and what its scene has."""
+        """What its scene has."""
         return self.unknowns.settled
 
 
@@ -128,16 +128,19 @@ class TransportSolver(ReflectanceSolver):
         return Fit(rung, fitted)
 
     def errors(self, fit: Fit, views: Sequence[int]) -> NDArray[np.float64]:
-        """Mean squared sRGB error of each view's pixels; a clipped pixel that the fit makes brighter is right."""
+        """Mean squared sRGB error of each view's pixels; a clipped pixel that the fit makes brighter is right.
+
+        Of the gradient steps: albedos in closed form flatter a wrong light (the chair's stood on the camera then).
+        """
         photographs = self._photographs(views)
         total = np.zeros(len(self._capture.views))
         count = np.zeros(len(self._capture.views))
-        for block in self._blocks(photographs, fit.rung, fit.shown):
+        for block in self._blocks(photographs, fit.rung, fit.unknowns):
             specular = specular_blocks([block], fit.rung.brdf)
-            refresh([block], specular, fit.shown)
+            refresh([block], specular, fit.unknowns)
             with torch.no_grad():
-                radiance = predict(self._transport, block, specular[0], fit.shown, fit.rung.bounces)
-                if fit.shown.gain is not None:
+                radiance = predict(self._transport, block, specular[0], fit.unknowns, fit.rung.bounces)
+                if fit.unknowns.gain is not None:
                     radiance = radiance * _exposures(block, radiance, len(self._capture.views))[block.view][:, None]
                 error = residual(block, radiance.clamp(0, 1)).square().mean(dim=1).cpu().double().numpy()
             view = block.view.cpu().numpy()
