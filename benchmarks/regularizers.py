@@ -200,7 +200,6 @@ def _texels(mesh: Any, count: int) -> Places:
     return places_of(ours, "texels", (side, side))
 
 
-
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)

@@ -142,7 +142,6 @@ def decibels(prepared: PreparedReflectance, scene: Scene, pixels: ObjectPixels) 
     return np.array([-10 * np.log10(float(error[index[:, 0] == view].mean())) for view in views])
 
 
-
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)

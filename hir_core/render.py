@@ -1,6 +1,5 @@
 """`hir render`: pictures of a finished run."""
 
-
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence

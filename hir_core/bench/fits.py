@@ -4,7 +4,6 @@ The fast solvers, the same with a polish by path tracing, the path tracer alone 
 and other programs. Each scene is path traced where no fit has looked, by the same renderer for all.
 """
 
-
 from __future__ import annotations
 
 import tempfile

@@ -1,6 +1,5 @@
 """Judges fitted scenes where no fit has looked: unseen views, and the same under the capture's other lights."""
 
-
 from __future__ import annotations
 
 from dataclasses import replace

@@ -138,5 +138,3 @@ def _over_edge(view: SweptView, window: int, jump: float) -> Tensor:
     shown = torch.where(view.inside, view.inverse, torch.zeros_like(view.inverse))
     farthest = -max_pool2d(-shown[None, None], window, 1, window // 2)[0, 0]
     return (farthest <= 0) | (shown - farthest > jump * (window // 2))
-
-

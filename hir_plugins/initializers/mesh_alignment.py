@@ -1,6 +1,5 @@
 """Brings a mesh of unknown place, turn and size onto a capture's points."""
 
-
 from __future__ import annotations
 
 from itertools import permutations, product

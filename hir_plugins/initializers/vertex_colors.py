@@ -1,6 +1,5 @@
 """Colours of a mesh's vertices: what the photographs that see a vertex agree on."""
 
-
 from __future__ import annotations
 
 from collections.abc import Sequence

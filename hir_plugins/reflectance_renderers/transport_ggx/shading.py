@@ -113,5 +113,3 @@ def _to_light(
     for view, camera in cameras.items():
         rotations[view] = torch.from_numpy(camera.world_to_camera[:3, :3].copy()).to(rotations)
     return rotations if to_map is None else to_map @ rotations
-
-
