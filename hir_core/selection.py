@@ -119,7 +119,7 @@ def climb(
         ladder.vote([replace(ladder.rung, bounces=1)])
         if ladder.rung != before and before.brdf != "diffuse":
             # light between parts of the object can look like a lobe: with it, the lobe must prove itself again
-            ladder.question(replace(base, light_frame="world", bounces=1))
+            ladder.question(Rung(bounces=1))
     if ladder.rung.brdf != "diffuse":
         ladder.vote([replace(ladder.rung, colored=True)])
         ladder.vote([replace(ladder.rung, specular="map")])

@@ -1,7 +1,8 @@
 """Material and light on a capture's true mesh: error on unseen views and under other lights against seconds.
 
 The fast solvers, the same with a polish by path tracing, the path tracer alone (tuned, and with the paper's settings)
-and other programs. Each scene is path traced where no fit has looked, by the same renderer for all.
+and other programs. Each of our scenes is path traced where no fit has looked, by the same renderer; a peer's is shown
+by the peer.
 """
 
 from __future__ import annotations

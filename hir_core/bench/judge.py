@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hir_core.bench.initializers import decoded
 from hir_core.capture import Capture
 from hir_core.evaluation import spread
+from hir_core.interfaces import ReflectanceRenderer
 from hir_core.manager import PluginManager
 from hir_core.metrics import OBJECT_COVERAGE, ChannelScale, composite, mean, psnr, unassociate
 from hir_core.readers import find_reader, read_capture
@@ -18,6 +22,9 @@ from hir_core.scene import Scene
 
 VIEWS = 4
 PATHS = 64
+
+_Pair: TypeAlias = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
+"""Linear colour and coverage of a fit, and of a photograph: (H, W, 3), (H, W) each."""
 
 
 class Judge:
@@ -50,8 +57,7 @@ class Judge:
             errors["frame dB"] = mean([psnr(a, b) for a, b in pictures]) or 0.0
         return errors
 
-    def _pair(self, renderer, scene, capture: Capture, view: int):  # type: ignore[no-untyped-def]
-        """Linear colour and coverage of the fit, and of the photograph."""
+    def _pair(self, renderer: ReflectanceRenderer, scene: Scene, capture: Capture, view: int) -> _Pair:
         camera = capture.cameras[view].downsampled(self._downsample)
         pixels = capture.views[view].pixels().downsampled(self._downsample)
         assert pixels.mask is not None
@@ -59,7 +65,7 @@ class Judge:
         return (*unassociate(image), pixels.color_linear, pixels.mask)
 
 
-def _scaled(pairs) -> float:  # type: ignore[no-untyped-def]
+def _scaled(pairs: Sequence[_Pair]) -> float:
     scale = ChannelScale()
     for fit, cover, true, mask in pairs:
         both = (cover > OBJECT_COVERAGE) & (mask > OBJECT_COVERAGE)

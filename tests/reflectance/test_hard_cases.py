@@ -1,201 +1,41 @@
-"""Hard captures, each fitted for real: path-traced photographs of a scene that is known, and what the fit makes of it.
+"""Hard captures, each fitted for real: what the fit makes of path-traced photographs of a scene that is known."""
 
-The path tracer shares no code with the cached transport that is fitted, but the BRDF.
-"""
-
-from __future__ import annotations
-
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from hir_exporters.images import write_hdr
 from torch import Tensor
 
-from hir_core.atlas import TexelSurface, dilate, texel_surface, unwrap_mesh
-from hir_core.capture import Capture, Pixels, View
-from hir_core.config import ReflectanceSettings
-from hir_core.context import StageContext
+from hir_core.atlas import unwrap_mesh
 from hir_core.errors import StageError
-from hir_core.manager import PluginManager
-from hir_core.reflectance import fit_reflectance
-from hir_core.scene import EnvironmentMap, Material, Mesh, Scene, Topology
+from hir_core.scene import EnvironmentMap, Material, Scene
 from hir_core.selection import Rung
-from hir_plugins.reflectance_renderers.mitsuba_ggx.options import MitsubaGGXOptions
-from hir_plugins.reflectance_renderers.mitsuba_ggx.renderer import MitsubaGGX
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.pyramid import texel_directions
 from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGGX
 from hir_plugins.reflectance_renderers.transport_ggx.textures import bilinear_texels
 
-from .shapes import icosphere, looking_at, square
-
-Eye = tuple[float, float, float]
-Report = dict[str, Any]
-
-SIZE, ROWS, TEXELS = 32, 16, 64
-PLUGINS = PluginManager.discover()
-BROWN = (0.5, 0.3, 0.2)
-
-
-def around(count: int, highest: float = 0.7) -> list[Eye]:
-    """Eyes on a spiral about the origin, from `highest` below it to as far above."""
-    heights = 2 * highest * ((np.arange(count) + 0.5) / count - 0.5)
-    angles = 2 * np.pi * 0.618034 * np.arange(count)
-    rings = np.sqrt(1 - heights**2)
-    return [(4 * r * np.sin(a), 4 * y, 4 * r * np.cos(a)) for a, y, r in zip(angles, heights, rings, strict=True)]
-
-
-def above(count: int, widest: float) -> list[Eye]:
-    """Eyes on a spiral about +y, at most `widest` radians from it."""
-    tilts, turns = np.linspace(0.05, widest, count), 2 * np.pi * 0.618034 * np.arange(count)
-    return [(4 * np.sin(t) * np.sin(a), 4 * np.cos(t), 4 * np.sin(t) * np.cos(a))
-            for t, a in zip(tilts, turns, strict=True)]  # fmt: skip
-
-
-def sky(rows: int = ROWS) -> EnvironmentMap:
-    """Light from above, with a little to tell the sides apart."""
-    d = texel_directions(rows, 2 * rows)
-    value = 0.5 + 0.4 * d[:, 1:2] + 0.2 * torch.sin(3 * d[:, :1])
-    return EnvironmentMap(value.clamp_min(0.02).expand(-1, 3).reshape(rows, 2 * rows, 3).contiguous())
-
-
-def lamps(rows: int = ROWS) -> EnvironmentMap:
-    """Four soft lamps of different sizes, which a lobe shows each in its own way."""
-    d = texel_directions(rows, 2 * rows)
-    value = torch.full((len(d), 1), 0.15)
-    for place, narrow, strength in (
-        ((1.0, 1.0, 0.3), 20, 2.5),
-        ((-1.0, 0.3, 0.6), 40, 2.0),
-        ((0.0, 0.8, -1.0), 60, 3.0),
-        ((0.3, -0.6, 1.0), 10, 0.5),
-    ):
-        middle = torch.nn.functional.normalize(torch.tensor(place), dim=0)
-        value = value + strength * torch.exp(narrow * (d @ middle - 1))[:, None]
-    return EnvironmentMap(value.expand(-1, 3).reshape(rows, 2 * rows, 3).contiguous())
-
-
-def look(
-    diffuse: Sequence[float] | Tensor, specular: float | Sequence[float] | Tensor = 0.0, alpha: float | Tensor = 0.3,
-    model: str = "paper",
-) -> Material:  # fmt: skip
-    rho_s = torch.as_tensor(specular, dtype=torch.float32)
-    rho_s = rho_s.expand(3) if rho_s.ndim == 0 else rho_s
-    width = torch.as_tensor(alpha, dtype=torch.float32)
-    return Material(model, torch.as_tensor(diffuse, dtype=torch.float32), rho_s.contiguous(),
-                    width.reshape(1) if width.ndim == 0 else width)  # type: ignore[arg-type] # fmt: skip
-
-
-def ball(texels: int = TEXELS) -> Mesh:
-    return unwrap_mesh(icosphere(3), texels)[0]
-
-
-def bowl() -> Mesh:
-    """As deep as it is wide, open at the top; inside and outside are walls of their own."""
-    import trimesh
-
-    bend = np.linspace(0.05, np.pi / 2, 8)
-    outside = [(0.95 * np.sin(t), -np.cos(t)) for t in bend]
-    inside = [(0.85 * np.sin(t), -0.9 * np.cos(t)) for t in bend[::-1]]
-    profile = [(0.0, -1.0), *outside, (0.95, 0.6), (0.85, 0.6), *inside, (0.0, -0.9)]
-    made = trimesh.creation.revolve(np.array(profile), sections=32)
-    if made.volume < 0:
-        made.invert()
-    faces = torch.from_numpy(np.asarray(made.faces, dtype=np.int64))
-    upright = np.asarray(made.vertices, dtype=np.float32)[:, [1, 2, 0]]
-    return Mesh(torch.from_numpy(upright.copy()), Topology(faces))
-
-
-def painted(mesh: Mesh, color: Callable[[Tensor], Tensor], texels: int = TEXELS) -> tuple[Tensor, TexelSurface]:
-    """A texture whose texels have the colour of their place."""
-    surface = texel_surface(mesh, texels)
-    values = color(surface.position)
-    texture = torch.zeros(texels, texels, values.shape[1])
-    texture[surface.covered] = values
-    return dilate(texture, surface.covered, 8), surface
-
-
-def traced(scene: Scene, eyes: Sequence[Eye], depth: int = 2, size: int = SIZE, paths: int = 256) -> np.ndarray:
-    """Linear radiance (views, size, size, 3)."""
-    assert scene.material is not None and scene.environment is not None
-    blank = Pixels(np.zeros((size, size, 3), np.float32), None, np.zeros((size, size), bool))
-    views = tuple(View(str(i), looking_at(eye, size, size), lambda: blank) for i, eye in enumerate(eyes))
-    tracer = MitsubaGGX(MitsubaGGXOptions(samples=paths, max_depth=depth)).prepare(scene, Capture(Path("made"), views))
-    grid = torch.tensor([(v, x, y) for v in range(len(eyes)) for y in range(size) for x in range(size)])
-    torch.manual_seed(0)
-    with torch.no_grad():
-        radiance: np.ndarray = tracer.radiance(scene.material, scene.environment, grid).numpy()
-    return radiance.reshape(len(eyes), size, size, 3)
-
-
-def photographs(
-    scene: Scene, eyes: Sequence[Eye], depth: int = 2, size: int = SIZE, exposures: Sequence[float] | None = None
-) -> Capture:
-    """Photographs of the scene, clipped at 1 as a sensor clips them; black is no part of the object."""
-    radiance = traced(scene, eyes, depth, size)
-    covered = coverage(scene.mesh, eyes, size)
-    views = []
-    for i, (eye, exposure) in enumerate(zip(eyes, exposures or [1.0] * len(eyes), strict=True)):
-        color = radiance[i] * exposure
-        pixels = Pixels(np.minimum(color, 1).astype(np.float32), covered[i], (color >= 1).any(axis=2))
-        views.append(View(str(i), looking_at(eye, size, size), lambda p=pixels: p, exposure=exposure))  # type: ignore[misc]
-    return Capture(Path("made"), tuple(views))
-
-
-def coverage(mesh: Mesh, eyes: Sequence[Eye], size: int = SIZE) -> np.ndarray:
-    """Which pixels (views, size, size) see the mesh, black as it may be."""
-    white = EnvironmentMap(torch.ones(ROWS, 2 * ROWS, 3))
-    seen = traced(Scene(mesh, look((1.0, 1.0, 1.0)), white), eyes, 2, size, 8).sum(axis=3)
-    return (seen > 0).astype(np.float32)
-
-
-def fitted(
-    mesh: Mesh, capture: Capture, folder: Path, texels: int = TEXELS, light: EnvironmentMap | None = None,
-    options: dict[str, Any] | None = None, **settings: Any,
-) -> tuple[Scene, Report]:  # fmt: skip
-    """The whole stage, from grey; `light`: the fit is told what shines. `report["said"]` holds its warnings."""
-    grey = Scene(mesh, Material("paper", torch.full((texels, texels, 3), 0.5), torch.zeros(3), torch.ones(1)))
-    given: dict[str, Any] = {"light_frame": "world", "environment_height": ROWS, "environment_width": 2 * ROWS}
-    if light is not None:
-        folder.mkdir(exist_ok=True)
-        write_hdr(folder / "light.hdr", light.radiance.numpy())
-        given["known_environment"] = str(folder / "light.hdr")
-    said: list[str] = []
-    transport = {"vertices": 0, "cells": 800, "steps": 200, **(options or {})}
-    context = StageContext(PLUGINS, folder, {"reflectance_renderer": {"transport_ggx": transport}}, warn=said.append)
-    scene, report = fit_reflectance(grey, capture, ReflectanceSettings(**(given | settings)), context)
-    assert_sound(scene)
-    return scene, {**report, "said": said}
-
-
-def assert_sound(scene: Scene) -> None:
-    """Finite, not negative, and no texel gives back more light than it gets."""
-    material, environment = scene.material, scene.environment
-    assert material is not None and environment is not None
-    for value in (material.diffuse_albedo, material.specular_albedo, material.roughness, environment.radiance):
-        assert bool(torch.isfinite(value).all()) and float(value.min()) >= 0
-    assert float(material.roughness.max()) <= 1
-    assert float(material.diffuse_albedo.max()) <= 1 and float(material.specular_albedo.max()) <= 1
-    if material.model == "paper":
-        assert float((material.diffuse_albedo + material.specular_albedo).max()) <= 1 + 1e-6
-
-
-def observed(scene: Scene) -> tuple[Tensor, Tensor]:
-    """Diffuse albedo (N, 3) of the texels that some view saw, and which (H, W) those are."""
-    assert scene.material is not None and scene.material.observed is not None
-    return scene.material.diffuse_albedo[scene.material.observed], scene.material.observed
-
-
-def unseen_db(scene: Scene, truth: Scene, eye: Eye = (2.4, 1.3, 2.9), depth: int = 2) -> float:
-    """PSNR of a path-traced picture of the fit, from a place no photograph was taken from."""
-    seen = coverage(truth.mesh, [eye])[0] > 0
-    found, true = (np.clip(traced(s, [eye], depth)[0][seen], 0, 1) for s in (scene, truth))
-    return float(-10 * np.log10(np.square(found - true).mean()))
-
+from .made_captures import (
+    BROWN,
+    ROWS,
+    TEXELS,
+    above,
+    around,
+    assert_sound,
+    ball,
+    bowl,
+    fitted,
+    lamps,
+    look,
+    observed,
+    painted,
+    photographs,
+    sky,
+    unseen_db,
+)
+from .shapes import square
 
 # -- material -------------------------------------------------------------------------------------------------------
 
@@ -239,19 +79,6 @@ def test_white_beside_black_is_as_white_as_alone(tmp_path: Path) -> None:
     assert float(scene.material.observed[right].float().mean()) > 0.9
     assert float(scene.material.diffuse_albedo[right].mean()) > 0.95
     assert unseen_db(scene, truth) > 26
-
-
-def test_without_a_specular_part_the_answer_is_diffuse(tmp_path: Path) -> None:
-    """Everything is open: light on the camera, both models, indirect light."""
-    truth = Scene(ball(), look(BROWN), lamps())
-    capture = photographs(truth, around(16))
-    scene, report = fitted(truth.mesh, capture, tmp_path, light_frame="auto", options={"steps": 100})
-    assert report["rung"] == "diffuse" and not any(row["kept"] for row in report["ladder"][1:])
-    assert scene.material is not None and float(scene.material.specular_albedo.max()) == 0
-    values, _ = observed(scene)
-    hue = values.mean(dim=0) / values.mean()
-    torch.testing.assert_close(hue, torch.tensor(BROWN) / np.mean(BROWN), atol=0.02, rtol=0)
-    assert unseen_db(scene, truth) > 40
 
 
 @pytest.mark.slow
@@ -390,17 +217,6 @@ def test_a_light_that_is_upside_down(tmp_path: Path) -> None:
     torch.testing.assert_close(found[0], found[1], rtol=0.03, atol=0)
 
 
-@pytest.mark.parametrize("frame", ["world", "camera"])
-def test_whether_the_light_goes_with_the_camera(frame: str, tmp_path: Path) -> None:
-    truth = Scene(ball(), look(BROWN), replace(sky(), frame=frame))
-    scene, report = fitted(truth.mesh, photographs(truth, around(12)), tmp_path, light_frame="auto", brdf="paper",
-                           options={"steps": 100})  # fmt: skip
-    assert report["light_frame"] == frame and report["rung"].startswith("diffuse")
-    assert scene.environment is not None and scene.environment.frame == frame
-    values, _ = observed(scene)
-    assert float(values.log().std(dim=0).max()) < 0.05, "no shading in the albedo"
-
-
 # -- shape and texture ----------------------------------------------------------------------------------------------
 
 
@@ -459,53 +275,3 @@ def test_textures_of_any_size(texels: int, tmp_path: Path) -> None:
     resized = torch.nn.functional.interpolate(texture.permute(2, 0, 1)[None], (texels, texels), mode="bilinear")[0]
     assert float((values - resized.permute(1, 2, 0)[seen]).abs().mean()) < 0.015
     assert report["observed"] > 0.95 and unseen_db(scene, truth) > (40 if texels == 64 else 34)
-
-
-# -- the ladder -----------------------------------------------------------------------------------------------------
-
-
-def checked(mesh: Mesh, low: float, high: float) -> Tensor:
-    """A map (H, W, 1) of two values with soft edges."""
-    wave = painted(mesh, lambda p: torch.tanh(4 * torch.sin(3 * p[:, :1] + p[:, 1:2])))[0]
-    return low + (high - low) * (0.5 + 0.5 * wave)
-
-
-MATERIALS: dict[str, Callable[[Mesh], Material]] = {
-    "paper, specular": lambda mesh: look((0.4, 0.2, 0.1), 0.25, 0.2),
-    "dielectric, specular": lambda mesh: look((0.4, 0.2, 0.1), 0.04, 0.2, "dielectric"),
-    "paper, specular, coloured": lambda mesh: look((0.05, 0.05, 0.05), (0.9, 0.6, 0.2), 0.2),
-    "paper, specular map": lambda mesh: look((0.3, 0.2, 0.1), checked(mesh, 0.02, 0.42).expand(-1, -1, 3), 0.2),
-}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", MATERIALS)
-def test_the_ladder_ends_where_the_truth_is(name: str, tmp_path: Path) -> None:
-    """Under a light that is not known, by all photographs' word."""
-    mesh = ball()
-    truth = Scene(mesh, MATERIALS[name](mesh), lamps())
-    scene, report = fitted(mesh, photographs(truth, around(16)), tmp_path)
-    assert report["rung"] == name
-    assert unseen_db(scene, truth) > 30
-
-
-@pytest.mark.slow
-def test_the_ladder_finds_that_the_width_varies(tmp_path: Path) -> None:
-    mesh = ball()
-    truth = Scene(mesh, look((0.3, 0.2, 0.1), 0.3, checked(mesh, 0.1, 0.6)), lamps())
-    scene, report = fitted(mesh, photographs(truth, around(16)), tmp_path, light=lamps(), brdf="paper")
-    assert "roughness map" in report["rung"]
-    assert unseen_db(scene, truth) > 30
-
-
-@pytest.mark.slow
-@pytest.mark.xfail(reason="an albedo that the direct fit drove to 1 does not come back within a vote", strict=True)
-def test_the_ladder_finds_indirect_light(tmp_path: Path) -> None:
-    """In a bowl whose light is known; without it the albedo would have to be what six reflections add."""
-    mesh, color = unwrap_mesh(bowl(), 128)[0], torch.tensor([0.6, 0.4, 0.2])
-    truth = Scene(mesh, look(color), sky())
-    capture = photographs(truth, above(12, 0.9), depth=8, size=48)
-    scene, report = fitted(mesh, capture, tmp_path, texels=128, light=sky(), options={"steps": 150})
-    assert report["rung"] == "diffuse, 1 bounce", "a lobe that stood for the light between the walls is dropped"
-    values, _ = observed(scene)
-    assert float((values.mean(dim=0) - color).abs().max()) < 0.1

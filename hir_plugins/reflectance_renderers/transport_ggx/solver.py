@@ -23,6 +23,7 @@ from hir_core.selection import Rung
 from hir_core.srgb import linear_to_srgb, srgb_to_linear
 from hir_plugins.reflectance_renderers.transport_ggx import joint
 from hir_plugins.reflectance_renderers.transport_ggx.blocks import Block, predict, refresh, residual, specular_blocks
+from hir_plugins.reflectance_renderers.transport_ggx.closing import ALBEDO_HIGH, ALBEDO_LOW
 from hir_plugins.reflectance_renderers.transport_ggx.fit_files import FitFiles
 from hir_plugins.reflectance_renderers.transport_ggx.joint import FitSettings
 from hir_plugins.reflectance_renderers.transport_ggx.moving_light import irradiance_of, pixel_irradiance
@@ -41,6 +42,8 @@ WIDE = 0.3
 """The other width from which a lobe is tried: highlights and sheen lie in two valleys of the loss."""
 LEAST_START = math.log(0.03 / 0.97)
 """Logit of ρs from which a colour or a map starts at least: a logistic that has gone to 0 has no slope left."""
+ROUNDS_INDIRECT = 4
+"""Of darker albedos and the less indirect light that they make; the change falls by the albedo with each."""
 GRAZING_DEGREES = math.degrees(math.asin(GRAZING))
 PROBE_EFFORT = 0.25
 PROBE_SHARE = 0.4
@@ -216,6 +219,8 @@ class TransportSolver(ReflectanceSolver):
             base = Unknowns(light, torch.logit(diffuse), None, None, gain)
         else:
             base = start.unknowns
+            if rung.bounces and not start.rung.bounces:
+                base = replace(base, diffuse=self._without_indirect(base, rung.bounces))
         if rung.brdf == "diffuse":
             return Unknowns(base.light, base.diffuse, None, None, base.gain)
         specular, width = base.specular, base.width
@@ -231,6 +236,19 @@ class TransportSolver(ReflectanceSolver):
         if rung.roughness == "map" and len(width) == 1:
             width = width.expand(vertices, -1)
         return Unknowns(base.light, base.diffuse, specular.contiguous(), width.contiguous(), base.gain)
+
+    def _without_indirect(self, base: Unknowns, bounces: int) -> Float[Tensor, "V 3"]:
+        """Logits of the albedos that show with indirect light what those of a fit without it show."""
+        transport = self._transport
+        with torch.no_grad():
+            shown = base.diffuse_albedo
+            _, direct = transport.sources(base.radiance, shown, 0)
+            albedo = shown
+            for _ in range(ROUNDS_INDIRECT):
+                _, irradiance = transport.sources(base.radiance, albedo, bounces)
+                share = direct / irradiance.clamp_min(1e-12)
+                albedo = shown * torch.where(irradiance > 0, share, torch.ones_like(share))[transport.cells.of_vertex]
+            return torch.logit(albedo.clamp(ALBEDO_LOW, ALBEDO_HIGH))
 
     def _probe(
         self, photographs: Photographed, unknowns: Unknowns, settings: FitSettings, rung: Rung
