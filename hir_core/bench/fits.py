@@ -33,7 +33,7 @@ from hir_core.reflectance import fit_reflectance, starting_scene
 from hir_core.scene import Scene
 from hir_core.selection import Rung
 
-EFFORTS = (0.125, 0.25, 0.5, 1.0)
+EFFORTS = (0.0625, 0.125, 0.25, 0.5, 1.0)
 POLISHED_EFFORT, POLISH_STEPS = 0.5, 20
 TUNED_STEPS = (50, 150)
 PAPER_STEPS = (100,)
@@ -59,7 +59,7 @@ def fits(path: Path, plan: Plan) -> Iterator[Row]:
         bench = _Bench(plan, Path(folder), train, scene, judge, case)
         for found in plan.plugins.components("reflectance_renderer"):
             if "solver" in found.component.traits and not found.missing:
-                yield from bench.solver(found.component.name, EFFORTS[1:2] if plan.quick else EFFORTS)
+                yield from bench.solver(found.component.name, EFFORTS[2:3] if plan.quick else EFFORTS)
         if plan.quick:
             return
         yield from bench.path_tracer("mitsuba_ggx, tuned", TUNED, {}, TUNED_STEPS)

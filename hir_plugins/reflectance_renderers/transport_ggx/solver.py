@@ -121,7 +121,7 @@ class TransportSolver(ReflectanceSolver):
                                albedo_smoothness=self._options.albedo_smoothness)
         begun = file is not None and file.begun()
         if rung.brdf != "diffuse" and start.unknowns.width is None and not begun:
-            unknowns = self._probe(photographs, unknowns, settings, rung)
+            unknowns = self._probe(photographs, unknowns, settings, rung, effort)
         fitted = joint.fit(
             self._transport, lambda state: self._blocks(photographs, rung, state), unknowns, settings, self._edges,
             lambda step, _: report((step + 1) / steps), file,
@@ -251,11 +251,12 @@ class TransportSolver(ReflectanceSolver):
             return torch.logit(albedo.clamp(ALBEDO_LOW, ALBEDO_HIGH))
 
     def _probe(
-        self, photographs: Photographed, unknowns: Unknowns, settings: FitSettings, rung: Rung
+        self, photographs: Photographed, unknowns: Unknowns, settings: FitSettings, rung: Rung, effort: float
     ) -> Unknowns:
         """The start, narrow or wide, from which a short fit to some of the pixels gets farther."""
         part = self._thinned(photographs, PROBE_SHARE / 2)
-        short = replace(settings, steps=max(1, round(PROBE_EFFORT * self._options.steps)), solve_albedo=False)
+        steps = max(1, round(min(PROBE_EFFORT, effort) * self._options.steps))
+        short = replace(settings, steps=steps, solve_albedo=False)
         assert unknowns.width is not None
         wide = width_of(torch.full_like(unknowns.width, WIDE))
         starts = [unknowns, replace(unknowns, width=wide)]
