@@ -87,7 +87,8 @@ class ReflectanceSettings:
     method: Literal["solver", "gradient"] = "solver"
     """The renderer's own solver where it has one, or gradient steps on textures and light through any renderer."""
     model: str = "auto"
-    """`auto` lets held-out views decide; or a rung: `diffuse`, `specular`, `specular_map`, `roughness_map`."""
+    """`auto` lets held-out views decide; or a rung: `diffuse`, `specular`, `specular_map`, `roughness_map`,
+    `normal_map`."""
     brdf: Literal["auto", "paper", "dielectric"] = "auto"
     regularizers: dict[str, dict[str, Any] | Literal[False]] = field(default_factory=dict)
     """Weight and options of each term, `false` to leave one out."""

@@ -1,7 +1,8 @@
 """Which terms of the model a scene needs: a ladder of models, climbed while held-out views gain (DESIGN section 7).
 
 A rung stays when the mean of its per-view gains on held-out views exceeds its standard error (times `SIGNIFICANCE`)
-and `LEAST_GAIN_DB`: less than that is noise, or nothing that anybody sees. The gain is over the rung below it, fitted
+and `LEAST_GAIN_DB`: less than that is noise, or nothing that anybody sees; and where the rung below is as near as
+`FINEST_DB`, nobody sees any gain. The gain is over the rung below it, fitted
 from the same start for as many steps.
 """
 
@@ -25,6 +26,8 @@ SIGNIFICANCE = 1.0
 """The rule of one standard error (Breiman et al. 1984); with few views held out a stricter one refuses what unseen
 views gain from (chair: a lobe that brings +.36 dB there, and .25 ± .21 to six held-out views)."""
 LEAST_GAIN_DB = 0.1
+FINEST_DB = 48.1
+"""A root mean square error of one step of 8 bits: a fit that is nearer than that needs no further term."""
 FIRST_EFFORT = 1.0
 """Share of a full fit that the first rung gets, and a light that is tried anew: both begin with one albedo for all."""
 EFFORT = 0.5
@@ -45,6 +48,8 @@ class Rung:
     roughness: Literal["uniform", "map"] = "uniform"
     colored: bool = False
     """Is ρs a colour, as metals need, or one number?"""
+    normals: Literal["mesh", "map"] = "mesh"
+    """Are normals bent from the mesh's, by dents that are finer than its triangles?"""
     bounces: int = 0
     """Indirect light: times that light is reflected between parts of the surface."""
     light_frame: Literal["world", "camera"] = "world"
@@ -60,6 +65,8 @@ class Rung:
                 parts.append("coloured")
             if self.roughness == "map":
                 parts.append("roughness map")
+        if self.normals == "map":
+            parts.append("normal map")
         if self.light_frame == "camera":
             parts.append("light on camera")
         if self.bounces:
@@ -105,6 +112,10 @@ def climb(
             # a lobe that starts under a flat light widens: the ladder's first step comes first here too
             first = Rung(light_frame=rung.light_frame)
             fit = solver.fit(first, None, every, FIRST_EFFORT, lambda share: tell(first.name, share))
+        if rung.normals == "map":
+            # and the lobe before the dents, which would do its work
+            smooth = replace(rung, normals="mesh")
+            fit = solver.fit(smooth, fit, every, FIRST_EFFORT, lambda share: tell(smooth.name, share))
         return solver.fit(rung, fit, every, 1.0, lambda share: tell(rung.name, share)), rung, []
     ladder = _Ladder(solver, training, held_out, tell, judged)
     base = Rung(light_frame=_first_frame(settings))
@@ -124,6 +135,8 @@ def climb(
         ladder.vote([replace(ladder.rung, colored=True)])
         ladder.vote([replace(ladder.rung, specular="map")])
         ladder.vote([replace(ladder.rung, roughness="map")])
+    if ladder.rung.light_frame == "world":
+        ladder.vote([replace(ladder.rung, normals="map")])
     return ladder.fit, ladder.rung, ladder.steps
 
 
@@ -166,7 +179,8 @@ class _Ladder:
             fit, errors = self._fitted(rung, start, FIRST_EFFORT if afresh else EFFORT)
             gain, noise = compare(standing, errors)
             better = float(decibels(errors).mean()) > float(decibels(self._errors).mean())
-            kept = gain > SIGNIFICANCE * noise and gain > LEAST_GAIN_DB and better
+            told = gain > SIGNIFICANCE * noise and gain > LEAST_GAIN_DB
+            kept = told and better and float(decibels(standing).mean()) < FINEST_DB
             if kept:
                 self.rung, self.fit, self._errors = rung, fit, errors
             self._record(rung, errors, gain, noise, kept, began)
@@ -236,9 +250,13 @@ def forced_rung(settings: ReflectanceSettings) -> Rung | None:
         "specular": Rung(brdf, "uniform", light_frame=frame),
         "specular_map": Rung(brdf, "map", light_frame=frame),
         "roughness_map": Rung(brdf, "map", "map", light_frame=frame),
+        "normal_map": Rung(brdf, "uniform", normals="map", light_frame=frame),
     }
     if settings.model not in rungs:
         raise ConfigError(f"reflectance.model is {settings.model!r}; it is auto or one of: {', '.join(rungs)}")
+    if rungs[settings.model].normals == "map" and frame == "camera":
+        raise ConfigError("reflectance.model=normal_map needs a light that stands still; "
+                          "leave out one of it and reflectance.light_frame=camera")
     return rungs[settings.model]
 
 

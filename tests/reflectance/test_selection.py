@@ -74,13 +74,16 @@ def test_gain_within_its_noise_is_not_kept() -> None:
         Rung("dielectric", "map", "map", bounces=1),
         Rung("paper", "uniform", light_frame="camera"),
         Rung(bounces=1),
+        Rung("dielectric", "uniform", normals="map"),
+        Rung(bounces=1, normals="map"),
     ],
     ids=lambda rung: rung.name,
 )
 def test_every_answer_is_found_where_it_is_right(truth: Rung) -> None:
     def error(rung: Rung) -> float:
         wrong = (rung.brdf == truth.brdf, rung.specular == truth.specular, rung.roughness == truth.roughness,
-                 rung.colored == truth.colored, rung.bounces == truth.bounces, rung.light_frame == truth.light_frame)
+                 rung.colored == truth.colored, rung.bounces == truth.bounces, rung.light_frame == truth.light_frame,
+                 rung.normals == truth.normals)
         return 1e-3 * 2.0 ** wrong.count(False)
 
     assert chosen(error) == truth
@@ -105,6 +108,23 @@ def test_a_lobe_that_indirect_light_explains_is_dropped() -> None:
     assert rung == Rung("dielectric", "uniform", bounces=1)
     asked = next(step for step in steps if step.rung == Rung(bounces=1))
     assert not asked.kept and asked.gain_db == pytest.approx(-3.01, abs=0.01)
+
+
+def test_a_fit_nearer_than_a_step_of_eight_bits_grows_no_further() -> None:
+    def twice_as_good(rung: Rung) -> float:
+        return 1.0 if rung == Rung() else 0.5
+
+    assert chosen(lambda rung: (1.2 / 255) ** 2 * twice_as_good(rung)) != Rung()
+    assert chosen(lambda rung: (0.9 / 255) ** 2 * twice_as_good(rung)) == Rung()
+
+
+def test_normals_are_not_bent_under_a_light_on_the_camera() -> None:
+    def error(rung: Rung) -> float:
+        return (1e-3 if rung.normals == "map" else 3e-3) * (1 if rung.light_frame == "camera" else 5)
+
+    assert chosen(error) == Rung(light_frame="camera")
+    with pytest.raises(ConfigError, match="stands still"):
+        forced_rung(ReflectanceSettings(model="normal_map", light_frame="camera"))
 
 
 def test_held_out_views_are_never_fitted() -> None:

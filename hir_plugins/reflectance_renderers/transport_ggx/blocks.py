@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from hir_core.srgb import linear_to_srgb
+from hir_plugins.reflectance_renderers.transport_ggx.bending import bent, bent_irradiance
 from hir_plugins.reflectance_renderers.transport_ggx.linear_map import LinearMap
 from hir_plugins.reflectance_renderers.transport_ggx.lobes import Lobes
 from hir_plugins.reflectance_renderers.transport_ggx.specular import SpecularBlock
@@ -31,6 +32,8 @@ class Block:
     color_srgb: Float[Tensor, "P 3"]
     saturated: Bool[Tensor, "P 3"]
     view: Int[Tensor, " P"]
+    normal: Float[Tensor, "P 3"]
+    """Of the mesh."""
 
 
 def predict(
@@ -53,12 +56,17 @@ def gain_and_lobe(
         assert block.cells is not None
         sources, irradiance = transport.sources(unknowns.radiance, unknowns.diffuse_albedo, bounces)
         arriving = block.cells @ irradiance
+        if unknowns.tilt is not None:
+            bent_normal = normals_at_pixels(block, unknowns.tilt)
+            vectors = block.cells @ transport.vector_irradiance(unknowns.radiance).reshape(-1, 9)
+            arriving = bent_irradiance(block.normal, bent_normal, arriving, vectors.reshape(-1, 3, 3))
     gain = arriving / torch.pi
     if specular is None or unknowns.specular is None:
         return gain, None
     rho_s = at_pixels(block, unknowns.specular_albedo)
     alpha = at_pixels(block, unknowns.alpha)
-    return gain * specular.diffuse_share(rho_s), specular.radiance(sources, rho_s, alpha)
+    normal = in_lobes(block, unknowns.tilt)
+    return gain * specular.diffuse_share(rho_s), specular.radiance(sources, rho_s, alpha, normal)
 
 
 def exposed(block: Block, radiance: Float[Tensor, "P 3"], unknowns: Unknowns) -> Float[Tensor, "P 3"]:
@@ -70,6 +78,18 @@ def exposed(block: Block, radiance: Float[Tensor, "P 3"], unknowns: Unknowns) ->
 def at_pixels(block: Block, values: Float[Tensor, "#V C"]) -> Float[Tensor, "#P C"]:
     """Vertex values at the pixels of a block; a uniform value stays one row."""
     return values if len(values) == 1 else block.vertices @ values
+
+
+def normals_at_pixels(block: Block, tilt: Float[Tensor, "V 3"]) -> Float[Tensor, "P 3"]:
+    """Bent normals of the pixels of a block."""
+    return bent(block.normal, block.vertices @ tilt)
+
+
+def in_lobes(block: Block, tilt: Float[Tensor, "V 3"] | None) -> Float[Tensor, "P 3"] | None:
+    """Bent normals in the axes of each pixel's lobe; None where they are the mesh's."""
+    if tilt is None or block.lobes is None:
+        return None
+    return (block.lobes.axes @ normals_at_pixels(block, tilt)[..., None])[..., 0]
 
 
 def residual(block: Block, radiance: Float[Tensor, "P 3"]) -> Float[Tensor, "P 3"]:
@@ -88,4 +108,5 @@ def refresh(blocks: Sequence[Block], specular: Sequence[SpecularBlock | None], u
     for block, matrices in zip(blocks, specular, strict=True):
         if matrices is not None:
             with torch.no_grad():
-                matrices.refresh(at_pixels(block, unknowns.alpha), at_pixels(block, unknowns.specular_albedo))
+                alpha, rho_s = at_pixels(block, unknowns.alpha), at_pixels(block, unknowns.specular_albedo)
+                matrices.refresh(alpha, rho_s, in_lobes(block, unknowns.tilt))

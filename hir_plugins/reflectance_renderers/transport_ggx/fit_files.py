@@ -108,5 +108,5 @@ def unknowns_of(arrays: Arrays) -> Unknowns | None:
     if not {"light", "diffuse"} <= set(arrays):
         return None
     found = {name: torch.from_numpy(np.array(value)) for name, value in arrays.items()}
-    others = (found.get(name) for name in ("specular", "width", "gain", "solved"))
+    others = (found.get(name) for name in ("specular", "width", "gain", "solved", "tilt"))
     return Unknowns(found["light"], found["diffuse"], *others)

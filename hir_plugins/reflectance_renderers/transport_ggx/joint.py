@@ -24,6 +24,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.blocks import (
     Block,
     at_pixels,
     exposed,
+    in_lobes,
     predict,
     refresh,
     residual,
@@ -37,6 +38,9 @@ from hir_plugins.reflectance_renderers.transport_ggx.unknowns import Unknowns
 
 REDRAW = 1.5
 """Lobes are drawn anew when α has moved by this factor."""
+
+TILTED = 1.0
+"""Lobes are drawn anew when normals have turned by this many of their widths."""
 
 ALBEDO_NOISE = 0.02
 """Differences of log albedo between neighbours below this cost little: no edge, but noise and slow change."""
@@ -54,6 +58,7 @@ class FitSettings:
     specular_rate: float = 0.05
     width_rate: float = 0.08
     gain_rate: float = 0.02
+    tilt_rate: float = 0.03
     width_hold: float = 0.7
     """Share of the steps before α moves: under a flat light every lobe would widen, under a blurred one narrow."""
     refresh: int = 15
@@ -62,6 +67,9 @@ class FitSettings:
     light_whiteness: float = 1e-3
     albedo_smoothness: float = 1e-3
     map_smoothness: float = 3e-3
+    tilt_smoothness: float = 1e-3
+    tilt_hold: float = 1e-4
+    """On normals that leave the mesh's."""
     huber: float = 0.1
     known_light: bool = False
     solve_albedo: bool = True
@@ -91,6 +99,7 @@ def fit(
             (unknowns.specular, settings.specular_rate),
             (unknowns.width, settings.width_rate),
             (unknowns.gain, settings.gain_rate),
+            (unknowns.tilt, settings.tilt_rate),
         )
         if p is not None and p.requires_grad
     ]
@@ -174,12 +183,15 @@ def _drifted(block: Block, unknowns: Unknowns) -> bool:
     if block.lobes is None or unknowns.width is None:
         return False
     with torch.no_grad():
+        normal = in_lobes(block, unknowns.tilt)
+        if normal is not None and float((normal[:, :2].norm(dim=1) / block.lobes.drawn_alpha[:, 0]).mean()) > TILTED:
+            return True
         ratio = (at_pixels(block, unknowns.alpha) / block.lobes.drawn_alpha).log().abs().mean()
     return float(ratio) > math.log(REDRAW)
 
 
 def _leaves(unknowns: Unknowns, settings: FitSettings) -> Unknowns:
-    for value in (unknowns.diffuse, unknowns.specular, unknowns.width, unknowns.gain):
+    for value in (unknowns.diffuse, unknowns.specular, unknowns.width, unknowns.gain, unknowns.tilt):
         if value is not None:
             value.requires_grad_()
     unknowns.light.requires_grad_(not settings.known_light)
@@ -202,6 +214,10 @@ def _smoothness(unknowns: Unknowns, settings: FitSettings, edges: Tensor) -> Ten
     for value in (unknowns.specular, unknowns.width):
         if value is not None and len(value) > 1:
             energy = energy + settings.map_smoothness * (value[edges[:, 0]] - value[edges[:, 1]]).square().mean()
+    if unknowns.tilt is not None:
+        change = (unknowns.tilt[edges[:, 0]] - unknowns.tilt[edges[:, 1]]).square().sum(dim=1)
+        energy = energy + settings.tilt_smoothness * change.mean()
+        energy = energy + settings.tilt_hold * unknowns.tilt.square().sum(dim=1).mean()
     return energy
 
 

@@ -23,6 +23,8 @@ from hir_plugins.reflectance_renderers.transport_ggx.rays import RayTracer
 from hir_plugins.reflectance_renderers.transport_ggx.surface import SurfacePoints
 
 PIXELS_AT_ONCE = 1 << 16
+LEAST_COSINE = 1e-3
+"""Between normal and eye: what interpolated normals turn away is seen as grazing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +43,11 @@ class Lobes:
     """1 / (K · density of the direction at the α it was drawn with); 0 below the horizon."""
     drawn_alpha: Float[Tensor, "P 1"]
     """The α that the directions were drawn with."""
+    toward_light: Float[Tensor, "P K 3"]
+    """Unit directions, in `axes`."""
+    toward_eye: Float[Tensor, "P 3"]
+    axes: Float[Tensor, "P 3 3"]
+    """Rows: tangent, bitangent and the normal that the directions were drawn about, in the world."""
     sources: int
     """Texels of the pyramid and cells together: the columns of the matrices."""
 
@@ -52,11 +59,26 @@ class Lobes:
         parts: dict[str, Any] = {name: getattr(self, name)[rows] for name in _PER_PIXEL}
         return replace(self, **parts)
 
-    def weights(self, alpha: Float[Tensor, "#P 1"]) -> tuple[Float[Tensor, "P K"], Float[Tensor, "P K"]]:
-        """Weight of every direction at width α, and its part that Schlick's term takes; differentiable in α."""
-        lobe = specular_lobe(alpha, self.n_wi, self.n_wo[:, None], self.n_h, self.sin2_h)
+    def weights(
+        self, alpha: Float[Tensor, "#P 1"], normal: Float[Tensor, "P 3"] | None = None
+    ) -> tuple[Float[Tensor, "P K"], Float[Tensor, "P K"]]:
+        """Weight of every direction at width α, and its part that Schlick's term takes; differentiable in α.
+
+        With another `normal`, in `axes`, than the one they were drawn about.
+        """
+        if normal is None:
+            lobe = specular_lobe(alpha, self.n_wi, self.n_wo[:, None], self.n_h, self.sin2_h)
+        else:
+            half = torch.nn.functional.normalize(self.toward_light + self.toward_eye[:, None], dim=-1, eps=1e-12)
+            n_wi, n_h = (self.toward_light @ normal[..., None])[..., 0], (half @ normal[..., None])[..., 0]
+            sin2_h = torch.linalg.cross(half, normal[:, None].expand_as(half)).square().sum(-1)
+            lobe = specular_lobe(alpha, n_wi, self.cosine_of_eye(normal)[:, None], n_h, sin2_h)
         weight = lobe * self.inverse_pdf
         return weight, weight * schlick_weight(self.h_wo)
+
+    def cosine_of_eye(self, normal: Float[Tensor, "P 3"] | None = None) -> Float[Tensor, " P"]:
+        """Between the eye and a normal in `axes`; by default the one that directions were drawn about."""
+        return self.n_wo if normal is None else (self.toward_eye * normal).sum(dim=1).clamp_min(LEAST_COSINE)
 
     def spread(self, weight: Float[Tensor, "P K"]) -> Float[Tensor, "P 4K"]:
         """Weights of directions as entries of a matrix on the sources."""
@@ -99,7 +121,7 @@ def _trace(tracer, points, face_cells, alpha, samples, pyramid, offset, rotation
     tangent, bitangent = frame(points.normal)
     wo = points.to_eye
     local_o = torch.stack([(wo * tangent).sum(1), (wo * bitangent).sum(1), (wo * points.normal).sum(1)], dim=1)
-    n_wo = local_o[:, 2].clamp_min(1e-3)
+    n_wo = local_o[:, 2].clamp_min(LEAST_COSINE)
     local_o = torch.nn.functional.normalize(torch.cat([local_o[:, :2], n_wo[:, None]], dim=1), dim=1)
     square = points_of_square(count, samples, seed, device)
     h = visible_normal(local_o[:, None, :].expand(-1, samples, -1), alpha, square)
@@ -133,7 +155,7 @@ def _trace(tracer, points, face_cells, alpha, samples, pyramid, offset, rotation
     inverse = inverse * ((a + b) / total).clamp(0.5, 2.0)
     return Lobes(
         columns.reshape(count, -1).int(), bilinear.reshape(count, -1), n_wi, h[..., 2], sin2, h_wo, n_wo,
-        inverse * above.reshape(count, samples), alpha, 0,
+        inverse * above.reshape(count, samples), alpha, local_i, local_o, axes, 0,
     )
 
 

@@ -13,7 +13,9 @@ from torch import Tensor
 from hir_core.capture import Camera
 from hir_core.scene import EnvironmentMap, Material, Texture
 from hir_plugins.reflectance_renderers.brdf import directional_albedo_terms
+from hir_plugins.reflectance_renderers.transport_ggx.bending import bent_irradiance
 from hir_plugins.reflectance_renderers.transport_ggx.moving_light import pixel_irradiance
+from hir_plugins.reflectance_renderers.transport_ggx.normal_map import mapped_normals
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.pyramid import resized
 from hir_plugins.reflectance_renderers.transport_ggx.surface import SurfacePoints, see
@@ -63,9 +65,13 @@ def shade_points(
     rotation = _to_light(environment, cameras, points)
     radiance = resized(environment.radiance.clamp_min(0), transport.pyramid)
     needs_uv = any(t.ndim == 3 for t in (material.diffuse_albedo, material.specular_albedo, material.roughness))
+    needs_uv |= material.normal is not None
     uv = points.uvs(transport.surface) if needs_uv else points.position[:, :2]
     diffuse, specular = sample(material.diffuse_albedo, uv), sample(material.specular_albedo, uv)
     alpha = sample(material.roughness, uv).mean(dim=-1, keepdim=True).clamp(ALPHA_LOW, 1)
+    straight = points.normal
+    if material.normal is not None:
+        points = points.bent(mapped_normals(transport.surface, points, sample(material.normal, uv)))
     sources = transport.sky_only(radiance)
     if indirect is not None:
         sources = torch.cat([sources[: transport.pyramid.texels], indirect.radiance])
@@ -75,6 +81,9 @@ def shade_points(
             sky = sky + indirect.irradiance
         cells = transport.cells.of_vertex[transport.surface.faces[points.face]]
         arriving = (sky[cells] * points.barycentric[..., None]).sum(1)
+        if material.normal is not None:
+            vectors = (transport.vector_irradiance(radiance)[cells] * points.barycentric[..., None, None]).sum(1)
+            arriving = bent_irradiance(straight, points.normal, arriving, vectors)
     else:
         arriving = pixel_irradiance(transport, points, options.diffuse_samples, rotation, options.seed) @ sources
     value = diffuse * arriving / torch.pi

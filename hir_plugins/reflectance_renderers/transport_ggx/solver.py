@@ -22,14 +22,15 @@ from hir_core.scene import EnvironmentMap, Material, Scene, Topology
 from hir_core.selection import Rung
 from hir_core.srgb import linear_to_srgb, srgb_to_linear
 from hir_plugins.reflectance_renderers.transport_ggx import joint
+from hir_plugins.reflectance_renderers.transport_ggx.bending import bent
 from hir_plugins.reflectance_renderers.transport_ggx.blocks import Block, predict, refresh, residual, specular_blocks
-from hir_plugins.reflectance_renderers.transport_ggx.closing import ALBEDO_HIGH, ALBEDO_LOW
 from hir_plugins.reflectance_renderers.transport_ggx.fit_files import FitFiles
 from hir_plugins.reflectance_renderers.transport_ggx.joint import FitSettings
-from hir_plugins.reflectance_renderers.transport_ggx.moving_light import irradiance_of, pixel_irradiance
+from hir_plugins.reflectance_renderers.transport_ggx.moving_light import pixel_irradiance
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.photographs import GRAZING, Photographed, join, photographed
 from hir_plugins.reflectance_renderers.transport_ggx.shading import Indirect, shade
+from hir_plugins.reflectance_renderers.transport_ggx.starts import albedo_of_photographs, without_indirect
 from hir_plugins.reflectance_renderers.transport_ggx.texture_stage import solve_scene
 from hir_plugins.reflectance_renderers.transport_ggx.transport import Transport
 from hir_plugins.reflectance_renderers.transport_ggx.unknowns import LIGHT_LIMIT, Unknowns, width_of
@@ -42,8 +43,6 @@ WIDE = 0.3
 """The other width from which a lobe is tried: highlights and sheen lie in two valleys of the loss."""
 LEAST_START = math.log(0.03 / 0.97)
 """Logit of ρs from which a colour or a map starts at least: a logistic that has gone to 0 has no slope left."""
-ROUNDS_INDIRECT = 4
-"""Of darker albedos and the less indirect light that they make; the change falls by the albedo with each."""
 GRAZING_DEGREES = math.degrees(math.asin(GRAZING))
 PROBE_EFFORT = 0.25
 PROBE_SHARE = 0.4
@@ -197,6 +196,9 @@ class TransportSolver(ReflectanceSolver):
 
     def _block(self, part: Photographed, rung: Rung, unknowns: Unknowns, seed: int) -> Block:
         vertices, cells = self._transport.interpolation(part.points)
+        points = part.points
+        if unknowns.tilt is not None:
+            points = points.bent(bent(points.normal, vertices.matrix @ unknowns.tilt.detach()))
         rotation = self._rotation if rung.light_frame == "camera" else None
         direct = None
         if rotation is not None:
@@ -205,24 +207,27 @@ class TransportSolver(ReflectanceSolver):
         if rung.brdf != "diffuse":
             alpha = unknowns.alpha.detach()
             alpha = alpha if len(alpha) == 1 else vertices.matrix @ alpha
-            lobes = self._transport.lobes(part.points, alpha, self._options.samples, rotation, seed)
+            lobes = self._transport.lobes(points, alpha, self._options.samples, rotation, seed)
         return Block(lobes, vertices, None if direct else cells, direct, linear_to_srgb(part.color), part.saturated,
-                     part.points.view)
+                     part.points.view, part.points.normal)
 
     def _begin(self, rung: Rung, start: Fit | None, photographs: Photographed) -> Unknowns:
         """Unknowns of a rung, from an earlier fit or from the scene that was prepared."""
         assert self._scene.material is not None and self._scene.environment is not None
         if start is None:
             light = self._scene.environment.radiance.clamp(1e-6, LIGHT_LIMIT).log()
-            diffuse = self._albedo_of_photographs(photographs, rung, light.exp())
+            diffuse = self._start_albedo(photographs, rung, light.exp())
             gain = light.new_zeros(len(self._capture.views)) if self._options.view_gain else None
             base = Unknowns(light, torch.logit(diffuse), None, None, gain)
         else:
             base = start.unknowns
             if rung.bounces and not start.rung.bounces:
-                base = replace(base, diffuse=self._without_indirect(base, rung.bounces))
+                base = replace(base, diffuse=without_indirect(self._transport, base, rung.bounces))
+        tilt = base.tilt
+        if rung.normals == "map" and tilt is None:
+            tilt = torch.zeros_like(self._transport.surface.positions)
         if rung.brdf == "diffuse":
-            return Unknowns(base.light, base.diffuse, None, None, base.gain)
+            return Unknowns(base.light, base.diffuse, None, None, base.gain, tilt=tilt)
         specular, width = base.specular, base.width
         vertices = len(base.diffuse)
         if specular is None or width is None:
@@ -235,20 +240,13 @@ class TransportSolver(ReflectanceSolver):
             specular = specular.clamp_min(LEAST_START).expand(vertices, -1)
         if rung.roughness == "map" and len(width) == 1:
             width = width.expand(vertices, -1)
-        return Unknowns(base.light, base.diffuse, specular.contiguous(), width.contiguous(), base.gain)
+        return Unknowns(base.light, base.diffuse, specular.contiguous(), width.contiguous(), base.gain, tilt=tilt)
 
-    def _without_indirect(self, base: Unknowns, bounces: int) -> Float[Tensor, "V 3"]:
-        """Logits of the albedos that show with indirect light what those of a fit without it show."""
-        transport = self._transport
-        with torch.no_grad():
-            shown = base.diffuse_albedo
-            _, direct = transport.sources(base.radiance, shown, 0)
-            albedo = shown
-            for _ in range(ROUNDS_INDIRECT):
-                _, irradiance = transport.sources(base.radiance, albedo, bounces)
-                share = direct / irradiance.clamp_min(1e-12)
-                albedo = shown * torch.where(irradiance > 0, share, torch.ones_like(share))[transport.cells.of_vertex]
-            return torch.logit(albedo.clamp(ALBEDO_LOW, ALBEDO_HIGH))
+    def _start_albedo(self, photographs: Photographed, rung: Rung, light: Tensor) -> Float[Tensor, "V 3"]:
+        rotation = self._rotation if rung.light_frame == "camera" else None
+        alike = self._options.start == "uniform" and not self._options.known_light
+        samples = self._options.diffuse_samples
+        return albedo_of_photographs(self._transport, photographs, light, alike, rotation, samples)
 
     def _probe(
         self, photographs: Photographed, unknowns: Unknowns, settings: FitSettings, rung: Rung, effort: float
@@ -271,29 +269,6 @@ class TransportSolver(ReflectanceSolver):
         )
         last = losses[-max(1, len(losses) // 5) :]
         return sum(last) / len(last) if last else math.inf
-
-    def _albedo_of_photographs(self, photographs: Photographed, rung: Rung, light: Tensor) -> Float[Tensor, "V 3"]:
-        """Mean colour over mean irradiance, or each vertex's own, held near the mean where few pixels see it.
-
-        While the light is sought all should begin alike: shading that an albedo begins with it never gives back.
-        """
-        transport = self._transport
-        count = len(transport.surface.positions)
-        if len(photographs) == 0:
-            return torch.full((count, 3), 0.5, device=light.device)
-        vertices, cells = transport.interpolation(photographs.points)
-        sources, irradiance = transport.sources(light, torch.zeros(count, 3, device=light.device), 0)
-        arriving = cells @ irradiance
-        if rung.light_frame == "camera":
-            samples = self._options.diffuse_samples
-            arriving = irradiance_of(transport, photographs.points, samples, self._rotation, sources)
-        mean = photographs.color.mean(dim=0) / (arriving / torch.pi).mean(dim=0).clamp_min(1e-6)
-        if self._options.start == "uniform" and not self._options.known_light:
-            return mean.clamp(0.02, 0.95).expand(count, 3).contiguous()
-        shown = vertices.transposed @ photographs.color
-        white = vertices.transposed @ (arriving / torch.pi)
-        weight = 0.05 * white.mean()
-        return ((shown + weight * mean) / (white + weight).clamp_min(1e-9)).clamp(0.02, 0.95)
 
 
 def _camera_rotations(capture: Capture, device: torch.device) -> Float[Tensor, "N 3 3"]:

@@ -11,6 +11,8 @@ from hir_plugins.reflectance_renderers.brdf import Model, directional_albedo_ter
 from hir_plugins.reflectance_renderers.transport_ggx.linear_map import Pattern
 from hir_plugins.reflectance_renderers.transport_ggx.lobes import Lobes
 
+_TILT_STEP = 0.02
+"""Step of the derivative in the normal, in widths of the lobe."""
 _ALPHA_STEP = 0.01
 """Relative step of the one-sided derivative in α; its error is far below that of the linearisation itself."""
 
@@ -23,28 +25,40 @@ class SpecularBlock:
         self._pattern = Pattern(lobes.columns, lobes.sources)
         self._model = model
         self.alpha = torch.empty(0)
+        self.normal: Tensor | None = None
 
-    def refresh(self, alpha: Float[Tensor, "#P 1"], rho_s: Float[Tensor, "#P C"]) -> None:
-        """Rebuilds the matrices at width α (per pixel or one for all); the derivative in α is taken at `rho_s`."""
+    def refresh(
+        self, alpha: Float[Tensor, "#P 1"], rho_s: Float[Tensor, "#P C"], normal: Float[Tensor, "P 3"] | None = None
+    ) -> None:
+        """Rebuilds the matrices at width α (per pixel or one for all) and for bent normals, in the lobes' axes, if
+        there are any; derivatives are taken at `rho_s`.
+        """
         lobes = self._lobes
-        weight, grazing = lobes.weights(alpha)
-        moved, moved_grazing = lobes.weights(alpha * (1 + _ALPHA_STEP))
+        weight, grazing = lobes.weights(alpha, normal)
         mean = rho_s.mean(dim=-1, keepdim=True)
-        if self._model == "paper":
-            slope = mean * (moved - weight)
-        else:
-            slope = mean * (moved - weight) + (1 - mean) * (moved_grazing - grazing)
-        slope = slope / (alpha * _ALPHA_STEP)
-        self.alpha = alpha
+
+        def slope(moved: Tensor, moved_grazing: Tensor) -> Tensor:
+            if self._model == "paper":
+                return mean * (moved - weight)
+            return mean * (moved - weight) + (1 - mean) * (moved_grazing - grazing)
+
+        slopes = [slope(*lobes.weights(alpha * (1 + _ALPHA_STEP), normal)) / (alpha * _ALPHA_STEP)]
+        if normal is not None:
+            for axis in range(2):
+                step = torch.zeros_like(normal)
+                step[:, axis] = (_TILT_STEP * alpha).expand(len(normal), 1)[:, 0]
+                tilted = torch.nn.functional.normalize(normal + step, dim=1, eps=1e-12)
+                slopes.append(slope(*lobes.weights(alpha, tilted)) / (_TILT_STEP * alpha))
+        self.alpha, self.normal = alpha, normal
         self._w = lobes.spread(weight)
         self._g = lobes.spread(grazing)
         self._w_matrix = self._pattern.matrix(self._w)
-        self._slope_matrix = self._pattern.matrix(lobes.spread(slope))
+        self._slopes = [self._pattern.matrix(lobes.spread(values)) for values in slopes]
         self._w_transposed = self._pattern.transposed(self._w)
         if self._model == "dielectric":
             self._g_matrix = self._pattern.matrix(self._g)
             self._g_transposed = self._pattern.transposed(self._g)
-            a, b = directional_albedo_terms(lobes.n_wo[:, None], alpha)
+            a, b = directional_albedo_terms(lobes.cosine_of_eye(normal)[:, None], alpha)
             self._albedo_terms = (a, b)
 
     def diffuse_share(self, rho_s: Float[Tensor, "#P C"]) -> Float[Tensor, "P C"] | float:
@@ -55,18 +69,22 @@ class SpecularBlock:
         return (1 - rho_s * a - b).clamp_min(0)
 
     def radiance(
-        self, sources: Float[Tensor, "S 3"], rho_s: Float[Tensor, "#P C"], alpha: Float[Tensor, "#P 1"]
-    ) -> Float[Tensor, "P 3"]:
-        """Specular radiance; differentiable in all three. α enters to first order around the last `refresh`."""
+        self, sources: Float[Tensor, "S 3"], rho_s: Float[Tensor, "#P C"], alpha: Float[Tensor, "#P 1"],
+        normal: Float[Tensor, "P 3"] | None = None,
+    ) -> Float[Tensor, "P 3"]:  # fmt: skip
+        """Specular radiance; differentiable in all. α and normal enter to first order around the last `refresh`."""
         count = len(self._lobes)
-        return _Specular.apply(sources, rho_s.expand(count, -1), (alpha - self.alpha).expand(count, 1), self)
+        drift = (alpha - self.alpha).expand(count, 1)
+        if normal is not None and self.normal is not None:
+            drift = torch.cat([drift, (normal - self.normal)[:, :2]], dim=1)
+        return _Specular.apply(sources, rho_s.expand(count, -1), drift, self)
 
 
 class _Specular(torch.autograd.Function):
     @staticmethod
     def forward(ctx, sources, rho_s, drift, block):  # type: ignore[no-untyped-def]
         w = block._w_matrix @ sources
-        slope = block._slope_matrix @ sources
+        slopes = [matrix @ sources for matrix in block._slopes[: drift.shape[1]]]
         if block._model == "paper":
             factor, value = w, rho_s * w
         else:
@@ -74,12 +92,14 @@ class _Specular(torch.autograd.Function):
             factor = w - g
             value = rho_s * factor + g
         ctx.block = block
-        ctx.save_for_backward(rho_s, factor, slope)
-        return value + drift * slope
+        ctx.save_for_backward(rho_s, factor, *slopes)
+        for i, slope in enumerate(slopes):
+            value = value + drift[:, i : i + 1] * slope
+        return value
 
     @staticmethod
     def backward(ctx, gradient):  # type: ignore[no-untyped-def]
-        rho_s, factor, slope = ctx.saved_tensors
+        rho_s, factor, *slopes = ctx.saved_tensors
         block = ctx.block
         # the drift's own part of the light's gradient is left out: it vanishes at every refresh
         light = block._w_transposed @ (rho_s * gradient)
@@ -87,4 +107,5 @@ class _Specular(torch.autograd.Function):
             light = light + block._g_transposed @ ((1 - rho_s) * gradient)
         rho = gradient * factor
         rho = rho.sum(dim=1, keepdim=True) if rho_s.shape[1] == 1 else rho
-        return light, rho, (gradient * slope).sum(dim=1, keepdim=True), None
+        drift = torch.stack([(gradient * slope).sum(dim=1) for slope in slopes], dim=1)
+        return light, rho, drift, None

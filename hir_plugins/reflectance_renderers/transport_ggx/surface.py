@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -87,6 +87,10 @@ class SurfacePoints:
     def take(self, rows: Tensor) -> SurfacePoints:
         """Some of the points."""
         return SurfacePoints(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+
+    def bent(self, normal: Float[Tensor, "P 3"]) -> SurfacePoints:
+        """The same points with other shading normals."""
+        return replace(self, normal=normal)
 
     def uvs(self, surface: Surface) -> Float[Tensor, "P 2"]:
         """Texture coordinates of the points."""

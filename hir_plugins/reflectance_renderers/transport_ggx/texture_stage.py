@@ -16,7 +16,9 @@ from hir_core.scene import Material, Mesh, Scene, Topology
 from hir_core.selection import Rung
 from hir_core.srgb import srgb_slope
 from hir_plugins.reflectance_renderers.brdf import directional_albedo_terms
+from hir_plugins.reflectance_renderers.transport_ggx.bending import bent, bent_irradiance
 from hir_plugins.reflectance_renderers.transport_ggx.moving_light import pixel_irradiance
+from hir_plugins.reflectance_renderers.transport_ggx.normal_map import normal_map
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.photographs import Photographed, photographed
 from hir_plugins.reflectance_renderers.transport_ggx.surface import Surface
@@ -62,13 +64,14 @@ def solve_scene(
     surface = texel_surface(mesh, (height, width))
     with torch.no_grad():
         sources, irradiance = _light(transport, unknowns, rung, rotation)
+        vectors = None if unknowns.tilt is None else transport.vector_irradiance(unknowns.radiance)
         equations = []
         told = unknowns.light.new_zeros(len(transport.surface.positions), 2)
         most = max(64, options.texture_pixels // max(len(views), 1))
         for done, view in enumerate(views):
             part = photographed(transport, capture, view, most, downsample, options.seed + 1)
             found = _equations(
-                transport, part, unknowns, rung, sources, irradiance, rotation, options, (height, width)
+                transport, part, unknowns, rung, sources, irradiance, vectors, rotation, options, (height, width)
             )
             told += _told(transport, part, found)
             equations += found
@@ -90,12 +93,14 @@ def solve_scene(
             specular_albedo=_map(mesh, surface, _rgb(unknowns.specular_albedo), finished) if rung.brdf != "diffuse"
             else diffuse.new_zeros(3),
             roughness=_map(mesh, surface, unknowns.alpha, finished) if rung.brdf != "diffuse" else diffuse.new_ones(1),
+            normal=None if unknowns.tilt is None
+            else normal_map(scene.mesh, finished(texture_of_vertices(mesh, unknowns.tilt, surface))),
             observed=observed,
         )
         if rung.brdf == "diffuse":
             # ρs = 0 is Lambert's law in the paper's model; `dielectric` would keep its grazing reflection
             material = Material("paper", material.diffuse_albedo, material.specular_albedo, material.roughness,
-                                observed=observed)
+                                material.normal, observed)
         report(1.0)
     shown = int(observed.sum()) / max(int(surface.covered.sum()), 1)
     facts: dict[str, Any] = {"texture_equations": sum(len(e.gain) for e in equations), "observed": round(shown, 4)}
@@ -111,6 +116,7 @@ def _equations(
     rung: Rung,
     sources: Tensor,
     irradiance: Tensor,
+    vectors: Tensor | None,
     rotation: Tensor | None,
     options: TransportGGXOptions,
     size: tuple[int, int],
@@ -123,8 +129,13 @@ def _equations(
     def at_points(values: Tensor) -> Tensor:
         return values if len(values) == 1 else (values[corners] * points.barycentric[..., None]).sum(1)
 
+    if unknowns.tilt is not None:
+        points = points.bent(bent(points.normal, at_points(unknowns.tilt)))
     if rotation is None:
         arriving = (irradiance[transport.cells.of_vertex[corners]] * points.barycentric[..., None]).sum(1)
+        if vectors is not None:
+            around = (vectors[transport.cells.of_vertex[corners]] * points.barycentric[..., None, None]).sum(1)
+            arriving = bent_irradiance(part.points.normal, points.normal, arriving, around)
     else:
         arriving = pixel_irradiance(transport, points, options.diffuse_samples, rotation, options.seed).matrix @ sources
     gain = arriving / torch.pi

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -16,7 +17,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.cells import Cells, make_ce
 from hir_plugins.reflectance_renderers.transport_ggx.diffuse import DiffuseTransport, diffuse_transport
 from hir_plugins.reflectance_renderers.transport_ggx.linear_map import LinearMap
 from hir_plugins.reflectance_renderers.transport_ggx.lobes import Lobes, trace_lobes
-from hir_plugins.reflectance_renderers.transport_ggx.pyramid import Pyramid
+from hir_plugins.reflectance_renderers.transport_ggx.pyramid import Pyramid, texel_directions
 from hir_plugins.reflectance_renderers.transport_ggx.rays import RayTracer
 from hir_plugins.reflectance_renderers.transport_ggx.surface import Surface, SurfacePoints, refine
 
@@ -61,6 +62,21 @@ class Transport:
             irradiance = direct + self.diffuse.bounce @ (cell_albedo * irradiance / torch.pi)
         # what a mirror sees of the surface is lit directly: one bounce less than the irradiance
         return torch.cat([pyramid, cell_albedo * direct / torch.pi]), irradiance
+
+    @cached_property
+    def _vector_sky(self) -> LinearMap:
+        """(3C, T): the light's own direction in place of the cosine of `diffuse.sky`."""
+        sky = self.diffuse.sky.matrix
+        height, width = next(shape for shape in self.pyramid.shapes if shape[0] * shape[1] == sky.shape[1])
+        directions = texel_directions(height, width).to(sky.device)
+        cosine = (self.cells.normals @ directions.T).clamp_min(1e-6)
+        matrix = torch.cat([sky / cosine * directions[:, axis] for axis in range(3)])
+        return LinearMap(matrix, matrix.T.contiguous())
+
+    def vector_irradiance(self, radiance: Float[Tensor, "H W 3"]) -> Float[Tensor, "C 3 3"]:
+        """Direct light that reaches each cell, weighed by its direction (axis by axis, then colours)."""
+        found = self._vector_sky @ self.pyramid.flatten(radiance)[self.level]
+        return found.reshape(3, len(self.cells), 3).transpose(0, 1)
 
     def sky_only(self, radiance: Float[Tensor, "H W 3"]) -> Float[Tensor, "S 3"]:
         """What a ray can meet when only the light shines."""

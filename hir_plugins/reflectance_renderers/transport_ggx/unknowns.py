@@ -31,6 +31,8 @@ class Unknowns:
     solved: Float[Tensor, "V 3"] | None = None
     """Logits of ρd in closed form under all the rest, once a fit has ended. Another fit goes on from `diffuse`: from an
     albedo that has taken up what the light lacks, it would not give it back."""
+    tilt: Float[Tensor, "V 3"] | None = None
+    """How far normals are bent from the mesh's, in the world (`bending.py`); None where they are the mesh's."""
 
     @property
     def settled(self) -> Unknowns:
@@ -73,7 +75,7 @@ class Unknowns:
         return Unknowns(*(None if v is None else v.detach().clone() for v in self._values()))  # type: ignore[arg-type]
 
     def _values(self) -> list[Tensor | None]:
-        return [self.light, self.diffuse, self.specular, self.width, self.gain, self.solved]
+        return [self.light, self.diffuse, self.specular, self.width, self.gain, self.solved, self.tilt]
 
 
 def width_of(alpha: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
