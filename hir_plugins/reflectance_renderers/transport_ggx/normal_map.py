@@ -12,7 +12,7 @@ from torch.nn.functional import normalize
 
 from hir_core.atlas import texel_surface
 from hir_core.scene import Mesh
-from hir_core.texels import interpolate
+from hir_core.texels import dilate, interpolate
 from hir_plugins.reflectance_renderers.transport_ggx.bending import bent
 from hir_plugins.reflectance_renderers.transport_ggx.surface import Surface, SurfacePoints
 
@@ -20,8 +20,8 @@ FLATTEST = 1e-3
 """Volume that a frame must span for vectors to be read in it."""
 
 
-def normal_map(mesh: Mesh, tilt: Float[Tensor, "H W 3"]) -> Float[Tensor, "H W 3"]:
-    """Unit vectors in the mesh's tangent frames of tilts in the world; (0, 0, 1) where there is no chart."""
+def normal_map(mesh: Mesh, tilt: Float[Tensor, "H W 3"], padding: int) -> Float[Tensor, "H W 3"]:
+    """Unit vectors in the mesh's tangent frames of tilts in the world; (0, 0, 1) farther than `padding` from charts."""
     assert mesh.uvs is not None and mesh.topology.uv_faces is not None
     surface = texel_surface(mesh, (tilt.shape[0], tilt.shape[1]))
     frames = _tangents(mesh.positions, mesh.normals, mesh.faces, mesh.uvs[mesh.topology.uv_faces])[surface.face]
@@ -33,7 +33,7 @@ def normal_map(mesh: Mesh, tilt: Float[Tensor, "H W 3"]) -> Float[Tensor, "H W 3
     turned = torch.linalg.solve(axes, bent(normal, tilt[surface.covered]))
     found = flat.expand(*tilt.shape[:2], 3).clone()
     found[surface.covered] = torch.where(sound[:, None], normalize(turned, dim=1, eps=1e-12), flat)
-    return found
+    return normalize(dilate(found, surface.covered, padding), dim=2, eps=1e-12)
 
 
 def mapped_normals(surface: Surface, points: SurfacePoints, values: Float[Tensor, "P 3"]) -> Float[Tensor, "P 3"]:

@@ -94,7 +94,7 @@ def solve_scene(
             else diffuse.new_zeros(3),
             roughness=_map(mesh, surface, unknowns.alpha, finished) if rung.brdf != "diffuse" else diffuse.new_ones(1),
             normal=None if unknowns.tilt is None
-            else normal_map(scene.mesh, finished(texture_of_vertices(mesh, unknowns.tilt, surface))),
+            else normal_map(scene.mesh, finished(texture_of_vertices(mesh, unknowns.tilt, surface)), PADDING),
             observed=observed,
         )
         if rung.brdf == "diffuse":
