@@ -6,7 +6,7 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from hir_core.errors import ConfigError
 from hir_core.options import build_options
@@ -78,6 +78,10 @@ class AtlasSettings:
     """Texels between charts."""
 
 
+ModelName: TypeAlias = Literal["auto", "diffuse", "specular", "specular_map", "roughness_map", "normal_map"]
+"""How much of the model is fitted: a rung of the ladder, or `auto`."""
+
+
 @dataclass(frozen=True)
 class ReflectanceSettings:
     """How material and light are fitted."""
@@ -86,9 +90,8 @@ class ReflectanceSettings:
     """Reflectance renderer of the fit."""
     method: Literal["solver", "gradient"] = "solver"
     """The renderer's own solver where it has one, or gradient steps on textures and light through any renderer."""
-    model: str = "auto"
-    """`auto` lets held-out views decide; or a rung: `diffuse`, `specular`, `specular_map`, `roughness_map`,
-    `normal_map`."""
+    model: ModelName = "auto"
+    """`auto` lets held-out views decide; any other is fitted without a vote."""
     brdf: Literal["auto", "paper", "dielectric"] = "auto"
     regularizers: dict[str, dict[str, Any] | Literal[False]] = field(default_factory=dict)
     """Weight and options of each term, `false` to leave one out."""

@@ -254,8 +254,6 @@ def forced_rung(settings: ReflectanceSettings) -> Rung | None:
         "roughness_map": Rung(brdf, "map", "map", light_frame=frame),
         "normal_map": Rung(brdf, "uniform", normals="map", light_frame=frame),
     }
-    if settings.model not in rungs:
-        raise ConfigError(f"reflectance.model is {settings.model!r}; it is auto or one of: {', '.join(rungs)}")
     if rungs[settings.model].normals == "map" and frame == "camera":
         raise ConfigError("reflectance.model=normal_map needs a light that stands still; "
                           "leave out one of it and reflectance.light_frame=camera")

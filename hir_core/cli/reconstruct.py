@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import click
 
 from hir_core.cli.options import FOLDER, loudness_options, plugin_option, settings_options
+from hir_core.config import ModelName
 from hir_core.run_directory import STAGES
 
 
@@ -19,6 +20,7 @@ from hir_core.run_directory import STAGES
 @click.option("--device", type=click.Choice(["auto", "cpu", "cuda"]), help="auto takes CUDA where there is one.")
 @click.option("--resume", is_flag=True, help="Continue: reuse finished stages whose settings and input are unchanged.")
 @click.option("--until", type=click.Choice(STAGES), help="Stop after this stage.")
+@click.option("--model", type=click.Choice(get_args(ModelName)), help="Fit this much; auto asks held-out views.")
 @click.option("--triangles", type=click.IntRange(min=0), help="Triangles of the mesh; 0 derives them from the views.")
 @click.option("--texture-size", type=click.IntRange(min=0), help="Side of the textures; 0 derives it from the views.")
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of all random numbers.")
@@ -35,6 +37,7 @@ def reconstruct_command(
     device: str | None,
     resume: bool,
     until: str | None,
+    model: str | None,
     triangles: int | None,
     texture_size: int | None,
     seed: int | None,
@@ -49,6 +52,8 @@ def reconstruct_command(
     from hir_core.manager import PluginManager
 
     chosen = list(assignments)
+    if model is not None:
+        chosen.append(f"reflectance.model={model}")
     if triangles is not None:
         chosen.append(f"geometry.triangles={triangles}")
     if texture_size is not None:

@@ -40,6 +40,8 @@ def hir(*words: object) -> int:
             ["reconstruct", SAMPLE, "-o", "{tmp}/run", "--set", "geometry.iteration=3"],
             "unknown option 'geometry.iteration'; did you mean 'iterations'?",
         ),
+        (["reconstruct", SAMPLE, "-o", "{tmp}/run", "--set", "reflectance.model=glossy"], "'normal_map'"),
+        (["reconstruct", SAMPLE, "-o", "{tmp}/run", "--model", "glossy"], "'glossy' is not one of"),
         (["reconstruct", SAMPLE, "-o", "{tmp}/run", "--set", "geometry.iterations"], "write it as key=value"),
         (["reconstruct", SAMPLE, "-o", "{tmp}/run", "--set", "geometry.iterations=many"], "geometry.iterations"),
         (["reconstruct", SAMPLE, "-o", "{tmp}/run", "--set", "geometry.learning_rate=nan"], "finite"),

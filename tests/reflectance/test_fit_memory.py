@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Sequence
+from dataclasses import replace
 
 import pytest
 import torch
@@ -14,6 +14,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.blocks import Block
 from hir_plugins.reflectance_renderers.transport_ggx.joint import FitSettings
 from hir_plugins.reflectance_renderers.transport_ggx.lobes import Lobes
 from hir_plugins.reflectance_renderers.transport_ggx.moving_light import irradiance_of, pixel_irradiance
+from hir_plugins.reflectance_renderers.transport_ggx.photographs import Photographed
 from hir_plugins.reflectance_renderers.transport_ggx.unknowns import Unknowns
 
 from .test_light_and_albedo import solver_of
@@ -42,13 +43,51 @@ def test_lobes_are_let_go_before_new_ones_are_drawn(monkeypatch: pytest.MonkeyPa
     earlier: list[weakref.ref[Lobes]] = []
     monkeypatch.setattr(joint, "_drifted", lambda *_: True)
 
-    def draw(state: Unknowns) -> Sequence[Block]:
+    whole = fit._stream(photographs, rung)
+
+    def make(state: Unknowns, number: int) -> Block:
         assert all(lobes() is None for lobes in earlier), "the lobes of both widths at once"
-        blocks = fit._blocks(photographs, rung, state)
-        earlier.extend(weakref.ref(block.lobes) for block in blocks if block.lobes is not None)
-        return blocks
+        block = whole.make(state, number)
+        assert block.lobes is not None
+        earlier.append(weakref.ref(block.lobes))
+        return block
 
     settings = FitSettings(20, "dielectric", 0, refresh=5)
     start = fit._begin(rung, None, photographs)
-    joint.fit(fit._transport, draw, start, settings, fit._edges, lambda *_: None)
+    joint.fit(fit._transport, replace(whole, make=make), start, settings, fit._edges, lambda *_: None)
     assert len(earlier) == 5, "one at the start, and one at each refresh"
+
+
+def test_a_stream_shows_every_pixel_and_holds_no_more_blocks_than_it_may(monkeypatch: pytest.MonkeyPatch) -> None:
+    fit, _ = solver_of(block_pixels=200, resident_pixels=400)
+    photographs = fit._photographs(range(6))
+    alive: list[weakref.ref[Lobes]] = []
+    shown: set[int] = set()
+    most = 0
+    block_of = fit._block
+
+    def counted(part: Photographed, rung: Rung, state: Unknowns, number: int) -> Block:
+        nonlocal most
+        block: Block = block_of(part, rung, state, number)
+        assert block.lobes is not None
+        alive.append(weakref.ref(block.lobes))
+        shown.add(number)
+        most = max(most, sum(lobes() is not None for lobes in alive))
+        return block
+
+    monkeypatch.setattr(fit, "_block", counted)
+    rung = Rung("dielectric", "uniform")
+    stream = fit._stream(photographs, rung)
+    settings = FitSettings(15 * stream.turns, "dielectric", 0)
+    joint.fit(fit._transport, stream, fit._begin(rung, None, photographs), settings, fit._edges, lambda *_: None)
+    assert stream.turns > 2 and shown == set(range(stream.count))
+    assert most <= 2, "blocks of two turns at once"
+
+
+def test_a_fit_in_turns_ends_near_the_one_that_holds_all() -> None:
+    rung, every = Rung("dielectric", "uniform"), range(6)
+    errors = []
+    for resident in (1 << 20, 400):
+        fit, _ = solver_of(block_pixels=200, resident_pixels=resident)
+        errors.append(fit.errors(fit.fit(rung, None, every, 1.0, lambda _: None), every).mean())
+    assert errors[1] < 1.25 * errors[0] + 1e-5

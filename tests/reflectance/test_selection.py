@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
 
-from hir_core.config import ReflectanceSettings
+from hir_core.config import ModelName, ReflectanceSettings
 from hir_core.errors import ConfigError
 from hir_core.interfaces import ReflectanceSolver
 from hir_core.selection import HOLD_OUT_EVERY, Rung, climb, compare, forced_rung, split_views
@@ -154,8 +153,11 @@ def test_too_few_views_fit_the_default_without_a_vote() -> None:
 
 def test_a_named_rung_is_fitted_without_a_vote() -> None:
     assert chosen(lambda rung: 1e-3, model="roughness_map", brdf="paper") == Rung("paper", "map", "map")
-    with pytest.raises(ConfigError, match="'glossy'; it is auto or one of"):
-        forced_rung(replace(ReflectanceSettings(), model="glossy"))
+
+
+@pytest.mark.parametrize("name", [name for name in get_args(ModelName) if name != "auto"])
+def test_every_name_of_a_model_is_a_rung(name: ModelName) -> None:
+    assert forced_rung(ReflectanceSettings(model=name)) is not None
 
 
 def test_comparison_is_paired() -> None:

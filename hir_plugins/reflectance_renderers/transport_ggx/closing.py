@@ -7,7 +7,7 @@ slowly at its ends. The problem is bilinear, so what is left of the albedos is a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 
 import torch
@@ -29,13 +29,13 @@ ALBEDO_LOW, ALBEDO_HIGH = 1e-3, 0.999
 
 
 def with_solved_albedo(
-    transport: Transport, blocks: Sequence[Block], specular: Sequence[SpecularBlock | None], unknowns: Unknowns,
-    bounces: int,
-) -> Unknowns:  # fmt: skip
-    """The unknowns with the albedos `solved` that the pixels of `blocks` ask for; `specular` as `refresh` left it."""
+    transport: Transport, blocks: Iterable[tuple[Block, SpecularBlock | None]], unknowns: Unknowns, bounces: int
+) -> Unknowns:
+    """The unknowns with the albedos `solved` that the pixels of `blocks` ask for; their matrices as `refresh` left
+    them.
+    """
     with torch.no_grad():
-        pairs = zip(blocks, specular, strict=True)
-        rows = [_equations(transport, block, matrices, unknowns, bounces) for block, matrices in pairs]
+        rows = [_equations(transport, block, matrices, unknowns, bounces) for block, matrices in blocks]
         albedo, _, _ = solve_albedo(rows, unknowns.diffuse_albedo, HUBER_SRGB, PRIOR)
         solved = torch.logit(albedo.clamp(ALBEDO_LOW, ALBEDO_HIGH))
     return replace(unknowns, solved=solved)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from typing import Literal
 
@@ -33,6 +33,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.blocks import (
 from hir_plugins.reflectance_renderers.transport_ggx.closing import with_solved_albedo
 from hir_plugins.reflectance_renderers.transport_ggx.fit_files import FitFile, Loop
 from hir_plugins.reflectance_renderers.transport_ggx.specular import SpecularBlock
+from hir_plugins.reflectance_renderers.transport_ggx.stream import Stream
 from hir_plugins.reflectance_renderers.transport_ggx.transport import Transport
 from hir_plugins.reflectance_renderers.transport_ggx.unknowns import Unknowns
 
@@ -78,14 +79,15 @@ class FitSettings:
 
 def fit(
     transport: Transport,
-    draw: Callable[[Unknowns], Sequence[Block]],
+    stream: Stream,
     start: Unknowns,
     settings: FitSettings,
     edges: Int[Tensor, "E 2"],
     on_step: Callable[[int, float], None],
     file: FitFile | None = None,
 ) -> Unknowns:
-    """Runs Adam with a cosine schedule over blocks in turn; `draw` makes them for a state, and again when α moved far.
+    """Runs Adam with a cosine schedule over blocks in turn, drawn again when α moved far; those that memory does not
+    hold at once are drawn in turns, one between two updates of the lobes.
 
     With `file` the state is kept there and gone on from. A step without a finite gradient is skipped and told with its
     term and views; `PATIENCE_NONFINITE` of them in a row raise `StageError`.
@@ -108,7 +110,7 @@ def fit(
     loop = Loop(optimizer, schedule, start.detached())
     if file is not None:
         file.restore(loop)
-    blocks = draw(loop.drawn)
+    blocks = stream.draw(loop.drawn, 0) if stream.turns == 1 else []
     specular = specular_blocks(blocks, settings.model)
     trouble, in_a_row = "", 0
     for step in range(loop.step, settings.steps):
@@ -116,10 +118,10 @@ def fit(
             if file is not None and not in_a_row:
                 loop.step = step
                 file.save(loop)
-            if _drifted(blocks[0], unknowns):
+            if stream.turns > 1 or _drifted(blocks[0], unknowns):
                 loop.drawn = unknowns.detached()
                 blocks, specular = [], []  # the old ones go before there are new ones: each takes gigabytes
-                blocks = draw(loop.drawn)
+                blocks = stream.draw(loop.drawn, step // settings.refresh)
                 specular = specular_blocks(blocks, settings.model)
             refresh(blocks, specular, unknowns)
         index = step % len(blocks)
@@ -149,8 +151,11 @@ def fit(
     found = unknowns.detached()
     if not settings.solve_albedo:
         return found
+    if stream.turns > 1:
+        del blocks, specular
+        return with_solved_albedo(transport, stream.each(found, settings.model), found, settings.bounces)
     refresh(blocks, specular, found)
-    return with_solved_albedo(transport, blocks, specular, found, settings.bounces)
+    return with_solved_albedo(transport, zip(blocks, specular, strict=True), found, settings.bounces)
 
 
 def _descend(

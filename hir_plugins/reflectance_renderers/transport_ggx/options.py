@@ -42,7 +42,10 @@ class TransportGGXOptions:
     view_gain: bool = False
     """Fit a brightness of each photograph, where exposures drifted or a cloud passed."""
     block_pixels: int = 65_536
-    """Pixels of a gradient step; memory grows with it."""
+    """Pixels of a gradient step."""
+    resident_pixels: int = 262_144
+    """Pixels whose lobes are in memory at once, some 3 kB each. Of more `pixels` than that, shares take turns and are
+    drawn anew, which costs time instead of memory."""
     render_samples: int = 32
     """Directions of each pixel's lobe in `render`."""
     supersampling: int = 2

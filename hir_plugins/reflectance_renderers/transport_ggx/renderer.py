@@ -43,7 +43,9 @@ class TransportGGX(ReflectanceRenderer):
         """
         options = self._options
         lobes = options.samples * LOBE_BYTES + options.diffuse_samples * HEMISPHERE_BYTES
-        fit = min(options.pixels, size.pixels) * (lobes + PIXEL_BYTES)
+        fitted = min(options.pixels, size.pixels)
+        resident = min(fitted, max(options.resident_pixels, options.block_pixels))
+        fit = resident * lobes + fitted * PIXEL_BYTES
         textures = min(options.texture_pixels, size.pixels) * EQUATION_BYTES
         return max(fit, textures) + options.cells * 4 * options.diffuse_rows**2 * 4
 

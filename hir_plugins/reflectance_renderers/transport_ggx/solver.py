@@ -23,7 +23,7 @@ from hir_core.selection import Rung
 from hir_core.srgb import linear_to_srgb, srgb_to_linear
 from hir_plugins.reflectance_renderers.transport_ggx import joint
 from hir_plugins.reflectance_renderers.transport_ggx.bending import bent
-from hir_plugins.reflectance_renderers.transport_ggx.blocks import Block, predict, refresh, residual, specular_blocks
+from hir_plugins.reflectance_renderers.transport_ggx.blocks import Block, predict, residual
 from hir_plugins.reflectance_renderers.transport_ggx.fit_files import FitFiles
 from hir_plugins.reflectance_renderers.transport_ggx.joint import FitSettings
 from hir_plugins.reflectance_renderers.transport_ggx.moving_light import pixel_irradiance
@@ -31,6 +31,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGX
 from hir_plugins.reflectance_renderers.transport_ggx.photographs import GRAZING, Photographed, join, photographed
 from hir_plugins.reflectance_renderers.transport_ggx.shading import Indirect, shade
 from hir_plugins.reflectance_renderers.transport_ggx.starts import albedo_of_photographs, without_indirect
+from hir_plugins.reflectance_renderers.transport_ggx.stream import Stream
 from hir_plugins.reflectance_renderers.transport_ggx.texture_stage import solve_scene
 from hir_plugins.reflectance_renderers.transport_ggx.transport import Transport
 from hir_plugins.reflectance_renderers.transport_ggx.unknowns import LIGHT_LIMIT, Unknowns, width_of
@@ -122,7 +123,7 @@ class TransportSolver(ReflectanceSolver):
         if rung.brdf != "diffuse" and start.unknowns.width is None and not begun:
             unknowns = self._probe(photographs, unknowns, settings, rung, effort)
         fitted = joint.fit(
-            self._transport, lambda state: self._blocks(photographs, rung, state), unknowns, settings, self._edges,
+            self._transport, self._stream(photographs, rung), unknowns, settings, self._edges,
             lambda step, _: report((step + 1) / steps), file,
         )
         if file is not None:
@@ -137,11 +138,9 @@ class TransportSolver(ReflectanceSolver):
         photographs = self._photographs(views)
         total = np.zeros(len(self._capture.views))
         count = np.zeros(len(self._capture.views))
-        for block in self._blocks(photographs, fit.rung, fit.unknowns):
-            specular = specular_blocks([block], fit.rung.brdf)
-            refresh([block], specular, fit.unknowns)
+        for block, specular in self._stream(photographs, fit.rung).each(fit.unknowns, fit.rung.brdf):
             with torch.no_grad():
-                radiance = predict(self._transport, block, specular[0], fit.unknowns, fit.rung.bounces)
+                radiance = predict(self._transport, block, specular, fit.unknowns, fit.rung.bounces)
                 if fit.unknowns.gain is not None:
                     radiance = radiance * _exposures(block, radiance, len(self._capture.views))[block.view][:, None]
                 error = residual(block, radiance.clamp(0, 1)).square().mean(dim=1).cpu().double().numpy()
@@ -189,10 +188,15 @@ class TransportSolver(ReflectanceSolver):
         generator = torch.Generator().manual_seed(self._options.seed)
         return photographs.take((torch.rand(len(photographs), generator=generator) < share).nonzero()[:, 0])
 
-    def _blocks(self, photographs: Photographed, rung: Rung, unknowns: Unknowns) -> list[Block]:
-        count = max(1, math.ceil(len(photographs) / self._options.block_pixels))
+    def _stream(self, photographs: Photographed, rung: Rung) -> Stream:
+        block = self._options.block_pixels
+        count = max(1, math.ceil(len(photographs) / block))
         order = torch.randperm(len(photographs), generator=torch.Generator().manual_seed(self._options.seed))
-        return [self._block(photographs.take(order[i::count]), rung, unknowns, i) for i in range(count)]
+
+        def make(state: Unknowns, number: int) -> Block:
+            return self._block(photographs.take(order[number::count]), rung, state, number)
+
+        return Stream(make, count, max(1, self._options.resident_pixels // block))
 
     def _block(self, part: Photographed, rung: Rung, unknowns: Unknowns, seed: int) -> Block:
         vertices, cells = self._transport.interpolation(part.points)
@@ -264,7 +268,7 @@ class TransportSolver(ReflectanceSolver):
     def _short_fit(self, part: Photographed, rung: Rung, start: Unknowns, settings: FitSettings) -> float:
         losses: list[float] = []
         joint.fit(
-            self._transport, lambda state: self._blocks(part, rung, state), start, settings, self._edges,
+            self._transport, self._stream(part, rung), start, settings, self._edges,
             lambda _, loss: losses.append(loss),
         )
         last = losses[-max(1, len(losses) // 5) :]
