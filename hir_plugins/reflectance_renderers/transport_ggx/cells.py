@@ -15,6 +15,16 @@ from torch import Tensor
 
 from hir_plugins.reflectance_renderers.transport_ggx.surface import Surface
 
+ALIKE = (0.999, 0.998, 0.995, 0.99, 0.98, 0.96, 0.9, 0.0)
+"""Length of the mean of a cell's unit normals from which it is not cut: that of cones of 4° to 37°, and of anything."""
+LEVELS = 4
+"""Cells are cut to an eighth of their side at most."""
+ROUNDS = 8
+BITS = 19
+"""Of a voxel's number along an axis."""
+SMALLEST = 2e-5
+"""Side of a cell, as a fraction of the object's extent: voxels of the last level are numbered in `BITS`."""
+
 
 @dataclass(frozen=True, eq=False)
 class Cells:
@@ -29,35 +39,59 @@ class Cells:
 
 
 def make_cells(surface: Surface, most: int) -> Cells:
-    """Clusters the vertices of a surface into at most about `most` cells, by place and by the octant of the normal."""
-    positions, normals = surface.positions, surface.normals
-    count = len(positions)
+    """Clusters the vertices of a surface into at most about `most` cells, by place and by normal.
+
+    What places leave of `most` is spent where normals turn: irradiance changes with them, and a triangle of a coarse
+    mesh may turn by a right angle.
+    """
+    count = len(surface.positions)
     if count <= most:
-        return Cells(positions, normals, torch.arange(count, device=positions.device))
-    low = positions.min(dim=0).values
-    extent = float((positions.max(dim=0).values - low).max())
+        return Cells(surface.positions, surface.normals, torch.arange(count, device=surface.positions.device))
+    low = surface.positions.min(dim=0).values
+    extent = float((surface.positions.max(dim=0).values - low).max())
     # a surface of area A meets about 2·A/s² voxels of side s
-    a, b, c = positions[surface.faces].unbind(1)
+    a, b, c = surface.positions[surface.faces].unbind(1)
     area = float(torch.linalg.cross(b - a, c - a).norm(dim=1).sum()) / 2
-    side = max((2 * area / most) ** 0.5, extent * 1e-6)
-    labels = torch.zeros(count, dtype=torch.long, device=positions.device)
-    for _ in range(8):
-        voxel = ((positions - low) / side).long()
-        octant = ((normals > 0).long() * torch.tensor([1, 2, 4], device=normals.device)).sum(1, keepdim=True)
-        _, labels = torch.unique(torch.cat([voxel, octant], dim=1), dim=0, return_inverse=True)
-        if int(labels.max()) < most:
-            break
+    side = max((2 * area / most) ** 0.5, extent * SMALLEST)
+    labels = torch.zeros(count, dtype=torch.long, device=low.device)
+    for _ in range(ROUNDS):
+        places = ((surface.positions - low) / side).nan_to_num(0)
+        for alike in ALIKE:
+            labels = _clusters(places, surface.normals, alike)
+            if int(labels.max()) < most:
+                return _cells(surface, labels)
         side *= 1.2
-    cells = int(labels.max()) + 1
-    sums = torch.zeros(cells, 7, device=positions.device, dtype=positions.dtype)
-    one = torch.ones_like(positions[:, :1])
-    sums.index_add_(0, labels, torch.cat([positions, normals, one], dim=1))
-    # the vertex nearest to the mean stands for the cell: a mean lies off a curved surface, even inside it
-    mean = (sums[:, :3] / sums[:, 6:])[labels]
-    distance = (positions - mean).square().sum(1)
-    order = torch.argsort(distance, stable=True)
+    return _cells(surface, labels)
+
+
+def _clusters(places: Float[Tensor, "V 3"], normals: Float[Tensor, "V 3"], alike: float) -> Int[Tensor, " V"]:
+    """The cluster of each vertex: voxels of side 1 and octants of normals, the voxels cut into eight, again and again,
+    where the mean of their normals is shorter than `alike`.
+    """
+    key = torch.zeros(len(places), dtype=torch.long, device=places.device)
+    settled = torch.zeros_like(key, dtype=torch.bool)
+    octant = ((normals > 0).long() * torch.tensor([1, 2, 4], device=normals.device)).sum(1)
+    for level in range(LEVELS):
+        # voxels of a level lie in one of the level above: vertices that settle together stay together
+        voxel = (places * 2**level).long().clamp(0, (1 << BITS) - 1)
+        own = ((((level << 3) + octant << BITS) + voxel[:, 0] << BITS) + voxel[:, 1] << BITS) + voxel[:, 2]
+        key = torch.where(settled, key, own)
+        if level < LEVELS - 1:
+            _, labels, number = torch.unique(key, return_inverse=True, return_counts=True)
+            total = normals.new_zeros(len(number), 3).index_add_(0, labels, normals)
+            settled = settled | (total.norm(dim=1) > alike * number)[labels]
+    return torch.unique(key, return_inverse=True)[1]
+
+
+def _cells(surface: Surface, labels: Int[Tensor, " V"]) -> Cells:
+    """The vertex nearest to the mean stands for its cell: a mean lies off a curved surface, even inside it."""
+    positions, count = surface.positions, len(surface.positions)
+    sums = torch.zeros(int(labels.max()) + 1, 4, device=positions.device, dtype=positions.dtype)
+    sums.index_add_(0, labels, torch.cat([positions, torch.ones_like(positions[:, :1])], dim=1))
+    mean = (sums[:, :3] / sums[:, 3:])[labels]
+    order = torch.argsort((positions - mean).square().sum(1), stable=True)
     order = order[torch.argsort(labels[order], stable=True)]
     first = torch.ones(count, dtype=torch.bool, device=labels.device)
     first[1:] = labels[order][1:] != labels[order][:-1]
     chosen = order[first]
-    return Cells(positions[chosen], normals[chosen], labels)
+    return Cells(positions[chosen], surface.normals[chosen], labels)
