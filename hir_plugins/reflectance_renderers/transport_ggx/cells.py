@@ -15,11 +15,13 @@ from torch import Tensor
 
 from hir_plugins.reflectance_renderers.transport_ggx.surface import Surface
 
-ALIKE = (0.999, 0.998, 0.995, 0.99, 0.98, 0.96, 0.9, 0.0)
-"""Length of the mean of a cell's unit normals from which it is not cut: that of cones of 4° to 37°, and of anything."""
 LEVELS = 4
 """Cells are cut to an eighth of their side at most."""
 ROUNDS = 8
+HALVINGS = 10
+"""Of the range in which the largest turn of a cell is sought."""
+LEAST_TURN = -9.0
+"""Its lowest logarithm (10), of 1 for a whole sphere."""
 BITS = 19
 """Of a voxel's number along an axis."""
 SMALLEST = 2e-5
@@ -41,36 +43,50 @@ class Cells:
 def make_cells(surface: Surface, most: int) -> Cells:
     """Clusters the vertices of a surface into at most about `most` cells, by place and by normal.
 
-    What places leave of `most` is spent where normals turn: irradiance changes with them, and a triangle of a coarse
-    mesh may turn by a right angle.
+    What places leave of `most` is spent where most surface turns most: irradiance changes with the normal, and one
+    triangle of a coarse mesh may turn by a right angle.
     """
     count = len(surface.positions)
     if count <= most:
         return Cells(surface.positions, surface.normals, torch.arange(count, device=surface.positions.device))
     low = surface.positions.min(dim=0).values
     extent = float((surface.positions.max(dim=0).values - low).max())
-    # a surface of area A meets about 2·A/s² voxels of side s
     a, b, c = surface.positions[surface.faces].unbind(1)
-    area = float(torch.linalg.cross(b - a, c - a).norm(dim=1).sum()) / 2
-    side = max((2 * area / most) ** 0.5, extent * SMALLEST)
+    twice = torch.linalg.cross(b - a, c - a).norm(dim=1)
+    share = twice.new_zeros(count).index_add_(0, surface.faces.reshape(-1), twice.repeat_interleave(3))
+    weighted = surface.normals * (share / share.sum().clamp_min(1e-30))[:, None]
+    # a surface of area A meets about 2·A/s² voxels of side s
+    side = max((float(twice.sum()) / most) ** 0.5, extent * SMALLEST)
     labels = torch.zeros(count, dtype=torch.long, device=low.device)
     for _ in range(ROUNDS):
         places = ((surface.positions - low) / side).nan_to_num(0)
-        for alike in ALIKE:
-            labels = _clusters(places, surface.normals, alike)
-            if int(labels.max()) < most:
-                return _cells(surface, labels)
+        labels = _clusters(places, surface.normals, weighted, 1.0)
+        if int(labels.max()) < most:
+            break
         side *= 1.2
+    else:
+        return _cells(surface, labels)
+    easy, hard = 0.0, LEAST_TURN
+    for _ in range(HALVINGS):
+        middle = (easy + hard) / 2
+        found = _clusters(places, surface.normals, weighted, 10.0**middle)
+        if int(found.max()) < most:
+            easy, labels = middle, found
+        else:
+            hard = middle
     return _cells(surface, labels)
 
 
-def _clusters(places: Float[Tensor, "V 3"], normals: Float[Tensor, "V 3"], alike: float) -> Int[Tensor, " V"]:
+def _clusters(
+    places: Float[Tensor, "V 3"], normals: Float[Tensor, "V 3"], weighted: Float[Tensor, "V 3"], turn: float
+) -> Int[Tensor, " V"]:
     """The cluster of each vertex: voxels of side 1 and octants of normals, the voxels cut into eight, again and again,
-    where the mean of their normals is shorter than `alike`.
+    where `weighted` normals (each as long as its share of the surface) cancel by more than `turn`.
     """
     key = torch.zeros(len(places), dtype=torch.long, device=places.device)
     settled = torch.zeros_like(key, dtype=torch.bool)
     octant = ((normals > 0).long() * torch.tensor([1, 2, 4], device=normals.device)).sum(1)
+    length = weighted.norm(dim=1)
     for level in range(LEVELS):
         # voxels of a level lie in one of the level above: vertices that settle together stay together
         voxel = (places * 2**level).long().clamp(0, (1 << BITS) - 1)
@@ -78,8 +94,9 @@ def _clusters(places: Float[Tensor, "V 3"], normals: Float[Tensor, "V 3"], alike
         key = torch.where(settled, key, own)
         if level < LEVELS - 1:
             _, labels, number = torch.unique(key, return_inverse=True, return_counts=True)
-            total = normals.new_zeros(len(number), 3).index_add_(0, labels, normals)
-            settled = settled | (total.norm(dim=1) > alike * number)[labels]
+            total = normals.new_zeros(len(number), 3).index_add_(0, labels, weighted).norm(dim=1)
+            whole = normals.new_zeros(len(number)).index_add_(0, labels, length)
+            settled = settled | (whole - total <= turn)[labels]
     return torch.unique(key, return_inverse=True)[1]
 
 
