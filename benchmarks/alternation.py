@@ -1,0 +1,166 @@
+"""Albedos and light in closed form, in turns, beside gradient steps: `python -m benchmarks.alternation CAPTURE`.
+
+On the true mesh of a capture, in the task of `hir bench reflectance`, judged as there. With visibility and lobes cached
+what photographs show is linear in the albedos and linear in the light: either is a least-squares problem while the
+other rests. Lobes stay as all fits start with them; gradient steps move them, too, and are shown without them as well.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from hir_core.bench.captures import true_scene
+from hir_core.bench.fits import DOWNSAMPLE, FITTED
+from hir_core.bench.initializers import decoded
+from hir_core.bench.judge import Judge
+from hir_core.config import ReflectanceSettings
+from hir_core.manager import PluginManager
+from hir_core.readers import read_capture
+from hir_core.reflectance import starting_scene
+from hir_core.selection import Rung
+from hir_core.srgb import srgb_slope, srgb_to_linear
+from hir_plugins.reflectance_renderers.transport_ggx.blocks import Block, predict, refresh, specular_blocks
+from hir_plugins.reflectance_renderers.transport_ggx.closing import DARKEST, with_solved_albedo
+from hir_plugins.reflectance_renderers.transport_ggx.solver import Fit, TransportSolver
+from hir_plugins.reflectance_renderers.transport_ggx.specular import SpecularBlock
+from hir_plugins.reflectance_renderers.transport_ggx.transport import Transport
+from hir_plugins.reflectance_renderers.transport_ggx.unknowns import Unknowns
+
+ROUNDS = (1, 2, 5, 10, 20)
+EFFORTS = (0.0625, 0.25, 1.0)
+ITERATIONS = 12
+"""Of conjugate gradients for the light, in each round."""
+SMOOTHNESS = 0.02
+"""Weight of differences between neighbouring texels, of what the photographs say of a texel on average."""
+LEAST = 1e-6
+"""Radiance of a texel that the solution would make negative."""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("capture", type=Path)
+    path = parser.parse_args().capture
+    plugins = PluginManager.discover()
+    train = decoded(read_capture(path, "train", plugins))
+    scene = true_scene(path, train)
+    if scene is None:
+        raise SystemExit(f"{path} has no true mesh")
+    judge = Judge(path, plugins, DOWNSAMPLE)
+    start = starting_scene(scene, train, ReflectanceSettings())
+    renderer = plugins.create("reflectance_renderer", "transport_ggx", {})
+    every = range(len(train.views))
+    print("| method | seconds | unseen, object / frame | relit, frame, scaled |\n|---|---|---|---|")
+
+    def row(name: str, solver: TransportSolver, fit: Fit, began: float) -> None:
+        found, _ = solver.scene(fit, every, lambda _: None)
+        seconds = time.perf_counter() - began
+        errors = judge(found, 1)
+        relit = ", ".join(f"{value:.1f}" for key, value in errors.items() if key.startswith("relight"))
+        unseen = f"{errors['unseen dB']:.1f} / {errors['frame dB']:.1f}"
+        print(f"| {name} | {seconds:.0f} | {unseen} | {relit} |", flush=True)
+
+    for rung in (Rung("diffuse"), FITTED):
+        for effort in EFFORTS:
+            began = time.perf_counter()
+            solver = renderer.prepare(start, train, DOWNSAMPLE)
+            fit = solver.fit(rung, None, every, effort, lambda _: None)
+            row(f"gradient steps, {rung.name}, effort {effort:g}", solver, fit, began)
+    for rung in (Rung("diffuse"), FITTED):
+        for rounds in ROUNDS:
+            began = time.perf_counter()
+            solver = renderer.prepare(start, train, DOWNSAMPLE)
+            fit = Fit(rung, alternated(solver, rung, every, rounds))
+            row(f"closed form, {rung.name}, {rounds} rounds", solver, fit, began)
+
+
+def alternated(solver: TransportSolver, rung: Rung, views: Sequence[int], rounds: int) -> Unknowns:
+    """Light, then albedos, so often, from what gradient steps begin with."""
+    photographs = solver._photographs(views)
+    unknowns = solver._begin(rung, None, photographs)
+    if rung.brdf != "diffuse":
+        unknowns = solver._begin(rung, Fit(Rung("diffuse"), unknowns), photographs)
+    stream = solver._stream(photographs, rung)
+    blocks = [stream.make(unknowns, number) for number in range(stream.count)]
+    specular = specular_blocks(blocks, rung.brdf)
+    refresh(blocks, specular, unknowns)
+    for _ in range(rounds):
+        problem = LightProblem(solver._transport, blocks, specular, unknowns, rung.bounces)
+        unknowns = replace(unknowns, light=problem.solution().log())
+        found = with_solved_albedo(solver._transport, zip(blocks, specular, strict=True), unknowns, rung.bounces)
+        unknowns = replace(unknowns, diffuse=found.settled.diffuse)
+    return unknowns
+
+
+@dataclass(frozen=True, eq=False)
+class LightProblem:
+    """The light that photographs ask for while albedos and lobes rest: regularised least squares, then what is negative
+    is cut off.
+    """
+
+    transport: Transport
+    blocks: Sequence[Block]
+    specular: Sequence[SpecularBlock | None]
+    unknowns: Unknowns
+    bounces: int
+
+    def solution(self) -> Tensor:
+        """Radiance (H, W, 3)."""
+        light = self.unknowns.radiance
+        colors = [srgb_to_linear(block.color_srgb) for block in self.blocks]
+        pairs = zip(colors, self.blocks, strict=True)
+        weights = [srgb_slope(c.clamp(DARKEST, 1)).square() * ~block.saturated for c, block in pairs]
+        right = self._transposed([w * c for w, c in zip(weights, colors, strict=True)])
+        ones = [w * shown for w, shown in zip(weights, self._shown(torch.ones_like(light)), strict=True)]
+        smooth = SMOOTHNESS * self._transposed(ones).mean()
+
+        def apply(x: Tensor) -> Tensor:
+            plus, minus = self._shown(x.clamp_min(0)), self._shown((-x).clamp_min(0))
+            rows = [w * (a - b) for w, a, b in zip(weights, plus, minus, strict=True)]
+            return self._transposed(rows) + smooth * _differences(x)
+
+        residual = right - apply(light)
+        direction, rho = residual, residual.square().sum()
+        for _ in range(ITERATIONS):
+            image = apply(direction)
+            step = rho / (direction * image).sum().clamp_min(1e-30)
+            light, residual = light + step * direction, residual - step * image
+            new = residual.square().sum()
+            direction, rho = residual + new / rho.clamp_min(1e-30) * direction, new
+        return light.clamp_min(LEAST)
+
+    def _shown(self, radiance: Tensor) -> list[Tensor]:
+        """What each block shows under a light."""
+        lit = replace(self.unknowns, light=radiance.clamp_min(1e-20).log())
+        with torch.no_grad():
+            pairs = zip(self.blocks, self.specular, strict=True)
+            return [predict(self.transport, block, matrices, lit, self.bounces) for block, matrices in pairs]
+
+    def _transposed(self, rows: Sequence[Tensor]) -> Tensor:
+        radiance = torch.ones_like(self.unknowns.light, requires_grad=True)
+        lit = replace(self.unknowns, light=radiance.log())
+        total = torch.zeros_like(radiance)
+        for block, matrices, values in zip(self.blocks, self.specular, rows, strict=True):
+            shown = predict(self.transport, block, matrices, lit, self.bounces)
+            total = total + torch.autograd.grad(shown, radiance, values)[0]
+        return total
+
+
+def _differences(light: Tensor) -> Tensor:
+    """Gradient of half the squared differences between neighbouring texels; columns go round."""
+    across = 2 * light - light.roll(1, 1) - light.roll(-1, 1)
+    down = torch.zeros_like(light)
+    step = light[1:] - light[:-1]
+    down[1:] += step
+    down[:-1] -= step
+    return across + down
+
+
+if __name__ == "__main__":
+    main()

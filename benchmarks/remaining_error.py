@@ -1,0 +1,138 @@
+"""What a fit on a true mesh still lacks: `python -m benchmarks.remaining_error CAPTURE` (spot or avocado).
+
+The task of `hir bench reflectance`, judged as there, with one thing after another given more than the defaults give it,
+and at last what was rendered in place of the fit: what is left then is pixels, noise and another renderer's habits.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.nn.functional import interpolate
+
+from benchmarks.true_materials import true_scene as rendered_scene
+from hir_core.bench.captures import true_scene
+from hir_core.bench.fits import DOWNSAMPLE, FITTED
+from hir_core.bench.initializers import decoded
+from hir_core.bench.judge import Judge
+from hir_core.capture import Capture
+from hir_core.config import ReflectanceSettings
+from hir_core.interfaces import ReflectanceSolver
+from hir_core.manager import PluginManager
+from hir_core.readers import read_capture
+from hir_core.reference import light_of
+from hir_core.reflectance import starting_scene
+from hir_core.scene import EnvironmentMap, Scene
+from hir_plugins.reflectance_renderers.transport_ggx.pyramid import latlong, texel_directions
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One change to the task."""
+
+    name: str
+    change: Callable[[Scene], Scene] = lambda scene: scene
+    options: dict[str, Any] = field(default_factory=dict)
+    effort: float = 1.0
+    normals: bool = False
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("capture", type=Path)
+    path = parser.parse_args().capture
+    plugins = PluginManager.discover()
+    train = decoded(read_capture(path, "train", plugins))
+    scene = true_scene(path, train)
+    if scene is None:
+        raise SystemExit(f"{path} has no true mesh")
+    judge = Judge(path, plugins, DOWNSAMPLE)
+    start = starting_scene(scene, train, ReflectanceSettings())
+    print("| | seconds | unseen, object / frame | relit, frame, scaled |\n|---|---|---|---|")
+
+    def row(name: str, seconds: str, shown: Scene) -> None:
+        errors = judge(shown, FITTED.bounces)
+        relit = ", ".join(f"{value:.1f}" for key, value in errors.items() if key.startswith("relight"))
+        unseen = f"{errors['unseen dB']:.1f} / {errors['frame dB']:.1f}"
+        print(f"| {name} | {seconds} | {unseen} | {relit} |", flush=True)
+
+    for variant in variants(path, train, plugins):
+        began = time.perf_counter()
+        found = fitted(variant.change(start), train, plugins, variant)
+        row(variant.name, f"{time.perf_counter() - began:.0f}", found)
+    truth = rendered_scene(path, judge.captures["test"])
+    assert truth.material is not None
+    if truth.material.normal is not None:
+        smooth = replace(truth, material=replace(truth.material, normal=None))
+        row("what was rendered, without its normal map", "–", smooth)
+    row("what was rendered", "–", truth)
+
+
+def variants(path: Path, train: Capture, plugins: PluginManager) -> Iterator[Variant]:
+    """The changes; all start from the same scene."""
+    yield Variant("as it is")
+    yield Variant("textures of twice the side", finer_textures)
+    yield Variant("a light of 128×256", lambda scene: lit_by(scene, finer(_light(scene).radiance)))
+    yield Variant("32 directions of a lobe", options={"samples": 32, "texture_samples": 16})
+    yield Variant("24,000 cells", options={"cells": 24_000})
+    yield Variant("a million pixels", options={"pixels": 1_000_000})
+    yield Variant("four times the steps", effort=4.0)
+    yield Variant("a normal map", normals=True)
+    source = read_capture(path, "test", plugins).environment
+    if source is not None:
+        known = light_of(source, train.world_from_source)
+        yield Variant("the true light", lambda scene: lit_by(scene, seen_from(known, 64)), {"known_light": True})
+
+
+def fitted(start: Scene, train: Capture, plugins: PluginManager, variant: Variant) -> Scene:
+    """The scene of a fit to all train views."""
+    solver = plugins.create("reflectance_renderer", "transport_ggx", variant.options).prepare(start, train, DOWNSAMPLE)
+    assert isinstance(solver, ReflectanceSolver)
+    every = range(len(train.views))
+    fit = solver.fit(FITTED, None, every, variant.effort, lambda _: None)
+    if variant.normals:
+        fit = solver.fit(replace(FITTED, normals="map"), fit, every, variant.effort, lambda _: None)
+    return solver.scene(fit, every, lambda _: None)[0]
+
+
+def finer_textures(scene: Scene) -> Scene:
+    """Room for twice the texels along a side."""
+    assert scene.material is not None
+    return replace(scene, material=replace(scene.material, diffuse_albedo=finer(scene.material.diffuse_albedo)))
+
+
+def finer(image: Tensor) -> Tensor:
+    """Twice the rows and columns."""
+    return interpolate(image.permute(2, 0, 1)[None], scale_factor=2)[0].permute(1, 2, 0).contiguous()
+
+
+def lit_by(scene: Scene, radiance: Tensor) -> Scene:
+    """The same under another light in the world's axes."""
+    return replace(scene, environment=replace(_light(scene), radiance=radiance))
+
+
+def seen_from(light: EnvironmentMap, rows: int) -> Tensor:
+    """A light in the world's axes (rows, 2·rows, 3): means of eight by eight looks a texel."""
+    fine = 8 * rows
+    assert light.to_world is not None
+    u, v = latlong(texel_directions(fine, 2 * fine) @ light.to_world)
+    height, width = light.radiance.shape[:2]
+    row, column = (v * height).long().clamp(0, height - 1), (u * width).long().clamp(0, width - 1)
+    looked = light.radiance[row, column].reshape(1, fine, 2 * fine, 3).permute(0, 3, 1, 2)
+    return torch.nn.functional.avg_pool2d(looked, 8)[0].permute(1, 2, 0).contiguous()
+
+
+def _light(scene: Scene) -> EnvironmentMap:
+    assert scene.environment is not None
+    return scene.environment
+
+
+if __name__ == "__main__":
+    main()
