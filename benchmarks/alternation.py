@@ -7,23 +7,15 @@ other rests. Lobes stay as all fits start with them; gradient steps move them, t
 
 from __future__ import annotations
 
-import argparse
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import torch
 from torch import Tensor
 
-from hir_core.bench.captures import true_scene
+from benchmarks.reflectance_task import asked_task
 from hir_core.bench.fits import DOWNSAMPLE, FITTED
-from hir_core.bench.initializers import decoded
-from hir_core.bench.judge import Judge
-from hir_core.config import ReflectanceSettings
-from hir_core.manager import PluginManager
-from hir_core.readers import read_capture
-from hir_core.reflectance import starting_scene
 from hir_core.selection import Rung
 from hir_core.srgb import srgb_slope, srgb_to_linear
 from hir_plugins.reflectance_renderers.transport_ggx.blocks import Block, predict, refresh, specular_blocks
@@ -44,40 +36,27 @@ LEAST = 1e-6
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("capture", type=Path)
-    path = parser.parse_args().capture
-    plugins = PluginManager.discover()
-    train = decoded(read_capture(path, "train", plugins))
-    scene = true_scene(path, train)
-    if scene is None:
-        raise SystemExit(f"{path} has no true mesh")
-    judge = Judge(path, plugins, DOWNSAMPLE)
-    start = starting_scene(scene, train, ReflectanceSettings())
-    renderer = plugins.create("reflectance_renderer", "transport_ggx", {})
-    every = range(len(train.views))
-    print("| method | seconds | unseen, object / frame | relit, frame, scaled |\n|---|---|---|---|")
+    task = asked_task(__doc__)
+    renderer = task.plugins.create("reflectance_renderer", "transport_ggx", {})
+    every = range(len(task.train.views))
 
-    def row(name: str, solver: TransportSolver, fit: Fit, began: float) -> None:
-        found, _ = solver.scene(fit, every, lambda _: None)
-        seconds = time.perf_counter() - began
-        errors = judge(found, 1)
-        relit = ", ".join(f"{value:.1f}" for key, value in errors.items() if key.startswith("relight"))
-        unseen = f"{errors['unseen dB']:.1f} / {errors['frame dB']:.1f}"
-        print(f"| {name} | {seconds:.0f} | {unseen} | {relit} |", flush=True)
+    def row(name: str, fitted: Callable[[TransportSolver], Fit]) -> None:
+        began = time.perf_counter()
+        solver = renderer.prepare(task.start, task.train, DOWNSAMPLE)
+        found, _ = solver.scene(fitted(solver), every, lambda _: None)
+        task.row(name, time.perf_counter() - began, found)
 
     for rung in (Rung("diffuse"), FITTED):
         for effort in EFFORTS:
-            began = time.perf_counter()
-            solver = renderer.prepare(start, train, DOWNSAMPLE)
-            fit = solver.fit(rung, None, every, effort, lambda _: None)
-            row(f"gradient steps, {rung.name}, effort {effort:g}", solver, fit, began)
-    for rung in (Rung("diffuse"), FITTED):
+            row(
+                f"gradient steps, {rung.name}, effort {effort:g}",
+                lambda solver, r=rung, e=effort: solver.fit(r, None, every, e, lambda _: None),
+            )
         for rounds in ROUNDS:
-            began = time.perf_counter()
-            solver = renderer.prepare(start, train, DOWNSAMPLE)
-            fit = Fit(rung, alternated(solver, rung, every, rounds))
-            row(f"closed form, {rung.name}, {rounds} rounds", solver, fit, began)
+            row(
+                f"closed form, {rung.name}, {rounds} rounds",
+                lambda solver, r=rung, n=rounds: Fit(r, alternated(solver, r, every, n)),
+            )
 
 
 def alternated(solver: TransportSolver, rung: Rung, views: Sequence[int], rounds: int) -> Unknowns:

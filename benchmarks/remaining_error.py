@@ -6,29 +6,20 @@ and at last what was rendered in place of the fit: what is left then is pixels, 
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
 
-from benchmarks.true_materials import true_scene as rendered_scene
-from hir_core.bench.captures import true_scene
+from benchmarks.reflectance_task import Task, asked_task
+from benchmarks.true_materials import true_scene
 from hir_core.bench.fits import DOWNSAMPLE, FITTED
-from hir_core.bench.initializers import decoded
-from hir_core.bench.judge import Judge
-from hir_core.capture import Capture
-from hir_core.config import ReflectanceSettings
 from hir_core.interfaces import ReflectanceSolver
-from hir_core.manager import PluginManager
-from hir_core.readers import read_capture
 from hir_core.reference import light_of
-from hir_core.reflectance import starting_scene
 from hir_core.scene import EnvironmentMap, Scene
 from hir_plugins.reflectance_renderers.transport_ggx.pyramid import latlong, texel_directions
 
@@ -45,37 +36,20 @@ class Variant:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("capture", type=Path)
-    path = parser.parse_args().capture
-    plugins = PluginManager.discover()
-    train = decoded(read_capture(path, "train", plugins))
-    scene = true_scene(path, train)
-    if scene is None:
-        raise SystemExit(f"{path} has no true mesh")
-    judge = Judge(path, plugins, DOWNSAMPLE)
-    start = starting_scene(scene, train, ReflectanceSettings())
-    print("| | seconds | unseen, object / frame | relit, frame, scaled |\n|---|---|---|---|")
-
-    def row(name: str, seconds: str, shown: Scene) -> None:
-        errors = judge(shown, FITTED.bounces)
-        relit = ", ".join(f"{value:.1f}" for key, value in errors.items() if key.startswith("relight"))
-        unseen = f"{errors['unseen dB']:.1f} / {errors['frame dB']:.1f}"
-        print(f"| {name} | {seconds} | {unseen} | {relit} |", flush=True)
-
-    for variant in variants(path, train, plugins):
+    task = asked_task(__doc__)
+    for variant in variants(task):
         began = time.perf_counter()
-        found = fitted(variant.change(start), train, plugins, variant)
-        row(variant.name, f"{time.perf_counter() - began:.0f}", found)
-    truth = rendered_scene(path, judge.captures["test"])
+        found = fitted(task, variant)
+        task.row(variant.name, time.perf_counter() - began, found)
+    truth = true_scene(task.path, task.judge.captures["test"])
     assert truth.material is not None
     if truth.material.normal is not None:
         smooth = replace(truth, material=replace(truth.material, normal=None))
-        row("what was rendered, without its normal map", "–", smooth)
-    row("what was rendered", "–", truth)
+        task.row("what was rendered, without its normal map", None, smooth)
+    task.row("what was rendered", None, truth)
 
 
-def variants(path: Path, train: Capture, plugins: PluginManager) -> Iterator[Variant]:
+def variants(task: Task) -> Iterator[Variant]:
     """The changes; all start from the same scene."""
     yield Variant("as it is")
     yield Variant("textures of twice the side", finer_textures)
@@ -85,17 +59,18 @@ def variants(path: Path, train: Capture, plugins: PluginManager) -> Iterator[Var
     yield Variant("a million pixels", options={"pixels": 1_000_000})
     yield Variant("four times the steps", effort=4.0)
     yield Variant("a normal map", normals=True)
-    source = read_capture(path, "test", plugins).environment
+    source = task.judge.captures["test"].environment
     if source is not None:
-        known = light_of(source, train.world_from_source)
+        known = light_of(source, task.train.world_from_source)
         yield Variant("the true light", lambda scene: lit_by(scene, seen_from(known, 64)), {"known_light": True})
 
 
-def fitted(start: Scene, train: Capture, plugins: PluginManager, variant: Variant) -> Scene:
+def fitted(task: Task, variant: Variant) -> Scene:
     """The scene of a fit to all train views."""
-    solver = plugins.create("reflectance_renderer", "transport_ggx", variant.options).prepare(start, train, DOWNSAMPLE)
+    renderer = task.plugins.create("reflectance_renderer", "transport_ggx", variant.options)
+    solver = renderer.prepare(variant.change(task.start), task.train, DOWNSAMPLE)
     assert isinstance(solver, ReflectanceSolver)
-    every = range(len(train.views))
+    every = range(len(task.train.views))
     fit = solver.fit(FITTED, None, every, variant.effort, lambda _: None)
     if variant.normals:
         fit = solver.fit(replace(FITTED, normals="map"), fit, every, variant.effort, lambda _: None)

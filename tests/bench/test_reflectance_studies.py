@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
 
+from benchmarks.alternation import LightProblem
+from benchmarks.remaining_error import seen_from
 from hir_core.scene import EnvironmentMap
 from hir_core.selection import Rung
 from hir_plugins.reflectance_renderers.transport_ggx.blocks import refresh, specular_blocks
 from hir_plugins.reflectance_renderers.transport_ggx.solver import Fit
+from hir_plugins.reflectance_renderers.transport_ggx.unknowns import Unknowns
 from tests.reflectance.test_light_and_albedo import solver_of
 
 
-@pytest.mark.parametrize("rung", [Rung(), Rung("dielectric", "uniform", bounces=1)])
-def test_the_light_in_closed_form_shows_what_was_photographed(rung: Rung) -> None:
-    """Under the true albedo of a ball; the light that it begins with is even."""
-    from benchmarks.alternation import LightProblem
-
+def light_problem(rung: Rung) -> tuple[Any, Unknowns, LightProblem]:
+    """A ball with what its photographs begin with."""
     solver, _ = solver_of()
     photographs = solver._photographs(range(6))
     unknowns = solver._begin(rung, None, photographs)
@@ -26,7 +27,12 @@ def test_the_light_in_closed_form_shows_what_was_photographed(rung: Rung) -> Non
     blocks = [stream.make(unknowns, number) for number in range(stream.count)]
     specular = specular_blocks(blocks, rung.brdf)
     refresh(blocks, specular, unknowns)
-    problem = LightProblem(solver._transport, blocks, specular, unknowns, rung.bounces)
+    return solver, unknowns, LightProblem(solver._transport, blocks, specular, unknowns, rung.bounces)
+
+
+@pytest.mark.parametrize("rung", [Rung(), Rung("dielectric", "uniform", bounces=1)])
+def test_the_light_in_closed_form_shows_what_was_photographed(rung: Rung) -> None:
+    solver, unknowns, problem = light_problem(rung)
     found = problem.solution()
     assert bool((found > 0).all()) and bool(torch.isfinite(found).all())
     before = solver.errors(Fit(rung, unknowns), range(6)).mean()
@@ -36,17 +42,7 @@ def test_the_light_in_closed_form_shows_what_was_photographed(rung: Rung) -> Non
 
 def test_what_a_light_shows_is_linear_and_its_transpose_is_one() -> None:
     """⟨A x, y⟩ = ⟨x, Aᵀ y⟩, which conjugate gradients rely on."""
-    from benchmarks.alternation import LightProblem
-
-    solver, _ = solver_of()
-    rung = Rung("dielectric", "uniform", bounces=1)
-    photographs = solver._photographs(range(6))
-    unknowns = solver._begin(rung, None, photographs)
-    stream = solver._stream(photographs, rung)
-    blocks = [stream.make(unknowns, number) for number in range(stream.count)]
-    specular = specular_blocks(blocks, rung.brdf)
-    refresh(blocks, specular, unknowns)
-    problem = LightProblem(solver._transport, blocks, specular, unknowns, rung.bounces)
+    _, unknowns, problem = light_problem(Rung("dielectric", "uniform", bounces=1))
     torch.manual_seed(0)
     light = torch.rand_like(unknowns.light)
     shown = problem._shown(light)
@@ -56,8 +52,6 @@ def test_what_a_light_shows_is_linear_and_its_transpose_is_one() -> None:
 
 
 def test_a_light_seen_from_itself_is_itself() -> None:
-    from benchmarks.remaining_error import seen_from
-
     even = EnvironmentMap(torch.full((16, 32, 3), 0.7), torch.eye(3))
     assert torch.allclose(seen_from(even, 8), torch.full((8, 16, 3), 0.7))
     bright = torch.zeros(16, 32, 3)

@@ -1,0 +1,51 @@
+"""The task of `hir bench reflectance` for studies: material and light on a capture's true mesh, at half the size."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+
+from hir_core.bench.captures import true_scene
+from hir_core.bench.fits import DOWNSAMPLE, FITTED
+from hir_core.bench.initializers import decoded
+from hir_core.bench.judge import Judge
+from hir_core.capture import Capture
+from hir_core.config import ReflectanceSettings
+from hir_core.manager import PluginManager
+from hir_core.readers import read_capture
+from hir_core.reflectance import starting_scene
+from hir_core.scene import Scene
+
+
+@dataclass(frozen=True)
+class Task:
+    """What a fit is given, and who judges it; rows go to standard output as Markdown."""
+
+    path: Path
+    plugins: PluginManager
+    train: Capture
+    start: Scene
+    judge: Judge
+
+    def row(self, name: str, seconds: float | None, shown: Scene) -> None:
+        """Judges a scene."""
+        errors = self.judge(shown, FITTED.bounces)
+        relit = ", ".join(f"{value:.1f}" for key, value in errors.items() if key.startswith("relight"))
+        unseen = f"{errors['unseen dB']:.1f} / {errors['frame dB']:.1f}"
+        print(f"| {name} | {'–' if seconds is None else f'{seconds:.0f}'} | {unseen} | {relit} |", flush=True)
+
+
+def asked_task(description: str | None) -> Task:
+    """The task of the capture that the command line names; prints the table's head."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("capture", type=Path)
+    path = parser.parse_args().capture
+    plugins = PluginManager.discover()
+    train = decoded(read_capture(path, "train", plugins))
+    scene = true_scene(path, train)
+    if scene is None:
+        raise SystemExit(f"{path} has no true mesh")
+    start = starting_scene(scene, train, ReflectanceSettings())
+    print("| | seconds | unseen, object / frame | relit, frame, scaled |\n|---|---|---|---|")
+    return Task(path, plugins, train, start, Judge(path, plugins, DOWNSAMPLE))
