@@ -118,9 +118,9 @@ class LightProblem:
 
     def _transposed(self, rows: Sequence[Tensor]) -> Tensor:
         radiance = torch.ones_like(self.unknowns.light, requires_grad=True)
-        lit = replace(self.unknowns, light=radiance.log())
         total = torch.zeros_like(radiance)
         for block, matrices, values in zip(self.blocks, self.specular, rows, strict=True):
+            lit = replace(self.unknowns, light=radiance.log())
             shown = predict(self.transport, block, matrices, lit, self.bounces)
             total = total + torch.autograd.grad(shown, radiance, values)[0]
         return total

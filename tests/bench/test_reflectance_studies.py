@@ -19,8 +19,8 @@ from tests.reflectance.test_light_and_albedo import solver_of
 
 
 def light_problem(rung: Rung) -> tuple[Any, Unknowns, LightProblem]:
-    """A ball with what its photographs begin with."""
-    solver, _ = solver_of()
+    """A ball with what its photographs begin with, in several blocks."""
+    solver, _ = solver_of(block_pixels=400)
     photographs = solver._photographs(range(6))
     unknowns = solver._begin(rung, None, photographs)
     stream = solver._stream(photographs, rung)
