@@ -90,4 +90,4 @@ def test_a_fit_in_turns_ends_near_the_one_that_holds_all() -> None:
     for resident in (1 << 20, 400):
         fit, _ = solver_of(block_pixels=200, resident_pixels=resident)
         errors.append(fit.errors(fit.fit(rung, None, every, 1.0, lambda _: None), every).mean())
-    assert errors[1] < 1.25 * errors[0] + 1e-5
+    assert errors[1] < 1.6 * errors[0] < 1e-6, "66.7 dB, and 65.5 in turns"
