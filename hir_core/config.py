@@ -62,7 +62,7 @@ class GeometrySettings:
     """After the masks, move vertices until the photographs agree about the surface, and keep the result where views
     that took no part agree too."""
     photograph_iterations: int = 100
-    """Optimisation steps with the photographs at each of their resolutions."""
+    """Optimisation steps with the photographs at each of their resolutions, and once more for fine carvings."""
     start_radius: float = 0.0
     """Scale the start mesh to this radius during the stage and back after it; 0 leaves it."""
     enabled: bool = True
@@ -78,7 +78,9 @@ class AtlasSettings:
     """Texels between charts."""
 
 
-ModelName: TypeAlias = Literal["auto", "diffuse", "specular", "specular_map", "roughness_map", "normal_map"]
+ModelName: TypeAlias = Literal[
+    "auto", "diffuse", "specular", "specular_map", "roughness_map", "normal_map", "texel_lobes"
+]
 """How much of the model is fitted: a rung of the ladder, or `auto`."""
 
 

@@ -112,7 +112,8 @@ class ReflectanceSolver(PreparedReflectance):
 
     @abstractmethod
     def fit(self, rung: Rung, start: Any, views: Sequence[int], effort: float, report: Callable[[float], None]) -> Any:
-        """Fits light and material of a rung to some views, from an earlier fit or None; `effort` 1 is a full fit.
+        """Fits light and material of a rung to some views, from an earlier fit or None; `effort` 1 is a full fit,
+        0 (for rungs that give texels values of their own) leaves the earlier fit as it is.
 
         `report` is told the share that is done, 0…1. The result never depends on views that are not named.
         """

@@ -75,6 +75,8 @@ def test_gain_within_its_noise_is_not_kept() -> None:
         Rung(bounces=1),
         Rung("dielectric", "uniform", normals="map"),
         Rung(bounces=1, normals="map"),
+        Rung("dielectric", "uniform", texels="lobes"),
+        Rung("paper", "map", normals="map", texels="lobes"),
     ],
     ids=lambda rung: rung.name,
 )
@@ -82,7 +84,7 @@ def test_every_answer_is_found_where_it_is_right(truth: Rung) -> None:
     def error(rung: Rung) -> float:
         wrong = (rung.brdf == truth.brdf, rung.specular == truth.specular, rung.roughness == truth.roughness,
                  rung.colored == truth.colored, rung.bounces == truth.bounces, rung.light_frame == truth.light_frame,
-                 rung.normals == truth.normals)
+                 rung.normals == truth.normals, (rung.texels == "lobes") == (truth.texels == "lobes"))
         return 1e-3 * 2.0 ** wrong.count(False)
 
     assert chosen(error) == truth
@@ -122,8 +124,21 @@ def test_normals_are_not_bent_under_a_light_on_the_camera() -> None:
         return (1e-3 if rung.normals == "map" else 3e-3) * (1 if rung.light_frame == "camera" else 5)
 
     assert chosen(error) == Rung(light_frame="camera")
-    with pytest.raises(ConfigError, match="stands still"):
-        forced_rung(ReflectanceSettings(model="normal_map", light_frame="camera"))
+    for model in ("normal_map", "texel_lobes"):
+        with pytest.raises(ConfigError, match="stands still"):
+            forced_rung(ReflectanceSettings(model=model, light_frame="camera"))
+
+
+def test_texels_are_compared_with_texels() -> None:
+    """Points with albedos of their own fit better than vertices can, whatever the lobe: that is no lobe's gain."""
+
+    def error(rung: Rung) -> float:
+        return (1e-3 if rung.texels == "none" else 0.2e-3) * (1 if rung.brdf == "dielectric" else 3)
+
+    solver = Scripted(error)
+    _, rung, steps = climb(solver, ReflectanceSettings(), 40, lambda *_: None)
+    assert rung == Rung("dielectric", "uniform")
+    assert not steps[-1].kept and steps[-1].rung.texels == "lobes" and steps[-1].gain_db == pytest.approx(0)
 
 
 def test_held_out_views_are_never_fitted() -> None:

@@ -15,7 +15,7 @@ import mitsuba as mi
 from hir_exporters.brdf import albedo_table
 from hir_exporters.conventions import ALPHA_MIN
 
-from hir_plugins.reflectance_renderers.mitsuba_ggx.arrays import floats
+from hir_plugins.reflectance_renderers.arrays import floats
 
 _EYE_MIN = 1e-3
 """Sampling, unlike evaluation, lifts eyes below the shading horizon above it: any density above zero is right."""

@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from hir_plugins.reflectance_renderers.mitsuba_ggx.arrays import to_float, to_torch
+from hir_plugins.reflectance_renderers.arrays import to_float, to_torch
 
 _UNIFORM = 0.1
 """Part of the samples that ignores brightness: the derivative of a black texel needs samples too."""

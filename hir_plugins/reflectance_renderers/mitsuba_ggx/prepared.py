@@ -19,7 +19,7 @@ from hir_core.capture import Camera
 from hir_core.errors import StageError
 from hir_core.interfaces import PreparedReflectance
 from hir_core.scene import EnvironmentMap, Material
-from hir_plugins.reflectance_renderers.mitsuba_ggx.arrays import floats, to_color, to_float, to_torch, to_uint
+from hir_plugins.reflectance_renderers.arrays import floats, to_color, to_float, to_torch, to_uint
 from hir_plugins.reflectance_renderers.mitsuba_ggx.light import Light
 from hir_plugins.reflectance_renderers.mitsuba_ggx.path import Shading, incoming
 from hir_plugins.reflectance_renderers.mitsuba_ggx.sequence import Sequence as Points

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from hir_core.errors import StageError
 from hir_core.scene import Mesh
-from hir_plugins.reflectance_renderers.mitsuba_ggx.arrays import floats, to_float, to_uint
+from hir_plugins.reflectance_renderers.arrays import floats, to_float, to_uint
 
 _OFFSET = 2e-5
 """How far above the surface, in radii of the object, rays start: a few float32 steps."""

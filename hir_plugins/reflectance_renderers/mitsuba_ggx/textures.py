@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from hir_core.errors import StageError
-from hir_plugins.reflectance_renderers.mitsuba_ggx.arrays import to_float, to_torch
+from hir_plugins.reflectance_renderers.arrays import to_float, to_torch
 
 
 @dataclass

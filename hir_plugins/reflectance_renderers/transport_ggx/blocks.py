@@ -14,13 +14,28 @@ from hir_core.srgb import linear_to_srgb
 from hir_plugins.reflectance_renderers.transport_ggx.bending import bent, bent_irradiance
 from hir_plugins.reflectance_renderers.transport_ggx.linear_map import LinearMap
 from hir_plugins.reflectance_renderers.transport_ggx.lobes import Lobes
+from hir_plugins.reflectance_renderers.transport_ggx.photographs import Photographed
 from hir_plugins.reflectance_renderers.transport_ggx.specular import SpecularBlock
 from hir_plugins.reflectance_renderers.transport_ggx.transport import Transport
 from hir_plugins.reflectance_renderers.transport_ggx.unknowns import Unknowns
 
 
 @dataclass(frozen=True, eq=False)
-class Block:
+class ShownPixels:
+    """What photographs show in some pixels."""
+
+    color_srgb: Float[Tensor, "P 3"]
+    saturated: Bool[Tensor, "P 3"]
+    view: Int[Tensor, " P"]
+
+    @classmethod
+    def of(cls, photographs: Photographed) -> ShownPixels:
+        """Of points with their colours."""
+        return ShownPixels(linear_to_srgb(photographs.color), photographs.saturated, photographs.points.view)
+
+
+@dataclass(frozen=True, eq=False)
+class Block(ShownPixels):
     """Some pixels with everything that predicts them."""
 
     lobes: Lobes | None
@@ -29,9 +44,6 @@ class Block:
     cells: LinearMap | None
     direct: LinearMap | None
     """Irradiance from the pyramid for each pixel, where the light moves with the camera."""
-    color_srgb: Float[Tensor, "P 3"]
-    saturated: Bool[Tensor, "P 3"]
-    view: Int[Tensor, " P"]
     normal: Float[Tensor, "P 3"]
     """Of the mesh."""
 
@@ -92,10 +104,10 @@ def in_lobes(block: Block, tilt: Float[Tensor, "V 3"] | None) -> Float[Tensor, "
     return (block.lobes.axes @ normals_at_pixels(block, tilt)[..., None])[..., 0]
 
 
-def residual(block: Block, radiance: Float[Tensor, "P 3"]) -> Float[Tensor, "P 3"]:
+def residual(pixels: ShownPixels, radiance: Float[Tensor, "P 3"]) -> Float[Tensor, "P 3"]:
     """Fit minus photograph in sRGB; a clipped pixel never pulls the fit below white."""
-    difference = linear_to_srgb(radiance) - block.color_srgb
-    return torch.where(block.saturated & (difference > 0), torch.zeros_like(difference), difference)
+    difference = linear_to_srgb(radiance) - pixels.color_srgb
+    return torch.where(pixels.saturated & (difference > 0), torch.zeros_like(difference), difference)
 
 
 def specular_blocks(blocks: Sequence[Block], model: str) -> list[SpecularBlock | None]:

@@ -46,12 +46,12 @@ def photographed(
     """At most `most` pixels of one view, drawn at random from those that see the object."""
     pixels = capture.views[view].pixels(downsample)
     device = transport.surface.positions.device
-    inside = _inside(pixels.mask, pixels.color_linear.shape[:2])
+    covered = inside(pixels.mask, pixels.color_linear.shape[:2])
     known = np.isfinite(pixels.color_linear).all(axis=2)
-    if lost := int((inside & ~known).sum()):
+    if lost := int((covered & ~known).sum()):
         name = capture.views[view].name
         warnings.warn(f"view {name}: {lost} pixels of the object are NaN or infinite and left out", stacklevel=2)
-    rows, columns = np.nonzero(inside & known)
+    rows, columns = np.nonzero(covered & known)
     if len(rows) > most:
         # the draw depends on the view alone: a fit does not change because another view is added
         chosen = np.sort(np.random.default_rng((seed, view)).choice(len(rows), most, replace=False))
@@ -67,7 +67,7 @@ def photographed(
     return Photographed(points.take(kept), color[kept], torch.from_numpy(clipped).to(device)[kept])
 
 
-def _inside(mask: np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray:
+def inside(mask: np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray:
     from scipy.ndimage import minimum_filter
 
     if mask is None:

@@ -15,9 +15,12 @@ from hir_core.interfaces import ReflectanceRenderer
 from hir_core.memory import CaptureSize
 from hir_core.scene import Scene
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
+from hir_plugins.reflectance_renderers.transport_ggx.probes import COLUMNS, LEVELS, ROWS
 from hir_plugins.reflectance_renderers.transport_ggx.shading import shade_points
+from hir_plugins.reflectance_renderers.transport_ggx.sightings import MOST_BYTES
 from hir_plugins.reflectance_renderers.transport_ggx.solver import TransportSolver
 from hir_plugins.reflectance_renderers.transport_ggx.surface import see
+from hir_plugins.reflectance_renderers.transport_ggx.texel_lobes import SIGHTINGS_AT_ONCE
 from hir_plugins.reflectance_renderers.transport_ggx.transport import Transport, build_transport
 
 LOBE_BYTES = 150
@@ -27,6 +30,9 @@ HEMISPHERE_BYTES = 64
 PIXEL_BYTES = 400
 EQUATION_BYTES = 340
 """Of one pixel that textures are solved from: its row, the row's transpose, and the vectors of the solver."""
+PROBE_BYTES = LEVELS * ROWS * COLUMNS * 6
+"""Of one cell, twice: for torch and for Dr.Jit."""
+SIGHTING_BYTES, PICTURE_BYTES = 16, 13
 
 
 @final
@@ -47,7 +53,9 @@ class TransportGGX(ReflectanceRenderer):
         resident = min(fitted, max(options.resident_pixels, options.block_pixels))
         fit = resident * lobes + fitted * PIXEL_BYTES
         textures = min(options.texture_pixels, size.pixels) * EQUATION_BYTES
-        return max(fit, textures) + options.cells * 4 * options.diffuse_rows**2 * 4
+        lobes_of_texels = 2 * PROBE_BYTES * options.cells + 2 * SIGHTING_BYTES * SIGHTINGS_AT_ONCE
+        lobes_of_texels += min(MOST_BYTES, PICTURE_BYTES * size.pixels)
+        return max(fit, textures, lobes_of_texels) + options.cells * 4 * options.diffuse_rows**2 * 4
 
     def smaller(self) -> dict[str, int]:
         """Half the pixels of the fit and of the textures, down to an eighth."""

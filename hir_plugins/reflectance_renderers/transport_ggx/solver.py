@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, final
@@ -23,15 +23,18 @@ from hir_core.selection import Rung
 from hir_core.srgb import linear_to_srgb, srgb_to_linear
 from hir_plugins.reflectance_renderers.transport_ggx import joint
 from hir_plugins.reflectance_renderers.transport_ggx.bending import bent
-from hir_plugins.reflectance_renderers.transport_ggx.blocks import Block, predict, residual
+from hir_plugins.reflectance_renderers.transport_ggx.blocks import Block, ShownPixels, predict, residual
 from hir_plugins.reflectance_renderers.transport_ggx.fit_files import FitFiles
 from hir_plugins.reflectance_renderers.transport_ggx.joint import FitSettings
+from hir_plugins.reflectance_renderers.transport_ggx.lobe_maps import solve_lobe_maps
 from hir_plugins.reflectance_renderers.transport_ggx.moving_light import pixel_irradiance
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.photographs import GRAZING, Photographed, join, photographed
 from hir_plugins.reflectance_renderers.transport_ggx.shading import Indirect, shade
+from hir_plugins.reflectance_renderers.transport_ggx.sightings import Pictures
 from hir_plugins.reflectance_renderers.transport_ggx.starts import albedo_of_photographs, without_indirect
 from hir_plugins.reflectance_renderers.transport_ggx.stream import Stream
+from hir_plugins.reflectance_renderers.transport_ggx.texel_lobes import LitSurface, shown_pixels
 from hir_plugins.reflectance_renderers.transport_ggx.texture_stage import solve_scene
 from hir_plugins.reflectance_renderers.transport_ggx.transport import Transport
 from hir_plugins.reflectance_renderers.transport_ggx.unknowns import LIGHT_LIMIT, Unknowns, width_of
@@ -45,6 +48,8 @@ WIDE = 0.3
 LEAST_START = math.log(0.03 / 0.97)
 """Logit of ρs from which a colour or a map starts at least: a logistic that has gone to 0 has no slope left."""
 GRAZING_DEGREES = math.degrees(math.asin(GRAZING))
+JUDGED_POINTS = 12_000
+"""At most, of held-out views: what texels would have of their own is solved at them, with photographs of each."""
 PROBE_EFFORT = 0.25
 PROBE_SHARE = 0.4
 
@@ -55,6 +60,8 @@ class Fit:
 
     rung: Rung
     unknowns: Unknowns
+    views: tuple[int, ...] = ()
+    """Of those it was fitted to; points that have values of their own are solved from them."""
 
     @property
     def shown(self) -> Unknowns:
@@ -78,6 +85,8 @@ class TransportSolver(ReflectanceSolver):
         self._indirect: Indirect | None = None
         self._files: FitFiles | None = None
         self._samples: dict[int, Photographed] = {}
+        self._pictures = Pictures(capture, downsample)
+        self._last: tuple[Unknowns, tuple[int, ...], LitSurface] | None = None
         self._rotation = _camera_rotations(capture, transport.surface.positions.device)
 
     def radiance(
@@ -98,6 +107,12 @@ class TransportSolver(ReflectanceSolver):
 
         Without one a diffuse model is fitted first: light and albedo before the lobes that depend on both.
         """
+        if rung.texels != "none":
+            # what points have of their own is solved when they are looked at
+            whole = replace(rung, texels="none")
+            base = start if effort == 0 else self.fit(whole, start, views, effort, report)
+            report(1.0)
+            return Fit(rung, base.unknowns, tuple(views))
         if start is None and rung.brdf != "diffuse":
             start = self.fit(Rung("diffuse", light_frame=rung.light_frame), None, views, effort, lambda share: None)
         file = self._files.next(rung, tuple(views), effort) if self._files is not None else None
@@ -105,7 +120,7 @@ class TransportSolver(ReflectanceSolver):
         ended = file.result() if file is not None else None
         if ended is not None:
             report(1.0)
-            return Fit(rung, ended.to(device))
+            return Fit(rung, ended.to(device), tuple(views))
         photographs = self._thinned(self._photographs(views), effort)
         if not len(photographs):
             raise StageError(
@@ -128,7 +143,7 @@ class TransportSolver(ReflectanceSolver):
         )
         if file is not None:
             file.finish(fitted)
-        return Fit(rung, fitted)
+        return Fit(rung, fitted, tuple(views))
 
     def errors(self, fit: Fit, views: Sequence[int]) -> NDArray[np.float64]:
         """Mean squared sRGB error of each view's pixels; a clipped pixel that the fit makes brighter is right.
@@ -136,19 +151,35 @@ class TransportSolver(ReflectanceSolver):
         Of the gradient steps: albedos in closed form flatter a wrong light (the chair's stood on the camera then).
         """
         photographs = self._photographs(views)
-        total = np.zeros(len(self._capture.views))
-        count = np.zeros(len(self._capture.views))
-        for block, specular in self._stream(photographs, fit.rung).each(fit.unknowns, fit.rung.brdf):
-            with torch.no_grad():
-                radiance = predict(self._transport, block, specular, fit.unknowns, fit.rung.bounces)
-                if fit.unknowns.gain is not None:
-                    radiance = radiance * _exposures(block, radiance, len(self._capture.views))[block.view][:, None]
-                error = residual(block, radiance.clamp(0, 1)).square().mean(dim=1).cpu().double().numpy()
-            view = block.view.cpu().numpy()
-            total += np.bincount(view, error, len(total))
-            count += np.bincount(view, minlength=len(count))
-        seen = [v for v in views if count[v] > 0]
-        return total[seen] / count[seen]
+        count = len(self._capture.views)
+        total, seen = np.zeros(count), np.zeros(count)
+        for pixels, radiance in self._shown(fit, photographs):
+            if fit.unknowns.gain is not None:
+                radiance = radiance * _exposures(pixels, radiance, count)[pixels.view][:, None]
+            error = residual(pixels, radiance.clamp(0, 1)).square().mean(dim=1)
+            view = pixels.view.cpu().numpy()
+            total += np.bincount(view, error.cpu().double().numpy(), count)
+            seen += np.bincount(view, minlength=count)
+        found = [v for v in views if seen[v] > 0]
+        return total[found] / seen[found]
+
+    def _shown(self, fit: Fit, photographs: Photographed) -> Iterator[tuple[ShownPixels, Tensor]]:
+        """Pixels, in parts, with the radiance that a fit shows there."""
+        with torch.no_grad():
+            if fit.rung.texels != "none":
+                few = photographs.take(torch.arange(0, len(photographs), math.ceil(len(photographs) / JUDGED_POINTS)))
+                yield ShownPixels.of(few), shown_pixels(self._lit(fit), few, fit.rung.texels == "lobes")
+                return
+            for block, specular in self._stream(photographs, fit.rung).each(fit.unknowns, fit.rung.brdf):
+                yield block, predict(self._transport, block, specular, fit.unknowns, fit.rung.bounces)
+
+    def _lit(self, fit: Fit) -> LitSurface:
+        """The surface under the light of a fit; the last one is kept, for two rungs and two judgements ask for it."""
+        if self._last is None or self._last[0] is not fit.unknowns or self._last[1] != fit.views:
+            self._last = None  # its probes go before there are new ones
+            lit = LitSurface.of(self._transport, self._pictures, fit.views, fit.rung, fit.shown)
+            self._last = fit.unknowns, fit.views, lit
+        return self._last[2]
 
     def scene(self, fit: Fit, views: Sequence[int], report: Callable[[float], None]) -> tuple[Scene, dict[str, Any]]:
         """Textures solved from all pixels, light as fitted. `radiance` has the fit's indirect light from then on."""
@@ -158,10 +189,14 @@ class TransportSolver(ReflectanceSolver):
         environment = EnvironmentMap(
             fit.shown.radiance, UPRIGHT.to(fit.shown.light) if moving else None, fit.rung.light_frame
         )
-        material, facts = solve_scene(
-            self._transport, self._scene, self._capture, views, self._downsample, fit.rung, fit.shown,
-            self._rotation if moving else None, self._options, report,
-        )
+        if fit.rung.texels == "lobes":
+            lit = self._lit(replace(fit, views=tuple(views)))
+            material, facts = solve_lobe_maps(lit, self._scene, report)
+        else:
+            material, facts = solve_scene(
+                self._transport, self._scene, self._capture, views, self._downsample, fit.rung, fit.shown,
+                self._rotation if moving else None, self._options, report,
+            )
         return replace(self._scene, material=material, environment=environment), facts
 
     def _indirect_light(self, fit: Fit) -> Indirect:
@@ -212,8 +247,8 @@ class TransportSolver(ReflectanceSolver):
             alpha = unknowns.alpha.detach()
             alpha = alpha if len(alpha) == 1 else vertices.matrix @ alpha
             lobes = self._transport.lobes(points, alpha, self._options.samples, rotation, seed)
-        return Block(lobes, vertices, None if direct else cells, direct, linear_to_srgb(part.color), part.saturated,
-                     part.points.view, part.points.normal)
+        return Block(linear_to_srgb(part.color), part.saturated, part.points.view, lobes, vertices,
+                     None if direct else cells, direct, part.points.normal)
 
     def _begin(self, rung: Rung, start: Fit | None, photographs: Photographed) -> Unknowns:
         """Unknowns of a rung, from an earlier fit or from the scene that was prepared."""
@@ -281,12 +316,12 @@ def _camera_rotations(capture: Capture, device: torch.device) -> Float[Tensor, "
     return UPRIGHT.to(device) @ torch.from_numpy(rotations.astype(np.float32)).to(device)
 
 
-def _exposures(block: Block, radiance: Tensor, views: int) -> Float[Tensor, " views"]:
+def _exposures(pixels: ShownPixels, radiance: Tensor, views: int) -> Float[Tensor, " views"]:
     """The factor that brings each view's radiance nearest to its photograph: a held-out view's was never fitted."""
-    known = ~block.saturated.any(dim=1)
-    photograph = srgb_to_linear(block.color_srgb)
+    known = ~pixels.saturated.any(dim=1)
+    photograph = srgb_to_linear(pixels.color_srgb)
     above, below = (
-        torch.zeros(views, device=radiance.device).index_add(0, block.view[known], (radiance * other).sum(dim=1)[known])
-        for other in (photograph, radiance)
+        torch.zeros(views, device=radiance.device).index_add(0, pixels.view[known], (radiance * o).sum(dim=1)[known])
+        for o in (photograph, radiance)
     )
     return torch.where(below > 0, above / below.clamp_min(1e-12), torch.ones_like(below))

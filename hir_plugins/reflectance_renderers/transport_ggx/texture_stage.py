@@ -59,8 +59,8 @@ def solve_scene(
 ) -> tuple[Material, dict[str, Any]]:
     """The material of a fit; maps that the rung does not vary are constants."""
     assert scene.material is not None
-    height, width = _size(scene.material)
-    mesh = _refined_mesh(transport.surface)
+    height, width = texture_size(scene.material)
+    mesh = refined_mesh(transport.surface)
     surface = texel_surface(mesh, (height, width))
     with torch.no_grad():
         sources, irradiance = _light(transport, unknowns, rung, rotation)
@@ -195,12 +195,14 @@ def _rgb(values: Float[Tensor, "#V C"]) -> Float[Tensor, "#V 3"]:
     return values.expand(-1, 3)
 
 
-def _refined_mesh(surface: Surface) -> Mesh:
+def refined_mesh(surface: Surface) -> Mesh:
+    """The surface with texture coordinates by corner."""
     assert surface.corner_uvs is not None
     corners = torch.arange(3 * len(surface.faces), device=surface.faces.device).reshape(-1, 3)
     return Mesh(surface.positions, Topology(surface.faces, corners), surface.corner_uvs.reshape(-1, 2))
 
 
-def _size(material: Material) -> tuple[int, int]:
+def texture_size(material: Material) -> tuple[int, int]:
+    """Height and width of the albedo's texture."""
     texture = material.diffuse_albedo
     return (int(texture.shape[0]), int(texture.shape[1])) if texture.ndim == 3 else (1024, 1024)

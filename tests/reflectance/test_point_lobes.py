@@ -1,0 +1,217 @@
+"""Values of single points: against a float64 reference by autograd, and on photographs that say little."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+from torch.nn.functional import grid_sample, huber_loss, normalize
+
+from hir_core.srgb import linear_to_srgb
+from hir_plugins.reflectance_renderers.brdf import directional_albedo_terms
+from hir_plugins.reflectance_renderers.transport_ggx.bending import bent, bent_irradiance
+from hir_plugins.reflectance_renderers.transport_ggx.pyramid import texel_directions
+from hir_plugins.reflectance_renderers.transport_ggx.sightings import Sightings
+from hir_plugins.reflectance_renderers.variant import mitsuba_on
+
+mitsuba_on("cpu")
+
+from hir_plugins.reflectance_renderers.transport_ggx.point_lobes import (  # noqa: E402 - after the variant is set
+    LEAST_RHO,
+    Holds,
+    PointFit,
+    Points,
+    PointValues,
+    ProbeTable,
+)
+from hir_plugins.reflectance_renderers.transport_ggx.probes import (  # noqa: E402
+    COLUMNS,
+    LEVELS,
+    NARROWEST,
+    ROWS,
+    Probes,
+    alpha_of,
+    level_of,
+)
+
+COUNT, VIEWS = 64, 24
+
+
+def probes() -> Probes:
+    """Two cells: a window ahead and a lamp to the side, wider and dimmer in each level."""
+    d = texel_directions(ROWS, COLUMNS)
+    ahead, aside = normalize(torch.tensor([[0.3, 0.4, 1.0], [-1.0, 0.5, 0.2]]), dim=1)
+    levels = []
+    for level in range(LEVELS):
+        sharp = 40.0 / (1 + 2 * level)
+        window, lamp = torch.exp(sharp * (d @ ahead - 1)), torch.exp(sharp * (d @ aside - 1))
+        levels.append(torch.stack([0.3 + 3 * window + 0.5 * lamp, 0.3 + 2.5 * window + lamp, 0.4 + 2 * window], dim=1))
+    one = torch.stack(levels)
+    return Probes(torch.stack([one, 0.5 * one + 0.2]).half())
+
+
+def points(generator: torch.Generator) -> Points:
+    normal = normalize(torch.randn(COUNT, 3, generator=generator) + torch.tensor([0.0, 0.0, 2.0]), dim=1)
+    cell = torch.arange(COUNT) % 2
+    irradiance = 2 + torch.rand(COUNT, 3, generator=generator)
+    vectors = 0.8 * torch.randn(COUNT, 3, 3, generator=generator)
+    return Points(normal.clone(), normal, cell, irradiance, vectors)
+
+
+def truth(generator: torch.Generator) -> PointValues:
+    def draw(low: float, high: float, channels: int) -> Tensor:
+        return low + (high - low) * torch.rand(COUNT, channels, generator=generator)
+
+    return PointValues(draw(0.1, 0.6, 3), draw(0.1, 0.5, 3), draw(0.15, 0.5, 1), draw(-0.3, 0.3, 3))
+
+
+def eyes(generator: torch.Generator) -> Tensor:
+    return 4 * normalize(torch.randn(VIEWS, 3, generator=generator) + torch.tensor([0.0, 0.0, 2.5]), dim=1)
+
+
+def reference(at: Points, values: PointValues, toward: Tensor, light: Probes, model: str) -> Tensor:
+    """Radiance (P, 3) in float64, differentiable."""
+    n = at.normal.double()
+    turned = bent(n, values.tilt)
+    arriving = bent_irradiance(n, turned, at.irradiance.double(), at.vectors.double()) / math.pi
+    cosine = (turned * toward).sum(1, keepdim=True).clamp_min(1e-3)
+    mirrored = normalize(2 * cosine * turned - toward, dim=1)
+    smooth = 1 - values.alpha
+    main = normalize(turned + (mirrored - turned) * smooth * (smooth.clamp_min(0).sqrt() + values.alpha), dim=1)
+    level = (values.alpha / NARROWEST).log() / -math.log(NARROWEST) * (LEVELS - 1)
+    u = 0.5 - torch.atan2(main[:, 0], main[:, 2]) / (2 * math.pi)
+    v = torch.atan2((main[:, 0].square() + main[:, 2].square()).sqrt(), main[:, 1]) / math.pi
+    table = light.radiance.double().reshape(len(light.radiance), LEVELS, ROWS, COLUMNS, 3)
+    table = torch.cat([table[:, :, :, -1:], table, table[:, :, :, :1]], dim=3)[at.cell].permute(0, 4, 1, 2, 3)
+    place = torch.stack([
+        2 * (u * COLUMNS + 0.5) / (COLUMNS + 1) - 1, 2 * (v * ROWS - 0.5) / (ROWS - 1) - 1,
+        2 * level[:, 0].clamp(0, LEVELS - 1) / (LEVELS - 1) - 1,
+    ], dim=1)[:, None, None, None]  # fmt: skip
+    lobe = grid_sample(table, place, align_corners=True, padding_mode="border")[:, :, 0, 0, 0]
+    a, b = (t[:, None] for t in directional_albedo_terms(cosine[:, 0], values.alpha[:, 0]))
+    if model == "paper":
+        return values.albedo * arriving + lobe * values.specular * (a + b)
+    reflected = values.specular * a + b
+    return values.albedo * (1 - reflected).clamp_min(0) * arriving + lobe * reflected
+
+
+def double(values: PointValues) -> PointValues:
+    return PointValues(*(getattr(values, n).double() for n in ("albedo", "specular", "alpha", "tilt")))
+
+
+def photographs(at: Points, values: PointValues, light: Probes, stand: Tensor, model: str) -> Sightings:
+    color, weight = torch.zeros(VIEWS, COUNT, 3), torch.zeros(VIEWS, COUNT)
+    for row, eye in enumerate(stand):
+        toward = normalize(eye - at.position, dim=1)
+        color[row] = reference(at, double(values), toward.double(), light, model).float()
+        weight[row] = (at.normal * toward).sum(1).clamp_min(0) * ((at.normal * toward).sum(1) > 0.15)
+    return Sightings(color, weight, stand, torch.full((VIEWS,), torch.inf))
+
+
+def grey() -> PointValues:
+    return PointValues(
+        torch.full((COUNT, 3), 0.3), torch.full((COUNT, 3), 0.1), torch.full((COUNT, 1), 0.3), torch.zeros(COUNT, 3)
+    )
+
+
+@pytest.mark.parametrize("model", ["paper", "dielectric"])
+def test_radiance_is_the_references(model: str) -> None:
+    generator = torch.Generator().manual_seed(1)
+    at, values, light, stand = points(generator), truth(generator), probes(), eyes(generator)
+    seen = photographs(at, values, light, stand, model)
+    fit = PointFit(at, seen, ProbeTable(light), model, Holds())  # type: ignore[arg-type]
+    toward = normalize(stand[0] - at.position, dim=1)
+    shown, wanted = fit.shown(values, toward), reference(at, double(values), toward.double(), light, model)
+    assert torch.allclose(shown.double(), wanted, rtol=2e-3, atol=2e-4)
+
+
+@pytest.mark.parametrize("model", ["paper", "dielectric"])
+def test_what_was_photographed_is_shown_again_from_elsewhere(model: str) -> None:
+    generator = torch.Generator().manual_seed(2)
+    at, values, light = points(generator), truth(generator), probes()
+    seen = photographs(at, values, light, eyes(generator), model)
+    fit = PointFit(at, seen, ProbeTable(light), model, Holds(iterations=40))  # type: ignore[arg-type]
+    found, _ = fit.solve(grey())
+    elsewhere = normalize(eyes(generator)[0] - at.position, dim=1)
+    off = linear_to_srgb(fit.shown(found, elsewhere)) - linear_to_srgb(fit.shown(values, elsewhere))
+    assert off.abs().median() < 0.01
+    plain, _ = PointFit(at, seen, ProbeTable(light), model, Holds.of_albedo()).solve(grey())  # type: ignore[arg-type]
+    without = linear_to_srgb(fit.shown(plain, elsewhere)) - linear_to_srgb(fit.shown(values, elsewhere))
+    assert off.square().mean() < 0.1 * without.square().mean()
+    assert torch.allclose(plain.specular, grey().specular) and torch.allclose(plain.tilt, grey().tilt, atol=1e-6)
+
+
+def test_least_squares_end_as_low_as_descent() -> None:
+    """Adam in float64 on the same energy: a slow reference that shares no code."""
+    generator = torch.Generator().manual_seed(3)
+    at, light, holds = points(generator), probes(), Holds(iterations=40)
+    seen = photographs(at, truth(generator), light, eyes(generator), "dielectric")
+    color = (seen.color * (1 + 0.2 * torch.randn(seen.color.shape, generator=generator))).clamp_min(0)
+    noisy = Sightings(color, seen.weight, seen.eyes, seen.ceiling)
+    _, cost = PointFit(at, noisy, ProbeTable(light), "dielectric", holds).solve(grey())
+    start, few = double(grey()), 12
+    row = torch.arange(few).repeat(VIEWS)  # each of the first points in each view
+    many = Points(*(getattr(at, name)[row] for name in Points.__dataclass_fields__))
+    toward = normalize(noisy.eyes.repeat_interleave(few, 0).double() - many.position.double(), dim=1)
+    wanted = linear_to_srgb(noisy.color[:, :few].reshape(-1, 3).double())
+    weight, normal = noisy.weight[:, :few].reshape(-1).double(), at.normal[:few].double()
+    free = [torch.logit(start.albedo), torch.logit(start.specular), level_of(start.alpha), start.tilt]
+    free = [value[:few].detach().clone().requires_grad_() for value in free]
+    optimizer = torch.optim.Adam(free, lr=0.05)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, 300)
+    for _ in range(300):
+        values = PointValues(torch.sigmoid(free[0]), torch.sigmoid(free[1]), alpha_of(free[2]), free[3])
+        spread = PointValues(*(getattr(values, name)[row] for name in PointValues.__dataclass_fields__))
+        off = linear_to_srgb(reference(many, spread, toward, light, "dielectric").clamp_min(0)) - wanted
+        part = weight * huber_loss(off, torch.zeros_like(off), delta=holds.huber, reduction="none").sum(1)
+        along = values.tilt - (values.tilt * normal).sum(1, keepdim=True) * normal
+        held = holds.albedo * (values.albedo - start.albedo[:few]).square().sum(1)
+        held = held + holds.specular * (values.specular - start.specular[:few]).square().sum(1)
+        held = held + holds.level * (free[2] - level_of(start.alpha[:few])).square()[:, 0]
+        total = part.sum() + 0.5 * (held + holds.tilt * along.square().sum(1)).sum()
+        optimizer.zero_grad()
+        total.backward()
+        optimizer.step()
+        schedule.step()
+    assert cost[:few].double().sum() < 1.05 * total.detach()
+
+
+@pytest.mark.parametrize("case", ["unseen", "black", "white", "sun", "nonsense", "one view", "dark light", "far away"])
+@pytest.mark.parametrize("model", ["paper", "dielectric"])
+def test_hard_cases_stay_finite_and_physical(case: str, model: str) -> None:
+    generator = torch.Generator().manual_seed(4)
+    at, light = points(generator), probes()
+    seen = photographs(at, truth(generator), light, eyes(generator), model)
+    color, weight, ceiling = seen.color, seen.weight, seen.ceiling
+    if case == "unseen":
+        weight = torch.zeros_like(weight)
+    elif case == "black":
+        color = torch.zeros_like(color)
+    elif case == "white":
+        color, ceiling = torch.ones_like(color), torch.full_like(ceiling, 0.97)
+    elif case == "sun":
+        light = Probes((light.radiance.float() * 1e4).clamp(max=65504).half())
+        at = Points(at.position, at.normal, at.cell, at.irradiance * 1e4, at.vectors * 1e4)
+    elif case == "nonsense":
+        color = torch.rand(color.shape, generator=generator) * 5
+    elif case == "one view":
+        weight = weight * (torch.arange(VIEWS) == 0)[:, None]
+    elif case == "dark light":
+        light = Probes(torch.zeros_like(light.radiance))
+        at = Points(at.position, at.normal, at.cell, at.irradiance * 0, at.vectors * 0)
+    elif case == "far away":
+        at = Points(at.position + 1e6, at.normal, at.cell, at.irradiance, at.vectors)
+    fit = PointFit(at, Sightings(color, weight, seen.eyes, ceiling), ProbeTable(light), model, Holds())  # type: ignore[arg-type]
+    found, cost = fit.solve(grey())
+    for value in (found.albedo, found.specular, found.alpha, found.tilt, cost):
+        assert torch.isfinite(value).all()
+    assert (found.albedo >= 0).all() and (found.albedo <= 1).all()
+    assert (found.specular >= LEAST_RHO).all() and (found.specular <= 1).all()
+    assert (found.alpha > 0).all() and (found.alpha <= 1 + 1e-6).all()
+    if model == "paper":
+        assert (found.albedo + found.specular <= 1 + 2 * LEAST_RHO).all()
+    assert torch.isfinite(fit.shown(found, at.normal)).all()
+    if case == "unseen":
+        assert torch.allclose(found.albedo, grey().albedo, atol=1e-5) and torch.allclose(found.alpha, grey().alpha)
