@@ -62,6 +62,11 @@ class Rung:
     lobe and normal."""
 
     @property
+    def mapped(self) -> bool:
+        """Does anything but the albedo vary between vertices?"""
+        return "map" in (self.specular, self.roughness, self.normals)
+
+    @property
     def name(self) -> str:
         """What reports call it."""
         if self.brdf == "diffuse":
@@ -146,7 +151,8 @@ def climb(
         ladder.vote([replace(ladder.rung, roughness="map")])
     if ladder.rung.light_frame == "world":
         ladder.vote([replace(ladder.rung, normals="map")], significance=NORMALS_SIGNIFICANCE)
-        if ladder.rung.brdf != "diffuse":
+        if ladder.rung.brdf != "diffuse" and not ladder.rung.mapped:
+            # maps at vertices that were kept show that nothing changes faster than they do
             ladder.refine(replace(ladder.rung, texels="lobes"), replace(ladder.rung, texels="albedo"))
     return ladder.fit, ladder.rung, ladder.steps
 

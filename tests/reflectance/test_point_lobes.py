@@ -12,13 +12,7 @@ from torch.nn.functional import grid_sample, huber_loss, normalize
 from hir_core.srgb import linear_to_srgb
 from hir_plugins.reflectance_renderers.brdf import directional_albedo_terms
 from hir_plugins.reflectance_renderers.transport_ggx.bending import bent, bent_irradiance
-from hir_plugins.reflectance_renderers.transport_ggx.pyramid import texel_directions
-from hir_plugins.reflectance_renderers.transport_ggx.sightings import Sightings
-from hir_plugins.reflectance_renderers.variant import mitsuba_on
-
-mitsuba_on("cpu")
-
-from hir_plugins.reflectance_renderers.transport_ggx.point_lobes import (  # noqa: E402 - after the variant is set
+from hir_plugins.reflectance_renderers.transport_ggx.point_lobes import (
     LEAST_RHO,
     Holds,
     PointFit,
@@ -26,7 +20,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.point_lobes import (  # noq
     PointValues,
     ProbeTable,
 )
-from hir_plugins.reflectance_renderers.transport_ggx.probes import (  # noqa: E402
+from hir_plugins.reflectance_renderers.transport_ggx.probes import (
     COLUMNS,
     LEVELS,
     NARROWEST,
@@ -35,8 +29,16 @@ from hir_plugins.reflectance_renderers.transport_ggx.probes import (  # noqa: E4
     alpha_of,
     level_of,
 )
+from hir_plugins.reflectance_renderers.transport_ggx.pyramid import texel_directions
+from hir_plugins.reflectance_renderers.transport_ggx.sightings import Sightings
+from hir_plugins.reflectance_renderers.variant import mitsuba_on
 
 COUNT, VIEWS = 64, 24
+
+
+@pytest.fixture(autouse=True)
+def _on_the_processor() -> None:
+    mitsuba_on("cpu")
 
 
 def probes() -> Probes:

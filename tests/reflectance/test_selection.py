@@ -76,7 +76,7 @@ def test_gain_within_its_noise_is_not_kept() -> None:
         Rung("dielectric", "uniform", normals="map"),
         Rung(bounces=1, normals="map"),
         Rung("dielectric", "uniform", texels="lobes"),
-        Rung("paper", "map", normals="map", texels="lobes"),
+        Rung("paper", "uniform", colored=True, bounces=1, texels="lobes"),
     ],
     ids=lambda rung: rung.name,
 )
@@ -127,6 +127,13 @@ def test_normals_are_not_bent_under_a_light_on_the_camera() -> None:
     for model in ("normal_map", "texel_lobes"):
         with pytest.raises(ConfigError, match="stands still"):
             forced_rung(ReflectanceSettings(model=model, light_frame="camera"))
+
+
+def test_texels_get_no_lobes_where_maps_at_vertices_were_kept() -> None:
+    def error(rung: Rung) -> float:
+        return 1e-3 * 0.5 ** sum([rung.brdf == "dielectric", rung.normals == "map", rung.texels == "lobes"])
+
+    assert chosen(error) == Rung("dielectric", "uniform", normals="map")
 
 
 def test_texels_are_compared_with_texels() -> None:
