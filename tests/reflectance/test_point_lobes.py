@@ -126,7 +126,7 @@ def test_radiance_is_the_references(model: str) -> None:
     fit = PointFit(at, seen, ProbeTable(light), model, Holds())  # type: ignore[arg-type]
     toward = normalize(stand[0] - at.position, dim=1)
     shown, wanted = fit.shown(values, toward), reference(at, double(values), toward.double(), light, model)
-    assert torch.allclose(shown.double(), wanted, rtol=2e-3, atol=2e-4)
+    assert torch.allclose(shown.double(), wanted, rtol=1e-5, atol=1e-6)
 
 
 @pytest.mark.parametrize("model", ["paper", "dielectric"])
@@ -138,10 +138,10 @@ def test_what_was_photographed_is_shown_again_from_elsewhere(model: str) -> None
     found, _ = fit.solve(grey())
     elsewhere = normalize(eyes(generator)[0] - at.position, dim=1)
     off = linear_to_srgb(fit.shown(found, elsewhere)) - linear_to_srgb(fit.shown(values, elsewhere))
-    assert off.abs().median() < 0.01
+    assert off.abs().median() < 0.003
     plain, _ = PointFit(at, seen, ProbeTable(light), model, Holds.of_albedo()).solve(grey())  # type: ignore[arg-type]
     without = linear_to_srgb(fit.shown(plain, elsewhere)) - linear_to_srgb(fit.shown(values, elsewhere))
-    assert off.square().mean() < 0.1 * without.square().mean()
+    assert off.square().mean() < 0.05 * without.square().mean()
     assert torch.allclose(plain.specular, grey().specular) and torch.allclose(plain.tilt, grey().tilt, atol=1e-6)
 
 
@@ -177,7 +177,7 @@ def test_least_squares_end_as_low_as_descent() -> None:
         total.backward()
         optimizer.step()
         schedule.step()
-    assert cost[:few].double().sum() < 1.05 * total.detach()
+    assert cost[:few].double().sum() < 1.01 * total.detach()
 
 
 @pytest.mark.parametrize("case", ["unseen", "black", "white", "sun", "nonsense", "one view", "dark light", "far away"])

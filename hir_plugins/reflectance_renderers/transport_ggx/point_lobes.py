@@ -199,7 +199,7 @@ def _cost(fit, x):  # type: ignore[no-untyped-def]
             total += weight * (part.x + part.y + part.z)
         view += 1
     hold, first = fit.holds, fit.start
-    held = hold.albedo * dr.squared_norm(x.albedo - first.albedo) + hold.tilt * _leaning(fit, x)
+    held = hold.albedo * dr.squared_norm(x.albedo - first.albedo) + hold.tilt * (x.along**2 + x.across**2)
     held += hold.specular * dr.squared_norm(x.specular - first.specular) + hold.level * (x.level - first.level) ** 2
     return total + 0.5 * held
 
@@ -256,11 +256,10 @@ def _step(fit, x):  # type: ignore[no-untyped-def]
             e2 += dr.dot(trust * to_2, off)
         view += 1
     hold, first = fit.holds, fit.start
-    tilt_1, tilt_2 = _held_tilt(fit, x)
     dd, de = dd + hold.albedo, de + hold.albedo * (x.albedo - first.albedo)
     ff, fe = ff + hold.specular, fe + hold.specular * (x.specular - first.specular)
     aa, ae = aa + hold.level, ae + hold.level * (x.level - first.level)
-    t11, e1, t22, e2 = t11 + hold.tilt, e1 + hold.tilt * tilt_1, t22 + hold.tilt, e2 + hold.tilt * tilt_2
+    t11, e1, t22, e2 = t11 + hold.tilt, e1 + hold.tilt * x.along, t22 + hold.tilt, e2 + hold.tilt * x.across
     more = 1 + x.damping
     dd, ff, aa = dd * more + ROUND, ff * more + ROUND, aa * more + ROUND
     t11, t22 = t11 * more + ROUND, t22 * more + ROUND
@@ -307,18 +306,6 @@ def _step(fit, x):  # type: ignore[no-untyped-def]
 def _most_specular(fit, albedo):  # type: ignore[no-untyped-def]
     """Both together reflect no more than arrives; in `dielectric` the albedo is what ρs leaves."""
     return mi.Vector3f(1) if fit.coupled else dr.maximum(1 - albedo, LEAST_RHO)
-
-
-def _held_tilt(fit, x):  # type: ignore[no-untyped-def]
-    """What the hold on the tilt pulls at: its distance from the start where it is not to move, from the mesh else."""
-    if fit.holds.tilt >= HELD:
-        return x.along - fit.start.along, x.across - fit.start.across
-    return x.along, x.across
-
-
-def _leaning(fit, x):  # type: ignore[no-untyped-def]
-    along, across = _held_tilt(fit, x)
-    return along * along + across * across
 
 
 def _difference(fit, value, row, view):  # type: ignore[no-untyped-def]

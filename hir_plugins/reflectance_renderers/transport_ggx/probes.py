@@ -32,11 +32,6 @@ class Probes:
     radiance: Float[Tensor, "C L D 3"]
     """float16; D directions, row by row (docs/conventions.md)."""
 
-    @property
-    def bytes(self) -> int:
-        """Of the table."""
-        return self.radiance.numel() * self.radiance.element_size()
-
 
 def level_of(alpha: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
     """Where a width lies among the levels, 0…`LEVELS` − 1."""

@@ -167,7 +167,8 @@ class TransportSolver(ReflectanceSolver):
         """Pixels, in parts, with the radiance that a fit shows there."""
         with torch.no_grad():
             if fit.rung.texels != "none":
-                few = photographs.take(torch.arange(0, len(photographs), math.ceil(len(photographs) / JUDGED_POINTS)))
+                apart = max(1, math.ceil(len(photographs) / JUDGED_POINTS))
+                few = photographs.take(torch.arange(0, len(photographs), apart))
                 yield ShownPixels.of(few), shown_pixels(self._lit(fit), few, fit.rung.texels == "lobes")
                 return
             for block, specular in self._stream(photographs, fit.rung).each(fit.unknowns, fit.rung.brdf):

@@ -87,17 +87,16 @@ class LitSurface:
         return fit, found, seen
 
     def _start(self, corners: Tensor, barycentric: Tensor) -> PointValues:
-        """What the fit at vertices has there."""
+        """What the fit at vertices has there, with the mesh's normals: no rung has both a normal map and this."""
 
         def at(values: Tensor) -> Tensor:
             if len(values) == 1:
                 return values.expand(len(corners), -1)
             return (values[corners] * barycentric[..., None]).sum(dim=1)
 
-        tilt = self.unknowns.tilt
         return PointValues(
             at(self.unknowns.diffuse_albedo), at(self.unknowns.specular_albedo).expand(-1, 3), at(self.unknowns.alpha),
-            torch.zeros_like(barycentric) if tilt is None else at(tilt),
+            torch.zeros_like(barycentric),
         )  # fmt: skip
 
 
@@ -141,4 +140,5 @@ def texel_values(
 
 
 def _parts(points: int, views: int) -> Iterator[Tensor]:
-    yield from torch.arange(points).split(max(1, SIGHTINGS_AT_ONCE // max(views, 1)))
+    if points:
+        yield from torch.arange(points).split(max(1, SIGHTINGS_AT_ONCE // max(views, 1)))
