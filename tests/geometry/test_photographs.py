@@ -120,6 +120,17 @@ def test_photographs_find_the_floor_of_a_bowl(hollow: tuple[Positions, Faces], c
     assert report["iou_held_out"]["after"] > 0.985
 
 
+@pytest.mark.parametrize("carved", [True, False], ids=["carved", "smooth"])
+def test_the_last_pass_stays_where_there_is_something_to_carve(carved: bool, tmp_path) -> None:  # type: ignore[no-untyped-def]
+    """Grooves a few triangles wide, which a stiffer surface bridges; without them a softer one only roughens."""
+    positions, faces = icosphere(5)
+    depth = 0.03 * np.sin(14 * positions[:, 0]) * np.sin(14 * positions[:, 1]) if carved else 0 * positions[:, 0]
+    truth = _photographed(positions * (1 + depth)[:, None], faces, around(24, 96))
+    settings = replace(SETTINGS, iterations=20, photograph_iterations=30)
+    _, report = fit_geometry(Scene(mesh_of(*icosphere(4))), truth, settings, _context(tmp_path))
+    assert report["photographs"]["fine"]["kept"] == carved, report["photographs"]
+
+
 def test_without_detail_the_mesh_stays_as_outlines_left_it(hollow: tuple[Positions, Faces], tmp_path) -> None:  # type: ignore[no-untyped-def]
     plain = _photographed(*hollow, around(24, 64), plain=True)
     settings = replace(SETTINGS, iterations=20, triangles=1500, photograph_iterations=10)
