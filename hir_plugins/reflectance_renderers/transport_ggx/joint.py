@@ -14,7 +14,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Literal
 
 import torch
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from hir_core.errors import StageError
@@ -205,12 +205,15 @@ def _leaves(unknowns: Unknowns, settings: FitSettings) -> Unknowns:
     return unknowns
 
 
-def _smoothness(unknowns: Unknowns, settings: FitSettings, edges: Tensor) -> Tensor:
-    light = unknowns.light
-    energy = (light - light.roll(1, 1)).square().mean() + (light[1:] - light[:-1]).square().mean()
-    # lights are whiter than surfaces: what tint both could explain is the surface's
+def light_energy(light: Float[Tensor, "H W 3"], smoothness: float, whiteness: float) -> Tensor:
+    """What holds the logarithm of a light smooth and white: of a tint that both could explain, the surface has it."""
+    rough = (light - light.roll(1, 1)).square().mean() + (light[1:] - light[:-1]).square().mean()
     chroma = (light - light.mean(dim=-1, keepdim=True)).square().mean()
-    energy = settings.light_smoothness * energy + settings.light_whiteness * chroma
+    return smoothness * rough + whiteness * chroma
+
+
+def _smoothness(unknowns: Unknowns, settings: FitSettings, edges: Tensor) -> Tensor:
+    energy = light_energy(unknowns.light, settings.light_smoothness, settings.light_whiteness)
     if settings.albedo_smoothness and len(edges):
         # albedo changes in few places: a gradient that shading explains, too, is shading
         albedo = torch.nn.functional.logsigmoid(unknowns.diffuse)

@@ -9,6 +9,7 @@ one to a lane: Levenberg's and Marquardt's steps on robust differences in sRGB. 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -71,8 +72,21 @@ class PointValues:
 
     def where(self, chosen: Tensor, other: PointValues) -> PointValues:
         """These where `chosen` (P,) says so, the others elsewhere."""
-        names = ("albedo", "specular", "alpha", "tilt")
-        return PointValues(*(torch.where(chosen[:, None], getattr(self, n), getattr(other, n)) for n in names))
+        pairs = zip(self.all(), other.all(), strict=True)
+        return PointValues(*(torch.where(chosen[:, None], mine, others) for mine, others in pairs))
+
+    def take(self, rows: Tensor) -> PointValues:
+        """Those of some of the points."""
+        return PointValues(*(value[rows] for value in self.all()))
+
+    def all(self) -> tuple[Tensor, ...]:
+        """Albedo, ρs, α and tilt."""
+        return self.albedo, self.specular, self.alpha, self.tilt
+
+    @classmethod
+    def join(cls, parts: Sequence[PointValues]) -> PointValues:
+        """One behind the other."""
+        return cls(*(torch.cat(values) for values in zip(*(part.all() for part in parts), strict=True)))
 
 
 class ProbeTable:

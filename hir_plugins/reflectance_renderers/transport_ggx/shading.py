@@ -12,8 +12,9 @@ from torch import Tensor
 
 from hir_core.capture import Camera
 from hir_core.scene import EnvironmentMap, Material, Texture
-from hir_plugins.reflectance_renderers.brdf import directional_albedo_terms
+from hir_plugins.reflectance_renderers.brdf import Model, directional_albedo_terms
 from hir_plugins.reflectance_renderers.transport_ggx.bending import bent_irradiance
+from hir_plugins.reflectance_renderers.transport_ggx.lobes import Lobes
 from hir_plugins.reflectance_renderers.transport_ggx.moving_light import pixel_irradiance
 from hir_plugins.reflectance_renderers.transport_ggx.normal_map import mapped_normals
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
@@ -79,24 +80,48 @@ def shade_points(
         sky = transport.diffuse.sky @ transport.pyramid.flatten(radiance)[transport.level]
         if indirect is not None:
             sky = sky + indirect.irradiance
-        cells = transport.cells.of_vertex[transport.surface.faces[points.face]]
-        arriving = (sky[cells] * points.barycentric[..., None]).sum(1)
-        if material.normal is not None:
-            vectors = (transport.vector_irradiance(radiance)[cells] * points.barycentric[..., None, None]).sum(1)
-            arriving = bent_irradiance(straight, points.normal, arriving, vectors)
+        vectors = None if material.normal is None else transport.vector_irradiance(radiance)
+        arriving = irradiance_at(transport, points, straight, sky, vectors)
     else:
         arriving = pixel_irradiance(transport, points, options.diffuse_samples, rotation, options.seed) @ sources
-    value = diffuse * arriving / torch.pi
     lobes = transport.lobes(points, alpha, options.samples, rotation, options.seed)
+    gain, lobe = gain_and_lobe(material.model, specular, alpha, arriving, lobes, received(lobes, alpha, sources))
+    return diffuse * gain + lobe
+
+
+def irradiance_at(
+    transport: Transport, points: SurfacePoints, straight: Float[Tensor, "P 3"], irradiance: Float[Tensor, "C 3"],
+    vectors: Float[Tensor, "C 3 3"] | None,
+) -> Float[Tensor, "P 3"]:  # fmt: skip
+    """Irradiance of points from that of the cells; with `vectors` for normals bent away from the `straight` ones."""
+    cells = transport.cells.of_vertex[transport.surface.faces[points.face]]
+    arriving = (irradiance[cells] * points.barycentric[..., None]).sum(1)
+    if vectors is None:
+        return arriving
+    around = (vectors[cells] * points.barycentric[..., None, None]).sum(1)
+    return bent_irradiance(straight, points.normal, arriving, around)
+
+
+def received(
+    lobes: Lobes, alpha: Float[Tensor, "#P 1"], sources: Float[Tensor, "S 3"]
+) -> tuple[Float[Tensor, "P 3"], Float[Tensor, "P 3"]]:
+    """What lobes of ρs = 1 gather from the sources of light, and the part of it that Schlick's term takes."""
     weight, grazing = lobes.weights(alpha)
     light = sources[lobes.columns.long()].reshape(*lobes.n_wi.shape, 4, 3)
     light = (light * lobes.bilinear.reshape(*lobes.n_wi.shape, 4, 1)).sum(2)
-    lobe = (light * weight[..., None]).sum(1)
-    if material.model == "paper":
-        return value + specular * lobe
-    schlick = (light * grazing[..., None]).sum(1)
+    return (light * weight[..., None]).sum(1), (light * grazing[..., None]).sum(1)
+
+
+def gain_and_lobe(
+    model: Model, rho_s: Float[Tensor, "#P C"], alpha: Float[Tensor, "#P 1"], arriving: Float[Tensor, "P 3"],
+    lobes: Lobes, gathered: tuple[Float[Tensor, "P 3"], Float[Tensor, "P 3"]],
+) -> tuple[Float[Tensor, "P 3"], Float[Tensor, "P 3"]]:  # fmt: skip
+    """What points show of their diffuse albedo, and the radiance of their lobe."""
+    gain, (lobe, schlick) = arriving / torch.pi, gathered
+    if model == "paper":
+        return gain, rho_s * lobe
     a, b = directional_albedo_terms(lobes.n_wo[:, None], alpha)
-    return value * (1 - specular * a - b).clamp_min(0) + specular * (lobe - schlick) + schlick
+    return gain * (1 - rho_s * a - b).clamp_min(0), rho_s * (lobe - schlick) + schlick
 
 
 def sample(texture: Texture, uv: Float[Tensor, "P 2"]) -> Float[Tensor, "#P C"]:

@@ -185,25 +185,26 @@ class TransportSolver(ReflectanceSolver):
     def scene(self, fit: Fit, views: Sequence[int], report: Callable[[float], None]) -> tuple[Scene, dict[str, Any]]:
         """Textures solved from all pixels, light as fitted. `radiance` has the fit's indirect light from then on."""
         moving = fit.rung.light_frame == "camera"
-        if fit.rung.bounces:
-            self._indirect = self._indirect_light(fit)
-        environment = EnvironmentMap(
-            fit.shown.radiance, UPRIGHT.to(fit.shown.light) if moving else None, fit.rung.light_frame
-        )
+        shown = fit.shown
         if fit.rung.texels == "lobes":
             lit = self._lit(replace(fit, views=tuple(views)))
-            material, facts = solve_lobe_maps(lit, self._scene, report)
+            material, shown, facts = solve_lobe_maps(
+                lit, self._scene, self._photographs(views), self._downsample, self._options, report
+            )
         else:
             material, facts = solve_scene(
-                self._transport, self._scene, self._capture, views, self._downsample, fit.rung, fit.shown,
+                self._transport, self._scene, self._capture, views, self._downsample, fit.rung, shown,
                 self._rotation if moving else None, self._options, report,
             )
-        return replace(self._scene, material=material, environment=environment), facts
+        if fit.rung.bounces:
+            self._indirect = self._indirect_light(shown, fit.rung.bounces)
+        light = EnvironmentMap(shown.radiance, UPRIGHT.to(shown.light) if moving else None, fit.rung.light_frame)
+        return replace(self._scene, material=material, environment=light), facts
 
-    def _indirect_light(self, fit: Fit) -> Indirect:
-        values, texels = fit.shown, self._transport.pyramid.texels
+    def _indirect_light(self, values: Unknowns, bounces: int) -> Indirect:
+        texels = self._transport.pyramid.texels
         with torch.no_grad():
-            sources, irradiance = self._transport.sources(values.radiance, values.diffuse_albedo, fit.rung.bounces)
+            sources, irradiance = self._transport.sources(values.radiance, values.diffuse_albedo, bounces)
             _, direct = self._transport.sources(values.radiance, values.diffuse_albedo, 0)
         return Indirect(irradiance - direct, sources[texels:])
 

@@ -48,6 +48,7 @@ class LitSurface:
     rung: Rung
     unknowns: Unknowns
     probes: ProbeTable
+    sources: Float[Tensor, "S 3"]
     irradiance: Float[Tensor, "C 3"]
     vectors: Float[Tensor, "C 3 3"]
 
@@ -60,7 +61,16 @@ class LitSurface:
             sources, irradiance = transport.sources(unknowns.radiance, unknowns.diffuse_albedo, rung.bounces)
             vectors = transport.vector_irradiance(unknowns.radiance)
             probes = ProbeTable(make_probes(transport, sources[transport.level], sources[transport.pyramid.texels :]))
-        return cls(transport, pictures, views, rung, unknowns, probes, irradiance, vectors)
+        return cls(transport, pictures, views, rung, unknowns, probes, sources, irradiance, vectors)
+
+    @property
+    def model(self) -> Model:
+        """Of its lobes."""
+        return "paper" if self.rung.brdf == "paper" else "dielectric"
+
+    def under(self, unknowns: Unknowns) -> LitSurface:
+        """The same surface in another light."""
+        return LitSurface.of(self.transport, self.pictures, self.views, self.rung, unknowns)
 
     def solve(
         self, face: Tensor, barycentric: Tensor, position: Tensor, normal: Tensor, own_lobes: bool
@@ -76,8 +86,7 @@ class LitSurface:
             self.transport, self.pictures, self.views, self.unknowns.exposure, position, surface.face_normals[face]
         )
         points = Points(position, normal, nearest, lit, around)
-        model: Model = "paper" if self.rung.brdf == "paper" else "dielectric"
-        fit = PointFit(points, seen, self.probes, model, Holds() if own_lobes else Holds.of_albedo())
+        fit = PointFit(points, seen, self.probes, self.model, Holds() if own_lobes else Holds.of_albedo())
         start = self._start(corners, barycentric)
         found, cost = fit.solve(start)
         if own_lobes:
@@ -121,6 +130,15 @@ def shown_pixels(lit: LitSurface, pixels: Photographed, own_lobes: bool) -> Floa
     return torch.cat(shown)
 
 
+def pixel_values(lit: LitSurface, pixels: Photographed) -> PointValues:
+    """The values of the points that pixels show."""
+    found = []
+    for rows in _parts(len(pixels), len(lit.views)):
+        points = pixels.points.take(rows)
+        found.append(lit.solve(points.face, points.barycentric, points.position, points.normal, True)[1])
+    return PointValues.join(found)
+
+
 def texel_values(
     lit: LitSurface, texels: TexelSurface, report: Callable[[float], None]
 ) -> tuple[PointValues, Float[Tensor, " N"]]:
@@ -134,9 +152,7 @@ def texel_values(
         count.append(seen.count)
         done += len(rows)
         report(done / len(texels.face))
-    names = ("albedo", "specular", "alpha", "tilt")
-    joined = PointValues(*(torch.cat([getattr(values, name) for values in found]) for name in names))
-    return joined, torch.cat(count)
+    return PointValues.join(found), torch.cat(count)
 
 
 def _parts(points: int, views: int) -> Iterator[Tensor]:

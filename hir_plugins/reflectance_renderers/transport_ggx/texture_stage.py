@@ -15,12 +15,12 @@ from hir_core.capture import Capture
 from hir_core.scene import Material, Mesh, Scene, Topology
 from hir_core.selection import Rung
 from hir_core.srgb import srgb_slope
-from hir_plugins.reflectance_renderers.brdf import directional_albedo_terms
-from hir_plugins.reflectance_renderers.transport_ggx.bending import bent, bent_irradiance
+from hir_plugins.reflectance_renderers.transport_ggx.bending import bent
 from hir_plugins.reflectance_renderers.transport_ggx.moving_light import pixel_irradiance
 from hir_plugins.reflectance_renderers.transport_ggx.normal_map import normal_map
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.photographs import Photographed, photographed
+from hir_plugins.reflectance_renderers.transport_ggx.shading import gain_and_lobe, irradiance_at, received
 from hir_plugins.reflectance_renderers.transport_ggx.surface import Surface
 from hir_plugins.reflectance_renderers.transport_ggx.textures import (
     FEWEST_PIXELS,
@@ -132,30 +132,28 @@ def _equations(
     if unknowns.tilt is not None:
         points = points.bent(bent(points.normal, at_points(unknowns.tilt)))
     if rotation is None:
-        arriving = (irradiance[transport.cells.of_vertex[corners]] * points.barycentric[..., None]).sum(1)
-        if vectors is not None:
-            around = (vectors[transport.cells.of_vertex[corners]] * points.barycentric[..., None, None]).sum(1)
-            arriving = bent_irradiance(part.points.normal, points.normal, arriving, around)
+        arriving = irradiance_at(transport, points, part.points.normal, irradiance, vectors)
     else:
         arriving = pixel_irradiance(transport, points, options.diffuse_samples, rotation, options.seed).matrix @ sources
-    gain = arriving / torch.pi
-    specular = torch.zeros_like(gain)
-    if rung.brdf != "diffuse":
+    if rung.brdf == "diffuse":
+        gain, specular = arriving / torch.pi, torch.zeros_like(arriving)
+    else:
         rho_s, alpha = at_points(unknowns.specular_albedo), at_points(unknowns.alpha)
         lobes = transport.lobes(points, alpha, options.texture_samples, rotation, options.seed)
-        weight, grazing = lobes.weights(alpha)
-        light = (sources[lobes.columns.long()] * lobes.bilinear[..., None]).reshape(*weight.shape, 4, 3).sum(2)
-        lobe, schlick = (light * weight[..., None]).sum(1), (light * grazing[..., None]).sum(1)
-        specular = rho_s * lobe
-        if rung.brdf == "dielectric":
-            specular = rho_s * (lobe - schlick) + schlick
-            a, b = directional_albedo_terms(lobes.n_wo[:, None], alpha)
-            gain = gain * (1 - rho_s * a - b).clamp_min(0)
-    index, bilinear = bilinear_texels(points.uvs(transport.surface), *size)
+        gathered = received(lobes, alpha, sources)
+        gain, specular = gain_and_lobe(rung.brdf, rho_s, alpha, arriving, lobes, gathered)
+    return [texel_equations(transport, part, gain, specular, unknowns.exposure, size)]
+
+
+def texel_equations(
+    transport: Transport, part: Photographed, gain: Float[Tensor, "P 3"], lobe: Float[Tensor, "P 3"],
+    exposure: Float[Tensor, " views"] | None, size: tuple[int, int],
+) -> TexelEquations:  # fmt: skip
+    """What pixels say of a texture of height and width `size`, once their gain and their lobe are known."""
+    index, bilinear = bilinear_texels(part.points.uvs(transport.surface), *size)
     importance = srgb_slope(part.color.clamp(DARKEST, 1)).square()
-    exposure = unknowns.exposure
-    color = part.color if exposure is None else part.color / exposure[points.view][:, None]
-    return [TexelEquations(index, bilinear, gain, color - specular, importance, part.saturated)]
+    color = part.color if exposure is None else part.color / exposure[part.points.view][:, None]
+    return TexelEquations(index, bilinear, gain, color - lobe, importance, part.saturated)
 
 
 def _told(transport: Transport, part: Photographed, equations: list[TexelEquations]) -> Float[Tensor, "V 2"]:
