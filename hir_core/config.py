@@ -123,6 +123,8 @@ class ReflectanceSettings:
     """Whether the light stands in the world or is carried by the camera (turntable, flash)."""
     conserve_energy: bool = True
     """No texel gives back more light than it gets: ρd + ρs ≤ 1 in the `paper` model, each ≤ 1 in `dielectric`."""
+    settle: bool = True
+    """End with the albedo solved once more for what `polish_renderer` shows of it; kept where held-out views gain."""
     polish_iterations: int = 0
     """Steps of path tracing that end the stage, kept where held-out views gain; 0 for none."""
     polish_renderer: str = "mitsuba_ggx"

@@ -1,4 +1,7 @@
-"""A short run of path tracing from a fast fit, kept only where held-out views gain (DESIGN section 7)."""
+"""Path tracing after a fast fit, kept only where held-out views gain (DESIGN section 7).
+
+Either the albedo in closed form under what it shows, or a short run of gradient steps.
+"""
 # ruff: noqa: TID253 - part of the heavy side of hir
 
 from __future__ import annotations
@@ -16,16 +19,19 @@ from hir_core.capture import Capture
 from hir_core.config import ReflectanceSettings
 from hir_core.energies import Energies
 from hir_core.photometric import ObjectPixels, fit_by_gradient, object_pixels
+from hir_core.reference import reference_renderer
 from hir_core.scene import Scene
 from hir_core.selection import SIGNIFICANCE, compare, decibels, split_views
 from hir_core.srgb import linear_to_srgb
 
 if TYPE_CHECKING:
     from hir_core.context import StageContext
-    from hir_core.interfaces import PreparedReflectance, ReflectanceRenderer
+    from hir_core.interfaces import PreparedReflectance, ReflectanceRenderer, ReflectanceSolver
 
 JUDGED_PIXELS = 4096
 """Pixels of each held-out view that are compared, the same before and after."""
+PATHS = 64
+"""Through each pixel that an albedo is solved from in closed form: some five pixels a texel average their noise."""
 PASSES = 8
 """Independent renderings that are averaged for that: the tracer's noise would weigh on both sides."""
 
@@ -68,6 +74,43 @@ def polished(
         context.warn(f"path tracing for {time.perf_counter() - began:.0f} s brought held-out views {gain:+.2f} ± "
                      f"{noise:.2f} dB: the result without it is kept")  # fmt: skip
     return fitted if kept else scene, report
+
+
+def settled(
+    scene: Scene, solver: ReflectanceSolver, capture: Capture, settings: ReflectanceSettings, bounces: int,
+    context: StageContext,
+) -> tuple[Scene, dict[str, Any]]:  # fmt: skip
+    """The scene with the albedo that path tracing asks for, or as it was where held-out views do not gain.
+
+    They judge two albedos that are solved for the other views, with path tracing and without; the one that is kept is
+    solved for all. The report holds the mean held-out PSNR of both, the gain, its standard error and the seconds.
+    """
+    training, held_out = split_views(len(capture.views))
+    if not held_out:
+        return scene, {"kept": False, "held_out_views": 0}
+    began = time.perf_counter()
+    options = dict(context.options.get("reflectance_renderer", {}).get(settings.polish_renderer, {}))
+    config = context.plugins.find("reflectance_renderer", settings.polish_renderer).component.config
+    if "samples" in getattr(config, "__dataclass_fields__", {}):
+        options.setdefault("samples", PATHS)
+    _, renderer = reference_renderer(context.plugins, settings.polish_renderer, options, bounces)
+    traced = renderer.prepare(scene, capture, settings.downsample)
+    without, tried = (solver.settle(scene, shown, training) for shown in (None, traced))
+    if without is None or tried is None:
+        return scene, {"kept": False, "reason": "the solver has no closed form for it"}
+    device = str(scene.mesh.positions.device)
+    judged = [object_pixels(capture, [view], settings.downsample, device) for view in held_out]
+    before, after = (view_errors(state, traced, judged, context.seed) for state in (without, tried))
+    gain, noise = compare(before, after)
+    kept = bool(gain > SIGNIFICANCE * noise)
+    if kept:
+        scene = solver.settle(scene, traced, range(len(capture.views))) or scene
+    return scene, {
+        "renderer": settings.polish_renderer, "held_out_views": len(held_out),
+        "before_db": round(float(np.mean(decibels(before))), 3), "after_db": round(float(np.mean(decibels(after))), 3),
+        "gain_db": round(gain, 3), "noise_db": round(noise, 3), "kept": kept,
+        "seconds": round(time.perf_counter() - began, 1),
+    }  # fmt: skip
 
 
 def view_errors(

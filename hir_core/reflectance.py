@@ -22,7 +22,7 @@ from hir_core.energy_guard import conserving
 from hir_core.errors import ConfigError, StageError
 from hir_core.interfaces import PreparedReflectance, ReflectanceRenderer, ReflectanceSolver
 from hir_core.photometric import fit_by_gradient, object_pixels
-from hir_core.polish import polished
+from hir_core.polish import polished, settled
 from hir_core.progress import Progress
 from hir_core.scene import EnvironmentMap, Material, Scene
 from hir_core.selection import Rung, climb, default_rung, forced_rung
@@ -114,7 +114,7 @@ def _by_solver(
         bar.base = 0.6
         fit = solver.fit(rung, fit, everything, 1.0, lambda share: bar.tell(f"{rung.name}, all views", share, 0.2))
     bar.base = 0.8
-    fitted, facts = solver.scene(fit, everything, lambda share: bar.tell("textures", share, 0.2))
+    fitted, facts = solver.scene(fit, everything, lambda share: bar.tell("textures", share, 0.15))
     report: dict[str, Any] = {"rung": rung.name, "bounces": rung.bounces, "light_frame": rung.light_frame,
                               "ladder": [step.row() for step in steps], **facts}
     energies = prepare_energies(fitted, settings.regularizers, context)
@@ -128,6 +128,10 @@ def _by_solver(
             fit_light=not settings.known_environment, fit_specular=rung.brdf != "diffuse",
         )
         report["refinement"] = refined
+    if settings.settle:
+        bar.base = 0.95
+        bar.tell("path tracing", 0.0, 0.05)
+        fitted, report["settled"] = settled(fitted, solver, capture, settings, rung.bounces, context)
     if settings.polish_iterations:
         fitted, report["polish"] = polished(fitted, capture, settings, energies, context)
     return fitted, report | _light_report(fitted)

@@ -110,8 +110,10 @@ def _solves() -> list[Case]:
             weight,
             torch.full((1, 3), gain),
             torch.zeros(1, 3),
+            torch.zeros(1, 3),
             torch.ones(1, 3),
             torch.zeros(1, 3, dtype=torch.bool),
+            torch.zeros(1, 3, dtype=torch.long),
         )
         cases.append(
             Case(

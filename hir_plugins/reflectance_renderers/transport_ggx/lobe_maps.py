@@ -35,16 +35,16 @@ from hir_plugins.reflectance_renderers.transport_ggx.texture_stage import (
     texel_equations,
     texture_size,
 )
-from hir_plugins.reflectance_renderers.transport_ggx.textures import solve_texels
+from hir_plugins.reflectance_renderers.transport_ggx.textures import TexelEquations, solve_texels
 from hir_plugins.reflectance_renderers.transport_ggx.unknowns import ALPHA_LOW, Unknowns
 
 
 def solve_lobe_maps(
     lit: LitSurface, scene: Scene, pixels: Photographed, downsample: int, options: TransportGGXOptions,
     report: Callable[[float], None],
-) -> tuple[Material, Unknowns, dict[str, Any]]:  # fmt: skip
-    """Maps of albedo, ρs, α and normal at the size of the scene's texture, and the unknowns with the light they go
-    with; texels that too few photographs see are filled from those around.
+) -> tuple[Material, Unknowns, list[TexelEquations], dict[str, Any]]:  # fmt: skip
+    """Maps of albedo, ρs, α and normal at the size of the scene's texture, the unknowns with the light they go with,
+    and what the albedo was solved from; texels that too few photographs see are filled from those around.
 
     The light is fitted again to `pixels`, first under their own values, then under the maps; last the albedo is solved
     from what whole pixels show of the maps, for a texel's own photographs are looked up between blurred pixels.
@@ -66,7 +66,8 @@ def solve_lobe_maps(
         lit = with_fitted_light(lit, pixels, maps.at(pixels.points.uvs(transport.surface)), options)
     report(0.7)
     with torch.no_grad():
-        albedo = _sharpened(lit, maps, downsample, options, lambda share: report(0.7 + 0.25 * share))
+        equations = _equations(lit, maps, downsample, options, lambda share: report(0.7 + 0.25 * share))
+        albedo = solve_texels(equations, maps.albedo, HUBER_SRGB, PRIOR, SMOOTH)[0] if equations else maps.albedo
         material = Material(
             model=lit.model,
             diffuse_albedo=dilate(fill_unobserved(albedo, mesh, maps.told, texels), texels.covered, PADDING),
@@ -83,7 +84,7 @@ def solve_lobe_maps(
     }
     if lit.unknowns.exposure is not None:
         facts["view_gain"] = [round(float(e), 4) for e in lit.unknowns.exposure]
-    return material, lit.unknowns, facts
+    return material, lit.unknowns, equations, facts
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,10 +116,10 @@ class _Maps:
         return PointValues(*(sample(image, uv) for image in (self.albedo, self.specular, self.alpha, self.tilt)))
 
 
-def _sharpened(
+def _equations(
     lit: LitSurface, maps: _Maps, downsample: int, options: TransportGGXOptions, report: Callable[[float], None]
-) -> Float[Tensor, "H W 3"]:
-    """The albedo that pixels tell in closed form, under the lobes of the maps."""
+) -> list[TexelEquations]:
+    """What pixels say of the albedo, under the lobes of the maps."""
     transport, capture = lit.transport, lit.pictures.capture
     equations = []
     most = max(64, options.texture_pixels // max(len(lit.views), 1))
@@ -135,4 +136,4 @@ def _sharpened(
         size = (int(maps.albedo.shape[0]), int(maps.albedo.shape[1]))
         equations.append(texel_equations(transport, part, gain, lobe, lit.unknowns.exposure, size))
         report((done + 1) / len(lit.views))
-    return solve_texels(equations, maps.albedo, HUBER_SRGB, PRIOR, SMOOTH)[0] if equations else maps.albedo
+    return equations

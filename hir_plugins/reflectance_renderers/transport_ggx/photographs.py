@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from hir_core.capture import Capture
@@ -31,13 +31,15 @@ class Photographed:
     color: Float[Tensor, "P 3"]
     saturated: Bool[Tensor, "P 3"]
     """Channels that the sensor clipped: a yellow may be clipped in red alone."""
+    pixel: Int[Tensor, "P 3"]
+    """View, x and y."""
 
     def __len__(self) -> int:
         return len(self.points)
 
     def take(self, rows: Tensor) -> Photographed:
         """Some of the points."""
-        return Photographed(self.points.take(rows), self.color[rows], self.saturated[rows])
+        return Photographed(self.points.take(rows), self.color[rows], self.saturated[rows], self.pixel[rows])
 
 
 def photographed(
@@ -64,7 +66,8 @@ def photographed(
     color = torch.from_numpy(pixels.color_linear[rows, columns]).to(device)
     color = color.clamp_min(0) / capture.views[view].exposure
     clipped = pixels.saturated[rows, columns][:, None] & (pixels.color_linear[rows, columns] >= CLIPPED)
-    return Photographed(points.take(kept), color[kept], torch.from_numpy(clipped).to(device)[kept])
+    saturated = torch.from_numpy(clipped).to(device)
+    return Photographed(points.take(kept), color[kept], saturated[kept], index.to(device)[kept])
 
 
 def inside(mask: np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray:
@@ -79,4 +82,5 @@ def join(parts: list[Photographed]) -> Photographed:
     """Several views' points, one behind the other."""
     names = SurfacePoints.__dataclass_fields__
     points = SurfacePoints(*(torch.cat([getattr(p.points, name) for p in parts]) for name in names))
-    return Photographed(points, torch.cat([p.color for p in parts]), torch.cat([p.saturated for p in parts]))
+    color, saturated, pixel = (torch.cat([getattr(p, name) for p in parts]) for name in ("color", "saturated", "pixel"))
+    return Photographed(points, color, saturated, pixel)

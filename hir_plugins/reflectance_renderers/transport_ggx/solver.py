@@ -17,7 +17,7 @@ from torch import Tensor
 
 from hir_core.capture import Capture
 from hir_core.errors import StageError
-from hir_core.interfaces import ReflectanceSolver
+from hir_core.interfaces import PreparedReflectance, ReflectanceSolver
 from hir_core.scene import EnvironmentMap, Material, Scene, Topology
 from hir_core.selection import Rung
 from hir_core.srgb import linear_to_srgb, srgb_to_linear
@@ -30,12 +30,14 @@ from hir_plugins.reflectance_renderers.transport_ggx.lobe_maps import solve_lobe
 from hir_plugins.reflectance_renderers.transport_ggx.moving_light import pixel_irradiance
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.photographs import GRAZING, Photographed, join, photographed
+from hir_plugins.reflectance_renderers.transport_ggx.settling import Settling
 from hir_plugins.reflectance_renderers.transport_ggx.shading import Indirect, shade
 from hir_plugins.reflectance_renderers.transport_ggx.sightings import Pictures
 from hir_plugins.reflectance_renderers.transport_ggx.starts import albedo_of_photographs, without_indirect
 from hir_plugins.reflectance_renderers.transport_ggx.stream import Stream
 from hir_plugins.reflectance_renderers.transport_ggx.texel_lobes import LitSurface, shown_pixels
 from hir_plugins.reflectance_renderers.transport_ggx.texture_stage import solve_scene
+from hir_plugins.reflectance_renderers.transport_ggx.textures import TexelEquations
 from hir_plugins.reflectance_renderers.transport_ggx.transport import Transport
 from hir_plugins.reflectance_renderers.transport_ggx.unknowns import LIGHT_LIMIT, Unknowns, width_of
 
@@ -83,6 +85,8 @@ class TransportSolver(ReflectanceSolver):
         self._options = options
         self._edges = Topology(transport.surface.faces).edges
         self._indirect: Indirect | None = None
+        self._equations: list[TexelEquations] = []
+        self._settling: Settling | None = None
         self._files: FitFiles | None = None
         self._samples: dict[int, Photographed] = {}
         self._pictures = Pictures(capture, downsample)
@@ -188,11 +192,11 @@ class TransportSolver(ReflectanceSolver):
         shown = fit.shown
         if fit.rung.texels == "lobes":
             lit = self._lit(replace(fit, views=tuple(views)))
-            material, shown, facts = solve_lobe_maps(
+            material, shown, self._equations, facts = solve_lobe_maps(
                 lit, self._scene, self._photographs(views), self._downsample, self._options, report
             )
         else:
-            material, facts = solve_scene(
+            material, self._equations, facts = solve_scene(
                 self._transport, self._scene, self._capture, views, self._downsample, fit.rung, shown,
                 self._rotation if moving else None, self._options, report,
             )
@@ -200,6 +204,12 @@ class TransportSolver(ReflectanceSolver):
             self._indirect = self._indirect_light(shown, fit.rung.bounces)
         light = EnvironmentMap(shown.radiance, UPRIGHT.to(shown.light) if moving else None, fit.rung.light_frame)
         return replace(self._scene, material=material, environment=light), facts
+
+    def settle(self, scene: Scene, traced: PreparedReflectance | None, views: Sequence[int]) -> Scene | None:
+        """The albedo solved from the same pixels, with what `traced` shows of them in place of what was cached."""
+        if self._settling is None or self._settling.scene is not scene:
+            self._settling = Settling(scene, self._equations)
+        return self._settling.solved(self._transport.surface, traced, views)
 
     def _indirect_light(self, values: Unknowns, bounces: int) -> Indirect:
         texels = self._transport.pyramid.texels

@@ -56,8 +56,8 @@ def solve_scene(
     rotation: Tensor | None,
     options: TransportGGXOptions,
     report: Callable[[float], None],
-) -> tuple[Material, dict[str, Any]]:
-    """The material of a fit; maps that the rung does not vary are constants."""
+) -> tuple[Material, list[TexelEquations], dict[str, Any]]:
+    """The material of a fit, and what its albedo was solved from; maps that the rung does not vary are constants."""
     assert scene.material is not None
     height, width = texture_size(scene.material)
     mesh = refined_mesh(transport.surface)
@@ -106,7 +106,7 @@ def solve_scene(
     facts: dict[str, Any] = {"texture_equations": sum(len(e.gain) for e in equations), "observed": round(shown, 4)}
     if unknowns.exposure is not None:
         facts["view_gain"] = [round(float(e), 4) for e in unknowns.exposure]
-    return material, facts
+    return material, equations, facts
 
 
 def _equations(
@@ -153,7 +153,7 @@ def texel_equations(
     index, bilinear = bilinear_texels(part.points.uvs(transport.surface), *size)
     importance = srgb_slope(part.color.clamp(DARKEST, 1)).square()
     color = part.color if exposure is None else part.color / exposure[part.points.view][:, None]
-    return TexelEquations(index, bilinear, gain, color - lobe, importance, part.saturated)
+    return TexelEquations(index, bilinear, gain, color, lobe, importance, part.saturated, part.pixel)
 
 
 def _told(transport: Transport, part: Photographed, equations: list[TexelEquations]) -> Float[Tensor, "V 2"]:

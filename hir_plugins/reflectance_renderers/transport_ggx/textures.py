@@ -22,15 +22,20 @@ LEAST_INFORMATION = 0.7
 
 @dataclass(frozen=True, eq=False)
 class TexelEquations:
-    """One row per pixel: `gain · (texture at uv) = target`."""
+    """One row per pixel: `gain · (texture at uv) + rest = color`."""
 
     index: Int[Tensor, "P 4"]
     weight: Float[Tensor, "P 4"]
     gain: Float[Tensor, "P 3"]
-    target: Float[Tensor, "P 3"]
+    color: Float[Tensor, "P 3"]
+    """Of the photograph, at equal exposure."""
+    rest: Float[Tensor, "P 3"]
+    """What the pixel shows besides: its lobe."""
     importance: Float[Tensor, "P 3"]
     at_least: Bool[Tensor, "P 3"]
-    """Where the photograph is clipped: the left side may be larger than the target."""
+    """Where the photograph is clipped: the left side may be larger."""
+    pixel: Int[Tensor, "P 3"]
+    """View, x and y."""
 
 
 def bilinear_texels(
@@ -67,7 +72,7 @@ def solve_texels(
     rows = AlbedoEquations(
         lookup,
         torch.cat([e.gain for e in equations]),
-        torch.cat([e.target for e in equations]),
+        torch.cat([e.color - e.rest for e in equations]),
         torch.cat([e.importance for e in equations]),
         torch.cat([e.at_least for e in equations]),
     )
