@@ -33,12 +33,13 @@ def ggx_d(
 ) -> Float[Tensor, "*b"]:
     """Density of GGX normals: `alpha² / (pi (sin² + alpha² cos²)²)`, Walter et al. 2007 eq. 33.
 
-    In float32 a narrow lobe (alpha < 0.01) needs `sin2_h` = |n × h|²: `1 - cos_h²` has lost its digits by then.
+    In float32 a narrow lobe (alpha < 0.01) needs `sin2_h` = |n × h|²: `1 - cos_h²` has lost its digits by then. Finite
+    where there is no half vector (both 0), between opposite directions.
     """
     alpha2 = alpha.clamp(ALPHA_MIN, 1).square()
     cos_h = cos_h.clamp(0, 1)
     sin2 = (1 - cos_h) * (1 + cos_h) if sin2_h is None else sin2_h.clamp(0, 1)
-    return alpha2 / (pi * (sin2 + alpha2 * cos_h.square()).square())
+    return alpha2 / (pi * (sin2 + alpha2 * cos_h.square()).square().clamp_min(1e-24))
 
 
 def smith_g1(cos: Float[Tensor, "*#b"], alpha: Float[Tensor, "*#b"]) -> Float[Tensor, "*b"]:

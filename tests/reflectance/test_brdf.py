@@ -164,3 +164,13 @@ def test_shapes_broadcast_over_light_directions() -> None:
     value = evaluate("dielectric", one.expand(5, 1, 3), one.expand(5, 1, 3), one, torch.rand(5, 7, 1), one,
                      torch.rand(5, 7, 1), torch.rand(5, 7, 1))
     assert value.shape == (5, 7, 3)
+
+
+@pytest.mark.parametrize("alpha", [1e-3, 0.1, 1.0])
+def test_opposite_directions_have_no_half_vector_and_no_lobe(alpha: float) -> None:
+    """A direction that grazes a microfacet comes straight back from behind: one in ten million that a fit draws."""
+    width = torch.tensor([alpha], requires_grad=True)
+    nothing = torch.zeros(1)
+    value = brdf.specular_lobe(width, torch.tensor([-0.1]), torch.tensor([0.1]), nothing, nothing)
+    value.sum().backward()
+    assert float(value) == 0 and width.grad is not None and bool(torch.isfinite(width.grad).all())
