@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 JUDGED_PIXELS = 4096
 """Pixels of each held-out view that are compared, the same before and after."""
-PATHS = 64
+PATHS = 32
 """Through each pixel that an albedo is solved from in closed form: some five pixels a texel average their noise."""
 PASSES = 8
 """Independent renderings that are averaged for that: the tracer's noise would weigh on both sides."""
