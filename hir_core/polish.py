@@ -83,12 +83,11 @@ def settled(
     """The scene with the albedo that path tracing asks for, or as it was where held-out views do not gain.
 
     They judge two albedos that are solved for the other views, with path tracing and without; the one that is kept is
-    solved for all. The report holds the mean held-out PSNR of both, the gain, its standard error and the seconds.
+    solved for all. The report holds the mean held-out PSNR of both, the gain and its standard error.
     """
     training, held_out = split_views(len(capture.views))
     if not held_out:
         return scene, {"kept": False, "held_out_views": 0}
-    began = time.perf_counter()
     options = dict(context.options.get("reflectance_renderer", {}).get(settings.polish_renderer, {}))
     config = context.plugins.find("reflectance_renderer", settings.polish_renderer).component.config
     if "samples" in getattr(config, "__dataclass_fields__", {}):
@@ -109,7 +108,6 @@ def settled(
         "renderer": settings.polish_renderer, "held_out_views": len(held_out),
         "before_db": round(float(np.mean(decibels(before))), 3), "after_db": round(float(np.mean(decibels(after))), 3),
         "gain_db": round(gain, 3), "noise_db": round(noise, 3), "kept": kept,
-        "seconds": round(time.perf_counter() - began, 1),
     }  # fmt: skip
 
 
