@@ -128,7 +128,7 @@ class ReflectanceSettings:
     polish_iterations: int = 0
     """Steps of path tracing that end the stage, kept where held-out views gain; 0 for none."""
     polish_renderer: str = "mitsuba_ggx"
-    """Renderer of these steps."""
+    """Renderer of these steps, and of `settle`."""
     polish_rate: float = 0.003
     """Learning rate of these steps, falling to a tenth."""
     known_environment: str = ""

@@ -30,10 +30,10 @@ if TYPE_CHECKING:
 
 JUDGED_PIXELS = 4096
 """Pixels of each held-out view that are compared, the same before and after."""
-PATHS = 32
-"""Through each pixel that an albedo is solved from in closed form: some five pixels a texel average their noise."""
 PASSES = 8
 """Independent renderings that are averaged for that: the tracer's noise would weigh on both sides."""
+PATHS = 32
+"""Through each pixel that an albedo is solved from in closed form: some five pixels a texel average their noise."""
 
 
 def polished(
@@ -103,7 +103,9 @@ def settled(
     gain, noise = compare(before, after)
     kept = bool(gain > SIGNIFICANCE * noise)
     if kept:
-        scene = solver.settle(scene, traced, range(len(capture.views))) or scene
+        whole = solver.settle(scene, traced, range(len(capture.views)))
+        assert whole is not None  # it could for fewer views
+        scene = whole
     return scene, {
         "renderer": settings.polish_renderer, "held_out_views": len(held_out),
         "before_db": round(float(np.mean(decibels(before))), 3), "after_db": round(float(np.mean(decibels(after))), 3),

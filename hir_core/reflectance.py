@@ -117,6 +117,10 @@ def _by_solver(
     fitted, facts = solver.scene(fit, everything, lambda share: bar.tell("textures", share, 0.15))
     report: dict[str, Any] = {"rung": rung.name, "bounces": rung.bounces, "light_frame": rung.light_frame,
                               "ladder": [step.row() for step in steps], **facts}
+    if settings.settle:  # before the regularizers: it would undo what they bring
+        bar.base = 0.95
+        bar.tell("path tracing", 0.0, 0.05)
+        fitted, report["settled"] = settled(fitted, solver, capture, settings, rung.bounces, context)
     energies = prepare_energies(fitted, settings.regularizers, context)
     if energies and not settings.iterations and not settings.polish_iterations:
         context.warn(f"the regularizers {', '.join(energies.terms)} act in gradient steps after the solver, and "
@@ -128,10 +132,6 @@ def _by_solver(
             fit_light=not settings.known_environment, fit_specular=rung.brdf != "diffuse",
         )
         report["refinement"] = refined
-    if settings.settle:
-        bar.base = 0.95
-        bar.tell("path tracing", 0.0, 0.05)
-        fitted, report["settled"] = settled(fitted, solver, capture, settings, rung.bounces, context)
     if settings.polish_iterations:
         fitted, report["polish"] = polished(fitted, capture, settings, energies, context)
     return fitted, report | _light_report(fitted)

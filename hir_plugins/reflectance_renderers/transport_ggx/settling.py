@@ -58,6 +58,7 @@ class Settling:
             assert self.scene.material is not None and self.scene.environment is not None
             torch.manual_seed(view)
             shown = traced.radiance(self.scene.material, self.scene.environment, rows.pixel)
+            # one broken pixel would reach every texel through conjugate gradients; this one asks for no change
             self._shown[view] = torch.where(torch.isfinite(shown), shown, rows.color)
         looked_up = (albedo.reshape(-1, 3)[rows.index] * rows.weight[..., None]).sum(dim=1)
         return replace(rows, rest=self._shown[view] - rows.gain * looked_up)

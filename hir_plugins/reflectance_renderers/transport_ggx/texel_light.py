@@ -70,4 +70,3 @@ def with_fitted_light(
         adam.step()
         schedule.step()
     return lit.under(replace(unknowns, light=light.detach()))
-
