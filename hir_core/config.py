@@ -278,6 +278,7 @@ def _check_components(config: RunConfig, plugins: PluginManager) -> None:
                 )
     plugins.find("geometry_renderer", config.geometry.renderer)
     plugins.find("reflectance_renderer", config.reflectance.renderer)
+    plugins.find("reflectance_renderer", config.reflectance.polish_renderer)
     chains = (("initializer", config.initializers), ("mask_source", config.masks), ("exporter", config.export))
     for kind, names in chains:
         for name in () if names == "auto" else names:
