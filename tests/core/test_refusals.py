@@ -230,3 +230,8 @@ def test_curves_without_steps_are_refused(arrays: dict[str, np.ndarray], tmp_pat
         read_curves(tmp_path / "curves.npz")
     np.savez(tmp_path / "curves.npz", a=np.ones(2), **{"a@step": np.arange(2)})  # type: ignore[arg-type]
     assert read_curves(tmp_path / "curves.npz")["a"][0].tolist() == [0, 1]
+
+
+def test_the_renderer_that_ends_a_fit_is_looked_for_before_it_begins() -> None:
+    with pytest.raises(PluginError, match="no reflectance renderer named 'mitsubi'"):
+        load_config(PLUGINS, assignments=["reflectance.polish_renderer=mitsubi"])
