@@ -126,7 +126,9 @@ class ReflectanceSolver(PreparedReflectance):
     def scene(self, fit: Any, views: Sequence[int], report: Callable[[float], None]) -> tuple[Scene, dict[str, Any]]:
         """The scene of a fit with textures at full resolution, solved from the pixels of `views`."""
 
-    def settle(self, scene: Scene, traced: PreparedReflectance | None, views: Sequence[int]) -> Scene | None:
+    def settle(
+        self, scene: Scene, traced: PreparedReflectance | None, views: Sequence[int], report: Callable[[float], None]
+    ) -> Scene | None:
         """The last `scene` that was made with its albedo solved once more, so that what `traced`, a reference renderer,
         shows of it comes nearest to the pixels of `views`; without one, what this solver shows of it. None where a
         solver cannot, as by default.

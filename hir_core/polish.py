@@ -7,7 +7,7 @@ Either the albedo in closed form under what it shows, or a short run of gradient
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -78,7 +78,7 @@ def polished(
 
 def settled(
     scene: Scene, solver: ReflectanceSolver, capture: Capture, settings: ReflectanceSettings, bounces: int,
-    context: StageContext,
+    context: StageContext, report: Callable[[float], None] = lambda share: None,
 ) -> tuple[Scene, dict[str, Any]]:  # fmt: skip
     """The scene with the albedo that path tracing asks for, or as it was where held-out views do not gain.
 
@@ -94,7 +94,9 @@ def settled(
         options.setdefault("samples", PATHS)
     _, renderer = reference_renderer(context.plugins, settings.polish_renderer, options, bounces)
     traced = renderer.prepare(scene, capture, settings.downsample)
-    without, tried = (solver.settle(scene, shown, training) for shown in (None, traced))
+    report(0.0)
+    without = solver.settle(scene, None, training, lambda share: None)
+    tried = solver.settle(scene, traced, training, lambda share: report(0.75 * share))
     if without is None or tried is None:
         return scene, {"kept": False, "reason": "the solver has no closed form for it"}
     device = str(scene.mesh.positions.device)
@@ -103,7 +105,7 @@ def settled(
     gain, noise = compare(before, after)
     kept = bool(gain > SIGNIFICANCE * noise)
     if kept:
-        whole = solver.settle(scene, traced, range(len(capture.views)))
+        whole = solver.settle(scene, traced, range(len(capture.views)), lambda share: report(0.85 + 0.15 * share))
         assert whole is not None  # it could for fewer views
         scene = whole
     return scene, {

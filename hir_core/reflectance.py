@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -25,10 +26,12 @@ from hir_core.photometric import fit_by_gradient, object_pixels
 from hir_core.polish import polished, settled
 from hir_core.progress import Progress
 from hir_core.scene import EnvironmentMap, Material, Scene
-from hir_core.selection import Rung, climb, default_rung, forced_rung
+from hir_core.selection import Rung, Step, Watcher, climb, default_rung, forced_rung
 
 TICKS = 1000
 """Parts of the progress bar of a solver, which tells shares and not steps."""
+PHASES = {"ladder": 0.6, "all views": 0.07, "textures": 0.16, "path tracing": 0.17}
+"""Shares of that bar, as captures/spot and captures/chair spend their time."""
 
 
 def fit_reflectance(
@@ -105,22 +108,19 @@ def _by_solver(
     began = time.perf_counter()
     bar = _Bar(context, began)
     solver.keep(context.checkpoints, context.checkpoint_seconds)
-    fit, rung, steps = climb(solver, settings, views, lambda name, share: bar.tell(name, share, 0.6), bar.judged)
+    fit, rung, steps = climb(solver, settings, views, bar)
     if not steps and forced_rung(settings) is None:
         context.warn(f"{views} views are too few to hold some out, so the model was not chosen but set: {rung.name}; "
                      "take at least 6 photographs to let them decide")
     everything = list(range(views))
     if steps:
-        bar.base = 0.6
-        fit = solver.fit(rung, fit, everything, 1.0, lambda share: bar.tell(f"{rung.name}, all views", share, 0.2))
-    bar.base = 0.8
-    fitted, facts = solver.scene(fit, everything, lambda share: bar.tell("textures", share, 0.15))
+        fit = solver.fit(rung, fit, everything, 1.0, bar.part("all views", f"{rung.name}, all views"))
+    fitted, facts = solver.scene(fit, everything, bar.part("textures"))
     report: dict[str, Any] = {"rung": rung.name, "bounces": rung.bounces, "light_frame": rung.light_frame,
                               "ladder": [step.row() for step in steps], **facts}
     if settings.settle:  # before the regularizers: it would undo what they bring
-        bar.base = 0.95
-        bar.tell("path tracing", 0.0, 0.05)
-        fitted, report["settled"] = settled(fitted, solver, capture, settings, rung.bounces, context)
+        settle = bar.part("path tracing")
+        fitted, report["settled"] = settled(fitted, solver, capture, settings, rung.bounces, context, settle)
     energies = prepare_energies(fitted, settings.regularizers, context)
     if energies and not settings.iterations and not settings.polish_iterations:
         context.warn(f"the regularizers {', '.join(energies.terms)} act in gradient steps after the solver, and "
@@ -169,33 +169,36 @@ def _option_names(renderer: str, context: StageContext) -> set[str]:
     return set(getattr(config, "__dataclass_fields__", {}))
 
 
-class _Bar:
-    """One progress bar over fits that each tell a share of themselves."""
+class _Bar(Watcher):
+    """One progress bar over a ladder and what comes after it, each of which tells a share of itself."""
 
     def __init__(self, context: StageContext, began: float) -> None:
         self._context = context
         self._began = began
         self._done = 0.0
         self._name = ""
-        self._names: list[str] = []
-        self.base = 0.0
 
-    def tell(self, name: str, share: float, width: float) -> None:
-        """`width`: the part of the bar that belongs to all fits of this phase together."""
-        if name != self._name:
-            self._name = name
-            self._names.append(name)
-        # the number of rungs is not known beforehand: each takes a third of what is left of its phase
-        rung = len(self._names) - 1 if self.base == 0 else 0
-        left = (2 / 3) ** rung if self.base == 0 else 1.0
-        part = left / 3 if self.base == 0 else 1.0
-        inside = (1 - left) + part * share
-        self._done = max(self._done, self.base + width * inside)
-        self._report({})
+    def part(self, phase: str, name: str = "") -> Callable[[float], None]:
+        """What a phase of `PHASES` reports its share to; `name` is what the bar calls it."""
+        before = list(PHASES)[: list(PHASES).index(phase)]
+        begins, width = sum(PHASES[other] for other in before), PHASES[phase]
+        return lambda share: self._go(name or phase, begins + width * share)
+
+    def fitting(self, name: str, share: float) -> None:
+        """A rung of the ladder."""
+        self.part("ladder", name)(share)
 
     def judged(self, held_out_db: float, training_db: float) -> None:
         """What a fit of the ladder came to."""
         self._report({"held_out_psnr": np.array([held_out_db]), "training_psnr": np.array([training_db])})
+
+    def voted(self, step: Step) -> None:
+        """A rung with all that was fitted for its sake."""
+        self._report({"rung_psnr": np.array([step.held_out_db])})
+
+    def _go(self, name: str, done: float) -> None:
+        self._name, self._done = name, max(self._done, done)
+        self._report({})
 
     def _report(self, scalars: dict[str, np.ndarray]) -> None:
         step = min(TICKS, max(1, round(self._done * TICKS)))

@@ -8,10 +8,8 @@ from the same start for as many steps.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -99,39 +97,40 @@ class Step:
     noise_db: float
     """Standard error of that mean."""
     kept: bool
-    seconds: float
 
     def row(self) -> dict[str, Any]:
-        """For run.json: everything but the seconds, which differ from run to run."""
+        """For run.json."""
         return {"name": self.rung.name, **asdict(self.rung), "held_out_db": round(self.held_out_db, 3),
                 "gain_db": round(self.gain_db, 3), "noise_db": round(self.noise_db, 3), "kept": self.kept}
 
 
+class Watcher:
+    """Hears how a climb goes on; does nothing where its methods are not overridden."""
+
+    def fitting(self, name: str, share: float) -> None:
+        """A rung is being fitted; `share` of the whole climb is done, or more where what is left is not needed."""
+
+    def judged(self, held_out_db: float, training_db: float) -> None:
+        """The mean dB that a fit has on the held-out views and on as many of those it was fitted to."""
+
+    def voted(self, step: Step) -> None:
+        """A candidate was kept or refused."""
+
+
 def climb(
-    solver: ReflectanceSolver, settings: ReflectanceSettings, views: int, tell: Callable[[str, float], None],
-    judged: Callable[[float, float], None] = lambda *_: None,
+    solver: ReflectanceSolver, settings: ReflectanceSettings, views: int, watcher: Watcher | None = None
 ) -> tuple[Any, Rung, list[Step]]:
     """Climbs the ladder on training views, judged by held-out ones; returns the best fit and its rung.
 
-    `tell(name of the rung, share done)` hears of progress, `judged` of the mean dB that each fit has on the held-out
-    views and on as many of those it was fitted to. A rung named in the settings is fitted without a vote.
+    A rung named in the settings is fitted without a vote.
     """
+    watcher = watcher or Watcher()
     every = list(range(views))
     training, held_out = split_views(views)
     forced = forced_rung(settings)
     if forced is not None or not held_out:
-        rung = forced or default_rung(settings)
-        fit = None
-        if rung.brdf != "diffuse":
-            # a lobe that starts under a flat light widens: the ladder's first step comes first here too
-            first = Rung(light_frame=rung.light_frame)
-            fit = solver.fit(first, None, every, FIRST_EFFORT, lambda share: tell(first.name, share))
-        if rung.normals == "map":
-            # and the lobe before the dents, which would do its work
-            smooth = replace(rung, normals="mesh")
-            fit = solver.fit(smooth, fit, every, FIRST_EFFORT, lambda share: tell(smooth.name, share))
-        return solver.fit(rung, fit, every, 1.0, lambda share: tell(rung.name, share)), rung, []
-    ladder = _Ladder(solver, training, held_out, tell, judged)
+        return *_without_votes(solver, forced or default_rung(settings), every, watcher), []
+    ladder = _Ladder(solver, training, held_out, watcher, _longest_climb(settings))
     base = Rung(light_frame=_first_frame(settings))
     ladder.begin(base)
     if settings.light_frame == "auto":
@@ -157,88 +156,134 @@ def climb(
     return ladder.fit, ladder.rung, ladder.steps
 
 
+def _without_votes(
+    solver: ReflectanceSolver, rung: Rung, views: Sequence[int], watcher: Watcher
+) -> tuple[Any, Rung]:
+    """The fit of one rung to all views, through simpler ones where it would go astray from the start."""
+    through = []
+    if rung.brdf != "diffuse":
+        # a lobe that starts under a flat light widens: the ladder's first step comes first here too
+        through.append(Rung(light_frame=rung.light_frame))
+    if rung.normals == "map":
+        # and the lobe before the dents, which would do its work
+        through.append(replace(rung, normals="mesh"))
+    plan = [*through, rung]
+    whole, fit, done = sum(_cost(each, FIRST_EFFORT) for each in plan), None, 0.0
+    for each in plan:
+        cost = _cost(each, FIRST_EFFORT)
+        fit = solver.fit(each, fit, views, FIRST_EFFORT, _part(watcher, each, done / whole, cost / whole))
+        done += cost
+    return fit, rung
+
+
+def _part(watcher: Watcher, rung: Rung, begins: float, width: float) -> Callable[[float], None]:
+    """What one fit reports to: its share of itself is a part of the whole."""
+    return lambda share: watcher.fitting(rung.name, min(1.0, begins + width * share))
+
+
+def _cost(rung: Rung, effort: float) -> float:
+    """About how long a fit takes, in full diffuse fits: for the progress bar alone."""
+    return effort * (1 if rung.brdf == "diffuse" else 3) * (3 if rung.normals == "map" else 1)
+
+
+def _longest_climb(settings: ReflectanceSettings) -> float:
+    """The cost of a ladder on which a lobe and a reflection are kept and no map at vertices is."""
+    matt, lobe = Rung(), Rung("dielectric", "uniform")
+    frames = 2 if settings.light_frame == "auto" else 1
+    lobes = (2 if settings.brdf == "auto" else 1) + 2 + 4  # one reflection and three maps, each with a control
+    fits = frames * _cost(matt, FIRST_EFFORT) + 2 * _cost(matt, EFFORT) + lobes * _cost(lobe, EFFORT)
+    return fits + _cost(replace(lobe, normals="map"), EFFORT) + 2 * _cost(lobe, EFFORT)  # texels: two
+
+
 class _Ladder:
-    """The best fit so far; each vote pits candidates against the same rung fitted as much longer."""
+    """The best fit so far; each vote pits candidates against the same rung fitted as much longer.
+
+    That control serves every vote until one keeps its candidate: all start from the same fit and take as many steps.
+    """
 
     def __init__(
-        self, solver: ReflectanceSolver, training: Sequence[int], held_out: Sequence[int],
-        tell: Callable[[str, float], None], judged: Callable[[float, float], None],
+        self, solver: ReflectanceSolver, training: Sequence[int], held_out: Sequence[int], watcher: Watcher,
+        expected: float,
     ) -> None:
         self._solver = solver
         self._training = training
         self._held_out = held_out
         self._sample = training[:: max(1, len(training) // len(held_out))]
-        self._tell = tell
-        self._judged = judged
+        self._watcher = watcher
+        self._expected = expected
+        self._spent = 0.0
         self._errors: NDArray[np.float64] = np.empty(0)
         self._start: Any = None
+        self._controlled = False
         self.fit: Any = None
         self.rung = Rung()
         self.steps: list[Step] = []
 
     def begin(self, rung: Rung) -> None:
         """Fits the first rung."""
-        began = time.perf_counter()
         self.rung = rung
         self.fit, self._errors = self._fitted(rung, None, FIRST_EFFORT)
-        self._record(rung, self._errors, 0.0, 0.0, True, began)
+        self._record(rung, self._errors, 0.0, 0.0, True)
 
     def vote(self, candidates: Sequence[Rung], afresh: bool = False, significance: float = SIGNIFICANCE) -> None:
         """Keeps the best candidate that held-out views prefer to the rung as it is, by `significance` errors."""
-        start = None
-        if not afresh:
+        if not afresh and not self._controlled:
             # more steps alone lower the error: without this control every rung would look like a gain
-            start = self.fit
-            self.fit, self._errors = self._fitted(self.rung, start, EFFORT)
-        self._start, standing = start, self._errors
+            self._start, self._controlled = self.fit, True
+            self.fit, self._errors = self._fitted(self.rung, self._start, EFFORT)
+        standing = self._errors
         for rung in candidates:
-            began = time.perf_counter()
-            fit, errors = self._fitted(rung, start, FIRST_EFFORT if afresh else EFFORT)
+            fit, errors = self._fitted(rung, *(None, FIRST_EFFORT) if afresh else (self._start, EFFORT))
             gain, noise = compare(standing, errors)
             better = float(decibels(errors).mean()) > float(decibels(self._errors).mean())
             told = gain > significance * noise and gain > LEAST_GAIN_DB
             kept = told and better and float(decibels(standing).mean()) < FINEST_DB
             if kept:
-                self.rung, self.fit, self._errors = rung, fit, errors
-            self._record(rung, errors, gain, noise, kept, began)
+                self.rung, self.fit, self._errors, self._controlled = rung, fit, errors, False
+            self._record(rung, errors, gain, noise, kept)
 
     def refine(self, finer: Rung, control: Rung) -> None:
         """Keeps what texels are given of their own when the rest is fitted, where held-out views prefer it to a
         `control` that is given less; neither takes another step of the fit.
         """
-        began = time.perf_counter()
-        fits = [self._solver.fit(rung, self.fit, self._training, 0.0, partial(self._tell, rung.name))
-                for rung in (control, finer)]
-        standing, errors = (self._solver.errors(fit, self._held_out) for fit in fits)
+        fits, found = [], []
+        for rung in (control, finer):
+            fits.append(self._solver.fit(rung, self.fit, self._training, 0.0, self._part(rung, EFFORT)))
+            self._spent += _cost(rung, EFFORT)
+            found.append(self._solver.errors(fits[-1], self._held_out))
+        standing, errors = found
         gain, noise = compare(standing, errors)
         near = float(decibels(standing).mean()) >= FINEST_DB
         kept = gain > NORMALS_SIGNIFICANCE * noise and gain > LEAST_GAIN_DB and not near
         if kept:
             self.rung, self.fit, self._errors = finer, fits[1], errors
-        self._record(finer, errors, gain, noise, kept, began)
+        self._record(finer, errors, gain, noise, kept)
 
     def question(self, simpler: Rung) -> None:
         """Goes back to a simpler rung unless what the last vote kept still gains on it; both had as many steps."""
-        began = time.perf_counter()
         fit, errors = self._fitted(simpler, self._start, EFFORT)
         gain, noise = compare(errors, self._errors)
         kept = not (gain > SIGNIFICANCE * noise and gain > LEAST_GAIN_DB)
         if kept:
             self.rung, self.fit, self._errors = simpler, fit, errors
-        self._record(simpler, errors, -gain, noise, kept, began)
+        self._record(simpler, errors, -gain, noise, kept)
 
     def _fitted(self, rung: Rung, start: Any, effort: float) -> tuple[Any, NDArray[np.float64]]:
-        fit = self._solver.fit(rung, start, self._training, effort, lambda share: self._tell(rung.name, share))
+        fit = self._solver.fit(rung, start, self._training, effort, self._part(rung, effort))
+        self._spent += _cost(rung, effort)
         errors = self._solver.errors(fit, self._held_out)
         fitted = self._solver.errors(fit, self._sample)
-        self._judged(float(decibels(errors).mean()), float(decibels(fitted).mean()))
+        self._watcher.judged(float(decibels(errors).mean()), float(decibels(fitted).mean()))
         return fit, errors
 
-    def _record(
-        self, rung: Rung, errors: NDArray[np.float64], gain: float, noise: float, kept: bool, began: float
-    ) -> None:
-        level = float(np.mean(decibels(errors)))
-        self.steps.append(Step(rung, level, gain, noise, kept, time.perf_counter() - began))
+    def _part(self, rung: Rung, effort: float) -> Callable[[float], None]:
+        cost = _cost(rung, effort)
+        whole = max(self._expected, self._spent + cost)
+        return _part(self._watcher, rung, self._spent / whole, cost / whole)
+
+    def _record(self, rung: Rung, errors: NDArray[np.float64], gain: float, noise: float, kept: bool) -> None:
+        self.steps.append(Step(rung, float(np.mean(decibels(errors))), gain, noise, kept))
+        self._watcher.voted(self.steps[-1])
 
 
 def split_views(views: int) -> tuple[list[int], list[int]]:

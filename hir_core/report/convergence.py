@@ -16,7 +16,8 @@ from hir_core.run_directory import STAGES, RunDirectory, read_json
 SHOWN_CURVES = 8
 
 NAMES = {"held_out": "held-out views, 1 − IoU", "gradient_norm": "gradient norm", "silhouette": "silhouettes, 1 − IoU",
-         "held_out_psnr": "held-out views, dB", "training_psnr": "fitted views, dB", "loss": "loss"}  # fmt: skip
+         "held_out_psnr": "held-out views, dB", "training_psnr": "fitted views, dB",
+         "rung_psnr": "held-out views of each candidate, dB", "loss": "loss"}  # fmt: skip
 """Words for scalars whose names do not speak for themselves."""
 
 
@@ -55,7 +56,7 @@ def history(directory: RunDirectory, document: Mapping[str, Any], timings: Mappi
     if points:
         points.sort()
         found.append(_series("the photographs shown, after each stage", "stages", points))
-    seconds = judgements(directory, timings)
+    seconds = told_at(directory, timings, "held_out_psnr")
     curves = read_curves(directory.stage("reflectance") / "curves.npz")
     for name, kind, label in (
         ("held_out_psnr", "held-out", "views held out while models are chosen"),
@@ -72,14 +73,14 @@ def history(directory: RunDirectory, document: Mapping[str, Any], timings: Mappi
     return History(tuple(found), tuple(ends))
 
 
-def judgements(directory: RunDirectory, timings: Mapping[str, Any]) -> list[float]:
-    """Seconds since the reflectance stage began at which the ladder's fits were judged; empty where none were."""
+def told_at(directory: RunDirectory, timings: Mapping[str, Any], name: str) -> list[float]:
+    """Seconds since the reflectance stage began at which it told each value of a curve; empty where there is none."""
     curves = read_curves(directory.stage("reflectance") / "curves.npz")
     progress = timings.get("stages", {}).get("reflectance", {}).get("progress", [])
-    if "held_out_psnr" not in curves or not progress:
+    if name not in curves or not progress:
         return []
     steps, seconds = np.array(progress, dtype=np.float64).T
-    return [float(s) for s in np.interp(curves["held_out_psnr"][0], steps, seconds)]
+    return [float(s) for s in np.interp(curves[name][0], steps, seconds)]
 
 
 def curves(directory: RunDirectory) -> str:

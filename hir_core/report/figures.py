@@ -7,6 +7,8 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from hir_core.run_directory import STAGES
 
 Document = Mapping[str, Any]
@@ -41,9 +43,9 @@ def tiles(document: Document, timings: Document) -> str:
 
 
 def ladder(document: Document, seconds: Sequence[float]) -> str:
-    """Every model that was tried, what held-out views said of it, and how long that took, `seconds` of each judgement.
+    """Every model that was tried, what held-out views said of it, and how long that took.
 
-    A rung's time includes the control that it was compared with.
+    `seconds` tells when each was judged; a rung's time includes the control that was fitted for its sake.
     """
     rows = report_of(document, "reflectance").get("ladder") or []
     if not rows:
@@ -51,7 +53,7 @@ def ladder(document: Document, seconds: Sequence[float]) -> str:
         return f"<p class=quiet>No models were compared; {html.escape(str(rung))} was set.</p>" if rung else ""
     level = [row["held_out_db"] for row in rows]
     low, span = min(level) - 1, max(max(level) - min(level) + 1, 1e-9)
-    spent = _seconds_of_rungs(rows, seconds)
+    spent = np.diff(seconds, prepend=0.0).tolist() if len(seconds) == len(rows) else [None] * len(rows)
     cells = []
     for i, (row, took) in enumerate(zip(rows, spent, strict=True)):
         gain = "the start" if i == 0 else f"{number(row['gain_db'], 2)} ± {number(row['noise_db'], 2)}"
@@ -63,31 +65,19 @@ def ladder(document: Document, seconds: Sequence[float]) -> str:
             f"<td class=number>{'–' if took is None else duration(took)}</td><td>{kept}</td></tr>"
         )
     head = _head("", "held-out views", "", "gain, dB", "time", "")
-    return f"<table class=ladder>{head}{''.join(cells)}</table>"
+    return f"<table class=ladder>{head}{''.join(cells)}</table>{_settled(document)}"
 
 
-def _seconds_of_rungs(rows: Sequence[Document], seconds: Sequence[float]) -> list[float | None]:
-    """Time up to each rung since the one before; fits are judged in the ladder's order, controls between them."""
-    if len(seconds) < len(rows):
-        return [None] * len(rows)
-    # the first rung and the first vote have no control; every other vote has one, before its candidates
-    ends, place = [], 0
-    for i, row in enumerate(rows):
-        brothers = i > 0 and row["name"] != rows[i - 1]["name"] and _same_vote(rows[i - 1], row)
-        place += 0 if i == 0 else 1 if brothers or _afresh(rows, i) else 2
-        ends.append(seconds[min(place, len(seconds) - 1)])
-    return [end - start for start, end in zip([0.0, *ends[:-1]], ends, strict=True)]
-
-
-def _afresh(rows: Sequence[Document], i: int) -> bool:
-    return bool(i == 1 and rows[1]["light_frame"] != rows[0]["light_frame"])
-
-
-def _same_vote(before: Document, after: Document) -> bool:
-    """Two candidates of one vote differ in their BRDF alone."""
-    varied = ("specular", "roughness", "colored", "bounces", "light_frame")
-    same = all(before[key] == after[key] for key in varied)
-    return same and before["brdf"] != after["brdf"] and before["brdf"] != "diffuse"
+def _settled(document: Document) -> str:
+    """What path tracing the last albedo brought."""
+    found = report_of(document, "reflectance").get("settled") or {}
+    if "gain_db" not in found:
+        return ""
+    gain = f"{number(found['gain_db'], 2)} ± {number(found['noise_db'], 2)} dB"
+    return (
+        f"<p class=quiet>The albedo solved once more under what {html.escape(found['renderer'])} shows: held-out views "
+        f"{found['before_db']:.2f} → {found['after_db']:.2f} dB ({gain}): {'kept' if found['kept'] else 'left'}.</p>"
+    )
 
 
 def stages(document: Document, timings: Document) -> str:

@@ -36,7 +36,7 @@ def _page(directory: RunDirectory) -> str:
         "comparison": pictures.comparison(directory),
         "textures": pictures.textures(directory, figures.report_of(document, "bake")),
         "history": charts.history_chart(convergence.history(directory, document, timings)),
-        "ladder": figures.ladder(document, convergence.judgements(directory, timings)),
+        "ladder": figures.ladder(document, convergence.told_at(directory, timings, "rung_psnr")),
         "curves": convergence.curves(directory),
         "stages": figures.stages(document, timings),
         "evaluations": figures.evaluations(document),

@@ -106,22 +106,16 @@ def test_ticks_are_round_and_inside(low: float, high: float) -> None:
 
 
 def test_rungs_take_the_time_of_their_control_too() -> None:
-    def row(name: str, **more: object) -> dict[str, object]:
-        plain = {"specular": "none", "roughness": "uniform", "colored": False, "bounces": 0, "light_frame": "world"}
-        return {"name": name, "brdf": "diffuse", "held_out_db": 20.0, "gain_db": 0.1, "noise_db": None, "kept": True,
-                **plain, **more}  # fmt: skip
-
-    rows = [
-        row("diffuse"),
-        row("camera", light_frame="camera"),  # afresh: no control
-        row("paper", brdf="paper", specular="uniform"),  # a control before it
-        row("dielectric", brdf="dielectric", specular="uniform"),  # of the same vote
-        row("bounce", brdf="dielectric", specular="uniform", bounces=1),  # a control before it
-    ]
-    judged = [2.0, 4.0, 7.0, 10.0, 14.0, 18.0, 22.0]
-    page = figures.ladder({"stages": {"reflectance": {"report": {"ladder": rows}}}}, judged)
-    assert re.findall(r">(\d+) s<", page) == ["2", "2", "6", "4", "8"]
-    assert "±" in page and page.count("<tr") == 6
+    rows = [{"name": name, "held_out_db": 20.0, "gain_db": 0.1, "noise_db": None, "kept": True} for name in "abc"]
+    settled = {"renderer": "mitsuba_ggx", "before_db": 30.0, "after_db": 31.5, "gain_db": 1.5, "noise_db": 0.1,
+               "kept": True}  # fmt: skip
+    report = {"ladder": rows, "settled": settled}
+    page = figures.ladder({"stages": {"reflectance": {"report": report}}}, [2.0, 4.0, 10.0])
+    assert re.findall(r">(\d+) s<", page) == ["2", "2", "6"]
+    assert "±" in page and page.count("<tr") == 4
+    assert "30.00 → 31.50 dB (1.50 ± 0.10 dB): kept" in page
+    untimed = figures.ladder({"stages": {"reflectance": {"report": {"ladder": rows}}}}, [])
+    assert untimed.count("<td class=number>–</td>") == 3 and "solved once more" not in untimed
 
 
 def test_loops_one_after_the_other_are_counted_on() -> None:

@@ -11,7 +11,7 @@ import pytest
 from hir_core.config import ModelName, ReflectanceSettings
 from hir_core.errors import ConfigError
 from hir_core.interfaces import ReflectanceSolver
-from hir_core.selection import HOLD_OUT_EVERY, Rung, climb, compare, forced_rung, split_views
+from hir_core.selection import HOLD_OUT_EVERY, Rung, Step, Watcher, climb, compare, forced_rung, split_views
 
 
 class Scripted(ReflectanceSolver):
@@ -25,6 +25,7 @@ class Scripted(ReflectanceSolver):
 
     def fit(self, rung: Rung, start: Any, views: Sequence[int], effort: float, report: Callable[[float], None]) -> Any:
         self.fitted.append((rung, tuple(views)))
+        report(1.0)
         return rung, effort + (start[1] if start else 0.0)
 
     def errors(self, fit: tuple[Rung, float], views: Sequence[int]) -> np.ndarray:
@@ -41,7 +42,7 @@ class Scripted(ReflectanceSolver):
 
 def chosen(error: Callable[[Rung], float], noise: float = 0.0, views: int = 40, **settings: Any) -> Rung:
     solver = Scripted(error, noise)
-    return climb(solver, ReflectanceSettings(**settings), views, lambda *_: None)[1]
+    return climb(solver, ReflectanceSettings(**settings), views)[1]
 
 
 def test_a_matt_scene_stays_diffuse() -> None:
@@ -51,7 +52,46 @@ def test_a_matt_scene_stays_diffuse() -> None:
 def test_more_steps_alone_are_no_gain() -> None:
     """A fit that improves with every step, whatever the rung, climbs nothing."""
     solver = Scripted(lambda rung: 1e-3, learning=0.3)
-    assert climb(solver, ReflectanceSettings(), 40, lambda *_: None)[1] == Rung()
+    assert climb(solver, ReflectanceSettings(), 40)[1] == Rung()
+    solver = Scripted(lambda rung: 1e-3 if rung.brdf == "dielectric" else 1e-2, learning=0.3)
+    assert climb(solver, ReflectanceSettings(), 40)[1] == Rung("dielectric", "uniform")
+
+
+def test_one_control_serves_all_votes_until_a_candidate_is_kept() -> None:
+    solver = Scripted(lambda rung: 1e-3 if rung.brdf == "dielectric" else 1e-2)
+    rung = climb(solver, ReflectanceSettings(), 40)[1]
+    again = [each for each, _ in solver.fitted].count(rung)
+    assert again == 2, "once as a candidate, once as the control of a reflection, three maps and normals"
+
+
+class Overheard(Watcher):
+    """Shares and votes as they were told."""
+
+    def __init__(self) -> None:
+        self.shares: list[float] = []
+        self.names: list[str] = []
+
+    def fitting(self, name: str, share: float) -> None:
+        self.shares.append(share)
+
+    def voted(self, step: Step) -> None:
+        self.names.append(step.rung.name)
+
+
+@pytest.mark.parametrize("settings", [{}, {"model": "normal_map"}, {"brdf": "paper", "light_frame": "world"}], ids=str)
+@pytest.mark.parametrize("better", ["nothing", "lobes", "every rung"])
+def test_a_climb_tells_how_far_it_is(better: str, settings: dict[str, Any]) -> None:
+    def error(rung: Rung) -> float:
+        if better == "every rung":
+            return 1e-2 / len(rung.name)
+        return 1e-3 if better == "lobes" and rung.brdf == "dielectric" else 1e-2
+
+    overheard = Overheard()
+    _, _, steps = climb(Scripted(error), ReflectanceSettings(**settings), 40, overheard)
+    assert overheard.shares == sorted(overheard.shares) and overheard.shares[0] > 0 and overheard.shares[-1] <= 1
+    assert overheard.names == [step.rung.name for step in steps]
+    if better == "lobes":
+        assert overheard.shares[-1] > 0.95, "what is expected is what a capture with a lobe takes"
 
 
 def test_gain_within_its_noise_is_not_kept() -> None:
@@ -97,7 +137,7 @@ def test_a_lobe_that_indirect_light_explains_is_dropped() -> None:
         return 1e-3 if rung.bounces else 5e-3 if rung.brdf == "diffuse" else 3e-3
 
     solver = Scripted(error)
-    _, rung, steps = climb(solver, ReflectanceSettings(light_frame="world"), 40, lambda *_: None)
+    _, rung, steps = climb(solver, ReflectanceSettings(light_frame="world"), 40)
     assert rung == Rung(bounces=1)
     kept = [(step.rung.brdf, step.rung.bounces) for step in steps if step.kept]
     assert kept == [("diffuse", 0), ("paper", 0), ("paper", 1), ("diffuse", 1)]
@@ -105,7 +145,7 @@ def test_a_lobe_that_indirect_light_explains_is_dropped() -> None:
     def glossy(rung: Rung) -> float:
         return (1e-3 if rung.bounces else 3e-3) * (1 if rung.brdf == "dielectric" else 2)
 
-    _, rung, steps = climb(Scripted(glossy), ReflectanceSettings(light_frame="world"), 40, lambda *_: None)
+    _, rung, steps = climb(Scripted(glossy), ReflectanceSettings(light_frame="world"), 40)
     assert rung == Rung("dielectric", "uniform", bounces=1)
     asked = next(step for step in steps if step.rung == Rung(bounces=1))
     assert not asked.kept and asked.gain_db == pytest.approx(-3.01, abs=0.01)
@@ -143,14 +183,14 @@ def test_texels_are_compared_with_texels() -> None:
         return (1e-3 if rung.texels == "none" else 0.2e-3) * (1 if rung.brdf == "dielectric" else 3)
 
     solver = Scripted(error)
-    _, rung, steps = climb(solver, ReflectanceSettings(), 40, lambda *_: None)
+    _, rung, steps = climb(solver, ReflectanceSettings(), 40)
     assert rung == Rung("dielectric", "uniform")
     assert not steps[-1].kept and steps[-1].rung.texels == "lobes" and steps[-1].gain_db == pytest.approx(0)
 
 
 def test_held_out_views_are_never_fitted() -> None:
     solver = Scripted(lambda rung: 1e-3)
-    climb(solver, ReflectanceSettings(), 24, lambda *_: None)
+    climb(solver, ReflectanceSettings(), 24)
     held_out = set(range(24)[HOLD_OUT_EVERY // 2 :: HOLD_OUT_EVERY])
     assert held_out
     assert all(held_out.isdisjoint(views) for _, views in solver.fitted)
@@ -162,13 +202,13 @@ def test_few_views_can_climb_too(views: int) -> None:
     training, held_out = split_views(views)
     assert len(held_out) >= 3 and len(training) >= len(held_out) and sorted(training + held_out) == list(range(views))
     solver = Scripted(lambda rung: 1e-3 if rung.brdf == "diffuse" else 1e-4)
-    _, rung, _ = climb(solver, ReflectanceSettings(light_frame="world"), views, lambda *_: None)
+    _, rung, _ = climb(solver, ReflectanceSettings(light_frame="world"), views)
     assert rung.brdf != "diffuse"
 
 
 def test_too_few_views_fit_the_default_without_a_vote() -> None:
     solver = Scripted(lambda rung: 1e-3)
-    _, rung, steps = climb(solver, ReflectanceSettings(), 3, lambda *_: None)
+    _, rung, steps = climb(solver, ReflectanceSettings(), 3)
     assert (rung, steps) == (Rung("dielectric", "uniform"), [])
     assert solver.fitted == [(Rung(), (0, 1, 2)), (rung, (0, 1, 2))]
 

@@ -24,7 +24,7 @@ from .made_captures import BROWN, PLUGINS, TEXELS, around, bowl, fitted, lamps, 
 def scripted(factor: float | None) -> ReflectanceSolver:
     """A solver whose answer is the albedo times a factor."""
 
-    def settle(scene: Scene, traced: Any, views: Any) -> Scene | None:
+    def settle(scene: Scene, traced: Any, views: Any, report: Any) -> Scene | None:
         material = scene.material
         if factor is None or material is None:
             return None

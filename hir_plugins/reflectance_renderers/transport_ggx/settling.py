@@ -7,7 +7,7 @@ a pixel changes with its albedo is taken from the cache, and the noise enters wh
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import torch
@@ -35,7 +35,10 @@ class Settling:
     equations: list[TexelEquations]
     _shown: dict[int, Tensor] = field(default_factory=dict)
 
-    def solved(self, surface: Surface, traced: PreparedReflectance | None, views: Sequence[int]) -> Scene | None:
+    def solved(
+        self, surface: Surface, traced: PreparedReflectance | None, views: Sequence[int],
+        report: Callable[[float], None],
+    ) -> Scene | None:
         """With the albedo that pixels of `views` ask for, under what `traced` shows; None if there are none."""
         material, allowed = self.scene.material, set(views)
         parts = [e for e in self.equations if len(e.pixel) and int(e.pixel[0, 0]) in allowed]
@@ -43,7 +46,10 @@ class Settling:
             return None
         albedo = material.diffuse_albedo
         with torch.no_grad():
-            rows = parts if traced is None else [self._corrected(e, traced, albedo) for e in parts]
+            rows = []
+            for done, part in enumerate(parts):
+                rows.append(part if traced is None else self._corrected(part, traced, albedo))
+                report((done + 1) / len(parts))
             found, _ = solve_texels(rows, albedo, HUBER_SRGB, PRIOR, SMOOTH)
             mesh = refined_mesh(surface)
             texels = texel_surface(mesh, (albedo.shape[0], albedo.shape[1]))

@@ -205,11 +205,13 @@ class TransportSolver(ReflectanceSolver):
         light = EnvironmentMap(shown.radiance, UPRIGHT.to(shown.light) if moving else None, fit.rung.light_frame)
         return replace(self._scene, material=material, environment=light), facts
 
-    def settle(self, scene: Scene, traced: PreparedReflectance | None, views: Sequence[int]) -> Scene | None:
+    def settle(
+        self, scene: Scene, traced: PreparedReflectance | None, views: Sequence[int], report: Callable[[float], None]
+    ) -> Scene | None:
         """The albedo solved from the same pixels, with what `traced` shows of them in place of what was cached."""
         if self._settling is None or self._settling.scene is not scene:
             self._settling = Settling(scene, self._equations)
-        return self._settling.solved(self._transport.surface, traced, views)
+        return self._settling.solved(self._transport.surface, traced, views, report)
 
     def _indirect_light(self, values: Unknowns, bounces: int) -> Indirect:
         texels = self._transport.pyramid.texels
