@@ -2,7 +2,8 @@
 
 Points of `benchmarks.seen_points` are fitted to the train photographs by Adam, each with values of its own, under one
 light that is filtered to the lobe's width (GGX seen along its normal) with Karis' fit of the lobe's albedo; the unseen
-views judge. A bound in practice, not in theory: a point has some twenty photographs for up to nine numbers.
+views judge. A bound in practice, not in theory: a point has some twenty photographs for up to twelve numbers. How well
+even those are matched tells what the model cannot say.
 
     python -m benchmarks.point_models CAPTURE RUN
 """
@@ -10,10 +11,12 @@ views judge. A bound in practice, not in theory: a point has some twenty photogr
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
+from hir_exporters.conventions import srgb_to_linear
 from torch import Tensor
 
 from benchmarks.seen_points import SeenPoints, decibels, seen_points
@@ -26,23 +29,52 @@ WIDTHS = torch.tensor([0.05, 0.1, 0.2, 0.35, 0.55, 0.8, 1.0])
 STEPS, BATCH, FEWEST = 500, 60_000, 4
 TILT = 0.5
 SATURATED = 0.99
-MODELS = {"diffuse": (False, False), "F0 and α of each point": (True, False), "and its own normal": (True, True)}
+KNOTS = 9
+"""Of the velvet's dependence on the angle of view."""
+STOPS, DARKEST = 17, -10
+"""Knots of the photographs' response, one for each doubling of radiance, and the first one's exponent."""
+
+
+@dataclass(frozen=True)
+class Parts:
+    """What points have of their own beside the albedo, and whether the photographs have a curve of theirs."""
+
+    lobe: bool = False
+    """F0 in colour, and α."""
+    normals: bool = False
+    velvet: bool = False
+    """A second colour for light from all over, weighted by one function of the angle of view, for all points alike."""
+    response: bool = False
+    """From radiance to the photographs' values, monotonic, in place of sRGB's curve."""
+
+
+MODELS = {
+    "diffuse": Parts(),
+    "diffuse, and a response curve": Parts(response=True),
+    "F0 and α of each point": Parts(lobe=True),
+    "and its own normal": Parts(lobe=True, normals=True),
+    "and a response curve": Parts(lobe=True, normals=True, response=True),
+    "and velvet, with sRGB's curve": Parts(lobe=True, normals=True, velvet=True),
+}
 
 
 class PointModel(torch.nn.Module):
-    """Values at N points and the light."""
+    """Values at N points, the light and the response."""
 
-    def __init__(self, points: SeenPoints, lobe: bool, normals: bool) -> None:
+    def __init__(self, points: SeenPoints, parts: Parts) -> None:
         super().__init__()
         seen = torch.from_numpy(points.seen)[..., None]
         mean = ((torch.from_numpy(points.colors) * seen).sum(1) / seen.sum(1)).float().clamp(0.02, 0.95)
         self.normals = torch.from_numpy(points.normals).float()
         self.diffuse = torch.nn.Parameter(torch.logit(0.7 * mean))
-        self.specular = torch.nn.Parameter(torch.logit((0.5 * mean).clamp_min(0.02)), lobe)
-        self.width = torch.nn.Parameter(torch.zeros(len(mean)), lobe)
-        self.tilt = torch.nn.Parameter(torch.zeros(len(mean), 3), normals)
+        self.specular = torch.nn.Parameter(torch.logit((0.5 * mean).clamp_min(0.02)), parts.lobe)
+        self.width = torch.nn.Parameter(torch.zeros(len(mean)), parts.lobe)
+        self.tilt = torch.nn.Parameter(torch.zeros(len(mean), 3), parts.normals)
+        self.velvet = torch.nn.Parameter(torch.full((len(mean), 3), -3.6), parts.velvet)
+        self.grazing = torch.nn.Parameter(torch.linspace(0.5, -0.5, KNOTS), parts.velvet)
+        self.response = torch.nn.Parameter(torch.zeros(STOPS), parts.response)
         self.light = torch.nn.Parameter(torch.zeros(ROWS * COLUMNS, 3))
-        self.lobe = lobe
+        self.parts = parts
         theta = (torch.arange(ROWS) + 0.5) / ROWS * np.pi
         phi = (torch.arange(COLUMNS) + 0.5) / COLUMNS * 2 * np.pi
         t, p = (x.reshape(-1) for x in torch.meshgrid(theta, phi, indexing="ij"))
@@ -59,8 +91,11 @@ class PointModel(torch.nn.Module):
         normal = torch.nn.functional.normalize(self.normals[which] + TILT * self.tilt[which], dim=1)
         light = self.light.exp()
         diffuse = torch.sigmoid(self.diffuse[which]) * looked_up(self.cosines @ light, normal)
-        if not self.lobe:
+        if not self.parts.lobe:
             return diffuse
+        if self.parts.velvet:
+            share = on_knots(self.grazing.exp(), (normal * toward).sum(dim=1).clamp(0, 1) * (KNOTS - 1))
+            diffuse = diffuse + self.velvet[which].exp() * share[:, None] * looked_up(self.cosines @ light, normal)
         f0, width = torch.sigmoid(self.specular[which]), 0.03 + 0.97 * torch.sigmoid(self.width[which])
         cosine = (normal * toward).sum(dim=1)
         mirrored = 2 * cosine[:, None] * normal - toward
@@ -72,6 +107,22 @@ class PointModel(torch.nn.Module):
         scale, bias = lobe_albedo(width, cosine.clamp(0.02, 1))
         reflected = (low * (1 - share) + high * share) * (f0 * scale[:, None] + bias[:, None])
         return diffuse * (1 - f0) + reflected
+
+    def shown(self, radiance: Tensor) -> Tensor:
+        """What a photograph shows of radiance, both (M, 3)."""
+        if not self.parts.response:
+            return linear_to_srgb(radiance)
+        exposures = torch.exp2(torch.arange(STOPS) + float(DARKEST)).clamp(max=1)
+        rises = linear_to_srgb(exposures).diff(prepend=torch.zeros(1)).clamp_min(2e-3)
+        curve = (rises * self.response.exp()).cumsum(dim=0)
+        return on_knots(curve, torch.log2(radiance.clamp_min(1e-4)) - DARKEST)
+
+
+def on_knots(values: Tensor, place: Tensor) -> Tensor:
+    """Linear between K values, at places of any shape from 0 to K - 1."""
+    place = place.clamp(0, len(values) - 1)
+    knot = place.detach().floor().long().clamp(max=len(values) - 2)
+    return values[knot] * (1 - place + knot) + values[knot + 1] * (place - knot)
 
 
 def looked_up(image: Tensor, direction: Tensor, first: Tensor | int = 0) -> Tensor:
@@ -97,20 +148,21 @@ def lobe_albedo(width: Tensor, cosine: Tensor) -> tuple[Tensor, Tensor]:
     return -1.04 * a + r[:, 2], 1.04 * a + r[:, 3]
 
 
-def fitted(points: SeenPoints, lobe: bool, normals: bool) -> np.ndarray:
-    """Colours (N, 3) that unseen views would show."""
+def fitted(points: SeenPoints, parts: Parts) -> tuple[np.ndarray, float]:
+    """What unseen views would show, (N, 3) in sRGB, and PSNR of the photographs that were fitted."""
     torch.manual_seed(0)
-    model = PointModel(points, lobe, normals)
+    model = PointModel(points, parts)
     which = torch.from_numpy(np.nonzero(points.seen)[0])
-    colors = torch.from_numpy(points.colors[points.seen]).float()
+    photographs = linear_to_srgb(torch.from_numpy(points.colors[points.seen]).float())
     toward = torch.from_numpy(points.directions[points.seen]).float()
     wanted = [p for p in model.parameters() if p.requires_grad]
-    optimizer = torch.optim.Adam([{"params": [p], "lr": 0.03 if p is model.light else 0.05} for p in wanted])
+    rates = {id(model.light): 0.03, id(model.response): 0.02}
+    optimizer = torch.optim.Adam([{"params": [p], "lr": rates.get(id(p), 0.05)} for p in wanted])
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, STEPS, 1e-3)
     for _ in range(STEPS):
         batch = torch.randint(len(which), (BATCH,))
-        off = linear_to_srgb(model(which[batch], toward[batch])) - linear_to_srgb(colors[batch])
-        off = torch.where((colors[batch] > SATURATED) & (off > 0), torch.zeros_like(off), off)
+        off = model.shown(model(which[batch], toward[batch])) - photographs[batch]
+        off = torch.where((photographs[batch] > SATURATED) & (off > 0), torch.zeros_like(off), off)
         image = model.light.view(ROWS, COLUMNS, 3)
         rough = image.diff(dim=0).abs().mean() + image.diff(dim=1).abs().mean()
         optimizer.zero_grad()
@@ -118,7 +170,10 @@ def fitted(points: SeenPoints, lobe: bool, normals: bool) -> np.ndarray:
         optimizer.step()
         schedule.step()
     with torch.no_grad():
-        return model(torch.arange(len(points.color)), torch.from_numpy(points.direction).float()).numpy()
+        some = torch.randperm(len(which))[: 4 * BATCH]
+        off = model.shown(model(which[some], toward[some])).clamp(0, 1) - photographs[some]
+        unseen = model.shown(model(torch.arange(len(points.color)), torch.from_numpy(points.direction).float()))
+        return unseen.numpy(), float(-10 * torch.log10(off.square().mean()))
 
 
 def main() -> None:
@@ -126,8 +181,9 @@ def main() -> None:
     found = seen_points(capture, run, PluginManager.discover())
     enough = found.seen.sum(axis=1) >= FEWEST
     points = SeenPoints(*(getattr(found, name)[enough] for name in SeenPoints.__dataclass_fields__))
-    for name, (lobe, normals) in MODELS.items():
-        print(f"{name}: {decibels(points, fitted(points, lobe, normals)):.2f} dB", flush=True)
+    for name, parts in MODELS.items():
+        unseen, training = fitted(points, parts)
+        print(f"{name}: {decibels(points, srgb_to_linear(unseen)):.2f} dB; photographs {training:.2f} dB", flush=True)
 
 
 if __name__ == "__main__":
