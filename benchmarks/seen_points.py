@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from hir_exporters.asset import AssetMesh
 from hir_exporters.conventions import linear_to_srgb
 from hir_exporters.scene_files import load_scene
 from numpy.typing import NDArray
@@ -65,27 +66,36 @@ def seen_points(capture: Path, run: Path, plugins: PluginManager, seed: int = 0)
         rows, columns = np.nonzero(pixels.mask >= INSIDE)
         drawn = random.choice(len(rows), min(EACH_VIEW, len(rows)), replace=False)
         rows, columns = rows[drawn], columns[drawn]
-        origin, toward = camera.rays(np.stack([columns, rows], axis=1) + 0.5)
-        face, weights = rays.first_hits(np.broadcast_to(origin, toward.shape).astype(np.float32), toward)
-        hit = face >= 0
-        corners = mesh.faces[face[hit]]
-        points = (mesh.positions[corners] * weights[hit][..., None]).sum(axis=1)
-        normals = (mesh.normals[corners] * weights[hit][..., None]).sum(axis=1)
-        edges = np.diff(mesh.positions[corners], axis=1)
-        flat = np.cross(edges[:, 0], edges[:, 1])
-        flat /= np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-30)
+        hit, toward, points, normals, flat = on_mesh(camera, rows, columns, mesh, rays)
         above = points + OFFSET * size * flat
         found = [
-            _photographed(points, above, flat, camera, p.color_linear, p.mask, rays)
+            photographed(points, above, flat, camera, p.color_linear, p.mask, rays)
             for camera, p in zip(train.cameras, photographs, strict=True)
         ]
         colors, directions, seen = (np.stack([f[k] for f in found], axis=1) for k in range(3))
         color = pixels.color_linear[rows, columns][hit]
-        parts.append((normals, color, -toward[hit], colors, directions, seen))
+        parts.append((normals, color, -toward, colors, directions, seen))
     return SeenPoints(*(np.concatenate([part[k] for part in parts]) for k in range(6)))
 
 
-def _photographed(
+def on_mesh(
+    camera: Camera, rows: NDArray[np.intp], columns: NDArray[np.intp], mesh: AssetMesh, rays: SurfaceRays
+) -> tuple[NDArray[np.bool_], Array, Array, Array, Array]:
+    """Which of P pixels show the mesh (P,); of those that do: the ray's direction, the point, its normal interpolated
+    and its triangle's, each (N, 3).
+    """
+    origin, toward = camera.rays(np.stack([columns, rows], axis=1) + 0.5)
+    face, weights = rays.first_hits(np.broadcast_to(origin, toward.shape).astype(np.float32), toward)
+    hit = face >= 0
+    corners, weight = mesh.faces[face[hit]], weights[hit][..., None]
+    edges = np.diff(mesh.positions[corners], axis=1)
+    flat = np.cross(edges[:, 0], edges[:, 1])
+    flat /= np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-30)
+    points, normals = ((values[corners] * weight).sum(axis=1) for values in (mesh.positions, mesh.normals))
+    return hit, toward[hit], points, normals, flat
+
+
+def photographed(
     points: Array, above: Array, flat: Array, camera: Camera, color: Array, mask: Array | None, rays: SurfaceRays
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Colours (N, 3) of points in one photograph, directions to it, and whether it shows them."""

@@ -183,7 +183,7 @@ def _part(watcher: Watcher, rung: Rung, begins: float, width: float) -> Callable
 
 def _cost(rung: Rung, effort: float) -> float:
     """About how long a fit takes, in full diffuse fits: for the progress bar alone."""
-    return effort * (1 if rung.brdf == "diffuse" else 3) * (3 if rung.normals == "map" else 1)
+    return effort * (1 if rung.brdf == "diffuse" else 2) * (1.5 if rung.normals == "map" else 1)
 
 
 def _longest_climb(settings: ReflectanceSettings) -> float:
