@@ -3,7 +3,7 @@
 Points of `benchmarks.seen_points` are fitted to the train photographs by Adam, each with values of its own, under one
 light that is filtered to the lobe's width (GGX seen along its normal) with Karis' fit of the lobe's albedo; the unseen
 views judge. A bound in practice, not in theory: a point has some twenty photographs for up to twelve numbers. How well
-even those are matched tells what the model cannot say.
+those photographs themselves are matched is told, too.
 
     python -m benchmarks.point_models CAPTURE RUN
 """
@@ -91,11 +91,11 @@ class PointModel(torch.nn.Module):
         normal = torch.nn.functional.normalize(self.normals[which] + TILT * self.tilt[which], dim=1)
         light = self.light.exp()
         diffuse = torch.sigmoid(self.diffuse[which]) * looked_up(self.cosines @ light, normal)
-        if not self.parts.lobe:
-            return diffuse
         if self.parts.velvet:
             share = on_knots(self.grazing.exp(), (normal * toward).sum(dim=1).clamp(0, 1) * (KNOTS - 1))
             diffuse = diffuse + self.velvet[which].exp() * share[:, None] * looked_up(self.cosines @ light, normal)
+        if not self.parts.lobe:
+            return diffuse
         f0, width = torch.sigmoid(self.specular[which]), 0.03 + 0.97 * torch.sigmoid(self.width[which])
         cosine = (normal * toward).sum(dim=1)
         mirrored = 2 * cosine[:, None] * normal - toward
@@ -173,6 +173,12 @@ def fitted(points: SeenPoints, parts: Parts) -> tuple[np.ndarray, float]:
         some = torch.randperm(len(which))[: 4 * BATCH]
         off = model.shown(model(which[some], toward[some])).clamp(0, 1) - photographs[some]
         unseen = model.shown(model(torch.arange(len(points.color)), torch.from_numpy(points.direction).float()))
+        if parts.velvet:
+            print("  velvet from the horizon to facing:", [round(v, 2) for v in model.grazing.exp().tolist()])
+        if parts.response:
+            radiance = torch.tensor([0.01, 0.05, 0.2, 0.5, 0.9])
+            for name, shown in (("response", model.shown(radiance)), ("sRGB", linear_to_srgb(radiance))):
+                print(f"  {name} of {radiance.tolist()}:", [round(v, 2) for v in shown.tolist()])
         return unseen.numpy(), float(-10 * torch.log10(off.square().mean()))
 
 

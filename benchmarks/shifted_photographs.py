@@ -2,8 +2,9 @@
 
 Each test view is drawn from the photographs nearest to it, one at a time: as the mesh says, with every pixel moved to
 where optical flow against the true picture says, and with the part of that move which another depth of the surface
-would make. What the last gains is the mesh's error; what is left after the second is light and material, which change
-with the angle.
+would make: more than a better mesh could gain, for the flow knows the truth and each photograph has its own. What is
+left are colours that change with the angle, and what neither finds: detail finer than the flow's window, the blur of
+reading between pixels.
 
     python -m benchmarks.shifted_photographs CAPTURE RUN [VIEWS]
 """
@@ -28,8 +29,11 @@ from hir_core.surface_rays import SurfaceRays
 Array = NDArray[np.floating]
 
 NEAREST = 6
+KNOWN = 0.9
+"""Of a pixel's surroundings; they count where the photograph shows them."""
 WINDOW = 6
 """Pixels to each side within which the flow is constant."""
+EVERY_VIEW = 10_000
 WAYS = ("as the mesh says", "shifted", "shifted in depth")
 
 
@@ -42,7 +46,8 @@ def main() -> None:
     photographs = [view.pixels() for view in train.views]
     centers = np.stack([camera.center for camera in train.cameras])
     errors: list[Array] = []
-    for view, camera in list(zip(test.views, test.cameras, strict=True))[: int((*sys.argv, 99)[3])]:
+    most = int(sys.argv[3]) if len(sys.argv) > 3 else EVERY_VIEW
+    for view, camera in list(zip(test.views, test.cameras, strict=True))[:most]:
         pixels = view.pixels()
         assert pixels.mask is not None
         true = linear_to_srgb(np.clip(pixels.color_linear, 0, 1)) * pixels.mask[..., None]
@@ -64,7 +69,10 @@ def main() -> None:
             in_depth = np.zeros_like(flow)
             in_depth[rows, columns] = nearer[:, ::-1] / np.maximum(np.linalg.norm(nearer, axis=1), 1e-9)[:, None]
             in_depth *= (flow * in_depth).sum(axis=-1, keepdims=True)
-            pictures = np.stack([_moved(shown, by) for by in (np.zeros_like(flow), flow, in_depth)])
+            moves = (np.zeros_like(flow), flow, in_depth)
+            pictures = np.stack([_moved(shown, by) for by in moves])
+            # elsewhere `shown` is the true picture
+            known &= np.stack([_moved(known[..., None] * 1.0, by)[..., 0] > KNOWN for by in moves]).all(axis=0)
             told = ", ".join(f"{way} {_decibels((p - true)[known]):.2f}" for way, p in zip(WAYS, pictures, strict=True))
             print(f"{view.name}, a photograph {np.degrees(angles[number]):.0f}° aside: {told} dB", flush=True)
             weight = known / angles[number] ** 2
@@ -82,9 +90,9 @@ def _angles(vectors: Array, other: Array) -> Array:
 
 
 def _moved(picture: Array, by: Array) -> Array:
-    """Every pixel (H, W, 3) read `by` (rows, columns) pixels away."""
+    """Every pixel (H, W, C) read `by` (rows, columns) pixels away."""
     places = np.moveaxis(np.indices(by.shape[:2]).transpose(1, 2, 0) + by, -1, 0)
-    read = [map_coordinates(picture[..., channel], places, order=3, mode="nearest") for channel in range(3)]
+    read = [map_coordinates(channel, places, order=3, mode="nearest") for channel in np.moveaxis(picture, -1, 0)]
     return np.clip(np.stack(read, axis=-1), 0, 1)
 
 

@@ -130,8 +130,8 @@ class ReflectanceSolver(PreparedReflectance):
         self, scene: Scene, traced: PreparedReflectance | None, views: Sequence[int], report: Callable[[float], None]
     ) -> Scene | None:
         """The last `scene` that was made with its albedo solved once more, so that what `traced`, a reference renderer,
-        shows of it comes nearest to the pixels of `views`; without one, what this solver shows of it. None where a
-        solver cannot, as by default.
+        shows of it comes nearest to the pixels of `views`; without one, what this solver shows of it. `report` is told
+        the share done. None where a solver cannot, as by default.
         """
         return None
 

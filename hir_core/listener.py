@@ -41,6 +41,8 @@ class Listener:
         self._started = self._phase_started = time.perf_counter()
         self.seconds: list[tuple[int, float]] = []
         """Pairs of step and seconds since the stage began, one for each block."""
+        self.milestones: list[tuple[str, float]] = []
+        """What ended when, in seconds since the stage began."""
 
     def report(self, progress: Progress) -> None:
         """Takes one block of a stage; an interrupt that was swallowed since the last one is raised here."""
@@ -55,7 +57,9 @@ class Listener:
             self._phase_started = time.perf_counter() - progress.seconds
         now = time.perf_counter()
         spent, phase = now - self._started, now - self._phase_started
-        self._last = replace(progress, stage=self._stage, seconds=spent, phase_seconds=phase)
+        if progress.milestone:
+            self.milestones.append((progress.milestone, round(spent, 3)))
+        self._last = replace(progress, stage=self._stage, seconds=spent, phase_seconds=phase, milestone="")
         now = time.monotonic()
         if now - self._told >= INTERVAL_SECONDS or progress.step >= progress.steps:
             self._tell(now)

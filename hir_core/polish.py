@@ -85,6 +85,7 @@ def settled(
     They judge two albedos that are solved for the other views, with path tracing and without; the one that is kept is
     solved for all. The report holds the mean held-out PSNR of both, the gain and its standard error.
     """
+    report(0.0)
     training, held_out = split_views(len(capture.views))
     if not held_out:
         return scene, {"kept": False, "held_out_views": 0}
@@ -94,7 +95,6 @@ def settled(
         options.setdefault("samples", PATHS)
     _, renderer = reference_renderer(context.plugins, settings.polish_renderer, options, bounces)
     traced = renderer.prepare(scene, capture, settings.downsample)
-    report(0.0)
     without = solver.settle(scene, None, training, lambda share: None)
     tried = solver.settle(scene, traced, training, lambda share: report(0.75 * share))
     if without is None or tried is None:

@@ -7,6 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+FIT, VOTE = "fit", "vote"
+"""Milestones of the reflectance stage: a model was fitted and judged; a rung of the ladder was kept or refused."""
+
 
 @dataclass(frozen=True)
 class Progress:
@@ -20,6 +23,8 @@ class Progress:
     message: str = ""
     phase_seconds: float | None = None
     """Seconds of the phase that `step` and `steps` count, where a stage has several; None: `seconds`."""
+    milestone: str = ""
+    """Names the kind of thing that has just ended; timings.json holds when."""
 
     @property
     def seconds_left(self) -> float:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, Protocol, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,11 +104,11 @@ class Step:
                 "gain_db": round(self.gain_db, 3), "noise_db": round(self.noise_db, 3), "kept": self.kept}
 
 
-class Watcher:
-    """Hears how a climb goes on; does nothing where its methods are not overridden."""
+class Watcher(Protocol):
+    """Hears how a climb goes on."""
 
     def fitting(self, name: str, share: float) -> None:
-        """A rung is being fitted; `share` of the whole climb is done, or more where what is left is not needed."""
+        """A rung is being fitted; `share` of the course that is expected lies behind. It never falls."""
 
     def judged(self, held_out_db: float, training_db: float) -> None:
         """The mean dB that a fit has on the held-out views and on as many of those it was fitted to."""
@@ -118,19 +118,18 @@ class Watcher:
 
 
 def climb(
-    solver: ReflectanceSolver, settings: ReflectanceSettings, views: int, watcher: Watcher | None = None
+    solver: ReflectanceSolver, settings: ReflectanceSettings, views: int, watcher: Watcher
 ) -> tuple[Any, Rung, list[Step]]:
     """Climbs the ladder on training views, judged by held-out ones; returns the best fit and its rung.
 
     A rung named in the settings is fitted without a vote.
     """
-    watcher = watcher or Watcher()
     every = list(range(views))
     training, held_out = split_views(views)
     forced = forced_rung(settings)
     if forced is not None or not held_out:
         return *_without_votes(solver, forced or default_rung(settings), every, watcher), []
-    ladder = _Ladder(solver, training, held_out, watcher, _longest_climb(settings))
+    ladder = _Ladder(solver, training, held_out, watcher, _expected_cost(settings))
     base = Rung(light_frame=_first_frame(settings))
     ladder.begin(base)
     if settings.light_frame == "auto":
@@ -160,25 +159,18 @@ def _without_votes(
     solver: ReflectanceSolver, rung: Rung, views: Sequence[int], watcher: Watcher
 ) -> tuple[Any, Rung]:
     """The fit of one rung to all views, through simpler ones where it would go astray from the start."""
-    through = []
+    plan = []
     if rung.brdf != "diffuse":
         # a lobe that starts under a flat light widens: the ladder's first step comes first here too
-        through.append(Rung(light_frame=rung.light_frame))
+        plan.append((Rung(light_frame=rung.light_frame), FIRST_EFFORT))
     if rung.normals == "map":
         # and the lobe before the dents, which would do its work
-        through.append(replace(rung, normals="mesh"))
-    plan = [*through, rung]
-    whole, fit, done = sum(_cost(each, FIRST_EFFORT) for each in plan), None, 0.0
-    for each in plan:
-        cost = _cost(each, FIRST_EFFORT)
-        fit = solver.fit(each, fit, views, FIRST_EFFORT, _part(watcher, each, done / whole, cost / whole))
-        done += cost
+        plan.append((replace(rung, normals="mesh"), FIRST_EFFORT))
+    plan.append((rung, 1.0))
+    course, fit = _Course(watcher, sum(_cost(*fitted) for fitted in plan)), None
+    for each, effort in plan:
+        fit = solver.fit(each, fit, views, effort, course.part(each, effort))
     return fit, rung
-
-
-def _part(watcher: Watcher, rung: Rung, begins: float, width: float) -> Callable[[float], None]:
-    """What one fit reports to: its share of itself is a part of the whole."""
-    return lambda share: watcher.fitting(rung.name, min(1.0, begins + width * share))
 
 
 def _cost(rung: Rung, effort: float) -> float:
@@ -186,13 +178,36 @@ def _cost(rung: Rung, effort: float) -> float:
     return effort * (1 if rung.brdf == "diffuse" else 2) * (1.5 if rung.normals == "map" else 1)
 
 
-def _longest_climb(settings: ReflectanceSettings) -> float:
-    """The cost of a ladder on which a lobe and a reflection are kept and no map at vertices is."""
+def _expected_cost(settings: ReflectanceSettings) -> float:
+    """Of a ladder on which a lobe and a reflection are kept and no map at vertices is."""
     matt, lobe = Rung(), Rung("dielectric", "uniform")
     frames = 2 if settings.light_frame == "auto" else 1
-    lobes = (2 if settings.brdf == "auto" else 1) + 2 + 4  # one reflection and three maps, each with a control
-    fits = frames * _cost(matt, FIRST_EFFORT) + 2 * _cost(matt, EFFORT) + lobes * _cost(lobe, EFFORT)
-    return fits + _cost(replace(lobe, normals="map"), EFFORT) + 2 * _cost(lobe, EFFORT)  # texels: two
+    brdfs = 2 if settings.brdf == "auto" else 1
+    before = frames * _cost(matt, FIRST_EFFORT) + _cost(matt, EFFORT) + brdfs * _cost(lobe, EFFORT)
+    reflection = 2 * _cost(lobe, EFFORT) + _cost(matt, EFFORT)  # it, its control, and the question after it
+    maps = 4 * _cost(lobe, EFFORT) + _cost(replace(lobe, normals="map"), EFFORT)  # three, their control, and normals
+    return before + reflection + maps + 2 * _cost(lobe, EFFORT)  # texels, with and without lobes
+
+
+@final
+class _Course:
+    """How far fits have come that follow each other."""
+
+    def __init__(self, watcher: Watcher, expected: float) -> None:
+        self._watcher = watcher
+        self._expected = expected
+        self._spent = self._share = 0.0
+
+    def part(self, rung: Rung, effort: float) -> Callable[[float], None]:
+        """What the next fit reports its own share to."""
+        begins, cost = self._spent, _cost(rung, effort)
+        self._spent += cost
+
+        def tell(share: float) -> None:
+            self._share = max(self._share, (begins + cost * share) / max(self._expected, self._spent))
+            self._watcher.fitting(rung.name, self._share)
+
+        return tell
 
 
 class _Ladder:
@@ -210,8 +225,7 @@ class _Ladder:
         self._held_out = held_out
         self._sample = training[:: max(1, len(training) // len(held_out))]
         self._watcher = watcher
-        self._expected = expected
-        self._spent = 0.0
+        self._course = _Course(watcher, expected)
         self._errors: NDArray[np.float64] = np.empty(0)
         self._start: Any = None
         self._controlled = False
@@ -232,8 +246,9 @@ class _Ladder:
             self._start, self._controlled = self.fit, True
             self.fit, self._errors = self._fitted(self.rung, self._start, EFFORT)
         standing = self._errors
+        start, effort = (None, FIRST_EFFORT) if afresh else (self._start, EFFORT)
         for rung in candidates:
-            fit, errors = self._fitted(rung, *(None, FIRST_EFFORT) if afresh else (self._start, EFFORT))
+            fit, errors = self._fitted(rung, start, effort)
             gain, noise = compare(standing, errors)
             better = float(decibels(errors).mean()) > float(decibels(self._errors).mean())
             told = gain > significance * noise and gain > LEAST_GAIN_DB
@@ -248,8 +263,7 @@ class _Ladder:
         """
         fits, found = [], []
         for rung in (control, finer):
-            fits.append(self._solver.fit(rung, self.fit, self._training, 0.0, self._part(rung, EFFORT)))
-            self._spent += _cost(rung, EFFORT)
+            fits.append(self._solver.fit(rung, self.fit, self._training, 0.0, self._course.part(rung, EFFORT)))
             found.append(self._solver.errors(fits[-1], self._held_out))
         standing, errors = found
         gain, noise = compare(standing, errors)
@@ -269,17 +283,11 @@ class _Ladder:
         self._record(simpler, errors, -gain, noise, kept)
 
     def _fitted(self, rung: Rung, start: Any, effort: float) -> tuple[Any, NDArray[np.float64]]:
-        fit = self._solver.fit(rung, start, self._training, effort, self._part(rung, effort))
-        self._spent += _cost(rung, effort)
+        fit = self._solver.fit(rung, start, self._training, effort, self._course.part(rung, effort))
         errors = self._solver.errors(fit, self._held_out)
         fitted = self._solver.errors(fit, self._sample)
         self._watcher.judged(float(decibels(errors).mean()), float(decibels(fitted).mean()))
         return fit, errors
-
-    def _part(self, rung: Rung, effort: float) -> Callable[[float], None]:
-        cost = _cost(rung, effort)
-        whole = max(self._expected, self._spent + cost)
-        return _part(self._watcher, rung, self._spent / whole, cost / whole)
 
     def _record(self, rung: Rung, errors: NDArray[np.float64], gain: float, noise: float, kept: bool) -> None:
         self.steps.append(Step(rung, float(np.mean(decibels(errors))), gain, noise, kept))

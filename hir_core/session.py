@@ -175,6 +175,7 @@ class Session:
             "peak_memory_bytes": peak_memory_bytes(),
             "finished": _now(),
             "progress": listener.seconds,
+            "milestones": listener.milestones,
         }
         self._say(f"{name}: {seconds:.1f} s")
         return value, record

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from hir_core.curves import curve_svg
 from hir_core.listener import read_curves
+from hir_core.progress import FIT
 from hir_core.run_directory import STAGES, RunDirectory, read_json
 
 SHOWN_CURVES = 8
 
 NAMES = {"held_out": "held-out views, 1 − IoU", "gradient_norm": "gradient norm", "silhouette": "silhouettes, 1 − IoU",
-         "held_out_psnr": "held-out views, dB", "training_psnr": "fitted views, dB",
-         "rung_psnr": "held-out views of each candidate, dB", "loss": "loss"}  # fmt: skip
+         "held_out_psnr": "held-out views, dB", "training_psnr": "fitted views, dB", "loss": "loss"}  # fmt: skip
 """Words for scalars whose names do not speak for themselves."""
 
 
@@ -56,7 +56,7 @@ def history(directory: RunDirectory, document: Mapping[str, Any], timings: Mappi
     if points:
         points.sort()
         found.append(_series("the photographs shown, after each stage", "stages", points))
-    seconds = told_at(directory, timings, "held_out_psnr")
+    seconds = milestones(timings, FIT)
     curves = read_curves(directory.stage("reflectance") / "curves.npz")
     for name, kind, label in (
         ("held_out_psnr", "held-out", "views held out while models are chosen"),
@@ -73,14 +73,10 @@ def history(directory: RunDirectory, document: Mapping[str, Any], timings: Mappi
     return History(tuple(found), tuple(ends))
 
 
-def told_at(directory: RunDirectory, timings: Mapping[str, Any], name: str) -> list[float]:
-    """Seconds since the reflectance stage began at which it told each value of a curve; empty where there is none."""
-    curves = read_curves(directory.stage("reflectance") / "curves.npz")
-    progress = timings.get("stages", {}).get("reflectance", {}).get("progress", [])
-    if name not in curves or not progress:
-        return []
-    steps, seconds = np.array(progress, dtype=np.float64).T
-    return [float(s) for s in np.interp(curves[name][0], steps, seconds)]
+def milestones(timings: Mapping[str, Any], kind: str) -> list[float]:
+    """Seconds since the reflectance stage began at which each thing of this kind ended; empty where none did."""
+    told = timings.get("stages", {}).get("reflectance", {}).get("milestones", [])
+    return [float(seconds) for name, seconds in told if name == kind]
 
 
 def curves(directory: RunDirectory) -> str:

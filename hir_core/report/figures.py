@@ -45,12 +45,13 @@ def tiles(document: Document, timings: Document) -> str:
 def ladder(document: Document, seconds: Sequence[float]) -> str:
     """Every model that was tried, what held-out views said of it, and how long that took.
 
-    `seconds` tells when each was judged; a rung's time includes the control that was fitted for its sake.
+    `seconds` tells when each vote ended; the time of a vote's first candidate includes a control fitted for it.
     """
     rows = report_of(document, "reflectance").get("ladder") or []
     if not rows:
         rung = report_of(document, "reflectance").get("rung")
-        return f"<p class=quiet>No models were compared; {html.escape(str(rung))} was set.</p>" if rung else ""
+        told = f"<p class=quiet>No models were compared; {html.escape(str(rung))} was set.</p>" if rung else ""
+        return told + _settled(document)
     level = [row["held_out_db"] for row in rows]
     low, span = min(level) - 1, max(max(level) - min(level) + 1, 1e-9)
     spent = np.diff(seconds, prepend=0.0).tolist() if len(seconds) == len(rows) else [None] * len(rows)

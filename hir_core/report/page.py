@@ -10,6 +10,7 @@ from typing import Any
 
 from hir_exporters.atomic import write_text_atomic
 
+from hir_core.progress import VOTE
 from hir_core.report import charts, convergence, figures, model, pictures
 from hir_core.run_directory import RunDirectory, damage_told
 
@@ -36,7 +37,7 @@ def _page(directory: RunDirectory) -> str:
         "comparison": pictures.comparison(directory),
         "textures": pictures.textures(directory, figures.report_of(document, "bake")),
         "history": charts.history_chart(convergence.history(directory, document, timings)),
-        "ladder": figures.ladder(document, convergence.told_at(directory, timings, "rung_psnr")),
+        "ladder": figures.ladder(document, convergence.milestones(timings, VOTE)),
         "curves": convergence.curves(directory),
         "stages": figures.stages(document, timings),
         "evaluations": figures.evaluations(document),

@@ -105,7 +105,7 @@ def test_ticks_are_round_and_inside(low: float, high: float) -> None:
     assert np.allclose(steps, steps[0]) and f"{steps[0]:e}"[0] in "125"
 
 
-def test_rungs_take_the_time_of_their_control_too() -> None:
+def test_the_ladder_shows_what_votes_took_and_what_settling_brought() -> None:
     rows = [{"name": name, "held_out_db": 20.0, "gain_db": 0.1, "noise_db": None, "kept": True} for name in "abc"]
     settled = {"renderer": "mitsuba_ggx", "before_db": 30.0, "after_db": 31.5, "gain_db": 1.5, "noise_db": 0.1,
                "kept": True}  # fmt: skip
@@ -116,6 +116,8 @@ def test_rungs_take_the_time_of_their_control_too() -> None:
     assert "30.00 → 31.50 dB (1.50 ± 0.10 dB): kept" in page
     untimed = figures.ladder({"stages": {"reflectance": {"report": {"ladder": rows}}}}, [])
     assert untimed.count("<td class=number>–</td>") == 3 and "solved once more" not in untimed
+    forced = {"ladder": [], "rung": "diffuse", "settled": settled}
+    assert "1.50 ± 0.10 dB" in figures.ladder({"stages": {"reflectance": {"report": forced}}}, [])
 
 
 def test_loops_one_after_the_other_are_counted_on() -> None:

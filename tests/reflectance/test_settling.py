@@ -25,6 +25,7 @@ def scripted(factor: float | None) -> ReflectanceSolver:
     """A solver whose answer is the albedo times a factor."""
 
     def settle(scene: Scene, traced: Any, views: Any, report: Any) -> Scene | None:
+        report(1.0)
         material = scene.material
         if factor is None or material is None:
             return None
@@ -44,7 +45,11 @@ def shadowed() -> tuple[Scene, Capture]:
 
 def judged(scene: Scene, solver: ReflectanceSolver, capture: Capture, folder: Path) -> tuple[Scene, dict[str, Any]]:
     """Of direct light alone, as the photographs were made."""
-    return settled(scene, solver, capture, ReflectanceSettings(), 0, StageContext(PLUGINS, folder, {}))
+    shares: list[float] = []
+    found = settled(scene, solver, capture, ReflectanceSettings(), 0, StageContext(PLUGINS, folder, {}), shares.append)
+    assert shares == sorted(shares) and shares[0] >= 0 and shares[-1] <= 1
+    assert shares[-1] == 1 or not found[1]["kept"]
+    return found
 
 
 def test_a_better_albedo_is_kept_and_a_worse_one_is_not(shadowed: tuple[Scene, Capture], tmp_path: Path) -> None:

@@ -88,7 +88,11 @@ def run(folder: Path) -> None:
             "asset_from_working": np.eye(4).tolist(),
         }
     )
-    timed = {"geometry": {"seconds": 1.0}, "reflectance": {"seconds": 2.0, "progress": [[0, 0.1], [10, 1.9]]}}
+    ended = [["fit", 0.5], ["vote", 0.5], ["fit", 0.9], ["vote", 0.9], ["fit", 1.2], ["fit", 1.6]]
+    timed = {
+        "geometry": {"seconds": 1.0},
+        "reflectance": {"seconds": 2.0, "progress": [[0, 0.1], [10, 1.9]], "milestones": ended},
+    }
     directory.write_timings({"machine": {"cores": 2}, "stages": timed, "seconds": 3.0})
     for name in STAGES:
         directory.begin(name, "key")

@@ -49,12 +49,13 @@ class Settling:
             rows = []
             for done, part in enumerate(parts):
                 rows.append(part if traced is None else self._corrected(part, traced, albedo))
-                report((done + 1) / len(parts))
+                report(0.9 * (done + 1) / len(parts))
             found, _ = solve_texels(rows, albedo, HUBER_SRGB, PRIOR, SMOOTH)
             mesh = refined_mesh(surface)
             texels = texel_surface(mesh, (albedo.shape[0], albedo.shape[1]))
             filled = fill_unobserved(found, mesh, material.observed, texels)
             albedo = dilate(filled, texels.covered, PADDING)
+        report(1.0)
         return replace(self.scene, material=replace(material, diffuse_albedo=albedo))
 
     def _corrected(self, rows: TexelEquations, traced: PreparedReflectance, albedo: Tensor) -> TexelEquations:
