@@ -1,8 +1,9 @@
 """Moves the vertices until the photographs agree about the surface; silhouettes hold the outline meanwhile.
 
 Outlines say nothing about hollows. Once the silhouettes fit, points of the surface are compared between neighbouring
-views (`photo_consistency`), from coarse photographs to fine ones, and the vertices follow the gradient. The result
-stays only where views that took no part agree better with it than with the mesh it started from.
+views (`photo_consistency`), from coarse photographs to fine ones, and the vertices follow the gradient. That is tried
+twice, smoothly and carving finely; views that took no part choose, and the result stays only where they agree better
+with it than with the mesh it started from.
 """
 # ruff: noqa: TID253 - the heavy side of hir imports this module
 
@@ -45,7 +46,7 @@ SMOOTHNESS = 20.0
 """LargeSteps' λ, and all that smooths here: photographs speak about every facet, and a bending energy of the weight
 that outlines need keeps the hollows shut (chair: disagreement −7 % with it, −32 % without)."""
 FINE_SMOOTHNESS = 2.0
-"""λ of the last pass, for carvings that are as fine as the mesh; below it facets fold."""
+"""λ of the second attempt, for carvings that are as fine as the mesh; below it facets fold."""
 RATE = 1e-2
 """Step size as a fraction of the object's radius, at the finest level; coarser ones stride by the root of theirs."""
 JUDGED_PIXELS = 2000
@@ -53,9 +54,10 @@ SIGNIFICANCE = 1.0
 """Standard errors that the gain must exceed: no term is added to the model, the better mesh of two is chosen."""
 LEAST_GAIN = 0.005
 """Share by which the disagreement must fall in views that took no part."""
-FINE_SIGNIFICANCE, FINE_GAIN = 2.0, 0.03
-"""What the last pass must gain. Where there is nothing to carve it roughens the normals, which photographs compared
-with each other do not see and highlights do (spot: disagreement −1 %, unseen views −0.5 dB)."""
+FINE_GAIN = 0.03
+"""Share by which the second attempt must be better than the first, and by a standard error, too. Where there is
+nothing to carve it roughens the normals, which photographs compared with each other do not see and highlights do
+(spot: disagreement −1 %, unseen views −0.5 dB)."""
 LEAST_DETAIL = 1e-4
 """Disagreement below which there is nothing to lower: photographs without detail agree about every surface."""
 MOST_IOU_LOST = 0.002
@@ -95,18 +97,21 @@ def refine_by_photographs(
     before = _judge(mesh, details, near, judges, iou, context.seed)
     if not np.nanmax(before.disagreement, initial=0.0) > LEAST_DETAIL:
         return mesh, {"kept": False, "reason": "the photographs show no detail to compare"}
-    passes = [(factor, SMOOTHNESS) for factor in factors] + [(factors[-1], FINE_SMOOTHNESS)]
-    smooth, levels, refined = mesh, [], mesh
-    for number, (factor, smoothness) in enumerate(passes):
-        smooth = refined
+    attempts: dict[float, Mesh] = {}
+    levels = []
+    passes = [(smoothness, factor) for smoothness in (SMOOTHNESS, FINE_SMOOTHNESS) for factor in factors]
+    for number, (smoothness, factor) in enumerate(passes):
         seen = details if factor == factors[-1] else Details.of(views, factor)
         place = _Pass(number, len(passes), factor / factors[-1], smoothness)
-        refined, curve = _fit_pass(smooth, seen, near, train, iou, settings, context, place)
-        levels.append({"downsample": factor, "disagreement": [round(float(v), 5) for v in _ends(curve)]})
-    after, fine = (_judge(found, details, near, judges, iou, context.seed) for found in (smooth, refined))
+        begun = attempts.get(smoothness, mesh)
+        attempts[smoothness], curve = _fit_pass(begun, seen, near, train, iou, settings, context, place)
+        ends = [round(float(v), 5) for v in _ends(curve)]
+        levels.append({"smoothness": smoothness, "downsample": factor, "disagreement": ends})
+    after, fine = (_judge(found, details, near, judges, iou, context.seed) for found in attempts.values())
     fine_gain, fine_noise = _gain(after.disagreement, fine.disagreement)
-    carved = fine_gain > max(FINE_SIGNIFICANCE * fine_noise, FINE_GAIN) and fine.iou > after.iou - MOST_IOU_LOST
-    refined, after = (refined, fine) if carved else (smooth, after)
+    carved = fine_gain > max(SIGNIFICANCE * fine_noise, FINE_GAIN) and fine.iou > after.iou - MOST_IOU_LOST
+    refined = attempts[FINE_SMOOTHNESS if carved else SMOOTHNESS]
+    after = fine if carved else after
     gain, noise = _gain(before.disagreement, after.disagreement)
     kept = gain > max(SIGNIFICANCE * noise, LEAST_GAIN) and after.iou > before.iou - MOST_IOU_LOST
     report = {

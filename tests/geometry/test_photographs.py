@@ -121,7 +121,7 @@ def test_photographs_find_the_floor_of_a_bowl(hollow: tuple[Positions, Faces], c
 
 
 @pytest.mark.parametrize("carved", [True, False], ids=["carved", "smooth"])
-def test_the_last_pass_stays_where_there_is_something_to_carve(carved: bool, tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_the_finer_attempt_stays_where_there_is_something_to_carve(carved: bool, tmp_path) -> None:  # type: ignore[no-untyped-def]
     """Grooves a few triangles wide, which a stiffer surface bridges; without them a softer one only roughens."""
     positions, faces = icosphere(5)
     depth = 0.03 * np.sin(14 * positions[:, 0]) * np.sin(14 * positions[:, 1]) if carved else 0 * positions[:, 0]
