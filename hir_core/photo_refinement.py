@@ -1,9 +1,9 @@
 """Moves the vertices until the photographs agree about the surface; silhouettes hold the outline meanwhile.
 
 Outlines say nothing about hollows. Once the silhouettes fit, points of the surface are compared between neighbouring
-views (`photo_consistency`), from coarse photographs to fine ones, and the vertices follow the gradient. That is tried
-twice, smoothly and carving finely; views that took no part choose, and the result stays only where they agree better
-with it than with the mesh it started from.
+views (`photo_consistency`), from coarse photographs to fine ones, and the vertices follow the gradient. From the
+coarsest on that is tried twice, smoothly and carving finely; views that took no part choose, and the result stays only
+where they agree better with it than with the mesh it started from.
 """
 # ruff: noqa: TID253 - the heavy side of hir imports this module
 
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -97,16 +98,16 @@ def refine_by_photographs(
     before = _judge(mesh, details, near, judges, iou, context.seed)
     if not np.nanmax(before.disagreement, initial=0.0) > LEAST_DETAIL:
         return mesh, {"kept": False, "reason": "the photographs show no detail to compare"}
-    attempts: dict[float, Mesh] = {}
+    attempts = dict.fromkeys((SMOOTHNESS, FINE_SMOOTHNESS), mesh)
     levels = []
-    passes = [(smoothness, factor) for smoothness in (SMOOTHNESS, FINE_SMOOTHNESS) for factor in factors]
-    for number, (smoothness, factor) in enumerate(passes):
-        seen = details if factor == factors[-1] else Details.of(views, factor)
-        place = _Pass(number, len(passes), factor / factors[-1], smoothness)
-        begun = attempts.get(smoothness, mesh)
-        attempts[smoothness], curve = _fit_pass(begun, seen, near, train, iou, settings, context, place)
-        ends = [round(float(v), 5) for v in _ends(curve)]
-        levels.append({"smoothness": smoothness, "downsample": factor, "disagreement": ends})
+    for downsample, passes in groupby(_passes(factors), key=lambda place: place.downsample):
+        seen = details if downsample == factors[-1] else Details.of(views, downsample)
+        for place in passes:
+            begun = attempts[place.smoothness]
+            found, curve = _fit_pass(begun, seen, near, train, iou, settings, context, place)
+            attempts |= dict.fromkeys(attempts if place.shared else [place.smoothness], found)
+            ends = [round(float(v), 5) for v in _ends(curve)]
+            levels.append({"smoothness": place.smoothness, "downsample": downsample, "disagreement": ends})
     after, fine = (_judge(found, details, near, judges, iou, context.seed) for found in attempts.values())
     fine_gain, fine_noise = _gain(after.disagreement, fine.disagreement)
     carved = fine_gain > max(SIGNIFICANCE * fine_noise, FINE_GAIN) and fine.iou > after.iou - MOST_IOU_LOST
@@ -135,9 +136,24 @@ class _Pass:
 
     number: int
     count: int
+    downsample: int
     coarseness: float
     """Its pixels' size, in those of the finest."""
     smoothness: float
+    shared: bool
+    """Both attempts go on from its mesh: pixels this coarse show nothing that the finer attempt could carve."""
+
+
+def _passes(factors: Sequence[int]) -> list[_Pass]:
+    """In turn, each level's passes beside each other, so that its photographs are read once."""
+    coarsest, *finer = factors
+    shared = [(coarsest, SMOOTHNESS)] if finer else []
+    apart = [(factor, smoothness) for factor in finer or factors for smoothness in (SMOOTHNESS, FINE_SMOOTHNESS)]
+    course = shared + apart
+    return [
+        _Pass(number, len(course), factor, factor / factors[-1], smoothness, number < len(shared))
+        for number, (factor, smoothness) in enumerate(course)
+    ]
 
 
 def _fit_pass(

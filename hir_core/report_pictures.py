@@ -20,12 +20,14 @@ from hir_core.run_directory import RunDirectory
 from hir_core.unlit import UnlitView
 
 if TYPE_CHECKING:
-    from hir_core.capture import Camera, View
+    from hir_core.capture import Camera
     from hir_core.manager import PluginManager
 
 VIEWS = 4
 """Photographs that a report shows, spread over the capture."""
 
+SHOWN_SIDE = 1024
+"""Larger photographs are shown and measured reduced; `hir evaluate --split train` renders them whole."""
 
 SMALL_SIDE = 192
 """Pictures of a run's stages, which are only measured, are at most about as large."""
@@ -40,13 +42,14 @@ def write_pictures(
 ) -> dict[str, Any]:
     """Fills `report/` as a whole with PNGs and returns what they show.
 
-    `views`: name, figures and file names of each; `stages`: mean PSNR of the same views after each stage, small.
+    `views`: name, figures and file names of each, `measured_at` where photographs are larger; `stages`: mean PSNR of
+    the same views after each stage, small.
     """
     run = open_for_rendering(directory)
     capture = split_in_working_frame(run, run.capture_path, "train", plugins)
     _, renderer = reference_renderer(plugins, bounces=run.bounces)
     shown: list[dict[str, Any]] = []
-    seen: list[tuple[View, Camera, Image]] = []
+    seen: list[tuple[Truth, Camera, Image]] = []
     with atomic_directory(directory.report) as place:
         for i in spread(len(capture.views), VIEWS):
             view = capture.views[i]
@@ -54,24 +57,27 @@ def write_pictures(
                 if on_message is not None:
                     on_message(f"report: {view.name} has no mask and is not shown")
                 continue
-            fit = render_view(renderer, run.scene, capture.cameras[i], view.name)
+            factor = _factor(capture.cameras[i], SHOWN_SIDE)
+            camera, truth = capture.cameras[i].downsampled(factor), masked_pixels(view).downsampled(factor)
+            fit = render_view(renderer, run.scene, camera, view.name)
             fit[..., :3] *= view.exposure
-            seen.append((view, capture.cameras[i], fit))
-            shown.append({"name": view.name} | _view_pictures(place, file_stem(view.name), fit, masked_pixels(view)))
+            seen.append((truth, camera, fit))
+            size = {"measured_at": [camera.width, camera.height]} if factor > 1 else {}
+            shown.append({"name": view.name} | _view_pictures(place, file_stem(view.name), fit, truth) | size)
         for name, picture in asset_pictures(directory.scene).items():
             write_png(place / f"{name}.png", picture)
     return {"views": shown, "stages": stage_psnr(directory, seen)}
 
 
-def stage_psnr(directory: RunDirectory, seen: list[tuple[View, Camera, Image]]) -> dict[str, float | None]:
+def stage_psnr(directory: RunDirectory, seen: list[tuple[Truth, Camera, Image]]) -> dict[str, float | None]:
     """Mean PSNR over object pixels, first mesh and finished asset, of the views shown, all reduced alike.
 
-    `seen`: views, their cameras in the working frame, and the finished asset's renders (H, W, 4).
+    `seen`: photographs, their cameras in the working frame, and the finished asset's renders (H, W, 4).
     """
     from hir_core.scene_store import load_stage_scene
 
-    factors = [max(1, -(-max(camera.width, camera.height) // SMALL_SIDE)) for _, camera, _ in seen]
-    truths = [masked_pixels(view).downsampled(factor) for (view, *_), factor in zip(seen, factors, strict=True)]
+    factors = [_factor(camera, SMALL_SIDE) for _, camera, _ in seen]
+    truths = [truth.downsampled(factor) for (truth, *_), factor in zip(seen, factors, strict=True)]
     found: dict[str, float | None] = {}
     record = directory.record(UNLIT_STAGE)
     if record is not None and record.finished:
@@ -90,6 +96,11 @@ def block_mean(image: Image, factor: int) -> Image:
     height, width = image.shape[0] // factor, image.shape[1] // factor
     cut = image[: height * factor, : width * factor]
     return np.asarray(cut.reshape(height, factor, width, factor, -1).mean(axis=(1, 3)), dtype=np.float32)
+
+
+def _factor(camera: Camera, side: int) -> int:
+    """By which its pictures are reduced so that no side is longer."""
+    return max(1, -(-max(camera.width, camera.height) // side))
 
 
 def _object_psnr(fit: Image, truth: Truth) -> float | None:

@@ -51,7 +51,7 @@ def comparison(directory: RunDirectory) -> str:
             f'<input type=range min=0 max=100 value=50 aria-label="photograph or fit of {name}">'
             "<span class=left>photograph</span><span class=right>fit</span></div>"
             f"<figcaption><b>{name}</b> {kind} · object {number(view['object'], 2, ' dB')} · "
-            f"frame {number(view['frame'], 2, ' dB')}</figcaption></figure>"
+            f"frame {number(view['frame'], 2, ' dB')}{_measured_at(view)}</figcaption></figure>"
         )
         small = picture_uri(places["true"], THUMBNAIL_SIDE)
         strip.append(
@@ -60,6 +60,11 @@ def comparison(directory: RunDirectory) -> str:
     if not slides:
         return "<p class=quiet>No view with a mask to show.</p>"
     return f"{''.join(slides)}<div class=strip>{''.join(strip)}</div>"
+
+
+def _measured_at(view: Mapping[str, Any]) -> str:
+    """The size that figures are of, where it is not the photograph's."""
+    return " · measured at {}×{}".format(*view["measured_at"]) if "measured_at" in view else ""
 
 
 def textures(directory: RunDirectory, baked: Mapping[str, Any]) -> str:

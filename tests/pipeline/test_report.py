@@ -12,12 +12,14 @@ import numpy as np
 import pytest
 from hir_exporters.images import read_ldr
 
+from hir_core import report_pictures
 from hir_core.curves import curve_svg, thinned
 from hir_core.evaluation import spread
+from hir_core.manager import PluginManager
 from hir_core.pipeline import Run
 from hir_core.report import charts, convergence, figures, refresh_page
 from hir_core.report_pictures import light_picture
-from hir_core.run_directory import STAGES, RunDirectory, read_json
+from hir_core.run_directory import STAGES, RunDirectory, read_json, write_json
 
 SHOOT = Path(__file__).resolve().parents[2] / "tools" / "shoot_report.py"
 
@@ -63,6 +65,23 @@ def test_asset_is_drawn_in_either_theme(
     frame = picture[120:500, 700:1180]
     drawn = np.abs(frame - [0x17, 0x18, 0x1B]).max(axis=2) > 8
     assert 0.05 < drawn.mean() < 0.9, "the cow, and darkness around it"
+
+
+def test_large_photographs_are_shown_and_measured_reduced(
+    finished: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(finished.path, tmp_path / "run")
+    directory = RunDirectory(tmp_path / "run")
+    monkeypatch.setattr(report_pictures, "SHOWN_SIDE", 50)
+    shown = report_pictures.write_pictures(directory, PluginManager.discover())
+    for view in shown["views"]:
+        picture = read_ldr(directory.report / view["fit"])
+        assert max(picture.shape[:2]) <= 50 and view["measured_at"] == list(picture.shape[1::-1])
+        assert view["object"] > 15, "the reduced photograph is that of the reduced camera"
+    write_json(directory.report / "views.json", shown)
+    refresh_page(directory)
+    width, height = shown["views"][0]["measured_at"]
+    assert f"measured at {width}×{height}" in (directory.path / "report.html").read_text(encoding="utf-8")
 
 
 def test_page_says_what_the_run_knows(finished: Run, tmp_path: Path) -> None:

@@ -4,22 +4,26 @@ from __future__ import annotations
 
 import math
 
+import mitsuba as mi
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
-from torch.nn.functional import grid_sample, huber_loss, normalize
+from torch.nn.functional import cosine_similarity, grid_sample, huber_loss, normalize
 
 from hir_core.srgb import linear_to_srgb
 from hir_plugins.reflectance_renderers.brdf import directional_albedo_terms
 from hir_plugins.reflectance_renderers.transport_ggx.bending import bent, bent_irradiance
-from hir_plugins.reflectance_renderers.transport_ggx.point_lobes import (
-    LEAST_RHO,
-    Holds,
-    PointFit,
-    Points,
-    PointValues,
+from hir_plugins.reflectance_renderers.transport_ggx.lobe_lookup import (
+    Lobe,
+    Patch,
     ProbeTable,
+    lobe_of,
+    patch_around,
+    received,
 )
+from hir_plugins.reflectance_renderers.transport_ggx.point_lobes import Holds, PointFit, Points, PointValues
+from hir_plugins.reflectance_renderers.transport_ggx.point_steps import LEAST_RHO, equations
 from hir_plugins.reflectance_renderers.transport_ggx.probes import (
     COLUMNS,
     LEVELS,
@@ -67,6 +71,10 @@ def truth(generator: torch.Generator) -> PointValues:
         return low + (high - low) * torch.rand(COUNT, channels, generator=generator)
 
     return PointValues(draw(0.1, 0.6, 3), draw(0.1, 0.5, 3), draw(0.15, 0.5, 1), draw(-0.3, 0.3, 3))
+
+
+def vectors(values: Tensor) -> mi.Vector3f:
+    return mi.Vector3f(*(mi.Float(values[:, axis].numpy().copy()) for axis in range(3)))
 
 
 def eyes(generator: torch.Generator) -> Tensor:
@@ -178,6 +186,63 @@ def test_least_squares_end_as_low_as_descent() -> None:
         optimizer.step()
         schedule.step()
     assert cost[:few].double().sum() < 1.01 * total.detach()
+
+
+def test_a_patch_is_the_probe_between_its_texels_and_goes_on_beside_them() -> None:
+    """From one patch: the same lobe exactly, one a little aside nearly, also over the seam of the panorama."""
+    light = ProbeTable(probes())
+    angle = torch.linspace(0, 2 * math.pi, 257)[:-1]  # all around, so some are at the seam
+    eye = torch.stack([torch.sin(angle), torch.full_like(angle, 0.3), torch.cos(angle)], dim=1)
+
+    def looking(turn: float) -> Lobe:
+        normal = torch.stack([torch.sin(angle + turn), torch.full_like(angle, 0.3 + turn), torch.cos(angle + turn)], 1)
+        return lobe_of(vectors(normalize(normal, dim=1)), vectors(normalize(eye, dim=1)), mi.Float(2.4), 1.0)
+
+    def read(patch: Patch, lobe: Lobe) -> Tensor:
+        return torch.from_numpy(np.array(received(patch, lobe))).T
+
+    here, aside = looking(0.0), looking(0.01)
+    patch, other = (patch_around(light.values, mi.UInt32(0), lobe) for lobe in (here, aside))
+    change, wanted = read(patch, aside) - read(patch, here), read(other, aside) - read(patch, here)
+    assert wanted.norm() > 0.1, "nothing changes here, so nothing is shown"
+    assert (change - wanted).norm() < 0.15 * wanted.norm()
+    alike = torch.from_numpy(np.array((patch.left == other.left) & (patch.top == other.top)))
+    assert 100 < alike.sum() < 256, "some stay within their texels, others leave them"
+    assert torch.allclose(change[alike], wanted[alike], atol=1e-5)
+
+
+@pytest.mark.parametrize("model", ["paper", "dielectric"])
+def test_equations_hold_the_gradient_of_the_cost(model: str) -> None:
+    """Of albedo and ρs exactly, against autograd in float64; of α and the tilt as far as differences go."""
+    generator = torch.Generator().manual_seed(5)
+    at, light, values, stand = points(generator), probes(), truth(generator), eyes(generator)
+    seen = photographs(at, truth(generator), light, stand, model)
+    fit = PointFit(at, seen, ProbeTable(light), model, Holds(0, 0, 0, 0))  # type: ignore[arg-type]
+    fit.start = fit._state(values)
+    said = equations(fit, fit.start)
+    de, fe, ae, e1, e2 = (torch.from_numpy(np.array(value)).double() for value in said.errors)
+    free = double(values)
+    level = level_of(free.alpha).requires_grad_()
+    for value in (free.albedo, free.specular, free.tilt):
+        value.requires_grad_()
+    cost = torch.zeros((), dtype=torch.float64)
+    for row in range(VIEWS):
+        toward = normalize(stand[row].double() - at.position.double(), dim=1)
+        now = PointValues(free.albedo, free.specular, alpha_of(level), free.tilt)
+        off = linear_to_srgb(reference(at, now, toward, light, model)) - linear_to_srgb(seen.color[row].double())
+        part = huber_loss(off, torch.zeros_like(off), delta=fit.holds.huber, reduction="none").sum(dim=1)
+        cost = cost + (seen.weight[row].double() * part).sum()
+    assert float(np.array(said.cost).sum()) == pytest.approx(float(cost.detach()), rel=1e-4)
+    by_albedo, by_specular, by_level, by_tilt = torch.autograd.grad(
+        cost, (free.albedo, free.specular, level, free.tilt)
+    )
+    assert torch.allclose(de.T, by_albedo, rtol=1e-3, atol=1e-4)
+    assert torch.allclose(fe.T, by_specular, rtol=1e-3, atol=1e-4)
+    tangent, bitangent = (axis.double() for axis in fit._axes)
+    wanted = torch.stack([by_level[:, 0], (by_tilt * tangent).sum(1), (by_tilt * bitangent).sum(1)])
+    found = torch.stack([ae, e1, e2])
+    for mine, true in zip(found, wanted, strict=True):
+        assert float(cosine_similarity(mine, true, dim=0)) > 0.97
 
 
 @pytest.mark.parametrize("case", ["unseen", "black", "white", "sun", "nonsense", "one view", "dark light", "far away"])

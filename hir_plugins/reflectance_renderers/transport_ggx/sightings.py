@@ -75,7 +75,7 @@ class Picture:
     camera: Camera
     color: Float[Tensor, "H W 3"]
     inside: Bool[Tensor, "H W"]
-    """Pixels that show the object alone and have a colour."""
+    """Pixels that show the object alone and have a colour, as do those to their right and below them."""
     ceiling: float
 
     @classmethod
@@ -84,6 +84,7 @@ class Picture:
         pixels = capture.views[view].pixels(downsample)
         known = np.asarray(np.isfinite(pixels.color_linear).all(axis=2))
         shown = inside(pixels.mask, pixels.color_linear.shape[:2]) & known
+        shown[:-1, :-1] &= shown[1:, :-1] & shown[:-1, 1:] & shown[1:, 1:]
         color = torch.from_numpy(np.where(known[..., None], pixels.color_linear, 0).astype(np.float32))
         ceiling = CLIPPED if bool(pixels.saturated.any()) else np.inf
         return cls(capture.cameras[view].downsampled(downsample), color, torch.from_numpy(shown), ceiling)
@@ -98,10 +99,12 @@ class Picture:
         within = (depth > 0) & (corner >= 0).all(axis=1) & (corner < np.array([width - 1, height - 1])).all(axis=1)
         x, y = corner[within].astype(np.int64).T
         across, down = torch.from_numpy((place[within] - 0.5 - corner[within]).astype(np.float32))[..., None].unbind(1)
-        upper = self.color[y, x] * (1 - across) + self.color[y, x + 1] * across
-        lower = self.color[y + 1, x] * (1 - across) + self.color[y + 1, x + 1] * across
-        shown = self.inside[y, x] & self.inside[y, x + 1] & self.inside[y + 1, x] & self.inside[y + 1, x + 1]
-        value = upper * (1 - down) + lower * down
+        first = torch.from_numpy(y * width + x)
+        color = self.color.reshape(-1, 3)
+        upper = torch.lerp(color.index_select(0, first), color.index_select(0, first + 1), across)
+        lower = torch.lerp(color.index_select(0, first + width), color.index_select(0, first + width + 1), across)
+        shown = self.inside.reshape(-1).index_select(0, first)
+        value = torch.lerp(upper, lower, down)
         return rows[torch.from_numpy(within).to(rows.device)], value.to(position), shown.to(position.device)
 
 

@@ -17,14 +17,9 @@ from torch import Tensor
 from hir_core.selection import Rung
 from hir_core.texels import TexelSurface
 from hir_plugins.reflectance_renderers.brdf import Model
+from hir_plugins.reflectance_renderers.transport_ggx.lobe_lookup import ProbeTable
 from hir_plugins.reflectance_renderers.transport_ggx.photographs import Photographed
-from hir_plugins.reflectance_renderers.transport_ggx.point_lobes import (
-    Holds,
-    PointFit,
-    Points,
-    PointValues,
-    ProbeTable,
-)
+from hir_plugins.reflectance_renderers.transport_ggx.point_lobes import Holds, PointFit, Points, PointValues
 from hir_plugins.reflectance_renderers.transport_ggx.probes import make_probes
 from hir_plugins.reflectance_renderers.transport_ggx.sightings import Pictures, Sightings, sightings
 from hir_plugins.reflectance_renderers.transport_ggx.transport import Transport
