@@ -84,24 +84,28 @@ class Pixels:
         """Averages blocks of factor×factor pixels; colour is weighted by the mask, so backgrounds do not bleed in."""
         if factor == 1:
             return self
-        mask = None if self.mask is None else _block_mean(self.mask, factor)
+        mask = None if self.mask is None else block_mean(self.mask, factor)
         if self.mask is None or mask is None:
-            color = _block_mean(self.color_linear, factor)
+            color = block_mean(self.color_linear, factor)
         else:
-            weighted = _block_mean(self.color_linear * self.mask[..., None], factor)
-            plain = _block_mean(self.color_linear, factor)
+            weighted = block_mean(self.color_linear * self.mask[..., None], factor)
+            plain = block_mean(self.color_linear, factor)
             color = np.where(mask[..., None] > 1e-6, weighted / np.maximum(mask[..., None], 1e-6), plain)
-        saturated = _block_mean(self.saturated.astype(np.float32), factor) > 0
+        saturated = block_mean(self.saturated.astype(np.float32), factor) > 0
         return Pixels(color.astype(np.float32), mask, saturated)
 
 
-def _block_mean(image: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
+def block_mean(image: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
+    """An image (H, W, …) at 1/`factor`, each pixel the mean of a block; a border that fills no block is cut."""
     height, width = image.shape[0] // factor, image.shape[1] // factor
     if height == 0 or width == 0:
         raise CaptureError(f"an image of {image.shape[1]}×{image.shape[0]} cannot be made {factor} times smaller")
-    cut = image[: height * factor, : width * factor]
-    blocks = cut.reshape(height, factor, width, factor, *image.shape[2:])
-    return np.asarray(blocks.mean(axis=(1, 3)), dtype=np.float32)
+    total = np.zeros((height, width, *image.shape[2:]), np.float32)
+    for row in range(factor):  # a sixth of the time of a mean over two axes
+        for column in range(factor):
+            total += image[row : height * factor : factor, column : width * factor : factor]
+    total /= factor**2
+    return total
 
 
 @dataclass(frozen=True)

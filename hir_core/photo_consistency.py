@@ -15,8 +15,9 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 from torch import Tensor
-from torch.nn.functional import avg_pool2d, normalize
+from torch.nn.functional import normalize
 
 from hir_core.capture import Camera, View
 from hir_core.scene import Mesh
@@ -164,9 +165,14 @@ def _detail(view: View, downsample: int) -> tuple[Float[Tensor, "3 H W"], Bool[T
 
 
 def _blurred(image: Float[Tensor, "C H W"]) -> Float[Tensor, "C H W"]:
+    """Means over boxes, twice; a box that reaches over the border is cut there."""
+    values = image.numpy()
     for _ in range(2):
-        image = avg_pool2d(image[None], WINDOW, 1, WINDOW // 2, count_include_pad=False)[0]
-    return image
+        for axis in (1, 2):
+            counted = uniform_filter1d(np.ones(values.shape[axis], np.float32), WINDOW, mode="constant")
+            summed = uniform_filter1d(values, WINDOW, axis, mode="constant")
+            values = summed / (counted[:, None] if axis == 1 else counted)
+    return torch.from_numpy(values)
 
 
 def _rays(cameras: Sequence[Camera], pairs: PixelPairs) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

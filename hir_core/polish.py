@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from hir_core.capture import Capture
 from hir_core.config import ReflectanceSettings
@@ -120,17 +121,19 @@ def view_errors(
 ) -> NDArray[np.float64]:
     """Mean squared sRGB error of each view, over pixels drawn from `seed`; a clipped pixel may be brighter."""
     assert scene.material is not None and scene.environment is not None
-    errors = []
-    for number, pixels in enumerate(views):
-        count = len(pixels.index)
-        chosen = np.random.default_rng((seed, number)).permutation(count)[:JUDGED_PIXELS]
-        rows = torch.from_numpy(np.sort(chosen)).to(pixels.index.device)
-        with torch.no_grad():
-            torch.manual_seed(seed)
-            shown = torch.stack(
-                [prepared.radiance(scene.material, scene.environment, pixels.index[rows]) for _ in range(PASSES)]
-            ).mean(dim=0)
-        difference = linear_to_srgb(shown.clamp(0, 1)) - linear_to_srgb(pixels.color[rows].clamp(0, 1))
-        difference = torch.where(pixels.saturated[rows] & (difference > 0), torch.zeros_like(difference), difference)
-        errors.append(float(difference.double().square().mean()))
-    return np.array(errors)
+    chosen = [_some(pixels, (seed, number)) for number, pixels in enumerate(views)]
+    index, color, saturated = (torch.cat([part[k] for part in chosen]) for k in range(3))
+    with torch.no_grad():
+        torch.manual_seed(seed)
+        passes = [prepared.radiance(scene.material, scene.environment, index) for _ in range(PASSES)]
+    difference = linear_to_srgb(torch.stack(passes).mean(dim=0).clamp(0, 1)) - linear_to_srgb(color.clamp(0, 1))
+    difference = torch.where(saturated & (difference > 0), torch.zeros_like(difference), difference)
+    squares = difference.double().square().mean(dim=1)
+    return np.array([float(part.mean()) for part in squares.split([len(part[0]) for part in chosen])])
+
+
+def _some(pixels: ObjectPixels, seed: tuple[int, int]) -> tuple[Tensor, Tensor, Tensor]:
+    """Index, colour and saturation of as many pixels of a view as are judged."""
+    drawn = np.random.default_rng(seed).permutation(len(pixels.index))[:JUDGED_PIXELS]
+    rows = torch.from_numpy(np.sort(drawn)).to(pixels.index.device)
+    return pixels.index[rows], pixels.color[rows], pixels.saturated[rows]

@@ -12,6 +12,7 @@ from hir_exporters.conventions import linear_to_srgb
 from hir_exporters.images import write_png
 from hir_exporters.scene_files import load_scene
 
+from hir_core.capture import block_mean
 from hir_core.evaluation import Truth, difference_picture, masked_pixels, split_in_working_frame, spread
 from hir_core.export import file_stem
 from hir_core.metrics import OBJECT_COVERAGE, Image, composite, mean, psnr, unassociate
@@ -89,13 +90,6 @@ def stage_psnr(directory: RunDirectory, seen: list[tuple[Truth, Camera, Image]])
     small = [block_mean(fit, factor) for (*_, fit), factor in zip(seen, factors, strict=True)]
     found["reflectance"] = mean([_object_psnr(fit, truth) for fit, truth in zip(small, truths, strict=True)])
     return found
-
-
-def block_mean(image: Image, factor: int) -> Image:
-    """An image (H, W, C) at 1/`factor`; a border that fills no block is cut."""
-    height, width = image.shape[0] // factor, image.shape[1] // factor
-    cut = image[: height * factor, : width * factor]
-    return np.asarray(cut.reshape(height, factor, width, factor, -1).mean(axis=(1, 3)), dtype=np.float32)
 
 
 def _factor(camera: Camera, side: int) -> int:
