@@ -62,7 +62,8 @@ class GeometrySettings:
     """After the masks, move vertices until the photographs agree about the surface, and keep the result where views
     that took no part agree too."""
     photograph_iterations: int = 100
-    """Optimisation steps with the photographs at each of their resolutions, and once more for fine carvings."""
+    """Optimisation steps with the photographs at each of their resolutions, and once more, but for the coarsest,
+    for fine carvings."""
     start_radius: float = 0.0
     """Scale the start mesh to this radius during the stage and back after it; 0 leaves it."""
     enabled: bool = True

@@ -1,9 +1,9 @@
 """Moves the vertices until the photographs agree about the surface; silhouettes hold the outline meanwhile.
 
 Outlines say nothing about hollows. Once the silhouettes fit, points of the surface are compared between neighbouring
-views (`photo_consistency`), from coarse photographs to fine ones, and the vertices follow the gradient. From the
-coarsest on that is tried twice, smoothly and carving finely; views that took no part choose, and the result stays only
-where they agree better with it than with the mesh it started from.
+views (`photo_consistency`), from coarse photographs to fine ones, and the vertices follow the gradient. From the mesh
+of the coarsest level that is tried twice, smoothly and carving finely; views that took no part choose, and the result
+stays only where they agree better with it than with the mesh it started from.
 """
 # ruff: noqa: TID253 - the heavy side of hir imports this module
 
@@ -107,7 +107,9 @@ def refine_by_photographs(
             found, curve = _fit_pass(begun, seen, near, train, iou, settings, context, place)
             attempts |= dict.fromkeys(attempts if place.shared else [place.smoothness], found)
             ends = [round(float(v), 5) for v in _ends(curve)]
-            levels.append({"smoothness": place.smoothness, "downsample": downsample, "disagreement": ends})
+            levels.append(
+                {"smoothness": place.smoothness, "downsample": downsample, "shared": place.shared, "disagreement": ends}
+            )
     after, fine = (_judge(found, details, near, judges, iou, context.seed) for found in attempts.values())
     fine_gain, fine_noise = _gain(after.disagreement, fine.disagreement)
     carved = fine_gain > max(SIGNIFICANCE * fine_noise, FINE_GAIN) and fine.iou > after.iou - MOST_IOU_LOST
@@ -141,7 +143,7 @@ class _Pass:
     """Its pixels' size, in those of the finest."""
     smoothness: float
     shared: bool
-    """Both attempts go on from its mesh: pixels this coarse show nothing that the finer attempt could carve."""
+    """The coarsest of several levels: both attempts go on from its mesh."""
 
 
 def _passes(factors: Sequence[int]) -> list[_Pass]:
@@ -173,6 +175,7 @@ def _fit_pass(
     shown = Batches(len(train), settings.views_per_step, seed)
     outlined = Batches(len(train), max(1, settings.views_per_step // 2), seed + 1)
     steps = settings.photograph_iterations
+    checkpoint = context.checkpoints / f"photographs_{place.downsample}_{place.smoothness:g}.npz"
 
     def loss(step: int) -> Terms:
         current = mesh.with_positions(large.decode(unknown))
@@ -204,7 +207,7 @@ def _fit_pass(
         Schedule(steps, end=0.05),
         stage="geometry",
         report=lambda progress: context.report(replace(progress, message="photographs")),
-        keep=Keep(context.checkpoints / f"photographs_{place.number}.npz", context.checkpoint_seconds),
+        keep=Keep(checkpoint, context.checkpoint_seconds),
         locate=locate,
         first_step=place.number * steps,
         total_steps=place.count * steps,

@@ -121,7 +121,7 @@ def view_errors(
 ) -> NDArray[np.float64]:
     """Mean squared sRGB error of each view, over pixels drawn from `seed`; a clipped pixel may be brighter."""
     assert scene.material is not None and scene.environment is not None
-    chosen = [_some(pixels, (seed, number)) for number, pixels in enumerate(views)]
+    chosen = [_judged_pixels(pixels, (seed, number)) for number, pixels in enumerate(views)]
     index, color, saturated = (torch.cat([part[k] for part in chosen]) for k in range(3))
     with torch.no_grad():
         torch.manual_seed(seed)
@@ -132,8 +132,8 @@ def view_errors(
     return np.array([float(part.mean()) for part in squares.split([len(part[0]) for part in chosen])])
 
 
-def _some(pixels: ObjectPixels, seed: tuple[int, int]) -> tuple[Tensor, Tensor, Tensor]:
-    """Index, colour and saturation of as many pixels of a view as are judged."""
+def _judged_pixels(pixels: ObjectPixels, seed: tuple[int, int]) -> tuple[Tensor, Tensor, Tensor]:
+    """Index (N, 3), colour (N, 3) and saturation (N, 1) of at most `JUDGED_PIXELS`, drawn from `seed`."""
     drawn = np.random.default_rng(seed).permutation(len(pixels.index))[:JUDGED_PIXELS]
     rows = torch.from_numpy(np.sort(drawn)).to(pixels.index.device)
     return pixels.index[rows], pixels.color[rows], pixels.saturated[rows]

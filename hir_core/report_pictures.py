@@ -28,7 +28,7 @@ VIEWS = 4
 """Photographs that a report shows, spread over the capture."""
 
 SHOWN_SIDE = 1024
-"""Larger photographs are shown and measured reduced; `hir evaluate --split train` renders them whole."""
+"""Photographs of twice this and more are shown and measured reduced, to no less; `hir evaluate` renders whole ones."""
 
 SMALL_SIDE = 192
 """Pictures of a run's stages, which are only measured, are at most about as large."""
@@ -58,7 +58,7 @@ def write_pictures(
                 if on_message is not None:
                     on_message(f"report: {view.name} has no mask and is not shown")
                 continue
-            factor = _factor(capture.cameras[i], SHOWN_SIDE)
+            factor = max(1, max(capture.cameras[i].width, capture.cameras[i].height) // SHOWN_SIDE)
             camera, truth = capture.cameras[i].downsampled(factor), masked_pixels(view).downsampled(factor)
             fit = render_view(renderer, run.scene, camera, view.name)
             fit[..., :3] *= view.exposure
@@ -77,7 +77,7 @@ def stage_psnr(directory: RunDirectory, seen: list[tuple[Truth, Camera, Image]])
     """
     from hir_core.scene_store import load_stage_scene
 
-    factors = [_factor(camera, SMALL_SIDE) for _, camera, _ in seen]
+    factors = [max(1, -(-max(camera.width, camera.height) // SMALL_SIDE)) for _, camera, _ in seen]
     truths = [truth.downsampled(factor) for (truth, *_), factor in zip(seen, factors, strict=True)]
     found: dict[str, float | None] = {}
     record = directory.record(UNLIT_STAGE)
@@ -90,11 +90,6 @@ def stage_psnr(directory: RunDirectory, seen: list[tuple[Truth, Camera, Image]])
     small = [block_mean(fit, factor) for (*_, fit), factor in zip(seen, factors, strict=True)]
     found["reflectance"] = mean([_object_psnr(fit, truth) for fit, truth in zip(small, truths, strict=True)])
     return found
-
-
-def _factor(camera: Camera, side: int) -> int:
-    """By which its pictures are reduced so that no side is longer."""
-    return max(1, -(-max(camera.width, camera.height) // side))
 
 
 def _object_psnr(fit: Image, truth: Truth) -> float | None:

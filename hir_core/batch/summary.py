@@ -12,7 +12,9 @@ THUMBNAIL_SIDE: Final = 112
 
 
 def summarize(run: RunDirectory) -> dict[str, Any]:
-    """PSNR of the report's fitted views in dB, seconds and memory of the stages, warnings, a thumbnail."""
+    """PSNR of the report's fitted views in dB, large ones reduced; seconds and memory of the stages, warnings, a
+    thumbnail.
+    """
     document, timings = run.read_run(), run.read_timings()
     path = run.report / "views.json"
     views = read_json(path)["views"] if path.exists() else []

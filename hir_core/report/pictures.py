@@ -28,7 +28,7 @@ VALUES = {"albedo": "Diffuse albedo, one colour", "specular": "Specular albedo (
           "roughness": "Roughness, one value", "light": "Light", "normal": "Normals"}  # fmt: skip
 
 EMBEDDED_SIDE = 1024
-"""Longest side of a picture inside report.html; the full ones lie in report/."""
+"""Longest side of a picture inside report.html; those in report/ may be larger."""
 
 THUMBNAIL_SIDE = 112
 
@@ -123,6 +123,7 @@ def _held_out(metrics: Path) -> list[dict[str, Any]]:
     for i, rank in chosen.items():
         stem = Path(views[i]["file"]).stem
         files_ = {kind: f"{stem}_{kind}.png" for kind in ("true", "fit", "difference")}
-        label = f"{metrics.parent.name}, unseen, {rank}"
+        seen = "fitted" if metrics.parent.name == "train" else "unseen"
+        label = f"{metrics.parent.name}, {seen}, {rank}"
         found.append(files_ | views[i]["psnr"] | {"name": views[i]["name"], "folder": metrics.parent, "kind": label})
     return found

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from torch.nn.functional import avg_pool2d
 
 from hir_core import photo_refinement
 from hir_core.capture import Camera, Capture, Pixels
@@ -14,7 +15,15 @@ from hir_core.config import GeometrySettings
 from hir_core.context import StageContext
 from hir_core.geometry import fit_geometry
 from hir_core.manager import PluginManager
-from hir_core.photo_consistency import Details, PixelPairs, disagreement, draw_pairs, neighbours
+from hir_core.photo_consistency import (
+    WINDOW,
+    Details,
+    PixelPairs,
+    _blurred,
+    disagreement,
+    draw_pairs,
+    neighbours,
+)
 from hir_core.scene import Mesh, Scene
 from hir_core.surface_rays import SurfaceRays
 from hir_plugins.geometry_renderers import plugin as renderers
@@ -181,6 +190,25 @@ def test_views_that_compare_nothing_do_not_blur_the_verdict() -> None:
     assert photo_refinement._mean(some) == pytest.approx(0.15)
     assert photo_refinement._gain(nothing, nothing) == (0.0, 0.0)
     assert photo_refinement._gain(some, 0.5 * some)[0] == pytest.approx(0.5)
+
+
+def test_attempts_part_after_the_coarsest_of_several_levels() -> None:
+    def course(factors: list[int]) -> list[tuple[int, float]]:
+        return [(place.downsample, place.smoothness) for place in photo_refinement._passes(factors)]
+
+    assert course([1]) == [(1, 20), (1, 2)], "one level is both attempts'"
+    assert course([8, 4, 2]) == [(8, 20), (4, 20), (4, 2), (2, 20), (2, 2)]
+    shared, *apart = photo_refinement._passes([8, 4, 2])
+    assert shared.shared and shared.coarseness == 4 and not any(place.shared for place in apart)
+
+
+@pytest.mark.parametrize("size", [(40, 61), (5, 3)], ids=["usual", "smaller than the box"])
+def test_boxes_are_cut_at_the_border(size: tuple[int, int]) -> None:
+    image = torch.rand(3, *size, generator=torch.Generator().manual_seed(0)).double()
+    wanted = image
+    for _ in range(2):
+        wanted = avg_pool2d(wanted[None], WINDOW, 1, WINDOW // 2, count_include_pad=False)[0]
+    assert torch.allclose(_blurred(image.float()).double(), wanted, atol=1e-6)
 
 
 def _common(*rows: np.ndarray) -> tuple[np.ndarray, ...]:

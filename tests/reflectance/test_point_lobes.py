@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 from torch import Tensor
-from torch.nn.functional import cosine_similarity, grid_sample, huber_loss, normalize
+from torch.nn.functional import grid_sample, huber_loss, normalize
 
 from hir_core.srgb import linear_to_srgb
 from hir_plugins.reflectance_renderers.brdf import directional_albedo_terms
@@ -18,9 +18,9 @@ from hir_plugins.reflectance_renderers.transport_ggx.lobe_lookup import (
     Lobe,
     Patch,
     ProbeTable,
+    gathered,
     lobe_of,
     patch_around,
-    received,
 )
 from hir_plugins.reflectance_renderers.transport_ggx.point_lobes import Holds, PointFit, Points, PointValues
 from hir_plugins.reflectance_renderers.transport_ggx.point_steps import LEAST_RHO, equations
@@ -194,12 +194,13 @@ def test_a_patch_is_the_probe_between_its_texels_and_goes_on_beside_them() -> No
     angle = torch.linspace(0, 2 * math.pi, 257)[:-1]  # all around, so some are at the seam
     eye = torch.stack([torch.sin(angle), torch.full_like(angle, 0.3), torch.cos(angle)], dim=1)
 
-    def looking(turn: float) -> Lobe:
+    def looking(turn: float) -> Lobe:  # aside and rougher
         normal = torch.stack([torch.sin(angle + turn), torch.full_like(angle, 0.3 + turn), torch.cos(angle + turn)], 1)
-        return lobe_of(vectors(normalize(normal, dim=1)), vectors(normalize(eye, dim=1)), mi.Float(2.4), 1.0)
+        level = mi.Float(2.4 + 10 * turn)
+        return lobe_of(vectors(normalize(normal, dim=1)), vectors(normalize(eye, dim=1)), level, 1.0)
 
     def read(patch: Patch, lobe: Lobe) -> Tensor:
-        return torch.from_numpy(np.array(received(patch, lobe))).T
+        return torch.from_numpy(np.array(gathered(patch, lobe))).T
 
     here, aside = looking(0.0), looking(0.01)
     patch, other = (patch_around(light.values, mi.UInt32(0), lobe) for lobe in (here, aside))
@@ -209,6 +210,8 @@ def test_a_patch_is_the_probe_between_its_texels_and_goes_on_beside_them() -> No
     alike = torch.from_numpy(np.array((patch.left == other.left) & (patch.top == other.top)))
     assert 100 < alike.sum() < 256, "some stay within their texels, others leave them"
     assert torch.allclose(change[alike], wanted[alike], atol=1e-5)
+    seam = torch.from_numpy(np.array(patch.left < 0))
+    assert 0 < seam.sum() < 20 and torch.allclose(change[seam & alike], wanted[seam & alike], atol=1e-5)
 
 
 @pytest.mark.parametrize("model", ["paper", "dielectric"])
@@ -218,8 +221,8 @@ def test_equations_hold_the_gradient_of_the_cost(model: str) -> None:
     at, light, values, stand = points(generator), probes(), truth(generator), eyes(generator)
     seen = photographs(at, truth(generator), light, stand, model)
     fit = PointFit(at, seen, ProbeTable(light), model, Holds(0, 0, 0, 0))  # type: ignore[arg-type]
-    fit.start = fit._state(values)
-    said = equations(fit, fit.start)
+    state = fit._state(values)
+    said = equations(fit, state, state)
     de, fe, ae, e1, e2 = (torch.from_numpy(np.array(value)).double() for value in said.errors)
     free = double(values)
     level = level_of(free.alpha).requires_grad_()
@@ -242,7 +245,7 @@ def test_equations_hold_the_gradient_of_the_cost(model: str) -> None:
     wanted = torch.stack([by_level[:, 0], (by_tilt * tangent).sum(1), (by_tilt * bitangent).sum(1)])
     found = torch.stack([ae, e1, e2])
     for mine, true in zip(found, wanted, strict=True):
-        assert float(cosine_similarity(mine, true, dim=0)) > 0.97
+        assert (mine - true).norm() < 0.25 * true.norm()
 
 
 @pytest.mark.parametrize("case", ["unseen", "black", "white", "sun", "nonsense", "one view", "dark light", "far away"])

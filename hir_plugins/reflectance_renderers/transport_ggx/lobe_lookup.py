@@ -21,7 +21,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.probes import COLUMNS, LEVE
 PROBE = LEVELS * ROWS * COLUMNS
 """Texels of one cell's probe."""
 FARTHEST = 1.0
-"""Columns by which a patch is extrapolated: near the poles a small turn passes many."""
+"""Columns, at most, from the lobe that a patch was read for: near the poles a small turn passes many."""
 
 
 class ProbeTable:
@@ -32,11 +32,12 @@ class ProbeTable:
 
 
 class Lobe(NamedTuple):
-    """Where a lobe looks, and its albedo."""
+    """Where a lobe looks, in texels from the centre of the first one, and its albedo."""
 
     column: Any
     row: Any
     level: Any
+    """0 is the narrowest."""
     scale: Any
     """Of ρs."""
     bias: Any
@@ -76,8 +77,7 @@ def lobe_of(normal: Any, eye: Any, level: Any, coupled: float) -> Lobe:
 def patch_around(probes: Any, first: Any, lobe: Lobe) -> Patch:
     """Reads the `ProbeTable.values` of the cell whose probe begins at texel `first`."""
     left, top, below = dr.floor(lobe.column), dr.floor(lobe.row), dr.floor(lobe.level)
-    row, level = mi.Int32(top), mi.Int32(below)
-    column = mi.Int32(left)
+    upper, nearer, column = mi.Int32(top), mi.Int32(below), mi.Int32(left)
     column = dr.select(column < 0, column + COLUMNS, column)
     right = dr.select(column + 1 >= COLUMNS, 0, column + 1)
 
@@ -86,14 +86,14 @@ def patch_around(probes: Any, first: Any, lobe: Lobe) -> Patch:
         return mi.Vector3f(dr.gather(mi.Array3f16, probes, index))  # type: ignore[arg-type]
 
     def image(level: Any) -> tuple[Any, Any, Any, Any]:
-        here, across = at(level, row, column), at(level, row, right)
-        down, both = at(level, row + 1, column), at(level, row + 1, right)
+        here, across = at(level, upper, column), at(level, upper, right)
+        down, both = at(level, upper + 1, column), at(level, upper + 1, right)
         return here, across - here, down - here, both - across - down + here
 
-    return Patch(lobe, left, top, below, (image(level), image(level + 1)))
+    return Patch(lobe, left, top, below, (image(nearer), image(nearer + 1)))
 
 
-def received(patch: Patch, lobe: Lobe) -> Any:
+def gathered(patch: Patch, lobe: Lobe) -> Any:
     """Mean radiance in a lobe on a patch or beside it, not negative."""
     away = lobe.column - patch.lobe.column
     away -= COLUMNS * dr.round(away / COLUMNS)

@@ -112,7 +112,7 @@ class PointFit:
         self.count = len(points.position)
         self.coupled = 1.0 if model == "dielectric" else 0.0
         self.holds = holds
-        self.views = mi.UInt32(len(seen.eyes))
+        self.points, self.views = dr.opaque(mi.UInt32, self.count), dr.opaque(mi.UInt32, len(seen.eyes))
         self.place, self.normal = _vector(points.position), _vector(points.normal)
         self.tangent, self.bitangent = _vector(tangent), _vector(bitangent)
         self.irradiance = _vector(points.irradiance)
@@ -122,18 +122,17 @@ class PointFit:
         self.color, self.ceiling = srgb(to_float(seen.color, mi)), srgb(to_float(seen.ceiling, mi))
         self.weight, self.eyes = to_float(seen.weight, mi), to_float(seen.eyes, mi)
         dr.eval(self.color, self.ceiling)
-        self.start = State()
 
     def solve(self, start: PointValues) -> tuple[PointValues, Float[Tensor, " P"]]:
         """What explains each point's photographs best, near `start` where they leave it open, and its cost."""
-        state = self._state(start)
-        self.start = state
-        said, damping = equations(self, state), dr.full(mi.Float, FIRST_DAMPING, self.count)
+        begun = state = self._state(start)
+        # opaque: a number that a kernel knows makes it another kernel
+        said, damping = equations(self, state, begun), dr.opaque(mi.Float, FIRST_DAMPING, self.count)
         dr.eval(said)
         for _ in range(self.holds.iterations):
             tried = step(self, state, said, damping)
             dr.eval(tried)
-            found = equations(self, tried)
+            found = equations(self, tried, begun)
             better = found.cost < said.cost  # also where either is NaN: the state stays
             state, said = dr.select(better, (tried, found), (state, said))
             damping = dr.select(better, dr.maximum(damping * 0.3, 1e-4), dr.minimum(damping * 6, 1e4))
@@ -150,12 +149,11 @@ class PointFit:
 
     def _state(self, values: PointValues) -> State:
         tangent, bitangent = self._axes
-        state = State()
-        state.albedo = _vector(values.albedo.clamp(0, 1))
-        state.specular = _vector(values.specular.clamp(LEAST_RHO, 1))
-        state.level = to_float(level_of(values.alpha), mi)
-        state.along = to_float((values.tilt * tangent).sum(dim=1), mi)
-        state.across = to_float((values.tilt * bitangent).sum(dim=1), mi)
+        state = State(
+            _vector(values.albedo.clamp(0, 1)), _vector(values.specular.clamp(LEAST_RHO, 1)),
+            to_float(level_of(values.alpha), mi),
+            to_float((values.tilt * tangent).sum(dim=1), mi), to_float((values.tilt * bitangent).sum(dim=1), mi),
+        )  # fmt: skip
         dr.eval(state)
         return state
 

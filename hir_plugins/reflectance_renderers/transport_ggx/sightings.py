@@ -74,8 +74,10 @@ class Picture:
 
     camera: Camera
     color: Float[Tensor, "H W 3"]
-    inside: Bool[Tensor, "H W"]
-    """Pixels that show the object alone and have a colour, as do those to their right and below them."""
+    whole: Bool[Tensor, "H W"]
+    """Pixels that show the object alone and have a colour, as do those right of them, below and across; those of the
+    last row and column have none, and are not looked up.
+    """
     ceiling: float
 
     @classmethod
@@ -94,7 +96,7 @@ class Picture:
         around are inside.
         """
         place, depth = (np.asarray(a) for a in self.camera.project(position[rows].cpu().numpy().astype(np.float64)))
-        height, width = self.inside.shape
+        height, width = self.whole.shape
         corner = np.floor(np.nan_to_num(place, nan=-1, posinf=-1, neginf=-1) - 0.5)
         within = (depth > 0) & (corner >= 0).all(axis=1) & (corner < np.array([width - 1, height - 1])).all(axis=1)
         x, y = corner[within].astype(np.int64).T
@@ -103,7 +105,7 @@ class Picture:
         color = self.color.reshape(-1, 3)
         upper = torch.lerp(color.index_select(0, first), color.index_select(0, first + 1), across)
         lower = torch.lerp(color.index_select(0, first + width), color.index_select(0, first + width + 1), across)
-        shown = self.inside.reshape(-1).index_select(0, first)
+        shown = self.whole.reshape(-1).index_select(0, first)
         value = torch.lerp(upper, lower, down)
         return rows[torch.from_numpy(within).to(rows.device)], value.to(position), shown.to(position.device)
 
