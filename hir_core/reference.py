@@ -87,12 +87,14 @@ def open_for_rendering(directory: RunDirectory, device: str = "cpu") -> OpenRun:
 
 
 def reference_renderer(
-    plugins: PluginManager, name: str = "", options: dict[str, Any] | None = None, bounces: int | None = None
-) -> tuple[str, ReflectanceRenderer]:
+    plugins: PluginManager, name: str = "", options: dict[str, Any] | None = None, bounces: int | None = None,
+    most_samples: int | None = None,
+) -> tuple[str, ReflectanceRenderer]:  # fmt: skip
     """The renderer of that name, else the installed one with the trait `reference`.
 
     `bounces` are the reflections that the run's model has: where the renderer's options have a `max_depth`, and none is
     given, light is reflected as often. A fit of direct light has taken further reflections into its albedo already.
+    At most `most_samples` go through a pixel of a picture, where the renderer's options have `render_samples`.
     """
     if not name:
         found = [r for r in plugins.components("reflectance_renderer") if "reference" in r.component.traits]
@@ -103,6 +105,8 @@ def reference_renderer(
     known = getattr(plugins.find("reflectance_renderer", name).component.config, "__dataclass_fields__", {})
     if bounces is not None and "max_depth" in known:
         given.setdefault("max_depth", DIRECT_DEPTH + bounces)
+    if most_samples is not None and "render_samples" in known:
+        given.setdefault("render_samples", min(known["render_samples"].default, most_samples))
     return name, plugins.create("reflectance_renderer", name, given)
 
 

@@ -15,13 +15,14 @@ from hir_exporters.scene_files import load_scene
 from hir_core.capture import block_mean
 from hir_core.evaluation import Truth, difference_picture, masked_pixels, split_in_working_frame, spread
 from hir_core.export import file_stem
-from hir_core.metrics import OBJECT_COVERAGE, Image, composite, mean, psnr, unassociate
-from hir_core.reference import open_for_rendering, reference_renderer, render_view
+from hir_core.metrics import OBJECT_COVERAGE, Image, composite, mean, psnr, psnr_without_noise, unassociate
+from hir_core.reference import OpenRun, open_for_rendering, reference_renderer, render_view
 from hir_core.run_directory import RunDirectory
 from hir_core.unlit import UnlitView
 
 if TYPE_CHECKING:
-    from hir_core.capture import Camera
+    from hir_core.capture import Camera, View
+    from hir_core.interfaces import ReflectanceRenderer
     from hir_core.manager import PluginManager
 
 VIEWS = 4
@@ -29,6 +30,11 @@ VIEWS = 4
 
 SHOWN_SIDE = 1024
 """Photographs of twice this and more are shown and measured reduced, to no less; `hir evaluate` renders whole ones."""
+
+FEW_SAMPLES = 32
+"""Through a pixel of each of two renders, which are enough where the fit is farther from the photograph than noise."""
+MOST_NOISE = 0.15
+"""Share of the squared error up to which they are."""
 
 SMALL_SIDE = 192
 """Pictures of a run's stages, which are only measured, are at most about as large."""
@@ -48,7 +54,7 @@ def write_pictures(
     """
     run = open_for_rendering(directory)
     capture = split_in_working_frame(run, run.capture_path, "train", plugins)
-    _, renderer = reference_renderer(plugins, bounces=run.bounces)
+    tracer = _Tracer(run, plugins)
     shown: list[dict[str, Any]] = []
     seen: list[tuple[Truth, Camera, Image]] = []
     with atomic_directory(directory.report) as place:
@@ -60,14 +66,42 @@ def write_pictures(
                 continue
             factor = max(1, max(capture.cameras[i].width, capture.cameras[i].height) // SHOWN_SIDE)
             camera, truth = capture.cameras[i].downsampled(factor), masked_pixels(view).downsampled(factor)
-            fit = render_view(renderer, run.scene, camera, view.name)
-            fit[..., :3] *= view.exposure
-            seen.append((truth, camera, fit))
+            pair = tracer.pair(camera, view, truth)
+            seen.append((truth, camera, _middle(pair)))
             size = {"measured_at": [camera.width, camera.height]} if factor > 1 else {}
-            shown.append({"name": view.name} | _view_pictures(place, file_stem(view.name), fit, truth) | size)
+            shown.append({"name": view.name} | _view_pictures(place, file_stem(view.name), pair, truth) | size)
         for name, picture in asset_pictures(directory.scene).items():
             write_png(place / f"{name}.png", picture)
     return {"views": shown, "stages": stage_psnr(directory, seen)}
+
+
+class _Tracer:
+    """Renders a run's scene with as many samples as its figures need."""
+
+    def __init__(self, run: OpenRun, plugins: PluginManager) -> None:
+        self._scene = run.scene
+        _, self._quick = reference_renderer(plugins, bounces=run.bounces, most_samples=FEW_SAMPLES)
+        _, self._thorough = reference_renderer(plugins, bounces=run.bounces)
+
+    def pair(self, camera: Camera, view: View, truth: Truth) -> tuple[Image, Image]:
+        """Two renders (H, W, 4) of independent noise, or one of many samples, twice, where that noise is too much."""
+        first, second = (self._rendered(self._quick, camera, view, half) for half in (", first", ", second"))
+        if noise_share(first, second, truth) <= MOST_NOISE:
+            return first, second
+        whole = self._rendered(self._thorough, camera, view, "")
+        return whole, whole
+
+    def _rendered(self, renderer: ReflectanceRenderer, camera: Camera, view: View, label: str) -> Image:
+        fit = render_view(renderer, self._scene, camera, view.name + label)
+        fit[..., :3] *= view.exposure
+        return fit
+
+
+def noise_share(first: Image, second: Image, truth: Truth) -> float:
+    """Part that noise has in the squared error of two renders' mean (H, W, 4); 1 where there is no error."""
+    one, other = (composite(*unassociate(half)) for half in (first, second))
+    noise, error = float(np.square(one - other).mean()) / 4, float(np.square((one + other) / 2 - truth.picture).mean())
+    return noise / error if error > 0 else 1.0
 
 
 def stage_psnr(directory: RunDirectory, seen: list[tuple[Truth, Camera, Image]]) -> dict[str, float | None]:
@@ -129,11 +163,17 @@ def light_picture(radiance: Image) -> Image:
     return picture.repeat(enlarge, axis=0).repeat(enlarge, axis=1)
 
 
-def _view_pictures(place: Path, name: str, fit: Image, truth: Truth) -> dict[str, Any]:
-    color, coverage = unassociate(fit)
-    picture, true = composite(color, coverage), truth.picture
+def _middle(pair: tuple[Image, Image]) -> Image:
+    return np.mean(pair, axis=0, dtype=np.float32)
+
+
+def _view_pictures(place: Path, name: str, pair: tuple[Image, Image], truth: Truth) -> dict[str, Any]:
+    first, second = (composite(*unassociate(fit)) for fit in pair)
+    picture, true = composite(*unassociate(_middle(pair))), truth.picture
     files = {kind: f"{name}_{kind}.png" for kind in ("true", "fit", "difference")}
     write_png(place / files["true"], true)
     write_png(place / files["fit"], picture)
     write_png(place / files["difference"], difference_picture(picture, true))
-    return files | {"frame": psnr(picture, true), "object": psnr(picture, true, truth.mask > OBJECT_COVERAGE)}
+    on_object = truth.mask > OBJECT_COVERAGE
+    return files | {"frame": psnr_without_noise(first, second, true),
+                    "object": psnr_without_noise(first, second, true, on_object)}

@@ -12,6 +12,7 @@ from hir_core.metrics.pictures import (
     mask_iou,
     mean,
     psnr,
+    psnr_without_noise,
     ssim,
     unassociate,
 )
@@ -28,6 +29,7 @@ __all__ = [
     "mask_iou",
     "mean",
     "psnr",
+    "psnr_without_noise",
     "ssim",
     "unassociate",
 ]

@@ -52,6 +52,21 @@ def psnr(fit: Image, truth: Image, where: NDArray[np.bool_] | None = None) -> fl
     return min(PSNR_MAX, -10.0 * float(np.log10(error))) if error > 0 else PSNR_MAX
 
 
+def psnr_without_noise(
+    first: Image, second: Image, truth: Image, where: NDArray[np.bool_] | None = None
+) -> float | None:
+    """PSNR that ever more samples would lead to, from two renders of independent noise, which is not in the mean
+    product of their differences from the truth. Of one render given twice, `psnr`.
+    """
+    product = (np.asarray(first, np.float64) - truth) * (np.asarray(second, np.float64) - truth)
+    if where is not None:
+        product = product[where]
+    if product.size == 0:
+        return None
+    error = float(np.mean(product))
+    return min(PSNR_MAX, -10.0 * float(np.log10(error))) if error > 0 else PSNR_MAX
+
+
 def ssim(fit: Image, truth: Image) -> float | None:
     """Structural similarity (Wang et al. 2004): Gaussian window of σ 1.5, population covariance, mean over channels.
 

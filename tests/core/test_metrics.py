@@ -27,6 +27,19 @@ def test_psnr_is_that_of_scikit_image(pictures: tuple[np.ndarray, np.ndarray]) -
     assert metrics.psnr(fit, truth) == pytest.approx(expected, abs=1e-9)
 
 
+def test_psnr_without_noise_is_that_of_what_the_renders_converge_to(pictures: tuple[np.ndarray, np.ndarray]) -> None:
+    fit, truth = (picture.repeat(8, axis=0).repeat(8, axis=1) for picture in pictures)
+    generator = np.random.default_rng(2)
+    first, second = (fit + generator.normal(0, 0.05, fit.shape) for _ in range(2))
+    wanted = metrics.psnr(fit, truth)
+    assert metrics.psnr(first, truth) < wanted - 2, "the noise is as large as the error"
+    assert metrics.psnr_without_noise(first, second, truth) == pytest.approx(wanted, abs=0.05)
+    assert metrics.psnr_without_noise(fit, fit, truth) == pytest.approx(wanted, abs=1e-9)
+    nowhere = np.zeros(truth.shape[:2], bool)
+    assert metrics.psnr_without_noise(first, second, truth, nowhere) is None
+    assert metrics.psnr_without_noise(truth, second, truth) == metrics.PSNR_MAX
+
+
 def test_object_psnr_counts_pixels_of_true_coverage_above_half(pictures: tuple[np.ndarray, np.ndarray]) -> None:
     fit, truth = pictures
     coverage = np.zeros(truth.shape[:2], np.float32)

@@ -84,6 +84,21 @@ def test_large_photographs_are_shown_and_measured_reduced(
     assert f"measured at {width}×{height}" in (directory.path / "report.html").read_text(encoding="utf-8")
 
 
+def test_few_samples_give_the_figures_of_many(
+    finished: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(finished.path, tmp_path / "run")
+    directory, plugins = RunDirectory(tmp_path / "run"), PluginManager.discover()
+    found = {}
+    for name, most in (("few", 1.0), ("many", -1.0)):
+        monkeypatch.setattr(report_pictures, "MOST_NOISE", most)
+        found[name] = report_pictures.write_pictures(directory, plugins)["views"]
+    for few, many in zip(found["few"], found["many"], strict=True):
+        assert few["object"] != many["object"], "both are the same renders"
+        assert few["object"] == pytest.approx(many["object"], abs=0.3)
+        assert few["frame"] == pytest.approx(many["frame"], abs=0.3)
+
+
 def test_page_says_what_the_run_knows(finished: Run, tmp_path: Path) -> None:
     shutil.copytree(finished.path, tmp_path / "run")
     directory = RunDirectory(tmp_path / "run")
