@@ -31,7 +31,7 @@ VIEWS = 4
 SHOWN_SIDE = 1024
 """Photographs of twice this and more are shown and measured reduced, to no less; `hir evaluate` renders whole ones."""
 
-FEW_SAMPLES = 32
+FEW_SAMPLES = 64
 """Through a pixel of each of two renders, which are enough where the fit is farther from the photograph than noise."""
 MOST_NOISE = 0.15
 """Share of the squared error up to which they are."""
