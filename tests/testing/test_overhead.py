@@ -40,8 +40,9 @@ def hir_register_regularizers():
 
 def test_discovery_of_fifty_installed_plugins_takes_a_tenth_of_a_second(tmp_path: Path) -> None:
     """Seconds of the processor between the interpreter's start with `hir_core.manager` imported and all components
-    being known, ours and the imports of all fifty included; the best of five processes, for the machine does other
-    things too.
+    being known, ours and the imports of all fifty included; the best of some processes, for the machine does other
+    things too. A machine on which Python alone takes more than half of that to find and import the same plugins is a
+    slow one: there it is twice what Python takes.
     """
     for i in range(PLUGINS):
         (tmp_path / f"crowd_{i}.py").write_text(PLUGIN.format(i=i))
@@ -49,10 +50,17 @@ def test_discovery_of_fifty_installed_plugins_takes_a_tenth_of_a_second(tmp_path
         info.mkdir()
         (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: crowd-{i}\nVersion: 1.0\n")
         (info / "entry_points.txt").write_text(f"[hir]\ncrowd = crowd_{i}\n")
-    code = (
+    begin = (
         f"import sys, time; sys.path.insert(0, {str(tmp_path)!r})\n"
         "from hir_core.manager import PluginManager\n"
         "before = time.process_time()\n"
+    )
+    plain_python = begin + (
+        "from importlib.metadata import entry_points\n"
+        "for entry_point in entry_points(group='hir'): entry_point.load()\n"
+        "print(1000 * (time.process_time() - before))"
+    )
+    code = begin + (
         "manager = PluginManager.discover()\n"
         "spent = time.process_time() - before\n"
         "assert not manager.problems, manager.problems\n"
@@ -63,12 +71,14 @@ def test_discovery_of_fifty_installed_plugins_takes_a_tenth_of_a_second(tmp_path
     )
     # what measures coverage in child processes, too, would be measured with it
     plain = {name: value for name, value in os.environ.items() if not name.startswith("COVERAGE")}
-    best = float("inf")
-    for _ in range(5):
-        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=plain)
-        assert done.returncode == 0, done.stderr
-        best = min(best, float(done.stdout))
-    assert 0 < best <= LIMIT_MS, f"{best:.0f} ms"
+    best = {code: float("inf"), plain_python: float("inf")}
+    for _ in range(8):
+        for program in best:
+            done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=plain)
+            assert done.returncode == 0, done.stderr
+            best[program] = min(best[program], float(done.stdout))
+    spent, alone = best[code], best[plain_python]
+    assert 0 < spent <= max(LIMIT_MS, 2 * alone), f"{spent:.0f} ms, Python alone {alone:.0f} ms"
 
 
 class Counting:

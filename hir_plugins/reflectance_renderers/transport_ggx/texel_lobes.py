@@ -25,8 +25,8 @@ from hir_plugins.reflectance_renderers.transport_ggx.sightings import Pictures, 
 from hir_plugins.reflectance_renderers.transport_ggx.transport import Transport
 from hir_plugins.reflectance_renderers.transport_ggx.unknowns import Unknowns
 
-SIGHTINGS_AT_ONCE = 4_000_000
-"""Points times photographs in memory: some 80 MB, a point's own equations included."""
+SIGHTINGS_AT_ONCE = 3_000_000
+"""Points times photographs in memory: some 60 MB, a point's own equations included."""
 POINT_SIGHTINGS = 30
 """Sightings that take as much memory as what is kept of a point: two states and their equations."""
 GLOSS_SHARE, GLOSS_ALPHA = 1 / 3, 0.33
