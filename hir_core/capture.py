@@ -101,7 +101,7 @@ def block_mean(image: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
     if height == 0 or width == 0:
         raise CaptureError(f"an image of {image.shape[1]}×{image.shape[0]} cannot be made {factor} times smaller")
     total = np.zeros((height, width, *image.shape[2:]), np.float32)
-    for row in range(factor):  # a sixth of the time of a mean over two axes
+    for row in range(factor):  # numpy's mean over two axes takes 4 to 6 times as long, at factors 4 and 2
         for column in range(factor):
             total += image[row : height * factor : factor, column : width * factor : factor]
     total /= factor**2

@@ -43,13 +43,7 @@ def unassociate(premultiplied: Image) -> tuple[Image, Image]:
 
 def psnr(fit: Image, truth: Image, where: NDArray[np.bool_] | None = None) -> float | None:
     """Peak signal to noise ratio in dB of pictures in 0…1; at most `PSNR_MAX`; None where no pixel counts."""
-    difference = np.asarray(fit, dtype=np.float64) - np.asarray(truth, dtype=np.float64)
-    if where is not None:
-        difference = difference[where]
-    if difference.size == 0:
-        return None
-    error = float(np.mean(difference**2))
-    return min(PSNR_MAX, -10.0 * float(np.log10(error))) if error > 0 else PSNR_MAX
+    return psnr_without_noise(fit, fit, truth, where)
 
 
 def psnr_without_noise(

@@ -95,8 +95,8 @@ def test_few_samples_give_the_figures_of_many(
         found[name] = report_pictures.write_pictures(directory, plugins)["views"]
     for few, many in zip(found["few"], found["many"], strict=True):
         assert few["object"] != many["object"], "both are the same renders"
-        assert few["object"] == pytest.approx(many["object"], abs=0.3)
-        assert few["frame"] == pytest.approx(many["frame"], abs=0.3)
+        assert few["object"] == pytest.approx(many["object"], abs=0.15)
+        assert few["frame"] == pytest.approx(many["frame"], abs=0.15)
 
 
 def test_page_says_what_the_run_knows(finished: Run, tmp_path: Path) -> None:
