@@ -15,15 +15,15 @@ import torch
 from torch import Tensor
 
 from benchmarks.reflectance_task import asked_task
-from hir_core.bench.fits import DOWNSAMPLE, FITTED
-from hir_core.selection import Rung
-from hir_core.srgb import srgb_slope, srgb_to_linear
-from hir_plugins.reflectance_renderers.transport_ggx.blocks import Block, predict, refresh, specular_blocks
-from hir_plugins.reflectance_renderers.transport_ggx.closing import DARKEST, with_solved_albedo
+from hir_core.plugins.model_spec import Rung
+from hir_core.scene.srgb import srgb_slope, srgb_to_linear
+from hir_plugins.commands.bench.suites.reflectance_fits import DOWNSAMPLE, FITTED
+from hir_plugins.reflectance_renderers.transport_ggx.fit.final_albedo import DARKEST, with_solved_albedo
+from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Unknowns
+from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import Block, predict, refresh, specular_blocks
+from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
+from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_radiance import SpecularBlock
 from hir_plugins.reflectance_renderers.transport_ggx.solver import Fit, TransportSolver
-from hir_plugins.reflectance_renderers.transport_ggx.specular import SpecularBlock
-from hir_plugins.reflectance_renderers.transport_ggx.transport import Transport
-from hir_plugins.reflectance_renderers.transport_ggx.unknowns import Unknowns
 
 ROUNDS = (1, 3, 10)
 EFFORTS = (0.0625, 0.25, 1.0)

@@ -22,12 +22,12 @@ from numpy.typing import NDArray
 from benchmarks.true_pictures import PictureErrors, picture_errors
 from hir_core.capture import Capture
 from hir_core.config import load_config
-from hir_core.context import StageContext
-from hir_core.geometry import fit_geometry
-from hir_core.manager import PluginManager
-from hir_core.mesh_checks import inspect_mesh
-from hir_core.readers import read_capture
+from hir_core.intake.reader_lookup import read_capture
+from hir_core.mesh.mesh_validity import inspect_mesh
+from hir_core.plugins.manager import PluginManager
+from hir_core.run.stage_context import StageContext
 from hir_core.scene import Mesh, Scene
+from hir_core.stages.geometry.geometry_fit import fit_geometry
 from hir_plugins.geometry_renderers.contour import Contour
 from hir_plugins.geometry_renderers.options import ContourOptions
 from tests.geometry.shapes import icosphere, mesh_of
@@ -110,8 +110,19 @@ def main() -> None:
     options = parser.parse_args()
     plugins = PluginManager.discover()
     settings = load_config(plugins, preset=options.preset, assignments=options.assignments).geometry
-    titles = ["capture", "start", "CPU s", "IoU test", "offset, px", "Chamfer", "normals, °", "depth", "triangles",
-              "genus", "self-intersecting"]  # fmt: skip
+    titles = [
+        "capture",
+        "start",
+        "CPU s",
+        "IoU test",
+        "offset, px",
+        "Chamfer",
+        "normals, °",
+        "depth",
+        "triangles",
+        "genus",
+        "self-intersecting",
+    ]
     print(f"| {' | '.join(titles)} |\n|{'---|' * len(titles)}", flush=True)
     for path in options.captures:
         train, test = (read_capture(path, split, plugins) for split in ("train", "test"))
@@ -126,12 +137,18 @@ def main() -> None:
         state = inspect_mesh(fitted.mesh.positions.double().numpy(), fitted.mesh.faces.numpy())
         old, new = before.pictures, after.pictures
         cells = [
-            path.name, options.start, f"{seconds:.0f}", pair(before.iou, after.iou, ".4f"),
-            pair(before.offset_px, after.offset_px, "+.3f"), pair(before.chamfer, after.chamfer, ".4f"),
+            path.name,
+            options.start,
+            f"{seconds:.0f}",
+            pair(before.iou, after.iou, ".4f"),
+            pair(before.offset_px, after.offset_px, "+.3f"),
+            pair(before.chamfer, after.chamfer, ".4f"),
             pair(old.normal_degrees if old else None, new.normal_degrees if new else None, ".1f"),
             pair(old.depth if old else None, new.depth if new else None, ".4f"),
-            str(state.triangles), str(state.genus), str(state.self_intersecting),
-        ]  # fmt: skip
+            str(state.triangles),
+            str(state.genus),
+            str(state.self_intersecting),
+        ]
         print(f"| {' | '.join(cells)} |", flush=True)
 
 

@@ -24,10 +24,10 @@ from numpy.typing import NDArray
 
 from benchmarks.geometry_fit import true_mesh
 from hir_core.capture import Array, Capture
-from hir_core.manager import PluginManager
-from hir_core.readers import read_capture
+from hir_core.intake.reader_lookup import read_capture
+from hir_core.plugins.manager import PluginManager
 from hir_core.scene import Scene
-from hir_plugins.initializers.swept_photographs import Surface
+from hir_plugins.initializers.stereo.swept_photographs import Surface
 
 Mesh = tuple[Array, NDArray[np.int64]]
 
@@ -91,7 +91,7 @@ def run(
 
 def in_memory(capture: Capture) -> Capture:
     """With decoded photographs, so that decoding is not timed."""
-    from hir_core.pixel_cache import PixelCache
+    from hir_core.capture.pixel_cache import PixelCache
 
     cached = PixelCache().wrap(capture)
     for view in cached.views:
@@ -100,8 +100,10 @@ def in_memory(capture: Capture) -> Capture:
 
 
 def row(label: str, seconds: float, found: Figures) -> str:
-    return (f"{label} | {seconds:.1f} | {found.chamfer:.4f} | {found.accuracy:.4f} | {found.completeness:.4f} "
-            f"| {found.in_front:.1%} |")  # fmt: skip
+    return (
+        f"{label} | {seconds:.1f} | {found.chamfer:.4f} | {found.accuracy:.4f} | {found.completeness:.4f} "
+        f"| {found.in_front:.1%} |"
+    )
 
 
 def thinned(capture: Capture, count: int) -> Capture:

@@ -15,7 +15,7 @@ from typing import TypeAlias
 import numpy as np
 import torch
 from hir_exporters.conventions import linear_to_srgb
-from hir_exporters.images import read_ldr
+from hir_exporters.textures.image_files import read_ldr
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
@@ -23,13 +23,13 @@ from benchmarks.experiments.cells import ROOT
 from benchmarks.experiments.pictures import on_paper
 from benchmarks.true_materials import true_scene
 from hir_core.capture import Camera
-from hir_core.evaluation.truth import in_world
-from hir_core.manager import PluginManager
-from hir_core.metrics.light import compare_lights
-from hir_core.reference import light_of, open_for_rendering
-from hir_core.run_directory import RunDirectory
+from hir_core.evaluation.truth_evaluation import in_world
+from hir_core.metrics.light_metrics import compare_lights
+from hir_core.plugins.manager import PluginManager
+from hir_core.rendering.reference_renderer import light_of, open_for_rendering
+from hir_core.rendering.unlit import UnlitView
+from hir_core.run.run_directory import RunDirectory
 from hir_core.scene import Material, Scene
-from hir_core.unlit import UnlitView
 
 PAGE = ROOT / "docs" / "images" / "materials.jpg"
 VIEW = 5

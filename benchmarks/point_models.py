@@ -20,8 +20,8 @@ from hir_exporters.conventions import srgb_to_linear
 from torch import Tensor
 
 from benchmarks.seen_points import SeenPoints, decibels, seen_points
-from hir_core.manager import PluginManager
-from hir_core.srgb import linear_to_srgb
+from hir_core.plugins.manager import PluginManager
+from hir_core.scene.srgb import linear_to_srgb
 
 ROWS, COLUMNS = 24, 48
 """Of the light."""

@@ -6,16 +6,15 @@ import argparse
 from dataclasses import dataclass
 from pathlib import Path
 
-from hir_core.bench.captures import true_scene
-from hir_core.bench.fits import DOWNSAMPLE, FITTED
-from hir_core.bench.initializers import decoded
-from hir_core.bench.judge import Judge
 from hir_core.capture import Capture
 from hir_core.config import ReflectanceSettings
-from hir_core.manager import PluginManager
-from hir_core.readers import read_capture
-from hir_core.reflectance import starting_scene
+from hir_core.intake.reader_lookup import read_capture
+from hir_core.plugins.manager import PluginManager
 from hir_core.scene import Scene
+from hir_core.stages.reflectance.reflectance_fit import starting_scene
+from hir_plugins.commands.bench.inputs.bench_captures import decoded, true_scene
+from hir_plugins.commands.bench.inputs.scene_judge import Judge
+from hir_plugins.commands.bench.suites.reflectance_fits import DOWNSAMPLE, FITTED
 
 
 @dataclass(frozen=True)

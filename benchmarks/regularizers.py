@@ -27,12 +27,12 @@ import trimesh
 from torch import Tensor
 
 from hir_core.scene import Mesh, Topology
-from hir_core.scene_store import load_stage_scene
-from hir_core.srgb import srgb_to_linear
-from hir_plugins.regularizers.bilateral_cells import bilateral_deviation, cells_of, cubes_of
-from hir_plugins.regularizers.bilateral_pairs import deviation_of_pairs, weight_error
+from hir_core.scene.scene_store import load_stage_scene
+from hir_core.scene.srgb import srgb_to_linear
+from hir_plugins.regularizers.bilateral.bilateral_grid import bilateral_deviation, cells_of, cubes_of
+from hir_plugins.regularizers.bilateral.bilateral_pairs import deviation_of_pairs, weight_error
 from hir_plugins.regularizers.material_options import BilateralSpecularOptions
-from hir_plugins.regularizers.places import Places, places_of
+from hir_plugins.regularizers.surface_samples import Places, places_of
 
 DEFAULTS = BilateralSpecularOptions()
 MOST_PAIRS = 10_000
@@ -90,11 +90,17 @@ def speed(run: Path, counts: list[int]) -> None:
             fast = _in_process("cells", *arguments)
             slow = _in_process("pairs", *arguments) if count <= MOST_PAIRS else None
             found = compared(run, count, white, DEFAULTS.cutoff, DEFAULTS.cell) if slow else None
-            errors = "– | – | –" if found is None else (
-                f"{found['value']:.1e} | {found['deviation']:.1e} | {found['bound']:.1e}")  # fmt: skip
+            errors = (
+                "– | – | –"
+                if found is None
+                else (f"{found['value']:.1e} | {found['deviation']:.1e} | {found['bound']:.1e}")
+            )
             pairs = "–" if slow is None else f"{1e3 * slow['step']:.0f}"
-            print(f"| {'white noise' if white else 'fitted'} | {fast['places']:.0f} | {1e3 * fast['prepare']:.0f} | "
-                  f"{1e3 * fast['step']:.0f} | {fast['memory']:.0f} | {pairs} | {errors} |", flush=True)  # fmt: skip
+            print(
+                f"| {'white noise' if white else 'fitted'} | {fast['places']:.0f} | {1e3 * fast['prepare']:.0f} | "
+                f"{1e3 * fast['step']:.0f} | {fast['memory']:.0f} | {pairs} | {errors} |",
+                flush=True,
+            )
 
 
 def _in_process(*arguments: str) -> dict[str, float]:
@@ -136,9 +142,12 @@ def cells(run: Path, count: int) -> None:
         for cutoff in (3.0, 4.0):
             for edge in (0.5, 0.75, 1.0, 1.5):
                 e = compared(run, count, white, cutoff, edge)
-                print(f"| {'white noise' if white else 'fitted'} | {cutoff:g} | {edge:g} | {e['cells']:.2f} | "
-                      f"{1e3 * e['seconds']:.0f} | {e['value']:.1e} | {e['deviation']:.1e} | {e['by specular']:.1e} | "
-                      f"{e['by albedo']:.1e} | {e['bound']:.1e} |", flush=True)  # fmt: skip
+                print(
+                    f"| {'white noise' if white else 'fitted'} | {cutoff:g} | {edge:g} | {e['cells']:.2f} | "
+                    f"{1e3 * e['seconds']:.0f} | {e['value']:.1e} | {e['deviation']:.1e} | {e['by specular']:.1e} | "
+                    f"{e['by albedo']:.1e} | {e['bound']:.1e} |",
+                    flush=True,
+                )
 
 
 def sigma(avocado: Path, spot: Path, count: int = 20_000) -> None:
@@ -148,8 +157,9 @@ def sigma(avocado: Path, spot: Path, count: int = 20_000) -> None:
     value, which any width would serve, so here dark patches (the mean colour below 0.4) get three times the ρs.
     """
     for name, (positions, diffuse, specular) in {
-        "avocado": _true_avocado(avocado, count), "spot, two materials": _true_spot(spot, count)
-    }.items():  # fmt: skip
+        "avocado": _true_avocado(avocado, count),
+        "spot, two materials": _true_spot(spot, count),
+    }.items():
         generator = torch.Generator().manual_seed(1)
         noise = 0.02 * torch.randn(specular.shape, generator=generator)
         guide = diffuse + 0.03 * torch.randn(diffuse.shape, generator=generator)
@@ -194,8 +204,11 @@ def _true_spot(path: Path, count: int) -> tuple[Tensor, Tensor, Tensor]:
 def _texels(mesh: Any, count: int) -> Places:
     faces = torch.from_numpy(np.asarray(mesh.faces, dtype=np.int64))
     uv = np.asarray(mesh.visual.uv, dtype=np.float32) * [1, -1] + [0, 1]
-    ours = Mesh(torch.from_numpy(np.asarray(mesh.vertices, dtype=np.float32)), Topology(faces, faces),
-                torch.from_numpy(uv.astype(np.float32)))  # fmt: skip
+    ours = Mesh(
+        torch.from_numpy(np.asarray(mesh.vertices, dtype=np.float32)),
+        Topology(faces, faces),
+        torch.from_numpy(uv.astype(np.float32)),
+    )
     side = round(256 * (count / len(places_of(ours, "texels", (256, 256)).positions)) ** 0.5)
     return places_of(ours, "texels", (side, side))
 

@@ -19,21 +19,21 @@ import numpy as np
 import torch
 
 from hir_core.capture import Capture
+from hir_core.capture.pixel_cache import PixelCache
 from hir_core.config import ReflectanceSettings
-from hir_core.context import StageContext
-from hir_core.energies import prepare_energies
-from hir_core.interfaces import PreparedReflectance
-from hir_core.manager import PluginManager
-from hir_core.photometric import ObjectPixels, fit_by_gradient, object_pixels
-from hir_core.pixel_cache import PixelCache
-from hir_core.readers import read_capture
+from hir_core.intake.reader_lookup import read_capture
+from hir_core.optimization.weighted_energies import prepare_energies
+from hir_core.plugins.interfaces import PreparedReflectance
+from hir_core.plugins.manager import PluginManager
+from hir_core.run.stage_context import StageContext
 from hir_core.scene import Scene
-from hir_core.scene_store import load_stage_scene
-from hir_core.srgb import linear_to_srgb
+from hir_core.scene.scene_store import load_stage_scene
+from hir_core.scene.srgb import linear_to_srgb
+from hir_core.stages.reflectance.gradient_fit import ObjectPixels, fit_by_gradient, object_pixels
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGGX
-from hir_plugins.reflectance_renderers.transport_ggx.shading import Indirect, sample
 from hir_plugins.reflectance_renderers.transport_ggx.solver import TransportSolver
+from hir_plugins.reflectance_renderers.transport_ggx.textures.texture_shading import Indirect, sample
 
 Terms = Mapping[str, Mapping[str, Any]]
 TERMS: Mapping[str, Terms] = {
@@ -67,8 +67,10 @@ def study(
         fitted = with_specular_map(fitted)
     pixels, train_part, test_part = (object_pixels(capture, v, downsample, "cpu") for v in (train, train, test))
     model = "a specular map" if specular_map else report["rung"]
-    print(f"\n{run.name}, {model}, {settings.iterations} steps of {settings.batch_pixels} pixels, rate "
-          f"{settings.learning_rate}\n")  # fmt: skip
+    print(
+        f"\n{run.name}, {model}, {settings.iterations} steps of {settings.batch_pixels} pixels, rate "
+        f"{settings.learning_rate}\n"
+    )
     print("| terms | unseen dB | gain | train dB | mean ρd | seconds |\n|---|---|---|---|---|---|")
     base = decibels(solver, fitted, test_part)
     row("no gradient steps", base, base, decibels(solver, fitted, train_part), fitted, 0.0)
@@ -110,8 +112,11 @@ def row(name: str, unseen: np.ndarray, base: np.ndarray, seen: np.ndarray, scene
     gain = unseen - base
     noise = gain.std(ddof=1) / np.sqrt(len(gain))
     albedo = float(scene.material.diffuse_albedo.mean())
-    print(f"| {name} | {unseen.mean():.2f} | {gain.mean():+.2f} ± {noise:.2f} | {seen.mean():.2f} | {albedo:.4f} "
-          f"| {seconds:.0f} |", flush=True)  # fmt: skip
+    print(
+        f"| {name} | {unseen.mean():.2f} | {gain.mean():+.2f} ± {noise:.2f} | {seen.mean():.2f} | {albedo:.4f} "
+        f"| {seconds:.0f} |",
+        flush=True,
+    )
 
 
 def captures_of(run: Path) -> tuple[Capture, list[int], list[int]]:

@@ -17,11 +17,11 @@ from torch.nn.functional import interpolate
 
 from benchmarks.reflectance_task import Task, asked_task
 from benchmarks.true_materials import true_scene
-from hir_core.bench.fits import DOWNSAMPLE, FITTED
-from hir_core.interfaces import ReflectanceSolver
-from hir_core.reference import light_of
+from hir_core.plugins.interfaces import ReflectanceSolver
+from hir_core.rendering.reference_renderer import light_of
 from hir_core.scene import EnvironmentMap, Scene
-from hir_plugins.reflectance_renderers.transport_ggx.pyramid import latlong, texel_directions
+from hir_plugins.commands.bench.suites.reflectance_fits import DOWNSAMPLE, FITTED
+from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import latlong, texel_directions
 
 
 @dataclass(frozen=True)

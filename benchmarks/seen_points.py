@@ -16,13 +16,13 @@ from pathlib import Path
 import numpy as np
 from hir_exporters.asset import AssetMesh
 from hir_exporters.conventions import linear_to_srgb
-from hir_exporters.scene_files import load_scene
+from hir_exporters.scene_format import load_scene
 from numpy.typing import NDArray
 
 from hir_core.capture import Camera
-from hir_core.manager import PluginManager
-from hir_core.readers import read_capture
-from hir_core.surface_rays import SurfaceRays
+from hir_core.intake.reader_lookup import read_capture
+from hir_core.mesh.ray_casting import SurfaceRays
+from hir_core.plugins.manager import PluginManager
 
 Array = NDArray[np.floating]
 

@@ -16,15 +16,15 @@ from pathlib import Path
 
 import numpy as np
 from hir_exporters.conventions import linear_to_srgb
-from hir_exporters.scene_files import load_scene
+from hir_exporters.scene_format import load_scene
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 from skimage.registration import optical_flow_ilk
 
 from benchmarks.seen_points import INSIDE, OFFSET, on_mesh, photographed
-from hir_core.manager import PluginManager
-from hir_core.readers import read_capture
-from hir_core.surface_rays import SurfaceRays
+from hir_core.intake.reader_lookup import read_capture
+from hir_core.mesh.ray_casting import SurfaceRays
+from hir_core.plugins.manager import PluginManager
 
 Array = NDArray[np.floating]
 

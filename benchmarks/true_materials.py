@@ -9,13 +9,13 @@ from typing import Any, cast
 import numpy as np
 import torch
 from hir_exporters.conventions import srgb_to_linear
-from hir_exporters.images import read_ldr
+from hir_exporters.textures.image_files import read_ldr
 from numpy.typing import NDArray
 
 from benchmarks.experiments.cells import ROOT
 from hir_core.capture import Array, Capture
-from hir_core.evaluation.truth import TRUE_MESH
-from hir_core.reference import light_of
+from hir_core.evaluation.truth_evaluation import TRUE_MESH
+from hir_core.rendering.reference_renderer import light_of
 from hir_core.scene import Material, Mesh, Scene, Topology
 
 MODELS = Path(os.environ.get("HIR_SHARED", ROOT.parent / "shared")) / "models"
@@ -57,9 +57,12 @@ def avocado() -> Material:
     color = _linear(folder / "Avocado_baseColor.png")
     normal = _tensor(2 * read_ldr(folder / "Avocado_normal.png")[..., :3] - 1)
     return Material(
-        "dielectric", color * (1 - metal), DIELECTRIC * (1 - metal) + color * metal, roughness.square().clamp_min(1e-3),
+        "dielectric",
+        color * (1 - metal),
+        DIELECTRIC * (1 - metal) + color * metal,
+        roughness.square().clamp_min(1e-3),
         torch.nn.functional.normalize(normal, dim=-1),
-    )  # fmt: skip
+    )
 
 
 def _linear(path: Path) -> torch.Tensor:

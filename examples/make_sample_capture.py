@@ -1,6 +1,6 @@
 """Makes examples/sample_capture: fewer and smaller views of a NeRF-synthetic style capture, with smaller lights.
 
-    python examples/make_sample_capture.py CAPTURE DESTINATION
+python examples/make_sample_capture.py CAPTURE DESTINATION
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from hir_exporters.conventions import latlong_solid_angles, linear_to_srgb, srgb_to_linear
-from hir_exporters.images import encode_png, quantize, read_hdr, read_ldr, write_hdr
+from hir_exporters.textures.image_files import encode_png, quantize, read_hdr, read_ldr, write_hdr
 from numpy.typing import NDArray
 
 SPLITS = {"train": 24, "test": 6, "relight_0": 2}

@@ -12,7 +12,7 @@ from typing import Any
 
 from hir_exporters import Asset
 
-from hir_core.plugin import hookimpl
+from hir_core.plugins import hookimpl
 
 EXTENSION = "ACME_catalogue"
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from hir_exporters.scene_files import load_scene
+    from hir_exporters.scene_format import load_scene
 
     from hir_core.pipeline import reconstruct
 
 __all__ = ["load_scene", "reconstruct"]
 __version__ = "0.1.0"
 
-_HOME = {"load_scene": "hir_exporters.scene_files", "reconstruct": "hir_core.pipeline"}
+_HOME = {"load_scene": "hir_exporters.scene_format", "reconstruct": "hir_core.pipeline"}
 
 
 def __getattr__(name: str) -> Any:

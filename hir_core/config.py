@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from hir_core.errors import ConfigError
-from hir_core.options import build_options
+from hir_core.plugins.options import build_options
 
 if TYPE_CHECKING:
-    from hir_core.manager import PluginManager
+    from hir_core.plugins.manager import PluginManager
 
 Tables = dict[str, dict[str, Any]]
 """Options of components, keyed by component."""

@@ -11,25 +11,33 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hir_core.capture import Capture
-from hir_core.capture_files import file_hash, fingerprint, read_cameras, restore_capture, save_capture, write_cameras
+from hir_core.capture.capture_size import size_of
+from hir_core.capture.capture_store import (
+    file_hash,
+    fingerprint,
+    read_cameras,
+    restore_capture,
+    save_capture,
+    write_cameras,
+)
+from hir_core.capture.pixel_cache import DEFAULT_BYTES, PixelCache
 from hir_core.config import RunConfig, load_config
-from hir_core.context import StageContext
-from hir_core.determinism import determinism
 from hir_core.errors import CaptureError
-from hir_core.initialize import files_read, initialize
-from hir_core.manager import PluginManager
-from hir_core.memory import plan_memory, size_of
-from hir_core.pixel_cache import DEFAULT_BYTES, PixelCache
-from hir_core.readers import find_reader, read_capture
-from hir_core.run_directory import STAGES, RunDirectory, claimed_run
-from hir_core.session import Session, StopRun, check_until, resolve_device
+from hir_core.intake.reader_lookup import find_reader, read_capture
+from hir_core.plugins.manager import PluginManager
+from hir_core.run.determinism import determinism
+from hir_core.run.memory_plan import plan_memory
+from hir_core.run.run_directory import STAGES, RunDirectory, claimed_run
+from hir_core.run.session import Session, StopRun, check_until, resolve_device
+from hir_core.run.stage_context import StageContext
+from hir_core.stages.initialization import files_read, initialize
 
 if TYPE_CHECKING:
     from hir_exporters.asset import Asset
 
-    from hir_core.progress import Progress
-    from hir_core.rerender import Rerender
+    from hir_core.plugins.progress import Progress
     from hir_core.scene import Scene
+    from hir_core.stages.export.export_rerendering import Rerender
 
 
 @dataclass(frozen=True)
@@ -48,7 +56,7 @@ class Run:
     @property
     def asset(self) -> Asset:
         """The finished asset; an error where the run stopped before `bake`."""
-        from hir_exporters.scene_files import load_scene
+        from hir_exporters.scene_format import load_scene
 
         return load_scene(self.directory.scene)
 
@@ -89,7 +97,7 @@ def reconstruct(
             from hir_core.report import refresh_page, write_report
 
             if set(session.reused) >= set(STAGES[:-1]) and (directory.report / "views.json").exists():
-                refresh_page(directory)
+                refresh_page(directory, plugins)
             else:
                 write_report(directory, plugins, on_message=on_message)
     return Run(directory, tuple(session.reused))
@@ -136,7 +144,7 @@ def open_capture(path: Path, session: Session) -> tuple[Capture, list[str], Pixe
 
 def initializer_stage(capture: Capture, session: Session) -> tuple[Capture, Scene]:
     """Cameras, masks and a first mesh, in the working frame: the object centred at the origin, of radius 1."""
-    from hir_core.scene_store import load_stage_scene, save_stage_scene
+    from hir_core.scene.scene_store import load_stage_scene, save_stage_scene
 
     config, plugins = session.config, session.plugins
 
@@ -167,7 +175,7 @@ def geometry_stage(scene: Scene, capture: Capture, session: Session) -> Scene:
     settings = session.config.geometry
     if not settings.enabled:
         return _pass_through("geometry", scene, session)
-    from hir_core.geometry import fit_geometry
+    from hir_core.stages.geometry.geometry_fit import fit_geometry
 
     used = session.config.geometry_renderer.get(settings.renderer, {})
     return _scene_stage(
@@ -177,7 +185,7 @@ def geometry_stage(scene: Scene, capture: Capture, session: Session) -> Scene:
 
 def atlas_stage(scene: Scene, capture: Capture, session: Session) -> Scene:
     """Texture coordinates, and the photographs' colours baked where the stage can."""
-    from hir_core.atlas import unwrap
+    from hir_core.stages.atlas import unwrap
 
     settings = session.config.atlas
     return _scene_stage("atlas", settings, session, lambda context: unwrap(scene, capture, settings, context))
@@ -188,7 +196,7 @@ def reflectance_stage(scene: Scene, capture: Capture, session: Session) -> Scene
     settings = session.config.reflectance
     if not settings.enabled:
         return _pass_through("reflectance", scene, session)
-    from hir_core.reflectance import fit_reflectance
+    from hir_core.stages.reflectance.reflectance_fit import fit_reflectance
 
     light = Path(settings.known_environment.rpartition("*")[0] or settings.known_environment)
     known = file_hash(light) if settings.known_environment else ""
@@ -200,11 +208,11 @@ def reflectance_stage(scene: Scene, capture: Capture, session: Session) -> Scene
 
 def bake_stage(scene: Scene, capture: Capture, session: Session) -> Asset:
     """The asset in the place and scale of the capture's own files (+Y up), written to `scene/`."""
-    from hir_exporters.environment import FIRST_VIEW_KEY
-    from hir_exporters.scene_files import load_scene, save_scene
+    from hir_exporters.light.environment_map import FIRST_VIEW_KEY
+    from hir_exporters.scene_format import load_scene, save_scene
 
-    from hir_core.bake import bake
-    from hir_core.working_frame import move_scene
+    from hir_core.scene.asset_conversion import bake
+    from hir_core.scene.frames import move_scene
 
     name = str(session.document["capture"]["name"])
 
@@ -228,10 +236,10 @@ def bake_stage(scene: Scene, capture: Capture, session: Session) -> Asset:
 
 def export_stage(asset: Asset, config: RunConfig, session: Session) -> Asset:
     """The asset in every format of the settings, in `exports/`."""
-    from hir_exporters.atomic import atomic_directory
+    from hir_exporters.files.atomic import atomic_directory
 
-    from hir_core.export import export_asset
-    from hir_core.verify import verify_export
+    from hir_core.stages.export.asset_export import export_asset
+    from hir_core.stages.export.export_verification import verify_export
 
     def is_light(name: str) -> bool:
         return "environment" in session.plugins.find("exporter", name).component.traits
@@ -265,7 +273,7 @@ def export_stage(asset: Asset, config: RunConfig, session: Session) -> Asset:
 
 def _rerender(asset: Asset, session: Session) -> Rerender | None:
     """Small pictures of few paths: what an export costs shows in them, and they take seconds."""
-    from hir_core.rerender import Rerender
+    from hir_core.stages.export.export_rerendering import Rerender
 
     cameras = read_cameras(session.directory.cameras)
     if asset.environment is None or not cameras:
@@ -296,7 +304,7 @@ def _scene_stage(
     name: str, settings: Any, session: Session, compute: Callable[[StageContext], tuple[Scene, Any]]
 ) -> Scene:
     """A stage whose result is a scene alone."""
-    from hir_core.scene_store import load_stage_scene, save_stage_scene
+    from hir_core.scene.scene_store import load_stage_scene, save_stage_scene
 
     return session.stage(
         name,

@@ -79,10 +79,18 @@ f 1 5 6
 """
 
 WARM = (
-    "torch", "mitsuba", "open3d", "pycolmap", "trimesh", "xatlas", "scipy.optimize", "hir_core.report_pictures",
-    "hir_plugins.initializers.visual_hull", "hir_plugins.geometry_renderers.contour",
+    "torch",
+    "mitsuba",
+    "open3d",
+    "pycolmap",
+    "trimesh",
+    "xatlas",
+    "scipy.optimize",
+    "hir_core.report.rendered_pictures",
+    "hir_plugins.initializers.hull.visual_hull",
+    "hir_plugins.geometry_renderers.contour",
     "hir_plugins.reflectance_renderers.transport_ggx.renderer",
-)  # fmt: skip
+)
 """Imported once, before any child: none of it starts a thread."""
 
 CLOCKED = {"timings.json", "report.html", "log.txt", ".lock", "database.db"}
@@ -112,7 +120,7 @@ def captured(folder: Path, kind: str) -> Path:
         return make_tiny(folder, train=10, test=1)
     folder.mkdir()
     folder.with_name("octahedron.obj").write_text(OCTAHEDRON)
-    from hir_exporters.images import write_png
+    from hir_exporters.textures.image_files import write_png
 
     from tests.initialization.test_colmap import cameras_on_an_arc, room
 
@@ -171,9 +179,15 @@ def start(capture: Path, run: Path, kind: str) -> int:
         if kind == "sfm":
             settings.append(f"initializer.mesh_file.path={capture.with_name('octahedron.obj')}")
         reconstruct(
-            capture, run, assignments=settings, device="cpu", deterministic=True, resume=True, on_message=print,
+            capture,
+            run,
+            assignments=settings,
+            device="cpu",
+            deterministic=True,
+            resume=True,
+            on_message=print,
             until=UNTIL.get(kind),
-        )  # fmt: skip
+        )
         code = 0
     except BaseException:
         import traceback

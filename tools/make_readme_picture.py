@@ -14,11 +14,11 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from hir_core.evaluation import masked_pixels, split_in_working_frame, spread
-from hir_core.manager import PluginManager
 from hir_core.metrics import composite, unassociate
-from hir_core.reference import OpenRun, light_of, open_for_rendering, reference_renderer, render_view
-from hir_core.render import orbit_cameras
-from hir_core.run_directory import open_run
+from hir_core.plugins.manager import PluginManager
+from hir_core.rendering.reference_renderer import OpenRun, light_of, open_for_rendering, reference_renderer, render_view
+from hir_core.rendering.run_pictures import orbit_cameras
+from hir_core.run.run_directory import open_run
 from hir_core.scene import EnvironmentMap, Material, Scene
 
 OUTPUT = Path(__file__).resolve().parent.parent / "docs" / "images" / "photos_to_asset.jpg"

@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from hir_core.capture import Array, Camera
-from hir_core.capture_files import restore_capture
+from hir_core.capture.capture_store import restore_capture
 from hir_core.evaluation import masked_pixels
-from hir_core.manager import PluginManager
+from hir_core.intake.reader_lookup import read_capture
 from hir_core.metrics import composite
-from hir_core.readers import read_capture
-from hir_core.run_directory import RunDirectory, open_run
+from hir_core.plugins.manager import PluginManager
+from hir_core.run.run_directory import RunDirectory, open_run
 from hir_core.scene import Mesh
-from hir_core.scene_store import load_stage_scene
+from hir_core.scene.scene_store import load_stage_scene
 
 OUTPUT = Path(__file__).resolve().parent.parent / "docs" / "images" / "wireframes.jpg"
 SIDE = 280

@@ -36,7 +36,8 @@ class Subject:
 SUBJECTS = {
     "conventions": Subject(("hir_exporters/conventions.py",), ("tests/exporters/test_conventions.py",)),
     "materials": Subject(
-        ("hir_exporters/materials.py",), ("tests/exporters/test_materials.py", "tests/exporters/test_metal_mixture.py")
+        ("hir_exporters/materials/material_conversion.py",),
+        ("tests/exporters/test_materials.py", "tests/exporters/test_metal_mixture.py"),
     ),
     "losses": Subject(
         tuple(f"hir_core/{name}.py" for name in ("photometric", "silhouettes", "energies", "energy_guard", "srgb")),
@@ -120,8 +121,12 @@ def copy(subject: Subject, place: Path) -> None:
             if path.is_file() and "__pycache__" not in path.parts and not same(path, target):
                 target.parent.mkdir(parents=True, exist_ok=True)
                 shutil.copy2(path, target)
-    shutil.copytree(ROOT / "tools" / "parity", place / "tools" / "parity", dirs_exist_ok=True,
-                    ignore=shutil.ignore_patterns("node_modules"))  # fmt: skip
+    shutil.copytree(
+        ROOT / "tools" / "parity",
+        place / "tools" / "parity",
+        dirs_exist_ok=True,
+        ignore=shutil.ignore_patterns("node_modules"),
+    )
     settings = SETTINGS.format(modules=json.dumps(subject.modules), tests=json.dumps(subject.tests))
     (place / "pyproject.toml").write_text(settings)
 

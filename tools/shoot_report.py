@@ -31,10 +31,15 @@ def shoot(report: Path, picture: Path, width: int, height: int, theme: str = "li
     threading.Thread(target=server.serve_forever, daemon=True).start()
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         words = [
-            *chromium, f"--user-data-dir={profile}", "--hide-scrollbars", f"--window-size={width},{height}",
-            f"--force-device-scale-factor={scale:g}", "--virtual-time-budget=256000", f"--screenshot={picture}",
+            *chromium,
+            f"--user-data-dir={profile}",
+            "--hide-scrollbars",
+            f"--window-size={width},{height}",
+            f"--force-device-scale-factor={scale:g}",
+            "--virtual-time-budget=256000",
+            f"--screenshot={picture}",
             f"http://127.0.0.1:{server.server_port}/{report.name}#still&theme={theme}",
-        ]  # fmt: skip
+        ]
         subprocess.run(words, check=True, capture_output=True, timeout=180)
     server.shutdown()
     server.server_close()

@@ -60,8 +60,17 @@ def closure(root: str, extras: frozenset[str]) -> dict[str, str]:
 
 def write_sbom(requirements: Path, out: Path) -> None:
     """A CycloneDX document of pinned requirements."""
-    words = ["requirements", str(requirements), "--pyproject", str(ROOT / "pyproject.toml"), "--of", "JSON",
-             "--output-reproducible", "-o", str(out)]  # fmt: skip
+    words = [
+        "requirements",
+        str(requirements),
+        "--pyproject",
+        str(ROOT / "pyproject.toml"),
+        "--of",
+        "JSON",
+        "--output-reproducible",
+        "-o",
+        str(out),
+    ]
     subprocess.run([sys.executable, "-m", "cyclonedx_py", *words], check=True)
     document = json.loads(out.read_text())
     print(f"{out}: {document['bomFormat']} {document['specVersion']}, {len(document['components'])} components")

@@ -18,8 +18,8 @@ from typing import Any, Final
 from hir_exporters.asset import Asset
 from hir_exporters.configs import GltfConfig, UsdConfig, UsdzConfig
 from hir_exporters.formats import create_exporter
-from hir_exporters.scene_files import load_scene
-from hir_exporters.validate import Finding, validate_gltf, validate_omniverse, validate_usd
+from hir_exporters.reading.validators import Finding, validate_gltf, validate_omniverse, validate_usd
+from hir_exporters.scene_format import load_scene
 
 TOOLS: Final = Path(__file__).resolve().parent
 PROFILES: Final = ("khr", "blender", "metalrough", "unity-legacy")

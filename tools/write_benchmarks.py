@@ -12,8 +12,8 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from hir_core.bench.results import Result
-from hir_core.bench.tables import markdown
+from hir_plugins.commands.bench.results.bench_result import Result
+from hir_plugins.commands.bench.results.markdown_tables import markdown
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "benchmarks" / "results"

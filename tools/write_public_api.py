@@ -14,26 +14,38 @@ from typing import Any
 FILE = Path(__file__).resolve().parent.parent / "docs" / "reference" / "public_api.txt"
 
 TYPES = {
-    "hir_core.plugin": ("Component", "NoOptions"),
-    "hir_core.interfaces": (
-        "CaptureReader", "MaskSource", "Initializer", "GeometryRenderer", "PreparedReflectance", "ReflectanceSolver",
-        "ReflectanceRenderer", "Regularizer",
+    "hir_core.plugins": ("Component", "NoOptions"),
+    "hir_core.plugins.interfaces": (
+        "CaptureReader",
+        "MaskSource",
+        "Initializer",
+        "GeometryRenderer",
+        "PreparedReflectance",
+        "ReflectanceSolver",
+        "ReflectanceRenderer",
+        "Regularizer",
     ),
     "hir_exporters.exporter": ("Exporter", "ExportReport"),
     "hir_core.capture": ("Camera", "Pixels", "View", "OrientedPoints", "EnvironmentSource", "Capture"),
     "hir_core.scene": ("Topology", "Mesh", "Material", "EnvironmentMap", "Scene"),
-    "hir_core.silhouettes": ("SilhouetteTargets",),
-    "hir_core.progress": ("Progress",),
+    "hir_core.scene.silhouette_targets": ("SilhouetteTargets",),
+    "hir_core.plugins.progress": ("Progress",),
     "hir_core.errors": (
-        "CaptureError", "ConfigError", "HirError", "InputError", "MissingExtraError", "PluginError", "StageError",
+        "CaptureError",
+        "ConfigError",
+        "HirError",
+        "InputError",
+        "MissingExtraError",
+        "PluginError",
+        "StageError",
     ),
     "hir_exporters.asset": ("Asset", "AssetMesh", "AssetMaterial", "AssetEnvironment"),
-}  # fmt: skip
+}
 
 FUNCTIONS = {
-    "hir_core.options": ("build_options",),
+    "hir_core.plugins.options": ("build_options",),
     "hir_core.testing": ("check_component", "parametrize_with_checks", "checks_for"),
-    "hir_exporters.atomic": ("atomic_write", "atomic_path", "atomic_directory", "write_bytes_atomic"),
+    "hir_exporters.files.atomic": ("atomic_write", "atomic_path", "atomic_directory", "write_bytes_atomic"),
     "hir_exporters.asset": ("validate_asset",),
 }
 
@@ -42,11 +54,10 @@ MANAGER = ("discover", "create", "find", "components", "presets", "observers")
 
 def lines() -> Iterator[str]:
     """One line for each hook, method, field, function, trait and check."""
-    from hir_core import hookspecs
-    from hir_core.manager import PluginManager
-    from hir_core.plugin import API_VERSION
+    from hir_core.plugins import API_VERSION, hookspecs
+    from hir_core.plugins.manager import PluginManager
+    from hir_core.plugins.traits import TRAITS
     from hir_core.testing import all_checks
-    from hir_core.traits import TRAITS
 
     yield f"api {API_VERSION}"
     for name, function in vars(hookspecs).items():
@@ -60,7 +71,7 @@ def lines() -> Iterator[str]:
         for name in names:
             yield f"function {module}.{name}{_signature(getattr(import_module(module), name))}"
     for name in MANAGER:
-        yield f"method hir_core.manager.PluginManager.{name}{_signature(getattr(PluginManager, name))}"
+        yield f"method hir_core.plugins.manager.PluginManager.{name}{_signature(getattr(PluginManager, name))}"
     for kind, words in TRAITS.items():
         yield f"traits {kind}: {' '.join(sorted(words)) or '-'}"
     for check in all_checks().values():

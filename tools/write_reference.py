@@ -8,12 +8,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from hir_core import hookspecs
 from hir_core.config import RunConfig
-from hir_core.manager import KINDS, PluginManager
-from hir_core.options import options_schema
+from hir_core.plugins import hookspecs
+from hir_core.plugins.manager import KINDS, PluginManager
+from hir_core.plugins.options import options_schema
+from hir_core.plugins.traits import TRAITS
 from hir_core.testing import all_checks
-from hir_core.traits import TRAITS
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 WRITTEN = "Written by `python tools/write_reference.py` from the code itself."
@@ -24,7 +24,7 @@ def hooks_page() -> str:
     """Every hook with its signature and docstring."""
     parts = [f"# Hooks\n\n{WRITTEN}\n"]
     parts.append(
-        "Mark an implementation with `@hookimpl` of `hir_core.plugin`. It takes the arguments that it names, as many\n"
+        "Mark an implementation with `@hookimpl` of `hir_core.plugins`. It takes the arguments that it names, as many\n"
         "as it likes. Hooks run at start-up and at stage boundaries; `hir_progress` at most four times a second.\n"
     )
     for name, function in vars(hookspecs).items():

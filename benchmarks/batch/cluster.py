@@ -73,9 +73,24 @@ def tell(folder: Path, captures: int = 12, say: Callable[[str], None] = print) -
         try:
             nodes = [add_node(cluster, num_cpus=1) for _ in range(NODES)]
             say(f"{NODES} nodes at {cluster.address}, S3 at {store.url}, {captures} captures, one of them broken")
-            command = [sys.executable, "-m", "hir_core.cli", "batch", "s3://shelf/*", "-o", "s3://results/tonight",
-                       "--address", cluster.address, "--json", "--deterministic", "--request",
-                       "reflectance.memory_gib=1", "--cache", str(folder / "cache"), *WORDS]  # fmt: skip
+            command = [
+                sys.executable,
+                "-m",
+                "hir_core.cli",
+                "batch",
+                "s3://shelf/*",
+                "-o",
+                "s3://results/tonight",
+                "--address",
+                cluster.address,
+                "--json",
+                "--deterministic",
+                "--request",
+                "reflectance.memory_gib=1",
+                "--cache",
+                str(folder / "cache"),
+                *WORDS,
+            ]
             with _call(command, folder / "first.log") as process:
                 _until_killed(process, story.first, captures, say)
             story.codes.append(process.returncode)
@@ -131,13 +146,16 @@ def summary(story: Story) -> str:
     again = [f"{e['capture']} {e['group']}: {e['reason']}" for e in story.named("group_failed")]
     failed = [f"{name}: {entry['reason']}" for name, entry in story.manifest["captures"].items() if entry["reason"]]
     groups = Counter((e["capture"], e["group"]) for e in story.named("group_finished"))
-    return "\n".join([
-        f"{dict(states)}; the store refused {story.refused} requests; exit codes {story.codes}",
-        f"equal to the single run: {len(story.equal)}, different: {story.different}",
-        f"groups finished: {sum(groups.values())}, more than once: {[g for g, count in groups.items() if count > 1]}",
-        "tried again: " + "; ".join(again),
-        "failed: " + "; ".join(failed),
-    ])  # fmt: skip
+    return "\n".join(
+        [
+            f"{dict(states)}; the store refused {story.refused} requests; exit codes {story.codes}",
+            f"equal to the single run: {len(story.equal)}, different: {story.different}",
+            f"groups finished: {sum(groups.values())}",
+            f"more than once: {[g for g, count in groups.items() if count > 1]}",
+            "tried again: " + "; ".join(again),
+            "failed: " + "; ".join(failed),
+        ]
+    )
 
 
 def _until_killed(
@@ -172,22 +190,22 @@ def _events(process: subprocess.Popen[str], events: list[Event]) -> Iterator[Eve
 
 
 def _fill(shelf: Sequence[Path]) -> None:
-    from hir_core.batch import storage
-    from hir_core.batch.storage import Place
+    from hir_plugins.commands.batch.storage import object_store
+    from hir_plugins.commands.batch.storage.object_store import Place
 
     filesystem, _ = Place("s3://shelf").opened()
     for bucket in ("shelf", "results"):
         filesystem.mkdir(bucket)
     for capture in shelf:
         files = {file.relative_to(capture).as_posix(): file for file in capture.rglob("*") if file.is_file()}
-        storage.upload(files, Place("s3://shelf") / capture.name)
+        object_store.upload(files, Place("s3://shelf") / capture.name)
 
 
 def _fetch(name: str) -> bytes:
-    from hir_core.batch import storage
-    from hir_core.batch.storage import Place
+    from hir_plugins.commands.batch.storage import object_store
+    from hir_plugins.commands.batch.storage.object_store import Place
 
-    content = storage.read(Place("s3://results") / name)
+    content = object_store.read(Place("s3://results") / name)
     assert content is not None, name
     return content
 
@@ -195,21 +213,25 @@ def _fetch(name: str) -> bytes:
 def _compare(shelf: Sequence[Path], folder: Path, story: Story) -> None:
     """Scene and exports of each result against `hir reconstruct` with the same settings and one thread."""
     from benchmarks.batch.shelf import SETTINGS
-    from hir_core.batch import storage
-    from hir_core.batch.storage import Place
     from hir_core.pipeline import reconstruct
+    from hir_plugins.commands.batch.storage import object_store
+    from hir_plugins.commands.batch.storage.object_store import Place
 
     for capture in shelf:
         result = Place("s3://results/tonight") / capture.name
-        listed = storage.files(result)
+        listed = object_store.files(result)
         single = reconstruct(capture, folder / "single" / capture.name, assignments=SETTINGS, deterministic=True)
         same = bool(listed) and all(
-            storage.read(result / name) == (single.path / name).read_bytes()
+            object_store.read(result / name) == (single.path / name).read_bytes()
             for name in listed
             if name.startswith(("scene/", "exports/"))
         )
-        kept = {file.relative_to(single.path).as_posix() for part in ("scene", "exports")
-                for file in (single.path / part).rglob("*") if file.is_file()}  # fmt: skip
+        kept = {
+            file.relative_to(single.path).as_posix()
+            for part in ("scene", "exports")
+            for file in (single.path / part).rglob("*")
+            if file.is_file()
+        }
         (story.equal if same and kept <= set(listed) else story.different).append(capture.name)
 
 

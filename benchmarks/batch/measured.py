@@ -22,7 +22,7 @@ from typing import Any
 
 from benchmarks.batch.model import Fleet, Load, Overhead, play
 from benchmarks.batch.shelf import WORDS, small_captures
-from hir_core.batch.groups import GROUPS, build_requests
+from hir_plugins.commands.batch.stage_groups import GROUPS, build_requests
 
 HIR = [sys.executable, "-m", "hir_core.cli"]
 
@@ -53,8 +53,20 @@ def run_batch(captures: Sequence[Path], out: Path, cores: int) -> Measured:
     import psutil
 
     began = time.perf_counter()
-    command = ["batch", *map(str, captures), "-o", str(out), "--address", "local", "--json", "--cache",
-               str(out / "cache"), "--request", "reflectance.memory_gib=1", *WORDS]  # fmt: skip
+    command = [
+        "batch",
+        *map(str, captures),
+        "-o",
+        str(out),
+        "--address",
+        "local",
+        "--json",
+        "--cache",
+        str(out / "cache"),
+        "--request",
+        "reflectance.memory_gib=1",
+        *WORDS,
+    ]
     seen: list[dict[str, Any]] = []
     clock: dict[str, tuple[float, float]] = {}
     with subprocess.Popen([*on(cores), *HIR, *command], stdout=subprocess.PIPE, text=True) as process:
@@ -139,14 +151,23 @@ def main(arguments: Sequence[str] | None = None) -> None:
         shelf = small_captures(folder / "shelf", 2 * count, side=options.side)
         singles = run_singles(shelf[:count], folder / "singles", cores=1)
         batch = run_batch(shelf[:count], folder / "one", cores=1)
-        print(f"one core, {count} captures: hir reconstruct {singles:.1f} s, hir batch {batch.command:.1f} s, of which "
-              f"Ray's start and end {batch.command - batch.batch:.1f} s", flush=True)  # fmt: skip
-        print(f"a capture: {(batch.command - singles) / count:+.2f} s, without Ray's start and end "
-              f"{(batch.batch - singles) / count:+.2f} s", flush=True)  # fmt: skip
+        print(
+            f"one core, {count} captures: hir reconstruct {singles:.1f} s, hir batch {batch.command:.1f} s, of which "
+            f"Ray's start and end {batch.command - batch.batch:.1f} s",
+            flush=True,
+        )
+        print(
+            f"a capture: {(batch.command - singles) / count:+.2f} s, without Ray's start and end "
+            f"{(batch.batch - singles) / count:+.2f} s",
+            flush=True,
+        )
         pair = run_singles(shelf[:2], folder / "pair", cores=2)
         both = run_batch(shelf[:2], folder / "both", cores=2)
-        print(f"two cores, two captures: one after the other {pair:.1f} s, at once {both.command:.1f} s, of which "
-              f"Ray's start and end {both.command - both.batch:.1f} s", flush=True)  # fmt: skip
+        print(
+            f"two cores, two captures: one after the other {pair:.1f} s, at once {both.command:.1f} s, of which "
+            f"Ray's start and end {both.command - both.batch:.1f} s",
+            flush=True,
+        )
         large = run_batch(shelf, folder / "large", cores=2)
         print("\n".join(compare(batch, large, cores=2)))
 

@@ -18,8 +18,8 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from hir_core.batch.groups import GROUPS, Requests, build_requests, window
-from hir_core.batch.patience import Patience
+from hir_plugins.commands.batch.retries import Patience
+from hir_plugins.commands.batch.stage_groups import GROUPS, Requests, build_requests, window
 
 GIB = 2.0**30
 
@@ -86,9 +86,14 @@ class Played:
 
 
 def play(
-    captures: int, load: Load, fleet: Fleet, requests: Requests, overhead: Overhead = Overhead(), seed: int = 0,
+    captures: int,
+    load: Load,
+    fleet: Fleet,
+    requests: Requests,
+    overhead: Overhead = Overhead(),
+    seed: int = 0,
     listed: int = 0,
-) -> Played:  # fmt: skip
+) -> Played:
     """Plays a batch through; `listed` captures are in the manifest, by default those that are played."""
     chance = random.Random(seed)
     asked = [requests.of(group) for group in GROUPS]
@@ -205,8 +210,11 @@ def mean_load() -> Load:
 def table(fleets: Sequence[tuple[str, int, Fleet]], shards: int = 1) -> list[str]:
     """Rows of Markdown."""
     load, requests = mean_load(), build_requests(1.0, 0.0)
-    rows = ["| fleet | captures | hours | captures an hour | cores busy | driver busy | outcome waits, at most | store "
-            "reads + writes | dollars |", "|---|---|---|---|---|---|---|---|---|"]  # fmt: skip
+    rows = [
+        "| fleet | captures | hours | captures an hour | cores busy | driver busy | outcome waits, at most | store "
+        "reads + writes | dollars |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
     for name, captures, fleet in fleets:
         part = replace(fleet, nodes=max(fleet.nodes // shards, 1))
         played = min(captures // shards, MOST_PLAYED)

@@ -11,7 +11,7 @@ from typing import Any
 
 from benchmarks.experiments.folders import ROOT, WORK, shared
 from benchmarks.experiments.rendered import rendered
-from hir_core.bench.captures import made_smaller, stretched
+from hir_plugins.commands.bench.inputs.bench_captures import made_smaller, stretched
 
 RESULTS = ROOT / "benchmarks" / "results" / "experiments"
 

@@ -10,14 +10,14 @@ import os
 from pathlib import Path
 
 import numpy as np
-from hir_exporters.images import read_ldr
-from hir_exporters.scene_files import load_scene
+from hir_exporters.scene_format import load_scene
+from hir_exporters.textures.image_files import read_ldr
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from benchmarks.experiments.cells import ROOT
-from hir_core.edit import Edit, edited, portrait
-from hir_core.manager import PluginManager
+from hir_core.plugins.manager import PluginManager
+from hir_core.rendering.asset_edit import Edit, edited, portrait
 
 IMAGES = ROOT / "docs" / "images"
 SIDE = 320

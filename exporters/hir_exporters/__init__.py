@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from hir_exporters.errors import ExportError, HirError, InputError
     from hir_exporters.exporter import Exporter, ExportReport
     from hir_exporters.formats import FORMATS, create_exporter
-    from hir_exporters.scene_files import load_scene, save_scene
-    from hir_exporters.verify import verify_file
+    from hir_exporters.reading.file_verification import verify_file
+    from hir_exporters.scene_format import load_scene, save_scene
 
 __all__ = [
     "FORMATS",

@@ -17,7 +17,7 @@ from hir_exporters.conventions import ALPHA_MIN
 from hir_exporters.errors import InputError
 
 MODELS: Final = ("paper", "dielectric")
-"""BRDF models of a material; `hir_exporters.brdf` holds their formulas."""
+"""BRDF models of a material; `hir_exporters.materials.brdf_numpy` holds their formulas."""
 
 PAPER_SPECULAR_MAX: Final = 4 / np.pi
 """Largest specular albedo of the `paper` model: its authors divide the lobe by pi where we divide by 4."""

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 from hir_exporters.asset import Asset, textures
-from hir_exporters.simplify import simplify
-from hir_exporters.surface_images import limited
+from hir_exporters.materials.texture_packing import limited
+from hir_exporters.mesh.simplification import simplify
 
 BudgetName = Literal["none", "quicklook", "web", "desktop"]
 

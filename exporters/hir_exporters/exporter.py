@@ -23,7 +23,8 @@ class ExportReport:
     warnings: tuple[str, ...] = ()
     """One sentence each."""
     residuals: Mapping[str, float] = field(default_factory=dict)
-    """Errors of the material conversion, computed from the values written (`hir_exporters.materials`)."""
+    """Errors of the material conversion, computed from the values written
+    (`hir_exporters.materials.material_conversion`)."""
     seconds: float = 0.0
 
 

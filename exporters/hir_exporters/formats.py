@@ -38,20 +38,38 @@ class Format:
 _GLTF, _USD = ("pygltflib",), ("pxr.Usd", "pxr.UsdGeom", "pxr.UsdShade")
 
 FORMATS: Final[dict[str, Format]] = {
-    "glb": Format("hir_exporters.gltf.exporter:GlbExporter", GltfConfig, "glTF 2.0 in one binary file.", _GLTF),
-    "gltf": Format("hir_exporters.gltf.exporter:GltfExporter", GltfConfig, "glTF 2.0 with textures as files.", _GLTF),
-    "usda": Format("hir_exporters.usd.exporter:UsdExporter", UsdConfig, "USD as text, with textures as files.", _USD),
-    "usdc": Format("hir_exporters.usd.exporter:UsdExporter", UsdConfig, "USD in binary, with textures as files.", _USD),
-    "usdz": Format(
-        "hir_exporters.usd.exporter:UsdzExporter", UsdzConfig, "USD in one package, for AR Quick Look.", _USD
+    "glb": Format("hir_exporters.gltf.gltf_exporter:GlbExporter", GltfConfig, "glTF 2.0 in one binary file.", _GLTF),
+    "gltf": Format(
+        "hir_exporters.gltf.gltf_exporter:GltfExporter", GltfConfig, "glTF 2.0 with textures as files.", _GLTF
     ),
-    "obj": Format("hir_exporters.obj:ObjExporter", ObjConfig, "Wavefront OBJ with an MTL in its PBR dialect."),
-    "hdr": Format("hir_exporters.environment_files:HdrExporter", EnvironmentConfig, "The light, Radiance RGBE."),
-    "exr": Format("hir_exporters.environment_files:ExrExporter", EnvironmentConfig, "The light, OpenEXR float32."),
-    "ktx": Format("hir_exporters.environment_files:KtxExporter", CubeConfig, "The light, prefiltered, for Filament."),
-    "dds": Format("hir_exporters.environment_files:DdsExporter", CubeConfig, "The light, prefiltered, as a cubemap."),
+    "usda": Format(
+        "hir_exporters.usd.usd_exporter:UsdExporter", UsdConfig, "USD as text, with textures as files.", _USD
+    ),
+    "usdc": Format(
+        "hir_exporters.usd.usd_exporter:UsdExporter", UsdConfig, "USD in binary, with textures as files.", _USD
+    ),
+    "usdz": Format(
+        "hir_exporters.usd.usd_exporter:UsdzExporter", UsdzConfig, "USD in one package, for AR Quick Look.", _USD
+    ),
+    "obj": Format(
+        "hir_exporters.obj.obj_exporter:ObjExporter", ObjConfig, "Wavefront OBJ with an MTL in its PBR dialect."
+    ),
+    "hdr": Format(
+        "hir_exporters.light.environment_exporters:HdrExporter", EnvironmentConfig, "The light, Radiance RGBE."
+    ),
+    "exr": Format(
+        "hir_exporters.light.environment_exporters:ExrExporter", EnvironmentConfig, "The light, OpenEXR float32."
+    ),
+    "ktx": Format(
+        "hir_exporters.light.environment_exporters:KtxExporter", CubeConfig, "The light, prefiltered, for Filament."
+    ),
+    "dds": Format(
+        "hir_exporters.light.environment_exporters:DdsExporter", CubeConfig, "The light, prefiltered, as a cubemap."
+    ),
     "sh.json": Format(
-        "hir_exporters.environment_files:HarmonicsExporter", HarmonicsConfig, "The light, 9 spherical harmonics."
+        "hir_exporters.light.environment_exporters:HarmonicsExporter",
+        HarmonicsConfig,
+        "The light, 9 spherical harmonics.",
     ),
 }
 

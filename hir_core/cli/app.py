@@ -15,18 +15,15 @@ import click
 from hir_exporters.errors import HirError
 
 from hir_core import __version__
-from hir_core.interrupt import remember_interrupts
+from hir_core.run.interrupt import remember_interrupts
 
 COMMANDS = {
     "check": "hir_core.cli.check:check_command",
     "reconstruct": "hir_core.cli.reconstruct:reconstruct_command",
-    "batch": "hir_core.cli.batch:batch_command",
     "export": "hir_core.cli.export:export_command",
     "evaluate": "hir_core.cli.evaluate:evaluate_command",
     "render": "hir_core.cli.render:render_command",
-    "view": "hir_core.cli.view:view_command",
     "report": "hir_core.cli.report:report_command",
-    "bench": "hir_core.cli.bench:bench_command",
     "edit": "hir_core.cli.edit:edit_command",
     "cameras": "hir_core.cli.cameras:cameras_command",
     "plugins": "hir_core.cli.plugins:plugins_command",
@@ -57,7 +54,7 @@ class LazyGroup(click.Group):
         return self.commands.get(cmd_name)
 
     def _add_plugin_commands(self) -> None:
-        from hir_core.manager import PluginManager
+        from hir_core.plugins.manager import PluginManager
 
         if not ctx_object().get("plugins_asked"):
             ctx_object()["plugins_asked"] = True

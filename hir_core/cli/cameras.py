@@ -16,12 +16,13 @@ from hir_core.cli.options import FOLDER, plugin_option
 @plugin_option
 def cameras_command(run: Path, form: str, output: Path, plugin_files: tuple[str, ...]) -> None:
     """Writes the cameras that RUN solved, for other programs: transforms.json, or a COLMAP model as text."""
-    from hir_core.camera_export import export_cameras
-    from hir_core.capture_files import read_cameras
+    from hir_core.capture.capture_store import read_cameras
     from hir_core.errors import InputError
-    from hir_core.manager import PluginManager
-    from hir_core.readers import read_capture
-    from hir_core.run_directory import open_run, read_json
+    from hir_core.files.json_documents import read_json
+    from hir_core.intake.camera_export import export_cameras
+    from hir_core.intake.reader_lookup import read_capture
+    from hir_core.plugins.manager import PluginManager
+    from hir_core.run.run_directory import open_run
 
     directory = open_run(run)
     told = read_json(directory.path / "run.json")["capture"]

@@ -14,7 +14,7 @@ from hir_core.errors import InputError
 
 if TYPE_CHECKING:
     from hir_core.capture import Array, Capture
-    from hir_core.check import CaptureCheck
+    from hir_core.intake.capture_check import CaptureCheck
 
 ROWS = 12
 """Photographs in the table unless -v asks for all of them: those that stand out most."""
@@ -44,10 +44,10 @@ def check_command(
 
     Reads masks as `hir reconstruct` does where they need no camera. -v lists every photograph.
     """
-    from hir_core.check import check_capture, contact_sheet, masked
-    from hir_core.manager import PluginManager
-    from hir_core.readers import read_capture
-    from hir_core.run_directory import jsonable
+    from hir_core.files.json_documents import jsonable
+    from hir_core.intake.capture_check import check_capture, contact_sheet, masked
+    from hir_core.intake.reader_lookup import read_capture
+    from hir_core.plugins.manager import PluginManager
 
     if sheet is not None and sheet.suffix.lower() != ".png":
         raise InputError(f"--sheet {sheet}: the picture is a .png; give a name that ends so")
@@ -57,7 +57,7 @@ def check_command(
         raise InputError(f"{capture} holds no photographs in its split {split}; is it the folder of a capture?")
     check = check_capture(found, None if mesh is None else surface_of(mesh, found))
     if sheet is not None:
-        from hir_exporters.images import write_png
+        from hir_exporters.textures.image_files import write_png
 
         write_png(sheet, contact_sheet(found))
     if as_json:

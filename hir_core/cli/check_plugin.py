@@ -37,7 +37,7 @@ def check_plugin_command(
     """
     from hir_core.config import assign
     from hir_core.errors import PluginError
-    from hir_core.manager import PluginManager
+    from hir_core.plugins.manager import PluginManager
     from hir_core.testing import check_component
     from hir_core.testing.running import named
 
@@ -51,8 +51,10 @@ def check_plugin_command(
     results: list[Result] = []
     for registered in named(name, plugins):
         if registered.missing:
-            raise PluginError(f"{registered.kind} {registered.component.name!r} cannot run here: it needs "
-                              f"{', '.join(registered.missing)}; install it with: {registered.install_command}")
+            raise PluginError(
+                f"{registered.kind} {registered.component.name!r} cannot run here: it needs "
+                f"{', '.join(registered.missing)}; install it with: {registered.install_command}"
+            )
         if not (as_json or quiet):
             click.echo(f"{registered.kind.replace('_', ' ')} {registered.component.name} ({registered.distribution})")
         for result in check_component(registered, only=only, options=options, plugins=plugins, raises=False):

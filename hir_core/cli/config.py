@@ -27,7 +27,7 @@ def show_command(
     import tomli_w
 
     from hir_core.config import load_config
-    from hir_core.manager import PluginManager
+    from hir_core.plugins.manager import PluginManager
 
     plugins = PluginManager.discover(plugin_files)
     config = load_config(plugins, preset, config_file, assignments, plugins=plugin_files or None)
@@ -39,8 +39,8 @@ def show_command(
 def schema_command(plugin_files: tuple[str, ...]) -> None:
     """Prints the JSON schema of the settings and of every component's options."""
     from hir_core.config import RunConfig
-    from hir_core.manager import PluginManager
-    from hir_core.options import options_schema
+    from hir_core.plugins.manager import PluginManager
+    from hir_core.plugins.options import options_schema
 
     plugins = PluginManager.discover(plugin_files)
     components: dict[str, dict[str, Any]] = {}

@@ -12,8 +12,8 @@ import click
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def doctor_command(as_json: bool) -> None:
     """Says what is installed and works, and what to install where something does not; exit code 1 if anything fails."""
-    from hir_core.doctor import examine
-    from hir_core.manager import PluginManager
+    from hir_core.plugins.manager import PluginManager
+    from hir_core.run.installation_check import examine
 
     findings = examine(PluginManager.discover().problems)
     if as_json:

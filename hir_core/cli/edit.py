@@ -13,8 +13,13 @@ from hir_core.cli.options import FOLDER, loudness_options, plugin_option
 @click.argument("source", type=FOLDER, metavar="RUN")
 @click.option("-o", "--output", type=FOLDER, required=True, metavar="DIR", help="The scene folder to write.")
 @click.option("--roughness", type=float, default=1.0, metavar="FACTOR", help="Of the roughness that engines show, √α.")
-@click.option("--tint", type=(float, float, float), default=(1.0, 1.0, 1.0), metavar="R G B",
-              help="Factors of the diffuse albedo, linear.")  # fmt: skip
+@click.option(
+    "--tint",
+    type=(float, float, float),
+    default=(1.0, 1.0, 1.0),
+    metavar="R G B",
+    help="Factors of the diffuse albedo, linear.",
+)
 @click.option("--specular", type=float, default=1.0, metavar="FACTOR", help="Of the specular albedo.")
 @click.option(
     "--light", default="", metavar="FILE[*STRENGTH]", help="A lat-long .hdr or .exr in the asset's axes (+Y up)."
@@ -44,8 +49,8 @@ def edit_command(
 
     The run itself stays as it is.
     """
-    from hir_core.edit import Edit, edit_run
-    from hir_core.manager import PluginManager
+    from hir_core.plugins.manager import PluginManager
+    from hir_core.rendering.asset_edit import Edit, edit_run
 
     edit = Edit(roughness, tint, specular, light)
     for path in edit_run(source, edit, output, PluginManager.discover(plugin_files), picture, size):

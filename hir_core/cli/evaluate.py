@@ -52,7 +52,7 @@ def evaluate_command(
     """
     from hir_core.cli.progress_bar import ProgressBar
     from hir_core.config import assign
-    from hir_core.manager import PluginManager
+    from hir_core.plugins.manager import PluginManager
 
     runs, capture = sort_paths(paths)
     options: dict[str, Any] = {}
@@ -60,10 +60,10 @@ def evaluate_command(
         assign(options, assignment)
     plugins = PluginManager.discover(plugin_files)
     from hir_core.evaluation import Question, evaluate_run
-    from hir_core.progress import Progress
+    from hir_core.plugins.progress import Progress
     from hir_core.report import refresh_page
-    from hir_core.run_directory import open_run
-    from hir_core.session import resolve_device
+    from hir_core.run.run_directory import open_run
+    from hir_core.run.session import resolve_device
 
     question = Question(
         split, capture, relight, renderer, options, resolve_device(device), download, mesh, albedo, views, truth
@@ -80,7 +80,7 @@ def evaluate_command(
                 bar.update(Progress(name, done, count, time.perf_counter() - since, message=text))
 
             results.append(evaluate_run(directory, question, plugins, told))
-            refresh_page(directory)
+            refresh_page(directory, plugins)
     if as_json:
         click.echo(json.dumps(results[0] if len(results) == 1 else results, indent=1))
     else:

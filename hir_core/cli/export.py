@@ -13,7 +13,7 @@ from hir_core.errors import ConfigError, InputError
 if TYPE_CHECKING:
     from hir_exporters.asset import Asset
 
-    from hir_core.manager import PluginManager
+    from hir_core.plugins.manager import PluginManager
 
 PROFILES = ("khr", "blender", "metalrough", "unity-legacy")
 BUDGETS = ("none", "quicklook", "web", "desktop")
@@ -80,8 +80,8 @@ def export_command(
     from hir_exporters.exporter import ExportReport
     from hir_exporters.formats import import_writers
 
-    from hir_core.export import export_asset
-    from hir_core.manager import PluginManager
+    from hir_core.plugins.manager import PluginManager
+    from hir_core.stages.export.asset_export import export_asset
 
     maps = {"base_color": base_color, "roughness": roughness, "metallic": metallic, "normal": normal}
     plugins = PluginManager.discover(plugin_files)
@@ -101,7 +101,7 @@ def export_command(
 
     reports = export_asset(asset, wanted, output, plugins, options, told)
     if verify:
-        from hir_core.verify import rerender_of_run, verify_export
+        from hir_core.stages.export.export_verification import rerender_of_run, verify_export
 
         rerender, why_not = rerender_of_run(source, asset, plugins)
         for name, report in reports.items():
@@ -113,9 +113,13 @@ def export_command(
 
 
 def _options(
-    plugins: PluginManager, assignments: tuple[str, ...], formats: list[str], profile: str | None, budget: str | None,
+    plugins: PluginManager,
+    assignments: tuple[str, ...],
+    formats: list[str],
+    profile: str | None,
+    budget: str | None,
     lod: str | None,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """Options by format: those of `--set`, then the short ones where a format has them."""
     from hir_core.config import assign
 
@@ -161,10 +165,10 @@ def parse_lods(text: str) -> list[int]:
 
 
 def _asset(source: Path, maps: dict[str, str], light: Path | None) -> Asset:
-    from hir_exporters.scene_files import load_scene
+    from hir_exporters.scene_format import load_scene
 
     if source.is_file():
-        from hir_exporters.mesh_files import SurfaceMaps, load_mesh_asset, parse_map
+        from hir_exporters.reading.mesh_import import SurfaceMaps, load_mesh_asset, parse_map
 
         return load_mesh_asset(source, SurfaceMaps(**{n: parse_map(n, text) for n, text in maps.items()}), light)
     if maps or light is not None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from hir_core.cli.options import FOLDER
-from hir_core.manager import KINDS
+from hir_core.plugins.manager import KINDS
 
 
 @click.command("new-plugin")
@@ -28,8 +28,10 @@ def new_plugin_command(name: str, kind: str, one_file: bool, output: Path) -> No
         path = write_one_file(name, output)
         click.echo(path)
         click.echo(f"check it with:  hir check-plugin {path}")
-        click.echo(f"use it with:    hir reconstruct PHOTOS -o RUN --plugin {path} "
-                   f"--set reflectance.regularizers.{path.stem}.weight=1")
+        click.echo(
+            f"use it with:    hir reconstruct PHOTOS -o RUN --plugin {path} "
+            f"--set reflectance.regularizers.{path.stem}.weight=1"
+        )
         return
     written = write_plugin(name, kind.replace("-", "_"), output)
     folder = next(file.parent for file in written if file.name == "pyproject.toml")

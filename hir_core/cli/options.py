@@ -45,6 +45,8 @@ def settings_options(function: Function) -> Function:
         function
     )
     return click.option(
-        "--preset", default="", metavar="NAME",
+        "--preset",
+        default="",
+        metavar="NAME",
         help="Settings to start from: fast (default), best, paper, or a plugin's.",
     )(function)

@@ -14,7 +14,7 @@ from hir_core.cli.options import plugin_option
 @plugin_option
 def plugins_command(as_json: bool, plugin_files: tuple[str, ...]) -> None:
     """Lists every component that is installed, and what to install for those that cannot run."""
-    from hir_core.manager import PluginManager
+    from hir_core.plugins.manager import PluginManager
 
     manager = PluginManager.discover(plugin_files)
     rows = [

@@ -6,7 +6,7 @@ import sys
 from types import TracebackType
 from typing import Self
 
-from hir_core.progress import Progress
+from hir_core.plugins.progress import Progress
 
 LOSSES = ("psnr", "held_out_psnr", "loss", "iou", "silhouette", "error")
 """Scalars that are shown beside the bar, the first two that a stage reports."""

@@ -10,7 +10,7 @@ import click
 
 from hir_core.cli.options import FOLDER, loudness_options, plugin_option, settings_options
 from hir_core.config import ModelName
-from hir_core.run_directory import STAGES
+from hir_core.run.run_directory import STAGES
 
 
 @click.command("reconstruct")
@@ -49,7 +49,7 @@ def reconstruct_command(
 ) -> None:
     """Turns the photographs of CAPTURE into a mesh, textures and a light, in the folder RUN."""
     from hir_core.cli.progress_bar import ProgressBar
-    from hir_core.manager import PluginManager
+    from hir_core.plugins.manager import PluginManager
 
     chosen = list(assignments)
     if model is not None:

@@ -45,8 +45,8 @@ def render_command(
     """Renders RUN from the places of its photographs, or all around it; PNGs are sRGB with alpha."""
     from hir_core.config import assign
     from hir_core.errors import ConfigError
-    from hir_core.manager import PluginManager
-    from hir_core.run_directory import open_run
+    from hir_core.plugins.manager import PluginManager
+    from hir_core.run.run_directory import open_run
 
     if not views and orbit is None:
         raise ConfigError("say what to render: --view NAME, or --orbit N for N pictures around the object")
@@ -55,7 +55,7 @@ def render_command(
         assign(options, assignment)
     directory = open_run(run)
     plugins = PluginManager.discover(plugin_files)
-    from hir_core.render import render_pictures
+    from hir_core.rendering.run_pictures import render_pictures
 
     for path in render_pictures(
         directory, plugins, output, views, orbit or 0, elevation, size, relight, renderer, options, exr

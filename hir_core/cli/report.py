@@ -15,8 +15,8 @@ from hir_core.cli.options import FOLDER, loudness_options, plugin_option
 @loudness_options
 def report_command(run: Path, plugin_files: tuple[str, ...], quiet: bool, verbose: bool) -> None:
     """Renders the pictures of RUN again and writes its report.html."""
-    from hir_core.manager import PluginManager
-    from hir_core.run_directory import open_run
+    from hir_core.plugins.manager import PluginManager
+    from hir_core.run.run_directory import open_run
 
     directory = open_run(run)
     plugins = PluginManager.discover(plugin_files)

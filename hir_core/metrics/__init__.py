@@ -1,6 +1,6 @@
 """Figures that say how far a fit is from the truth (docs/evaluation.md): pictures, surfaces, albedo, light."""
 
-from hir_core.metrics.pictures import (
+from hir_core.metrics.image_metrics import (
     OBJECT_COVERAGE,
     PSNR_MAX,
     ChannelScale,

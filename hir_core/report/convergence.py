@@ -9,15 +9,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hir_core.curves import curve_svg
-from hir_core.listener import read_curves
-from hir_core.progress import FIT
-from hir_core.run_directory import STAGES, RunDirectory, read_json
+from hir_core.files.json_documents import read_json
+from hir_core.plugins.progress import FIT
+from hir_core.report.curve_svg import curve_svg
+from hir_core.run.progress_listener import read_curves
+from hir_core.run.run_directory import STAGES, RunDirectory
 
 SHOWN_CURVES = 8
 
-NAMES = {"held_out": "held-out views, 1 − IoU", "gradient_norm": "gradient norm", "silhouette": "silhouettes, 1 − IoU",
-         "held_out_psnr": "held-out views, dB", "training_psnr": "fitted views, dB", "loss": "loss"}  # fmt: skip
+NAMES = {
+    "held_out": "held-out views, 1 − IoU",
+    "gradient_norm": "gradient norm",
+    "silhouette": "silhouettes, 1 − IoU",
+    "held_out_psnr": "held-out views, dB",
+    "training_psnr": "fitted views, dB",
+    "loss": "loss",
+}
 """Words for scalars whose names do not speak for themselves."""
 
 

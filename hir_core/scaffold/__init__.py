@@ -10,10 +10,10 @@ from pathlib import Path
 from string import Template
 from typing import Final
 
-from hir_exporters.atomic import atomic_directory, write_text_atomic
+from hir_exporters.files.atomic import atomic_directory, write_text_atomic
 
 from hir_core.errors import ConfigError
-from hir_core.manager import KINDS
+from hir_core.plugins.manager import KINDS
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ OUTLINES: Final[Mapping[str, Outline]] = {
         'min_points: int = 10\n    """With fewer points than this there is no hull."""',
         ("torch", "jaxtyping"),
         ("makes_surface",),
-        use="hir reconstruct PHOTOS -o RUN --set 'initializers=[\"colmap\", \"$name\"]'",
+        use='hir reconstruct PHOTOS -o RUN --set \'initializers=["colmap", "$name"]\'',
     ),
     "geometry_renderer": Outline(
         "Silhouettes, for a start those of contour.",

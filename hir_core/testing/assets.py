@@ -44,9 +44,13 @@ def textured_asset() -> Asset:
     normal = np.concatenate([slope, np.ones((SIDE, SIDE, 1), np.float32)], -1)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     material = AssetMaterial(
-        "dielectric", waves(3, 0.1, 0.8, 0), waves(3, 0.02, 0.08, 1), waves(1, 0.05, 0.5, 2)[..., 0], normal,
+        "dielectric",
+        waves(3, 0.1, 0.8, 0),
+        waves(3, 0.02, 0.08, 1),
+        waves(1, 0.05, 0.5, 2)[..., 0],
+        normal,
         np.ones((SIDE, SIDE), dtype=bool),
-    )  # fmt: skip
+    )
     light = AssetEnvironment(np.random.default_rng(4).uniform(0.1, 4.0, (8, 16, 3)).astype(np.float32))
     return Asset(ball(), material, light, {"generator": "contract tests"}, "ball")
 

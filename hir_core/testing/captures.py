@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from hir_exporters.conventions import linear_to_srgb, srgb_to_linear
-from hir_exporters.images import write_png
+from hir_exporters.textures.image_files import write_png
 from numpy.typing import NDArray
 
 from hir_core.capture import Array, Camera, Capture, OrientedPoints, Pixels, View

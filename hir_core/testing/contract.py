@@ -14,10 +14,9 @@ from typing import Any, Final, TypeVar
 
 from hir_exporters.exporter import Exporter
 
-from hir_core import interfaces
 from hir_core.errors import PluginError
-from hir_core.manager import PluginManager, Registered
-from hir_core.plugin import Component
+from hir_core.plugins import Component, interfaces
+from hir_core.plugins.manager import PluginManager, Registered
 
 INTERFACES: Final[Mapping[str, type]] = {
     "capture_reader": interfaces.CaptureReader,
@@ -34,11 +33,11 @@ PAGE: Final = "docs/writing_plugins/contracts.md"
 """Where every contract has a section of its check's name."""
 
 
-class Broken(AssertionError):  # noqa: N818 - what is broken is a contract
+class Broken(AssertionError):  # noqa: N818 - the outcome of a check, not a failure of the program
     """A contract is broken; the message says what was seen."""
 
 
-class NotApplicable(Exception):  # noqa: N818 - not an error: a reason
+class NotApplicable(Exception):  # noqa: N818 - the outcome of a check, not a failure of the program
     """A check has nothing to say about this component here; the message says why."""
 
 

@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from hir_core.errors import PluginError
-from hir_core.manager import PluginManager, Registered
-from hir_core.plugin import Component
+from hir_core.plugins import Component
+from hir_core.plugins.manager import PluginManager, Registered
 from hir_core.testing.contract import Check, NotApplicable
 from hir_core.testing.running import checks_for, named, subject_of
 

@@ -10,8 +10,8 @@ from importlib import import_module
 from typing import Any, Literal
 
 from hir_core.errors import PluginError
-from hir_core.manager import PluginManager, Registered
-from hir_core.plugin import Component
+from hir_core.plugins import Component
+from hir_core.plugins.manager import PluginManager, Registered
 from hir_core.testing.contract import CHECKS, INTERFACES, Check, ContractError, NotApplicable, Subject
 
 Outcome = Literal["passed", "failed", "expected", "mended", "skipped"]

@@ -1,5 +1,4 @@
 """Small scenes, all by formula: what regularizers and renderers are tried on."""
-# ruff: noqa: TID253 - only loaded by the checks of components that work on torch scenes
 
 from __future__ import annotations
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hir_exporters.formats import FORMATS
 
-from hir_core.plugin import Component, hookimpl
+from hir_core.plugins import Component, hookimpl
 
 TRAITS = {
     **dict.fromkeys(("glb", "gltf"), "gltf"),

@@ -4,7 +4,6 @@ By Reynolds' transport theorem `dA = ∮ (v·n) dl` and `dI = ∮ M (v·n) dl`: 
 does. Values are sums of the silhouette's spans along rows and columns of the image, `∫ M` over a span from a prefix
 sum. The cost follows the outline, not pixels × triangles.
 """
-# ruff: noqa: TID253 - implementation module
 
 from __future__ import annotations
 
@@ -17,13 +16,13 @@ from jaxtyping import Float
 from torch import Tensor
 
 from hir_core.capture import Camera, View
-from hir_core.interfaces import GeometryRenderer
-from hir_core.memory import CaptureSize
+from hir_core.capture.capture_size import CaptureSize
+from hir_core.plugins.interfaces import GeometryRenderer
 from hir_core.scene import Mesh, Topology
-from hir_core.silhouettes import SilhouetteTargets
+from hir_core.scene.silhouette_targets import SilhouetteTargets
+from hir_plugins.geometry_renderers.contour_edges import CameraBatch, EdgeTable, Segments, find_segments
 from hir_plugins.geometry_renderers.mask_sums import ContourTargets, masks_at
 from hir_plugins.geometry_renderers.options import ContourOptions
-from hir_plugins.geometry_renderers.outline import CameraBatch, EdgeTable, Segments, find_segments
 from hir_plugins.geometry_renderers.scanlines import Crossings, find_crossings
 
 STEP_BYTES = 128 << 20

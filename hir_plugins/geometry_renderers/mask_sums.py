@@ -1,5 +1,4 @@
 """Masks with their running sums along rows and columns: the integral over any span is two look-ups."""
-# ruff: noqa: TID253 - implementation module
 
 from __future__ import annotations
 
@@ -11,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from hir_core.capture import Camera
-from hir_core.silhouettes import SilhouetteTargets
+from hir_core.scene.silhouette_targets import SilhouetteTargets
 from hir_plugins.geometry_renderers.scanlines import Crossings
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hir_core.plugin import Component, hookimpl
+from hir_core.plugins import Component, hookimpl
 from hir_plugins.geometry_renderers.options import ContourOptions, SoftSilhouetteOptions
 
 CONTOUR = Component(

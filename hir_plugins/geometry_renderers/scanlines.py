@@ -1,5 +1,4 @@
 """Where the outline crosses a comb of lines through the image: rows, or columns."""
-# ruff: noqa: TID253 - implementation module
 
 from __future__ import annotations
 
@@ -9,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from hir_plugins.geometry_renderers.outline import TIE, CameraBatch, Segments
+from hir_plugins.geometry_renderers.contour_edges import TIE, CameraBatch, Segments
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,6 @@ that face
 away included. Exact: the work is cut into small tiles, and a tile is left out only when that is proven to change
 nothing.
 """
-# ruff: noqa: TID253 - implementation module
 
 from __future__ import annotations
 
@@ -17,12 +16,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from hir_core.capture import Camera, View
-from hir_core.interfaces import GeometryRenderer
+from hir_core.plugins.interfaces import GeometryRenderer
 from hir_core.scene import Mesh
-from hir_core.silhouettes import SilhouetteTargets
+from hir_core.scene.silhouette_targets import SilhouetteTargets
 from hir_plugins.geometry_renderers.contour import Contour
+from hir_plugins.geometry_renderers.contour_edges import NEAR, CameraBatch
 from hir_plugins.geometry_renderers.options import ContourOptions, SoftSilhouetteOptions
-from hir_plugins.geometry_renderers.outline import NEAR, CameraBatch
 from hir_plugins.geometry_renderers.soft_tiles import Kernel, Tiles, accumulate, gather_tiles, gradient
 
 

@@ -1,5 +1,4 @@
 """Which triangles reach which tiles of an image, and the sums of their soft coverages there."""
-# ruff: noqa: TID253 - implementation module
 
 from __future__ import annotations
 

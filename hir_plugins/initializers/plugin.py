@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from hir_core.plugin import Component, hookimpl
+from hir_core.plugins import Component, hookimpl
 from hir_plugins.initializers.options import (
     ColmapOptions,
     MeshFileOptions,
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 VISUAL_HULL = Component(
     name="visual_hull",
-    target="hir_plugins.initializers.visual_hull:VisualHull",
+    target="hir_plugins.initializers.hull.visual_hull:VisualHull",
     config=VisualHullOptions,
     summary="The largest object that fits all masks; needs cameras and masks.",
     requires=("torch", "jaxtyping", "open3d", "cv2", "skimage"),
@@ -28,18 +28,18 @@ VISUAL_HULL = Component(
 
 MESH_FILE = Component(
     name="mesh_file",
-    target="hir_plugins.initializers.mesh_file:MeshFile",
+    target="hir_plugins.initializers.existing_mesh.mesh_file:MeshFile",
     config=MeshFileOptions,
     summary="A mesh that already exists, from any format that trimesh reads.",
     requires=("torch", "jaxtyping", "open3d"),
     extra="reconstruct",
     traits=frozenset({"makes_surface", "reads_files"}),
-    testing="hir_plugins.initializers.cases:mesh_of_the_object",
+    testing="hir_plugins.initializers.contract_inputs:mesh_of_the_object",
 )
 
 COLMAP = Component(
     name="colmap",
-    target="hir_plugins.initializers.colmap:Colmap",
+    target="hir_plugins.initializers.sfm.colmap:Colmap",
     config=ColmapOptions,
     summary="Finds cameras and sparse points from photographs alone.",
     requires=("torch", "jaxtyping", "pycolmap", "cv2"),
@@ -49,7 +49,7 @@ COLMAP = Component(
 
 STEREO = Component(
     name="stereo",
-    target="hir_plugins.initializers.stereo:Stereo",
+    target="hir_plugins.initializers.stereo.stereo:Stereo",
     config=StereoOptions,
     summary="Measures depth in all photographs and carves it out of the visual hull.",
     requires=("torch", "jaxtyping", "open3d", "cv2", "skimage", "pycolmap"),
@@ -59,13 +59,13 @@ STEREO = Component(
 
 POISSON = Component(
     name="poisson",
-    target="hir_plugins.initializers.poisson:Poisson",
+    target="hir_plugins.initializers.poisson.poisson:Poisson",
     config=PoissonOptions,
     summary="A surface through the points that stereo measured.",
     requires=("torch", "jaxtyping", "open3d"),
     extra="reconstruct",
     traits=frozenset({"needs_cameras", "needs_points", "makes_surface"}),
-    testing="hir_plugins.initializers.cases:without_masks",
+    testing="hir_plugins.initializers.contract_inputs:without_masks",
 )
 
 

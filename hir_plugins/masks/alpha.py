@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hir_core.capture import Capture
-from hir_core.interfaces import MaskSource
-from hir_core.plugin import NoOptions
+from hir_core.plugins import NoOptions
+from hir_core.plugins.interfaces import MaskSource
 
 if TYPE_CHECKING:
     from hir_core.scene import Scene

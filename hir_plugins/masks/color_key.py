@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hir_core.capture import Capture
 from hir_core.errors import CaptureError, ConfigError
-from hir_core.interfaces import MaskSource
+from hir_core.plugins.interfaces import MaskSource
 from hir_plugins.masks.options import ColorKeyOptions
 
 if TYPE_CHECKING:
@@ -62,6 +62,8 @@ def _border_color(images: list[NDArray[np.floating]], capture: Capture) -> NDArr
     pixels = np.clip(np.concatenate(borders), 0, 1)
     median = np.median(pixels, axis=0).astype(np.float64)
     if (np.linalg.norm(pixels - median, axis=1) < 0.1).mean() < 0.7:
-        raise CaptureError(f"{capture.path}: the photographs' borders are of many colours, so there is no background "
-                           "to key; name its colour (mask_source.color_key.color) or use another mask source")
+        raise CaptureError(
+            f"{capture.path}: the photographs' borders are of many colours, so there is no background "
+            "to key; name its colour (mask_source.color_key.color) or use another mask source"
+        )
     return median

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hir_core.capture import Capture, View
+from hir_core.capture.lens import camera_lens, resample
 from hir_core.errors import CaptureError
-from hir_core.interfaces import MaskSource
-from hir_core.lens import camera_lens, resample
+from hir_core.plugins.interfaces import MaskSource
 from hir_plugins.masks.options import FolderOptions
-from hir_plugins.readers.capture_paths import PHOTO_SUFFIXES, inside
-from hir_plugins.readers.mask_files import beside, match_mask
-from hir_plugins.readers.photo_file import read_mask
+from hir_plugins.readers.parsing.capture_paths import PHOTO_SUFFIXES, inside
+from hir_plugins.readers.parsing.mask_files import beside, match_mask
+from hir_plugins.readers.parsing.photo_file import read_mask
 
 if TYPE_CHECKING:
     from hir_core.scene import Scene
@@ -34,8 +34,10 @@ class Folder(MaskSource):
         del scene
         found = [self._file(view, capture.path) for view in capture.views]
         if self._config.path and capture.views and not any(found):
-            raise CaptureError(f"{capture.path / self._config.path} holds no mask that is named like a photograph, "
-                               f"such as {capture.views[0].name}.png")
+            raise CaptureError(
+                f"{capture.path / self._config.path} holds no mask that is named like a photograph, "
+                f"such as {capture.views[0].name}.png"
+            )
         missing = [v.name for v, f in zip(capture.views, found, strict=True) if f is None]
         if missing and len(missing) < len(found):
             counts = f"{len(missing)} of {len(found)} photographs"

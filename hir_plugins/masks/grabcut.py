@@ -10,7 +10,7 @@ from hir_exporters.conventions import linear_to_srgb
 from numpy.typing import NDArray
 
 from hir_core.capture import Camera, Capture, Pixels
-from hir_core.interfaces import MaskSource
+from hir_core.plugins.interfaces import MaskSource
 from hir_plugins.masks.object_region import agreed_region, object_points, splat
 from hir_plugins.masks.options import GrabCutOptions
 
@@ -76,9 +76,7 @@ def cut(
     return (labels & 1) == 1
 
 
-def _again(
-    image: NDArray[np.uint8], sure: NDArray[np.bool_], region: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
+def _again(image: NDArray[np.uint8], sure: NDArray[np.bool_], region: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Cuts inside of the region that the views agree on, and a little beyond it."""
     import cv2
 

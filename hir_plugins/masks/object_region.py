@@ -21,8 +21,10 @@ def object_points(capture: Capture) -> tuple[Array, Array, float]:
     """
     points = capture.points
     if points is None or len(points.positions) < 50:
-        raise CaptureError(f"{capture.path}: masks by grabcut need the object's points; run colmap before, such as: "
-                           "--set 'initializers=[\"colmap\", \"visual_hull\"]'")  # fmt: skip
+        raise CaptureError(
+            f"{capture.path}: masks by grabcut need the object's points; run colmap before, such as: "
+            '--set \'initializers=["colmap", "visual_hull"]\''
+        )
     cameras = capture.cameras
     inside = np.zeros(len(points.positions))
     for camera in cameras:

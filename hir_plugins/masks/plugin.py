@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hir_core.plugin import Component, hookimpl
+from hir_core.plugins import Component, hookimpl
 from hir_plugins.masks.options import ColorKeyOptions, FolderOptions, GrabCutOptions, RembgOptions
 
 ALPHA = Component(
@@ -10,7 +10,7 @@ ALPHA = Component(
     target="hir_plugins.masks.alpha:Alpha",
     summary="The alpha channel of the photographs, or the masks that their capture names.",
     traits=frozenset({"automatic"}),
-    testing="hir_plugins.masks.cases:photographs_with_alpha",
+    testing="hir_plugins.masks.contract_inputs:photographs_with_alpha",
 )
 
 FOLDER = Component(
@@ -19,7 +19,7 @@ FOLDER = Component(
     config=FolderOptions,
     summary="A folder of masks, matched to the photographs by name.",
     traits=frozenset({"automatic", "reads_files"}),
-    testing="hir_plugins.masks.cases:folder_of_masks",
+    testing="hir_plugins.masks.contract_inputs:folder_of_masks",
 )
 
 COLOR_KEY = Component(
@@ -46,7 +46,7 @@ REMBG = Component(
     summary="A network that tells what stands in front, with weights that are on this machine.",
     requires=("rembg", "onnxruntime"),
     extra="rembg",
-    testing="hir_plugins.masks.cases:photographs_with_weights",
+    testing="hir_plugins.masks.contract_inputs:photographs_with_weights",
 )
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from hir_core.capture import Capture
 from hir_core.errors import CaptureError
-from hir_core.interfaces import MaskSource
+from hir_core.plugins.interfaces import MaskSource
 from hir_plugins.masks.options import RembgOptions
 
 if TYPE_CHECKING:
@@ -51,8 +51,10 @@ def _session(options: RembgOptions, capture: Capture) -> Any:
     kind = known[options.model]
     found = kind.resolve_existing(f"{options.model}.onnx")
     if found is None:
-        raise CaptureError(f"the weights of {options.model} are not on this machine, and nothing is downloaded "
-                           f"unasked; fetch them once with: rembg d {options.model}")  # fmt: skip
+        raise CaptureError(
+            f"the weights of {options.model} are not on this machine, and nothing is downloaded "
+            f"unasked; fetch them once with: rembg d {options.model}"
+        )
     return _opened(Path(found), lambda: new_session(options.model))
 
 
@@ -73,8 +75,9 @@ def _opened(path: Path, make: Callable[[], Any]) -> Any:
     try:
         return make()
     except Exception as error:  # the runtime raises types of its own on a broken file
-        raise CaptureError(f"{path} is not a network that rembg can run: {' '.join(str(error).split())[:200]}; fetch "
-                           "it again") from error  # fmt: skip
+        raise CaptureError(
+            f"{path} is not a network that rembg can run: {' '.join(str(error).split())[:200]}; fetch it again"
+        ) from error
 
 
 def _mask(color_linear: NDArray[np.float32], session: Any) -> NDArray[np.float32]:

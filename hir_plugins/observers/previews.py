@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hir_core.options import build_options
-from hir_core.plugin import hookimpl
+from hir_core.plugins import hookimpl
+from hir_core.plugins.options import build_options
 from hir_plugins.observers.options import PreviewsOptions
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ class PreviewsObserver:
     def hir_stage_finished(self, stage: str, scene: Scene | None, report: Mapping[str, Any]) -> None:
         if self._folder is None or scene is None or not len(scene.mesh.faces):
             return
-        from hir_exporters.images import write_png
+        from hir_exporters.textures.image_files import write_png
 
         from hir_plugins.observers.preview_pictures import strip
 

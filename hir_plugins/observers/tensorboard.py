@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hir_core.errors import MissingExtraError
-from hir_core.options import build_options
-from hir_core.plugin import hookimpl
+from hir_core.plugins import hookimpl
+from hir_core.plugins.options import build_options
 from hir_plugins.observers.options import TensorBoardOptions
 
 if TYPE_CHECKING:
-    from hir_core.progress import Progress
+    from hir_core.plugins.progress import Progress
     from hir_core.scene import Scene
 
 NAME = "tensorboard"
@@ -40,8 +40,9 @@ class TensorBoardObserver:
         try:
             import torch.utils.tensorboard  # noqa: F401 - only where it was asked for
         except ImportError:
-            raise MissingExtraError("observer 'tensorboard' needs tensorboard; install it with: "
-                                    "pip install 'hir[tensorboard]'") from None
+            raise MissingExtraError(
+                "observer 'tensorboard' needs tensorboard; install it with: pip install 'hir[tensorboard]'"
+            ) from None
         self._folder = run_folder / NAME
         self._flush_seconds = build_options(TensorBoardOptions, table, "observer 'tensorboard'").flush_seconds
 

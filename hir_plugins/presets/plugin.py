@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hir_core.plugin import hookimpl
+from hir_core.plugins import hookimpl
 
 
 @hookimpl

@@ -9,13 +9,13 @@ import numpy as np
 
 from hir_core.capture import Array, Capture
 from hir_core.errors import CaptureError
-from hir_core.interfaces import CaptureReader
-from hir_core.plugin import NoOptions
-from hir_plugins.readers.camera_axes import rigid
-from hir_plugins.readers.capture_paths import existing_photo, inside, unique_names
-from hir_plugins.readers.lens_camera import LensCamera, make_view
-from hir_plugins.readers.mask_files import beside
-from hir_plugins.readers.upright import upright
+from hir_core.plugins import NoOptions
+from hir_core.plugins.interfaces import CaptureReader
+from hir_plugins.readers.parsing.camera_axes import rigid
+from hir_plugins.readers.parsing.capture_paths import existing_photo, inside, unique_names
+from hir_plugins.readers.parsing.lens_camera import LensCamera, make_view
+from hir_plugins.readers.parsing.mask_files import beside
+from hir_plugins.readers.parsing.upright import upright
 
 _FOLDERS: Final = ("blended_images", "images", "image")
 

@@ -9,13 +9,13 @@ import numpy as np
 
 from hir_core.capture import Capture
 from hir_core.errors import CaptureError
-from hir_core.interfaces import CaptureReader
-from hir_core.plugin import NoOptions
-from hir_plugins.readers.capture_paths import existing_photo, unique_names
-from hir_plugins.readers.colmap_files import read_cameras, read_images, read_points
-from hir_plugins.readers.lens_camera import make_view
-from hir_plugins.readers.mask_files import beside
-from hir_plugins.readers.upright import upright
+from hir_core.plugins import NoOptions
+from hir_core.plugins.interfaces import CaptureReader
+from hir_plugins.readers.parsing.capture_paths import existing_photo, unique_names
+from hir_plugins.readers.parsing.colmap_files import read_cameras, read_images, read_points
+from hir_plugins.readers.parsing.lens_camera import make_view
+from hir_plugins.readers.parsing.mask_files import beside
+from hir_plugins.readers.parsing.upright import upright
 
 _MODELS: Final = ("sparse/0", "sparse", "colmap/sparse/0", "colmap/sparse", "dense/sparse", "colmap", "model", ".")
 _IMAGES: Final = ("images", "image", "input", "rgb", "photos", ".")
@@ -72,5 +72,7 @@ def _image_folder(path: Path, first: str) -> Path:
     for name in _IMAGES:
         if (path / name / first).is_file():
             return path / name
-    raise CaptureError(f"{path}: the image {first!r} of the COLMAP model is in none of the folders "
-                       f"{', '.join(_IMAGES)}; put the images into the folder 'images'")  # fmt: skip
+    raise CaptureError(
+        f"{path}: the image {first!r} of the COLMAP model is in none of the folders "
+        f"{', '.join(_IMAGES)}; put the images into the folder 'images'"
+    )

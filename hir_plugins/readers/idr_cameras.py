@@ -10,13 +10,13 @@ import numpy as np
 
 from hir_core.capture import Capture, similarity_scale
 from hir_core.errors import CaptureError
-from hir_core.interfaces import CaptureReader
-from hir_core.plugin import NoOptions
-from hir_plugins.readers.capture_paths import photos_of_first, unique_names
-from hir_plugins.readers.lens_camera import LensCamera, make_view
-from hir_plugins.readers.mask_files import beside
-from hir_plugins.readers.pose_files import decompose_projection, load_arrays
-from hir_plugins.readers.upright import upright
+from hir_core.plugins import NoOptions
+from hir_core.plugins.interfaces import CaptureReader
+from hir_plugins.readers.parsing.capture_paths import photos_of_first, unique_names
+from hir_plugins.readers.parsing.lens_camera import LensCamera, make_view
+from hir_plugins.readers.parsing.mask_files import beside
+from hir_plugins.readers.parsing.pose_files import decompose_projection, load_arrays
+from hir_plugins.readers.parsing.upright import upright
 
 _FILES: Final = ("cameras.npz", "cameras_sphere.npz", "cameras_large.npz", "cameras_hd.npz")
 _FOLDERS: Final = ("image", "images", "rgb")
@@ -46,8 +46,9 @@ class IdrCamerasReader(CaptureReader):
         numbers = sorted(int(m[1]) for name in arrays if (m := re.fullmatch(r"world_mat_(\d+)", name)))
         photos = photos_of_first(path, _FOLDERS)
         if not numbers or len(photos) != len(numbers):
-            raise CaptureError(f"{source} has {len(numbers)} cameras (world_mat_<i>), {path} {len(photos)} images; "
-                               "give one each")
+            raise CaptureError(
+                f"{source} has {len(numbers)} cameras (world_mat_<i>), {path} {len(photos)} images; give one each"
+            )
         views, poses = [], []
         for number, photo, name in zip(numbers, photos, unique_names(photos, path), strict=True):
             owner = f"{source}, world_mat_{number}"
@@ -55,8 +56,9 @@ class IdrCamerasReader(CaptureReader):
             if matrix.shape not in ((4, 4), (3, 4)):
                 raise CaptureError(f"{owner} has the shape {matrix.shape}; 4×4 is needed")
             k, pose = decompose_projection(matrix[:3], owner)
-            views.append(make_view(name, photo, LensCamera(k[0, 0], k[1, 1], k[0, 2], k[1, 2]), pose, owner,
-                                   beside(photo, path)))  # fmt: skip
+            views.append(
+                make_view(name, photo, LensCamera(k[0, 0], k[1, 1], k[0, 2], k[1, 2]), pose, owner, beside(photo, path))
+            )
             poses.append(pose)
         capture = Capture(path=path, views=tuple(views), world_from_source=np.eye(4), reader="idr_cameras")
         capture = capture.transformed(upright(poses))

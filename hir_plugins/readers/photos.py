@@ -9,17 +9,23 @@ from typing import Final, final
 
 from hir_core.capture import Capture, View
 from hir_core.errors import CaptureError
-from hir_core.interfaces import CaptureReader
-from hir_core.plugin import NoOptions
-from hir_plugins.readers.capture_paths import PHOTO_SUFFIXES, inside, unique_names
-from hir_plugins.readers.mask_files import beside, orphans
-from hir_plugins.readers.photo_file import PhotoFile, photo_size
+from hir_core.plugins import NoOptions
+from hir_core.plugins.interfaces import CaptureReader
+from hir_plugins.readers.parsing.capture_paths import PHOTO_SUFFIXES, inside, unique_names
+from hir_plugins.readers.parsing.mask_files import beside, orphans
+from hir_plugins.readers.parsing.photo_file import PhotoFile, photo_size
 
 _FOLDERS: Final = (".", "images", "image", "photos", "input", "rgb", "Images", "JPEG", "DCIM")
 _CAMERA_FILES: Final = (
-    "transforms*.json", "cameras*.npz", "poses_bounds.npy", "*_par.txt", "sparse", "colmap", "cams",
+    "transforms*.json",
+    "cameras*.npz",
+    "poses_bounds.npy",
+    "*_par.txt",
+    "sparse",
+    "colmap",
+    "cams",
     "blended_images",
-)  # fmt: skip
+)
 
 
 @final
@@ -51,13 +57,18 @@ class PhotosReader(CaptureReader):
         (usual, _), *others = Counter(tuple(sorted(size)) for size in sizes.values()).most_common()
         if others:
             odd = [p.name for p, size in sizes.items() if tuple(sorted(size)) != usual]
-            warnings.warn(f"{len(odd)} of {len(photos)} photographs are not {usual[1]}×{usual[0]} as the others are, "
-                          f"such as {odd[0]}: they get cameras of their own", stacklevel=2)  # fmt: skip
+            warnings.warn(
+                f"{len(odd)} of {len(photos)} photographs are not {usual[1]}×{usual[0]} as the others are, "
+                f"such as {odd[0]}: they get cameras of their own",
+                stacklevel=2,
+            )
         names = unique_names(photos, path)
         masks = [beside(photo, path) for photo in photos]
         if lost := orphans(photos, path):
-            warnings.warn(f"{len(lost)} masks belong to no photograph, such as {lost[0]}: masks are named like their "
-                          "photographs", stacklevel=2)  # fmt: skip
+            warnings.warn(
+                f"{len(lost)} masks belong to no photograph, such as {lost[0]}: masks are named like their photographs",
+                stacklevel=2,
+            )
         views = tuple(
             View(name, None, PhotoFile(photo, mask, orient=True), path=photo, mask_path=mask)
             for photo, mask, name in zip(photos, masks, names, strict=True)

@@ -2,62 +2,62 @@
 
 from __future__ import annotations
 
-from hir_core.plugin import Component, hookimpl
+from hir_core.plugins import Component, hookimpl
 
 TRANSFORMS_JSON = Component(
     name="transforms_json",
     target="hir_plugins.readers.transforms_json:TransformsJsonReader",
     summary="NeRF-synthetic, nerfstudio and instant-ngp: transforms.json or one transforms_<split>.json a split.",
-    testing="hir_plugins.readers.samples:transforms_json",
+    testing="hir_plugins.readers.contract_inputs:transforms_json",
 )
 
 COLMAP_MODEL = Component(
     name="colmap_model",
     target="hir_plugins.readers.colmap_model:ColmapModelReader",
     summary="A COLMAP model, text or binary, with the folder of its images.",
-    testing="hir_plugins.readers.samples:colmap_model",
+    testing="hir_plugins.readers.contract_inputs:colmap_model",
 )
 
 PHOTOS = Component(
     name="photos",
     target="hir_plugins.readers.photos:PhotosReader",
     summary="A plain folder of photographs, with masks beside them or without.",
-    testing="hir_plugins.readers.samples:photos",
+    testing="hir_plugins.readers.contract_inputs:photos",
 )
 
 IDR_CAMERAS = Component(
     name="idr_cameras",
     target="hir_plugins.readers.idr_cameras:IdrCamerasReader",
     summary="IDR, NeuS and DTU: cameras.npz with folders image and mask.",
-    testing="hir_plugins.readers.samples:idr_cameras",
+    testing="hir_plugins.readers.contract_inputs:idr_cameras",
 )
 
 LLFF = Component(
     name="llff",
     target="hir_plugins.readers.llff:LlffReader",
     summary="LLFF: poses_bounds.npy with a folder of images.",
-    testing="hir_plugins.readers.samples:llff",
+    testing="hir_plugins.readers.contract_inputs:llff",
 )
 
 MIDDLEBURY = Component(
     name="middlebury",
     target="hir_plugins.readers.middlebury:MiddleburyReader",
     summary="Middlebury multi-view stereo: *_par.txt beside its images.",
-    testing="hir_plugins.readers.samples:middlebury",
+    testing="hir_plugins.readers.contract_inputs:middlebury",
 )
 
 BLENDED_MVS = Component(
     name="blended_mvs",
     target="hir_plugins.readers.blended_mvs:BlendedMvsReader",
     summary="BlendedMVS and MVSNet: cams/*_cam.txt with blended_images.",
-    testing="hir_plugins.readers.samples:blended_mvs",
+    testing="hir_plugins.readers.contract_inputs:blended_mvs",
 )
 
 VIDEO = Component(
     name="video",
     target="hir_plugins.readers.video:VideoReader",
     summary="A video walked around the object: its sharpest frames, well spread; needs PyAV.",
-    testing="hir_plugins.readers.samples:video",
+    testing="hir_plugins.readers.contract_inputs:video",
 )
 
 

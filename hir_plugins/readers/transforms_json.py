@@ -8,25 +8,32 @@ from typing import Any, Final, final
 
 from hir_core.capture import Capture, EnvironmentSource, View
 from hir_core.errors import CaptureError
-from hir_core.interfaces import CaptureReader
-from hir_core.plugin import NoOptions
-from hir_plugins.readers.camera_axes import (
+from hir_core.plugins import NoOptions
+from hir_core.plugins.interfaces import CaptureReader
+from hir_plugins.readers.parsing.camera_axes import (
     BLENDER_FROM_LATLONG,
     OPENCV_FROM_OPENGL,
     WORLD_FROM_Z_UP,
     rigid,
     rigid_inverse,
 )
-from hir_plugins.readers.capture_paths import existing_photo, inside, number, read_json, unique_names
-from hir_plugins.readers.lens_camera import LensCamera, make_view
-from hir_plugins.readers.mask_files import beside
-from hir_plugins.readers.photo_file import photo_size
+from hir_plugins.readers.parsing.capture_paths import existing_photo, inside, number, read_json, unique_names
+from hir_plugins.readers.parsing.lens_camera import LensCamera, make_view
+from hir_plugins.readers.parsing.mask_files import beside
+from hir_plugins.readers.parsing.photo_file import photo_size
 
 _RADIAL: Final = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 _FISHEYE: Final = ("k1", "k2", "k3", "k4")
 _MODELS: Final = (
-    "OPENCV", "OPENCV_FISHEYE", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "RADIAL", "SIMPLE_RADIAL", "FULL_OPENCV",
-)  # fmt: skip
+    "OPENCV",
+    "OPENCV_FISHEYE",
+    "PINHOLE",
+    "SIMPLE_PINHOLE",
+    "PERSPECTIVE",
+    "RADIAL",
+    "SIMPLE_RADIAL",
+    "FULL_OPENCV",
+)
 _SPLIT_LISTS: Final = {"train": "train_filenames", "val": "val_filenames", "test": "test_filenames"}
 
 
@@ -94,8 +101,9 @@ def _frames_of_split(
 ) -> list[tuple[int, dict[str, Any]]]:
     frames = content.get("frames")
     if not isinstance(frames, list) or not frames or not all(isinstance(f, dict) for f in frames):
-        raise CaptureError(f"{source} has no frames; it needs a list 'frames' of objects with 'file_path' and "
-                           "'transform_matrix'")
+        raise CaptureError(
+            f"{source} has no frames; it needs a list 'frames' of objects with 'file_path' and 'transform_matrix'"
+        )
     numbered = list(enumerate(frames))
     names = content.get(_SPLIT_LISTS.get(split, ""))
     if isinstance(names, list) and names:
@@ -107,9 +115,7 @@ def _frames_of_split(
     return chosen
 
 
-def _view(
-    content: dict[str, Any], frame: dict[str, Any], source: Path, index: int, photo: Path, name: str
-) -> View:
+def _view(content: dict[str, Any], frame: dict[str, Any], source: Path, index: int, photo: Path, name: str) -> View:
     owner = f"{source}, frame {index}"
     merged = {**content, **frame}
     camera_to_source = rigid(frame.get("transform_matrix"), owner)

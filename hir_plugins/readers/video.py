@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from hir_core.capture import Capture, Pixels, View
 from hir_core.errors import CaptureError, ConfigError
-from hir_core.interfaces import CaptureReader
-from hir_core.plugin import NoOptions
-from hir_plugins.readers.photo_file import SATURATED_LEVEL
+from hir_core.plugins import NoOptions
+from hir_core.plugins.interfaces import CaptureReader
+from hir_plugins.readers.parsing.photo_file import SATURATED_LEVEL
 
 VIDEO_SUFFIXES: Final = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm")
 
@@ -136,8 +136,9 @@ def _opened(path: Path) -> Any:
     try:
         import av
     except ImportError:
-        raise ConfigError(f"{path} is a video; install its reader with: pip install av, "
-                          "or save its frames as photographs") from None
+        raise ConfigError(
+            f"{path} is a video; install its reader with: pip install av, or save its frames as photographs"
+        ) from None
     try:
         container = av.open(str(path), options=_ALONE)
     except Exception as error:  # PyAV raises its own types for each way a file can be broken

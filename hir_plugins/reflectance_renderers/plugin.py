@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hir_core.plugin import Component, hookimpl
+from hir_core.plugins import Component, hookimpl
 from hir_plugins.reflectance_renderers.mitsuba_ggx.options import MitsubaGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 

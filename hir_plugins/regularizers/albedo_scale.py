@@ -1,5 +1,4 @@
 """Holds the mean diffuse albedo where it was: no photograph tells a dark surface in much light from the opposite."""
-# ruff: noqa: TID253 - implementation module
 
 from __future__ import annotations
 
@@ -10,13 +9,13 @@ from jaxtyping import Float
 from torch import Tensor
 
 from hir_core.errors import StageError
-from hir_core.interfaces import Regularizer
+from hir_core.mesh.texel_rasterization import texel_surface
+from hir_core.plugins.interfaces import Regularizer
 from hir_core.scene import Scene
-from hir_core.texels import texel_surface
 from hir_plugins.regularizers.material_options import AlbedoScaleOptions
 
 if TYPE_CHECKING:
-    from hir_core.interfaces import Energy
+    from hir_core.plugins.interfaces import Energy
 
 DARKEST = 1e-4
 """Added to albedos before their logarithm: black has a finite slope."""

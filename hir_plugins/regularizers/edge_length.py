@@ -1,5 +1,4 @@
 """The paper's term on edge lengths."""
-# ruff: noqa: TID253 - implementation module
 
 from __future__ import annotations
 
@@ -9,12 +8,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from hir_core.interfaces import Regularizer
+from hir_core.plugins.interfaces import Regularizer
 from hir_core.scene import Mesh, Scene
 from hir_plugins.regularizers.mesh_options import EdgeLengthOptions
 
 if TYPE_CHECKING:
-    from hir_core.interfaces import Energy
+    from hir_core.plugins.interfaces import Energy
 
 
 @final

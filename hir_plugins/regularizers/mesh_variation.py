@@ -1,5 +1,4 @@
 """Total variation of values at vertices, over the triangles of a mesh: it crosses the seams of an atlas."""
-# ruff: noqa: TID253 - implementation module
 
 from __future__ import annotations
 

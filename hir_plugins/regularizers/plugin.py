@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hir_core.plugin import Component, NoOptions, hookimpl
+from hir_core.plugins import Component, NoOptions, hookimpl
 from hir_plugins.regularizers.material_options import (
     AlbedoScaleOptions,
     BilateralSpecularOptions,
@@ -19,7 +19,7 @@ LAPLACIAN = Component(
     requires=("torch", "jaxtyping"),
     extra="reconstruct",
     traits=frozenset({"differentiable", "rigid_invariant"}),
-    testing="hir_plugins.regularizers.ideals:one_place",
+    testing="hir_plugins.regularizers.contract_inputs:one_place",
 )
 
 NORMAL_CONSISTENCY = Component(
@@ -30,7 +30,7 @@ NORMAL_CONSISTENCY = Component(
     requires=("torch", "jaxtyping"),
     extra="reconstruct",
     traits=frozenset({"differentiable", "rigid_invariant"}),
-    testing="hir_plugins.regularizers.ideals:flat_sheet",
+    testing="hir_plugins.regularizers.contract_inputs:flat_sheet",
 )
 
 EDGE_LENGTH = Component(
@@ -41,29 +41,29 @@ EDGE_LENGTH = Component(
     requires=("torch", "jaxtyping"),
     extra="reconstruct",
     traits=frozenset({"differentiable", "rigid_invariant"}),
-    testing="hir_plugins.regularizers.ideals:one_place",
+    testing="hir_plugins.regularizers.contract_inputs:one_place",
 )
 
 BILATERAL_SPECULAR = Component(
     name="bilateral_specular",
-    target="hir_plugins.regularizers.bilateral_specular:BilateralSpecular",
+    target="hir_plugins.regularizers.bilateral.bilateral_specular:BilateralSpecular",
     config=BilateralSpecularOptions,
     summary="Gives places that are near and of like diffuse colour like specular albedo (the paper's term).",
     requires=("torch", "jaxtyping"),
     extra="reconstruct",
     traits=frozenset({"differentiable", "scale_invariant", "material"}),
-    testing="hir_plugins.regularizers.ideals:constant_specular",
+    testing="hir_plugins.regularizers.contract_inputs:constant_specular",
 )
 
 JOINT_BILATERAL = Component(
     name="joint_bilateral",
-    target="hir_plugins.regularizers.joint_bilateral:JointBilateral",
+    target="hir_plugins.regularizers.bilateral.joint_bilateral:JointBilateral",
     config=JointBilateralOptions,
     summary="Pulls places together that are near and alike in all maps; keeps the edges of each.",
     requires=("torch", "jaxtyping"),
     extra="reconstruct",
     traits=frozenset({"differentiable", "scale_invariant", "material"}),
-    testing="hir_plugins.regularizers.ideals:constant_textures",
+    testing="hir_plugins.regularizers.contract_inputs:constant_textures",
 )
 
 ALBEDO_SCALE = Component(
@@ -74,7 +74,7 @@ ALBEDO_SCALE = Component(
     requires=("torch", "jaxtyping"),
     extra="reconstruct",
     traits=frozenset({"differentiable", "rigid_invariant", "scale_invariant", "material"}),
-    testing="hir_plugins.regularizers.ideals:constant_textures",
+    testing="hir_plugins.regularizers.contract_inputs:constant_textures",
 )
 
 TOTAL_VARIATION = Component(
@@ -85,7 +85,7 @@ TOTAL_VARIATION = Component(
     requires=("torch", "jaxtyping"),
     extra="reconstruct",
     traits=frozenset({"differentiable", "rigid_invariant", "scale_invariant", "material", "environment"}),
-    testing="hir_plugins.regularizers.ideals:constant_textures",
+    testing="hir_plugins.regularizers.contract_inputs:constant_textures",
 )
 
 

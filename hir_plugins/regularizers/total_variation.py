@@ -1,5 +1,4 @@
 """Total variation of textures and of the light: flat where nothing speaks for change, edges stay edges."""
-# ruff: noqa: TID253 - implementation module
 
 from __future__ import annotations
 
@@ -13,15 +12,15 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from hir_core.errors import StageError
-from hir_core.interfaces import Regularizer
+from hir_core.mesh.texel_rasterization import texel_surface
+from hir_core.plugins.interfaces import Regularizer
 from hir_core.scene import Mesh, Scene, Texture
-from hir_core.texels import texel_surface
 from hir_plugins.regularizers.material_options import TotalVariationOptions
 from hir_plugins.regularizers.mesh_variation import mesh_variation
-from hir_plugins.regularizers.places import places_of
+from hir_plugins.regularizers.surface_samples import places_of
 
 if TYPE_CHECKING:
-    from hir_core.interfaces import Energy
+    from hir_core.plugins.interfaces import Energy
 
 _MAPS = ("diffuse_albedo", "specular_albedo", "roughness")
 

@@ -11,7 +11,7 @@ import fsspec
 import pytest
 from fsspec.implementations.memory import MemoryFileSystem
 
-from hir_core.batch.storage import Place
+from hir_plugins.commands.batch.storage.object_store import Place
 from tests.pipeline.conftest import QUICK, make_tiny
 
 QUICKER = (

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from hir_core.batch.chain import Chain
-from hir_core.batch.estimate import Estimate
-from hir_core.batch.groups import GROUPS
-from hir_core.batch.job import Outcome
-from hir_core.batch.patience import Patience
+from hir_plugins.commands.batch.retries import Patience
+from hir_plugins.commands.batch.scheduling.capture_chain import Chain
+from hir_plugins.commands.batch.scheduling.messages import Outcome
+from hir_plugins.commands.batch.scheduling.time_estimate import Estimate
+from hir_plugins.commands.batch.stage_groups import GROUPS
 
 PATIENCE = Patience(tries=3, first_seconds=2.0, factor=4.0)
 

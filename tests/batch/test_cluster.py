@@ -77,8 +77,21 @@ def test_interrupt_leaves_a_batch_that_the_same_call_finishes(tmp_path: Path) ->
     pytest.importorskip("ray", reason="ray is not installed: pip install -e '.[batch]'")
     small_captures(tmp_path / "shelf", 2)
     out = tmp_path / "out"
-    command = [sys.executable, "-m", "hir_core.cli", "batch", f"{tmp_path}/shelf/*", "-o", str(out), "--json",
-               "--address", "local", "--cache", str(tmp_path / "cache"), *WORDS]  # fmt: skip
+    command = [
+        sys.executable,
+        "-m",
+        "hir_core.cli",
+        "batch",
+        f"{tmp_path}/shelf/*",
+        "-o",
+        str(out),
+        "--json",
+        "--address",
+        "local",
+        "--cache",
+        str(tmp_path / "cache"),
+        *WORDS,
+    ]
     events = []
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None and process.stderr is not None
@@ -133,9 +146,25 @@ def test_tasks_on_a_gpu_have_processes_of_their_own(tmp_path: Path) -> None:
     cluster = Cluster()
     try:
         add_node(cluster, num_cpus=2, num_gpus=1, ray_client_server_port=port)
-        command = [sys.executable, "-m", "hir_core.cli", "batch", f"{tmp_path}/shelf/*", "-o", str(tmp_path / "out"),
-                   "--json", "--gpus", "0.5", "--address", f"ray://127.0.0.1:{port}", "--cache",
-                   str(tmp_path / "cache"), *WORDS, "--set", "device=auto"]  # fmt: skip
+        command = [
+            sys.executable,
+            "-m",
+            "hir_core.cli",
+            "batch",
+            f"{tmp_path}/shelf/*",
+            "-o",
+            str(tmp_path / "out"),
+            "--json",
+            "--gpus",
+            "0.5",
+            "--address",
+            f"ray://127.0.0.1:{port}",
+            "--cache",
+            str(tmp_path / "cache"),
+            *WORDS,
+            "--set",
+            "device=auto",
+        ]
         done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True, timeout=600)
     finally:
         cluster.shutdown()

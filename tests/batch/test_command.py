@@ -12,17 +12,17 @@ from types import SimpleNamespace
 
 import pytest
 
-from hir_core.batch import cluster
-from hir_core.batch.chain import Chain
-from hir_core.batch.driver import Batch
-from hir_core.batch.events import Event, Running
-from hir_core.batch.job import Told
-from hir_core.batch.options import Options
 from hir_core.cli import main
-from hir_core.cli.batch import print_event
-from hir_core.cli.batch_table import sentence_of, table_of
 from hir_core.config import RunConfig
 from hir_core.errors import ConfigError
+from hir_plugins.commands.batch.batch_options import Options
+from hir_plugins.commands.batch.command import print_event
+from hir_plugins.commands.batch.progress_table import sentence_of, table_of
+from hir_plugins.commands.batch.scheduling import ray_cluster
+from hir_plugins.commands.batch.scheduling.capture_chain import Chain
+from hir_plugins.commands.batch.scheduling.driver import Batch
+from hir_plugins.commands.batch.scheduling.events import Event, Running
+from hir_plugins.commands.batch.scheduling.messages import Told
 
 
 def hir(*words: object) -> int:
@@ -58,7 +58,7 @@ def test_what_cannot_be_done_is_one_sentence(
 def test_missing_ray_is_named_and_the_lease_given_back(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cluster, "find_spec", lambda name: None)
+    monkeypatch.setattr(ray_cluster, "find_spec", lambda name: None)
     assert hir("batch", tmp_path / "cup", "-o", tmp_path / "out") == 2
     assert "pip install 'hir[batch]'" in capsys.readouterr().err
     assert not (tmp_path / "out" / ".batch" / "lease.json").exists()
@@ -66,7 +66,8 @@ def test_missing_ray_is_named_and_the_lease_given_back(
 
 def test_ray_and_stores_are_loaded_when_they_are_needed() -> None:
     code = (
-        "import hir_core.batch.driver, hir_core.batch.worker, hir_core.cli.batch, hir_core.cli.batch_table, sys;"
+        "import hir_plugins.commands.batch.scheduling.driver, hir_plugins.commands.batch.scheduling.worker, sys;"
+        "import hir_plugins.commands.batch.command, hir_plugins.commands.batch.progress_table;"
         "assert not {'ray', 'fsspec', 's3fs', 'torch'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
@@ -77,12 +78,12 @@ def test_running_cluster_is_one_that_answers(tmp_path: Path, monkeypatch: pytest
 
     monkeypatch.delenv("RAY_ADDRESS", raising=False)
     monkeypatch.setenv("RAY_TMPDIR", str(tmp_path))
-    assert not cluster.running_cluster()
+    assert not ray_cluster.running_cluster()
     with socket.create_server(("127.0.0.1", 0)) as server:
         (tmp_path / "ray").mkdir()
         (tmp_path / "ray" / "ray_current_cluster").write_text(f"127.0.0.1:{server.getsockname()[1]}")
-        assert cluster.running_cluster()
-    assert not cluster.running_cluster(), "a note that nobody answers at is stale"
+        assert ray_cluster.running_cluster()
+    assert not ray_cluster.running_cluster(), "a note that nobody answers at is stale"
 
 
 def test_device_that_no_group_may_use_is_refused(tmp_path: Path) -> None:
@@ -123,7 +124,7 @@ def test_table_shows_who_does_what_and_how_long_it_will_take(tmp_path: Path) -> 
     batch.use = {"CPU": (2.0, 8.0)}
     told = Told("cup", 1, 1, "node-7", os.getpid(), "geometry", 50, 100)
     batch.running = {1: Running(cup, 100.0, told), 2: Running(jug, 101.0)}
-    console = Console(width=140, file=open(os.devnull, "w"), record=True)  # noqa: SIM115
+    console = Console(width=140, file=open(os.devnull, "w"), record=True)  # noqa: SIM115 - open for as long as its owner
     console.print(table_of(batch, now=104.0))
     shown = console.export_text()
     assert "1 of 3 done" in shown and "CPU 2 of 8" in shown
@@ -133,7 +134,7 @@ def test_table_shows_who_does_what_and_how_long_it_will_take(tmp_path: Path) -> 
 
 
 def test_plain_output_has_no_table(tmp_path: Path) -> None:
-    from hir_core.cli.batch_table import BatchTable
+    from hir_plugins.commands.batch.progress_table import BatchTable
 
     with BatchTable(quiet=True) as table:
         table.event(Event("message", facts={"message": "nothing"}))

@@ -7,10 +7,10 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
-from hir_core.batch import storage
-from hir_core.batch.content import content_mark, listing_mark, settings_mark, work_mark
-from hir_core.batch.storage import Place
 from hir_core.config import GeometrySettings, ReflectanceSettings, RunConfig
+from hir_plugins.commands.batch.storage import object_store
+from hir_plugins.commands.batch.storage.content_hash import content_mark, listing_mark, settings_mark, work_mark
+from hir_plugins.commands.batch.storage.object_store import Place
 
 
 def test_content_is_that_of_the_bytes_wherever_they_lie(tiny: Path, tmp_path: Path) -> None:
@@ -28,11 +28,11 @@ def test_content_is_that_of_the_bytes_wherever_they_lie(tiny: Path, tmp_path: Pa
 
 def test_listing_notices_a_change_of_the_same_size(memory: Place, tmp_path: Path) -> None:
     for folder in (memory, Place(str(tmp_path / "cup"))):
-        storage.write(folder / "a.png", b"red")
-        before = listing_mark(storage.files(folder))
-        assert listing_mark(storage.files(folder)) == before
-        storage.write(folder / "a.png", b"sea")
-        assert listing_mark(storage.files(folder)) != before
+        object_store.write(folder / "a.png", b"red")
+        before = listing_mark(object_store.files(folder))
+        assert listing_mark(object_store.files(folder)) == before
+        object_store.write(folder / "a.png", b"sea")
+        assert listing_mark(object_store.files(folder)) != before
 
 
 def test_settings_count_when_they_change_the_result(tmp_path: Path) -> None:

@@ -4,8 +4,16 @@ from __future__ import annotations
 
 import pytest
 
-from hir_core.batch.groups import GROUPS, Request, Requests, build_requests, slots, unplaceable, window
 from hir_core.errors import ConfigError
+from hir_plugins.commands.batch.stage_groups import (
+    GROUPS,
+    Request,
+    Requests,
+    build_requests,
+    slots,
+    unplaceable,
+    window,
+)
 
 GIB = 2.0**30
 LAPTOP = {"CPU": 8.0, "memory": 12 * GIB}

@@ -12,16 +12,16 @@ from pathlib import Path
 
 import pytest
 
-from hir_core.batch import desk as desk_module
-from hir_core.batch import storage
-from hir_core.batch.archive import kept_files, pack, unpack
-from hir_core.batch.desk import desk, sweep
-from hir_core.batch.groups import GROUPS
-from hir_core.batch.layout import Destination
-from hir_core.batch.patience import StoreError
-from hir_core.batch.storage import Place
 from hir_core.errors import CaptureError, InputError
-from hir_core.run_directory import RunDirectory, StageRecord
+from hir_core.run.run_directory import RunDirectory, StageRecord
+from hir_plugins.commands.batch.retries import StoreError
+from hir_plugins.commands.batch.stage_groups import GROUPS
+from hir_plugins.commands.batch.storage import object_store
+from hir_plugins.commands.batch.storage import worker_scratch as desk_module
+from hir_plugins.commands.batch.storage.archive import kept_files, pack, unpack
+from hir_plugins.commands.batch.storage.layout import Destination
+from hir_plugins.commands.batch.storage.object_store import Place
+from hir_plugins.commands.batch.storage.worker_scratch import desk, sweep
 
 
 @pytest.fixture
@@ -76,29 +76,34 @@ def test_result_replaces_an_older_one_as_a_whole(kind: str, run: Path, memory: P
     (run / "exports" / "cup.glb").unlink()
     (run / "exports" / "cup.usdz").write_bytes(b"usd")
     size = destination.publish("cup", run)
-    there = {name: storage.read(destination.result("cup") / name) for name in storage.files(destination.result("cup"))}
+    there = {
+        name: object_store.read(destination.result("cup") / name)
+        for name in object_store.files(destination.result("cup"))
+    }
     kept = {file.relative_to(run).as_posix(): file.read_bytes() for file in kept_files(run)}
     assert there == kept and size == sum(map(len, kept.values())) and "exports/cup.glb" not in there
     destination.publish("cup", run, keep_stages=False)
-    assert set(storage.files(destination.result("cup"))) == {name for name in kept if not name.startswith("stages/")}
+    assert set(object_store.files(destination.result("cup"))) == {
+        name for name in kept if not name.startswith("stages/")
+    }
 
 
 def test_upload_that_breaks_off_leaves_no_run_behind(run: Path, memory: Place, monkeypatch: pytest.MonkeyPatch) -> None:
     destination = Destination(memory)
     destination.publish("cup", run)
-    upload = storage.upload
+    upload = object_store.upload
 
     def breaks_off(sources: dict[str, Path], at: Place) -> None:
         upload({name: sources[name] for name in list(sources)[:1]}, at)
         raise StoreError("refused")
 
-    monkeypatch.setattr(storage, "upload", breaks_off)
+    monkeypatch.setattr(object_store, "upload", breaks_off)
     with pytest.raises(StoreError):
         destination.publish("cup", run)
-    assert not storage.exists(destination.result("cup") / "run.json"), "without run.json a folder is not a run"
-    monkeypatch.setattr(storage, "upload", upload)
+    assert not object_store.exists(destination.result("cup") / "run.json"), "without run.json a folder is not a run"
+    monkeypatch.setattr(object_store, "upload", upload)
     destination.publish("cup", run)
-    assert storage.read(destination.result("cup") / "run.json") == (run / "run.json").read_bytes()
+    assert object_store.read(destination.result("cup") / "run.json") == (run / "run.json").read_bytes()
 
 
 def test_folder_that_is_no_result_is_left_alone(run: Path, tmp_path: Path) -> None:
@@ -123,16 +128,16 @@ def test_record_that_is_damaged_is_none(memory: Place) -> None:
     destination = Destination(memory)
     destination.write_record("cup", {"psnr": {"object": 30.0}})
     assert destination.record("cup") == {"psnr": {"object": 30.0}}
-    storage.write(memory / ".batch" / "records" / "cup.json", b"[1")
+    object_store.write(memory / ".batch" / "records" / "cup.json", b"[1")
     assert destination.record("cup") == {} and destination.record("jug") == {}
 
 
 def test_capture_is_staged_once_and_under_its_own_name(memory: Place, tmp_path: Path) -> None:
-    storage.write(memory / "cup" / "train" / "a.png", b"red")
+    object_store.write(memory / "cup" / "train" / "a.png", b"red")
     with desk(tmp_path / "cache", "s3://out", "cup") as place:
         staged, content = place.stage(memory / "cup", "")
         assert staged.name == "cup" and (staged / "train" / "a.png").read_bytes() == b"red"
-    storage.remove(memory / "cup")
+    object_store.remove(memory / "cup")
     with desk(tmp_path / "cache", "s3://out", "cup") as place:
         assert place.stage(memory / "cup", content) == (staged, content), "nothing is fetched again"
         place.clear()
@@ -156,7 +161,7 @@ def test_run_of_other_input_is_cleared_from_the_desk(tmp_path: Path) -> None:
 HOLD = """
 import sys, time
 from pathlib import Path
-from hir_core.batch.desk import desk
+from hir_plugins.commands.batch.storage.worker_scratch import desk
 with desk(Path(sys.argv[1]), "out", "cup"):
     print("held", flush=True)
     time.sleep(600)

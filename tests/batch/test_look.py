@@ -6,26 +6,26 @@ from pathlib import Path
 
 import pytest
 
-from hir_core.batch import storage
-from hir_core.batch.chain import Chain
-from hir_core.batch.content import listing_mark, work_mark
-from hir_core.batch.groups import GROUPS
-from hir_core.batch.layout import Destination
-from hir_core.batch.look import Intake, chains_of, expand, look, read_list
-from hir_core.batch.storage import Place
 from hir_core.errors import InputError
+from hir_plugins.commands.batch.scheduling.capture_chain import Chain
+from hir_plugins.commands.batch.scheduling.capture_status import Intake, chains_of, expand, look, read_list
+from hir_plugins.commands.batch.stage_groups import GROUPS
+from hir_plugins.commands.batch.storage import object_store
+from hir_plugins.commands.batch.storage.content_hash import listing_mark, work_mark
+from hir_plugins.commands.batch.storage.layout import Destination
+from hir_plugins.commands.batch.storage.object_store import Place
 
 
 @pytest.fixture
 def cup(memory: Place) -> Chain:
-    storage.write(memory / "shelf" / "cup" / "a.png", b"red")
+    object_store.write(memory / "shelf" / "cup" / "a.png", b"red")
     return Chain("cup", (memory / "shelf" / "cup").url)
 
 
 def finish(chain: Chain, destination: Destination, settings: str = "set") -> None:
     """As a worker leaves a finished capture."""
-    storage.write(destination.result(chain.name) / "run.json", b"{}")
-    listing = listing_mark(storage.files(Place(chain.source)))
+    object_store.write(destination.result(chain.name) / "run.json", b"{}")
+    listing = listing_mark(object_store.files(Place(chain.source)))
     destination.write_record(chain.name, {"listing": listing, "content": "c0ffee", "settings": settings})
 
 
@@ -36,7 +36,7 @@ def test_finished_capture_is_skipped_until_input_or_settings_change(cup: Chain, 
     assert look(cup, "set", destination, {}, False).verdict == "finished"
     other = look(cup, "other", destination, {}, False)
     assert (other.verdict, other.content, other.group) == ("work", "c0ffee", 0), "the bytes are known"
-    storage.write(Place(cup.source) / "a.png", b"sea")
+    object_store.write(Place(cup.source) / "a.png", b"sea")
     changed = look(cup, "set", destination, {}, False)
     assert (changed.verdict, changed.content) == ("work", "") and changed.record["content"] == "c0ffee"
 
@@ -44,28 +44,28 @@ def test_finished_capture_is_skipped_until_input_or_settings_change(cup: Chain, 
 def test_record_without_its_result_counts_for_nothing(cup: Chain, memory: Place) -> None:
     destination = Destination(memory / "out")
     finish(cup, destination)
-    storage.remove(destination.result("cup") / "run.json")
+    object_store.remove(destination.result("cup") / "run.json")
     found = look(cup, "set", destination, {}, False)
     assert found.verdict == "work" and not found.record
 
 
 def test_failed_capture_waits_for_a_change_or_for_the_word(cup: Chain, memory: Place) -> None:
     destination = Destination(memory / "out")
-    listing = listing_mark(storage.files(Place(cup.source)))
+    listing = listing_mark(object_store.files(Place(cup.source)))
     entry = {"state": "failed", "listing": listing, "settings": "set", "content": "c0ffee"}
     assert look(cup, "set", destination, entry, False).verdict == "failed before"
     assert look(cup, "set", destination, entry, True).verdict == "work"
     assert look(cup, "other", destination, entry, False).verdict == "work"
-    storage.write(Place(cup.source) / "b.png", b"another photograph")
+    object_store.write(Place(cup.source) / "b.png", b"another photograph")
     assert look(cup, "set", destination, entry, False).verdict == "work"
 
 
 def test_begun_capture_goes_on_with_the_first_group_that_is_not_kept(cup: Chain, memory: Place) -> None:
     destination = Destination(memory / "out")
-    entry = {"state": "running", "listing": listing_mark(storage.files(Place(cup.source))), "content": "c0ffee"}
+    entry = {"state": "running", "listing": listing_mark(object_store.files(Place(cup.source))), "content": "c0ffee"}
     for i, group in enumerate(GROUPS[:3]):
         assert look(cup, "set", destination, entry, False).group == i
-        storage.write(destination.unfinished("cup") / work_mark("c0ffee", "set") / f"{group.name}.tar", b"")
+        object_store.write(destination.unfinished("cup") / work_mark("c0ffee", "set") / f"{group.name}.tar", b"")
     assert look(cup, "set", destination, entry, False).group == 3
     assert look(cup, "other", destination, entry, False).group == 0
 
@@ -98,14 +98,14 @@ def test_results_are_named_by_their_captures(tmp_path: Path) -> None:
 
 def test_patterns_and_lists_name_many_captures(memory: Place, tmp_path: Path) -> None:
     for name in ("cup", "jug", "pot"):
-        storage.write(memory / name / "a.png", b"red")
+        object_store.write(memory / name / "a.png", b"red")
         (tmp_path / name).mkdir()
     assert expand([f"{memory.url}/[cj]u?"]) == [f"{memory.url}/cup", f"{memory.url}/jug"]
     assert expand([f"{tmp_path}/*"]) == [str(tmp_path / name) for name in ("cup", "jug", "pot")]
     assert expand(["no/pattern"]) == ["no/pattern"]
     with pytest.raises(InputError, match="matches nothing"):
         expand([f"{memory.url}/x*"])
-    storage.write(memory / "shelf.txt", b"# a shelf\ns3://a/cup\n\n s3://a/jug\n")
+    object_store.write(memory / "shelf.txt", b"# a shelf\ns3://a/cup\n\n s3://a/jug\n")
     assert read_list(f"{memory.url}/shelf.txt") == ["s3://a/cup", "s3://a/jug"]
     with pytest.raises(InputError, match="one capture a line"):
         read_list(f"{memory.url}/none.txt")

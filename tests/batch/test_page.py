@@ -8,19 +8,25 @@ from pathlib import Path
 
 import pytest
 
-from hir_core.batch import page as page_module
-from hir_core.batch import storage
-from hir_core.batch.layout import Destination
-from hir_core.batch.page import write_page
-from hir_core.batch.storage import Place
+from hir_plugins.commands.batch.storage import object_store
+from hir_plugins.commands.batch.storage.layout import Destination
+from hir_plugins.commands.batch.storage.object_store import Place
+from hir_plugins.commands.batch.summary import summary_page as page_module
+from hir_plugins.commands.batch.summary.summary_page import write_page
 
 PIXEL = "data:image/jpeg;base64,/9j/4AAQSkZJRgABAQ=="
 
 
 def done(psnr: float | None, seconds: float, *warnings: str) -> dict[str, object]:
     figures = {"object": psnr, "frame": None if psnr is None else psnr + 6}
-    return {"state": "done", "source": "s3://shelf/x", "psnr": figures, "stage_seconds": {"geometry": seconds},
-            "warnings": list(warnings), "retries": 0}  # fmt: skip
+    return {
+        "state": "done",
+        "source": "s3://shelf/x",
+        "psnr": figures,
+        "stage_seconds": {"geometry": seconds},
+        "warnings": list(warnings),
+        "retries": 0,
+    }
 
 
 CAPTURES = {
@@ -90,4 +96,4 @@ def test_page_sorts_and_filters_in_a_browser(written: Path, chromium: list[str],
 
 def test_page_of_a_store_lies_in_the_store(memory: Place) -> None:
     write_page(Destination(memory), CAPTURES, "now")
-    assert rows((storage.read(memory / "batch.html") or b"").decode())[0] == "pot"
+    assert rows((object_store.read(memory / "batch.html") or b"").decode())[0] == "pot"

@@ -6,8 +6,8 @@ import errno
 
 import pytest
 
-from hir_core.batch.patience import Patience, StoreError, ask, is_infrastructure, is_transient
 from hir_core.errors import CaptureError, InputError
+from hir_plugins.commands.batch.retries import Patience, StoreError, ask, is_infrastructure, is_transient
 
 QUICK = Patience(tries=4, first_seconds=0.001)
 

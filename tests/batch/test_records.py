@@ -12,21 +12,21 @@ from pathlib import Path
 
 import pytest
 
-from hir_core.batch import lease as lease_module
-from hir_core.batch import storage
-from hir_core.batch.chain import Chain
-from hir_core.batch.job import Outcome
-from hir_core.batch.lease import STALE_SECONDS, Lease, died, owner_of
-from hir_core.batch.manifest import Manifest
-from hir_core.batch.patience import Patience
-from hir_core.batch.storage import Place
 from hir_core.errors import InputError
+from hir_plugins.commands.batch.retries import Patience
+from hir_plugins.commands.batch.scheduling.capture_chain import Chain
+from hir_plugins.commands.batch.scheduling.manifest import Manifest
+from hir_plugins.commands.batch.scheduling.messages import Outcome
+from hir_plugins.commands.batch.storage import lease as lease_module
+from hir_plugins.commands.batch.storage import object_store
+from hir_plugins.commands.batch.storage.lease import STALE_SECONDS, Lease, died, owner_of
+from hir_plugins.commands.batch.storage.object_store import Place
 
 WRITE_FOREVER = """
 import sys
-from hir_core.batch.chain import Chain
-from hir_core.batch.manifest import Manifest
-from hir_core.batch.storage import Place
+from hir_plugins.commands.batch.scheduling.capture_chain import Chain
+from hir_plugins.commands.batch.scheduling.manifest import Manifest
+from hir_plugins.commands.batch.storage.object_store import Place
 manifest = Manifest(Place(sys.argv[1]), {})
 chains = [Chain(f"capture-{i}", "x" * 200) for i in range(500)]
 print("ready", flush=True)
@@ -35,8 +35,8 @@ while True:
 """
 HOLD = """
 import sys, time
-from hir_core.batch.lease import Lease
-from hir_core.batch.storage import Place
+from hir_plugins.commands.batch.storage.lease import Lease
+from hir_plugins.commands.batch.storage.object_store import Place
 with Lease(Place(sys.argv[1]), print):
     print("held", flush=True)
     time.sleep(600)
@@ -73,7 +73,7 @@ def test_manifest_keeps_the_captures_of_earlier_calls(memory: Place) -> None:
     second = Manifest(at, {"started": "now"})
     assert set(second.read()) == {"cup"}
     assert second.write([jug])
-    document = json.loads(storage.read(at) or b"")
+    document = json.loads(object_store.read(at) or b"")
     assert set(document["captures"]) == {"cup", "jug"} and document["started"] == "then"
     assert document["captures"]["cup"]["reason"] == "initialization: no photographs"
     assert not second.write([jug], force=False), "it was just written"
@@ -81,7 +81,7 @@ def test_manifest_keeps_the_captures_of_earlier_calls(memory: Place) -> None:
 
 @pytest.mark.parametrize("content", [b"{", b"[]", b'{"format": "other"}', b'{"format": "hir-batch", "version": 9}'])
 def test_manifest_that_is_none_is_refused(memory: Place, content: bytes) -> None:
-    storage.write(memory / "batch.json", content)
+    object_store.write(memory / "batch.json", content)
     with pytest.raises(InputError, match=r"batch\.json"):
         Manifest(memory / "batch.json", {}).read()
 
@@ -98,7 +98,7 @@ def test_one_batch_at_a_time_and_the_next_one_when_it_died(tmp_path: Path) -> No
         other.send_signal(signal.SIGKILL)
     with Lease(at, said.append) as mine:
         assert owner_of(at) == mine.token and "going on with a batch that ended" in said[-1]
-    assert not storage.exists(at), "given back"
+    assert not object_store.exists(at), "given back"
 
 
 def test_lease_of_another_machine_counts_until_it_is_silent(memory: Place, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -108,9 +108,9 @@ def test_lease_of_another_machine_counts_until_it_is_silent(memory: Place, monke
     at, said = memory / "lease.json", []
 
     def renewed_by_its_owner(seconds: float) -> None:
-        storage.write(at, json.dumps({**fresh, "renewed": time.time() + 1}).encode())
+        object_store.write(at, json.dumps({**fresh, "renewed": time.time() + 1}).encode())
 
-    storage.write(at, json.dumps(fresh).encode())
+    object_store.write(at, json.dumps(fresh).encode())
     monkeypatch.setattr(lease_module.time, "sleep", renewed_by_its_owner)
     with pytest.raises(InputError, match="on another"), Lease(at, said.append):
         pass
@@ -122,7 +122,7 @@ def test_batch_notices_that_its_destination_was_taken(memory: Place, monkeypatch
     at = memory / "lease.json"
     with Lease(at, print) as mine:
         assert not mine.lost
-        storage.write(at, b'{"owner": "them"}')
+        object_store.write(at, b'{"owner": "them"}')
         until = time.monotonic() + 10
         while not mine.lost and time.monotonic() < until:
             time.sleep(0.01)

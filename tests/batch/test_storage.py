@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from hir_core.batch import storage
-from hir_core.batch.storage import Place, place
 from hir_core.errors import InputError, MissingExtraError
+from hir_plugins.commands.batch.storage import object_store
+from hir_plugins.commands.batch.storage.object_store import Place, place
 
 from .conftest import RefusingStore
 
@@ -27,39 +27,39 @@ def test_files_come_back_as_they_went(folder: Place, tmp_path: Path) -> None:
     for i in range(12):
         sources[f"train/{i:02}.png"] = tmp_path / f"{i}.png"
         sources[f"train/{i:02}.png"].write_bytes(bytes([i]) * (1000 + i))
-    assert storage.files(folder) == {} and not storage.exists(folder)
-    storage.upload(sources, folder)
-    listed = storage.files(folder)
+    assert object_store.files(folder) == {} and not object_store.exists(folder)
+    object_store.upload(sources, folder)
+    listed = object_store.files(folder)
     assert {name: stamp.size for name, stamp in listed.items()} == {name: 1000 + i for i, name in enumerate(sources)}
-    assert storage.exists(folder) and storage.exists(folder / "train/00.png")
-    storage.download(folder, listed, tmp_path / "back")
+    assert object_store.exists(folder) and object_store.exists(folder / "train/00.png")
+    object_store.download(folder, listed, tmp_path / "back")
     assert all((tmp_path / "back" / name).read_bytes() == path.read_bytes() for name, path in sources.items())
     assert (RefusingStore.refused > refused) == folder.url.startswith("refusing")
-    storage.remove(folder)
-    storage.remove(folder)
-    assert storage.files(folder) == {} and storage.read(folder / "train/00.png") is None
+    object_store.remove(folder)
+    object_store.remove(folder)
+    assert object_store.files(folder) == {} and object_store.read(folder / "train/00.png") is None
 
 
 def test_write_replaces_and_create_does_not(folder: Place) -> None:
     at = folder / "batch.json"
-    assert storage.read(at) is None
-    storage.write(at, b"one")
-    storage.write(at, b"two")
-    assert storage.read(at) == b"two" and not storage.create(at, b"three") and storage.read(at) == b"two"
-    assert storage.create(folder / "new", b"first") and storage.read(folder / "new") == b"first"
-    assert set(storage.files(folder)) == {"batch.json", "new"}, "no temporary file stays"
+    assert object_store.read(at) is None
+    object_store.write(at, b"one")
+    object_store.write(at, b"two")
+    assert object_store.read(at) == b"two" and not object_store.create(at, b"three") and object_store.read(at) == b"two"
+    assert object_store.create(folder / "new", b"first") and object_store.read(folder / "new") == b"first"
+    assert set(object_store.files(folder)) == {"batch.json", "new"}, "no temporary file stays"
 
 
 def test_one_file_is_a_place_too(memory: Place, tmp_path: Path) -> None:
-    storage.write(memory / "clip.mp4", b"frames")
-    listed = storage.files(memory / "clip.mp4")
+    object_store.write(memory / "clip.mp4", b"frames")
+    listed = object_store.files(memory / "clip.mp4")
     assert set(listed) == {""} and listed[""].size == 6
-    storage.download(memory / "clip.mp4", listed, tmp_path / "in" / "clip.mp4")
+    object_store.download(memory / "clip.mp4", listed, tmp_path / "in" / "clip.mp4")
     assert (tmp_path / "in" / "clip.mp4").read_bytes() == b"frames"
 
 
 def test_file_that_arrives_cut_off_is_fetched_again(memory: Place, tmp_path: Path, monkeypatch) -> None:  # type: ignore[no-untyped-def]
-    storage.write(memory / "a.png", b"whole photograph")
+    object_store.write(memory / "a.png", b"whole photograph")
     filesystem, _ = memory.opened()
     fetch, fetched = type(filesystem).get_file, []
 
@@ -70,7 +70,7 @@ def test_file_that_arrives_cut_off_is_fetched_again(memory: Place, tmp_path: Pat
             Path(target).write_bytes(b"whole")
 
     monkeypatch.setattr(type(filesystem), "get_file", cut_off)
-    storage.download(memory, storage.files(memory), tmp_path / "in")
+    object_store.download(memory, object_store.files(memory), tmp_path / "in")
     assert (tmp_path / "in" / "a.png").read_bytes() == b"whole photograph" and len(fetched) == 2
 
 
@@ -80,7 +80,7 @@ def test_addresses_become_places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert place("s3://bucket/cup/") == Place("s3://bucket") / "cup" and Place("s3://bucket/cup").name == "cup"
     assert place("s3://bucket").local is None and place("file:///data/cup").local == Path("/data/cup")
     with pytest.raises(InputError, match="nonsense://x cannot be opened"):
-        storage.files(Place("nonsense://x"))
+        object_store.files(Place("nonsense://x"))
 
 
 def test_missing_package_of_a_store_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -89,4 +89,4 @@ def test_missing_package_of_a_store_is_named(monkeypatch: pytest.MonkeyPatch) ->
 
     monkeypatch.setattr("fsspec.url_to_fs", refuse)
     with pytest.raises(MissingExtraError, match=r"pip install 'hir\[batch-gs\]'"):
-        storage.files(Place("gs://shelf/cup"))
+        object_store.files(Place("gs://shelf/cup"))

@@ -10,16 +10,16 @@ from types import SimpleNamespace
 import pytest
 
 from hir_core import __version__
-from hir_core.batch import storage
-from hir_core.batch.content import content_mark, settings_mark
-from hir_core.batch.groups import GROUPS
-from hir_core.batch.job import Job, Outcome, Told
-from hir_core.batch.layout import Destination, json_bytes
-from hir_core.batch.storage import Place
-from hir_core.batch.worker import run_group
 from hir_core.config import RunConfig, load_config
-from hir_core.manager import PluginManager
 from hir_core.pipeline import reconstruct
+from hir_core.plugins.manager import PluginManager
+from hir_plugins.commands.batch.scheduling.messages import Job, Outcome, Told
+from hir_plugins.commands.batch.scheduling.worker import run_group
+from hir_plugins.commands.batch.stage_groups import GROUPS
+from hir_plugins.commands.batch.storage import object_store
+from hir_plugins.commands.batch.storage.content_hash import content_mark, settings_mark
+from hir_plugins.commands.batch.storage.layout import Destination, json_bytes
+from hir_plugins.commands.batch.storage.object_store import Place
 from tests.pipeline.test_run import files
 
 from .conftest import QUICKER
@@ -31,7 +31,7 @@ def config() -> RunConfig:
 
 
 def job_for(source: Place | Path, out: Place, config: RunConfig, cache: Path, group: int = 0) -> Job:
-    storage.write(Destination(out).lease, json_bytes({"owner": "me"}))
+    object_store.write(Destination(out).lease, json_bytes({"owner": "me"}))
     source = source if isinstance(source, Place) else Place(str(source))
     return Job(
         source.name, source.url, out.url, group, config, settings_mark(config), "me", __version__, cache=str(cache)
@@ -47,7 +47,7 @@ def test_chain_on_a_store_makes_what_a_single_run_makes(
 ) -> None:
     """Photographs and result in a store, each group on another node's disk: the same bytes, everything kept."""
     source, out = memory / "shelf" / "cow", memory / "out"
-    storage.upload({file.relative_to(tiny).as_posix(): file for file in tiny.rglob("*") if file.is_file()}, source)
+    object_store.upload({file.relative_to(tiny).as_posix(): file for file in tiny.rglob("*") if file.is_file()}, source)
     told: list[Told] = []
     content = ""
     for i, group in enumerate(GROUPS):
@@ -57,13 +57,13 @@ def test_chain_on_a_store_makes_what_a_single_run_makes(
         if i == 0:
             assert run(job).reused, "what is kept is not computed again"
         content = outcome.content
-        kept = set(storage.files(Destination(out).unfinished("cow")))
+        kept = set(object_store.files(Destination(out).unfinished("cow")))
         assert {Path(name).stem for name in kept} == ({g.name for g in GROUPS[: i + 1]} if i < 3 else set()), group
     assert content == content_mark(tiny) and {t.stage for t in told} >= {"initializer", "geometry", "reflectance"}
 
     single = reconstruct(tiny, tmp_path / "single", config=config)
     result = out / "cow"
-    storage.download(result, storage.files(result), tmp_path / "result")
+    object_store.download(result, object_store.files(result), tmp_path / "result")
     assert files(tmp_path / "result" / "scene") == files(single.directory.scene)
     assert files(tmp_path / "result" / "exports") == files(single.directory.exports)
     document = json.loads((tmp_path / "result" / "run.json").read_text())
@@ -81,14 +81,14 @@ def test_chain_on_a_store_makes_what_a_single_run_makes(
 
 def test_broken_capture_is_one_sentence_and_a_log(tiny: Path, config: RunConfig, memory: Place, tmp_path: Path) -> None:
     source = memory / "shelf" / "broken"
-    storage.upload({file.relative_to(tiny).as_posix(): file for file in tiny.rglob("*") if file.is_file()}, source)
+    object_store.upload({file.relative_to(tiny).as_posix(): file for file in tiny.rglob("*") if file.is_file()}, source)
     photograph = min((tiny / "train").iterdir())
-    storage.write(source / "train" / photograph.name, photograph.read_bytes()[:300])
+    object_store.write(source / "train" / photograph.name, photograph.read_bytes()[:300])
     outcome = run(job_for(source, memory / "out", config, tmp_path / "node"))
     assert outcome.state == "failed" and "\n" not in outcome.reason
     assert outcome.reason.startswith(f"{source}/train/{photograph.name} "), "not the staged copy's path"
     assert any("Traceback" in line for line in outcome.lines)
-    assert storage.files(memory / "out" / "broken") == {} and Destination(memory / "out").record("broken") == {}
+    assert object_store.files(memory / "out" / "broken") == {} and Destination(memory / "out").record("broken") == {}
 
 
 def test_refusals_are_sorted(
@@ -112,7 +112,7 @@ def test_refusals_are_sorted(
     monkeypatch.setattr("hir_core.pipeline.reconstruct", wrong)
     assert run(job).reason == "this is a bug: ZeroDivisionError: division by zero"
     monkeypatch.setattr("hir_core.pipeline.reconstruct", lambda *_, **__: SimpleNamespace(reused=()))
-    storage.write(Destination(memory / "out").lease, json_bytes({"owner": "another batch"}))
+    object_store.write(Destination(memory / "out").lease, json_bytes({"owner": "another batch"}))
     superseded = run(job)
     assert superseded.state == "trouble" and "another batch" in superseded.reason
-    assert storage.files(Destination(memory / "out").unfinished("cow")) == {}
+    assert object_store.files(Destination(memory / "out").unfinished("cow")) == {}

@@ -8,18 +8,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hir_exporters.images import read_ldr
+from hir_exporters.textures.image_files import read_ldr
 
-from hir_core.bench import captures, compare, geometry, polygons, regularizers, shapes, tables
-from hir_core.bench.measure import measure, peak_bytes
-from hir_core.bench.plan import Plan
-from hir_core.bench.plot import plot_svg
-from hir_core.bench.results import Result, Row, Timing
-from hir_core.bench.suites import SUITES, rows_of
 from hir_core.cli import main
-from hir_core.cli.bench import NAMES
 from hir_core.errors import InputError
-from hir_core.manager import PluginManager
+from hir_core.plugins.manager import PluginManager
+from hir_plugins.commands.bench.bench_plan import Plan
+from hir_plugins.commands.bench.command import NAMES
+from hir_plugins.commands.bench.inputs import bench_captures, bench_shapes, exact_silhouettes
+from hir_plugins.commands.bench.measurement import measure, peak_bytes
+from hir_plugins.commands.bench.results import comparison, markdown_tables
+from hir_plugins.commands.bench.results.bench_result import Result, Row, Timing
+from hir_plugins.commands.bench.results.plot import plot_svg
+from hir_plugins.commands.bench.suites import geometry_suite, regularizers_suite
+from hir_plugins.commands.bench.suites.suite_registry import SUITES, rows_of
 
 SAMPLE = Path(__file__).resolve().parents[2] / "examples" / "sample_capture"
 
@@ -73,7 +75,7 @@ class TestFiles:
             Result.read(tmp_path / "b.json")
 
     def test_table_has_every_figure_and_says_what_is_missing(self) -> None:
-        text = tables.markdown(
+        text = markdown_tables.markdown(
             result(
                 row("contour", (0.001, 0.002, 0.25), 0.00123), Row({"size": 20480}, "b", "peer", None, note="too slow")
             )
@@ -86,7 +88,7 @@ class TestFiles:
 
     def test_cases_of_different_kinds_have_tables_of_their_own(self) -> None:
         fits = Row({"capture": "spot"}, "fit", "ours", Timing(1, 1, 1, 1, 1), {"unseen dB": 30.0})
-        text = tables.markdown(result(row("a", (1, 2, 3), 0.1), fits))
+        text = markdown_tables.markdown(result(row("a", (1, 2, 3), 0.1), fits))
         first, second, told = text.strip().split("\n\n")
         assert first.startswith("| size | method") and "capture" not in first and "30.00" not in first
         assert second.startswith("| capture | method") and "30.00" in second and "a, 2 cores" in told
@@ -103,48 +105,48 @@ class TestComparison:
     def test_ratios_and_noise(self) -> None:
         before = result(row("fast", (1.0, 1.1, 1.2), 0.2), row("noisy", (1.0, 2.0, 3.0)), row("gone", (1, 1, 1)))
         after = result(row("fast", (0.5, 0.55, 0.6), 0.1), row("noisy", (1.5, 2.4, 3.5)), row("new", (1, 1, 1)))
-        fast, noisy = compare.compare(before, after)
+        fast, noisy = comparison.compare(before, after)
         assert fast.seconds == pytest.approx(0.5) and fast.certain and fast.errors == {"error": pytest.approx(0.5)}
         assert noisy.seconds == pytest.approx(1.2) and not noisy.certain
-        text = compare.markdown(before, after)
+        text = comparison.markdown(before, after)
         assert "1.20 (noise)" in text and "Only in the first: size 1 · gone" in text and "second: size 1 · new" in text
 
     def test_decibels_are_differences(self) -> None:
         a, b = (Row({}, "fit", "ours", Timing(1, 1, 1, 1, 1), {"unseen dB": v}) for v in (30.0, 31.5))
-        assert compare.compare(result(a), result(b))[0].errors == {"unseen dB": pytest.approx(1.5)}
+        assert comparison.compare(result(a), result(b))[0].errors == {"unseen dB": pytest.approx(1.5)}
 
 
 class TestReferences:
     def test_area_of_polygons_is_that_of_a_square(self) -> None:
         corners = np.array([[-0.5, -0.5, 0], [0.5, -0.5, 0], [0.5, 0.5, 0], [-0.5, 0.5, 0.0]])
-        view = shapes.looking_at((0, 0, 4), 512, 1.4)
+        view = bench_shapes.looking_at((0, 0, 4), 512, 1.4)
         faces = np.array([[0, 1, 2], [0, 2, 3], [0, 1, 2]])
         # the square is 1.4 · 512 / 4 pixels wide; a triangle that lies on another adds nothing
-        assert polygons.area(corners, faces, view) == pytest.approx((1.4 * 512 / 4) ** 2, rel=1e-12)
+        assert exact_silhouettes.area(corners, faces, view) == pytest.approx((1.4 * 512 / 4) ** 2, rel=1e-12)
 
     def test_contour_is_judged_right_and_a_blurred_one_is_not(self) -> None:
         plugins = PluginManager.discover()
-        positions, faces = shapes.bumpy_sphere(2)
-        slopes = polygons.exact_slopes(positions, faces)
+        positions, faces = bench_shapes.bumpy_sphere(2)
+        slopes = exact_silhouettes.exact_slopes(positions, faces)
         contour = plugins.create("geometry_renderer", "contour", {})
-        found = geometry.judged(geometry.by_overlap(contour, positions, faces, 512), slopes, 512)
+        found = geometry_suite.judged(geometry_suite.by_overlap(contour, positions, faces, 512), slopes, 512)
         assert found["gradient error"] < 0.01 and found["area error"] < 1e-3
         # at half the size the same figures hold: they are scaled to one image
-        half = geometry.judged(geometry.by_overlap(contour, positions, faces, 256), slopes, 256)
+        half = geometry_suite.judged(geometry_suite.by_overlap(contour, positions, faces, 256), slopes, 256)
         assert half["gradient error"] < 0.02
 
         def half_as_large() -> tuple[list[np.ndarray], list[float]]:
-            grads, areas = geometry.by_overlap(contour, positions, faces, 512)()
+            grads, areas = geometry_suite.by_overlap(contour, positions, faces, 512)()
             return [0.5 * g for g in grads], [0.5 * a for a in areas]
 
-        assert geometry.judged(half_as_large, slopes, 512)["gradient error"] == pytest.approx(0.5, abs=0.01)
+        assert geometry_suite.judged(half_as_large, slopes, 512)["gradient error"] == pytest.approx(0.5, abs=0.01)
 
     def test_the_slow_method_is_the_reference_of_the_fast_one(self) -> None:
         plugins = PluginManager.discover()
         config = plugins.find("regularizer", "bilateral_specular").component.config
-        methods = regularizers.methods_of(config)
-        assert regularizers.SLOW_METHOD in methods and len(methods) > 1
-        assert regularizers.methods_of(plugins.find("regularizer", "laplacian").component.config) == ()
+        methods = regularizers_suite.methods_of(config)
+        assert regularizers_suite.SLOW_METHOD in methods and len(methods) > 1
+        assert regularizers_suite.methods_of(plugins.find("regularizer", "laplacian").component.config) == ()
 
 
 class TestSuites:
@@ -161,7 +163,7 @@ class TestSuites:
     def test_quick_regularizers_in_single_precision_are_those_in_double(self) -> None:
         plan = Plan(PluginManager.discover(), quick=True, repeats=1)
         rows = {r.method: r for r in rows_of("regularizers", plan)}
-        fast = {name for name in rows if ", " in name and not name.endswith(regularizers.SLOW_METHOD)}
+        fast = {name for name in rows if ", " in name and not name.endswith(regularizers_suite.SLOW_METHOD)}
         assert {"laplacian", "edge_length"} <= set(rows) and fast
         for name, found in rows.items():
             limit = 0.1 if name in fast else 1e-3  # what a fast method approximates; rounding
@@ -197,10 +199,10 @@ class TestSuites:
 
 class TestCaptures:
     def test_made_smaller_keeps_colours_and_every_other_split(self, tmp_path: Path) -> None:
-        folder = captures.made_smaller(SAMPLE, tmp_path / "small", 5, 64)
+        folder = bench_captures.made_smaller(SAMPLE, tmp_path / "small", 5, 64)
         frames = json.loads((folder / "transforms_train.json").read_text())["frames"]
-        assert len(frames) == 5 and captures.extent(folder) == (5, 64)
-        assert captures.extent(SAMPLE) == (24, 256)
+        assert len(frames) == 5 and bench_captures.extent(folder) == (5, 64)
+        assert bench_captures.extent(SAMPLE) == (24, 256)
         name = Path(frames[0]["file_path"]).with_suffix(".png")
         small, large = read_ldr(folder / name), read_ldr(SAMPLE / name)
         assert small.shape == (64, 64, 4)
@@ -208,22 +210,22 @@ class TestCaptures:
         assert (folder / "transforms_relight_0.json").is_file() and list(folder.glob("*.hdr"))
 
     def test_stretched_repeats_views_and_enlarges_pictures(self, tmp_path: Path) -> None:
-        folder = captures.stretched(SAMPLE, tmp_path / "large", 26, 320)
+        folder = bench_captures.stretched(SAMPLE, tmp_path / "large", 26, 320)
         frames = json.loads((folder / "transforms_train.json").read_text())["frames"]
-        assert len(frames) == 26 and captures.extent(folder) == (26, 320)
+        assert len(frames) == 26 and bench_captures.extent(folder) == (26, 320)
         assert frames[25]["transform_matrix"] == frames[1]["transform_matrix"]
         enlarged = read_ldr(folder / Path(frames[1]["file_path"]).with_suffix(".png"))
         original = json.loads((SAMPLE / "transforms_train.json").read_text())["frames"][1]
         small = read_ldr(SAMPLE / Path(original["file_path"]).with_suffix(".png"))
         assert enlarged.shape == (320, 320, 4)
         np.testing.assert_allclose(enlarged[..., 3].mean(), small[..., 3].mean(), atol=2 / 255)
-        fewer = captures.stretched(SAMPLE, tmp_path / "small", 5, 64)
-        assert captures.extent(fewer) == (5, 64)
+        fewer = bench_captures.stretched(SAMPLE, tmp_path / "small", 5, 64)
+        assert bench_captures.extent(fewer) == (5, 64)
 
     def test_reducing_averages_light_where_it_is_covered(self) -> None:
         picture = np.zeros((2, 2, 4), np.float32)
         picture[0, 0] = [1, 1, 1, 1]
         picture[0, 1] = [0, 0, 0, 1]
-        (pixel,) = captures.reduced(picture, 2).reshape(-1, 4)
+        (pixel,) = bench_captures.reduced(picture, 2).reshape(-1, 4)
         # half of the light, in sRGB; two of four pixels are covered
         np.testing.assert_allclose(pixel, [0.7353569, 0.7353569, 0.7353569, 0.5], atol=1e-6)

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 import torch
 
-from hir_core.bench.peers import color_map, stock_mitsuba
-from hir_core.bench.peers.projective import sensor
 from hir_core.capture import Camera, Capture, Pixels, View
 from hir_core.metrics import unassociate
-from hir_core.render import orbit_cameras
+from hir_core.rendering.run_pictures import orbit_cameras
+from hir_core.rendering.unlit import UnlitView
 from hir_core.scene import Material, Scene
 from hir_core.testing.scenes import sphere
-from hir_core.unlit import UnlitView
+from hir_plugins.commands.bench.peers import color_map, stock_mitsuba
+from hir_plugins.commands.bench.peers.projective import sensor
 
 SIZE = 64
 

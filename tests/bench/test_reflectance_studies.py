@@ -10,11 +10,11 @@ import torch
 
 from benchmarks.alternation import LightProblem
 from benchmarks.remaining_error import seen_from
+from hir_core.plugins.model_spec import Rung
 from hir_core.scene import EnvironmentMap
-from hir_core.selection import Rung
-from hir_plugins.reflectance_renderers.transport_ggx.blocks import refresh, specular_blocks
+from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Unknowns
+from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import refresh, specular_blocks
 from hir_plugins.reflectance_renderers.transport_ggx.solver import Fit
-from hir_plugins.reflectance_renderers.transport_ggx.unknowns import Unknowns
 from tests.reflectance.test_light_and_albedo import solver_of
 
 

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from hir_core.bench import end_to_end, fits, initializers
-from hir_core.bench.captures import made_smaller, stretched
-from hir_core.bench.peers import stock_mitsuba
-from hir_core.bench.plan import Plan
 from hir_core.errors import InputError
-from hir_core.manager import PluginManager
+from hir_core.plugins.manager import PluginManager
+from hir_plugins.commands.bench.bench_plan import Plan
+from hir_plugins.commands.bench.inputs.bench_captures import made_smaller, stretched
+from hir_plugins.commands.bench.peers import stock_mitsuba
+from hir_plugins.commands.bench.suites import end_to_end_suite, initializers_suite, reflectance_fits
 
 pytestmark = pytest.mark.slow
 
@@ -30,8 +30,8 @@ def plan(small: Path, tmp_path: Path) -> Iterator[Plan]:
 
 def test_first_meshes_are_compared_with_the_truth(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every chain has a row; a hull of twelve views is within a tenth of the object of its truth."""
-    monkeypatch.setattr(initializers, "VIEWS", (12, 500))
-    rows = {row.method: row for row in initializers.initializers(plan)}
+    monkeypatch.setattr(initializers_suite, "VIEWS", (12, 500))
+    rows = {row.method: row for row in initializers_suite.initializers(plan)}
     assert {"visual_hull", "stereo", "stereo, poisson"} <= set(rows), list(rows)
     assert all(row.case == {"capture": "spot", "views": 12} for row in rows.values())
     assert 0 < rows["visual_hull"].errors["Chamfer, radii"] < 0.1
@@ -41,12 +41,12 @@ def test_first_meshes_are_compared_with_the_truth(plan: Plan, monkeypatch: pytes
 
 def test_fits_on_the_true_mesh_stand_beside_other_programs(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     """More effort is no worse by half a decibel, and all are judged on the same photographs, under other lights too."""
-    monkeypatch.setattr(fits, "EFFORTS", (0.1, 0.3))
-    monkeypatch.setattr(fits, "POLISH_STEPS", 3)
-    monkeypatch.setattr(fits, "TUNED_STEPS", (3, 40))
-    monkeypatch.setattr(fits, "PAPER_STEPS", (2,))
+    monkeypatch.setattr(reflectance_fits, "EFFORTS", (0.1, 0.3))
+    monkeypatch.setattr(reflectance_fits, "POLISH_STEPS", 3)
+    monkeypatch.setattr(reflectance_fits, "TUNED_STEPS", (3, 40))
+    monkeypatch.setattr(reflectance_fits, "PAPER_STEPS", (2,))
     monkeypatch.setattr(stock_mitsuba, "SECONDS", (3.0, 500.0))
-    rows = list(fits.fits(plan.captures[0], plan))
+    rows = list(reflectance_fits.fits(plan.captures[0], plan))
     ours = {(row.method, row.case["budget"]): row.errors for row in rows if row.role == "ours"}
     levels = [errors["unseen dB"] for (method, _), errors in ours.items() if method == "transport_ggx"]
     assert len(levels) == 2 and levels[1] > levels[0] - 0.5 and min(levels) > 15
@@ -63,12 +63,18 @@ def test_fits_on_the_true_mesh_stand_beside_other_programs(plan: Plan, monkeypat
 
 
 def test_a_whole_run_has_a_row_for_each_stage(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(end_to_end, "VIEWS", (12, 20))
-    monkeypatch.setattr(end_to_end, "SIDES", (128, 512))
-    rows = list(end_to_end.end_to_end(plan))
+    monkeypatch.setattr(end_to_end_suite, "VIEWS", (12, 20))
+    monkeypatch.setattr(end_to_end_suite, "SIDES", (128, 512))
+    rows = list(end_to_end_suite.end_to_end(plan))
     assert [row.method for row in rows if row.case["views"] == 12 and row.case["image"] == 128] == [
-        "initializer", "geometry", "atlas", "reflectance", "bake", "export", "whole run"
-    ]  # fmt: skip
+        "initializer",
+        "geometry",
+        "atlas",
+        "reflectance",
+        "bake",
+        "export",
+        "whole run",
+    ]
     whole = next(row for row in rows if row.method == "whole run" and row.timing is not None)
     assert whole.timing is not None and 0 < whole.timing.cpu < 4 * whole.timing.median
     assert whole.errors["unseen dB, frame"] > whole.errors["unseen dB, object"] > 10
@@ -78,10 +84,10 @@ def test_a_whole_run_has_a_row_for_each_stage(plan: Plan, monkeypatch: pytest.Mo
 def test_stretched_captures_have_as_many_and_as_large_photographs_as_asked(small: Path, tmp_path: Path) -> None:
     """More than there are come again; taking the folder a second time changes nothing."""
     folder = stretched(small, tmp_path / "large", 15, 160)
-    assert end_to_end.extent(folder) == (15, 160)
+    assert end_to_end_suite.extent(folder) == (15, 160)
     before = (folder / "transforms_train.json").read_bytes()
     assert stretched(small, folder, 15, 160) == folder and (folder / "transforms_train.json").read_bytes() == before
     with pytest.raises(InputError, match="has no transforms_train"):
         made_smaller(tmp_path, tmp_path / "none", 2, 8)
     with pytest.raises(InputError, match="no train views"):
-        end_to_end.extent(tmp_path)
+        end_to_end_suite.extent(tmp_path)

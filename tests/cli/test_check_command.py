@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hir_exporters.images import read_ldr, write_png
+from hir_exporters.textures.image_files import read_ldr, write_png
 
 from hir_core.cli import main
 

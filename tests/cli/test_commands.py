@@ -12,8 +12,8 @@ import click
 import pytest
 
 from hir_core.cli import main
-from hir_core.manager import KINDS, PluginManager
-from hir_core.plugin import hookimpl
+from hir_core.plugins import hookimpl
+from hir_core.plugins.manager import KINDS, PluginManager
 
 ROOT = Path(__file__).resolve().parents[2]
 SAMPLE = ROOT / "examples" / "sample_capture"
@@ -140,8 +140,10 @@ def test_paper_preset_is_what_the_paper_prints() -> None:
     config = load_config(PluginManager.discover(), "paper")
     geometry, reflectance = config.geometry, config.reflectance
     assert {name: dict(table)["weight"] for name, table in geometry.regularizers.items() if table} == {
-        "laplacian": 1.0, "normal_consistency": 0.01, "edge_length": 1.0,
-    }  # fmt: skip
+        "laplacian": 1.0,
+        "normal_consistency": 0.01,
+        "edge_length": 1.0,
+    }
     assert (geometry.renderer, geometry.iterations_per_view, geometry.views_per_step) == ("soft_silhouette", 200, 1)
     assert geometry.learning_rate * geometry.start_radius == pytest.approx(0.001), "Adam's rate in its scene"
     assert (reflectance.rgb_weight, reflectance.learning_rate, reflectance.learning_rate_end) == (0.1, 1e-4, 1.0)
@@ -175,29 +177,29 @@ def test_nothing_named_is_help_and_an_error(capsys: pytest.CaptureFixture[str]) 
 
 
 def test_doctor_names_what_is_missing_and_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    from hir_core import doctor
+    from hir_core.run import installation_check
 
-    assert doctor.examine_module("json", "nothing-of-that-name", "reconstruct").state == "ok"
-    missing = doctor.examine_module("no_such_module", "no-such", "reconstruct")
+    assert installation_check.examine_module("json", "nothing-of-that-name", "reconstruct").state == "ok"
+    missing = installation_check.examine_module("no_such_module", "no-such", "reconstruct")
     assert missing.state == "missing" and "pip install 'hir[reconstruct]'" in missing.advice
     said = "ImportError: libGL.so.1: cannot open shared object file: No such file or directory"
-    monkeypatch.setattr(doctor, "_try", lambda command: (1, said))
-    broken = doctor.examine_module("json", "json", "reconstruct")
+    monkeypatch.setattr(installation_check, "_try", lambda command: (1, said))
+    broken = installation_check.examine_module("json", "json", "reconstruct")
     assert broken.state == "broken" and broken.advice == "apt-get install libgl1"
-    monkeypatch.setattr(doctor, "_try", lambda command: (-6, "LLVM ERROR: Cannot select: fminimum"))
-    renderer = doctor.examine_renderer("llvm_ad_rgb", "renderer (cpu)")
+    monkeypatch.setattr(installation_check, "_try", lambda command: (-6, "LLVM ERROR: Cannot select: fminimum"))
+    renderer = installation_check.examine_renderer("llvm_ad_rgb", "renderer (cpu)")
     assert renderer.state == "broken" and "libllvm19" in renderer.advice and "fminimum" in renderer.detail
-    assert doctor.examine_renderer("cuda_ad_rgb", "renderer (cuda)").state == "absent", "no GPU is no fault"
+    assert installation_check.examine_renderer("cuda_ad_rgb", "renderer (cuda)").state == "absent", "no GPU is no fault"
 
 
 def test_a_swallowed_interrupt_is_raised_where_progress_is_told() -> None:
     """As where Ctrl-C falls into a finaliser or into an import that catches everything."""
     code = """
 import os, signal
-from hir_core.interrupt import remember_interrupts
-from hir_core.listener import Listener
-from hir_core.manager import PluginManager
-from hir_core.progress import Progress
+from hir_core.run.interrupt import remember_interrupts
+from hir_core.run.progress_listener import Listener
+from hir_core.plugins.manager import PluginManager
+from hir_core.plugins.progress import Progress
 remember_interrupts()
 listener = Listener("geometry", PluginManager(), None)
 listener.report(Progress("geometry", 1, 10, 0.1))
@@ -216,7 +218,7 @@ except KeyboardInterrupt:
 
 def test_interrupt_ends_with_130_and_names_resume() -> None:
     code = (
-        "import hir_core.cli.app as app\nfrom hir_core.manager import PluginManager\n"
+        "import hir_core.cli.app as app\nfrom hir_core.plugins.manager import PluginManager\n"
         "def stop(*_): raise KeyboardInterrupt\nPluginManager.discover = stop\napp.main(['plugins'])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

@@ -6,8 +6,8 @@ import json
 
 import pytest
 
-from hir_core import doctor
 from hir_core.cli import main
+from hir_core.run import installation_check
 
 
 def hir(*words: str) -> int:
@@ -19,8 +19,8 @@ def hir(*words: str) -> int:
 
 
 def test_a_sound_machine(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr(doctor, "_try", lambda _: (0, ""))
-    monkeypatch.setattr(doctor, "find_spec", lambda _: True)
+    monkeypatch.setattr(installation_check, "_try", lambda _: (0, ""))
+    monkeypatch.setattr(installation_check, "find_spec", lambda _: True)
     assert hir("doctor") == 0
     told = capsys.readouterr().out
     assert all(name in told for name in ("python", "torch", "mitsuba", "renderer (cpu)", "renderer (cuda)", "lpips"))
@@ -32,7 +32,7 @@ def test_a_sound_machine(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capture
 def test_what_lacks_is_told_with_the_command_that_brings_it(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(doctor, "find_spec", lambda _: None)
+    monkeypatch.setattr(installation_check, "find_spec", lambda _: None)
     assert hir("doctor") == 1
     told = capsys.readouterr().out
     assert "missing" in told and "pip install 'hir[reconstruct]'" in told and "renderer (cpu)" not in told
@@ -40,10 +40,10 @@ def test_what_lacks_is_told_with_the_command_that_brings_it(
 
 def test_a_library_that_cannot_be_opened_is_told_with_its_package(monkeypatch: pytest.MonkeyPatch) -> None:
     said = "Traceback\nImportError: libGL.so.1: cannot open shared object file\n"
-    monkeypatch.setattr(doctor, "_try", lambda _: (1, said))
-    found = {finding.name: finding for finding in doctor.examine(["a plugin is broken"])}
+    monkeypatch.setattr(installation_check, "_try", lambda _: (1, said))
+    found = {finding.name: finding for finding in installation_check.examine(["a plugin is broken"])}
     assert found["open3d"].state == "broken" and found["open3d"].advice == "apt-get install libgl1"
     assert found["renderer (cpu)"].state == "broken" and "libllvm19" in found["renderer (cpu)"].advice
     assert found["renderer (cuda)"].state == "absent", "no GPU is no fault"
     assert found["plugin"].state == "broken"
-    assert doctor.last_line(" \n") == ""
+    assert installation_check.last_line(" \n") == ""

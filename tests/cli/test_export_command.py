@@ -13,9 +13,9 @@ import pytest
 from hir_exporters.asset import Asset, AssetEnvironment, AssetMaterial, AssetMesh
 from hir_exporters.errors import ExportError
 from hir_exporters.formats import create_exporter
-from hir_exporters.images import write_png
-from hir_exporters.readback import read_gltf
-from hir_exporters.scene_files import save_scene
+from hir_exporters.reading.readback import read_gltf
+from hir_exporters.scene_format import save_scene
+from hir_exporters.textures.image_files import write_png
 
 from hir_core.cli import main
 from hir_core.cli.export import parse_lods

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from hir_core.check import CaptureCheck, ViewCheck, _advice
+from hir_core.intake.capture_check import CaptureCheck, ViewCheck, _advice
 
 VIEWS = tuple(ViewCheck(f"{i:02}", 64, 48, 0.0, 0.3, 1.0, 0.2, agreement=0.9) for i in range(25))
 GOOD = CaptureCheck(VIEWS, (), len(VIEWS), 0.6, 0, 0.1)

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from hir_core.errors import ConfigError, MissingExtraError, PluginError
-from hir_core.manager import KINDS, PluginManager
-from hir_core.plugin import Component, hookimpl
+from hir_core.plugins import Component, hookimpl
+from hir_core.plugins.manager import KINDS, PluginManager
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ def test_document_edit_that_raises_is_an_error_naming_the_plugin() -> None:
 def test_plugin_file_is_loaded_by_path_and_a_broken_one_is_an_error(tmp_path: Path) -> None:
     good = tmp_path / "mine.py"
     good.write_text(
-        "from hir_core.plugin import Component, hookimpl\n"
+        "from hir_core.plugins import Component, hookimpl\n"
         "@hookimpl\n"
         "def hir_register_regularizers():\n"
         "    return [Component(name='mine', target='hir_plugin_mine:Mine')]\n"
@@ -165,7 +165,7 @@ def test_two_entry_points_of_one_name_are_both_loaded(tmp_path: Path) -> None:
     """pluggy's own loader drops the second silently."""
     for number in (1, 2):
         (tmp_path / f"dist{number}_plugin.py").write_text(
-            "from hir_core.plugin import Component, hookimpl\n"
+            "from hir_core.plugins import Component, hookimpl\n"
             "@hookimpl\n"
             "def hir_register_regularizers():\n"
             f"    return [Component(name='from_dist{number}', target='dist{number}_plugin:X')]\n"
@@ -176,7 +176,7 @@ def test_two_entry_points_of_one_name_are_both_loaded(tmp_path: Path) -> None:
         (info / "entry_points.txt").write_text(f"[hir]\nsame_name = dist{number}_plugin\n")
     code = (
         f"import sys; sys.path.insert(0, {str(tmp_path)!r})\n"
-        "from hir_core.manager import PluginManager\n"
+        "from hir_core.plugins.manager import PluginManager\n"
         "m = PluginManager.discover(); assert not m.problems, m.problems\n"
         "print(*[(r.component.name, r.distribution) for r in m.components('regularizer') if 'dist' in r.distribution])"
     )
@@ -197,7 +197,7 @@ def test_older_and_newer_plugins_are_refused_with_what_to_upgrade(api: int, advi
 
 
 def test_a_deprecated_argument_is_a_notice_and_still_arrives(monkeypatch: pytest.MonkeyPatch) -> None:
-    from hir_core import hookspecs
+    from hir_core.plugins import hookspecs
 
     warning = DeprecationWarning("hir_stage_finished: 'report' goes with api 2; read run.json in its place")
 
@@ -228,7 +228,7 @@ def test_observers_have_checked_options(tmp_path: Path) -> None:
     file = tmp_path / "watcher.py"
     file.write_text(
         "from dataclasses import dataclass\n"
-        "from hir_core.plugin import hookimpl\n"
+        "from hir_core.plugins import hookimpl\n"
         "@dataclass(frozen=True)\n"
         "class Options:\n"
         "    every: int = 1\n"
@@ -289,7 +289,7 @@ def test_the_suggestion_of_the_latest_plugin_that_has_one_wins() -> None:
 
 def test_a_named_plugin_that_is_refused_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "odd.py").write_text(
-        "from hir_core.plugin import hookimpl\n@hookimpl\ndef hir_register_something():\n    return []\n"
+        "from hir_core.plugins import hookimpl\n@hookimpl\ndef hir_register_something():\n    return []\n"
     )
     with pytest.raises(PluginError, match="hir_register_something"):
         PluginManager().register_named(str(tmp_path / "odd.py"))

@@ -10,7 +10,7 @@ from hir_exporters.conventions import linear_to_srgb
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from hir_core import metrics
-from hir_core.metrics import perceptual
+from hir_core.metrics import perceptual_metrics
 
 
 @pytest.fixture
@@ -119,10 +119,10 @@ def test_channel_scale_is_the_least_squares_one() -> None:
 
 
 def test_missing_lpips_weights_are_said_and_nothing_is_fetched(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(perceptual, "find_spec", lambda name: name)
-    monkeypatch.setattr(perceptual, "backbone_weights", lambda network: tmp_path / "alexnet.pth")
-    monkeypatch.setattr(perceptual, "_load_lpips", lambda network: pytest.fail("the network was asked for"))
-    found, why = perceptual.find_lpips()
+    monkeypatch.setattr(perceptual_metrics, "find_spec", lambda name: name)
+    monkeypatch.setattr(perceptual_metrics, "backbone_weights", lambda network: tmp_path / "alexnet.pth")
+    monkeypatch.setattr(perceptual_metrics, "_load_lpips", lambda network: pytest.fail("the network was asked for"))
+    found, why = perceptual_metrics.find_lpips()
     assert found is None
     assert f"weights are not at {tmp_path}" in why and "--download" in why
 
@@ -135,16 +135,16 @@ def test_weights_are_looked_for_where_torch_keeps_them(monkeypatch: pytest.Monke
     except (ImportError, RuntimeError) as error:
         pytest.skip(f"no torchvision that fits torch, pip install 'hir[evaluate]': {error}")
     monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path))
-    assert perceptual.backbone_weights().parent == tmp_path / "checkpoints"
+    assert perceptual_metrics.backbone_weights().parent == tmp_path / "checkpoints"
 
 
 def test_an_installation_that_breaks_lpips_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(network: str) -> Path:
         raise RuntimeError("operator torchvision::nms does not exist")
 
-    monkeypatch.setattr(perceptual, "find_spec", lambda name: name)
-    monkeypatch.setattr(perceptual, "backbone_weights", broken)
-    found, why = perceptual.find_lpips()
+    monkeypatch.setattr(perceptual_metrics, "find_spec", lambda name: name)
+    monkeypatch.setattr(perceptual_metrics, "backbone_weights", broken)
+    found, why = perceptual_metrics.find_lpips()
     assert found is None
     assert "cannot be loaded (RuntimeError: operator torchvision::nms" in why
 
@@ -152,7 +152,7 @@ def test_an_installation_that_breaks_lpips_is_said(monkeypatch: pytest.MonkeyPat
 def test_flip_is_that_of_its_authors_with_the_reference_first(pictures: tuple[np.ndarray, np.ndarray]) -> None:
     flip_evaluator = pytest.importorskip("flip_evaluator", reason="pip install 'hir[evaluate]'")
     fit, truth = pictures
-    flip, why = perceptual.find_flip()
+    flip, why = perceptual_metrics.find_flip()
     assert flip is not None and why == ""
     _, expected, _ = flip_evaluator.evaluate(truth, fit, "LDR")
     assert flip(fit, truth) == pytest.approx(expected, abs=1e-7) and expected > 0.01
@@ -161,8 +161,8 @@ def test_flip_is_that_of_its_authors_with_the_reference_first(pictures: tuple[np
 
 
 def test_missing_flip_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(perceptual, "find_spec", lambda name: None)
-    found, why = perceptual.find_flip()
+    monkeypatch.setattr(perceptual_metrics, "find_spec", lambda name: None)
+    found, why = perceptual_metrics.find_flip()
     assert found is None and "pip install 'hir[evaluate]'" in why
 
 

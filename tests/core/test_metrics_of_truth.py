@@ -8,8 +8,8 @@ import pytest
 import trimesh
 from hir_exporters.conventions import latlong_directions, linear_to_srgb
 
-from hir_core.metrics import light, published, surfaces
-from hir_core.render import orbit_cameras
+from hir_core.metrics import light_metrics, published_conventions, surface_metrics
+from hir_core.rendering.run_pictures import orbit_cameras
 
 
 def ball(radius: float = 1.0, subdivisions: int = 5) -> tuple[np.ndarray, np.ndarray]:
@@ -21,12 +21,12 @@ class TestSurfaces:
     def test_equal_surfaces_cut_differently_have_no_distance(self) -> None:
         box = trimesh.creation.box()
         cut = box.subdivide().subdivide()
-        found = surfaces.compare_surfaces((box.vertices, box.faces), (cut.vertices, cut.faces), samples=5000)
+        found = surface_metrics.compare_surfaces((box.vertices, box.faces), (cut.vertices, cut.faces), samples=5000)
         assert found.chamfer < 1e-6 and found.normal_error_deg < 1.0
         assert set(found.f_score.values()) == {1.0}
 
     def test_a_sphere_that_is_too_large_is_off_by_the_difference_of_radii(self) -> None:
-        found = surfaces.compare_surfaces(ball(1.015), ball(1.0), samples=5000)
+        found = surface_metrics.compare_surfaces(ball(1.015), ball(1.0), samples=5000)
         # in units of half the diagonal of the truth's box, √3 for the unit sphere
         assert found.accuracy == pytest.approx(0.015 / np.sqrt(3), rel=0.02)
         assert found.completeness == pytest.approx(0.015 / np.sqrt(3), rel=0.02)
@@ -36,7 +36,7 @@ class TestSurfaces:
     def test_place_turn_and_size_of_the_world_change_nothing(self) -> None:
         fit, truth = ball(1.02, 3), ball(1.0, 3)
         moved = [(mesh[0] * 250 + [1e4, 5, -3e3], mesh[1]) for mesh in (fit, truth)]
-        near, far = (surfaces.compare_surfaces(*pair, samples=2000) for pair in ((fit, truth), moved))
+        near, far = (surface_metrics.compare_surfaces(*pair, samples=2000) for pair in ((fit, truth), moved))
         assert far.chamfer == pytest.approx(near.chamfer, rel=1e-3)
 
     def test_distance_from_a_box_is_its_formula(self) -> None:
@@ -44,19 +44,19 @@ class TestSurfaces:
         points = np.random.default_rng(7).uniform(-2, 2, (500, 3))
         outside = np.linalg.norm(np.maximum(np.abs(points) - 0.5, 0), axis=1)
         inside = np.maximum(0.5 - np.abs(points).max(axis=1), 0)
-        found, face = surfaces.NearestPoints(box.vertices, box.faces)(points)
+        found, face = surface_metrics.NearestPoints(box.vertices, box.faces)(points)
         np.testing.assert_allclose(found, outside + inside, atol=1e-6)
         assert face.min() >= 0 and face.max() < len(box.faces)
 
     def test_normals_of_a_turned_plane_are_off_by_the_turn(self) -> None:
         flat = (np.array([[-1, 0, -1], [1, 0, -1], [1, 0, 1], [-1, 0, 1.0]]), np.array([[0, 2, 1], [0, 3, 2]]))
         turn = trimesh.transformations.rotation_matrix(np.radians(10), [1, 0, 0])[:3, :3]
-        found = surfaces.compare_surfaces((flat[0] @ turn.T, flat[1]), flat, samples=2000)
+        found = surface_metrics.compare_surfaces((flat[0] @ turn.T, flat[1]), flat, samples=2000)
         assert found.normal_error_deg == pytest.approx(10.0, abs=1e-3)
 
     def test_points_are_even_by_area(self) -> None:
         corners = np.array([[0, 0, 0], [3, 0, 0], [3, 1, 0], [0, 1, 0], [0, 0, 0.0], [1, 0, 0], [1, 1, 0]])
-        points, normals = surfaces.sample_surface(corners, np.array([[0, 1, 2], [0, 2, 3]]), 20_000, seed=3)
+        points, normals = surface_metrics.sample_surface(corners, np.array([[0, 1, 2], [0, 2, 3]]), 20_000, seed=3)
         # a mean of a uniform variable over (0, 3) has the standard error 3 / √(12 N)
         assert points[:, 0].mean() == pytest.approx(1.5, abs=5 * 3 / np.sqrt(12 * 20_000))
         np.testing.assert_allclose(normals, [[0, 0, 1]] * 20_000)
@@ -65,8 +65,8 @@ class TestSurfaces:
         shell, core = ball(1.0, 4), ball(0.5, 3)
         both = (np.concatenate([shell[0], core[0]]), np.concatenate([shell[1], core[1] + len(shell[0])]))
         cameras = [*orbit_cameras(6, 30.0, 64), *orbit_cameras(6, -30.0, 64)]
-        all_of_it = surfaces.compare_surfaces(shell, both, samples=4000)
-        outside = surfaces.compare_surfaces(shell, both, cameras, samples=4000)
+        all_of_it = surface_metrics.compare_surfaces(shell, both, samples=4000)
+        outside = surface_metrics.compare_surfaces(shell, both, cameras, samples=4000)
         assert all_of_it.completeness > 0.03 and outside.completeness < 1e-6
 
 
@@ -85,7 +85,7 @@ class TestPublished:
     def test_mask_is_eroded_as_opencv_does(self, pictures: tuple[np.ndarray, ...]) -> None:
         coverage = pictures[2]
         expected = cv2.erode((coverage * 255).astype(np.uint8), np.ones((5, 5), np.uint8)) > 127
-        np.testing.assert_array_equal(published.eroded(coverage), expected)
+        np.testing.assert_array_equal(published_conventions.eroded(coverage), expected)
 
     @pytest.mark.parametrize("scaled", [False, True])
     def test_psnr_high_and_low(self, pictures: tuple[np.ndarray, ...], scaled: bool) -> None:
@@ -98,18 +98,18 @@ class TestPublished:
         gain = linear_to_srgb(b.clip(0, 1)).mean() / b.clip(0, 1).mean()
         high = -10 * np.log10(np.mean(((a * gain).clip(0, 4) - (b * gain).clip(0, 4)) ** 2))
         low = -10 * np.log10(np.mean((linear_to_srgb(a.clip(0, 1)) - linear_to_srgb(b.clip(0, 1))) ** 2))
-        found = published.stanford_orb(fit, truth, coverage, scaled)
+        found = published_conventions.stanford_orb(fit, truth, coverage, scaled)
         assert found.psnr_h == pytest.approx(high, abs=1e-5)
         assert found.psnr_l == pytest.approx(low, abs=1e-5)
         assert found.lpips is None
 
     def test_nothing_is_worse_than_grey(self, pictures: tuple[np.ndarray, ...]) -> None:
         _, truth, coverage = pictures
-        mask = published.eroded(coverage)[..., None]
+        mask = published_conventions.eroded(coverage)[..., None]
         white = np.full_like(truth, 50.0)
         b = linear_to_srgb((truth * mask).clip(0, 1))
         grey = -10 * np.log10(np.mean((0.5 * mask - b) ** 2))
-        assert published.stanford_orb(white, truth, coverage, False).psnr_l == pytest.approx(grey, abs=1e-4)
+        assert published_conventions.stanford_orb(white, truth, coverage, False).psnr_l == pytest.approx(grey, abs=1e-4)
 
     def test_ssim_of_small_windows_at_one_pixel(self) -> None:
         random = np.random.default_rng(5)
@@ -120,21 +120,21 @@ class TestPublished:
         mx, my = (w * x).sum(), (w * y).sum()
         vx, vy, c = (w * x * x).sum() - mx**2, (w * y * y).sum() - my**2, (w * x * y).sum() - mx * my
         one = (2 * mx * my + 1e-4) * (2 * c + 9e-4) / ((mx**2 + my**2 + 1e-4) * (vx + vy + 9e-4))
-        assert published.small_window_ssim(a, b)[1, 1, 0] == pytest.approx(one, rel=1e-9)
+        assert published_conventions.small_window_ssim(a, b)[1, 1, 0] == pytest.approx(one, rel=1e-9)
         # borders are mirrored: seen from the corner, the window is [[e, d, e], [b, a, b], [e, d, e]]
         mirrored = np.pad(a[..., 0], 1, mode="reflect")[:3, :3], np.pad(b[..., 0], 1, mode="reflect")[:3, :3]
-        corner = published.small_window_ssim(mirrored[0][..., None], mirrored[1][..., None])[1, 1, 0]
-        assert published.small_window_ssim(a, b)[0, 0, 0] == pytest.approx(corner, rel=1e-9)
+        corner = published_conventions.small_window_ssim(mirrored[0][..., None], mirrored[1][..., None])[1, 1, 0]
+        assert published_conventions.small_window_ssim(a, b)[0, 0, 0] == pytest.approx(corner, rel=1e-9)
 
     def test_albedo_may_be_scaled_by_channel(self, pictures: tuple[np.ndarray, ...]) -> None:
         _, truth, coverage = pictures
-        assert published.stanford_orb_albedo(truth * np.float32(0.3), truth, coverage) > 99
+        assert published_conventions.stanford_orb_albedo(truth * np.float32(0.3), truth, coverage) > 99
 
 
 class TestLight:
     def test_a_scaled_light_is_the_same_light(self) -> None:
         truth = np.random.default_rng(6).gamma(0.5, 1.0, (32, 64, 3))
-        found = light.compare_lights(truth * 0.25, truth)
+        found = light_metrics.compare_lights(truth * 0.25, truth)
         assert found.scale == pytest.approx(4.0) and found.texels < 1e-12
         assert all(error < 1e-12 for error in found.spheres.values())
         assert all(angle < 1e-4 for angle in found.angular_deg.values())
@@ -144,22 +144,22 @@ class TestLight:
         wrong = truth.copy()
         wrong[:32] = 0.0
         # half the sphere is dark: the best scale is 1, and half of the squares are left
-        found = light.compare_lights(wrong, truth)
+        found = light_metrics.compare_lights(wrong, truth)
         assert found.scale == pytest.approx(1.0) and found.texels == pytest.approx(np.sqrt(0.5), rel=1e-9)
         polar = truth.copy()
         polar[0] = 3.0
-        near = light.compare_lights(polar, truth).texels
+        near = light_metrics.compare_lights(polar, truth).texels
         polar[0], polar[32] = 1.0, 3.0
-        assert light.compare_lights(polar, truth).texels > 4 * near, "a row at the pole is small"
+        assert light_metrics.compare_lights(polar, truth).texels > 4 * near, "a row at the pole is small"
 
     def test_colour_error_is_an_angle(self) -> None:
         red, yellow = np.zeros((16, 32, 3)), np.zeros((16, 32, 3))
         red[..., 0], yellow[..., :2] = 1, 1
-        found = light.compare_lights(yellow, red)
-        assert found.angular_deg == pytest.approx(dict.fromkeys(light.SPHERES, 45.0), abs=1e-6)
+        found = light_metrics.compare_lights(yellow, red)
+        assert found.angular_deg == pytest.approx(dict.fromkeys(light_metrics.SPHERES, 45.0), abs=1e-6)
 
     def test_white_furnace_makes_all_spheres_white(self) -> None:
-        for name, picture in light.three_spheres(np.full((32, 64, 3), 0.7)).items():
+        for name, picture in light_metrics.three_spheres(np.full((32, 64, 3), 0.7)).items():
             np.testing.assert_allclose(picture, 0.7, rtol=2e-3, err_msg=name)
 
     def test_mirror_and_diffuse_spheres_are_mitsubas(self) -> None:
@@ -169,24 +169,29 @@ class TestLight:
         radiance = (0.6 + 0.5 * d[..., 1:2] + 0.3 * np.sin(2 * d[..., :1] + d[..., 2:])).clip(0.05) * [1.0, 0.8, 0.6]
         # Mitsuba's panoramas have one convention with ours (docs/conventions.md)
         emitter = {"type": "envmap", "bitmap": mi.Bitmap(radiance.astype(np.float32))}
-        pixels = light.SPHERE_PIXELS
+        pixels = light_metrics.SPHERE_PIXELS
         film = {"type": "hdrfilm", "width": pixels, "height": pixels, "rfilter": {"type": "box"}}
         look = mi.ScalarTransform4f().look_at([0, 0, 4], [0, 0, 0], [0, 1, 0])
         sensor = {"type": "orthographic", "to_world": look, "film": film}
-        normals = light.sphere_normals()
+        normals = light_metrics.sphere_normals()
         ticks = (np.arange(pixels) + 0.5) / pixels * 2 - 1
         x, y = np.meshgrid(ticks, -ticks)
         inside = x**2 + y**2 < 0.98
-        ours = light.three_spheres(radiance)
+        ours = light_metrics.three_spheres(radiance)
         bsdfs = {
             "mirror": {"type": "conductor", "material": "none"},
             "diffuse": {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1.0}},
         }
         for name, bsdf in bsdfs.items():
-            scene = mi.load_dict({
-                "type": "scene", "integrator": {"type": "direct"}, "sensor": sensor, "emitter": emitter,
-                "ball": {"type": "sphere", "bsdf": bsdf},
-            })  # fmt: skip
+            scene = mi.load_dict(
+                {
+                    "type": "scene",
+                    "integrator": {"type": "direct"},
+                    "sensor": sensor,
+                    "emitter": emitter,
+                    "ball": {"type": "sphere", "bsdf": bsdf},
+                }
+            )
             first, second = (np.array(mi.render(scene, spp=512, seed=seed))[..., :3][inside] for seed in (1, 2))
             theirs = (first + second) / 2
             drawn = np.full((pixels, pixels, 3), np.nan)
@@ -203,8 +208,8 @@ class TestLight:
     def test_silver_sphere_is_brightest_where_it_reflects_a_lamp(self) -> None:
         point = np.zeros((32, 64, 3))
         point[10, 31] = 1.0
-        picture = light.three_spheres(point)["silver"][:, 0]
-        normals = light.sphere_normals()
+        picture = light_metrics.three_spheres(point)["silver"][:, 0]
+        normals = light_metrics.sphere_normals()
         half = latlong_directions(32, 64)[10, 31] + np.array([0.0, 0.0, 1.0])
         half /= np.linalg.norm(half)
         assert (normals[picture.argmax()] @ half) == pytest.approx(normals.dot(half).max(), abs=2e-3)

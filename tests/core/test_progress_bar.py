@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hir_core.cli.progress_bar import ProgressBar, time_text
-from hir_core.progress import Progress
+from hir_core.plugins.progress import Progress
 
 
 @pytest.mark.parametrize(

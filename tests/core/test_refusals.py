@@ -11,18 +11,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hir_core.array_files import read_arrays
-from hir_core.bench.results import Result
 from hir_core.capture import Capture, Pixels, View
-from hir_core.capture_files import read_cameras, restore_capture
+from hir_core.capture.capture_store import read_cameras, restore_capture
 from hir_core.config import assign, load_config, read_toml
 from hir_core.errors import CaptureError, ConfigError, HirError, InputError, PluginError
-from hir_core.listener import read_curves
-from hir_core.manager import PluginManager
-from hir_core.plugin import Component, NoOptions, hookimpl
-from hir_core.reference import parse_light, reference_renderer
-from hir_core.run_directory import RunDirectory, read_json
-from hir_core.session import check_until, resolve_device
+from hir_core.files.array_files import read_arrays
+from hir_core.files.json_documents import read_json
+from hir_core.plugins import Component, NoOptions, hookimpl
+from hir_core.plugins.manager import PluginManager
+from hir_core.rendering.reference_renderer import parse_light, reference_renderer
+from hir_core.run.progress_listener import read_curves
+from hir_core.run.run_directory import RunDirectory
+from hir_core.run.session import check_until, resolve_device
+from hir_plugins.commands.bench.results.bench_result import Result
 
 PLUGINS = PluginManager.discover()
 
@@ -73,7 +74,7 @@ def test_a_wrong_file_is_named(wrong: Wrong, tmp_path: Path) -> None:
 
 
 def test_files_that_are_too_large_or_missing_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hir_core.run_directory._MAX_JSON_BYTES", 1 << 20)
+    monkeypatch.setattr("hir_core.files.json_documents._MAX_JSON_BYTES", 1 << 20)
     large = tmp_path / "large.json"
     large.write_bytes(b" " * ((1 << 20) + 1))
     with pytest.raises(InputError, match=r"large\.json is larger than 1 MiB"):
@@ -118,8 +119,11 @@ def test_names_of_stages_devices_and_lights() -> None:
     with pytest.raises(ConfigError, match="device 'tpu' is not known; it is auto, cpu or cuda"):
         resolve_device("tpu")
     assert parse_light("a*b.hdr*0.5") == (Path("a*b.hdr"), 0.5) and parse_light("a.hdr") == (Path("a.hdr"), 1.0)
-    for text, said in (("a.hdr*x", "after [*] comes the light's strength"), ("a.hdr*-1", "finite number of at least 0"),
-                       ("a.hdr*inf", "finite number of at least 0")):  # fmt: skip
+    for text, said in (
+        ("a.hdr*x", "after [*] comes the light's strength"),
+        ("a.hdr*-1", "finite number of at least 0"),
+        ("a.hdr*inf", "finite number of at least 0"),
+    ):
         with pytest.raises(InputError, match=said):
             parse_light(text)
 
@@ -220,9 +224,13 @@ def test_a_damaged_capture_of_a_run_is_refused(
 
 @pytest.mark.parametrize(
     "arrays",
-    [{"a": np.ones(3)}, {"a": np.ones(3), "a@step": np.ones(2)}, {"a": np.ones((3, 1)), "a@step": np.ones((3, 1))},
-     {"a": np.array(["x"]), "a@step": np.ones(1)}],
-)  # fmt: skip
+    [
+        {"a": np.ones(3)},
+        {"a": np.ones(3), "a@step": np.ones(2)},
+        {"a": np.ones((3, 1)), "a@step": np.ones((3, 1))},
+        {"a": np.array(["x"]), "a@step": np.ones(1)},
+    ],
+)
 def test_curves_without_steps_are_refused(arrays: dict[str, np.ndarray], tmp_path: Path) -> None:
     assert read_curves(tmp_path / "gone.npz") == {}
     np.savez(tmp_path / "curves.npz", **arrays)  # type: ignore[arg-type]

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from hir_core.errors import InputError, StageError
-from hir_core.run_directory import STAGES, RunDirectory, StageRecord, claimed_run, jsonable, open_run
+from hir_core.files.json_documents import jsonable
+from hir_core.run.run_directory import STAGES, RunDirectory, StageRecord, claimed_run, open_run
 
 
 def test_stage_folders_are_numbered_in_the_order_of_a_run(tmp_path: Path) -> None:
@@ -57,7 +58,7 @@ def test_run_is_not_overwritten_unless_resumed(tmp_path: Path) -> None:
 
 def test_second_process_is_refused_and_a_dead_one_leaves_no_lock(tmp_path: Path) -> None:
     code = (
-        "import sys\nfrom hir_core.run_directory import claimed_run\n"
+        "import sys\nfrom hir_core.run.run_directory import claimed_run\n"
         f"with claimed_run({str(tmp_path)!r}, resume=True):\n    print('locked', flush=True); sys.stdin.read()\n"
     )
     with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from hir_core.config import RunConfig
-from hir_core.context import StageContext
 from hir_core.errors import StageError
-from hir_core.listener import Listener, read_curves
-from hir_core.manager import PluginManager
-from hir_core.progress import Progress
-from hir_core.run_directory import RunDirectory
-from hir_core.session import Session, StopRun
+from hir_core.plugins.manager import PluginManager
+from hir_core.plugins.progress import Progress
+from hir_core.run.progress_listener import Listener, read_curves
+from hir_core.run.run_directory import RunDirectory
+from hir_core.run.session import Session, StopRun
+from hir_core.run.stage_context import StageContext
 
 NAMES = ("initializer", "geometry", "atlas")
 
@@ -143,7 +143,7 @@ def test_listener_tells_in_blocks_and_keeps_every_scalar(tmp_path: Path) -> None
 def test_a_second_phase_of_a_stage_has_its_own_time_left(monkeypatch: pytest.MonkeyPatch) -> None:
     """800 steps of outlines took ten minutes; the third of 300 steps with photographs does not mean a day."""
     clock = iter([0.0, 600.0, 610.0])
-    monkeypatch.setattr("hir_core.listener.time.perf_counter", lambda: now[0])
+    monkeypatch.setattr("hir_core.run.progress_listener.time.perf_counter", lambda: now[0])
     now = [next(clock)]
     told: list[Progress] = []
     listener = Listener("geometry", PluginManager(), told.append)

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from hir_core.capture import Camera, Capture, OrientedPoints, Pixels, View
-from hir_core.capture_files import (
+from hir_core.capture.capture_store import (
     camera_document,
     camera_from_document,
     fingerprint,
@@ -20,11 +20,11 @@ from hir_core.capture_files import (
     save_capture,
     write_cameras,
 )
+from hir_core.capture.pixel_cache import PixelCache
 from hir_core.errors import InputError, StageError
-from hir_core.pixel_cache import PixelCache
 from hir_core.scene import EnvironmentMap, Material, Mesh, Scene, Topology
-from hir_core.scene_store import load_stage_scene, save_stage_scene
-from hir_core.working_frame import move_scene, unit_similarity
+from hir_core.scene.frames import move_scene, unit_similarity
+from hir_core.scene.scene_store import load_stage_scene, save_stage_scene
 
 
 def a_camera(x: float = 0.1) -> Camera:

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from hir_core.manager import PluginManager
-from hir_core.reference import reference_renderer, render_view
+from hir_core.plugins.manager import PluginManager
+from hir_core.rendering.reference_renderer import reference_renderer, render_view
+from hir_core.rendering.unlit import UnlitView, sampled
 from hir_core.scene import EnvironmentMap, Material, Scene
 from hir_core.testing.scenes import looking_at, sphere
-from hir_core.unlit import UnlitView, sampled
 
 SIZE = 48
 

@@ -17,8 +17,13 @@ BLOCKS = re.findall(r"^## (.+)\n(?:(?!## ).*\n)*?```python\n([\s\S]*?)```", PAGE
 
 def test_every_convention_that_can_be_run_has_an_example() -> None:
     assert [name for name, _ in BLOCKS] == [
-        "World", "Cameras", "Images and colour", "Texture coordinates", "Reflectance", "Environment",
-    ]  # fmt: skip
+        "World",
+        "Cameras",
+        "Images and colour",
+        "Texture coordinates",
+        "Reflectance",
+        "Environment",
+    ]
 
 
 @pytest.mark.parametrize(("name", "code"), BLOCKS, ids=[name for name, _ in BLOCKS])
@@ -54,9 +59,9 @@ def test_a_light_named_by_a_capture_stays_where_the_capture_has_it(tmp_path: Pat
     """From the file's texels through the reader's rotation to the world: Blender's +Z stays above."""
     torch = pytest.importorskip("torch")
     from hir_exporters.conventions import Z_UP_TO_Y_UP
-    from hir_exporters.images import write_exr
+    from hir_exporters.textures.image_files import write_exr
 
-    from hir_core.reference import light_of
+    from hir_core.rendering.reference_renderer import light_of
 
     write_exr(tmp_path / "light.exr", six_colours())
     # Blender's image centre (our map's +Z) is its +X, a quarter from the left (our +X) its +Y, the top (our +Y) its +Z

@@ -34,8 +34,8 @@ def test_generated_page_is_what_the_code_gives(place: str) -> None:
 
 
 def test_reference_names_every_hook_and_every_option() -> None:
-    from hir_core import hookspecs
-    from hir_core.manager import PluginManager
+    from hir_core.plugins import hookspecs
+    from hir_core.plugins.manager import PluginManager
 
     hooks = REFERENCE["reference/hooks.md"]
     assert all(f"## {name}\n" in hooks for name in vars(hookspecs) if name.startswith("hir_"))
@@ -74,7 +74,8 @@ def test_interface_is_as_it_was_noted() -> None:
     ["a hook's argument", "a new abstract method", "a field of a type", "a trait", "a check"],
 )
 def test_each_kind_of_change_is_noticed(change: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    from hir_core import hookspecs, interfaces, plugin, testing, traits
+    from hir_core import testing
+    from hir_core.plugins import component, hookspecs, interfaces, traits
 
     api = tool("write_public_api")
     before = api.page()
@@ -84,9 +85,9 @@ def test_each_kind_of_change_is_noticed(change: str, monkeypatch: pytest.MonkeyP
     elif change == "a new abstract method":
         monkeypatch.setattr(interfaces.Regularizer, "finish", lambda self: None, raising=False)
     elif change == "a field of a type":
-        fields = dict(plugin.Component.__dataclass_fields__)
+        fields = dict(component.Component.__dataclass_fields__)
         del fields["summary"]
-        monkeypatch.setattr(plugin.Component, "__dataclass_fields__", fields)
+        monkeypatch.setattr(component.Component, "__dataclass_fields__", fields)
     elif change == "a trait":
         monkeypatch.setattr(traits, "TRAITS", {**traits.TRAITS, "exporter": {"fast": "quick"}})
     else:

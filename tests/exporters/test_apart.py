@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hir_exporters.apart import ChildError, call_apart
 from hir_exporters.errors import ExportError, InputError
+from hir_exporters.files.subprocess_call import ChildError, call_apart
 
 HERE = "tests.exporters.test_apart"
 
@@ -44,9 +44,13 @@ def test_arrays_numbers_and_words_come_back_from_another_process() -> None:
 
 @pytest.mark.parametrize(
     ("name", "error", "words"),
-    [("refused", InputError, "^x.usdz has no mesh$"), ("broken", ChildError, "^ValueError: nothing of ours$"),
-     ("ended", ChildError, "^exit code -6$"), ("missing", ChildError, "has no attribute 'missing'")],
-)  # fmt: skip
+    [
+        ("refused", InputError, "^x.usdz has no mesh$"),
+        ("broken", ChildError, "^ValueError: nothing of ours$"),
+        ("ended", ChildError, "^exit code -6$"),
+        ("missing", ChildError, "has no attribute 'missing'"),
+    ],
+)
 def test_its_end_is_one_sentence(name: str, error: type[Exception], words: str) -> None:
     if name == "ended" and os.name != "posix":
         pytest.skip("signals")

@@ -2,8 +2,8 @@ import os
 from pathlib import Path
 
 import pytest
-from hir_exporters.atomic import atomic_directory, atomic_write, write_bytes_atomic
 from hir_exporters.errors import ExportError
+from hir_exporters.files.atomic import atomic_directory, atomic_write, write_bytes_atomic
 
 
 def test_bytes_appear_whole_with_their_parents(tmp_path: Path) -> None:

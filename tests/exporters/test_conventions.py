@@ -51,9 +51,15 @@ def test_z_up_becomes_y_up_by_a_rotation() -> None:
 
 @pytest.mark.parametrize(
     ("direction", "uv"),
-    [([0, 0, 1], (0.5, 0.5)), ([1, 0, 0], (0.25, 0.5)), ([-1, 0, 0], (0.75, 0.5)), ([0, 0, -1], (0.0, 0.5)),
-     ([0, 1, 0], (0.5, 0.0)), ([0, -1, 0], (0.5, 1.0))],
-)  # fmt: skip
+    [
+        ([0, 0, 1], (0.5, 0.5)),
+        ([1, 0, 0], (0.25, 0.5)),
+        ([-1, 0, 0], (0.75, 0.5)),
+        ([0, 0, -1], (0.0, 0.5)),
+        ([0, 1, 0], (0.5, 0.0)),
+        ([0, -1, 0], (0.5, 1.0)),
+    ],
+)
 def test_lat_long_axes(direction: list[int], uv: tuple[float, float]) -> None:
     np.testing.assert_allclose(c.direction_to_latlong_uv(direction), uv, atol=1e-15)
     np.testing.assert_allclose(c.latlong_uv_to_direction(*uv), direction, atol=1e-15)

@@ -10,12 +10,12 @@ import pytest
 from hir_exporters.asset import Asset, AssetEnvironment
 from hir_exporters.configs import CubeConfig, GltfConfig
 from hir_exporters.conventions import latlong_directions, latlong_solid_angles, srgb_to_linear
-from hir_exporters.environment import world_radiance
-from hir_exporters.environment_files import filament_harmonics
 from hir_exporters.errors import ExportError
 from hir_exporters.formats import create_exporter
 from hir_exporters.gltf.image_based_light import rgbd
-from hir_exporters.prefilter import face_directions, filament_roughness, level_sizes, prefiltered_cube
+from hir_exporters.light.environment_exporters import filament_harmonics
+from hir_exporters.light.environment_map import world_radiance
+from hir_exporters.light.prefilter import face_directions, filament_roughness, level_sizes, prefiltered_cube
 
 AXES = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]
 
@@ -120,7 +120,7 @@ def test_rgbd_holds_bright_and_dark_within_a_hundredth() -> None:
 def test_light_inside_the_file_is_clean_for_the_validator(
     textured_asset: Asset, suffix: str, node_tools: Path, tmp_path: Path
 ) -> None:
-    from hir_exporters.validate import validate_gltf
+    from hir_exporters.reading.validators import validate_gltf
 
     bright = AssetEnvironment(textured_asset.environment.radiance * 5000)
     asset = dataclasses.replace(textured_asset, environment=bright)

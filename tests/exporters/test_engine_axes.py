@@ -10,13 +10,17 @@ from hir_exporters.asset import Asset, AssetEnvironment
 from hir_exporters.configs import GltfConfig
 from hir_exporters.conventions import latlong_directions, srgb_to_linear
 from hir_exporters.formats import create_exporter
-from hir_exporters.images import read_hdr, read_ldr
+from hir_exporters.textures.image_files import read_hdr, read_ldr
 
 Direction = np.ndarray
 COLORS = {
-    (1, 0, 0): (1, 0, 0), (0, 1, 0): (0, 1, 0), (0, 0, 1): (0, 0, 1),
-    (-1, 0, 0): (0, 1, 1), (0, -1, 0): (1, 0, 1), (0, 0, -1): (1, 1, 0),
-}  # fmt: skip
+    (1, 0, 0): (1, 0, 0),
+    (0, 1, 0): (0, 1, 0),
+    (0, 0, 1): (0, 0, 1),
+    (-1, 0, 0): (0, 1, 1),
+    (0, -1, 0): (1, 0, 1),
+    (0, 0, -1): (1, 1, 0),
+}
 TAU = 2 * np.pi
 
 
@@ -113,6 +117,7 @@ def test_the_ready_scripts_turn_the_light_as_tested() -> None:
         "examples/engines/HirAssetImporter.cs": "Rotation = 90f",
         "examples/engines/blender_import.py": "math.radians(90)",
         "examples/engines/threejs.html": "-Math.PI / 2",
-        "docs/engines/unreal.md": "*Source Cubemap Angle* 180", "docs/engines/README.md": "| Unreal 5.5 | 180°",
-    }.items():  # fmt: skip
+        "docs/engines/unreal.md": "*Source Cubemap Angle* 180",
+        "docs/engines/README.md": "| Unreal 5.5 | 180°",
+    }.items():
         assert words in (root / file).read_text(encoding="utf-8"), file

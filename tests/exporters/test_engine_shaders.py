@@ -5,11 +5,17 @@ import dataclasses
 import numpy as np
 import pytest
 from hir_exporters.asset import Asset, AssetEnvironment, AssetMaterial
-from hir_exporters.brdf import albedo_terms
 from hir_exporters.conventions import latlong_directions
-from hir_exporters.engine_shaders import GLTF_ENGINES, Texels, engine_psnr
-from hir_exporters.materials import MetallicSurface, SpecularSurface, to_gltf, to_specular_workflow, to_usd_metallic
-from hir_exporters.surface_points import surface_points
+from hir_exporters.engines.engine_shaders import GLTF_ENGINES, Texels, engine_psnr
+from hir_exporters.engines.surface_points import surface_points
+from hir_exporters.materials.brdf_numpy import albedo_terms
+from hir_exporters.materials.material_conversion import (
+    MetallicSurface,
+    SpecularSurface,
+    to_gltf,
+    to_specular_workflow,
+    to_usd_metallic,
+)
 
 
 def under_sky(asset: Asset, material: AssetMaterial, even: bool = False) -> Asset:

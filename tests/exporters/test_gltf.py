@@ -7,15 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hir_exporters import materials
 from hir_exporters.asset import Asset, AssetMaterial, AssetMesh
 from hir_exporters.configs import GltfConfig
 from hir_exporters.conventions import srgb_to_linear
 from hir_exporters.errors import ExportError, InputError
 from hir_exporters.formats import create_exporter
-from hir_exporters.readback import read_gltf
-from hir_exporters.validate import validate_gltf
-from hir_exporters.verify import verify_file
+from hir_exporters.materials.material_conversion import material_conversion
+from hir_exporters.reading.file_verification import verify_file
+from hir_exporters.reading.readback import read_gltf
+from hir_exporters.reading.validators import validate_gltf
 
 PROFILES = ["khr", "blender", "metalrough", "unity-legacy"]
 Sphere = Callable[..., AssetMesh]
@@ -105,7 +105,7 @@ def test_what_others_read_back_is_what_was_asked_for(
 def test_textures_are_the_converted_values_in_their_colour_space(textured_asset: Asset, tmp_path: Path) -> None:
     create_exporter("glb").write(textured_asset, tmp_path / "a.glb")
     back = read_gltf(tmp_path / "a.glb")
-    wanted = materials.to_gltf(textured_asset.material, "khr")
+    wanted = material_conversion.to_gltf(textured_asset.material, "khr")
     half_code = srgb_to_linear(np.float64(1.0)) - srgb_to_linear(np.float64(254.4 / 255))
     np.testing.assert_allclose(back.surface.base_color, wanted.base_color, atol=half_code)
     np.testing.assert_allclose(back.surface.roughness, wanted.roughness, atol=0.5 / 255 + 1e-6)
@@ -135,7 +135,7 @@ def test_small_reflectances_use_all_eight_bits(textured_asset: Asset, tmp_path: 
     extension = document_of(tmp_path / "a.gltf")["materials"][0]["extensions"]["KHR_materials_specular"]
     largest = float(textured_asset.material.specular_albedo.max()) / 0.04
     np.testing.assert_allclose(extension["specularColorFactor"], largest, rtol=1e-6)
-    from hir_exporters.images import read_ldr
+    from hir_exporters.textures.image_files import read_ldr
 
     assert read_ldr(tmp_path / "a_specular.png").max() == 1
 
@@ -151,9 +151,11 @@ def test_indices_are_as_small_as_they_can_be(constant_asset: Asset, make_sphere:
 @pytest.mark.parametrize("count", [1, 2])
 def test_one_and_two_triangles(count: int, node_tools: Path, tmp_path: Path) -> None:
     mesh = AssetMesh(
-        [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], [[0, 0, 1]] * 4, [[0, 1], [1, 1], [0, 0], [1, 0]],
+        [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]],
+        [[0, 0, 1]] * 4,
+        [[0, 1], [1, 1], [0, 0], [1, 0]],
         [[0, 1, 2], [1, 3, 2]][:count],
-    )  # fmt: skip
+    )
     asset = Asset(mesh, AssetMaterial("paper", [0.5] * 3, [0.1] * 3, 0.3), name="plate")
     create_exporter("glb").write(asset, tmp_path / "a.glb")
     assert {f.code for f in validate_gltf([tmp_path / "a.glb"], node_tools)} == {
@@ -163,7 +165,7 @@ def test_one_and_two_triangles(count: int, node_tools: Path, tmp_path: Path) -> 
 
 
 def test_tangents_come_with_normal_maps_and_agree_with_the_fit(textured_asset: Asset, tmp_path: Path) -> None:
-    from hir_exporters.tangents import with_tangents
+    from hir_exporters.mesh.tangents import with_tangents
 
     create_exporter("glb").write(textured_asset, tmp_path / "a.glb")
     document = document_of(tmp_path / "a.glb")
@@ -191,7 +193,7 @@ def test_quantized_mesh_is_within_its_steps(textured_asset: Asset, tmp_path: Pat
     start = 28 + struct.unpack("<I", data[12:16])[0] + view["byteOffset"]
     rows = np.ndarray((accessor["count"], 3), "<i2", data, start, (view["byteStride"], 2))
     positions = rows / 32767 * node["scale"][0] + node["translation"]
-    from hir_exporters.tangents import with_tangents
+    from hir_exporters.mesh.tangents import with_tangents
 
     np.testing.assert_allclose(positions, with_tangents(textured_asset.mesh).positions, atol=1.01 / 65534)
     check = verify_file(tmp_path / "q.glb", textured_asset)  # by a reader that applies the node and undoes the steps

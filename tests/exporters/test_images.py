@@ -3,9 +3,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hir_exporters import images
 from hir_exporters.errors import ExportError, InputError
-from hir_exporters.rgbe import RgbeError, decode_rgbe, encode_rgbe
+from hir_exporters.textures import image_files
+from hir_exporters.textures.rgbe import RgbeError, decode_rgbe, encode_rgbe
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from PIL import Image
@@ -19,21 +19,21 @@ def picture(height: int, width: int, seed: int = 0) -> np.ndarray:
 @pytest.mark.parametrize("channels", [1, 2, 3, 4])
 def test_png_holds_its_8_bit_codes(tmp_path: Path, channels: int) -> None:
     codes = np.random.default_rng(0).integers(0, 256, (5, 7, channels), dtype=np.uint8)
-    images.write_png(tmp_path / "a.png", codes)
-    np.testing.assert_array_equal(images.read_ldr(tmp_path / "a.png"), codes.astype(np.float32) / np.float32(255))
+    image_files.write_png(tmp_path / "a.png", codes)
+    np.testing.assert_array_equal(image_files.read_ldr(tmp_path / "a.png"), codes.astype(np.float32) / np.float32(255))
 
 
 @pytest.mark.parametrize("channels", [1, 3])
 def test_png_holds_its_16_bit_codes(tmp_path: Path, channels: int) -> None:
     codes = np.random.default_rng(0).integers(0, 65536, (6, 3, channels), dtype=np.uint16)
-    images.write_png(tmp_path / "a.png", codes)
+    image_files.write_png(tmp_path / "a.png", codes)
     with Image.open(tmp_path / "a.png") as image:
         image.load()  # Pillow checks every CRC and unfilters the rows
         assert image.size == (3, 6)
     if channels == 1:
-        np.testing.assert_array_equal(images.read_ldr(tmp_path / "a.png") * np.float32(65535), codes)
+        np.testing.assert_array_equal(image_files.read_ldr(tmp_path / "a.png") * np.float32(65535), codes)
     else:
-        assert np.abs(images.read_ldr(tmp_path / "a.png") * 65535 - codes).max() <= 257
+        assert np.abs(image_files.read_ldr(tmp_path / "a.png") * 65535 - codes).max() <= 257
 
 
 @pytest.mark.parametrize("kind", ["noise", "waves", "flat"])
@@ -47,34 +47,36 @@ def test_another_decoder_reads_png_of_any_size_and_content(shape: tuple[int, ...
         "waves": 128 + 100 * np.sin(x / 5 + y / 9 + c),
         "flat": np.full(shape, 7),
     }[kind].astype(np.uint8)
-    with Image.open(io.BytesIO(images.encode_png(codes))) as image:
+    with Image.open(io.BytesIO(image_files.encode_png(codes))) as image:
         np.testing.assert_array_equal(np.asarray(image).reshape(shape), codes)
 
 
 def test_floats_are_rounded_to_the_nearest_code() -> None:
-    np.testing.assert_array_equal(images.quantize(np.arange(256) / 255), np.arange(256))
-    np.testing.assert_array_equal(images.quantize(np.array([-1, 2.0])), [0, 255])
+    np.testing.assert_array_equal(image_files.quantize(np.arange(256) / 255), np.arange(256))
+    np.testing.assert_array_equal(image_files.quantize(np.array([-1, 2.0])), [0, 255])
     with pytest.raises(ExportError, match="NaN"):
-        images.quantize(np.array([np.nan]))
+        image_files.quantize(np.array([np.nan]))
 
 
 def test_palettes_cmyk_and_one_bit_become_plain(tmp_path: Path) -> None:
     source = Image.new("RGB", (4, 2), (255, 0, 0))
     for name, image, channels in [
-        ("p.png", source.convert("P"), 3), ("c.jpg", source.convert("CMYK"), 3), ("b.png", source.convert("1"), 1),
-    ]:  # fmt: skip
+        ("p.png", source.convert("P"), 3),
+        ("c.jpg", source.convert("CMYK"), 3),
+        ("b.png", source.convert("1"), 1),
+    ]:
         image.save(tmp_path / name)
-        assert images.read_ldr(tmp_path / name).shape == (2, 4, channels)
+        assert image_files.read_ldr(tmp_path / name).shape == (2, 4, channels)
 
 
 @pytest.mark.parametrize("shape", [(4, 8), (3, 200), (5, 3), (1, 1), (2, 40000)])
 def test_radiance_file_keeps_each_pixel_within_half_a_step(tmp_path: Path, shape: tuple[int, int]) -> None:
     radiance = picture(*shape)
-    images.write_hdr(tmp_path / "a.hdr", radiance)
-    read = images.read_hdr(tmp_path / "a.hdr")
+    image_files.write_hdr(tmp_path / "a.hdr", radiance)
+    read = image_files.read_hdr(tmp_path / "a.hdr")
     assert (np.abs(read - radiance).max(-1) <= radiance.max(-1) / 256 * (1 + 1e-6)).all()
-    images.write_hdr(tmp_path / "b.hdr", read)
-    np.testing.assert_array_equal(images.read_hdr(tmp_path / "b.hdr"), read)
+    image_files.write_hdr(tmp_path / "b.hdr", read)
+    np.testing.assert_array_equal(image_files.read_hdr(tmp_path / "b.hdr"), read)
 
 
 @given(st.floats(0, 1e38), st.floats(0, 1))
@@ -106,23 +108,23 @@ def test_old_and_new_run_lengths_and_flips_are_read() -> None:
 def test_radiance_file_agrees_with_another_reader(shared: Path) -> None:
     cv2 = pytest.importorskip("cv2", reason="opencv is the independent reader")
     path = shared / "envmaps" / "park.hdr"
-    np.testing.assert_array_equal(images.read_hdr(path), cv2.imread(str(path), cv2.IMREAD_UNCHANGED)[..., ::-1])
+    np.testing.assert_array_equal(image_files.read_hdr(path), cv2.imread(str(path), cv2.IMREAD_UNCHANGED)[..., ::-1])
 
 
 @pytest.mark.parametrize("channels", [1, 3, 4])
 def test_exr_holds_float32_exactly(tmp_path: Path, channels: int) -> None:
     pixels = np.random.default_rng(0).normal(0, 1e6, (5, 9, channels)).astype(np.float32)
-    images.write_exr(tmp_path / "a.exr", pixels)
-    np.testing.assert_array_equal(images.read_exr(tmp_path / "a.exr"), pixels)
+    image_files.write_exr(tmp_path / "a.exr", pixels)
+    np.testing.assert_array_equal(image_files.read_exr(tmp_path / "a.exr"), pixels)
     if channels != 4:
-        np.testing.assert_array_equal(images.read_hdr(tmp_path / "a.exr"), np.broadcast_to(pixels, (5, 9, 3)))
+        np.testing.assert_array_equal(image_files.read_hdr(tmp_path / "a.exr"), np.broadcast_to(pixels, (5, 9, 3)))
 
 
 @pytest.mark.parametrize("writer", ["write_hdr", "write_exr", "write_png"])
 def test_bytes_repeat(tmp_path: Path, writer: str) -> None:
     pixels = np.clip(picture(16, 32), 0, 1)
     for name in "ab":
-        getattr(images, writer)(tmp_path / name, pixels)
+        getattr(image_files, writer)(tmp_path / name, pixels)
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
@@ -131,12 +133,12 @@ def test_non_finite_radiance_is_refused_both_ways(tmp_path: Path, value: float) 
     import OpenEXR
 
     bad = np.full((2, 2, 3), value, np.float32)
-    for write in (images.write_hdr, images.write_exr):
+    for write in (image_files.write_hdr, image_files.write_exr):
         with pytest.raises(ExportError, match="bad"):
             write(tmp_path / "bad", bad)
     OpenEXR.File({"type": OpenEXR.scanlineimage}, {"RGB": bad}).write(str(tmp_path / "bad.exr"))
     with pytest.raises(InputError, match=r"bad\.exr holds 12 NaN"):
-        images.read_hdr(tmp_path / "bad.exr")
+        image_files.read_hdr(tmp_path / "bad.exr")
 
 
 @pytest.mark.parametrize("suffix", ["png", "jpg", "hdr", "exr"])
@@ -144,10 +146,10 @@ def test_truncated_and_scrambled_files_name_themselves(tmp_path: Path, suffix: s
     good = tmp_path / f"good.{suffix}"
     pixels = np.clip(picture(24, 24), 0, 1)
     if suffix == "jpg":
-        Image.fromarray(images.quantize(pixels)).save(good)
+        Image.fromarray(image_files.quantize(pixels)).save(good)
     else:
-        {"png": images.write_png, "hdr": images.write_hdr, "exr": images.write_exr}[suffix](good, pixels)
-    read = images.read_ldr if suffix in ("png", "jpg") else images.read_hdr
+        {"png": image_files.write_png, "hdr": image_files.write_hdr, "exr": image_files.write_exr}[suffix](good, pixels)
+    read = image_files.read_ldr if suffix in ("png", "jpg") else image_files.read_hdr
     data = good.read_bytes()
     bad = tmp_path / f"bad.{suffix}"
     for cut in (0, 3, 20, len(data) // 2):
@@ -170,11 +172,15 @@ def test_a_huge_header_is_refused_before_anything_is_decoded(tmp_path: Path) -> 
     (tmp_path / "a.hdr").write_bytes(b"#?RADIANCE\n\n-Y 99999999 +X 99999999\n")
     (tmp_path / "b.hdr").write_bytes(b"#?RADIANCE\n\n-Y 9000 +X 9000\n\x02\x02\x23\x28")
     Image.new("1", (16384, 16384)).save(tmp_path / "c.png")
-    for name, read in (("a.hdr", images.read_hdr), ("b.hdr", images.read_hdr), ("c.png", images.read_ldr)):
+    for name, read in (
+        ("a.hdr", image_files.read_hdr),
+        ("b.hdr", image_files.read_hdr),
+        ("c.png", image_files.read_ldr),
+    ):
         with pytest.raises(InputError, match=name):
             read(tmp_path / name)
     with pytest.raises(InputError, match="not there"):
-        images.read_ldr(tmp_path / "none.png")
+        image_files.read_ldr(tmp_path / "none.png")
 
 
 def test_exr_channels_may_have_different_types(tmp_path: Path) -> None:
@@ -184,13 +190,13 @@ def test_exr_channels_may_have_different_types(tmp_path: Path) -> None:
     for half in ("R", "B", "A", "RGBA"):
         planes = {c: pixels[..., i].astype(np.float16 if c in half else np.float32) for i, c in enumerate("RGBA")}
         OpenEXR.File({"type": OpenEXR.scanlineimage}, dict(planes)).write(str(tmp_path / "a.exr"))
-        read = images.read_exr(tmp_path / "a.exr")
+        read = image_files.read_exr(tmp_path / "a.exr")
         np.testing.assert_array_equal(read, np.stack([planes[c].astype(np.float32) for c in "RGBA"], -1))
-        np.testing.assert_array_equal(images.read_exr(tmp_path / "a.exr", channels=3), read[..., :3])
+        np.testing.assert_array_equal(image_files.read_exr(tmp_path / "a.exr", channels=3), read[..., :3])
 
 
 def test_subsampled_exr_is_refused(tmp_path: Path) -> None:
-    images.write_exr(tmp_path / "half.exr", np.ones((4, 6), np.float32))
+    image_files.write_exr(tmp_path / "half.exr", np.ones((4, 6), np.float32))
     whole = (tmp_path / "half.exr").read_bytes()
     entry = b"Y\0" + struct.pack("<IBxxx", 2, 0)  # float32, not perceptually linear; then both samplings
     assert entry + struct.pack("<II", 1, 1) in whole
@@ -198,12 +204,12 @@ def test_subsampled_exr_is_refused(tmp_path: Path) -> None:
         whole.replace(entry + struct.pack("<II", 1, 1), entry + struct.pack("<II", 2, 2))
     )
     with pytest.raises(InputError, match=r"half\.exr has subsampled channels"):
-        images.read_exr(tmp_path / "half.exr")
+        image_files.read_exr(tmp_path / "half.exr")
 
 
 def test_the_predictor_of_png_is_that_of_its_text() -> None:
     """ISO 15948, 9.4: of left, up and corner the one nearest to left + up - corner, in this order where they tie."""
-    from hir_exporters.png import _paeth
+    from hir_exporters.textures.png_encoding import _paeth
 
     codes = np.arange(256, dtype=np.uint8)
     for first in range(0, 256, 64):
@@ -217,10 +223,10 @@ def test_the_predictor_of_png_is_that_of_its_text() -> None:
 
 
 def test_a_cut_off_exr_is_told_once_and_not_row_by_row(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    images.write_exr(tmp_path / "cut.exr", np.random.default_rng(0).random((256, 256, 3), dtype=np.float32))
+    image_files.write_exr(tmp_path / "cut.exr", np.random.default_rng(0).random((256, 256, 3), dtype=np.float32))
     (tmp_path / "cut.exr").write_bytes((tmp_path / "cut.exr").read_bytes()[:5000])
     with pytest.raises(InputError, match=r"cut\.exr is a broken OpenEXR file"):
-        images.read_exr(tmp_path / "cut.exr")
+        image_files.read_exr(tmp_path / "cut.exr")
     print("the streams are there again", flush=True)
     told = capfd.readouterr()
     assert told.out == "the streams are there again\n" and told.err == ""

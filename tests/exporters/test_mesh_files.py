@@ -10,9 +10,9 @@ from hir_exporters.configs import GltfConfig
 from hir_exporters.conventions import linear_to_srgb
 from hir_exporters.errors import InputError
 from hir_exporters.formats import create_exporter
-from hir_exporters.images import write_png
-from hir_exporters.mesh_files import SurfaceMaps, load_mesh_asset, parse_map
-from hir_exporters.verify import verify_file
+from hir_exporters.reading.file_verification import verify_file
+from hir_exporters.reading.mesh_import import SurfaceMaps, load_mesh_asset, parse_map
+from hir_exporters.textures.image_files import write_png
 
 
 def corners(asset: Asset) -> np.ndarray:
@@ -70,10 +70,15 @@ def test_bad_input_names_file_and_field(textured_asset: Asset, tmp_path: Path) -
     (tmp_path / "broken.glb").write_bytes(b"glTF\0\0\0\0")
     (tmp_path / "mesh.txt").write_text("")
     for name, message in {
-        "bare.obj": "bare.obj.*mesh.uvs", "empty.obj": "empty.obj", "nan.obj": "nan.obj.*mesh.positions",
-        "far.obj": "outside", "beyond.obj": "beyond.obj.*mesh.faces.*index out of range",
-        "broken.glb": "broken.glb", "mesh.txt": "known are", "none.glb": "not there",
-    }.items():  # fmt: skip
+        "bare.obj": "bare.obj.*mesh.uvs",
+        "empty.obj": "empty.obj",
+        "nan.obj": "nan.obj.*mesh.positions",
+        "far.obj": "outside",
+        "beyond.obj": "beyond.obj.*mesh.faces.*index out of range",
+        "broken.glb": "broken.glb",
+        "mesh.txt": "known are",
+        "none.glb": "not there",
+    }.items():
         with pytest.raises(InputError, match=message):
             load_mesh_asset(tmp_path / name)
     with pytest.raises(InputError, match=r"lost.png for base color.*R,G,B"):

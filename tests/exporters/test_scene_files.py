@@ -7,8 +7,8 @@ import pytest
 from hir_exporters.asset import Asset, AssetEnvironment, AssetMaterial, AssetMesh, describe, validate_asset
 from hir_exporters.errors import ExportError, InputError
 from hir_exporters.formats import create_exporter
-from hir_exporters.scene_files import load_scene, save_scene
-from hir_exporters.topology import weld
+from hir_exporters.mesh.vertex_welding import weld
+from hir_exporters.scene_format import load_scene, save_scene
 
 
 def leaves(asset: Asset) -> dict[str, object]:
@@ -95,7 +95,7 @@ def test_a_folder_with_other_things_is_left_alone(tmp_path: Path, constant_asset
         (["name"], "", "name"),
         (["name"], 7, "name"),
     ],
-)  # fmt: skip
+)
 def test_a_wrong_entry_is_named(
     tmp_path: Path, textured_asset: Asset, path: list[str], value: object, message: str
 ) -> None:
@@ -178,7 +178,7 @@ def replaced(asset: Asset, part: str, name: str, value: object) -> Asset:
         ("environment", "to_world", np.ones((3, 3))),
         ("environment", "frame", "sun"),
     ],
-)  # fmt: skip
+)
 def test_an_unusable_field_is_named(textured_asset: Asset, part: str, name: str, value: object) -> None:
     assert len(textured_asset.mesh.positions) == 323
     with pytest.raises(InputError, match=rf"{part}\.{name}"):

@@ -10,9 +10,9 @@ from pathlib import Path
 import hir_exporters
 import numpy as np
 import pytest
-from hir_exporters import materials
 from hir_exporters.asset import Asset, AssetMaterial
-from hir_exporters.scene_files import save_scene
+from hir_exporters.materials.material_conversion import material_conversion
+from hir_exporters.scene_format import save_scene
 
 PACKAGE = Path(hir_exporters.__file__).parent
 ROOT = Path(__file__).resolve().parents[2]
@@ -36,7 +36,7 @@ def residual_rows() -> list[str]:
             for alpha in (0.05, 0.3):
                 material = AssetMaterial(model, [0.5] * 3, [specular] * 3, alpha)
                 found = [
-                    materials.to_gltf(material, profile).residual
+                    material_conversion.to_gltf(material, profile).residual
                     for profile in ("khr", "blender", "metalrough", "unity-legacy")
                 ]
                 rows.append(f"| {model} | {specular} | {alpha} | " + " | ".join(f"{x:.3f}" for x in found) + " |")
@@ -61,11 +61,16 @@ def formats_rows() -> list[str]:
         "half gold, half plastic": AssetMaterial(
             "dielectric", (1 - half) * 0.5 * np.ones(3), half * [0.86, 0.66, 0.26] + 0.04, 0.2
         ),
-    }  # fmt: skip
+    }
     rows = []
     for name, material in materials_by_name.items():
-        found = [materials.to_gltf(material, p).residual for p in ("khr", "blender", "metalrough", "unity-legacy")]
-        found += [materials.to_usd_metallic(material).residual, materials.to_specular_workflow(material).residual]
+        found = [
+            material_conversion.to_gltf(material, p).residual for p in ("khr", "blender", "metalrough", "unity-legacy")
+        ]
+        found += [
+            material_conversion.to_usd_metallic(material).residual,
+            material_conversion.to_specular_workflow(material).residual,
+        ]
         rows.append(f"| {name} | " + " | ".join(f"{x:.3f}" for x in found) + " |")
     return rows
 

@@ -8,11 +8,11 @@ import trimesh
 from hir_exporters.asset import Asset, AssetMaterial, AssetMesh
 from hir_exporters.configs import GltfConfig
 from hir_exporters.formats import create_exporter
-from hir_exporters.readback import read_gltf
-from hir_exporters.simplify import simplify
-from hir_exporters.tangents import with_tangents
-from hir_exporters.topology import weld
-from hir_exporters.uv_raster import texel_cover
+from hir_exporters.mesh.simplification import simplify
+from hir_exporters.mesh.tangents import with_tangents
+from hir_exporters.mesh.vertex_welding import weld
+from hir_exporters.reading.readback import read_gltf
+from hir_exporters.textures.uv_rasterization import texel_cover
 
 Sphere = Callable[..., AssetMesh]
 

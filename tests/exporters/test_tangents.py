@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hir_exporters.asset import AssetMesh
-from hir_exporters.tangents import corner_tangents, with_tangents
+from hir_exporters.mesh.tangents import corner_tangents, with_tangents
 
 Sphere = Callable[..., AssetMesh]
 

@@ -10,9 +10,9 @@ from hir_exporters.asset import Asset, AssetMesh
 from hir_exporters.configs import UsdConfig, UsdzConfig
 from hir_exporters.errors import ExportError
 from hir_exporters.formats import create_exporter
-from hir_exporters.usd.package import usdz_bytes
-from hir_exporters.validate import validate_omniverse, validate_usd
-from hir_exporters.verify import verify_file
+from hir_exporters.reading.file_verification import verify_file
+from hir_exporters.reading.validators import validate_omniverse, validate_usd
+from hir_exporters.usd.usdz_package import usdz_bytes
 from pxr import Usd, UsdGeom
 
 FORMATS = ["usda", "usdc", "usdz"]
@@ -87,7 +87,7 @@ def test_package_holds_any_lengths_of_names_and_files(tmp_path: Path) -> None:
 
 
 def test_light_lies_beside_the_asset_the_right_way_round(textured_asset: Asset, tmp_path: Path) -> None:
-    from hir_exporters.images import read_hdr
+    from hir_exporters.textures.image_files import read_hdr
     from pxr import Usd, UsdGeom, UsdLux
 
     create_exporter("usda").write(textured_asset, tmp_path / "x.usda")

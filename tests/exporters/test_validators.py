@@ -11,7 +11,7 @@ import pytest
 import validate_exports
 from hir_exporters.asset import Asset, AssetMaterial, AssetMesh
 from hir_exporters.formats import create_exporter
-from hir_exporters.validate import Finding, validate_gltf, validate_omniverse, validate_usd
+from hir_exporters.reading.validators import Finding, validate_gltf, validate_omniverse, validate_usd
 
 Texture = Callable[..., np.ndarray]
 
@@ -80,7 +80,7 @@ def test_every_kind_of_material(model: str, textured_asset: Asset, make_texture:
 def test_the_tool_says_what_it_found(
     textured_asset: Asset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from hir_exporters.scene_files import save_scene
+    from hir_exporters.scene_format import save_scene
 
     save_scene(replace(textured_asset, mesh=plate(1, 1)), tmp_path / "run" / "scene")
     monkeypatch.setattr("sys.argv", ["validate_exports", str(tmp_path / "run")])

@@ -10,8 +10,8 @@ import pytest
 from hir_exporters.asset import Asset
 from hir_exporters.errors import ExportError, InputError
 from hir_exporters.formats import create_exporter
-from hir_exporters.readback import ReadBack
-from hir_exporters.verify import compare, read_back, verify_file
+from hir_exporters.reading.file_verification import compare, read_back, verify_file
+from hir_exporters.reading.readback import ReadBack
 
 
 @pytest.fixture

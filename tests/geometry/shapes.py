@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hir_core.capture import Camera, Capture, Pixels, View
 from hir_core.scene import Mesh, Topology
-from hir_core.silhouettes import SilhouetteTargets
+from hir_core.scene.silhouette_targets import SilhouetteTargets
 from hir_plugins.geometry_renderers.contour import Contour
 from hir_plugins.geometry_renderers.options import ContourOptions
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from hir_core.silhouettes import intersection_over_union
+from hir_core.scene.silhouette_targets import intersection_over_union
 from hir_plugins.geometry_renderers.contour import Contour
 from hir_plugins.geometry_renderers.options import ContourOptions, SoftSilhouetteOptions
 from hir_plugins.geometry_renderers.soft_silhouette import SoftSilhouette

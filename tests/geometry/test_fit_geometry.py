@@ -12,14 +12,14 @@ import torch
 
 from hir_core.capture import Capture
 from hir_core.config import GeometrySettings
-from hir_core.context import StageContext
 from hir_core.errors import CaptureError, StageError
-from hir_core.geometry import fit_geometry
-from hir_core.manager import PluginManager
-from hir_core.mesh_checks import inspect_mesh
+from hir_core.mesh.mesh_validity import inspect_mesh
+from hir_core.mesh.self_intersection_repair import separate, untangle
+from hir_core.plugins.manager import PluginManager
+from hir_core.run.stage_context import StageContext
 from hir_core.scene import Mesh, Scene
-from hir_core.untangling import separate, untangle
-from hir_core.view_trust import ViewTrust
+from hir_core.stages.geometry.geometry_fit import fit_geometry
+from hir_core.stages.geometry.robust_view_weights import ViewTrust
 from hir_plugins.geometry_renderers import plugin as renderers
 from hir_plugins.geometry_renderers.contour import Contour
 from hir_plugins.geometry_renderers.options import ContourOptions
@@ -32,7 +32,9 @@ pytest.importorskip("cholespy")
 PEANUT = icosphere(4)[0] * (1 + 0.35 * icosphere(4)[0][:, :1] ** 2) * [0.9, 0.55, 0.6], icosphere(4)[1]
 SETTINGS = GeometrySettings(
     photographs="off",
-    iterations=100, triangles=2000, regularizers={"laplacian": {"weight": 1e-5, "cotangent": True, "scale_free": True}}
+    iterations=100,
+    triangles=2000,
+    regularizers={"laplacian": {"weight": 1e-5, "cotangent": True, "scale_free": True}},
 )
 
 
@@ -162,9 +164,12 @@ def test_a_mesh_too_coarse_for_its_outlines_is_said_aloud(tmp_path: Path) -> Non
     spiky = body * (0.5 + 0.5 * np.abs(np.sin(7 * body[:, :1])) ** 8)
     said: list[str] = []
     _, report = _fit(
-        Scene(mesh_of(spiky, faces)), capture_of(spiky, faces, around(16, 128)),
-        replace(SETTINGS, iterations=5, triangles=500, photographs="off"), tmp_path, said,
-    )  # fmt: skip
+        Scene(mesh_of(spiky, faces)),
+        capture_of(spiky, faces, around(16, 128)),
+        replace(SETTINGS, iterations=5, triangles=500, photographs="off"),
+        tmp_path,
+        said,
+    )
     assert report["iou_held_out"]["before"] - report["iou_held_out"]["after"] > 0.005
     assert any("held-out views fit worse" in sentence for sentence in said)
 

@@ -9,8 +9,8 @@ from hir_exporters import conventions
 
 from hir_core.capture import Camera, Pixels, View
 from hir_core.errors import CaptureError
-from hir_core.silhouettes import SilhouetteTargets, intersection_over_union
-from hir_core.srgb import linear_to_srgb, srgb_slope, srgb_to_linear
+from hir_core.scene.silhouette_targets import SilhouetteTargets, intersection_over_union
+from hir_core.scene.srgb import linear_to_srgb, srgb_slope, srgb_to_linear
 
 INTRINSICS = np.array([[8.0, 0, 4], [0, 8, 3], [0, 0, 1]])
 CAMERA = Camera(INTRINSICS, np.eye(4), 8, 6)

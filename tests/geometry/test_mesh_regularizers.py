@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from hir_core.interfaces import Regularizer
-from hir_core.plugin import NoOptions
+from hir_core.plugins import NoOptions
+from hir_core.plugins.interfaces import Regularizer
 from hir_core.scene import Mesh, Scene
 from hir_plugins.regularizers.edge_length import EdgeLength
 from hir_plugins.regularizers.laplacian import Laplacian

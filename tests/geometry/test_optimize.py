@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import torch
 
-from hir_core.checkpoint import load_checkpoint, save_checkpoint
 from hir_core.errors import StageError
-from hir_core.large_steps import LargeSteps, UniformAdam
-from hir_core.optimize import PATIENCE_NONFINITE, Batches, Keep, Schedule, optimize
-from hir_core.progress import Progress
+from hir_core.mesh.large_steps import LargeSteps, UniformAdam
+from hir_core.optimization.checkpoints import load_checkpoint, save_checkpoint
+from hir_core.optimization.optimization_loop import PATIENCE_NONFINITE, Batches, Keep, Schedule, optimize
+from hir_core.plugins.progress import Progress
 from tests.geometry.shapes import bumpy_sphere, mesh_of
 
 

@@ -9,13 +9,15 @@ import pytest
 import torch
 from torch.nn.functional import avg_pool2d
 
-from hir_core import photo_refinement
 from hir_core.capture import Camera, Capture, Pixels
 from hir_core.config import GeometrySettings
-from hir_core.context import StageContext
-from hir_core.geometry import fit_geometry
-from hir_core.manager import PluginManager
-from hir_core.photo_consistency import (
+from hir_core.mesh.ray_casting import SurfaceRays
+from hir_core.plugins.manager import PluginManager
+from hir_core.run.stage_context import StageContext
+from hir_core.scene import Mesh, Scene
+from hir_core.stages.geometry import photo_refinement
+from hir_core.stages.geometry.geometry_fit import fit_geometry
+from hir_core.stages.geometry.photo_consistency import (
     WINDOW,
     Details,
     PixelPairs,
@@ -24,8 +26,6 @@ from hir_core.photo_consistency import (
     draw_pairs,
     neighbours,
 )
-from hir_core.scene import Mesh, Scene
-from hir_core.surface_rays import SurfaceRays
 from hir_plugins.geometry_renderers import plugin as renderers
 from hir_plugins.regularizers import plugin as regularizers
 from tests.geometry.shapes import Faces, Positions, around, capture_of, icosphere, mesh_of

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from hir_core.mesh_checks import inspect_mesh, self_intersections
-from hir_core.mesh_transfer import remeshed
-from hir_core.remeshing import mean_edge_length, remesh, surface_area
+from hir_core.mesh.attribute_transfer import remeshed
+from hir_core.mesh.mesh_validity import inspect_mesh, self_intersections
+from hir_core.mesh.remeshing import mean_edge_length, remesh, surface_area
 from hir_core.scene import Mesh, Topology
 from tests.geometry.shapes import bumpy_sphere, icosphere, torus
 

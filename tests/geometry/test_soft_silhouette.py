@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from hir_plugins.geometry_renderers.contour import Contour
+from hir_plugins.geometry_renderers.contour_edges import CameraBatch
 from hir_plugins.geometry_renderers.options import ContourOptions, SoftSilhouetteOptions
-from hir_plugins.geometry_renderers.outline import CameraBatch
 from hir_plugins.geometry_renderers.soft_silhouette import SoftSilhouette
 from hir_plugins.geometry_renderers.soft_tiles import Kernel, gather_tiles
 from tests.geometry.shapes import bumpy_sphere, camera, facing, icosphere, mesh_of, targets_of, torus

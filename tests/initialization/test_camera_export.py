@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from hir_core.camera_export import export_cameras
 from hir_core.capture import Camera
 from hir_core.errors import ConfigError
-from hir_core.plugin import NoOptions
+from hir_core.intake.camera_export import export_cameras
+from hir_core.plugins import NoOptions
 from hir_plugins.readers.colmap_model import ColmapModelReader
 from hir_plugins.readers.transforms_json import TransformsJsonReader
 

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from hir_core.capture import Camera, Capture, Pixels, View
 from hir_core.config import RunConfig
-from hir_core.context import StageContext
 from hir_core.errors import CaptureError, StageError
-from hir_core.initialize import _apply_masks, initialize
-from hir_core.interfaces import Initializer, MaskSource
-from hir_core.manager import PluginManager
-from hir_core.plugin import Component, hookimpl
+from hir_core.plugins import Component, hookimpl
+from hir_core.plugins.interfaces import Initializer, MaskSource
+from hir_core.plugins.manager import PluginManager
+from hir_core.run.stage_context import StageContext
 from hir_core.scene import Scene
+from hir_core.stages.initialization import _apply_masks, initialize
 
 CAMERA = Camera(np.array([[50.0, 0, 4], [0, 50, 4], [0, 0, 1]]), np.eye(4), 8, 8)
 BLACK = Pixels(np.zeros((8, 8, 3), np.float32), None, np.zeros((8, 8), bool))

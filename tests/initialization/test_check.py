@@ -11,10 +11,17 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 
 from hir_core.capture import Camera, Capture, Pixels
-from hir_core.check import CaptureCheck, check_capture, contact_sheet, directions_covered, headlight_score, masked
-from hir_core.interfaces import MaskSource
-from hir_core.manager import PluginManager
-from hir_core.plugin import Component, NoOptions, hookimpl
+from hir_core.intake.capture_check import (
+    CaptureCheck,
+    check_capture,
+    contact_sheet,
+    directions_covered,
+    headlight_score,
+    masked,
+)
+from hir_core.plugins import Component, NoOptions, hookimpl
+from hir_core.plugins.interfaces import MaskSource
+from hir_core.plugins.manager import PluginManager
 from hir_plugins.readers.transforms_json import TransformsJsonReader
 
 from .silhouettes import Fixed, coverage, dome, hits_sphere, make_view

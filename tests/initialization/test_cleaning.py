@@ -8,10 +8,10 @@ import torch
 import trimesh
 
 from hir_core.errors import StageError
-from hir_core.mesh_checks import self_intersections
-from hir_plugins.initializers.cleaning import cleaned, edge_length, pixel_size
-from hir_plugins.initializers.depth_agreement import DepthMap
-from hir_plugins.initializers.tsdf import tsdf_surface
+from hir_core.mesh.mesh_validity import self_intersections
+from hir_plugins.initializers.stereo.depth_agreement import DepthMap
+from hir_plugins.initializers.stereo.tsdf import tsdf_surface
+from hir_plugins.initializers.surface.mesh_cleaning import cleaned, edge_length, pixel_size
 
 from .silhouettes import hits_sphere, look_at, shape_capture
 

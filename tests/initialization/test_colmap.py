@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from hir_core.capture import Array, Camera, Capture, View
 from hir_core.errors import CaptureError
-from hir_core.plugin import NoOptions
-from hir_plugins.initializers.colmap import Colmap
+from hir_core.plugins import NoOptions
 from hir_plugins.initializers.options import ColmapOptions
-from hir_plugins.initializers.sfm_matches import match
+from hir_plugins.initializers.sfm.colmap import Colmap
+from hir_plugins.initializers.sfm.sfm_matches import match
 from hir_plugins.readers.photos import PhotosReader
 
 from .silhouettes import Fixed, look_at, make_view
@@ -69,8 +69,10 @@ def aligned(found: list[Array], true: list[Array]) -> tuple[Array, Array]:
 @pytest.fixture(scope="module")
 def arc() -> tuple[Capture, list[Camera]]:
     cameras = cameras_on_an_arc(8)
-    views = [replace(make_view(f"{i}", c, np.ones((240, 320), np.float32), room(c, 0)), camera=None)
-             for i, c in enumerate(cameras)]  # fmt: skip
+    views = [
+        replace(make_view(f"{i}", c, np.ones((240, 320), np.float32), room(c, 0)), camera=None)
+        for i, c in enumerate(cameras)
+    ]
     no_masks = [replace(v, read=Fixed(replace(v.read(), mask=None))) for v in views]
     return Capture(Path("made-in-memory"), tuple(no_masks)), cameras
 
@@ -133,12 +135,16 @@ def test_what_cannot_be_solved_is_one_sentence(arc: tuple[Capture, list[Camera]]
     capture, _ = arc
     with pytest.raises(CaptureError, match="has 2 photographs"):
         Colmap(ColmapOptions()).initialize(replace(capture, views=capture.views[:2]), None, tmp_path)
-    black = [replace(v, read=Fixed(replace(v.read(), color_linear=np.zeros((240, 320, 3), np.float32))))
-             for v in capture.views]  # fmt: skip
+    black = [
+        replace(v, read=Fixed(replace(v.read(), color_linear=np.zeros((240, 320, 3), np.float32))))
+        for v in capture.views
+    ]
     with pytest.raises(CaptureError, match="of one colour"):
         Colmap(ColmapOptions()).initialize(replace(capture, views=tuple(black)), None, tmp_path)
-    strangers = [View(f"{i}", None, Fixed(replace(v.read(), color_linear=room(cameras_on_an_arc(3)[1], i))))
-                 for i, v in enumerate(capture.views[:3])]  # fmt: skip
+    strangers = [
+        View(f"{i}", None, Fixed(replace(v.read(), color_linear=room(cameras_on_an_arc(3)[1], i))))
+        for i, v in enumerate(capture.views[:3])
+    ]
     with pytest.raises(CaptureError, match="could not place"), pytest.warns(UserWarning, match="trying more"):
         Colmap(ColmapOptions(threads=1, max_features=500)).initialize(
             replace(capture, views=tuple(strangers)), None, tmp_path
@@ -163,8 +169,11 @@ def test_known_cameras_are_kept_and_their_points_lie_on_the_walls(posed: Capture
 
 
 def test_cameras_solved_anew_keep_the_way_to_the_files_world(posed: Capture, tmp_path: Path) -> None:
-    crooked = [replace(v, camera=replace(v.camera, intrinsics=v.camera.intrinsics * [[1.1], [1.1], [1.0]]))
-               for v in posed.views if v.camera is not None]  # fmt: skip
+    crooked = [
+        replace(v, camera=replace(v.camera, intrinsics=v.camera.intrinsics * [[1.1], [1.1], [1.0]]))
+        for v in posed.views
+        if v.camera is not None
+    ]
     options = ColmapOptions(threads=1, focal_length=310.0, known_cameras="solve")
     found, _ = Colmap(options).initialize(replace(posed, views=tuple(crooked)), None, tmp_path)
     assert all(abs(c.intrinsics[0, 0] - 300) < 6 for c in found.cameras)
@@ -187,8 +196,10 @@ def test_the_skull(shared: Path, tmp_path: Path) -> None:
     folder = shared / "photos" / "skull"
     capture = PhotosReader(NoOptions()).read(folder)
     solved, _ = Colmap(ColmapOptions()).initialize(capture, None, tmp_path)
-    known = {Path(v["image"]).stem: np.array(v["world_to_cam"]) for v in
-             json.loads((folder / "cameras_opencv.json").read_text())["views"]}  # fmt: skip
+    known = {
+        Path(v["image"]).stem: np.array(v["world_to_cam"])
+        for v in json.loads((folder / "cameras_opencv.json").read_text())["views"]
+    }
     placed = [v for v in solved.views if v.camera is not None]
     assert len(placed) >= 60
     turns, places = aligned([v.camera.world_to_camera for v in placed if v.camera], [known[v.name] for v in placed])

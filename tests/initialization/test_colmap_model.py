@@ -12,10 +12,10 @@ import pytest
 from PIL import Image
 
 from hir_core.errors import CaptureError
-from hir_core.plugin import NoOptions
-from hir_plugins.readers.colmap_files import lens_camera, read_points
+from hir_core.plugins import NoOptions
 from hir_plugins.readers.colmap_model import ColmapModelReader
-from hir_plugins.readers.upright import upright
+from hir_plugins.readers.parsing.colmap_files import lens_camera, read_points
+from hir_plugins.readers.parsing.upright import upright
 
 from .silhouettes import dome, look_at
 
@@ -112,13 +112,14 @@ def test_broken_text_is_one_clear_error(model: Path, file: str, text: str, says:
 def test_lens_models_agree_with_colmap() -> None:
     rng = np.random.default_rng(0)
     for model, parameters in {
-        "SIMPLE_RADIAL": [80, 32, 24, 0.1], "RADIAL": [80, 32, 24, 0.1, -0.05],
+        "SIMPLE_RADIAL": [80, 32, 24, 0.1],
+        "RADIAL": [80, 32, 24, 0.1, -0.05],
         "OPENCV": [80, 82, 31, 25, 0.1, -0.05, 0.002, -0.003],
         "FULL_OPENCV": [80, 82, 31, 25, 0.1, -0.05, 0.002, -0.003, 0.01, 0.02, 0.01, 0.005],
         "OPENCV_FISHEYE": [80, 82, 31, 25, 0.1, -0.05, 0.01, 0.003],
         "RADIAL_FISHEYE": [80, 32, 24, 0.1, -0.05],
-    }.items():  # fmt: skip
-        from hir_core.lens import Lens
+    }.items():
+        from hir_core.capture.lens import Lens
 
         lens = lens_camera(model, parameters, 64, 48, "x")
         numbers = (lens.fx, lens.fy, lens.cx, lens.cy)

@@ -13,16 +13,16 @@ from PIL import Image
 from hir_core.capture import Capture, OrientedPoints, View
 from hir_core.config import load_config
 from hir_core.errors import CaptureError
-from hir_core.initialize import files_read
-from hir_core.manager import PluginManager
-from hir_core.plugin import NoOptions
+from hir_core.plugins import NoOptions
+from hir_core.plugins.manager import PluginManager
+from hir_core.stages.initialization import files_read
 from hir_plugins.masks.alpha import Alpha
 from hir_plugins.masks.color_key import ColorKey
 from hir_plugins.masks.folder import Folder
 from hir_plugins.masks.grabcut import GrabCut
 from hir_plugins.masks.options import ColorKeyOptions, FolderOptions, GrabCutOptions
-from hir_plugins.readers.mask_files import beside, match_mask
-from hir_plugins.readers.photo_file import PhotoFile
+from hir_plugins.readers.parsing.mask_files import beside, match_mask
+from hir_plugins.readers.parsing.photo_file import PhotoFile
 
 from .silhouettes import Fixed, coverage, dome, hits_sphere, look_at, make_view
 
@@ -30,10 +30,15 @@ from .silhouettes import Fixed, coverage, dome, hits_sphere, look_at, make_view
 @pytest.mark.parametrize(
     ("photo", "mask"),
     [
-        ("a.jpg", "a.png"), ("IMG_9669.JPG", "IMG_9669.png"), ("a.jpg", "a.jpg.png"), ("a.jpg", "A_Mask.PNG"),
-        ("a.jpg", "mask-a.png"), ("DSC1.jpeg", "dsc1.tif"), ("r_0.png", "r_0.png"),
+        ("a.jpg", "a.png"),
+        ("IMG_9669.JPG", "IMG_9669.png"),
+        ("a.jpg", "a.jpg.png"),
+        ("a.jpg", "A_Mask.PNG"),
+        ("a.jpg", "mask-a.png"),
+        ("DSC1.jpeg", "dsc1.tif"),
+        ("r_0.png", "r_0.png"),
     ],
-)  # fmt: skip
+)
 def test_names_match_tolerantly(photo: str, mask: str) -> None:
     masks = [Path("masks") / mask, Path("masks/other.png"), Path("masks/a10.png"), Path("masks/notes.txt")]
     assert match_mask(Path("images") / photo, masks) == masks[0]

@@ -12,9 +12,9 @@ import trimesh
 from hir_core.capture import Capture, OrientedPoints
 from hir_core.errors import CaptureError, ConfigError
 from hir_core.scene import Mesh
-from hir_plugins.initializers.mesh_file import MeshFile
+from hir_plugins.initializers.existing_mesh.mesh_file import MeshFile
 from hir_plugins.initializers.options import MeshFileOptions
-from hir_plugins.readers.camera_axes import WORLD_FROM_Z_UP
+from hir_plugins.readers.parsing.camera_axes import WORLD_FROM_Z_UP
 
 OBJ = """
 v 0 0 0
@@ -121,9 +121,14 @@ def test_any_world_keeps_its_precision(capture: Capture) -> None:
 
 def lopsided(count: int = 4000) -> tuple[np.ndarray, trimesh.Trimesh]:
     """Points on, and the mesh of, a thing without any symmetry: three boxes."""
-    boxes = [trimesh.creation.box(extents, trimesh.transformations.translation_matrix(place))
-             for extents, place in (((2, 1, 0.5), (0, 0, 0)), ((0.4, 0.4, 1.2), (0.7, 0.2, 0.6)),
-                                    ((0.3, 0.9, 0.3), (-0.8, 0.6, 0.1)))]  # fmt: skip
+    boxes = [
+        trimesh.creation.box(extents, trimesh.transformations.translation_matrix(place))
+        for extents, place in (
+            ((2, 1, 0.5), (0, 0, 0)),
+            ((0.4, 0.4, 1.2), (0.7, 0.2, 0.6)),
+            ((0.3, 0.9, 0.3), (-0.8, 0.6, 0.1)),
+        )
+    ]
     mesh = trimesh.util.concatenate(boxes)
     return np.asarray(mesh.sample(count, seed=3)), mesh
 

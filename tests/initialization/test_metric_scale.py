@@ -10,9 +10,9 @@ import pytest
 from PIL import Image
 
 from hir_core.capture import Array, View
+from hir_core.capture.exif import gps_position
 from hir_core.errors import CaptureError
-from hir_core.exif import gps_position
-from hir_plugins.initializers.metric_scale import read_marks, scale_of_bar, scale_of_gps
+from hir_plugins.initializers.sfm.metric_scale import read_marks, scale_of_bar, scale_of_gps
 
 from .silhouettes import look_at, make_view
 

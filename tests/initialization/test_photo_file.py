@@ -13,7 +13,7 @@ from hir_exporters.conventions import linear_to_srgb, srgb_to_linear
 from PIL import Image, ImageOps
 
 from hir_core.errors import CaptureError
-from hir_plugins.readers.photo_file import PhotoFile, photo_size, read_encoded, read_mask
+from hir_plugins.readers.parsing.photo_file import PhotoFile, photo_size, read_encoded, read_mask
 
 GRADIENT = np.stack(np.meshgrid(np.arange(48), np.arange(32), indexing="xy"), axis=-1)
 RGB = np.concatenate([GRADIENT * 5, np.full((32, 48, 1), 70)], axis=2).astype(np.uint8)
@@ -46,8 +46,9 @@ def test_sixteen_bits_are_kept(tmp_path: Path, suffix: str, channels: int) -> No
     pixels[0, 0], pixels[0, 1, 0] = 1001, 65300
     assert cv2.imwrite(str(path), pixels[..., [2, 1, 0, 3][:channels]] if channels > 1 else pixels)
     read = PhotoFile(path)()
-    np.testing.assert_allclose(read.color_linear, np.broadcast_to(
-        srgb_to_linear(pixels[..., :3] / 65535), read.color_linear.shape), atol=1e-6)
+    np.testing.assert_allclose(
+        read.color_linear, np.broadcast_to(srgb_to_linear(pixels[..., :3] / 65535), read.color_linear.shape), atol=1e-6
+    )
     assert read.saturated[0, 1] and not read.saturated[0, 0]
     if channels == 4:
         assert read.mask is not None
@@ -94,9 +95,14 @@ def test_broken_pictures_are_one_error_that_names_the_file(tmp_path: Path) -> No
     Image.open(tmp_path / "whole.png").save(tmp_path / "whole.jpg")
     jpeg = (tmp_path / "whole.jpg").read_bytes()
     files = {
-        "cut.png": whole[: len(whole) // 2], "cut.jpg": jpeg[: len(jpeg) // 2], "header.png": whole[:20],
-        "empty.png": b"", "text.jpg": b"hello", "raw.dng": b"II*\0", "phone.heic": b"\0\0\0\x18ftypheic",
-    }  # fmt: skip
+        "cut.png": whole[: len(whole) // 2],
+        "cut.jpg": jpeg[: len(jpeg) // 2],
+        "header.png": whole[:20],
+        "empty.png": b"",
+        "text.jpg": b"hello",
+        "raw.dng": b"II*\0",
+        "phone.heic": b"\0\0\0\x18ftypheic",
+    }
     for name, content in files.items():
         (tmp_path / name).write_bytes(content)
     bomb(tmp_path / "large.png", 20000, 10001)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from hir_core.capture.exif import camera_record
 from hir_core.errors import CaptureError
-from hir_core.exif import camera_record
-from hir_core.plugin import NoOptions
+from hir_core.plugins import NoOptions
 from hir_plugins.readers.photos import PhotosReader
 
 READER = PhotosReader(NoOptions())

@@ -10,13 +10,13 @@ import pytest
 
 from hir_core.capture import Capture
 from hir_core.errors import CaptureError
-from hir_core.interfaces import CaptureReader
-from hir_core.plugin import NoOptions
+from hir_core.plugins import NoOptions
+from hir_core.plugins.interfaces import CaptureReader
 from hir_plugins.readers.blended_mvs import BlendedMvsReader
 from hir_plugins.readers.idr_cameras import IdrCamerasReader
 from hir_plugins.readers.llff import LlffReader
 from hir_plugins.readers.middlebury import MiddleburyReader
-from hir_plugins.readers.pose_files import decompose_projection, load_arrays
+from hir_plugins.readers.parsing.pose_files import decompose_projection, load_arrays
 
 # a camera at (0, 0, -5) in OpenCV axes, and a point that it sees at the centre of pixel (40, 12): 40.5, 12.5
 K = np.array([[80.0, 0, 32], [0, 80, 24], [0, 0, 1]])

@@ -9,7 +9,7 @@ import pytest
 
 from hir_core.capture import Capture
 from hir_core.errors import CaptureError
-from hir_plugins.masks.cases import write_background_network
+from hir_plugins.masks.contract_inputs import write_background_network
 from hir_plugins.masks.options import RembgOptions
 from hir_plugins.masks.rembg import Rembg
 
@@ -30,8 +30,10 @@ def photographs(tmp_path_factory: pytest.TempPathFactory) -> Capture:
     # rembg divides by the brightest value: one pixel at white keeps the others as they are
     picture[0, 0] = 1.0
     write_background_network(folder / "weights.onnx", np.full(3, 0.1, np.float32))
-    views = (make_view("disc", camera, disc.astype(np.float32), picture),
-             make_view("flat", camera, disc.astype(np.float32), np.full((80, 80, 3), 0.1, np.float32)))  # fmt: skip
+    views = (
+        make_view("disc", camera, disc.astype(np.float32), picture),
+        make_view("flat", camera, disc.astype(np.float32), np.full((80, 80, 3), 0.1, np.float32)),
+    )
     return Capture(folder, views)
 
 

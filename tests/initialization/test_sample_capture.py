@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 from hir_exporters.conventions import latlong_solid_angles
-from hir_exporters.images import read_hdr
+from hir_exporters.textures.image_files import read_hdr
 
-from hir_core.plugin import NoOptions
+from hir_core.plugins import NoOptions
 from hir_plugins.readers.transforms_json import TransformsJsonReader
 
 SAMPLE = Path(__file__).resolve().parents[2] / "examples" / "sample_capture"
@@ -17,8 +17,10 @@ READER = TransformsJsonReader(NoOptions())
 
 def test_views_and_lights() -> None:
     assert {s: len(READER.read(SAMPLE, s).views) for s in READER.splits(SAMPLE)} == {
-        "train": 24, "test": 6, "relight_0": 2,
-    }  # fmt: skip
+        "train": 24,
+        "test": 6,
+        "relight_0": 2,
+    }
     train, test, relit = (READER.read(SAMPLE, s).environment for s in ("train", "test", "relight_0"))
     assert train is not None and test is not None and relit is not None
     # evaluation relights a split whose light is another file than train's

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hir_exporters.images import write_exr, write_png
+from hir_exporters.textures.image_files import write_exr, write_png
 
-from hir_core.plugin import NoOptions
+from hir_core.plugins import NoOptions
 from hir_plugins.readers.transforms_json import TransformsJsonReader
 
 WIDTH, HEIGHT = 64, 48

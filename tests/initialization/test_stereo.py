@@ -16,14 +16,13 @@ from PIL import Image
 from hir_core.capture import Array, Camera, Capture
 from hir_core.errors import CaptureError, MissingExtraError
 from hir_core.scene import Mesh, Scene, Topology
-from hir_plugins.initializers.carving import Volume
-from hir_plugins.initializers.depth_agreement import DepthMap, oriented_points
-from hir_plugins.initializers.depth_fusion import carved, volume_of
+from hir_plugins.initializers.hull.visual_hull import VisualHull
 from hir_plugins.initializers.options import PoissonOptions, StereoOptions, VisualHullOptions
-from hir_plugins.initializers.poisson import Poisson, poisson_surface
-from hir_plugins.initializers.stereo import Stereo, measure
-from hir_plugins.initializers.surface import extract_surface
-from hir_plugins.initializers.surface_sweep import (
+from hir_plugins.initializers.poisson.poisson import Poisson, poisson_surface
+from hir_plugins.initializers.stereo.depth_agreement import DepthMap, oriented_points
+from hir_plugins.initializers.stereo.depth_fusion import carved, volume_of
+from hir_plugins.initializers.stereo.stereo import Stereo, measure
+from hir_plugins.initializers.stereo.surface_sweep import (
     Sweep,
     SweptView,
     _box,
@@ -33,8 +32,9 @@ from hir_plugins.initializers.surface_sweep import (
     semi_global,
     sweep,
 )
-from hir_plugins.initializers.swept_photographs import Surface, neighbours
-from hir_plugins.initializers.visual_hull import VisualHull
+from hir_plugins.initializers.stereo.swept_photographs import Surface, neighbours
+from hir_plugins.initializers.surface.isosurface import extract_surface
+from hir_plugins.initializers.surface.volume import Volume
 
 from .silhouettes import dome, hits_boxes, look_at, make_view
 from .test_colmap import room
@@ -163,8 +163,10 @@ def test_semi_global_matching_bridges_what_is_flat() -> None:
 
 
 def test_neighbours_are_near_but_not_too_near() -> None:
-    cameras = [look_at(3 * np.array([np.sin(t), 0, np.cos(t)]), np.zeros(3), 100.0, 64, 64)
-               for t in np.radians([0, 0.5, 10, 25, 180])]  # fmt: skip
+    cameras = [
+        look_at(3 * np.array([np.sin(t), 0, np.cos(t)]), np.zeros(3), 100.0, 64, 64)
+        for t in np.radians([0, 0.5, 10, 25, 180])
+    ]
     chosen = neighbours(cameras, np.zeros(3), 4)
     assert chosen[0] == [2, 3] and chosen[4] == []
 
@@ -359,7 +361,7 @@ def test_what_colmap_measures_is_carved_like_our_own(tmp_path: Path, monkeypatch
             stored = pycolmap.DepthMap.from_array(depth, options.depth_min, options.depth_max)
             stored.write(str(folder / "stereo" / "depth_maps" / f"{image.name}.geometric.bin"))
 
-    monkeypatch.setattr("hir_plugins.initializers.stereo.available", lambda: True)
+    monkeypatch.setattr("hir_plugins.initializers.stereo.stereo.available", lambda: True)
     monkeypatch.setattr("pycolmap.patch_match_stereo", measured)
     stereo = Stereo(QUICK)
     solved, scene = stereo.initialize(capture, None, tmp_path)

@@ -13,7 +13,7 @@ from hir_exporters.conventions import direction_to_latlong_uv
 from PIL import Image
 
 from hir_core.errors import CaptureError
-from hir_core.plugin import NoOptions
+from hir_core.plugins import NoOptions
 from hir_plugins.readers.transforms_json import TransformsJsonReader
 
 READER = TransformsJsonReader(NoOptions())

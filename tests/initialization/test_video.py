@@ -10,7 +10,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from hir_core.errors import CaptureError
-from hir_core.plugin import NoOptions
+from hir_core.plugins import NoOptions
 from hir_plugins.readers.video import FRAMES, VideoReader, spread
 
 av = pytest.importorskip("av", reason="videos are read by PyAV: pip install av")

@@ -14,11 +14,11 @@ from scipy.spatial import cKDTree
 
 from hir_core.capture import Capture
 from hir_core.errors import CaptureError
-from hir_core.plugin import NoOptions
+from hir_core.plugins import NoOptions
 from hir_core.scene import Scene
+from hir_plugins.initializers.hull.visual_hull import VisualHull
 from hir_plugins.initializers.options import VisualHullOptions
-from hir_plugins.initializers.silhouette_fields import signed_distance
-from hir_plugins.initializers.visual_hull import VisualHull
+from hir_plugins.initializers.surface.silhouette_fields import signed_distance
 from hir_plugins.readers.transforms_json import TransformsJsonReader
 
 from .silhouettes import coverage, dome, hits_boxes, hits_sphere, look_at, make_view, shape_capture

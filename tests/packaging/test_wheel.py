@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hir_exporters.asset import Asset, AssetEnvironment, AssetMaterial, AssetMesh
-from hir_exporters.scene_files import load_scene, save_scene
+from hir_exporters.scene_format import load_scene, save_scene
 
 ROOT = Path(__file__).resolve().parents[2]
 HEAVY = ("torch", "mitsuba", "drjit", "open3d", "pycolmap")
@@ -94,5 +94,5 @@ def test_the_ten_lines_of_the_readme(programs: Path, tmp_path: Path) -> None:
     [block] = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     said(programs / "python", "-c", block, folder=tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["tile.glb", "tile.hdr", "tile.usdz", "tile_lit.usda"]
-    code = "import sys, hir_exporters.gltf.exporter, hir_exporters.usd.exporter; print('torch' in sys.modules)"
+    code = "import sys, hir_exporters.gltf.gltf_exporter, hir_exporters.usd.usd_exporter; print('torch' in sys.modules)"
     assert said(programs / "python", "-c", code, folder=tmp_path) == "False\n"

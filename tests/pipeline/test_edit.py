@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hir_exporters.images import read_ldr, write_hdr
-from hir_exporters.scene_files import load_scene, save_scene
+from hir_exporters.scene_format import load_scene, save_scene
+from hir_exporters.textures.image_files import read_ldr, write_hdr
 
 from hir_core.cli import main
-from hir_core.edit import Edit, edit_run, edited
 from hir_core.errors import InputError
-from hir_core.manager import PluginManager
 from hir_core.pipeline import Run
+from hir_core.plugins.manager import PluginManager
+from hir_core.rendering.asset_edit import Edit, edit_run, edited
 from hir_core.testing.assets import textured_asset
 
 

@@ -11,19 +11,19 @@ import numpy as np
 import pytest
 import trimesh
 from hir_exporters.conventions import linear_to_srgb
-from hir_exporters.images import write_png
+from hir_exporters.textures.image_files import write_png
 
-from hir_core.bake import scene_from_asset
 from hir_core.cli import main
 from hir_core.errors import InputError
 from hir_core.evaluation import Question, evaluate_run
-from hir_core.evaluation.truth import light_figures, surface_figures
-from hir_core.manager import PluginManager
+from hir_core.evaluation.truth_evaluation import light_figures, surface_figures
 from hir_core.metrics import composite, psnr, unassociate
 from hir_core.pipeline import Run
-from hir_core.reference import light_of, open_for_rendering, reference_renderer, render_view
-from hir_core.run_directory import RunDirectory
-from hir_core.unlit import UnlitView
+from hir_core.plugins.manager import PluginManager
+from hir_core.rendering.reference_renderer import light_of, open_for_rendering, reference_renderer, render_view
+from hir_core.rendering.unlit import UnlitView
+from hir_core.run.run_directory import RunDirectory
+from hir_core.scene.asset_conversion import scene_from_asset
 
 CHEAP = {"render_samples": 8}
 
@@ -115,10 +115,10 @@ def test_command_compares_runs(known: RunDirectory, capsys: pytest.CaptureFixtur
 @pytest.mark.parametrize("split", ["relight_0", "relight_1"])
 def test_a_light_file_lights_the_true_object_as_cycles_did(shared: Path, plugins: PluginManager, split: str) -> None:
     """The axes of a capture's light: the true mesh and material under it are the photograph, a turned light is not."""
-    from hir_exporters.mesh_files import SurfaceMaps, load_mesh_asset
+    from hir_exporters.reading.mesh_import import SurfaceMaps, load_mesh_asset
 
-    from hir_core.readers import read_capture
-    from hir_core.working_frame import move_scene
+    from hir_core.intake.reader_lookup import read_capture
+    from hir_core.scene.frames import move_scene
 
     capture = read_capture(shared / "captures" / "spot", split, plugins)
     maps = SurfaceMaps(shared / "models" / "spot" / "spot_texture.png", roughness=0.3, metallic=0.0)

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hir_exporters.images import write_hdr
+from hir_exporters.textures.image_files import write_hdr
 
 from hir_core.errors import InputError
-from hir_core.evaluation.lighting import lit_scene
-from hir_core.manager import PluginManager
+from hir_core.evaluation.relighting import lit_scene
 from hir_core.pipeline import Run
-from hir_core.reference import open_for_rendering
+from hir_core.plugins.manager import PluginManager
+from hir_core.rendering.reference_renderer import open_for_rendering
 
 PLUGINS = PluginManager.discover()
 

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hir_exporters.images import read_exr, read_ldr, write_hdr
+from hir_exporters.textures.image_files import read_exr, read_ldr, write_hdr
 
-from hir_core.capture_files import read_cameras
+from hir_core.capture.capture_store import read_cameras
 from hir_core.errors import InputError
-from hir_core.manager import PluginManager
 from hir_core.pipeline import Run
-from hir_core.render import orbit_cameras, render_pictures
+from hir_core.plugins.manager import PluginManager
+from hir_core.rendering.run_pictures import orbit_cameras, render_pictures
 
 PLUGINS = PluginManager.discover()
 FEW = {"render_samples": 8}

@@ -10,16 +10,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hir_exporters.images import read_ldr
+from hir_exporters.textures.image_files import read_ldr
 
-from hir_core import report_pictures
-from hir_core.curves import curve_svg, thinned
 from hir_core.evaluation import spread
-from hir_core.manager import PluginManager
+from hir_core.files.json_documents import read_json, write_json
 from hir_core.pipeline import Run
-from hir_core.report import charts, convergence, figures, refresh_page
-from hir_core.report_pictures import light_picture
-from hir_core.run_directory import STAGES, RunDirectory, read_json, write_json
+from hir_core.plugins.manager import PluginManager
+from hir_core.report import convergence, history_chart, refresh_page, rendered_pictures, tables
+from hir_core.report.curve_svg import curve_svg, thinned
+from hir_core.report.rendered_pictures import light_picture
+from hir_core.run.run_directory import STAGES, RunDirectory
 
 SHOOT = Path(__file__).resolve().parents[2] / "tools" / "shoot_report.py"
 
@@ -72,27 +72,25 @@ def test_large_photographs_are_shown_and_measured_reduced(
 ) -> None:
     shutil.copytree(finished.path, tmp_path / "run")
     directory = RunDirectory(tmp_path / "run")
-    monkeypatch.setattr(report_pictures, "SHOWN_SIDE", 20)
-    shown = report_pictures.write_pictures(directory, PluginManager.discover())
+    monkeypatch.setattr(rendered_pictures, "SHOWN_SIDE", 20)
+    shown = rendered_pictures.write_pictures(directory, PluginManager.discover())
     for view in shown["views"]:
         picture = read_ldr(directory.report / view["fit"])
         assert 20 <= max(picture.shape[:2]) < 40 and view["measured_at"] == list(picture.shape[1::-1])
         assert view["object"] > 15, "the reduced photograph is that of the reduced camera"
     write_json(directory.report / "views.json", shown)
-    refresh_page(directory)
+    refresh_page(directory, PluginManager.discover())
     width, height = shown["views"][0]["measured_at"]
     assert f"measured at {width}×{height}" in (directory.path / "report.html").read_text(encoding="utf-8")
 
 
-def test_few_samples_give_the_figures_of_many(
-    finished: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_few_samples_give_the_figures_of_many(finished: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shutil.copytree(finished.path, tmp_path / "run")
     directory, plugins = RunDirectory(tmp_path / "run"), PluginManager.discover()
     found = {}
     for name, most in (("few", 1.0), ("many", -1.0)):
-        monkeypatch.setattr(report_pictures, "MOST_NOISE", most)
-        found[name] = report_pictures.write_pictures(directory, plugins)["views"]
+        monkeypatch.setattr(rendered_pictures, "MOST_NOISE", most)
+        found[name] = rendered_pictures.write_pictures(directory, plugins)["views"]
     for few, many in zip(found["few"], found["many"], strict=True):
         assert few["object"] != many["object"], "both are the same renders"
         assert few["object"] == pytest.approx(many["object"], abs=0.15)
@@ -114,7 +112,7 @@ def test_page_says_what_the_run_knows(finished: Run, tmp_path: Path) -> None:
     # a run on which nothing was measured has a page too
     (directory.report / "views.json").unlink()
     (directory.path / "timings.json").write_text("{}")
-    text = refresh_page(directory).read_text(encoding="utf-8")
+    text = refresh_page(directory, PluginManager.discover()).read_text(encoding="utf-8")
     assert "No stage was measured" in text and "No view with a mask" in text
 
 
@@ -123,7 +121,7 @@ def test_history_marks_stages_and_every_point() -> None:
         convergence.Series("held <out>", "held-out", (3.0, 6.0, 9.0), (20.0, 24.0, 25.0)),
         convergence.Series("unseen views", "unseen", (10.0,), (24.5,)),
     )
-    drawn = charts.history_chart(convergence.History(series, (("initializer", 1.0), ("reflectance", 10.0))))
+    drawn = history_chart.history_chart(convergence.History(series, (("initializer", 1.0), ("reflectance", 10.0))))
     assert drawn.count("<circle") == 3 + 2 and drawn.count("<polyline") == 1 and "held &lt;out&gt;" in drawn
     assert drawn.count('class="band') == 2 and "reflectance · 9 s" in drawn and "nan" not in drawn
     points = re.findall(r'points="([^"]+)"', drawn)[0].split()
@@ -133,7 +131,7 @@ def test_history_marks_stages_and_every_point() -> None:
 
 @pytest.mark.parametrize(("low", "high"), [(0, 1), (0.013, 0.9), (20, 36), (-5, 1e4)])
 def test_ticks_are_round_and_inside(low: float, high: float) -> None:
-    found = charts.ticks(low, high, 6)
+    found = history_chart.ticks(low, high, 6)
     assert 3 <= len(found) <= 8 and found[0] >= low - 1e-9 and found[-1] <= high + 1e-9
     steps = np.diff(found)
     assert np.allclose(steps, steps[0]) and f"{steps[0]:e}"[0] in "125"
@@ -141,17 +139,23 @@ def test_ticks_are_round_and_inside(low: float, high: float) -> None:
 
 def test_the_ladder_shows_what_votes_took_and_what_settling_brought() -> None:
     rows = [{"name": name, "held_out_db": 20.0, "gain_db": 0.1, "noise_db": None, "kept": True} for name in "abc"]
-    settled = {"renderer": "mitsuba_ggx", "before_db": 30.0, "after_db": 31.5, "gain_db": 1.5, "noise_db": 0.1,
-               "kept": True}  # fmt: skip
+    settled = {
+        "renderer": "mitsuba_ggx",
+        "before_db": 30.0,
+        "after_db": 31.5,
+        "gain_db": 1.5,
+        "noise_db": 0.1,
+        "kept": True,
+    }
     report = {"ladder": rows, "settled": settled}
-    page = figures.ladder({"stages": {"reflectance": {"report": report}}}, [2.0, 4.0, 10.0])
+    page = tables.ladder({"stages": {"reflectance": {"report": report}}}, [2.0, 4.0, 10.0])
     assert re.findall(r">(\d+) s<", page) == ["2", "2", "6"]
     assert "±" in page and page.count("<tr") == 4
     assert "30.00 → 31.50 dB (1.50 ± 0.10 dB): kept" in page
-    untimed = figures.ladder({"stages": {"reflectance": {"report": {"ladder": rows}}}}, [])
+    untimed = tables.ladder({"stages": {"reflectance": {"report": {"ladder": rows}}}}, [])
     assert untimed.count("<td class=number>–</td>") == 3 and "solved once more" not in untimed
     forced = {"ladder": [], "rung": "diffuse", "settled": settled}
-    assert "1.50 ± 0.10 dB" in figures.ladder({"stages": {"reflectance": {"report": forced}}}, [])
+    assert "1.50 ± 0.10 dB" in tables.ladder({"stages": {"reflectance": {"report": forced}}}, [])
 
 
 def test_loops_one_after_the_other_are_counted_on() -> None:

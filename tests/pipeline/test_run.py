@@ -14,10 +14,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hir_exporters.scene_files import load_scene
+from hir_exporters.scene_format import load_scene
 
 from hir_core.pipeline import Run
-from hir_core.run_directory import STAGES, RunDirectory
+from hir_core.run.run_directory import STAGES, RunDirectory
 
 from .conftest import QUICK
 
@@ -32,8 +32,16 @@ def files(folder: Path) -> dict[str, bytes]:
 def test_run_directory_is_that_of_the_design(finished: Run) -> None:
     names = {entry.name for entry in finished.path.iterdir()} - {".lock"}
     assert names == {
-        "run.json", "timings.json", "log.txt", "capture", "stages", "scene", "exports", "report", "report.html",
-    }  # fmt: skip
+        "run.json",
+        "timings.json",
+        "log.txt",
+        "capture",
+        "stages",
+        "scene",
+        "exports",
+        "report",
+        "report.html",
+    }
     stages = sorted(entry.name for entry in (finished.path / "stages").iterdir())
     assert stages == [f"{i + 1}-{name}" for i, name in enumerate(STAGES)]
     exports = {path.suffix for path in finished.directory.exports.iterdir()}
@@ -56,9 +64,9 @@ def test_run_json_holds_settings_and_timings_json_the_clock(finished: Run) -> No
 
 def test_cameras_and_asset_share_the_world(finished: Run, tiny_capture: Path) -> None:
     """The asset, projected by cameras.json, covers the photographs' masks."""
-    from hir_exporters.images import read_ldr
+    from hir_exporters.textures.image_files import read_ldr
 
-    from hir_core.capture_files import read_cameras
+    from hir_core.capture.capture_store import read_cameras
 
     asset = load_scene(finished.directory.scene)
     cameras = read_cameras(finished.directory.cameras)
@@ -129,7 +137,7 @@ def test_until_leaves_a_run_that_goes_on(tiny_capture: Path, quick: Reconstruct,
 
 def test_evaluate_says_what_it_compared(finished: Run, tiny_capture: Path, tmp_path: Path) -> None:
     from hir_core.evaluation import Question, evaluate_run
-    from hir_core.manager import PluginManager
+    from hir_core.plugins.manager import PluginManager
 
     folder = tmp_path / "run"
     shutil.copytree(finished.path, folder)

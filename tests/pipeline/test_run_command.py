@@ -25,8 +25,21 @@ def test_a_finished_run_is_reused_and_its_files_are_told(
 ) -> None:
     shutil.copytree(finished.path, tmp_path / "run")
     settings = [word for assignment in QUICK for word in ("--set", assignment)]
-    words = ["reconstruct", tiny_capture, "-o", tmp_path / "run", *settings, "--triangles", "1500",
-             "--texture-size", "64", "--device", "cpu", "--deterministic", "--resume"]  # fmt: skip
+    words = [
+        "reconstruct",
+        tiny_capture,
+        "-o",
+        tmp_path / "run",
+        *settings,
+        "--triangles",
+        "1500",
+        "--texture-size",
+        "64",
+        "--device",
+        "cpu",
+        "--deterministic",
+        "--resume",
+    ]
     assert hir(*words) == 0
     said = capsys.readouterr()
     stages = ("initializer", "geometry", "atlas", "reflectance", "bake", "export")

@@ -11,18 +11,18 @@ import pytest
 from hir_exporters.asset import Asset, AssetEnvironment, AssetMaterial, AssetMesh
 from hir_exporters.exporter import ExportReport
 from hir_exporters.formats import create_exporter
-from hir_exporters.images import read_hdr, write_hdr
-from hir_exporters.materials import to_gltf
-from hir_exporters.readback import ReadBack
-from hir_exporters.written_asset import decoded_material
+from hir_exporters.materials.material_conversion import to_gltf
+from hir_exporters.reading.readback import ReadBack
+from hir_exporters.reading.written_asset import decoded_material
+from hir_exporters.textures.image_files import read_hdr, write_hdr
 from pygltflib import GLTF2
 
 from hir_core.cli import main
-from hir_core.manager import PluginManager
 from hir_core.pipeline import Run
-from hir_core.render import orbit_cameras
-from hir_core.rerender import Rerender
-from hir_core.verify import Verified, verify_export
+from hir_core.plugins.manager import PluginManager
+from hir_core.rendering.run_pictures import orbit_cameras
+from hir_core.stages.export.export_rerendering import Rerender
+from hir_core.stages.export.export_verification import Verified, verify_export
 
 GREY = {"diffuse_albedo": [0.4, 0.3, 0.2], "specular_albedo": [0.2] * 3, "roughness": 0.2}
 
@@ -114,9 +114,14 @@ def test_a_file_that_is_cut_short_is_a_warning(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("model", "profile"),
-    [("paper", "khr"), ("paper", "blender"), ("dielectric", "khr"), ("dielectric", "blender"),
-     ("dielectric", "unity-legacy")],
-)  # fmt: skip
+    [
+        ("paper", "khr"),
+        ("paper", "blender"),
+        ("dielectric", "khr"),
+        ("dielectric", "blender"),
+        ("dielectric", "unity-legacy"),
+    ],
+)
 def test_decoding_undoes_the_conversion(model: str, profile: str) -> None:
     """Before any rounding to 8 bits. What is left out is a least-squares fit, which nothing undoes."""
     material = ball(model, **GREY | {"specular_albedo": [0.1] * 3}).material

@@ -11,19 +11,19 @@ from typing import Any
 
 import numpy as np
 import torch
-from hir_exporters.images import write_hdr
+from hir_exporters.textures.image_files import write_hdr
 from torch import Tensor
 
-from hir_core.atlas import TexelSurface, dilate, texel_surface, unwrap_mesh
 from hir_core.capture import Capture, Pixels, View
 from hir_core.config import ReflectanceSettings
-from hir_core.context import StageContext
-from hir_core.manager import PluginManager
-from hir_core.reflectance import fit_reflectance
+from hir_core.plugins.manager import PluginManager
+from hir_core.run.stage_context import StageContext
 from hir_core.scene import EnvironmentMap, Material, Mesh, Scene, Topology
+from hir_core.stages.atlas import TexelSurface, dilate, texel_surface, unwrap_mesh
+from hir_core.stages.reflectance.reflectance_fit import fit_reflectance
 from hir_plugins.reflectance_renderers.mitsuba_ggx.options import MitsubaGGXOptions
 from hir_plugins.reflectance_renderers.mitsuba_ggx.renderer import MitsubaGGX
-from hir_plugins.reflectance_renderers.transport_ggx.pyramid import texel_directions
+from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import texel_directions
 
 from .shapes import icosphere, looking_at
 
@@ -46,8 +46,9 @@ def around(count: int, highest: float = 0.7) -> list[Eye]:
 def above(count: int, widest: float) -> list[Eye]:
     """Eyes on a spiral about +y, at most `widest` radians from it."""
     tilts, turns = np.linspace(0.05, widest, count), 2 * np.pi * 0.618034 * np.arange(count)
-    return [(4 * np.sin(t) * np.sin(a), 4 * np.cos(t), 4 * np.sin(t) * np.cos(a))
-            for t, a in zip(tilts, turns, strict=True)]  # fmt: skip
+    return [
+        (4 * np.sin(t) * np.sin(a), 4 * np.cos(t), 4 * np.sin(t) * np.cos(a)) for t, a in zip(tilts, turns, strict=True)
+    ]
 
 
 def sky(rows: int = ROWS) -> EnvironmentMap:
@@ -73,14 +74,20 @@ def lamps(rows: int = ROWS) -> EnvironmentMap:
 
 
 def look(
-    diffuse: Sequence[float] | Tensor, specular: float | Sequence[float] | Tensor = 0.0, alpha: float | Tensor = 0.3,
+    diffuse: Sequence[float] | Tensor,
+    specular: float | Sequence[float] | Tensor = 0.0,
+    alpha: float | Tensor = 0.3,
     model: str = "paper",
-) -> Material:  # fmt: skip
+) -> Material:
     rho_s = torch.as_tensor(specular, dtype=torch.float32)
     rho_s = rho_s.expand(3) if rho_s.ndim == 0 else rho_s
     width = torch.as_tensor(alpha, dtype=torch.float32)
-    return Material(model, torch.as_tensor(diffuse, dtype=torch.float32), rho_s.contiguous(),
-                    width.reshape(1) if width.ndim == 0 else width)  # type: ignore[arg-type] # fmt: skip
+    return Material(
+        model,
+        torch.as_tensor(diffuse, dtype=torch.float32),
+        rho_s.contiguous(),
+        width.reshape(1) if width.ndim == 0 else width,
+    )  # type: ignore[arg-type]
 
 
 def ball(texels: int = TEXELS) -> Mesh:
@@ -147,9 +154,14 @@ def coverage(mesh: Mesh, eyes: Sequence[Eye], size: int = SIZE) -> np.ndarray:
 
 
 def fitted(
-    mesh: Mesh, capture: Capture, folder: Path, texels: int = TEXELS, light: EnvironmentMap | None = None,
-    options: dict[str, Any] | None = None, **settings: Any,
-) -> tuple[Scene, Report]:  # fmt: skip
+    mesh: Mesh,
+    capture: Capture,
+    folder: Path,
+    texels: int = TEXELS,
+    light: EnvironmentMap | None = None,
+    options: dict[str, Any] | None = None,
+    **settings: Any,
+) -> tuple[Scene, Report]:
     """The whole stage, from grey; `light`: the fit is told what shines. `report["said"]` holds its warnings."""
     grey = Scene(mesh, Material("paper", torch.full((texels, texels, 3), 0.5), torch.zeros(3), torch.ones(1)))
     given: dict[str, Any] = {"light_frame": "world", "environment_height": ROWS, "environment_width": 2 * ROWS}

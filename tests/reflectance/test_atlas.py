@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 import torch
 
-from hir_core.atlas import texture_size, unwrap, unwrap_mesh
 from hir_core.capture import Capture, View
 from hir_core.config import AtlasSettings
-from hir_core.context import StageContext
 from hir_core.errors import StageError
+from hir_core.mesh.texel_rasterization import dilate, rasterize, texel_surface
+from hir_core.mesh.texture_inpainting import fill_unobserved
+from hir_core.run.stage_context import StageContext
 from hir_core.scene import Mesh, Scene, Topology
-from hir_core.texels import dilate, rasterize, texel_surface
-from hir_core.texture_fill import fill_unobserved
+from hir_core.stages.atlas import texture_size, unwrap, unwrap_mesh
 
 from .shapes import bumpy_sphere, icosphere, looking_at, square
 
@@ -173,6 +173,7 @@ def test_fill_of_a_component_without_any_view_is_the_median() -> None:
 def test_texture_has_a_texel_for_each_pixel() -> None:
     """A square that fills a 256² image, on 0.6 of the texture: the next power of two above 330, twice it for twice the
     resolution."""
+
     def camera(width: int):  # type: ignore[no-untyped-def]
         return looking_at((0.0, 1.0 / 2 * 2 * 1.5 * 2, 0.0), width, width, focal=1.5)
 
@@ -199,8 +200,9 @@ def test_stage_keeps_good_coordinates_and_replaces_bad_ones(tmp_path: Path) -> N
 def test_stage_bakes_vertex_colours(tmp_path: Path) -> None:
     mesh = icosphere(3)
     mesh = replace(mesh, vertex_colors=mesh.positions * 0.4 + 0.5)
-    scene, _ = unwrap(Scene(mesh), capture_of(looking_at((0, 0, 4), 64, 64)), AtlasSettings(texture_size=128),
-                      context(tmp_path, []))
+    scene, _ = unwrap(
+        Scene(mesh), capture_of(looking_at((0, 0, 4), 64, 64)), AtlasSettings(texture_size=128), context(tmp_path, [])
+    )
     assert scene.material is not None
     surface = texel_surface(scene.mesh, 128)
     expected = surface.position * 0.4 + 0.5

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from hir_exporters.scene_files import load_scene, save_scene
+from hir_exporters.scene_format import load_scene, save_scene
 
-from hir_core.atlas import unwrap_mesh
-from hir_core.bake import bake, scene_from_asset
 from hir_core.errors import StageError
 from hir_core.scene import EnvironmentMap, Material, Scene
+from hir_core.scene.asset_conversion import bake, scene_from_asset
+from hir_core.stages.atlas import unwrap_mesh
 
 from .shapes import bumpy_sphere
 
@@ -19,8 +19,14 @@ def textured_scene() -> Scene:
     torch.manual_seed(0)
     mesh, _ = unwrap_mesh(bumpy_sphere(2), 64)
     normal = torch.nn.functional.normalize(torch.randn(8, 8, 3) * 0.1 + torch.tensor([0.0, 0.0, 1.0]), dim=-1)
-    material = Material("dielectric", torch.rand(16, 16, 3), torch.full((3,), 0.04), torch.rand(8, 8, 1), normal,
-                        torch.rand(16, 16) > 0.5)
+    material = Material(
+        "dielectric",
+        torch.rand(16, 16, 3),
+        torch.full((3,), 0.04),
+        torch.rand(8, 8, 1),
+        normal,
+        torch.rand(16, 16) > 0.5,
+    )
     turn = torch.tensor([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
     return Scene(mesh, material, EnvironmentMap(torch.rand(4, 8, 3), turn, "camera"))
 

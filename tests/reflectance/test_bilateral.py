@@ -13,15 +13,15 @@ import torch
 from hir_exporters.conventions import direction_to_latlong_uv
 from torch import Tensor
 
-from hir_core.atlas import unwrap_mesh
 from hir_core.errors import ConfigError, StageError
 from hir_core.scene import Material, Scene, Topology
-from hir_plugins.regularizers.bilateral_cells import _tiles, bilateral_deviation, cells_of, cubes_of
-from hir_plugins.regularizers.bilateral_pairs import deviation_of_pairs, weight_error
-from hir_plugins.regularizers.bilateral_specular import BilateralSpecular
-from hir_plugins.regularizers.joint_bilateral import JointBilateral
+from hir_core.stages.atlas import unwrap_mesh
+from hir_plugins.regularizers.bilateral.bilateral_grid import _tiles, bilateral_deviation, cells_of, cubes_of
+from hir_plugins.regularizers.bilateral.bilateral_pairs import deviation_of_pairs, weight_error
+from hir_plugins.regularizers.bilateral.bilateral_specular import BilateralSpecular
+from hir_plugins.regularizers.bilateral.joint_bilateral import JointBilateral
 from hir_plugins.regularizers.material_options import BilateralSpecularOptions, JointBilateralOptions
-from hir_plugins.regularizers.places import places_of
+from hir_plugins.regularizers.surface_samples import places_of
 
 from .shapes import bumpy_sphere
 
@@ -55,8 +55,9 @@ def definition(positions: np.ndarray, diffuse: np.ndarray, specular: np.ndarray,
     """METHOD: a loop over p, nothing shared with the code."""
     total = 0.0
     for p in range(len(positions)):
-        k = np.exp(-((positions[p] - positions) ** 2).sum(1) / (2 * s1**2)
-                   - ((diffuse[p] - diffuse) ** 2).sum(1) / (2 * s2**2))  # fmt: skip
+        k = np.exp(
+            -((positions[p] - positions) ** 2).sum(1) / (2 * s1**2) - ((diffuse[p] - diffuse) ** 2).sum(1) / (2 * s2**2)
+        )
         total += np.abs(specular[p] - (k[:, None] * specular).sum(0) / k.sum()).sum()
     return total
 
@@ -184,8 +185,12 @@ def test_pairs_grow_linearly() -> None:
     for count in (8_000, 32_000):
         positions, guide, values = surface(count, count / 200, 0.1)
         cubes = cubes_of(positions, CUTOFF, CELL)
-        pairs.append(sum(int(sounding.sum(1) @ real.sum(1)) for _, real, _, sounding in
-                         _tiles(cubes, cells_of(cubes, guide, values, CELL))))  # fmt: skip
+        pairs.append(
+            sum(
+                int(sounding.sum(1) @ real.sum(1))
+                for _, real, _, sounding in _tiles(cubes, cells_of(cubes, guide, values, CELL))
+            )
+        )
     assert 4 <= pairs[1] / pairs[0] < 6
     assert pairs[1] < 0.05 * 32_000**2
 

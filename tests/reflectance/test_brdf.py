@@ -8,10 +8,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import torch
-from hir_exporters.brdf import albedo_terms, dielectric_brdf, paper_brdf
+from hir_exporters.materials.brdf_numpy import albedo_terms, dielectric_brdf, paper_brdf
 
-from hir_plugins.reflectance_renderers import brdf
-from hir_plugins.reflectance_renderers.brdf import evaluate, ggx_d, smith_g1
+from hir_plugins.reflectance_renderers import brdf_torch
+from hir_plugins.reflectance_renderers.brdf_torch import evaluate, ggx_d, smith_g1
 
 MODELS = ("paper", "dielectric")
 
@@ -26,7 +26,10 @@ def unit(rng: np.random.Generator, count: int) -> torch.Tensor:
 def cosines(wi: torch.Tensor, wo: torch.Tensor) -> dict[str, torch.Tensor]:
     h = torch.nn.functional.normalize(wi + wo, dim=-1)
     return {
-        "n_wi": wi[..., 2:], "n_wo": wo[..., 2:], "n_h": h[..., 2:], "h_wo": (h * wo).sum(-1, keepdim=True),
+        "n_wi": wi[..., 2:],
+        "n_wo": wo[..., 2:],
+        "n_h": h[..., 2:],
+        "h_wo": (h * wo).sum(-1, keepdim=True),
         "sin2_h": h[..., :2].square().sum(-1, keepdim=True),
     }
 
@@ -62,7 +65,7 @@ def test_the_albedo_is_the_exporters_own() -> None:
     """The fit and the export couple the diffuse part by the same figures."""
     rng = np.random.default_rng(0)
     cos, alpha = rng.random(2000), rng.uniform(1e-4, 1, 2000)
-    ours = brdf.directional_albedo_terms(torch.from_numpy(cos), torch.from_numpy(alpha))
+    ours = brdf_torch.directional_albedo_terms(torch.from_numpy(cos), torch.from_numpy(alpha))
     for mine, theirs in zip(ours, albedo_terms(cos, alpha), strict=True):
         np.testing.assert_allclose(mine.numpy(), theirs, rtol=0, atol=1e-12)
 
@@ -75,8 +78,13 @@ def test_values_are_the_exporters_formulas(model: str, reference: Callable[..., 
     wi, wo = unit(rng, 400), unit(rng, 400)
     wi[:200] = wo[:200] * torch.tensor([-1.0, -1.0, 1.0])  # half of them in the peak
     rho_d, rho_s = rng.random((400, 3)), rng.random((400, 3))
-    values = evaluate(model, torch.from_numpy(rho_d), torch.from_numpy(rho_s),  # type: ignore[arg-type]
-                      torch.tensor([alpha], dtype=torch.float64), **cosines(wi, wo))
+    values = evaluate(
+        model,
+        torch.from_numpy(rho_d),
+        torch.from_numpy(rho_s),  # type: ignore[arg-type]
+        torch.tensor([alpha], dtype=torch.float64),
+        **cosines(wi, wo),
+    )
     expected = reference(wi.numpy(), wo.numpy(), rho_d, rho_s, alpha) * wi.numpy()[:, 2:]
     np.testing.assert_allclose(values.numpy(), expected, rtol=1e-6)
 
@@ -126,8 +134,9 @@ def test_nothing_is_ever_not_finite(model: str, dtype: torch.dtype) -> None:
     """Every combination of extreme values, also those no geometry can produce."""
     cos = torch.tensor([-1.0, -1e-9, 0.0, 1e-12, 1e-4, 0.5, 1.0, 1.0 + 1e-6], dtype=dtype)
     alphas = torch.tensor([-1.0, 0.0, 1e-4, 1e-3, 0.5, 1.0, 2.0], dtype=dtype)
-    n_wi, n_wo, n_h, h_wo, alpha = (t[..., None].clone().requires_grad_() for t in
-                                    torch.meshgrid(cos, cos, cos, cos, alphas, indexing="ij"))
+    n_wi, n_wo, n_h, h_wo, alpha = (
+        t[..., None].clone().requires_grad_() for t in torch.meshgrid(cos, cos, cos, cos, alphas, indexing="ij")
+    )
     rho_d = torch.tensor([0.0, 0.5, 1.0], dtype=dtype, requires_grad=True)
     rho_s = torch.tensor([0.0, 0.04, 1.0], dtype=dtype, requires_grad=True)
     value = evaluate(model, rho_d, rho_s, alpha, n_wi, n_wo, n_h, h_wo)  # type: ignore[arg-type]
@@ -145,7 +154,8 @@ def test_gradients_match_finite_differences(model: str) -> None:
     shapes = ((40, 3), (40, 3), (40, 1))
     inputs = [torch.from_numpy(rng.uniform(0.05, 0.95, shape)).requires_grad_() for shape in shapes]
     assert torch.autograd.gradcheck(
-        lambda d, s, a: evaluate(model, d, s, a, **fixed), inputs, eps=1e-7, rtol=1e-5, atol=1e-6)  # type: ignore[arg-type]
+        lambda d, s, a: evaluate(model, d, s, a, **fixed), inputs, eps=1e-7, rtol=1e-5, atol=1e-6
+    )  # type: ignore[arg-type]
 
 
 def test_narrow_lobe_in_float32_with_the_sine() -> None:
@@ -161,8 +171,16 @@ def test_narrow_lobe_in_float32_with_the_sine() -> None:
 def test_shapes_broadcast_over_light_directions() -> None:
     """Per-pixel parameters (P, 1, 3) against directions (P, L, 1)."""
     one = torch.full((5, 1, 1), 0.3)
-    value = evaluate("dielectric", one.expand(5, 1, 3), one.expand(5, 1, 3), one, torch.rand(5, 7, 1), one,
-                     torch.rand(5, 7, 1), torch.rand(5, 7, 1))
+    value = evaluate(
+        "dielectric",
+        one.expand(5, 1, 3),
+        one.expand(5, 1, 3),
+        one,
+        torch.rand(5, 7, 1),
+        one,
+        torch.rand(5, 7, 1),
+        torch.rand(5, 7, 1),
+    )
     assert value.shape == (5, 7, 3)
 
 
@@ -171,6 +189,6 @@ def test_opposite_directions_have_no_half_vector_and_no_lobe(alpha: float) -> No
     """A direction that grazes a microfacet comes straight back from behind: one in ten million that a fit draws."""
     width = torch.tensor([alpha], requires_grad=True)
     nothing = torch.zeros(1)
-    value = brdf.specular_lobe(width, torch.tensor([-0.1]), torch.tensor([0.1]), nothing, nothing)
+    value = brdf_torch.specular_lobe(width, torch.tensor([-0.1]), torch.tensor([0.1]), nothing, nothing)
     value.sum().backward()
     assert float(value.detach()) == 0 and width.grad is not None and bool(torch.isfinite(width.grad).all())

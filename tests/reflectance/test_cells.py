@@ -9,9 +9,9 @@ import torch
 from hir_core.scene import Mesh, Scene, Topology
 from hir_plugins.reflectance_renderers.mitsuba_ggx.options import MitsubaGGXOptions
 from hir_plugins.reflectance_renderers.mitsuba_ggx.renderer import MitsubaGGX
-from hir_plugins.reflectance_renderers.transport_ggx.cells import make_cells
+from hir_plugins.reflectance_renderers.transport_ggx.operator.irradiance_cache import make_cells
+from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import refine
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
-from hir_plugins.reflectance_renderers.transport_ggx.surface import refine
 
 from .shapes import bumpy_sphere, icosphere
 from .test_transport_ggx import capture, gloss, pixels_of, radiance, smooth_light

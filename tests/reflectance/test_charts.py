@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hir_exporters.apart import ChildError, call_apart
+from hir_exporters.files.subprocess_call import ChildError, call_apart
 
-from hir_core import charts
-from hir_core.charts import SMALL, cut_and_pack, run_xatlas
 from hir_core.errors import StageError
+from hir_core.mesh.uv_charts import SMALL, cut_and_pack, run_xatlas
 
 from .shapes import bumpy_sphere
 
@@ -48,7 +47,7 @@ def test_native_code_that_keeps_pythons_lock_does_not_hold_up_other_threads() ->
     small = bumpy_sphere(3)
     given = {"faces": small.faces.numpy().astype(np.uint32), "resolution": 128, "padding": 2}
     here = run_xatlas(positions=small.positions.numpy(), **given)
-    there = call_apart("hir_core.charts:run_xatlas", {"positions": small.positions.numpy(), **given})
+    there = call_apart("hir_core.mesh.uv_charts:run_xatlas", {"positions": small.positions.numpy(), **given})
     for name in here:
         np.testing.assert_array_equal(here[name], there[name])
     assert uv_faces.shape == faces.shape
@@ -58,7 +57,7 @@ def test_an_end_without_an_atlas_is_one_sentence(monkeypatch: pytest.MonkeyPatch
     def ended(target: str, given: object) -> None:
         raise ChildError("exit code -11")
 
-    monkeypatch.setattr(charts, "call_apart", ended)
+    monkeypatch.setattr(uv_charts, "call_apart", ended)
     mesh = bumpy_sphere(5)
     with pytest.raises(StageError, match=r"xatlas ended without an atlas \(exit code -11\); repair the mesh"):
         cut_and_pack(mesh.positions.numpy(), mesh.faces.numpy(), 64, 1)

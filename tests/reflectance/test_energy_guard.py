@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from hir_core.energy_guard import conserving, specular_like
 from hir_core.scene import Material
+from hir_core.scene.energy_conservation import conserving, specular_like
 
 
 def material(model: str, diffuse: object, specular: object) -> Material:

@@ -9,10 +9,10 @@ import numpy as np
 import torch
 
 from hir_core.capture import Capture, Pixels, View
+from hir_core.plugins.model_spec import Rung
 from hir_core.scene import EnvironmentMap, Material, Scene
-from hir_core.selection import Rung
+from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import texel_directions
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
-from hir_plugins.reflectance_renderers.transport_ggx.pyramid import texel_directions
 from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGGX
 
 from .shapes import icosphere, looking_at

@@ -8,14 +8,15 @@ from dataclasses import replace
 import pytest
 import torch
 
-from hir_core.selection import Rung
-from hir_plugins.reflectance_renderers.transport_ggx import joint, moving_light, solver
-from hir_plugins.reflectance_renderers.transport_ggx.blocks import Block
-from hir_plugins.reflectance_renderers.transport_ggx.joint import FitSettings
-from hir_plugins.reflectance_renderers.transport_ggx.lobes import Lobes
-from hir_plugins.reflectance_renderers.transport_ggx.moving_light import irradiance_of, pixel_irradiance
-from hir_plugins.reflectance_renderers.transport_ggx.photographs import Photographed
-from hir_plugins.reflectance_renderers.transport_ggx.unknowns import Unknowns
+from hir_core.plugins.model_spec import Rung
+from hir_plugins.reflectance_renderers.transport_ggx import solver
+from hir_plugins.reflectance_renderers.transport_ggx.fit import joint_optimization
+from hir_plugins.reflectance_renderers.transport_ggx.fit.joint_optimization import FitSettings
+from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import Photographed
+from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Unknowns
+from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import Block
+from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_light import irradiance_of, pixel_irradiance
+from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes import Lobes
 
 from .test_light_and_albedo import solver_of
 
@@ -24,7 +25,7 @@ def test_irradiance_of_many_points_is_that_of_their_matrix(monkeypatch: pytest.M
     fit, _ = solver_of()
     points = fit._photographs(range(2)).points
     sources = torch.rand(fit._transport.pyramid.texels + len(fit._transport.cells), 3)
-    monkeypatch.setattr(moving_light, "PIXELS_AT_ONCE", len(points) // 3)
+    monkeypatch.setattr(camera_light, "PIXELS_AT_ONCE", len(points) // 3)
     given = (fit._transport, points, 4, fit._rotation)
     assert torch.equal(irradiance_of(*given, sources), pixel_irradiance(*given).matrix @ sources)
 
@@ -41,7 +42,7 @@ def test_lobes_are_let_go_before_new_ones_are_drawn(monkeypatch: pytest.MonkeyPa
     fit, _ = solver_of()
     rung, photographs = Rung("dielectric", "uniform"), fit._photographs(range(6))
     earlier: list[weakref.ref[Lobes]] = []
-    monkeypatch.setattr(joint, "_drifted", lambda *_: True)
+    monkeypatch.setattr(joint_optimization, "_drifted", lambda *_: True)
 
     whole = fit._stream(photographs, rung)
 
@@ -54,7 +55,7 @@ def test_lobes_are_let_go_before_new_ones_are_drawn(monkeypatch: pytest.MonkeyPa
 
     settings = FitSettings(20, "dielectric", 0, refresh=5)
     start = fit._begin(rung, None, photographs)
-    joint.fit(fit._transport, replace(whole, make=make), start, settings, fit._edges, lambda *_: None)
+    joint_optimization.fit(fit._transport, replace(whole, make=make), start, settings, fit._edges, lambda *_: None)
     assert len(earlier) == 5, "one at the start, and one at each refresh"
 
 
@@ -79,7 +80,9 @@ def test_a_stream_shows_every_pixel_and_holds_no_more_blocks_than_it_may(monkeyp
     rung = Rung("dielectric", "uniform")
     stream = fit._stream(photographs, rung)
     settings = FitSettings(15 * stream.turns, "dielectric", 0)
-    joint.fit(fit._transport, stream, fit._begin(rung, None, photographs), settings, fit._edges, lambda *_: None)
+    joint_optimization.fit(
+        fit._transport, stream, fit._begin(rung, None, photographs), settings, fit._edges, lambda *_: None
+    )
     assert stream.turns > 2 and shown == set(range(stream.count))
     assert most <= 2, "blocks of two turns at once"
 

@@ -8,14 +8,14 @@ import pytest
 import torch
 from torch import Tensor
 
-from hir_core.atlas import unwrap_mesh
 from hir_core.errors import StageError
+from hir_core.plugins.model_spec import Rung
 from hir_core.scene import EnvironmentMap, Material, Scene
-from hir_core.selection import Rung
+from hir_core.stages.atlas import unwrap_mesh
+from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import texel_directions
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
-from hir_plugins.reflectance_renderers.transport_ggx.pyramid import texel_directions
 from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGGX
-from hir_plugins.reflectance_renderers.transport_ggx.textures import bilinear_texels
+from hir_plugins.reflectance_renderers.transport_ggx.textures.texel_equations import bilinear_texels
 
 from .made_captures import (
     BROWN,
@@ -45,8 +45,9 @@ def test_lobes_from_a_mirrors_to_a_matt_ones(alpha: float, tmp_path: Path) -> No
     """A light of 16 rows tells no lobe below 0.1 from a narrower one; at 1 it may as well be called diffuse."""
     truth = Scene(ball(), look((0.3, 0.2, 0.1), 0.5, alpha), lamps())
     capture = photographs(truth, around(8))
-    scene, _ = fitted(truth.mesh, capture, tmp_path, light=lamps(), model="specular", brdf="paper",
-                      options={"steps": 400})  # fmt: skip
+    scene, _ = fitted(
+        truth.mesh, capture, tmp_path, light=lamps(), model="specular", brdf="paper", options={"steps": 400}
+    )
     assert scene.material is not None
     found, rho_s = float(scene.material.roughness.mean()), float(scene.material.specular_albedo.mean())
     if alpha < 0.1:
@@ -86,8 +87,14 @@ def test_a_metal_like_a_mirror_is_coloured_and_not_painted(tmp_path: Path) -> No
     """Without diffuse part a tinted light would look the same: the light is known."""
     gold = torch.tensor([0.9, 0.6, 0.2])
     truth = Scene(ball(), look((0.0, 0.0, 0.0), gold, 1e-3), lamps(32))
-    scene, report = fitted(truth.mesh, photographs(truth, around(12)), tmp_path, light=lamps(32),
-                           environment_height=32, environment_width=64)  # fmt: skip
+    scene, report = fitted(
+        truth.mesh,
+        photographs(truth, around(12)),
+        tmp_path,
+        light=lamps(32),
+        environment_height=32,
+        environment_width=64,
+    )
     assert "coloured" in report["rung"]
     assert scene.material is not None
     torch.testing.assert_close(scene.material.specular_albedo, gold, atol=0.1, rtol=0)
@@ -105,8 +112,9 @@ def test_grazing_views(tmp_path: Path) -> None:
     turns, out, up = np.arange(8) * np.pi / 4, 4 * np.cos(low), 4 * np.sin(low)
     eyes = [(out * np.sin(a), up, out * np.cos(a)) for a in turns]
     truth = Scene(mesh, look(texture), sky())
-    scene, report = fitted(mesh, photographs(truth, eyes, size=64), tmp_path, light=sky(), model="diffuse",
-                           options={"vertices": 2000})  # fmt: skip
+    scene, report = fitted(
+        mesh, photographs(truth, eyes, size=64), tmp_path, light=sky(), model="diffuse", options={"vertices": 2000}
+    )
     values, seen = observed(scene)
     assert report["observed"] > 0.3
     assert float((values - texture[seen]).abs().mean()) < 0.02
@@ -268,8 +276,15 @@ def test_textures_of_any_size(texels: int, tmp_path: Path) -> None:
     mesh = ball(texels)
     texture, _ = painted(mesh, lambda p: 0.5 + 0.3 * torch.sin(4 * p), 512)
     truth = Scene(mesh, look(texture), sky())
-    scene, report = fitted(mesh, photographs(truth, around(10), size=64), tmp_path, texels=texels, light=sky(),
-                           model="diffuse", options={"vertices": 2000})  # fmt: skip
+    scene, report = fitted(
+        mesh,
+        photographs(truth, around(10), size=64),
+        tmp_path,
+        texels=texels,
+        light=sky(),
+        model="diffuse",
+        options={"vertices": 2000},
+    )
     values, seen = observed(scene)
     assert scene.material is not None and scene.material.diffuse_albedo.shape == (texels, texels, 3)
     resized = torch.nn.functional.interpolate(texture.permute(2, 0, 1)[None], (texels, texels), mode="bilinear")[0]

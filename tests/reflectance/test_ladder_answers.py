@@ -9,8 +9,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from hir_core.atlas import unwrap_mesh
 from hir_core.scene import Material, Mesh, Scene
+from hir_core.stages.atlas import unwrap_mesh
 
 from .made_captures import (
     BROWN,
@@ -69,8 +69,9 @@ def test_the_ladder_finds_indirect_light(tmp_path: Path) -> None:
     mesh, color = unwrap_mesh(bowl(), 128)[0], torch.tensor([0.6, 0.4, 0.2])
     truth = Scene(mesh, look(color), sky())
     capture = photographs(truth, above(12, 0.9), depth=3, size=48)
-    scene, report = fitted(mesh, capture, tmp_path, texels=128, light=sky(),
-                           options={"steps": 150, "cells": 4000, "vertices": 8000})  # fmt: skip
+    scene, report = fitted(
+        mesh, capture, tmp_path, texels=128, light=sky(), options={"steps": 150, "cells": 4000, "vertices": 8000}
+    )
     assert report["rung"] == "diffuse, 1 bounce"
     values, _ = observed(scene)
     assert float((values.mean(dim=0) - color).abs().max()) < 0.03
@@ -106,8 +107,9 @@ def test_without_a_specular_part_the_answer_is_diffuse(tmp_path: Path) -> None:
 @pytest.mark.parametrize("frame", ["world", "camera"])
 def test_whether_the_light_goes_with_the_camera(frame: str, tmp_path: Path) -> None:
     truth = Scene(ball(), look(BROWN), replace(sky(), frame=frame))
-    scene, report = fitted(truth.mesh, photographs(truth, around(12)), tmp_path, light_frame="auto", brdf="paper",
-                           options={"steps": 100})  # fmt: skip
+    scene, report = fitted(
+        truth.mesh, photographs(truth, around(12)), tmp_path, light_frame="auto", brdf="paper", options={"steps": 100}
+    )
     assert report["light_frame"] == frame and report["rung"].startswith("diffuse")
     assert scene.environment is not None and scene.environment.frame == frame
     values, _ = observed(scene)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import torch
 
-from hir_core.selection import Rung
+from hir_core.plugins.model_spec import Rung
+from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Unknowns
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGGX
-from hir_plugins.reflectance_renderers.transport_ggx.unknowns import Unknowns
 
 from .test_exposures_and_energy import photographs
 

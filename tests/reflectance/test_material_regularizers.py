@@ -13,13 +13,13 @@ import pytest
 import torch
 from torch import Tensor
 
-from hir_core.atlas import unwrap_mesh
 from hir_core.capture import Capture, Pixels, View
 from hir_core.config import ReflectanceSettings
-from hir_core.context import StageContext
-from hir_core.manager import PluginManager
-from hir_core.reflectance import fit_reflectance
+from hir_core.plugins.manager import PluginManager
+from hir_core.run.stage_context import StageContext
 from hir_core.scene import EnvironmentMap, Material, Mesh, Scene, Topology
+from hir_core.stages.atlas import unwrap_mesh
+from hir_core.stages.reflectance.reflectance_fit import fit_reflectance
 from hir_plugins.regularizers.albedo_scale import AlbedoScale
 from hir_plugins.regularizers.material_options import AlbedoScaleOptions, TotalVariationOptions
 from hir_plugins.regularizers.mesh_variation import mesh_variation
@@ -197,8 +197,10 @@ def small_fit(tmp_path: Path, warnings: list[str], **settings: Any) -> Scene:
     mesh, _ = unwrap_mesh(icosphere(2), 32)
     noise = torch.rand(32, 32, 3, generator=torch.Generator().manual_seed(1))
     start = Scene(mesh, Material("paper", 0.3 + 0.3 * noise, torch.zeros(3), torch.ones(1)))
-    options = {"transport_ggx": {"steps": 4, "cells": 200, "vertices": 500, "pixels": 600, "texture_pixels": 1000},
-               "mitsuba_ggx": {"samples": 4}}  # fmt: skip
+    options = {
+        "transport_ggx": {"steps": 4, "cells": 200, "vertices": 500, "pixels": 600, "texture_pixels": 1000},
+        "mitsuba_ggx": {"samples": 4},
+    }
     context = StageContext(PLUGINS, tmp_path, {"reflectance_renderer": options}, warn=warnings.append)
     given = {"environment_height": 8, "environment_width": 16, "iterations": 20, "learning_rate_end": 0.02, **settings}
     torch.manual_seed(0)

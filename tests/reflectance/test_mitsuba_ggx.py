@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from hir_exporters.brdf import dielectric_brdf, paper_brdf
 from hir_exporters.conventions import direction_to_latlong_uv, latlong_directions, latlong_solid_angles
+from hir_exporters.materials.brdf_numpy import dielectric_brdf, paper_brdf
 
 from hir_core.capture import Camera, Capture, View
 from hir_core.errors import ConfigError, StageError
@@ -101,7 +101,8 @@ def quadrature(light: EnvironmentMap, normal, eye, formula, alpha: float):  # ty
         return radiance[np.clip(row, 0, rows - 1), column % columns]
 
     incident = (texel(j, i) * (1 - s) + texel(j, i + 1) * s) * (1 - t) + (
-        texel(j + 1, i) * (1 - s) + texel(j + 1, i + 1) * s) * t
+        texel(j + 1, i) * (1 - s) + texel(j + 1, i + 1) * s
+    ) * t
     helper = np.array([1.0, 0, 0]) if abs(normal[0]) < 0.9 else np.array([0, 1.0, 0])
     tangent = np.cross(helper, normal)
     tangent /= np.linalg.norm(tangent)
@@ -165,18 +166,23 @@ def test_agrees_with_mitsubas_own_path_integrator() -> None:
 
     Mitsuba puts the first and last row of a light onto the poles, we half a row beside them: hence a fine light.
     """
-    from hir_plugins.reflectance_renderers.variant import mitsuba_on
+    from hir_plugins.reflectance_renderers.mitsuba_variant import mitsuba_on
 
     mi = mitsuba_on("cpu")
-    from hir_plugins.reflectance_renderers.mitsuba_ggx.bsdf_plugin import register
+    from hir_plugins.reflectance_renderers.mitsuba_ggx.ggx_bsdf import register
 
     register()
     mesh, camera, light = bumpy_sphere(4), looking_at((0, 0.5, 4), 24, 24), uneven(256, 512)
     props = mi.Properties()
-    props["bsdf"] = mi.load_dict({
-        "type": "hir_ggx", "model": "dielectric", "diffuse_albedo": {"type": "rgb", "value": 0.7},
-        "specular_albedo": {"type": "rgb", "value": 0.1}, "alpha": 0.25,
-    })
+    props["bsdf"] = mi.load_dict(
+        {
+            "type": "hir_ggx",
+            "model": "dielectric",
+            "diffuse_albedo": {"type": "rgb", "value": 0.7},
+            "specular_albedo": {"type": "rgb", "value": 0.1},
+            "alpha": 0.25,
+        }
+    )
     shape = mi.Mesh("s", len(mesh.positions), len(mesh.faces), props, has_vertex_normals=True)
     parameters = mi.traverse(shape)
     parameters["vertex_positions"] = mesh.positions.numpy().ravel()
@@ -184,14 +190,26 @@ def test_agrees_with_mitsubas_own_path_integrator() -> None:
     parameters["faces"] = mesh.faces.numpy().astype(np.uint32).ravel()
     parameters.update()
     to_world = mi.ScalarTransform4f(np.linalg.inv(camera.world_to_camera) @ np.diag([-1, -1, 1, 1]))
-    scene = mi.load_dict({
-        "type": "scene", "shape": shape,
-        "light": {"type": "envmap", "bitmap": mi.Bitmap(light.radiance.numpy())},
-        "sensor": {"type": "perspective", "fov": 2 * math.degrees(math.atan(0.5 / 1.5)), "fov_axis": "x",
-                   "to_world": to_world,
-                   "film": {"type": "hdrfilm", "width": 24, "height": 24, "rfilter": {"type": "box"},
-                            "pixel_format": "rgba"}},
-    })
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "shape": shape,
+            "light": {"type": "envmap", "bitmap": mi.Bitmap(light.radiance.numpy())},
+            "sensor": {
+                "type": "perspective",
+                "fov": 2 * math.degrees(math.atan(0.5 / 1.5)),
+                "fov_axis": "x",
+                "to_world": to_world,
+                "film": {
+                    "type": "hdrfilm",
+                    "width": 24,
+                    "height": 24,
+                    "rfilter": {"type": "box"},
+                    "pixel_format": "rgba",
+                },
+            },
+        }
+    )
     path = mi.load_dict({"type": "path", "max_depth": 3, "hide_emitters": True})
     theirs, again = (np.array(mi.render(scene, integrator=path, spp=1024, seed=seed)) for seed in (0, 1))
     torch.manual_seed(0)
@@ -347,8 +365,14 @@ def test_steps_do_not_compile_again() -> None:
     try:
         misses = []
         for step in range(6):
-            pixels = torch.stack([torch.randint(0, 2, (300 + step,)), torch.randint(0, 24, (300 + step,)),
-                                  torch.randint(0, 24, (300 + step,))], 1)
+            pixels = torch.stack(
+                [
+                    torch.randint(0, 2, (300 + step,)),
+                    torch.randint(0, 24, (300 + step,)),
+                    torch.randint(0, 24, (300 + step,)),
+                ],
+                1,
+            )
             prepared.radiance(replace(look, diffuse_albedo=albedo * 0.9), light, pixels).sum().backward()
             misses.append(sum(kernel.get("cache_hit") == 0 for kernel in dr.kernel_history()))
     finally:

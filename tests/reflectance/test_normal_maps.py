@@ -12,21 +12,21 @@ from scipy.ndimage import binary_erosion
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from hir_core.atlas import dilate, texel_surface
 from hir_core.capture import Capture
 from hir_core.errors import ConfigError
 from hir_core.scene import EnvironmentMap, Mesh, Scene
+from hir_core.stages.atlas import dilate, texel_surface
 from hir_plugins.reflectance_renderers.mitsuba_ggx.options import MitsubaGGXOptions
 from hir_plugins.reflectance_renderers.mitsuba_ggx.renderer import MitsubaGGX
-from hir_plugins.reflectance_renderers.transport_ggx.bending import STEEPEST, bent, bent_irradiance
-from hir_plugins.reflectance_renderers.transport_ggx.normal_map import mapped_normals, normal_map
+from hir_plugins.reflectance_renderers.transport_ggx.fit.shading_normals import STEEPEST, bent, bent_irradiance
+from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import texel_directions
+from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_radiance import SpecularBlock
+from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import see
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
-from hir_plugins.reflectance_renderers.transport_ggx.pyramid import texel_directions
 from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGGX
-from hir_plugins.reflectance_renderers.transport_ggx.shading import sample
 from hir_plugins.reflectance_renderers.transport_ggx.solver import TransportSolver
-from hir_plugins.reflectance_renderers.transport_ggx.specular import SpecularBlock
-from hir_plugins.reflectance_renderers.transport_ggx.surface import see
+from hir_plugins.reflectance_renderers.transport_ggx.textures.normal_map import mapped_normals, normal_map
+from hir_plugins.reflectance_renderers.transport_ggx.textures.texture_shading import sample
 
 from .made_captures import BROWN, TEXELS, around, ball, fitted, lamps, look, photographs, sky, unseen_db
 
@@ -198,8 +198,9 @@ def test_the_ladder_finds_dents(tmp_path: Path) -> None:
     """Under a light that is not known."""
     mesh = ball()
     truth = bumpy(mesh)
-    scene, report = fitted(mesh, photographs(truth, around(16), size=64), tmp_path, brdf="paper",
-                           options={"vertices": 2000})  # fmt: skip
+    scene, report = fitted(
+        mesh, photographs(truth, around(16), size=64), tmp_path, brdf="paper", options={"vertices": 2000}
+    )
     assert "normal map" in report["rung"]
     assert scene.material is not None and scene.material.normal is not None
     assert unseen_db(scene, truth) > 30

@@ -14,14 +14,14 @@ from hir_exporters.conventions import linear_to_srgb
 
 from hir_core.capture import Capture, Pixels, View
 from hir_core.config import ReflectanceSettings
-from hir_core.context import StageContext
-from hir_core.energies import Energies, prepare_energies
 from hir_core.errors import StageError
-from hir_core.interfaces import PreparedReflectance
-from hir_core.manager import PluginManager
-from hir_core.photometric import ObjectPixels, _Draw, fit_by_gradient, object_pixels
-from hir_core.progress import Progress
+from hir_core.optimization.weighted_energies import Energies, prepare_energies
+from hir_core.plugins.interfaces import PreparedReflectance
+from hir_core.plugins.manager import PluginManager
+from hir_core.plugins.progress import Progress
+from hir_core.run.stage_context import StageContext
 from hir_core.scene import EnvironmentMap, Material, Scene
+from hir_core.stages.reflectance.gradient_fit import ObjectPixels, _Draw, fit_by_gradient, object_pixels
 from hir_core.testing.scenes import sphere
 
 RNG = np.random.default_rng(0)
@@ -65,8 +65,10 @@ def scene(model: str = "dielectric", **values: float) -> Scene:
     value = {"diffuse": 0.3, "specular": 0.2, "roughness": 0.5, "light": 0.5} | values
     material = Material(
         model,  # type: ignore[arg-type]
-        torch.full((3,), value["diffuse"]), torch.full((3,), value["specular"]), torch.full((1,), value["roughness"]),
-    )  # fmt: skip
+        torch.full((3,), value["diffuse"]),
+        torch.full((3,), value["specular"]),
+        torch.full((1,), value["roughness"]),
+    )
     return Scene(sphere(), material, EnvironmentMap(torch.full((2, 4, 3), value["light"])))
 
 
@@ -262,9 +264,13 @@ def test_views_in_trouble_are_named_one_by_one(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("field", "name"),
-    [("diffuse_albedo", "diffuse albedo"), ("specular_albedo", "specular albedo"), ("roughness", "roughness"),
-     ("radiance", "light")],
-)  # fmt: skip
+    [
+        ("diffuse_albedo", "diffuse albedo"),
+        ("specular_albedo", "specular albedo"),
+        ("roughness", "roughness"),
+        ("radiance", "light"),
+    ],
+)
 def test_trouble_of_a_term_names_the_values_it_was_given(tmp_path: Path, field: str, name: str) -> None:
     start = scene()
     assert start.material is not None and start.environment is not None
@@ -276,17 +282,27 @@ def test_trouble_of_a_term_names_the_values_it_was_given(tmp_path: Path, field: 
 
     class Constant(Product):
         def radiance(self, material: Material, environment: EnvironmentMap, pixels: torch.Tensor) -> torch.Tensor:
-            return 0.5 + 0 * sum(
-                torch.nan_to_num(v).sum() for v in (material.diffuse_albedo, environment.radiance)
-            ) + torch.zeros(len(pixels), 3)  # fmt: skip
+            return (
+                0.5
+                + 0 * sum(torch.nan_to_num(v).sum() for v in (material.diffuse_albedo, environment.radiance))
+                + torch.zeros(len(pixels), 3)
+            )
 
     def energy(state: Scene) -> torch.Tensor:
         assert state.material is not None and state.environment is not None
         return (state.environment.radiance if field == "radiance" else getattr(state.material, field)).sum()
 
     with pytest.raises(StageError, match=rf"stage reflectance: .*because of 'r' .*r is not finite at .*\b{name}\b"):
-        run(start, _bright(1.0), tmp_path, ReflectanceSettings(),
-            Energies({"r": (1.0, energy)}), Constant(), steps=30, fit_specular=False)  # fmt: skip
+        run(
+            start,
+            _bright(1.0),
+            tmp_path,
+            ReflectanceSettings(),
+            Energies({"r": (1.0, energy)}),
+            Constant(),
+            steps=30,
+            fit_specular=False,
+        )
 
 
 def test_the_state_is_kept_as_often_as_asked(tmp_path: Path) -> None:

@@ -11,10 +11,12 @@ import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample, huber_loss, normalize
 
-from hir_core.srgb import linear_to_srgb
-from hir_plugins.reflectance_renderers.brdf import directional_albedo_terms
-from hir_plugins.reflectance_renderers.transport_ggx.bending import bent, bent_irradiance
-from hir_plugins.reflectance_renderers.transport_ggx.lobe_lookup import (
+from hir_core.scene.srgb import linear_to_srgb
+from hir_plugins.reflectance_renderers.brdf_torch import directional_albedo_terms
+from hir_plugins.reflectance_renderers.mitsuba_variant import mitsuba_on
+from hir_plugins.reflectance_renderers.transport_ggx.fit.shading_normals import bent, bent_irradiance
+from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import texel_directions
+from hir_plugins.reflectance_renderers.transport_ggx.operator.probe_lookup import (
     Lobe,
     Patch,
     ProbeTable,
@@ -22,9 +24,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.lobe_lookup import (
     lobe_of,
     patch_around,
 )
-from hir_plugins.reflectance_renderers.transport_ggx.point_lobes import Holds, PointFit, Points, PointValues
-from hir_plugins.reflectance_renderers.transport_ggx.point_steps import LEAST_RHO, equations
-from hir_plugins.reflectance_renderers.transport_ggx.probes import (
+from hir_plugins.reflectance_renderers.transport_ggx.operator.radiance_probes import (
     COLUMNS,
     LEVELS,
     NARROWEST,
@@ -33,9 +33,9 @@ from hir_plugins.reflectance_renderers.transport_ggx.probes import (
     alpha_of,
     level_of,
 )
-from hir_plugins.reflectance_renderers.transport_ggx.pyramid import texel_directions
-from hir_plugins.reflectance_renderers.transport_ggx.sightings import Sightings
-from hir_plugins.reflectance_renderers.variant import mitsuba_on
+from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit import Holds, PointFit, Points, PointValues
+from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit_steps import LEAST_RHO, equations
+from hir_plugins.reflectance_renderers.transport_ggx.textures.observations import Sightings
 
 COUNT, VIEWS = 64, 24
 
@@ -95,10 +95,14 @@ def reference(at: Points, values: PointValues, toward: Tensor, light: Probes, mo
     v = torch.atan2((main[:, 0].square() + main[:, 2].square()).sqrt(), main[:, 1]) / math.pi
     table = light.radiance.double().reshape(len(light.radiance), LEVELS, ROWS, COLUMNS, 3)
     table = torch.cat([table[:, :, :, -1:], table, table[:, :, :, :1]], dim=3)[at.cell].permute(0, 4, 1, 2, 3)
-    place = torch.stack([
-        2 * (u * COLUMNS + 0.5) / (COLUMNS + 1) - 1, 2 * (v * ROWS - 0.5) / (ROWS - 1) - 1,
-        2 * level[:, 0].clamp(0, LEVELS - 1) / (LEVELS - 1) - 1,
-    ], dim=1)[:, None, None, None]  # fmt: skip
+    place = torch.stack(
+        [
+            2 * (u * COLUMNS + 0.5) / (COLUMNS + 1) - 1,
+            2 * (v * ROWS - 0.5) / (ROWS - 1) - 1,
+            2 * level[:, 0].clamp(0, LEVELS - 1) / (LEVELS - 1) - 1,
+        ],
+        dim=1,
+    )[:, None, None, None]
     lobe = grid_sample(table, place, align_corners=True, padding_mode="border")[:, :, 0, 0, 0]
     a, b = (t[:, None] for t in directional_albedo_terms(cosine[:, 0], values.alpha[:, 0]))
     if model == "paper":

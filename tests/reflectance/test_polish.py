@@ -11,14 +11,14 @@ import torch
 
 from hir_core.capture import Capture, Pixels, View
 from hir_core.config import ReflectanceSettings
-from hir_core.context import StageContext
-from hir_core.energies import Energies
-from hir_core.manager import PluginManager
-from hir_core.polish import polished
+from hir_core.optimization.weighted_energies import Energies
+from hir_core.plugins.manager import PluginManager
+from hir_core.run.stage_context import StageContext
 from hir_core.scene import EnvironmentMap, Material, Scene
+from hir_core.stages.reflectance.path_traced_refinement import polished
 from hir_plugins.reflectance_renderers.mitsuba_ggx.options import MitsubaGGXOptions
 from hir_plugins.reflectance_renderers.mitsuba_ggx.renderer import MitsubaGGX
-from hir_plugins.reflectance_renderers.transport_ggx.pyramid import texel_directions
+from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import texel_directions
 
 from .shapes import icosphere, looking_at
 
@@ -32,8 +32,10 @@ def photographed() -> tuple[Capture, Scene]:
     sky = EnvironmentMap(light.expand(-1, 3).reshape(8, 16, 3).contiguous())
     material = Material("dielectric", torch.tensor([0.5, 0.3, 0.2]), torch.full((3,), 0.1), torch.tensor([0.3]))
     scene = Scene(icosphere(3), material, sky)
-    cameras = [looking_at((4 * np.sin(a), 1.0, 4 * np.cos(a)), SIZE, SIZE)
-               for a in np.linspace(0, 2 * np.pi, VIEWS, endpoint=False)]  # fmt: skip
+    cameras = [
+        looking_at((4 * np.sin(a), 1.0, 4 * np.cos(a)), SIZE, SIZE)
+        for a in np.linspace(0, 2 * np.pi, VIEWS, endpoint=False)
+    ]
     nothing = np.zeros((SIZE, SIZE), bool)
     empty = Pixels(np.zeros((SIZE, SIZE, 3), np.float32), np.ones((SIZE, SIZE), np.float32), nothing)
     blank = Capture(Path("made"), tuple(View(str(i), c, lambda: empty) for i, c in enumerate(cameras)))

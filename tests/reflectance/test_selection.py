@@ -10,15 +10,16 @@ import numpy as np
 import pytest
 
 from hir_core.config import ModelName, ReflectanceSettings
-from hir_core.context import StageContext
 from hir_core.errors import ConfigError
-from hir_core.interfaces import ReflectanceSolver
-from hir_core.listener import Listener
-from hir_core.manager import PluginManager
-from hir_core.progress import FIT, VOTE
-from hir_core.reflectance import _Bar
+from hir_core.plugins.interfaces import ReflectanceSolver
+from hir_core.plugins.manager import PluginManager
+from hir_core.plugins.model_spec import Rung
+from hir_core.plugins.progress import FIT, VOTE
 from hir_core.report.convergence import milestones
-from hir_core.selection import HOLD_OUT_EVERY, Rung, Step, climb, compare, forced_rung, split_views
+from hir_core.run.progress_listener import Listener
+from hir_core.run.stage_context import StageContext
+from hir_core.stages.reflectance.model_selection import HOLD_OUT_EVERY, Step, climb, compare, forced_rung, split_views
+from hir_core.stages.reflectance.reflectance_fit import _Bar
 
 
 class Scripted(ReflectanceSolver):
@@ -138,9 +139,16 @@ def test_gain_within_its_noise_is_not_kept() -> None:
 )
 def test_every_answer_is_found_where_it_is_right(truth: Rung) -> None:
     def error(rung: Rung) -> float:
-        wrong = (rung.brdf == truth.brdf, rung.specular == truth.specular, rung.roughness == truth.roughness,
-                 rung.colored == truth.colored, rung.bounces == truth.bounces, rung.light_frame == truth.light_frame,
-                 rung.normals == truth.normals, (rung.texels == "lobes") == (truth.texels == "lobes"))
+        wrong = (
+            rung.brdf == truth.brdf,
+            rung.specular == truth.specular,
+            rung.roughness == truth.roughness,
+            rung.colored == truth.colored,
+            rung.bounces == truth.bounces,
+            rung.light_frame == truth.light_frame,
+            rung.normals == truth.normals,
+            (rung.texels == "lobes") == (truth.texels == "lobes"),
+        )
         return 1e-3 * 2.0 ** wrong.count(False)
 
     assert chosen(error) == truth
@@ -207,7 +215,7 @@ def test_texels_are_compared_with_texels() -> None:
 def test_votes_are_timed_when_they_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Fits are silent before their first step: that time is theirs, not that of the one before."""
     now = [0.0]
-    monkeypatch.setattr("hir_core.listener.time.perf_counter", lambda: now[0])
+    monkeypatch.setattr("hir_core.run.progress_listener.time.perf_counter", lambda: now[0])
 
     class Slow(Scripted):
         def fit(self, rung: Rung, *others: Any) -> Any:

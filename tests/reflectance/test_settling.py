@@ -10,13 +10,13 @@ from typing import Any, cast
 import pytest
 import torch
 
-from hir_core.atlas import unwrap_mesh
 from hir_core.capture import Capture
 from hir_core.config import ReflectanceSettings
-from hir_core.context import StageContext
-from hir_core.interfaces import ReflectanceSolver
-from hir_core.polish import settled
+from hir_core.plugins.interfaces import ReflectanceSolver
+from hir_core.run.stage_context import StageContext
 from hir_core.scene import Scene
+from hir_core.stages.atlas import unwrap_mesh
+from hir_core.stages.reflectance.path_traced_refinement import settled
 
 from .made_captures import BROWN, PLUGINS, TEXELS, around, bowl, fitted, lamps, look, photographs, unseen_db
 
@@ -80,9 +80,14 @@ def test_path_tracing_mends_what_few_cells_blur(
     found = {}
     for settle in (False, True):
         scene, report = fitted(
-            truth.mesh, capture, tmp_path / str(settle), light=lamps(), model="diffuse", settle=settle,
+            truth.mesh,
+            capture,
+            tmp_path / str(settle),
+            light=lamps(),
+            model="diffuse",
+            settle=settle,
             options={"cells": cells},
-        )  # fmt: skip
+        )
         found[settle] = unseen_db(scene, truth)
         assert scene.material is not None and bool(torch.isfinite(scene.material.diffuse_albedo).all())
         assert report.get("settled", {}).get("kept", False) == (settle and kept)

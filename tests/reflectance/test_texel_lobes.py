@@ -35,10 +35,17 @@ def test_threads_are_told_apart(tmp_path: Path) -> None:
     truth = brocade()
     capture = photographs(truth, around(24), size=64)
     one, own = (
-        fitted(truth.mesh, capture, tmp_path / model, light=lamps(), brdf="dielectric", model=model,
-               options={"vertices": 2000})
+        fitted(
+            truth.mesh,
+            capture,
+            tmp_path / model,
+            light=lamps(),
+            brdf="dielectric",
+            model=model,
+            options={"vertices": 2000},
+        )
         for model in ("specular", "texel_lobes")
-    )  # fmt: skip
+    )
     material, report = own[0].material, own[1]
     assert material is not None and material.normal is not None and material.observed is not None
     assert material.specular_albedo.shape == (TEXELS, TEXELS, 3) and material.roughness.shape == (TEXELS, TEXELS, 1)
@@ -55,9 +62,7 @@ def test_threads_are_told_apart(tmp_path: Path) -> None:
 def test_the_ladder_finds_threads_that_are_finer_than_vertices(tmp_path: Path) -> None:
     """Under a light that is not known; maps at vertices .15 apart gain nothing from columns of .22."""
     truth = brocade(14.0, 128)
-    scene, report = fitted(
-        truth.mesh, photographs(truth, around(32), size=96), tmp_path, texels=128, brdf="dielectric"
-    )
+    scene, report = fitted(truth.mesh, photographs(truth, around(32), size=96), tmp_path, texels=128, brdf="dielectric")
     assert report["rung"] == "dielectric, specular, lobes in texels"
     assert scene.material is not None and scene.material.normal is not None
     assert unseen_db(scene, truth) > 39  # 41.0 measured

@@ -11,16 +11,20 @@ import torch
 from torch import Tensor
 
 from hir_core.capture import Capture, Pixels, View
+from hir_core.plugins.model_spec import Rung
 from hir_core.scene import EnvironmentMap, Material, Mesh, Scene, Topology
-from hir_core.selection import Rung
-from hir_plugins.reflectance_renderers.brdf import directional_albedo_terms
+from hir_plugins.reflectance_renderers.brdf_torch import directional_albedo_terms
 from hir_plugins.reflectance_renderers.mitsuba_ggx.options import MitsubaGGXOptions
 from hir_plugins.reflectance_renderers.mitsuba_ggx.renderer import MitsubaGGX
+from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import Pyramid, texel_directions
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
-from hir_plugins.reflectance_renderers.transport_ggx.pyramid import Pyramid, texel_directions
 from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGGX
 from hir_plugins.reflectance_renderers.transport_ggx.solver import TransportSolver
-from hir_plugins.reflectance_renderers.transport_ggx.textures import TexelEquations, bilinear_texels, solve_texels
+from hir_plugins.reflectance_renderers.transport_ggx.textures.texel_equations import (
+    TexelEquations,
+    bilinear_texels,
+    solve_texels,
+)
 
 from .shapes import icosphere, looking_at
 

@@ -7,19 +7,18 @@ from pathlib import Path
 
 import pytest
 
-from hir_core import doctor
-from hir_core.doctor import Finding
 from hir_core.errors import MissingExtraError
-from hir_plugins.reflectance_renderers import variant
+from hir_core.run.installation_check import Finding
+from hir_plugins.reflectance_renderers import mitsuba_variant
 
 
 @pytest.fixture()
 def empty_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setenv("LOCALAPPDATA", str(tmp_path))
-    variant.check_variant.cache_clear()
+    mitsuba_variant.check_variant.cache_clear()
     yield tmp_path
-    variant.check_variant.cache_clear()
+    mitsuba_variant.check_variant.cache_clear()
 
 
 def test_success_is_remembered_for_later_processes(empty_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -29,20 +28,20 @@ def test_success_is_remembered_for_later_processes(empty_cache: Path, monkeypatc
         asked.append(name)
         return Finding(label, "ok", name)
 
-    monkeypatch.setattr(doctor, "examine_renderer", examine)
-    variant.check_variant("llvm_ad_rgb")
-    variant.check_variant.cache_clear()  # as another process would
-    variant.check_variant("llvm_ad_rgb")
+    monkeypatch.setattr(installation_check, "examine_renderer", examine)
+    mitsuba_variant.check_variant("llvm_ad_rgb")
+    mitsuba_variant.check_variant.cache_clear()  # as another process would
+    mitsuba_variant.check_variant("llvm_ad_rgb")
     assert asked == ["llvm_ad_rgb"]
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "/elsewhere/libLLVM.so")
-    variant.check_variant.cache_clear()
-    variant.check_variant("llvm_ad_rgb")
+    mitsuba_variant.check_variant.cache_clear()
+    mitsuba_variant.check_variant("llvm_ad_rgb")
     assert len(asked) == 2, "another LLVM is tried anew"
 
 
 def test_failure_names_what_to_install_every_time(empty_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     broken = Finding("x", "broken", "llvm_ad_rgb: Cannot select: fminimum", "install LLVM 17 or newer: libllvm19")
-    monkeypatch.setattr(doctor, "examine_renderer", lambda *_: broken)
+    monkeypatch.setattr(installation_check, "examine_renderer", lambda *_: broken)
     with pytest.raises(MissingExtraError, match="libllvm19"):
-        variant.check_variant("llvm_ad_rgb")
+        mitsuba_variant.check_variant("llvm_ad_rgb")
     assert not list(empty_cache.rglob("mitsuba-*"))

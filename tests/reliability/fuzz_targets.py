@@ -20,10 +20,10 @@ from unittest import mock
 
 import numpy as np
 from hir_exporters.errors import HirError
-from hir_exporters.images import encode_png, write_exr, write_hdr
-from hir_exporters.native_output import silenced
+from hir_exporters.files.native_output import silenced
+from hir_exporters.textures.image_files import encode_png, write_exr, write_hdr
 
-from hir_core.manager import PluginManager
+from hir_core.plugins.manager import PluginManager
 from tests.reliability import seeds
 
 _REFUSED = 3
@@ -109,53 +109,55 @@ def _picture(name: str, read: Callable[[Path], object]) -> Target:
 
 
 def _ldr(path: Path) -> object:
-    from hir_exporters.images import read_ldr
+    from hir_exporters.textures.image_files import read_ldr
 
     return read_ldr(path, max_pixels=1 << 20)
 
 
 def _hdr(path: Path) -> object:
-    from hir_exporters.images import read_hdr
+    from hir_exporters.textures.image_files import read_hdr
 
     return read_hdr(path, max_pixels=1 << 20)
 
 
 def _photo(path: Path) -> object:
-    from hir_core.exif import camera_record
+    from hir_core.capture.exif import camera_record
 
     return camera_record(path), _ldr(path)
 
 
 def _scene(folder: Path) -> object:
-    from hir_exporters.scene_files import load_scene
+    from hir_exporters.scene_format import load_scene
 
     return load_scene(folder)
 
 
 def _run(folder: Path) -> object:
+    from hir_core.plugins.manager import PluginManager
     from hir_core.report import refresh_page
-    from hir_core.run_directory import open_run
+    from hir_core.run.run_directory import open_run
 
     run = open_run(folder)
     run.read_run()
-    return refresh_page(run)
+    return refresh_page(run, PluginManager.discover())
 
 
 def _record(folder: Path) -> object:
-    from hir_core.run_directory import RunDirectory
+    from hir_core.run.run_directory import RunDirectory
 
     return RunDirectory(folder).record("geometry")
 
 
 def _timings(folder: Path) -> object:
+    from hir_core.plugins.manager import PluginManager
     from hir_core.report import refresh_page
-    from hir_core.run_directory import open_run
+    from hir_core.run.run_directory import open_run
 
-    return refresh_page(open_run(folder))
+    return refresh_page(open_run(folder), PluginManager.discover())
 
 
 def _cameras(folder: Path) -> object:
-    from hir_core.capture_files import read_cameras
+    from hir_core.capture.capture_store import read_cameras
 
     return read_cameras(folder / "cameras.json")
 
@@ -174,7 +176,7 @@ def _assignment(folder: Path) -> object:
 
 
 def _stage_scene(folder: Path) -> object:
-    from hir_core.scene_store import load_stage_scene
+    from hir_core.scene.scene_store import load_stage_scene
 
     return load_stage_scene(folder)
 
@@ -182,66 +184,66 @@ def _stage_scene(folder: Path) -> object:
 def _checkpoint(folder: Path) -> object:
     import torch
 
-    from hir_core.checkpoint import load_checkpoint
+    from hir_core.optimization.checkpoints import load_checkpoint
 
     return load_checkpoint(folder / "state.npz", torch.optim.Adam([torch.zeros(3, requires_grad=True)]))
 
 
 def _capture(folder: Path) -> object:
     """Cameras, masks and the first picture of whatever reader knows the folder."""
-    from hir_core.readers import read_capture
+    from hir_core.intake.reader_lookup import read_capture
 
     capture = read_capture(folder, "train", _plugins())
     return [view.pixels() for view in capture.views[:1]]
 
 
 def _restored(folder: Path) -> object:
-    from hir_core.capture_files import restore_capture
+    from hir_core.capture.capture_store import restore_capture
 
     return [view.pixels() for view in restore_capture(seeds.two_views(folder), folder).views]
 
 
 def _curves(folder: Path) -> object:
     from hir_core.report.convergence import curves, history
-    from hir_core.run_directory import open_run
+    from hir_core.run.run_directory import open_run
 
     directory = open_run(folder)
     return curves(directory), history(directory, directory.read_run(), directory.read_timings())
 
 
 def _marks(folder: Path) -> object:
-    from hir_plugins.initializers.metric_scale import read_marks
+    from hir_plugins.initializers.sfm.metric_scale import read_marks
 
     return read_marks(folder / "bar.txt")
 
 
 def _bench(folder: Path) -> object:
-    from hir_core.bench import compare, tables
-    from hir_core.bench.results import Result
+    from hir_plugins.commands.bench.results import comparison, markdown_tables
+    from hir_plugins.commands.bench.results.bench_result import Result
 
     result = Result.read(folder / "geometry.json")
-    return tables.markdown(result), compare.markdown(result, result)
+    return markdown_tables.markdown(result), comparison.markdown(result, result)
 
 
 def _batch(folder: Path) -> object:
-    from hir_core.batch.manifest import Manifest
-    from hir_core.batch.page import page
-    from hir_core.batch.storage import Place
+    from hir_plugins.commands.batch.scheduling.manifest import Manifest
+    from hir_plugins.commands.batch.storage.object_store import Place
+    from hir_plugins.commands.batch.summary.summary_page import page
 
     captures = Manifest(Place(str(folder / "batch.json")), {}).read()
     return page("it", captures, list(captures), {}, "today")
 
 
 def _lease(folder: Path) -> object:
-    from hir_core.batch.lease import died, read_lease
-    from hir_core.batch.storage import Place
+    from hir_plugins.commands.batch.storage.lease import died, read_lease
+    from hir_plugins.commands.batch.storage.object_store import Place
 
     return died(read_lease(Place(str(folder / "lease.json"))), 0.0)
 
 
 def _mesh(name: str) -> Callable[[Path], object]:
     def read(folder: Path) -> object:
-        from hir_plugins.initializers.mesh_file import load_mesh
+        from hir_plugins.initializers.existing_mesh.mesh_file import load_mesh
 
         return load_mesh(folder / name)
 
@@ -250,7 +252,7 @@ def _mesh(name: str) -> Callable[[Path], object]:
 
 def _asset(name: str) -> Callable[[Path], object]:
     def read(folder: Path) -> object:
-        from hir_exporters.mesh_files import load_mesh_asset
+        from hir_exporters.reading.mesh_import import load_mesh_asset
 
         return load_mesh_asset(folder / name)
 
@@ -261,8 +263,8 @@ def _usd(name: str) -> Callable[[Path], object]:
     """OpenUSD in a fork, which it may end: what `read_foreign_usd` does, without Python's half second of start."""
 
     def read(folder: Path) -> object:
-        from hir_exporters import mesh_files
-        from hir_exporters.readback import read_usd
+        from hir_exporters.reading import mesh_import
+        from hir_exporters.reading.readback import read_usd
         from pxr import Usd, UsdGeom, UsdShade  # noqa: F401 # once, not in each fork
 
         with warnings.catch_warnings():
@@ -271,8 +273,8 @@ def _usd(name: str) -> Callable[[Path], object]:
         if child == 0:
             code = 1
             try:
-                with silenced(), mock.patch.object(mesh_files, "read_foreign_usd", read_usd):
-                    mesh_files.load_mesh_asset(folder / name)
+                with silenced(), mock.patch.object(mesh_import, "read_foreign_usd", read_usd):
+                    mesh_import.load_mesh_asset(folder / name)
                 code = 0
             except HirError as error:
                 code = _REFUSED if _one_sentence(error) else 1

@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 from hir_exporters.asset import Asset, AssetEnvironment, AssetMaterial, AssetMesh
-from hir_exporters.images import encode_png
-from hir_exporters.scene_files import save_scene
+from hir_exporters.scene_format import save_scene
+from hir_exporters.textures.image_files import encode_png
 
-from hir_core.batch.manifest import FORMAT, VERSION, document_bytes
-from hir_core.bench.results import Result, Row, Timing
 from hir_core.capture import Camera, Capture, OrientedPoints, Pixels, View
-from hir_core.capture_files import save_capture
+from hir_core.capture.capture_store import save_capture
+from hir_plugins.commands.batch.scheduling.manifest import FORMAT, VERSION, document_bytes
+from hir_plugins.commands.bench.results.bench_result import Result, Row, Timing
 
 ROOT = Path(__file__).resolve().parents[2]
 MESHES = ("obj", "ply", "stl", "off", "glb")
@@ -58,7 +58,7 @@ def scene(folder: Path) -> None:
 
 def run(folder: Path) -> None:
     """A run that ended, without its pictures."""
-    from hir_core.run_directory import STAGES, RunDirectory, StageRecord
+    from hir_core.run.run_directory import STAGES, RunDirectory, StageRecord
 
     directory = RunDirectory(folder)
     stages = {name: {"report": {"triangles": 12, "iou": 0.9, "warnings": []}, "warnings": ["thin"]} for name in STAGES}
@@ -103,7 +103,7 @@ def run(folder: Path) -> None:
 
 def cameras(folder: Path) -> None:
     """capture/cameras.json of a run."""
-    from hir_core.capture_files import camera_document
+    from hir_core.capture.capture_store import camera_document
 
     document = camera_document(Camera(_K, _POSE, 64, 48))
     (folder / "cameras.json").write_text(json.dumps({"views": [{"name": "a", "split": "train"} | (document or {})]}))
@@ -123,7 +123,7 @@ def stage_scene(folder: Path) -> None:
     import torch
 
     from hir_core.scene import Mesh, Scene, Topology
-    from hir_core.scene_store import save_stage_scene
+    from hir_core.scene.scene_store import save_stage_scene
 
     folder.rmdir()
     faces = torch.tensor([[0, 1, 2]])
@@ -134,7 +134,7 @@ def checkpoint(folder: Path) -> None:
     """A state of an optimizer of three numbers."""
     import torch
 
-    from hir_core.checkpoint import save_checkpoint
+    from hir_core.optimization.checkpoints import save_checkpoint
 
     x = torch.zeros(3, requires_grad=True)
     optimizer = torch.optim.Adam([x])

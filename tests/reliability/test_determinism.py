@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from hir_exporters.scene_files import load_scene
+from hir_exporters.scene_format import load_scene
 
-from hir_core.determinism import asked, determinism, seed_everything, threads
 from hir_core.pipeline import Run
+from hir_core.run.determinism import asked, determinism, seed_everything, threads
 from tests.pipeline.conftest import QUICK
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -45,7 +45,7 @@ def test_the_switch_is_on_for_the_block_and_then_as_before() -> None:
 def test_ray_tracers_follow_the_switch() -> None:
     import drjit
 
-    from hir_plugins.reflectance_renderers.variant import mitsuba_on
+    from hir_plugins.reflectance_renderers.mitsuba_variant import mitsuba_on
 
     with determinism(True):
         mitsuba_on("cpu")

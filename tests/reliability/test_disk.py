@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 from hir_exporters.errors import HirError
-from hir_exporters.scene_files import load_scene, save_scene
+from hir_exporters.scene_format import load_scene, save_scene
 
 from hir_core.pipeline import Run
-from hir_core.run_directory import STAGES, RunDirectory
+from hir_core.run.run_directory import STAGES, RunDirectory
 from tests.reliability import seeds
 
 MOST_SCENE = 3 << 20
@@ -82,7 +82,7 @@ def test_a_read_only_folder_is_one_sentence(tiny_capture: Path, quick: Callable[
 
 @pytest.mark.skipif(sys.platform != "linux", reason="/dev/full")
 def test_a_log_on_a_full_disk_loses_its_line_and_not_the_run(tmp_path: Path) -> None:
-    from hir_core.run_log import write_log
+    from hir_core.run.run_log import write_log
 
     (tmp_path / "log.txt").symlink_to("/dev/full")
     write_log(tmp_path / "log.txt", "a sentence")

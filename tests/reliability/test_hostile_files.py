@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hir_exporters.errors import HirError
-from hir_exporters.images import encode_png, read_exr, read_hdr, read_ldr
-from hir_exporters.mesh_files import load_mesh_asset
+from hir_exporters.reading.mesh_import import load_mesh_asset
+from hir_exporters.textures.image_files import encode_png, read_exr, read_hdr, read_ldr
 
-from hir_plugins.initializers.mesh_file import load_mesh
-from hir_plugins.readers.pose_files import load_arrays
+from hir_plugins.initializers.existing_mesh.mesh_file import load_mesh
+from hir_plugins.readers.parsing.pose_files import load_arrays
 from tests.reliability import seeds
 
 SECRET = encode_png(np.full((2, 2, 3), 0.75, np.float32))
@@ -66,12 +66,14 @@ def triangle_gltf(**more: object) -> dict[str, object]:
     uri = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
     return {
         "asset": {"version": "2.0"},
-        "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
         "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
         "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}],
         "bufferViews": [{"buffer": 0, "byteLength": 36}],
         "buffers": [{"uri": uri, "byteLength": 36}],
-    } | more  # fmt: skip
+    } | more
 
 
 def _buffer_outside(folder: Path) -> Path:
@@ -83,9 +85,10 @@ def _buffer_outside(folder: Path) -> Path:
 def _image_outside(folder: Path) -> Path:
     path = folder / "a.gltf"
     document = triangle_gltf(
-        images=[{"uri": "../secret.png"}], textures=[{"source": 0}],
+        images=[{"uri": "../secret.png"}],
+        textures=[{"source": 0}],
         materials=[{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}],
-    )  # fmt: skip
+    )
     document["meshes"] = [{"primitives": [{"attributes": {"POSITION": 0}, "material": 0}]}]
     path.write_text(json.dumps(document))
     return path
@@ -227,7 +230,7 @@ class Trap:
 
 
 def test_pickles_in_data_are_not_opened(tmp_path: Path) -> None:
-    from hir_core.checkpoint import read_arrays
+    from hir_core.optimization.checkpoints import read_arrays
 
     Trap.place = str(tmp_path / "sprung")
     trap = np.array([Trap()], dtype=object)
@@ -243,7 +246,7 @@ def test_pickles_in_data_are_not_opened(tmp_path: Path) -> None:
 
 def test_settings_name_what_exists_and_import_nothing_by_themselves(tmp_path: Path) -> None:
     from hir_core.config import load_config
-    from hir_core.manager import PluginManager
+    from hir_core.plugins.manager import PluginManager
 
     (tmp_path / "evil.py").write_text(f"import os; os.mkdir({str(tmp_path / 'sprung')!r})")
     (tmp_path / "a.toml").write_text('[geometry]\nrenderer = "evil:run"\n')
@@ -254,8 +257,8 @@ def test_settings_name_what_exists_and_import_nothing_by_themselves(tmp_path: Pa
 
 def test_a_playlist_that_calls_itself_a_video_opens_nothing(capture: Path) -> None:
     pytest.importorskip("av", reason="videos are read by PyAV: pip install av")
-    from hir_core.manager import PluginManager
-    from hir_core.readers import read_capture
+    from hir_core.intake.reader_lookup import read_capture
+    from hir_core.plugins.manager import PluginManager
 
     seeds.video(capture.parent)
     (capture.parent / "clip.mp4").rename(capture.parent / "secret.mp4")
@@ -272,8 +275,8 @@ def test_a_playlist_that_calls_itself_a_video_opens_nothing(capture: Path) -> No
 def test_what_the_fuzzer_found_stays_mended(tmp_path: Path) -> None:
     """A preset that is a list, a photograph's name of 5000 letters, vertices of one number, indices from elsewhere."""
     from hir_core.config import load_config
-    from hir_core.manager import PluginManager
-    from hir_core.readers import read_capture
+    from hir_core.intake.reader_lookup import read_capture
+    from hir_core.plugins.manager import PluginManager
 
     plugins = PluginManager.discover()
     for preset in ("preset = []", "preset = {}", "preset = 3"):

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from hir_core.interrupt import PATIENCE_SECONDS
-from hir_core.run_directory import STAGES, RunDirectory
+from hir_core.run.interrupt import PATIENCE_SECONDS
+from hir_core.run.run_directory import STAGES, RunDirectory
 from tests.pipeline.conftest import QUICK
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals")
@@ -24,7 +24,7 @@ LIMIT_SECONDS = 2.0
 NATIVE = """
 import sys
 from hir_core.cli.app import _leave
-from hir_core.interrupt import remember_interrupts
+from hir_core.run.interrupt import remember_interrupts
 
 remember_interrupts(_leave)
 import torch
@@ -58,9 +58,19 @@ def test_any_moment_of_a_run_ends_in_time_and_resumes(tiny_capture: Path, tmp_pa
     """Twelve moments of runs that go on after each; one that has ended makes room for the next."""
     settings = [word for assignment in QUICK for word in ("--set", assignment)]
     words = [
-        sys.executable, "-m", "hir_core.cli", "reconstruct", str(tiny_capture), "-o", str(tmp_path / "run"), *settings,
-        "--resume", "--deterministic", "--set", "checkpoint_seconds=0.2",
-    ]  # fmt: skip
+        sys.executable,
+        "-m",
+        "hir_core.cli",
+        "reconstruct",
+        str(tiny_capture),
+        "-o",
+        str(tmp_path / "run"),
+        *settings,
+        "--resume",
+        "--deterministic",
+        "--set",
+        "checkpoint_seconds=0.2",
+    ]
     draw, slowest, interrupted = random.Random(0), 0.0, 0
     for _ in range(12):
         with subprocess.Popen(words, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True) as child:

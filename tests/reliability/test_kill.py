@@ -10,9 +10,9 @@ import time
 from pathlib import Path
 
 import pytest
-from hir_exporters.atomic import atomic_directory, atomic_path, is_partial
+from hir_exporters.files.atomic import atomic_directory, atomic_path, is_partial
 
-from hir_core.run_directory import RunDirectory, claimed_run
+from hir_core.run.run_directory import RunDirectory, claimed_run
 from tests.pipeline.conftest import QUICK
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -21,9 +21,12 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals and fork")
 
 def _kill_test(*words: str) -> str:
     done = subprocess.run(
-        [sys.executable, ROOT / "tools" / "kill_test.py", *words], capture_output=True, text=True, timeout=1800,
+        [sys.executable, ROOT / "tools" / "kill_test.py", *words],
+        capture_output=True,
+        text=True,
+        timeout=1800,
         env=os.environ | {"OMP_NUM_THREADS": "1"},
-    )  # fmt: skip
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
@@ -81,7 +84,8 @@ def test_a_second_process_on_one_run_is_refused(tiny_capture: Path, tmp_path: Pa
 def test_what_a_killed_write_leaves_is_removed_and_never_read(tmp_path: Path) -> None:
     """A process that dies between the temporary file and its rename."""
     code = (
-        "import os, sys\nfrom pathlib import Path\nfrom hir_exporters.atomic import atomic_path, atomic_directory\n"
+        "import os, sys\nfrom pathlib import Path\n"
+        "from hir_exporters.files.atomic import atomic_path, atomic_directory\n"
         "place = Path(sys.argv[1])\n"
         "with atomic_directory(place / 'stages') as folder:\n"
         "    (folder / 'half').write_text('half')\n"

@@ -12,12 +12,12 @@ import pytest
 import torch
 
 from hir_core.cli.progress_bar import ProgressBar
-from hir_core.listener import Listener
-from hir_core.machine import return_freed_memory
-from hir_core.manager import PluginManager
-from hir_core.optimize import Schedule, optimize
-from hir_core.progress import Progress
-from hir_core.run_log import BACKUPS, MOST_BYTES, write_log
+from hir_core.optimization.optimization_loop import Schedule, optimize
+from hir_core.plugins.manager import PluginManager
+from hir_core.plugins.progress import Progress
+from hir_core.run.machine import return_freed_memory
+from hir_core.run.progress_listener import Listener
+from hir_core.run.run_log import BACKUPS, MOST_BYTES, write_log
 
 
 def resident_bytes() -> int:
@@ -82,8 +82,11 @@ def test_5000_steps_of_the_loop_keep_their_memory() -> None:
 
     optimize(
         lambda _: {"far": (x - 1).square().sum(), "flat": x.abs().sum()},
-        torch.optim.Adam([x], 0.01), Schedule(5000), stage="test", after_step=after,
-    )  # fmt: skip
+        torch.optim.Adam([x], 0.01),
+        Schedule(5000),
+        stage="test",
+        after_step=after,
+    )
     # curves grow by 3 scalars of 4 bytes a step
     assert sizes[-1] - sizes[0] < 4 << 20, sizes
 
@@ -91,8 +94,8 @@ def test_5000_steps_of_the_loop_keep_their_memory() -> None:
 PATH_TRACER = """
 import gc, sys
 import torch
-from hir_core.interfaces import ReflectanceRenderer
-from hir_core.manager import PluginManager
+from hir_core.plugins.interfaces import ReflectanceRenderer
+from hir_core.plugins.manager import PluginManager
 from hir_core.testing.scenes import bumpy_scene, looking_at
 from hir_core.capture import Capture, View
 from pathlib import Path
@@ -127,9 +130,13 @@ print(*sizes)
 def test_5000_steps_of_a_renderer_leave_nothing_in_its_compilers_caches(renderer: str) -> None:
     root = Path(__file__).resolve().parents[2]
     done = subprocess.run(
-        [sys.executable, "-c", PATH_TRACER, renderer, "5000"], capture_output=True, text=True, cwd=root, check=True,
+        [sys.executable, "-c", PATH_TRACER, renderer, "5000"],
+        capture_output=True,
+        text=True,
+        cwd=root,
+        check=True,
         env={**__import__("os").environ, "PYTHONPATH": str(root)},
-    )  # fmt: skip
+    )
     sizes = [int(word) for word in done.stdout.split()]
     assert len(sizes) == 5
     assert sizes[-1] - sizes[0] < 32 << 20, [size >> 20 for size in sizes]

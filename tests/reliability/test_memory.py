@@ -12,14 +12,15 @@ from pathlib import Path
 
 import pytest
 
+from hir_core.capture.capture_size import CaptureSize
+from hir_core.capture.pixel_cache import PixelCache
 from hir_core.config import RunConfig, load_config
 from hir_core.errors import ConfigError, StageError
-from hir_core.machine import return_freed_memory
-from hir_core.manager import PluginManager
-from hir_core.memory import CaptureSize, parse_size, plan_memory
 from hir_core.pipeline import Run
-from hir_core.pixel_cache import PixelCache
-from hir_core.run_directory import STAGES
+from hir_core.plugins.manager import PluginManager
+from hir_core.run.machine import return_freed_memory
+from hir_core.run.memory_plan import parse_size, plan_memory
+from hir_core.run.run_directory import STAGES
 from tests.reliability.test_long_runs import resident_bytes
 
 PLUGINS = PluginManager.discover()
@@ -74,8 +75,8 @@ def test_a_run_says_and_writes_what_it_shrank(
     tiny_capture: Path, quick: Callable[..., Run], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A capture of 64×64 pixels fits into anything: decoded pixels are counted as a thousand times as many bytes."""
-    monkeypatch.setattr("hir_core.memory.DECODED", 17_000)
-    monkeypatch.setattr("hir_core.memory.LEAST_CACHE", 1000)
+    monkeypatch.setattr("hir_core.run.memory_plan.DECODED", 17_000)
+    monkeypatch.setattr("hir_core.run.memory_plan.LEAST_CACHE", 1000)
     kept: list[int] = []
     plain = PixelCache.__init__
     monkeypatch.setattr(PixelCache, "__init__", lambda self, most: (kept.append(most), plain(self, most))[1])
@@ -111,9 +112,11 @@ def test_freed_memory_goes_back_to_the_system() -> None:
 
 
 FEW_STEPS = (
-    "geometry.iterations=30", "geometry.photograph_iterations=10", "reflectance_renderer.transport_ggx.steps=30",
+    "geometry.iterations=30",
+    "geometry.photograph_iterations=10",
+    "reflectance_renderer.transport_ggx.steps=30",
     "checkpoint_seconds=10",
-)  # fmt: skip
+)
 """Memory is that of full length: batches, caches and unknowns are the same in every step."""
 
 
@@ -121,11 +124,25 @@ FEW_STEPS = (
 @pytest.mark.skipif(sys.platform == "win32", reason="no peak of memory is told")
 def test_300_views_of_512_take_at_most_4_gigabytes(shared: Path, tmp_path: Path) -> None:
     """docs/reliability.md has the figures."""
-    from hir_core.bench.captures import stretched
+    from hir_plugins.commands.bench.inputs.bench_captures import stretched
 
     capture = stretched(shared / "captures" / "spot", tmp_path / "capture", 300, 512)
-    words = [sys.executable, "-m", "hir_core.cli", "reconstruct", str(capture), "-o", str(tmp_path / "run"), "-q",
-             "--max-memory", "4GB", "--until", "bake", "--device", "cpu"]  # fmt: skip
+    words = [
+        sys.executable,
+        "-m",
+        "hir_core.cli",
+        "reconstruct",
+        str(capture),
+        "-o",
+        str(tmp_path / "run"),
+        "-q",
+        "--max-memory",
+        "4GB",
+        "--until",
+        "bake",
+        "--device",
+        "cpu",
+    ]
     settings = [word for assignment in FEW_STEPS for word in ("--set", assignment)]
     subprocess.run([*words, *settings], check=True, env=os.environ | {"OMP_NUM_THREADS": "1"})
     stages = json.loads((tmp_path / "run" / "timings.json").read_text())["stages"]

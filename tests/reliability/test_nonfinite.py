@@ -12,25 +12,31 @@ import pytest
 import torch
 
 from hir_core.capture import Capture, Pixels, View
-from hir_core.checkpoint import load_checkpoint
 from hir_core.config import GeometrySettings, ReflectanceSettings
-from hir_core.context import StageContext
 from hir_core.errors import HirError, StageError
-from hir_core.geometry import fit_geometry
-from hir_core.manager import PluginManager
-from hir_core.optimize import PATIENCE_NONFINITE, Keep, Schedule, optimize
-from hir_core.photometric import fit_by_gradient, object_pixels
-from hir_core.reflectance import starting_scene
+from hir_core.optimization.checkpoints import load_checkpoint
+from hir_core.optimization.optimization_loop import PATIENCE_NONFINITE, Keep, Schedule, optimize
+from hir_core.plugins.manager import PluginManager
+from hir_core.run.stage_context import StageContext
 from hir_core.scene import Material, Scene
+from hir_core.scene.frames import unit_similarity
+from hir_core.stages.geometry.geometry_fit import fit_geometry
+from hir_core.stages.reflectance.gradient_fit import fit_by_gradient, object_pixels
+from hir_core.stages.reflectance.reflectance_fit import starting_scene
 from hir_core.testing.captures import tiny_capture
 from hir_core.testing.scenes import sphere
-from hir_core.working_frame import unit_similarity
 from hir_plugins.geometry_renderers.contour import Contour
 
 SETTINGS = GeometrySettings(
-    iterations=30, levels=1, triangles=600, photographs="off", parameterization="vertices", held_out=0.0, prune=False,
+    iterations=30,
+    levels=1,
+    triangles=600,
+    photographs="off",
+    parameterization="vertices",
+    held_out=0.0,
+    prune=False,
     regularizers={"laplacian": {"weight": 0.1}},
-)  # fmt: skip
+)
 
 
 @pytest.fixture(scope="module")
@@ -134,8 +140,8 @@ def _sick_photograph(view: View) -> View:
 def test_a_photograph_of_nan_is_named_or_its_pixels_left_out(
     capture: Capture, context: tuple[StageContext, list[str]]
 ) -> None:
-    from hir_plugins.reflectance_renderers.transport_ggx.photographs import photographed
-    from hir_plugins.reflectance_renderers.transport_ggx.transport import build_transport
+    from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import photographed
+    from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import build_transport
 
     views = list(capture.views)
     views[3] = _sick_photograph(views[3])
@@ -178,7 +184,7 @@ def _fit(capture: Capture, context: StageContext, lamp: Lamp, poison: str = "") 
         texture[1, 2, 0] = torch.nan
         scene = replace(scene, material=replace(scene.material, diffuse_albedo=texture))
     pixels = object_pixels(capture, list(range(8)), 1, "cpu")
-    from hir_core.energies import prepare_energies
+    from hir_core.optimization.weighted_energies import prepare_energies
 
     energies = prepare_energies(scene, {}, context)
     return fit_by_gradient(scene, lamp, pixels, settings, energies, context, steps=40)  # type: ignore[arg-type]

@@ -11,28 +11,28 @@ import numpy as np
 import pytest
 import torch
 from hir_exporters.asset import AssetMaterial
-from hir_exporters.brdf import dielectric_brdf, paper_brdf
 from hir_exporters.conventions import linear_to_srgb, srgb_to_linear
-from hir_exporters.environment import irradiance_harmonics, mean_radiance, rotate_latlong
-from hir_exporters.images import read_ldr, write_png
-from hir_exporters.materials import to_gltf
-from hir_exporters.tangents import corner_tangents
+from hir_exporters.light.environment_map import irradiance_harmonics, mean_radiance, rotate_latlong
+from hir_exporters.materials.brdf_numpy import dielectric_brdf, paper_brdf
+from hir_exporters.materials.material_conversion import to_gltf
+from hir_exporters.mesh.tangents import corner_tangents
+from hir_exporters.textures.image_files import read_ldr, write_png
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from hir_core.capture import Capture, Pixels, View
 from hir_core.config import GeometrySettings
-from hir_core.context import StageContext
-from hir_core.geometry import fit_geometry
-from hir_core.manager import PluginManager
-from hir_core.mesh_checks import inspect_mesh
+from hir_core.mesh.mesh_validity import inspect_mesh
 from hir_core.pipeline import Run
+from hir_core.plugins.manager import PluginManager
+from hir_core.run.stage_context import StageContext
 from hir_core.scene import Mesh, Scene, Topology
-from hir_core.scene_store import load_stage_scene
+from hir_core.scene.frames import unit_similarity
+from hir_core.scene.scene_store import load_stage_scene
+from hir_core.stages.geometry.geometry_fit import fit_geometry
 from hir_core.testing.captures import tiny_capture
 from hir_core.testing.scenes import sphere
-from hir_core.working_frame import unit_similarity
 
 FEW = settings(
     max_examples=6, deadline=None, derandomize=True, database=None, suppress_health_check=[HealthCheck.too_slow]
@@ -194,9 +194,11 @@ def test_conversions_swap_channels_with_the_material(seed: int, profile: str) ->
 
     def convert(channels: list[int]) -> dict[str, object]:
         material = AssetMaterial(
-            model, diffuse[..., channels].astype(np.float32), specular[..., channels].astype(np.float32),
+            model,
+            diffuse[..., channels].astype(np.float32),
+            specular[..., channels].astype(np.float32),
             np.float32(0.3).reshape(()),
-        )  # fmt: skip
+        )
         return vars(to_gltf(material, profile))  # type: ignore[arg-type]
 
     plain, other = convert([0, 1, 2]), convert(list(swap))

@@ -7,10 +7,10 @@ import math
 import mpmath
 import numpy as np
 import torch
-from hir_exporters import brdf as numpy_brdf
+from hir_exporters.materials import brdf_numpy as numpy_brdf
 
-from hir_plugins.reflectance_renderers import brdf
-from hir_plugins.reflectance_renderers.transport_ggx.lobes import frame, visible_normal
+from hir_plugins.reflectance_renderers import brdf_torch
+from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes import frame, visible_normal
 from tests.stability.case import Case
 
 _GGX = "a*a / (pi * (c*c*(a*a - 1) + 1)**2)"
@@ -46,10 +46,10 @@ def _narrow_lobes() -> list[Case]:
         cases.append(
             Case(
                 "reflectance",
-                "hir_plugins.reflectance_renderers.brdf.ggx_d",
+                "hir_plugins.reflectance_renderers.brdf_torch.ggx_d",
                 f"α = {alpha:g}, half vector {angle:g} rad off the normal",
                 "the peak of a lobe narrower than 1 − cos θ resolves",
-                lambda a=alpha, c=cosine, s=squared: brdf.ggx_d(_t(float(c)), _t(a), _t(float(s))),
+                lambda a=alpha, c=cosine, s=squared: brdf_torch.ggx_d(_t(float(c)), _t(a), _t(float(s))),
                 _GGX,
                 _GGX_TRUTH,
                 {"a": alpha, "c": float(cosine)},
@@ -62,7 +62,7 @@ def _narrow_lobes() -> list[Case]:
         cases.append(
             Case(
                 "export",
-                "hir_exporters.brdf.ggx_distribution",
+                "hir_exporters.materials.brdf_numpy.ggx_distribution",
                 f"float64, α = {alpha:g}, half vector {angle:g} rad off",
                 "the peak to 10 digits",
                 lambda a=alpha, c=cosine64: numpy_brdf.ggx_distribution(c, a),
@@ -83,10 +83,10 @@ def _grazing() -> list[Case]:
         cases.append(
             Case(
                 "reflectance",
-                "hir_plugins.reflectance_renderers.brdf.specular_lobe",
+                "hir_plugins.reflectance_renderers.brdf_torch.specular_lobe",
                 f"α = {alpha:g}, n·i = {i:g}, n·o = {o:g}",
                 "finite: n·o cancels",
-                lambda v=values: brdf.specular_lobe(_t(v["a"]), _t(v["i"]), _t(v["o"]), _t(v["c"])),
+                lambda v=values: brdf_torch.specular_lobe(_t(v["a"]), _t(v["i"]), _t(v["o"]), _t(v["c"])),
                 _LOBE,
                 _LOBE_TRUTH if i else 0.0,
                 values,
@@ -98,7 +98,7 @@ def _grazing() -> list[Case]:
         cases.append(
             Case(
                 "export",
-                "hir_exporters.brdf.smith_visibility",
+                "hir_exporters.materials.brdf_numpy.smith_visibility",
                 f"α = {alpha:g}, n·i = {i:g}, n·o = {o:g}",
                 "finite: both cosines cancel",
                 lambda v=values: numpy_brdf.smith_visibility(*(float(np.float32(v[k])) for k in "ioa")),
@@ -115,7 +115,7 @@ def _grazing() -> list[Case]:
         cases.append(
             Case(
                 "export",
-                "hir_exporters.brdf.half_vector_cosines",
+                "hir_exporters.materials.brdf_numpy.half_vector_cosines",
                 f"opposite directions {name}: no half vector",
                 "n·h = h·o = 0",
                 lambda i=i, o=o: np.array(numpy_brdf.half_vector_cosines(i, o)[2:]),
@@ -128,7 +128,7 @@ def _grazing() -> list[Case]:
         cases.append(
             Case(
                 "reflectance",
-                "hir_plugins.reflectance_renderers.transport_ggx.lobes.visible_normal",
+                "hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes.visible_normal",
                 f"α = {alpha:g}, seen along the surface, the last point of the cap",
                 "a unit vector above the surface",
                 lambda a=alpha: _last_normal(a),
@@ -163,7 +163,7 @@ def _frames() -> list[Case]:
         cases.append(
             Case(
                 "reflectance",
-                "hir_plugins.reflectance_renderers.transport_ggx.lobes.frame",
+                "hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes.frame",
                 f"normal {tilt:g} rad from −z, where a frame of one sign has its pole",
                 "tangents at right angles, of length 1",
                 lambda n=normal: _skew(*(v[0].numpy() for v in frame(torch.from_numpy(n)[None])), n),
@@ -193,7 +193,7 @@ def _albedo() -> list[Case]:
 
         def slope(c: float = cosine, a: float = alpha, ours: bool = True) -> float:
             cos, width = (torch.tensor(v, requires_grad=True) for v in (c, a))
-            value = sum(brdf.directional_albedo_terms(cos, width)) if ours else cos.sqrt() * (1 - width.sqrt())
+            value = sum(brdf_torch.directional_albedo_terms(cos, width)) if ours else cos.sqrt() * (1 - width.sqrt())
             value.backward()
             grads = torch.stack([cos.grad, width.grad])
             return float((~torch.isfinite(grads)).sum())
@@ -202,7 +202,7 @@ def _albedo() -> list[Case]:
             cases.append(
                 Case(
                     "reflectance",
-                    "hir_plugins.reflectance_renderers.brdf.directional_albedo_terms",
+                    "hir_plugins.reflectance_renderers.brdf_torch.directional_albedo_terms",
                     f"gradient at n·o = {cosine:g}, α = {alpha:g} of a table even in √(n·o)",
                     "0 gradients that are not finite",
                     slope,

@@ -7,14 +7,14 @@ import math
 import numpy as np
 import torch
 from hir_exporters.conventions import linear_to_srgb, srgb_to_linear
-from hir_exporters.images import quantize
-from hir_exporters.rgbe import decode_rgbe, encode_rgbe
-from hir_exporters.texture_maps import normal_to_unorm8, srgb8, unorm8
+from hir_exporters.textures.image_files import quantize
+from hir_exporters.textures.rgbe import decode_rgbe, encode_rgbe
+from hir_exporters.textures.texture_maps import normal_to_unorm8, srgb8, unorm8
 
-from hir_core import srgb
 from hir_core.capture import Pixels
 from hir_core.metrics import psnr, unassociate
-from hir_core.report_pictures import light_picture
+from hir_core.report.rendered_pictures import light_picture
+from hir_core.scene import srgb
 from tests.stability.case import Case
 
 _WHERE = "np.where(x <= .0031308, 12.92 x, 1.055 x**(1/2.4) − .055), differentiated on both sides"
@@ -52,7 +52,7 @@ def _curves() -> list[Case]:
         cases.append(
             Case(
                 "reflectance",
-                "hir_core.srgb.linear_to_srgb",
+                "hir_core.scene.srgb.linear_to_srgb",
                 f"gradient at {x:g}",
                 "12.92 at black, 0 below",
                 lambda x=x: _slope(srgb.linear_to_srgb, x),
@@ -64,7 +64,7 @@ def _curves() -> list[Case]:
         cases.append(
             Case(
                 "reflectance",
-                "hir_core.srgb.srgb_slope",
+                "hir_core.scene.srgb.srgb_slope",
                 f"slope at {x:g}",
                 "12.92",
                 lambda x=x: srgb.srgb_slope(torch.tensor(x)),
@@ -92,7 +92,7 @@ def _codes() -> list[Case]:
         cases.append(
             Case(
                 "export",
-                "hir_exporters.images.quantize",
+                "hir_exporters.textures.image_files.quantize",
                 f"8 bits of {x:g}",
                 "clipped, not wrapped",
                 lambda x=x: quantize(np.float32([x])),
@@ -104,7 +104,7 @@ def _codes() -> list[Case]:
     cases.append(
         Case(
             "export",
-            "hir_exporters.texture_maps.srgb8",
+            "hir_exporters.textures.texture_maps.srgb8",
             "sRGB code of linear 1.5",
             "clipped, not wrapped",
             lambda: srgb8(np.full((1, 1, 3), 1.5, np.float32)).ravel(),
@@ -118,7 +118,7 @@ def _codes() -> list[Case]:
     cases.append(
         Case(
             "export",
-            "hir_exporters.texture_maps.unorm8",
+            "hir_exporters.textures.texture_maps.unorm8",
             "a roughness of 1.0000001",
             "255",
             lambda: unorm8(
@@ -133,7 +133,7 @@ def _codes() -> list[Case]:
     cases.append(
         Case(
             "export",
-            "hir_exporters.texture_maps.normal_to_unorm8",
+            "hir_exporters.textures.texture_maps.normal_to_unorm8",
             "(0, 0, 1.01): longer than 1 by rounding",
             "blue 255",
             lambda: float(normal_to_unorm8(normal * np.float32(1.01))[0, 0, 2]),
@@ -151,7 +151,7 @@ def _rgbe() -> list[Case]:
         cases.append(
             Case(
                 "export",
-                "hir_exporters.rgbe.encode_rgbe",
+                "hir_exporters.textures.rgbe.encode_rgbe",
                 f"{x:.6g}: the mantissa rounds up to 256",
                 "the next exponent",
                 lambda x=x: _round_trip(x),
@@ -170,7 +170,7 @@ def _rgbe() -> list[Case]:
         cases.append(
             Case(
                 "export",
-                "hir_exporters.rgbe.encode_rgbe",
+                "hir_exporters.textures.rgbe.encode_rgbe",
                 f"{x:g}: {note}",
                 f"{true:g}",
                 lambda x=x: _round_trip(x),
@@ -202,7 +202,7 @@ def _pictures() -> list[Case]:
     return [
         Case(
             "reflectance",
-            "hir_core.report_pictures.light_picture",
+            "hir_core.report.rendered_pictures.light_picture",
             "a black light",
             "black",
             lambda: light_picture(black).max(),

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from hir_exporters.brdf_slice import brdf_slice, relative_error
+from hir_exporters.materials.brdf_slice import brdf_slice, relative_error
 
 from hir_core.capture import Camera, Pixels, View
-from hir_core.large_steps import UniformAdam
+from hir_core.mesh.large_steps import UniformAdam
 from hir_core.metrics import ChannelScale
-from hir_core.optimize import Schedule
-from hir_core.photo_consistency import _detail
-from hir_core.photo_refinement import _gain
-from hir_core.progress import Progress
+from hir_core.optimization.optimization_loop import Schedule
+from hir_core.plugins.progress import Progress
 from hir_core.scene import Mesh, Topology
-from hir_core.selection import compare, decibels
-from hir_core.working_frame import unit_similarity
+from hir_core.scene.frames import unit_similarity
+from hir_core.stages.geometry.photo_consistency import _detail
+from hir_core.stages.geometry.photo_refinement import _gain
+from hir_core.stages.reflectance.model_selection import compare, decibels
 from hir_plugins.regularizers.total_variation import environment_variation
 from tests.stability.case import Case
 
@@ -25,7 +25,7 @@ def _votes() -> list[Case]:
     return [
         Case(
             "reflectance",
-            "hir_core.selection.decibels",
+            "hir_core.stages.reflectance.model_selection.decibels",
             "an error of 0",
             "120 dB",
             lambda: decibels(zero),
@@ -35,7 +35,7 @@ def _votes() -> list[Case]:
         ),
         Case(
             "reflectance",
-            "hir_core.selection.compare",
+            "hir_core.stages.reflectance.model_selection.compare",
             "one held-out view",
             "a gain, and no NaN for its noise",
             lambda: float(np.isnan(compare(one, one / 2)[1])),
@@ -45,7 +45,7 @@ def _votes() -> list[Case]:
         ),
         Case(
             "geometry",
-            "hir_core.photo_refinement._gain",
+            "hir_core.stages.geometry.photo_refinement._gain",
             "views that could compare nothing",
             "no gain, no noise",
             lambda: _gain(np.array([np.nan, 0.2]), np.array([0.1, np.nan])),
@@ -55,7 +55,7 @@ def _votes() -> list[Case]:
         ),
         Case(
             "geometry",
-            "hir_core.photo_refinement._gain",
+            "hir_core.stages.geometry.photo_refinement._gain",
             "views without any disagreement before",
             "no gain, no noise",
             lambda: _gain(np.zeros(3), np.zeros(3)),
@@ -65,7 +65,7 @@ def _votes() -> list[Case]:
         ),
         Case(
             "geometry",
-            "hir_core.optimize.Schedule",
+            "hir_core.optimization.optimization_loop.Schedule",
             "a schedule that is all warm-up",
             "its last rate",
             lambda: Schedule(5, warmup=5, end=0.1)(5),
@@ -75,7 +75,7 @@ def _votes() -> list[Case]:
         ),
         Case(
             "geometry",
-            "hir_core.progress.Progress.seconds_left",
+            "hir_core.plugins.progress.Progress.seconds_left",
             "before the first step",
             "0",
             lambda: Progress("x", 0, 10, 1.0).seconds_left,
@@ -107,7 +107,7 @@ def _pictures() -> list[Case]:
     cases = [
         Case(
             "geometry",
-            "hir_core.photo_consistency._detail",
+            "hir_core.stages.geometry.photo_consistency._detail",
             f"a photograph {name}",
             "0 values that are not finite",
             lambda v=view: float((~torch.isfinite(_detail(v, 1)[0])).sum()),
@@ -135,7 +135,7 @@ def _pictures() -> list[Case]:
         ),
         Case(
             "export",
-            "hir_exporters.brdf_slice.relative_error",
+            "hir_exporters.materials.brdf_slice.relative_error",
             "a black surface written as black",
             "0",
             lambda: relative_error(slices, np.zeros(shape), np.zeros(shape)),
@@ -162,7 +162,7 @@ def _pictures() -> list[Case]:
         cases.append(
             Case(
                 "initialization",
-                "hir_core.working_frame.unit_similarity",
+                "hir_core.scene.frames.unit_similarity",
                 f"a mesh of size 16 at {offset:g}",
                 "radius 1 about the origin",
                 lambda u=used, m=moved: np.linalg.norm(u @ m[:3, :3].T + m[:3, 3], axis=1).max(),
@@ -217,7 +217,7 @@ def _steps() -> list[Case]:
         cases.append(
             Case(
                 "geometry",
-                "hir_core.large_steps.UniformAdam.step",
+                "hir_core.mesh.large_steps.UniformAdam.step",
                 f"a first gradient of {size:g}",
                 "one step of the rate, whatever the gradient's size" if size else "no step",
                 lambda g=size: _adam_step(g),

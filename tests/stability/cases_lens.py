@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from hir_core.capture import Camera, similarity_scale
-from hir_core.lens import Lens
+from hir_core.capture.lens import Lens
 from hir_core.testing.captures import similarity_between
-from hir_plugins.initializers.mesh_alignment import _unit
-from hir_plugins.readers.camera_axes import rigid, rigid_inverse
-from hir_plugins.readers.colmap_files import quaternion_rotation
-from hir_plugins.readers.pose_files import decompose_projection
-from hir_plugins.readers.upright import upright
+from hir_plugins.initializers.existing_mesh.mesh_alignment import _unit
+from hir_plugins.readers.parsing.camera_axes import rigid, rigid_inverse
+from hir_plugins.readers.parsing.colmap_files import quaternion_rotation
+from hir_plugins.readers.parsing.pose_files import decompose_projection
+from hir_plugins.readers.parsing.upright import upright
 from tests.stability.case import Case
 
 _PINHOLE = (100.0, 100.0, 50.0, 50.0)
@@ -24,7 +24,7 @@ def _lenses() -> list[Case]:
         cases.append(
             Case(
                 "initialization",
-                "hir_core.lens.Lens.distort",
+                "hir_core.capture.lens.Lens.distort",
                 f"fisheye, {r:g} off the axis",
                 "θ/r is 1 on the axis",
                 lambda r=r, lens=lens: lens.distort(np.array([[r, 0.0]]))[0, 0] - 50.0,
@@ -56,7 +56,7 @@ def _rotations() -> list[Case]:
         cases.append(
             Case(
                 "initialization",
-                "hir_plugins.readers.colmap_files.quaternion_rotation",
+                "hir_plugins.readers.parsing.colmap_files.quaternion_rotation",
                 f"a quaternion of length {np.linalg.norm(q):.3g}",
                 "a rotation: RᵀR = 1",
                 lambda q=q: np.abs((r := quaternion_rotation(np.array(q))).T @ r - np.eye(3)).max(),
@@ -73,7 +73,7 @@ def _rotations() -> list[Case]:
         cases.append(
             Case(
                 "initialization",
-                "hir_plugins.readers.camera_axes.rigid",
+                "hir_plugins.readers.parsing.camera_axes.rigid",
                 f"axes of length {scale:g} in float32",
                 "a rotation to 1e-12: RᵀR = 1",
                 lambda m=matrix: np.abs((r := rigid(m, "it")[:3, :3]).T @ r - np.eye(3)).max(),
@@ -88,7 +88,7 @@ def _rotations() -> list[Case]:
     cases.append(
         Case(
             "initialization",
-            "hir_plugins.readers.camera_axes.rigid_inverse",
+            "hir_plugins.readers.parsing.camera_axes.rigid_inverse",
             "a camera 2·10⁷ m from the origin",
             "the rotation's transpose, exactly",
             lambda: rigid_inverse(pose)[:3, :3],
@@ -105,7 +105,7 @@ def _rotations() -> list[Case]:
         cases.append(
             Case(
                 "initialization",
-                "hir_plugins.readers.pose_files.decompose_projection",
+                "hir_plugins.readers.parsing.pose_files.decompose_projection",
                 f"a projection times {factor:g}",
                 "positive focal lengths, a right-handed camera",
                 lambda m=projection: [
@@ -176,7 +176,7 @@ def _similarities() -> list[Case]:
     cases.append(
         Case(
             "initialization",
-            "hir_plugins.initializers.mesh_alignment._unit",
+            "hir_plugins.initializers.existing_mesh.mesh_alignment._unit",
             "points all in one place",
             "their place, at scale 1",
             lambda: _unit(same),
@@ -195,7 +195,7 @@ def _similarities() -> list[Case]:
         cases.append(
             Case(
                 "initialization",
-                "hir_plugins.readers.upright.upright",
+                "hir_plugins.readers.parsing.upright.upright",
                 f"cameras {name}",
                 "a rotation: RᵀR = 1",
                 lambda p=poses: np.abs((r := upright(p)[:3, :3]).T @ r - np.eye(3)).max(),

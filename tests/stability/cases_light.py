@@ -8,11 +8,11 @@ import mpmath
 import numpy as np
 import torch
 from hir_exporters.conventions import direction_to_latlong_uv, latlong_solid_angles
-from hir_exporters.environment import mean_radiance, resample_latlong, rotate_latlong
-from hir_exporters.prefilter import even_roughness, filament_roughness
+from hir_exporters.light.environment_map import mean_radiance, resample_latlong, rotate_latlong
+from hir_exporters.light.prefilter import even_roughness, filament_roughness
 
-from hir_plugins.reflectance_renderers.transport_ggx import pyramid
-from hir_plugins.reflectance_renderers.transport_ggx.unknowns import LIGHT_LIMIT, Unknowns, width_of
+from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import LIGHT_LIMIT, Unknowns, width_of
+from hir_plugins.reflectance_renderers.transport_ggx.operator import light_pyramid
 from tests.stability.case import Case
 
 _V = "acos(y) / pi"
@@ -44,10 +44,10 @@ def _poles() -> list[Case]:
             cases.append(
                 Case(
                     "reflectance",
-                    "hir_plugins.reflectance_renderers.transport_ggx.pyramid.latlong",
+                    "hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid.latlong",
                     where,
                     "v to 6 digits",
-                    lambda d=d: pyramid.latlong(torch.from_numpy(d)[None])[1][0],
+                    lambda d=d: light_pyramid.latlong(torch.from_numpy(d)[None])[1][0],
                     _V,
                     truth,
                     {"y": float(d[1])},
@@ -99,7 +99,7 @@ def _suns() -> list[Case]:
         cases.append(
             Case(
                 "export",
-                "hir_exporters.environment.resample_latlong",
+                "hir_exporters.light.environment_map.resample_latlong",
                 f"a sun of one pixel {name}, halved",
                 "the light's energy",
                 lambda s=sun: mean_radiance(resample_latlong(s, 16, 32)),
@@ -112,10 +112,10 @@ def _suns() -> list[Case]:
         cases.append(
             Case(
                 "reflectance",
-                "hir_plugins.reflectance_renderers.transport_ggx.pyramid.Pyramid.flatten",
+                "hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid.Pyramid.flatten",
                 f"a sun of one pixel {name}",
                 "the light's energy at every level",
-                lambda s=sun: _levels(pyramid.Pyramid(32, 64).flatten(torch.from_numpy(s).double()).numpy()),
+                lambda s=sun: _levels(light_pyramid.Pyramid(32, 64).flatten(torch.from_numpy(s).double()).numpy()),
                 lambda s=sun: _levels(_plain_pyramid(s)),
                 lambda b=before: np.full(5, b[0]),
                 tolerance=1e-9,
@@ -130,7 +130,7 @@ def _suns() -> list[Case]:
         cases.append(
             Case(
                 "export",
-                "hir_exporters.environment.rotate_latlong",
+                "hir_exporters.light.environment_map.rotate_latlong",
                 f"a sun of one pixel turned by {degrees:g}°",
                 "the light's energy",
                 lambda t=turn: mean_radiance(rotate_latlong(sun, t)),
@@ -146,7 +146,7 @@ def _suns() -> list[Case]:
     cases.append(
         Case(
             "export",
-            "hir_exporters.environment.rotate_latlong",
+            "hir_exporters.light.environment_map.rotate_latlong",
             "a light without green and blue",
             "0, not 0/0",
             lambda: mean_radiance(rotate_latlong(red, turn)),
@@ -175,7 +175,7 @@ def _suns() -> list[Case]:
 
 def _levels(flat: np.ndarray) -> np.ndarray:
     means, start = [], 0
-    for height, width in pyramid.Pyramid(32, 64).shapes:
+    for height, width in light_pyramid.Pyramid(32, 64).shapes:
         means.append(mean_radiance(flat[start : start + height * width].reshape(height, width, 3))[0])
         start += height * width
     return np.array(means)
@@ -204,7 +204,7 @@ def _limits() -> list[Case]:
     cases = [
         Case(
             "reflectance",
-            "hir_plugins.reflectance_renderers.transport_ggx.unknowns.Unknowns.radiance",
+            "hir_plugins.reflectance_renderers.transport_ggx.fit.parameters.Unknowns.radiance",
             f"a logarithm of {x:g}",
             "held at 1e5",
             lambda x=x: unknowns(x).radiance.max(),
@@ -218,7 +218,7 @@ def _limits() -> list[Case]:
     cases += [
         Case(
             "reflectance",
-            "hir_plugins.reflectance_renderers.transport_ggx.unknowns.width_of",
+            "hir_plugins.reflectance_renderers.transport_ggx.fit.parameters.width_of",
             f"a width α of {a:g}",
             "a slope is left: within ±6.91",
             lambda a=a: width_of(torch.tensor(a)),
@@ -232,7 +232,7 @@ def _limits() -> list[Case]:
     cases += [
         Case(
             "export",
-            f"hir_exporters.prefilter.{f.__name__}",
+            f"hir_exporters.light.prefilter.{f.__name__}",
             "one level",
             "roughness 0",
             lambda f=f: f(0, 1),

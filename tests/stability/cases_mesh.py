@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from hir_core.plugin import NoOptions
+from hir_core.plugins import NoOptions
 from hir_core.scene import Mesh, Scene, Topology
-from hir_plugins.initializers.vertex_colors import vertex_normals
+from hir_plugins.initializers.surface.vertex_colors import vertex_normals
 from hir_plugins.regularizers.edge_length import EdgeLength
 from hir_plugins.regularizers.laplacian import Laplacian, mesh_laplacian
 from hir_plugins.regularizers.mesh_options import EdgeLengthOptions, LaplacianOptions
@@ -82,7 +82,7 @@ def _normals() -> list[Case]:
     cases.append(
         Case(
             "initialization",
-            "hir_plugins.initializers.vertex_colors.vertex_normals",
+            "hir_plugins.initializers.surface.vertex_colors.vertex_normals",
             "a triangle without area",
             "0 values that are not finite",
             lambda: float((~np.isfinite(vertex_normals(flat[[1, 2, 3]], np.array([[0, 1, 2]])))).sum()),

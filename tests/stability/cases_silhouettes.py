@@ -9,8 +9,8 @@ import torch
 
 from hir_core.capture import Camera
 from hir_core.scene import Mesh, Topology
-from hir_core.silhouettes import SilhouetteTargets, intersection_over_union
-from hir_core.view_trust import ViewTrust
+from hir_core.scene.silhouette_targets import SilhouetteTargets, intersection_over_union
+from hir_core.stages.geometry.robust_view_weights import ViewTrust
 from hir_plugins.geometry_renderers.contour import Contour
 from hir_plugins.geometry_renderers.options import ContourOptions
 from tests.stability.case import Case
@@ -123,7 +123,7 @@ def _ratios() -> list[Case]:
     return [
         Case(
             "geometry",
-            "hir_core.silhouettes.intersection_over_union",
+            "hir_core.scene.silhouette_targets.intersection_over_union",
             "an empty silhouette and an empty mask",
             "1",
             lambda: intersection_over_union(zero, zero, zero)[0],
@@ -133,7 +133,7 @@ def _ratios() -> list[Case]:
         ),
         Case(
             "geometry",
-            "hir_core.silhouettes.intersection_over_union",
+            "hir_core.scene.silhouette_targets.intersection_over_union",
             "its gradient there",
             "0 values that are not finite",
             lambda: gradient(intersection_over_union),
@@ -143,7 +143,7 @@ def _ratios() -> list[Case]:
         ),
         Case(
             "geometry",
-            "hir_core.view_trust.ViewTrust.update",
+            "hir_core.stages.geometry.robust_view_weights.ViewTrust.update",
             "views that all fit perfectly",
             "weights of 1",
             lambda: trust.update([0, 1], np.zeros(2), settled=True),

@@ -5,14 +5,18 @@ from __future__ import annotations
 import numpy as np
 import torch
 from hir_exporters.asset import AssetMaterial
-from hir_exporters.engine_models import f0_to_ior, ior_to_f0
-from hir_exporters.materials import to_gltf
+from hir_exporters.materials.material_conversion import to_gltf
+from hir_exporters.materials.target_brdfs import f0_to_ior, ior_to_f0
 
-from hir_core.bake import _unit
-from hir_core.texels import dilate, rasterize
-from hir_plugins.initializers.vertex_colors import _fill, _weighted_median
-from hir_plugins.reflectance_renderers.transport_ggx import pyramid
-from hir_plugins.reflectance_renderers.transport_ggx.textures import TexelEquations, bilinear_texels, solve_texels
+from hir_core.mesh.texel_rasterization import dilate, rasterize
+from hir_core.scene.asset_conversion import _unit
+from hir_plugins.initializers.surface.vertex_colors import _fill, _weighted_median
+from hir_plugins.reflectance_renderers.transport_ggx.operator import light_pyramid
+from hir_plugins.reflectance_renderers.transport_ggx.textures.texel_equations import (
+    TexelEquations,
+    bilinear_texels,
+    solve_texels,
+)
 from tests.stability.case import Case
 
 
@@ -28,7 +32,7 @@ def _charts() -> list[Case]:
         cases.append(
             Case(
                 "export",
-                "hir_core.texels.rasterize",
+                "hir_core.mesh.texel_rasterization.rasterize",
                 f"a chart {name}",
                 "all 64 texels keep an owner and weights of sum 1",
                 lambda c=corners: float(
@@ -43,7 +47,7 @@ def _charts() -> list[Case]:
     cases.append(
         Case(
             "export",
-            "hir_core.texels.dilate",
+            "hir_core.mesh.texel_rasterization.dilate",
             "a texture of which nothing is covered",
             "as it was, not 0/0",
             lambda: dilate(texture, torch.zeros(4, 4, dtype=torch.bool), 3).abs().max(),
@@ -56,7 +60,7 @@ def _charts() -> list[Case]:
         cases.append(
             Case(
                 "reflectance",
-                "hir_plugins.reflectance_renderers.transport_ggx.pyramid.bilinear",
+                "hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid.bilinear",
                 f"u = {u:g} of a 4×8 light",
                 "texels of the row, weights of sum 1",
                 lambda u=u: _in_range(*_bilinear(u)),
@@ -71,7 +75,7 @@ def _charts() -> list[Case]:
         cases.append(
             Case(
                 "reflectance",
-                "hir_plugins.reflectance_renderers.transport_ggx.textures.bilinear_texels",
+                "hir_plugins.reflectance_renderers.transport_ggx.textures.texel_equations.bilinear_texels",
                 f"u = {u:g} of an 8×8 texture",
                 "texels inside, weights of sum 1",
                 lambda u=u: _in_range(*bilinear_texels(torch.tensor([[u, 0.5]]), 8, 8)),
@@ -91,7 +95,7 @@ def _plain_barycentrics(c: np.ndarray) -> float:
 
 def _bilinear(u: float) -> tuple[torch.Tensor, torch.Tensor]:
     one = torch.tensor([1])
-    return pyramid.bilinear(torch.tensor([u]), torch.tensor([0.5]), 4 * one, 8 * one, 0 * one)
+    return light_pyramid.bilinear(torch.tensor([u]), torch.tensor([0.5]), 4 * one, 8 * one, 0 * one)
 
 
 def _in_range(index: torch.Tensor, weight: torch.Tensor) -> float:
@@ -118,7 +122,7 @@ def _solves() -> list[Case]:
         cases.append(
             Case(
                 "reflectance",
-                "hir_plugins.reflectance_renderers.transport_ggx.textures.solve_texels",
+                "hir_plugins.reflectance_renderers.transport_ggx.textures.texel_equations.solve_texels",
                 f"a texel {name}",
                 "keeps the albedo it started from",
                 lambda r=rows: solve_texels([r], start, 0.1, 0.01)[0][0, 0],
@@ -131,7 +135,7 @@ def _solves() -> list[Case]:
     cases += [
         Case(
             "initialization",
-            "hir_plugins.initializers.vertex_colors._weighted_median",
+            "hir_plugins.initializers.surface.vertex_colors._weighted_median",
             "a vertex that no view sees",
             "0 and unknown",
             lambda: _weighted_median(np.ones((2, 3, 3), np.float32), nobody)[0].max(),
@@ -141,7 +145,7 @@ def _solves() -> list[Case]:
         ),
         Case(
             "initialization",
-            "hir_plugins.initializers.vertex_colors._fill",
+            "hir_plugins.initializers.surface.vertex_colors._fill",
             "a mesh that no view sees",
             "grey",
             lambda: _fill(np.zeros((3, 3), np.float32), np.zeros(3, bool), np.array([[0, 1, 2]]))[0],
@@ -151,7 +155,7 @@ def _solves() -> list[Case]:
         ),
         Case(
             "export",
-            "hir_core.bake._unit",
+            "hir_core.scene.asset_conversion._unit",
             "a vertex normal of length 0",
             "+Y",
             lambda: _unit(np.zeros((1, 3)))[0],
@@ -161,7 +165,7 @@ def _solves() -> list[Case]:
         ),
         Case(
             "export",
-            "hir_core.bake._unit",
+            "hir_core.scene.asset_conversion._unit",
             "a texel of a normal map blurred to nothing",
             "+Z",
             lambda: _unit(np.zeros((1, 1, 3)))[0, 0],
@@ -200,7 +204,7 @@ def _materials() -> list[Case]:
             cases.append(
                 Case(
                     "export",
-                    "hir_exporters.materials.to_gltf",
+                    "hir_exporters.materials.material_conversion.to_gltf",
                     f"{name}, profile {profile}",
                     "0 values that are not finite or negative",
                     lambda s=specular, p=profile: _bad_values(to_gltf(_material("paper", 0.5, s), p)),  # type: ignore[arg-type]
@@ -213,7 +217,7 @@ def _materials() -> list[Case]:
         cases.append(
             Case(
                 "export",
-                "hir_exporters.materials.to_gltf",
+                "hir_exporters.materials.material_conversion.to_gltf",
                 f"a black dielectric without reflection, profile {profile}",
                 "0 values that are not finite or negative",
                 lambda p=profile: _bad_values(to_gltf(_material("dielectric", 0.0, (0.0, 0.0, 0.0)), p)),  # type: ignore[arg-type]
@@ -226,7 +230,7 @@ def _materials() -> list[Case]:
         cases.append(
             Case(
                 "export",
-                "hir_exporters.engine_models.ior_to_f0",
+                "hir_exporters.materials.target_brdfs.ior_to_f0",
                 f"the ior of a reflectance of {f0:g}, and back",
                 "the reflectance to 3 digits",
                 lambda f=f0: ior_to_f0(f0_to_ior(f)),

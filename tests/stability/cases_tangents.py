@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from hir_exporters.tangents import corner_tangents
-from hir_exporters.topology import weld
+from hir_exporters.mesh.tangents import corner_tangents
+from hir_exporters.mesh.vertex_welding import weld
 
-from hir_core.mesh_checks import inspect_mesh
+from hir_core.mesh.mesh_validity import inspect_mesh
 from tests.stability.case import Case
 
 
@@ -25,7 +25,7 @@ def _textures() -> list[Case]:
         cases.append(
             Case(
                 "export",
-                "hir_exporters.tangents.corner_tangents",
+                "hir_exporters.mesh.tangents.corner_tangents",
                 f"a triangle {name}",
                 "unit tangents",
                 lambda p=p, t=t: np.linalg.norm(
@@ -41,7 +41,7 @@ def _textures() -> list[Case]:
     cases.append(
         Case(
             "export",
-            "hir_exporters.topology.weld",
+            "hir_exporters.mesh.vertex_welding.weld",
             "two vertices, one with −0 in place of 0",
             "one vertex",
             lambda: len(weld(signs)[0]),
@@ -54,7 +54,7 @@ def _textures() -> list[Case]:
     cases.append(
         Case(
             "geometry",
-            "hir_core.mesh_checks.inspect_mesh",
+            "hir_core.mesh.mesh_validity.inspect_mesh",
             "a triangle of size 1e-12 among others",
             "counted, nothing NaN",
             lambda: inspect_mesh(folded, np.array([[0, 1, 2], [0, 3, 0]])).degenerate,

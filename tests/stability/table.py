@@ -55,8 +55,16 @@ def _row(case: Case, found: Outcome) -> str:
     naive = "not finite" if found.naive is None or not np.isfinite(found.naive).all() else _number(found.naive)
     formula = case.shown.replace("|", "\\|")
     name = case.function.partition(".")[2]
-    cells = [f"`{name}`", case.given, case.expected, _number(found.result), _number(found.truth), f"{found.error:.1g}",
-             f"`{formula}`", naive]  # fmt: skip
+    cells = [
+        f"`{name}`",
+        case.given,
+        case.expected,
+        _number(found.result),
+        _number(found.truth),
+        f"{found.error:.1g}",
+        f"`{formula}`",
+        naive,
+    ]
     return "| " + " | ".join(cells) + " |"
 
 

@@ -10,10 +10,10 @@ from typing import Any
 from hir_exporters.asset import Asset
 from hir_exporters.configs import ObjConfig, UsdConfig
 from hir_exporters.exporter import Edit, Exporter, ExportReport
-from hir_exporters.obj import ObjExporter
-from hir_exporters.usd.exporter import UsdExporter
+from hir_exporters.obj.obj_exporter import ObjExporter
+from hir_exporters.usd.usd_exporter import UsdExporter
 
-from hir_core.plugin import Component
+from hir_core.plugins import Component
 
 HERE = __name__
 
@@ -90,8 +90,7 @@ def obj(implementation: type = Obj) -> Component:
 
 
 def usda(implementation: type = Usd) -> Component:
-    return Component("usda", f"{HERE}:{implementation.__name__}", UsdConfig, "USD, wrapped.",
-                     traits=frozenset({"usd"}))  # fmt: skip
+    return Component("usda", f"{HERE}:{implementation.__name__}", UsdConfig, "USD, wrapped.", traits=frozenset({"usd"}))
 
 
 BROKEN_EXPORTERS: dict[str, Component] = {

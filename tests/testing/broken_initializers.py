@@ -12,8 +12,8 @@ import torch
 
 from hir_core.capture import Camera, Capture
 from hir_core.errors import CaptureError
-from hir_core.interfaces import Initializer
-from hir_core.plugin import Component
+from hir_core.plugins import Component
+from hir_core.plugins.interfaces import Initializer
 from hir_core.scene import Mesh, Scene, Topology
 from hir_core.testing.captures import TinyCapture
 
@@ -100,15 +100,29 @@ class InAMirror(CamerasFromFile):
 
 
 def surface(implementation: type = FromFile) -> Component:
-    return Component("known", f"{HERE}:{implementation.__name__}", Known, "Reads the truth.", ("torch", "jaxtyping"),
-                     "reconstruct", frozenset({"makes_surface"}),
-                     testing="hir_plugins.initializers.cases:mesh_of_the_object")  # fmt: skip
+    return Component(
+        "known",
+        f"{HERE}:{implementation.__name__}",
+        Known,
+        "Reads the truth.",
+        ("torch", "jaxtyping"),
+        "reconstruct",
+        frozenset({"makes_surface"}),
+        testing="hir_plugins.initializers.contract_inputs:mesh_of_the_object",
+    )
 
 
 def cameras(implementation: type = CamerasFromFile) -> Component:
-    return Component("placed", f"{HERE}:{implementation.__name__}", Known, "Reads the true cameras.",
-                     ("torch", "jaxtyping"), "reconstruct", frozenset({"finds_cameras"}),
-                     testing=f"{HERE}:true_cameras")  # fmt: skip
+    return Component(
+        "placed",
+        f"{HERE}:{implementation.__name__}",
+        Known,
+        "Reads the true cameras.",
+        ("torch", "jaxtyping"),
+        "reconstruct",
+        frozenset({"finds_cameras"}),
+        testing=f"{HERE}:true_cameras",
+    )
 
 
 BROKEN_INITIALIZERS: dict[str, Component] = {

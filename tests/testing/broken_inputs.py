@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from hir_core.capture import Capture, Pixels
-from hir_core.interfaces import CaptureReader, MaskSource
-from hir_core.plugin import Component, NoOptions
+from hir_core.plugins import Component, NoOptions
+from hir_core.plugins.interfaces import CaptureReader, MaskSource
 from hir_plugins.masks.color_key import ColorKey
 from hir_plugins.masks.options import ColorKeyOptions
 from hir_plugins.readers.transforms_json import TransformsJsonReader
@@ -78,8 +78,12 @@ class Trusting(Reader):
 
 
 def reader(implementation: type = Reader) -> Component:
-    return Component("wrapped", f"{HERE}:{implementation.__name__}", summary="A reader, wrapped.",
-                     testing="hir_plugins.readers.samples:transforms_json")  # fmt: skip
+    return Component(
+        "wrapped",
+        f"{HERE}:{implementation.__name__}",
+        summary="A reader, wrapped.",
+        testing="hir_plugins.readers.contract_inputs:transforms_json",
+    )
 
 
 BROKEN_READERS: dict[str, Component] = {

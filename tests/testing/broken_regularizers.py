@@ -10,8 +10,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from hir_core.interfaces import Regularizer
-from hir_core.plugin import Component
+from hir_core.plugins import Component
+from hir_core.plugins.interfaces import Regularizer
 from hir_core.scene import Scene
 
 HERE = __name__

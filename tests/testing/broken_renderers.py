@@ -9,10 +9,10 @@ from typing import Any
 from torch import Tensor
 
 from hir_core.capture import Camera, Capture, View
-from hir_core.interfaces import GeometryRenderer, PreparedReflectance, ReflectanceRenderer
-from hir_core.plugin import Component, NoOptions
+from hir_core.plugins import Component, NoOptions
+from hir_core.plugins.interfaces import GeometryRenderer, PreparedReflectance, ReflectanceRenderer
 from hir_core.scene import EnvironmentMap, Material, Mesh, Scene
-from hir_core.silhouettes import SilhouetteTargets
+from hir_core.scene.silhouette_targets import SilhouetteTargets
 from hir_plugins.geometry_renderers.contour import Contour
 from hir_plugins.geometry_renderers.options import ContourOptions
 from hir_plugins.reflectance_renderers.mitsuba_ggx.options import MitsubaGGXOptions

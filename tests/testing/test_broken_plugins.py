@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from hir_core.manager import PluginManager, Registered
-from hir_core.plugin import Component
+from hir_core.plugins import Component
+from hir_core.plugins.manager import PluginManager, Registered
 from hir_core.testing import ContractError, all_checks, check_component
 from hir_core.testing.running import Result, as_registered
 
@@ -63,9 +63,7 @@ def test_every_contract_has_its_broken_plugin() -> None:
 
 
 @pytest.mark.parametrize(("kind", "component", "check"), cases(QUICK))
-def test_breaks_its_contract_and_no_other(
-    kind: str, component: Component, check: str, plugins: PluginManager
-) -> None:
+def test_breaks_its_contract_and_no_other(kind: str, component: Component, check: str, plugins: PluginManager) -> None:
     results = check_component(as_registered(kind, component), plugins=plugins, raises=False)
     assert failed(results) == [check], [r.detail for r in results if r.outcome == "failed"]
 
@@ -100,8 +98,8 @@ def test_devices_agree_is_broken_by_one_that_goes_elsewhere(plugins: PluginManag
 
 
 FILE = """
-from hir_core.interfaces import Regularizer
-from hir_core.plugin import Component, NoOptions, hookimpl
+from hir_core.plugins.interfaces import Regularizer
+from hir_core.plugins import Component, NoOptions, hookimpl
 {at_the_top}
 
 class Spread(Regularizer):

@@ -4,12 +4,22 @@ from __future__ import annotations
 
 import pytest
 
-from hir_core.manager import PluginManager
+from hir_core.plugins.manager import PluginManager
 from hir_core.testing import Check, Subject, check_component, checks_for, parametrize_with_checks
 
 QUICK = (
-    "transforms_json", "photos", "alpha", "folder", "color_key", "mesh_file", "contour", "glb", "usda", "obj", "hdr"
-)  # fmt: skip
+    "transforms_json",
+    "photos",
+    "alpha",
+    "folder",
+    "color_key",
+    "mesh_file",
+    "contour",
+    "glb",
+    "usda",
+    "obj",
+    "hdr",
+)
 """One of each kind of code, beside all regularizers; the others take seconds each."""
 
 DERIVED = "holds the light blurred for a renderer, not the light: tests/exporters hold it to brute force instead"

@@ -12,8 +12,8 @@ from hir_core.errors import PluginError
 from hir_core.testing.running import subject_of
 
 BROKEN = """
-from hir_core.interfaces import Regularizer
-from hir_core.plugin import Component, hookimpl
+from hir_core.plugins.interfaces import Regularizer
+from hir_core.plugins import Component, hookimpl
 
 
 class Silent(Regularizer):

@@ -76,13 +76,25 @@ def test_its_own_tests_pass(python: Path, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_it_is_used_by_a_run_and_an_export(python: Path, tmp_path: Path) -> None:
     quick = [
-        "geometry.iterations=10", "geometry.levels=1", "geometry.triangles=1200", "atlas.texture_size=64",
-        "geometry.renderer=midpoint_outline", "initializer.visual_hull.max_resolution=32", "geometry.downsample=4",
-        "reflectance.model=diffuse", "reflectance.light_frame=world", "reflectance.environment_height=8",
-        "reflectance.environment_width=16", "reflectance_renderer.transport_ggx.steps=10", "reflectance.downsample=4",
-        "reflectance_renderer.transport_ggx.cells=300", "reflectance_renderer.transport_ggx.vertices=1500",
-        "reflectance.iterations=10", "reflectance.regularizers.light_chroma.weight=10", 'export=["ply"]',
-    ]  # fmt: skip
+        "geometry.iterations=10",
+        "geometry.levels=1",
+        "geometry.triangles=1200",
+        "atlas.texture_size=64",
+        "geometry.renderer=midpoint_outline",
+        "initializer.visual_hull.max_resolution=32",
+        "geometry.downsample=4",
+        "reflectance.model=diffuse",
+        "reflectance.light_frame=world",
+        "reflectance.environment_height=8",
+        "reflectance.environment_width=16",
+        "reflectance_renderer.transport_ggx.steps=10",
+        "reflectance.downsample=4",
+        "reflectance_renderer.transport_ggx.cells=300",
+        "reflectance_renderer.transport_ggx.vertices=1500",
+        "reflectance.iterations=10",
+        "reflectance.regularizers.light_chroma.weight=10",
+        'export=["ply"]',
+    ]
     assignments = [word for setting in quick for word in ("--set", setting)]
     run = tmp_path / "run"
     capture = ROOT / "examples" / "sample_capture"

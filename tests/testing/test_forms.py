@@ -12,11 +12,16 @@ from click.testing import CliRunner
 
 from hir_core.cli.app import cli
 from hir_core.errors import ConfigError
-from hir_core.manager import KINDS, PluginManager
+from hir_core.plugins.manager import KINDS, PluginManager
 
 WIDGETS = {
-    "boolean": "tick", "integer": "number", "number": "number", "string": "line", "array": "list", "object": "table"
-}  # fmt: skip
+    "boolean": "tick",
+    "integer": "number",
+    "number": "number",
+    "string": "line",
+    "array": "list",
+    "object": "table",
+}
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hir_exporters.images import read_ldr
+from hir_exporters.textures.image_files import read_ldr
 
 from hir_core.config import RunConfig
-from hir_core.manager import PluginManager
 from hir_core.pipeline import Run
-from hir_core.progress import Progress
+from hir_core.plugins.manager import PluginManager
+from hir_core.plugins.progress import Progress
 from tests.pipeline.conftest import make_tiny
 
 ROOT = Path(__file__).resolve().parents[2]

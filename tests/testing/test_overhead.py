@@ -13,9 +13,9 @@ from typing import Any
 
 import pytest
 
-from hir_core.manager import PluginManager
 from hir_core.pipeline import Run
-from hir_core.plugin import hookimpl
+from hir_core.plugins import hookimpl
+from hir_core.plugins.manager import PluginManager
 from tests.pipeline.conftest import make_tiny
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -24,7 +24,7 @@ LIMIT_MS = 100.0
 
 PLUGIN = '''
 from dataclasses import dataclass
-from hir_core.plugin import Component, hookimpl
+from hir_core.plugins import Component, hookimpl
 
 @dataclass(frozen=True)
 class Options:
@@ -39,7 +39,8 @@ def hir_register_regularizers():
 
 
 def test_discovery_of_fifty_installed_plugins_takes_a_tenth_of_a_second(tmp_path: Path) -> None:
-    """Seconds of the processor between the interpreter's start with `hir_core.manager` imported and all components
+    """Seconds of the processor between the interpreter's start with `hir_core.plugins.manager` imported and all
+    components
     being known, ours and the imports of all fifty included; the best of some processes, for the machine does other
     things too. A machine on which Python alone takes more than half of that to find and import the same plugins is a
     slow one: there it is twice what Python takes.
@@ -52,7 +53,7 @@ def test_discovery_of_fifty_installed_plugins_takes_a_tenth_of_a_second(tmp_path
         (info / "entry_points.txt").write_text(f"[hir]\ncrowd = crowd_{i}\n")
     begin = (
         f"import sys, time; sys.path.insert(0, {str(tmp_path)!r})\n"
-        "from hir_core.manager import PluginManager\n"
+        "from hir_core.plugins.manager import PluginManager\n"
         "before = time.process_time()\n"
     )
     plain_python = begin + (
@@ -145,11 +146,11 @@ def test_hooks_are_called_from_few_places() -> None:
             if edits or node.func.attr in ("notify", "suggest_initializers"):
                 callers.add(file.relative_to(ROOT).as_posix())
     assert callers == {
-        "hir_core/bench/initializers.py",
+        "hir_plugins/commands/bench/suites/initializers_suite.py",
         "hir_core/cli/app.py",
-        "hir_core/export.py",
-        "hir_core/initialize.py",
-        "hir_core/listener.py",
+        "hir_core/stages/export/asset_export.py",
+        "hir_core/stages/initialization.py",
+        "hir_core/run/progress_listener.py",
         "hir_core/pipeline.py",
-        "hir_core/session.py",
+        "hir_core/run/session.py",
     }

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from hir_core.errors import PluginError
-from hir_core.manager import PluginManager
-from hir_core.plugin import Component
+from hir_core.plugins import Component
+from hir_core.plugins.manager import PluginManager
 from hir_core.testing import ContractError, check_component
 from hir_core.testing.running import subject_of
 

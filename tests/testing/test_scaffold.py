@@ -13,7 +13,7 @@ from click.testing import CliRunner
 
 from hir_core.cli.app import cli
 from hir_core.errors import ConfigError
-from hir_core.manager import KINDS, PluginManager
+from hir_core.plugins.manager import KINDS, PluginManager
 from hir_core.scaffold import write_one_file, write_plugin
 from hir_core.testing import check_component
 

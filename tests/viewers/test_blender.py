@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from parity.engines import blender_python, in_blender
 
-from hir_core.manager import PluginManager
 from hir_core.metrics import composite, unassociate
-from hir_core.render import orbit_cameras
+from hir_core.plugins.manager import PluginManager
+from hir_core.rendering.run_pictures import orbit_cameras
 
 from .octants import asset
 
@@ -26,9 +26,9 @@ def blender() -> Path:
 @pytest.mark.slow
 def test_blender_shows_what_we_render(blender: Path, tmp_path: Path) -> None:
     """Mean difference below 2 of 255 codes, and ten times nearer than any mirrored, turned or swapped picture."""
-    from hir_core.bake import scene_from_asset
-    from hir_core.export import export_asset
-    from hir_core.reference import reference_renderer, render_view
+    from hir_core.rendering.reference_renderer import reference_renderer, render_view
+    from hir_core.scene.asset_conversion import scene_from_asset
+    from hir_core.stages.export.asset_export import export_asset
 
     plugins = PluginManager.discover()
     export_asset(asset(), ["glb", "hdr"], tmp_path, plugins, {"glb": {"profile": "blender"}})

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hir_exporters.formats import create_exporter
-from hir_exporters.images import read_ldr
+from hir_exporters.textures.image_files import read_ldr
 from parity.browser import module_folder, pictures_in_browser
 from parity.engines import blender_python
 
 from hir_core.capture import Camera
-from hir_core.render import look_at
+from hir_core.rendering.run_pictures import look_at
 
 from .octants import asset
 
@@ -33,10 +33,10 @@ def camera(away: float, width: int, height: int) -> Camera:
 
 def assert_like_ours(picture: np.ndarray, seen_from: Camera) -> None:
     """Inside the outline the picture is our path tracer's, and five times nearer than its mirror images and turns."""
-    from hir_core.bake import scene_from_asset
-    from hir_core.manager import PluginManager
     from hir_core.metrics import composite, unassociate
-    from hir_core.reference import reference_renderer, render_view
+    from hir_core.plugins.manager import PluginManager
+    from hir_core.rendering.reference_renderer import reference_renderer, render_view
+    from hir_core.scene.asset_conversion import scene_from_asset
 
     _, renderer = reference_renderer(PluginManager.discover(), "", {"render_samples": 64})
     image = render_view(renderer, scene_from_asset(asset()), seen_from, "script")

@@ -12,9 +12,9 @@ from parity.browser import module_folder
 from parity.costs import rows
 from parity.engines import in_browser
 
-from hir_core.manager import PluginManager
 from hir_core.metrics import composite, unassociate
-from hir_core.render import orbit_cameras
+from hir_core.plugins.manager import PluginManager
+from hir_core.rendering.run_pictures import orbit_cameras
 
 from .octants import asset
 
@@ -24,9 +24,9 @@ def shots(chromium: list[str], tmp_path_factory: pytest.TempPathFactory) -> list
     """Pairs of pictures over black (H, W, 3), three.js' and ours, from two sides."""
     if module_folder("three") is None:
         pytest.skip("three.js is not installed: run tools/setup.sh test")
-    from hir_core.bake import scene_from_asset
-    from hir_core.export import export_asset
-    from hir_core.reference import reference_renderer, render_view
+    from hir_core.rendering.reference_renderer import reference_renderer, render_view
+    from hir_core.scene.asset_conversion import scene_from_asset
+    from hir_core.stages.export.asset_export import export_asset
 
     folder = tmp_path_factory.mktemp("browser")
     plugins = PluginManager.discover()

@@ -12,18 +12,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hir_exporters.asset import Asset
-from hir_exporters.atomic import write_text_atomic
 from hir_exporters.conventions import direction_to_latlong_uv, linear_to_srgb, srgb_to_linear
+from hir_exporters.files.atomic import write_text_atomic
 from hir_exporters.formats import create_exporter
-from hir_exporters.images import read_ldr, write_png
-from hir_exporters.scene_files import save_scene
+from hir_exporters.scene_format import save_scene
+from hir_exporters.textures.image_files import read_ldr, write_png
 from parity.browser import module_folder, pictures_in_browser
 
 from hir_core.capture import Camera
 from hir_core.cli import main
 from hir_core.errors import InputError
-from hir_core.render import look_at
-from hir_core.view import MODULES, three_version, view_page
+from hir_core.rendering.run_pictures import look_at
+from hir_plugins.commands.viewer.viewer_page import MODULES, three_version, view_page
 
 from .octants import asset
 
@@ -61,10 +61,13 @@ def shot(chromium: list[str], tmp_path_factory: pytest.TempPathFactory) -> Shot:
         # the browser's virtual clock runs ahead of its decoders: on a busy machine it needs more of it
         for budget in (milliseconds * factor for factor in (1, 4, 16, 64)):
             words = [
-                *chromium, f"--user-data-dir={folder / 'profile'}", f"--window-size={SIDE},{SIDE}",
-                f"--virtual-time-budget={budget}", f"--screenshot={folder / 'shot.png'}",
+                *chromium,
+                f"--user-data-dir={folder / 'profile'}",
+                f"--window-size={SIDE},{SIDE}",
+                f"--virtual-time-budget={budget}",
+                f"--screenshot={folder / 'shot.png'}",
                 f"{page.as_uri()}#bare&{settings}",
-            ]  # fmt: skip
+            ]
             subprocess.run(words, check=True, capture_output=True, timeout=120)
             picture = read_ldr(folder / "shot.png")[..., :3]
             if np.abs(picture[SIDE // 2, SIDE // 2] * 255 - BACKGROUND).max() > 2:
@@ -84,10 +87,10 @@ def first_camera() -> Camera:
 
 
 def test_lit_picture_is_our_render_and_its_light_turns(page: Path, shot: Shot) -> None:
-    from hir_core.bake import scene_from_asset
-    from hir_core.manager import PluginManager
     from hir_core.metrics import composite, unassociate
-    from hir_core.reference import reference_renderer, render_view
+    from hir_core.plugins.manager import PluginManager
+    from hir_core.rendering.reference_renderer import reference_renderer, render_view
+    from hir_core.scene.asset_conversion import scene_from_asset
 
     _, renderer = reference_renderer(PluginManager.discover(), "", {"render_samples": 64})
     image = render_view(renderer, scene_from_asset(glossy()), first_camera(), "page")
@@ -148,10 +151,11 @@ def test_a_drag_over_half_the_height_turns_the_asset_by_half(page: Path, chromiu
 
     def taken(drag: float, toward: str) -> np.ndarray:
         changes = {
-            "connect-src blob: data:": "connect-src blob: data: 'self'", '"toward": null': f'"toward": {toward}',
+            "connect-src blob: data:": "connect-src blob: data: 'self'",
+            '"toward": null': f'"toward": {toward}',
             "</title>": "</title><script>location.hash = 'bare&channel=albedo'</script>",
             "</body>": ANSWER.replace("DRAG", str(drag)),
-        }  # fmt: skip
+        }
         changed = text
         for old, new in changes.items():
             assert changed.count(old) == 1, old
@@ -182,10 +186,10 @@ def test_channels_show_the_maps(page: Path, shot: Shot) -> None:
 
 def test_a_photograph_stands_beside_the_asset(chromium: list[str], tmp_path: Path) -> None:
     """A run whose photograph is our own render: both halves show the same thing in the same place."""
-    from hir_core.bake import scene_from_asset
-    from hir_core.manager import PluginManager
     from hir_core.metrics import composite, unassociate
-    from hir_core.reference import reference_renderer, render_view
+    from hir_core.plugins.manager import PluginManager
+    from hir_core.rendering.reference_renderer import reference_renderer, render_view
+    from hir_core.scene.asset_conversion import scene_from_asset
 
     plain = first_camera()
     shifted = np.add(plain.intrinsics, [[0, 0, -30.0], [0, 0, 14.0], [0, 0, 0]])  # the principal point off the middle
@@ -195,17 +199,26 @@ def test_a_photograph_stands_beside_the_asset(chromium: list[str], tmp_path: Pat
     save_scene(glossy(), tmp_path / "run" / "scene")
     write_png(tmp_path / "run" / "report" / "side_true.png", photograph)
     view = {
-        "name": "side", "registered": True, "split": "train", "width": SIDE, "height": SIDE, "distortion": [],
-        "K": shifted.tolist(), "world_to_camera": camera.world_to_camera.tolist(),
-    }  # fmt: skip
+        "name": "side",
+        "registered": True,
+        "split": "train",
+        "width": SIDE,
+        "height": SIDE,
+        "distortion": [],
+        "K": shifted.tolist(),
+        "world_to_camera": camera.world_to_camera.tolist(),
+    }
     write_text_atomic(tmp_path / "run" / "capture" / "cameras.json", json.dumps({"views": [view]}))
     (tmp_path / "page.html").write_text(view_page(tmp_path / "run"), encoding="utf-8")
     for budget in (16_000, 64_000, 256_000):
         words = [
-            *chromium, f"--user-data-dir={tmp_path / 'profile'}", f"--window-size={2 * SIDE},{SIDE}",
-            f"--virtual-time-budget={budget}", f"--screenshot={tmp_path / 'shot.png'}",
+            *chromium,
+            f"--user-data-dir={tmp_path / 'profile'}",
+            f"--window-size={2 * SIDE},{SIDE}",
+            f"--virtual-time-budget={budget}",
+            f"--screenshot={tmp_path / 'shot.png'}",
             f"{(tmp_path / 'page.html').as_uri()}#bare&beside=side",
-        ]  # fmt: skip
+        ]
         subprocess.run(words, check=True, capture_output=True, timeout=120)
         picture = read_ldr(tmp_path / "shot.png")[..., :3]
         if picture[:, SIDE:].max() > 0.2:
@@ -243,10 +256,10 @@ def test_three_is_shipped_unchanged(name: str) -> None:
     three = module_folder("three")
     if three is None:
         pytest.skip("three.js is not installed: run tools/setup.sh test")
-    from hir_core import view
+    from hir_plugins.commands.viewer import viewer_page
 
     [original] = [path for path in three.glob("**/*") if path.name == name and path.parts[-2] in FOLDERS]
-    assert (Path(view.__file__).parent / "viewer" / "three" / name).read_bytes() == original.read_bytes()
+    assert (Path(viewer_page.__file__).parent / "viewer" / "three" / name).read_bytes() == original.read_bytes()
 
 
 def test_a_page_is_served_to_this_machine_alone() -> None:
@@ -254,7 +267,7 @@ def test_a_page_is_served_to_this_machine_alone() -> None:
     import urllib.error
     import urllib.request
 
-    from hir_core.view import serve
+    from hir_plugins.commands.viewer.viewer_page import serve
 
     address: list[str] = []
     ready = threading.Event()

@@ -21,8 +21,8 @@ from hir_exporters.configs import GltfConfig, UsdConfig
 from hir_exporters.formats import create_exporter
 
 from hir_core.capture import Camera
-from hir_core.manager import PluginManager
 from hir_core.metrics import psnr
+from hir_core.plugins.manager import PluginManager
 from parity.engines import ROOT, Opening, Picture, openings, ours
 from parity.page import Row, write_page
 from parity.scenes import MODELS, Subject, finished_run, metal_egg, model, with_light
@@ -46,8 +46,16 @@ def main() -> int:
     plugins, rows = PluginManager.discover(), []
     for name in asked.only or ["spot", "avocado", "metal"]:
         subject = _subject(name, shared, asked.work, asked.reconstruct)
-        rows += _rows(subject, asked.work, asked.size, asked.samples, plugins, asked.engine,
-                      asked.keep or asked.kept_only, asked.kept_only)  # fmt: skip
+        rows += _rows(
+            subject,
+            asked.work,
+            asked.size,
+            asked.samples,
+            plugins,
+            asked.engine,
+            asked.keep or asked.kept_only,
+            asked.kept_only,
+        )
     write_page(asked.output, rows, asked.size, asked.samples)
     print(asked.output / "parity.md")
     return 0
@@ -70,9 +78,15 @@ def _subject(name: str, shared: Path, work: Path, make_runs: bool) -> Subject:
 
 
 def _rows(
-    subject: Subject, work: Path, size: int, samples: int, plugins: PluginManager, chosen: list[str], keep: bool,
+    subject: Subject,
+    work: Path,
+    size: int,
+    samples: int,
+    plugins: PluginManager,
+    chosen: list[str],
+    keep: bool,
     kept_only: bool,
-) -> list[Row]:  # fmt: skip
+) -> list[Row]:
     folder = work / "files"
     light = folder / f"{subject.name}_khr.hdr"
     if not keep or not light.is_file():
@@ -81,9 +95,10 @@ def _rows(
     cameras = cameras_around(asset.mesh, size)
     start = time.perf_counter()
     truth = _pictures(
-        work / "pictures" / f"{subject.name}_ours.npy", keep,
+        work / "pictures" / f"{subject.name}_ours.npy",
+        keep,
         lambda: ours(asset, cameras, subject.bounces, samples, plugins),
-    )  # fmt: skip
+    )
     print(f"{subject.name}: our renderer, {time.perf_counter() - start:.0f} s", flush=True)
     rows = [Row(subject.name, f"hir, path traced, {subject.origin}", "", truth, None, None, "")]
     for opening in openings(samples):
@@ -115,9 +130,15 @@ def _export(asset: Asset, folder: Path, name: str) -> None:
 
 
 def _row(
-    name: str, opening: Opening, work: Path, light: Path, cameras: list[Camera], truth: list[Picture], keep: bool,
+    name: str,
+    opening: Opening,
+    work: Path,
+    light: Path,
+    cameras: list[Camera],
+    truth: list[Picture],
+    keep: bool,
     kept_only: bool,
-) -> Row:  # fmt: skip
+) -> Row:
     if opening.missing:
         return Row(name, opening.engine, opening.file, [], None, None, f"not run: needs {opening.missing}")
     try:

@@ -60,9 +60,12 @@ def module_version(name: str) -> str:
 
 
 def pictures_in_browser(
-    chromium: Sequence[str], page: Path, shots: Sequence[Mapping[str, Any]], served: Mapping[str, bytes],
+    chromium: Sequence[str],
+    page: Path,
+    shots: Sequence[Mapping[str, Any]],
+    served: Mapping[str, bytes],
     seconds: float = 300,
-) -> list[NDArray[np.float32]]:  # fmt: skip
+) -> list[NDArray[np.float32]]:
     """sRGB pictures (H, W, 4), unassociated, that the page draws of each shot. Raises `RuntimeError` where it fails."""
     bodies = {"/": page.read_bytes(), "/shots.json": json.dumps(list(shots)).encode(), **served}
     answers: dict[str, bytes] = {}

@@ -1,6 +1,7 @@
 """What three.js' published formula costs on the metal object, part by part: `python -m parity.costs`.
 
-Points of the surface from four sides, directions and light are those of our own model (`hir_exporters.surface_points`),
+Points of the surface from four sides, directions and light are those of our own model
+(`hir_exporters.engines.surface_points`),
 so that each row differs from it in nothing but what it names. PSNR in dB, sRGB.
 """
 
@@ -10,12 +11,12 @@ import os
 from pathlib import Path
 
 import numpy as np
-from hir_exporters.brdf_slice import model_brdf
 from hir_exporters.conventions import linear_to_srgb
-from hir_exporters.engine_shaders import Texels, three
-from hir_exporters.materials import MetallicSurface, to_gltf
-from hir_exporters.surface_points import surface_points
-from hir_exporters.texture_maps import sample_texels
+from hir_exporters.engines.engine_shaders import Texels, three
+from hir_exporters.engines.surface_points import surface_points
+from hir_exporters.materials.brdf_slice import model_brdf
+from hir_exporters.materials.material_conversion import MetallicSurface, to_gltf
+from hir_exporters.textures.texture_maps import sample_texels
 from numpy.typing import NDArray
 
 from parity.scenes import metal_egg

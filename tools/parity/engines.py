@@ -15,7 +15,7 @@ from hir_exporters.asset import Asset
 from numpy.typing import NDArray
 
 from hir_core.capture import Camera
-from hir_core.manager import PluginManager
+from hir_core.plugins.manager import PluginManager
 from parity.browser import HERE, chromium_command, decoded_picture, module_folder, module_version, pictures_in_browser
 from parity.godot3 import godot_missing, godot_version, in_godot
 from parity.shots import shot_document
@@ -53,9 +53,11 @@ def openings(blender_samples: int) -> list[Opening]:
 
     def cycles(file: str, own_light: bool = False) -> Opening:
         return Opening(
-            "Blender 5.0.1 Cycles", file,
-            lambda f, light, cameras: in_blender(f, None if own_light else light, cameras, blender_samples), blender,
-        )  # fmt: skip
+            "Blender 5.0.1 Cycles",
+            file,
+            lambda f, light, cameras: in_blender(f, None if own_light else light, cameras, blender_samples),
+            blender,
+        )
 
     return [
         web("three.js", "three", "three.html"),
@@ -78,10 +80,10 @@ def ours(
     asset: Asset, cameras: Sequence[Camera], bounces: int | None, samples: int, plugins: PluginManager
 ) -> list[Picture]:
     """The reference renderer's pictures, path-traced, with as many reflections as the asset's model has."""
-    from hir_core.bake import scene_from_asset
     from hir_core.metrics import composite, unassociate
-    from hir_core.reference import reference_renderer, render_view
-    from hir_core.working_frame import move_scene
+    from hir_core.rendering.reference_renderer import reference_renderer, render_view
+    from hir_core.scene.asset_conversion import scene_from_asset
+    from hir_core.scene.frames import move_scene
 
     # renderers are used to an object of radius 1 about the origin
     low, high = asset.mesh.positions.min(axis=0).astype(float), asset.mesh.positions.max(axis=0).astype(float)
@@ -114,9 +116,7 @@ def in_blender(file: Path, light: Path | None, cameras: Sequence[Camera], sample
     with tempfile.TemporaryDirectory() as folder:
         shots = Path(folder) / "shots.json"
         shots.write_text(json.dumps([shot_document(camera) for camera in cameras]), encoding="utf-8")
-        words = [
-            blender_python(), BLENDER_SCRIPT, file, "-" if light is None else light, shots, folder, samples
-        ]  # fmt: skip
+        words = [blender_python(), BLENDER_SCRIPT, file, "-" if light is None else light, shots, folder, samples]
         done = subprocess.run([str(w) for w in words], capture_output=True, text=True, check=False)
         pictures = [Path(folder) / f"{index}.png" for index in range(len(cameras))]
         if not all(picture.is_file() for picture in pictures):

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from hir_exporters.images import read_ldr
+from hir_exporters.textures.image_files import read_ldr
 from numpy.typing import NDArray
 
 from hir_core.capture import Camera

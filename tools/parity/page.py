@@ -43,8 +43,9 @@ def write_page(folder: Path, rows: list[Row], size: int, samples: int) -> None:
     kinds = list(dict.fromkeys((row.engine, row.file) for row in rows if row.frame is not None or row.note))
     table = ["| engine | file | " + " | ".join(subjects) + " |", "|---|---|" + "---|" * len(subjects)]
     for engine, file in kinds:
-        cells = [_cell(next((r for r in rows if (r.subject, r.engine, r.file) == (s, engine, file)), None))
-                 for s in subjects]  # fmt: skip
+        cells = [
+            _cell(next((r for r in rows if (r.subject, r.engine, r.file) == (s, engine, file)), None)) for s in subjects
+        ]
         table.append(f"| {engine} | `{file}` | " + " | ".join(cells) + " |")
     notes = [f"- {r.engine}, `{r.file}`, {r.subject}: {r.note}" for r in rows if r.note]
     (folder / "images").mkdir(parents=True, exist_ok=True)
@@ -59,9 +60,12 @@ def write_page(folder: Path, rows: list[Row], size: int, samples: int) -> None:
     origins = "; ".join(f"{name} is {words[how]}" for name, how in sources.items() if how in words)
     fields = {
         "origins": origins or "no captured object was asked for",
-        "table": "\n".join(table), "notes": "\n".join(notes), "pictures": "\n\n".join(pictures),
-        "size": str(size), "samples": str(samples),
-    }  # fmt: skip
+        "table": "\n".join(table),
+        "notes": "\n".join(notes),
+        "pictures": "\n\n".join(pictures),
+        "size": str(size),
+        "samples": str(samples),
+    }
     text = _TEXT.read_text(encoding="utf-8")
     for name, value in fields.items():
         text = text.replace(f"<!--{name}-->", value)

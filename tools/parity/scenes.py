@@ -9,10 +9,10 @@ from typing import Final
 
 import numpy as np
 from hir_exporters.asset import Asset, AssetEnvironment, AssetMaterial, AssetMesh
-from hir_exporters.environment import resample_latlong
-from hir_exporters.images import read_hdr
-from hir_exporters.mesh_files import load_mesh_asset
-from hir_exporters.scene_files import load_scene
+from hir_exporters.light.environment_map import resample_latlong
+from hir_exporters.reading.mesh_import import load_mesh_asset
+from hir_exporters.scene_format import load_scene
+from hir_exporters.textures.image_files import read_hdr
 
 MODELS: Final = {"spot": "spot/spot.obj", "avocado": "avocado/glTF/Avocado.gltf"}
 """What the captures of these names were rendered from, in the shared data's folder of models."""
@@ -83,6 +83,8 @@ def _egg(rows: int = 160, columns: int = 320) -> AssetMesh:
     faces = faces[np.linalg.norm(np.cross(b - a, c - a), axis=1) > 1e-9]
     used, faces = np.unique(faces, return_inverse=True)
     return AssetMesh(
-        (sphere * axes).reshape(-1, 3)[used], normals.reshape(-1, 3)[used], np.stack([u, v], -1).reshape(-1, 2)[used],
+        (sphere * axes).reshape(-1, 3)[used],
+        normals.reshape(-1, 3)[used],
+        np.stack([u, v], -1).reshape(-1, 2)[used],
         faces.reshape(-1, 3),
-    )  # fmt: skip
+    )

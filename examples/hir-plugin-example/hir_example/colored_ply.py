@@ -8,9 +8,9 @@ from typing import final
 
 import numpy as np
 from hir_exporters.asset import Asset, validate_asset
-from hir_exporters.atomic import write_bytes_atomic
 from hir_exporters.conventions import linear_to_srgb
 from hir_exporters.exporter import Edit, Exporter, ExportReport
+from hir_exporters.files.atomic import write_bytes_atomic
 from numpy.typing import NDArray
 
 from hir_core.errors import ConfigError

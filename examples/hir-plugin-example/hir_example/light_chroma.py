@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, final
 
 from hir_core.errors import StageError
-from hir_core.interfaces import Regularizer
+from hir_core.plugins.interfaces import Regularizer
 from hir_example.options import LightChromaOptions
 
 if TYPE_CHECKING:

@@ -14,9 +14,9 @@ import torch
 from torch import Tensor
 
 from hir_core.capture import Camera, View
-from hir_core.interfaces import GeometryRenderer
+from hir_core.plugins.interfaces import GeometryRenderer
 from hir_core.scene import Mesh
-from hir_core.silhouettes import SilhouetteTargets
+from hir_core.scene.silhouette_targets import SilhouetteTargets
 from hir_example.options import MidpointOptions
 
 NEAR = 1e-3

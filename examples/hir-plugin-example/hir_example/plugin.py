@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hir_core.plugin import Component, hookimpl
+from hir_core.plugins import Component, hookimpl
 from hir_example.options import LightChromaOptions, MidpointOptions, PlyOptions, SupersampledOptions
 
 LIGHT_CHROMA = Component(

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from hir_core.errors import ConfigError
-from hir_core.interfaces import PreparedReflectance, ReflectanceRenderer
-from hir_core.manager import PluginManager
+from hir_core.plugins.interfaces import PreparedReflectance, ReflectanceRenderer
+from hir_core.plugins.manager import PluginManager
 from hir_example.options import SupersampledOptions
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hir_exporters.conventions import srgb_to_linear
 
-from hir_core.manager import PluginManager
+from hir_core.plugins.manager import PluginManager
 from hir_core.testing.assets import textured_asset
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from hir_exporters.asset import AssetMesh
 from hir_exporters.errors import ExportError
 from hir_exporters.gltf.binary import BinaryWriter
-from hir_exporters.gltf.geometry import unit
+from hir_exporters.gltf.mesh_primitives import unit
 
 if TYPE_CHECKING:
     from pygltflib import GLTF2, Primitive

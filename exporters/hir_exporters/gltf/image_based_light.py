@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hir_exporters.conventions import linear_to_srgb
-from hir_exporters.environment import irradiance_harmonics
 from hir_exporters.gltf.binary import BinaryWriter
-from hir_exporters.images import encode_png
-from hir_exporters.prefilter import even_roughness, level_sizes, prefiltered_cube
-from hir_exporters.surface_images import EncodedImage
+from hir_exporters.light.environment_map import irradiance_harmonics
+from hir_exporters.light.prefilter import even_roughness, level_sizes, prefiltered_cube
+from hir_exporters.materials.texture_packing import EncodedImage
+from hir_exporters.textures.image_files import encode_png
 
 if TYPE_CHECKING:
     from pygltflib import GLTF2

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 from hir_exporters.asset import textures
 from hir_exporters.configs import GltfConfig
-from hir_exporters.gltf.document import Gathered
-from hir_exporters.normal_bake import baked_normals
-from hir_exporters.simplify import simplify
-from hir_exporters.surface_images import encode_images
-from hir_exporters.tangents import with_tangents
-from hir_exporters.texture_maps import normal_to_unorm8
+from hir_exporters.gltf.gltf_document import Gathered
+from hir_exporters.materials.texture_packing import encode_images
+from hir_exporters.mesh.normal_baking import baked_normals
+from hir_exporters.mesh.simplification import simplify
+from hir_exporters.mesh.tangents import with_tangents
+from hir_exporters.textures.texture_maps import normal_to_unorm8
 
 PLAIN_SIZE = 1024
 """Side of the map for assets without textures, at most `max_texture_size`."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from hir_exporters.asset import AssetMesh
 from hir_exporters.gltf.binary import BinaryWriter
-from hir_exporters.gltf.geometry import add_indices, unit
+from hir_exporters.gltf.mesh_primitives import add_indices, unit
 
 if TYPE_CHECKING:
     from pygltflib import GLTF2, Node, Primitive

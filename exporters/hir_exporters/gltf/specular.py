@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from hir_exporters.surface_images import PackedSurface
+from hir_exporters.materials.texture_packing import PackedSurface
 
 NAME = "KHR_materials_specular"
 

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hir_exporters.materials import SpecularSurface
-from hir_exporters.surface_images import pack_color, resize_codes
-from hir_exporters.texture_maps import unorm8
+from hir_exporters.materials.material_conversion import SpecularSurface
+from hir_exporters.materials.texture_packing import pack_color, resize_codes
+from hir_exporters.textures.texture_maps import unorm8
 
 NAME = "KHR_materials_pbrSpecularGlossiness"
 

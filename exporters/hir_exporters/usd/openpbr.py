@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
-from hir_exporters.usd.surface import UsdSurface
+from hir_exporters.usd.preview_surface import UsdSurface
 
 if TYPE_CHECKING:
     from pxr import Sdf

@@ -11,7 +11,7 @@ import numpy as np
 
 from hir_core.capture import Capture
 from hir_core.errors import HirError
-from hir_core.interfaces import CaptureReader
+from hir_core.plugins.interfaces import CaptureReader
 from hir_core.testing.captures import TinyCapture, similarity_between, surface_points, tiny_capture
 from hir_core.testing.contract import Subject, contract, require
 from hir_core.testing.exercise import Exercise

@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from hir_core.errors import PluginError
-from hir_core.options import build_options, options_schema
+from hir_core.plugins.options import build_options, options_schema
+from hir_core.plugins.traits import TRAITS
 from hir_core.testing.contract import INTERFACES, NotApplicable, Subject, contract, require
-from hir_core.traits import TRAITS
 
 HEAVY: Final = ("torch", "mitsuba", "drjit", "open3d", "pycolmap", "xatlas", "cv2", "skimage", "matplotlib", "pxr")
 """Packages that take a good part of a second to import."""
@@ -131,7 +131,8 @@ def descriptor_is_complete(subject: Subject) -> None:
 
 @contract()
 def traits_are_known(subject: Subject) -> None:
-    """Traits are words that the core knows for the kind (`hir_core.traits`); a misspelt promise would do nothing."""
+    """Traits are words that the core knows for the kind (`hir_core.plugins.traits`); a misspelt promise would do
+    nothing."""
     known = TRAITS[subject.kind]
     for trait in sorted(subject.component.traits - set(known)):
         near = get_close_matches(trait, known, 1)
@@ -161,7 +162,7 @@ def imports_light(subject: Subject) -> None:
 def _loaded_by(place: str, path: tuple[str, ...]) -> frozenset[str]:
     """Top-level modules that a fresh interpreter holds after it imported a module, or ran a file."""
     if place.endswith(".py"):
-        load = "from pathlib import Path; from hir_core.manager import module_from_file"
+        load = "from pathlib import Path; from hir_core.plugins.manager import module_from_file"
         load += f"\nmodule_from_file(Path({place!r}))"
     else:
         load = f"from importlib import import_module; import_module({place!r})"

@@ -94,7 +94,7 @@ def reads_back(subject: Subject) -> None:
 
 
 def _read_by_ending(path: Path, asset: Asset) -> None:
-    from hir_exporters.verify import READERS, verify_file
+    from hir_exporters.reading.file_verification import READERS, verify_file
 
     suffix = path.suffix.lower()
     if suffix in READERS:
@@ -106,7 +106,7 @@ def _read_by_ending(path: Path, asset: Asset) -> None:
         mesh: Any = trimesh.load(path, process=False, force="mesh")
         _same_surface(asset, np.asarray(mesh.vertices), np.asarray(mesh.faces))
     elif suffix in LIGHTS:
-        from hir_exporters.images import read_hdr
+        from hir_exporters.textures.image_files import read_hdr
 
         assert asset.environment is not None
         truth, found = asset.environment.radiance, read_hdr(path)
@@ -145,7 +145,7 @@ def _triangles(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
 @contract("exporter")
 def validators_find_nothing(subject: Subject) -> None:
     """Outside validators report no error: pxr's for USD, Khronos' for glTF where node and the package are installed."""
-    from hir_exporters.validate import validate_gltf, validate_usd
+    from hir_exporters.reading.validators import validate_gltf, validate_usd
 
     files = [_write(subject, asset, subject.folder()).files[0] for asset in _assets(subject)]
     if subject.has("usd"):

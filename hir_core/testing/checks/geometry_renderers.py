@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from hir_core.capture import Camera
     from hir_core.scene import Mesh
-    from hir_core.silhouettes import SilhouetteTargets
+    from hir_core.scene.silhouette_targets import SilhouetteTargets
 
 SIZE = 128
 DISTANCE = 4.0

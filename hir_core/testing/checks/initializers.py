@@ -20,7 +20,7 @@ from hir_core.testing.exercise import Exercise, seeded
 
 if TYPE_CHECKING:
     from hir_core.capture import Capture
-    from hir_core.interfaces import Initializer
+    from hir_core.plugins.interfaces import Initializer
     from hir_core.scene import Scene
 
 
@@ -153,9 +153,7 @@ def _refused(initializer: Initializer, capture: Capture, name: str, folder: Path
     try:
         _, scene = initializer.initialize(capture, None, folder)
     except HirError as error:
-        require(
-            len(str(error)) > 20, f"given {name}, it raises {type(error).__name__}({str(error)!r})"
-        )
+        require(len(str(error)) > 20, f"given {name}, it raises {type(error).__name__}({str(error)!r})")
         return
     except Exception as error:
         require(False, f"given {name}, it raises {type(error).__name__}: {error}")

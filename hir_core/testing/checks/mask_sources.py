@@ -14,7 +14,7 @@ from hir_core.testing.exercise import Exercise, seeded
 
 if TYPE_CHECKING:
     from hir_core.capture import Capture
-    from hir_core.interfaces import MaskSource
+    from hir_core.plugins.interfaces import MaskSource
 
 
 def _case(subject: Subject) -> tuple[TinyCapture, Capture, MaskSource]:

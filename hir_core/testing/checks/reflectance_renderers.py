@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from hir_core.capture import Camera, Capture
-    from hir_core.interfaces import PreparedReflectance
+    from hir_core.plugins.interfaces import PreparedReflectance
     from hir_core.scene import EnvironmentMap, Material, Mesh, Scene
 
 SIZE = 24

@@ -122,8 +122,8 @@ def linear_in_weight(subject: Subject) -> None:
     """The core multiplies the term by `weight`: three times the weight is three times the term, at each call. The
     options have no `weight` of their own, which would never arrive.
     """
-    from hir_core.context import StageContext
-    from hir_core.energies import prepare_energies
+    from hir_core.optimization.weighted_energies import prepare_energies
+    from hir_core.run.stage_context import StageContext
     from hir_core.testing.scenes import bumpy_scene
 
     options = getattr(subject.component.config, "__dataclass_fields__", {})

@@ -1,5 +1,4 @@
 """The reflectance renderer `mitsuba_ggx`."""
-# ruff: noqa: TID253 - the implementation of a renderer
 
 from __future__ import annotations
 
@@ -11,16 +10,16 @@ from jaxtyping import Float
 from torch import Tensor
 
 from hir_core.capture import Camera, Capture
+from hir_core.capture.capture_size import CaptureSize
 from hir_core.errors import ConfigError, StageError
-from hir_core.interfaces import ReflectanceRenderer
-from hir_core.memory import CaptureSize
+from hir_core.plugins.interfaces import ReflectanceRenderer
 from hir_core.scene import Mesh, Scene
 from hir_plugins.reflectance_renderers.mitsuba_ggx.options import MitsubaGGXOptions
-from hir_plugins.reflectance_renderers.variant import mitsuba_on
+from hir_plugins.reflectance_renderers.mitsuba_variant import mitsuba_on
 
 if TYPE_CHECKING:
-    from hir_plugins.reflectance_renderers.mitsuba_ggx.prepared import PreparedMitsuba
-    from hir_plugins.reflectance_renderers.mitsuba_ggx.surface import Surface
+    from hir_plugins.reflectance_renderers.mitsuba_ggx.mitsuba_mesh import Surface
+    from hir_plugins.reflectance_renderers.mitsuba_ggx.prepared_scene import PreparedMitsuba
 
 _SCOUTS = 16
 """Rays for each pixel that look for the object before paths are traced."""
@@ -75,17 +74,21 @@ class MitsubaGGX(ReflectanceRenderer):
     def _prepare(self, scene: Scene, cameras: list[Camera]) -> PreparedMitsuba:
         device = str(scene.mesh.positions.device)
         mitsuba_on(device)
-        from hir_plugins.reflectance_renderers.mitsuba_ggx.prepared import PreparedMitsuba
-        from hir_plugins.reflectance_renderers.mitsuba_ggx.surface import Surface
+        from hir_plugins.reflectance_renderers.mitsuba_ggx.mitsuba_mesh import Surface
+        from hir_plugins.reflectance_renderers.mitsuba_ggx.prepared_scene import PreparedMitsuba
 
         # views of one scene are rendered one after the other: keep its last acceleration structure
         if self._cached is None or self._cached[0] is not scene.mesh:
             self._cached = (scene.mesh, Surface(scene.mesh))
         config = self._config
         return PreparedMitsuba(
-            self._cached[1], cameras, config.samples, config.gradient_samples, config.max_depth,
+            self._cached[1],
+            cameras,
+            config.samples,
+            config.gradient_samples,
+            config.max_depth,
             lambda: mitsuba_on(device),
-        )  # fmt: skip
+        )
 
 
 def _with_neighbours(pixels: Tensor, camera: Camera) -> Tensor:

@@ -1,5 +1,4 @@
 """`transport_ggx`: shading of frozen geometry by cached rays."""
-# ruff: noqa: TID253
 
 from __future__ import annotations
 
@@ -10,18 +9,18 @@ from jaxtyping import Float
 from torch import Tensor
 
 from hir_core.capture import Camera, Capture
+from hir_core.capture.capture_size import CaptureSize
 from hir_core.errors import StageError
-from hir_core.interfaces import ReflectanceRenderer
-from hir_core.memory import CaptureSize
+from hir_core.plugins.interfaces import ReflectanceRenderer
 from hir_core.scene import Scene
+from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport, build_transport
+from hir_plugins.reflectance_renderers.transport_ggx.operator.radiance_probes import COLUMNS, LEVELS, ROWS
+from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import see
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
-from hir_plugins.reflectance_renderers.transport_ggx.probes import COLUMNS, LEVELS, ROWS
-from hir_plugins.reflectance_renderers.transport_ggx.shading import shade_points
-from hir_plugins.reflectance_renderers.transport_ggx.sightings import MOST_BYTES
 from hir_plugins.reflectance_renderers.transport_ggx.solver import TransportSolver
-from hir_plugins.reflectance_renderers.transport_ggx.surface import see
-from hir_plugins.reflectance_renderers.transport_ggx.texel_lobes import SIGHTINGS_AT_ONCE
-from hir_plugins.reflectance_renderers.transport_ggx.transport import Transport, build_transport
+from hir_plugins.reflectance_renderers.transport_ggx.textures.observations import MOST_BYTES
+from hir_plugins.reflectance_renderers.transport_ggx.textures.per_texel_brdf import SIGHTINGS_AT_ONCE
+from hir_plugins.reflectance_renderers.transport_ggx.textures.texture_shading import shade_points
 
 LOBE_BYTES = 150
 """Of one direction of a pixel: where it looks with four weights, its cosines, and its row of the matrices."""

@@ -1,5 +1,4 @@
 """Fits material and light on cached transport: the `ReflectanceSolver` of `transport_ggx`."""
-# ruff: noqa: TID253
 
 from __future__ import annotations
 
@@ -17,29 +16,34 @@ from torch import Tensor
 
 from hir_core.capture import Capture
 from hir_core.errors import StageError
-from hir_core.interfaces import PreparedReflectance, ReflectanceSolver
+from hir_core.plugins.interfaces import PreparedReflectance, ReflectanceSolver
+from hir_core.plugins.model_spec import Rung
 from hir_core.scene import EnvironmentMap, Material, Scene, Topology
-from hir_core.selection import Rung
-from hir_core.srgb import linear_to_srgb, srgb_to_linear
-from hir_plugins.reflectance_renderers.transport_ggx import joint
-from hir_plugins.reflectance_renderers.transport_ggx.bending import bent
-from hir_plugins.reflectance_renderers.transport_ggx.blocks import Block, ShownPixels, predict, residual
-from hir_plugins.reflectance_renderers.transport_ggx.fit_files import FitFiles
-from hir_plugins.reflectance_renderers.transport_ggx.joint import FitSettings
-from hir_plugins.reflectance_renderers.transport_ggx.lobe_maps import solve_lobe_maps
-from hir_plugins.reflectance_renderers.transport_ggx.moving_light import pixel_irradiance
+from hir_core.scene.srgb import linear_to_srgb, srgb_to_linear
+from hir_plugins.reflectance_renderers.transport_ggx.fit import joint_optimization
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_checkpoints import FitFiles
+from hir_plugins.reflectance_renderers.transport_ggx.fit.initial_guess import albedo_of_photographs, without_indirect
+from hir_plugins.reflectance_renderers.transport_ggx.fit.joint_optimization import FitSettings
+from hir_plugins.reflectance_renderers.transport_ggx.fit.mini_batches import Stream
+from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import (
+    GRAZING,
+    Photographed,
+    join,
+    photographed,
+)
+from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import LIGHT_LIMIT, Unknowns, width_of
+from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import Block, ShownPixels, predict, residual
+from hir_plugins.reflectance_renderers.transport_ggx.fit.shading_normals import bent
+from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_light import pixel_irradiance
+from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
-from hir_plugins.reflectance_renderers.transport_ggx.photographs import GRAZING, Photographed, join, photographed
-from hir_plugins.reflectance_renderers.transport_ggx.settling import Settling
-from hir_plugins.reflectance_renderers.transport_ggx.shading import Indirect, shade
-from hir_plugins.reflectance_renderers.transport_ggx.sightings import Pictures
-from hir_plugins.reflectance_renderers.transport_ggx.starts import albedo_of_photographs, without_indirect
-from hir_plugins.reflectance_renderers.transport_ggx.stream import Stream
-from hir_plugins.reflectance_renderers.transport_ggx.texel_lobes import LitSurface, shown_pixels
-from hir_plugins.reflectance_renderers.transport_ggx.texture_stage import solve_scene
-from hir_plugins.reflectance_renderers.transport_ggx.textures import TexelEquations
-from hir_plugins.reflectance_renderers.transport_ggx.transport import Transport
-from hir_plugins.reflectance_renderers.transport_ggx.unknowns import LIGHT_LIMIT, Unknowns, width_of
+from hir_plugins.reflectance_renderers.transport_ggx.textures.albedo_refinement import Settling
+from hir_plugins.reflectance_renderers.transport_ggx.textures.observations import Pictures
+from hir_plugins.reflectance_renderers.transport_ggx.textures.per_texel_brdf import LitSurface, shown_pixels
+from hir_plugins.reflectance_renderers.transport_ggx.textures.per_texel_maps import solve_lobe_maps
+from hir_plugins.reflectance_renderers.transport_ggx.textures.texel_equations import TexelEquations
+from hir_plugins.reflectance_renderers.transport_ggx.textures.texture_shading import Indirect, shade
+from hir_plugins.reflectance_renderers.transport_ggx.textures.texture_solve import solve_scene
 
 UPRIGHT = torch.diag(torch.tensor([1.0, -1.0, -1.0]))
 """Axes of a light that the camera carries: y up and z backwards, so that the picture of the light is upright."""
@@ -104,9 +108,7 @@ class TransportSolver(ReflectanceSolver):
         """Fits that have ended are read again from `folder`, one under way goes on from its last state."""
         self._files = FitFiles(folder, seconds)
 
-    def fit(
-        self, rung: Rung, start: Any, views: Sequence[int], effort: float, report: Callable[[float], None]
-    ) -> Fit:
+    def fit(self, rung: Rung, start: Any, views: Sequence[int], effort: float, report: Callable[[float], None]) -> Fit:
         """Adam on cached transport; a rung's new unknowns start from the values of the earlier fit.
 
         Without one a diffuse model is fitted first: light and albedo before the lobes that depend on both.
@@ -134,16 +136,26 @@ class TransportSolver(ReflectanceSolver):
         unknowns = self._begin(rung, start, photographs)
         steps = max(1, round(self._options.steps * effort))
         known = self._options.known_light
-        settings = FitSettings(steps, rung.brdf, rung.bounces, known_light=known,
-                               light_smoothness=self._options.light_smoothness,
-                               light_whiteness=self._options.light_whiteness,
-                               albedo_smoothness=self._options.albedo_smoothness)
+        settings = FitSettings(
+            steps,
+            rung.brdf,
+            rung.bounces,
+            known_light=known,
+            light_smoothness=self._options.light_smoothness,
+            light_whiteness=self._options.light_whiteness,
+            albedo_smoothness=self._options.albedo_smoothness,
+        )
         begun = file is not None and file.begun()
         if rung.brdf != "diffuse" and start.unknowns.width is None and not begun:
             unknowns = self._probe(photographs, unknowns, settings, rung, effort)
-        fitted = joint.fit(
-            self._transport, self._stream(photographs, rung), unknowns, settings, self._edges,
-            lambda step, _: report((step + 1) / steps), file,
+        fitted = joint_optimization.fit(
+            self._transport,
+            self._stream(photographs, rung),
+            unknowns,
+            settings,
+            self._edges,
+            lambda step, _: report((step + 1) / steps),
+            file,
         )
         if file is not None:
             file.finish(fitted)
@@ -197,8 +209,16 @@ class TransportSolver(ReflectanceSolver):
             )
         else:
             material, self._equations, facts = solve_scene(
-                self._transport, self._scene, self._capture, views, self._downsample, fit.rung, shown,
-                self._rotation if moving else None, self._options, report,
+                self._transport,
+                self._scene,
+                self._capture,
+                views,
+                self._downsample,
+                fit.rung,
+                shown,
+                self._rotation if moving else None,
+                self._options,
+                report,
             )
         if fit.rung.bounces:
             self._indirect = self._indirect_light(shown, fit.rung.bounces)
@@ -261,8 +281,16 @@ class TransportSolver(ReflectanceSolver):
             alpha = unknowns.alpha.detach()
             alpha = alpha if len(alpha) == 1 else vertices.matrix @ alpha
             lobes = self._transport.lobes(points, alpha, self._options.samples, rotation, seed)
-        return Block(linear_to_srgb(part.color), part.saturated, part.points.view, lobes, vertices,
-                     None if direct else cells, direct, part.points.normal)
+        return Block(
+            linear_to_srgb(part.color),
+            part.saturated,
+            part.points.view,
+            lobes,
+            vertices,
+            None if direct else cells,
+            direct,
+            part.points.normal,
+        )
 
     def _begin(self, rung: Rung, start: Fit | None, photographs: Photographed) -> Unknowns:
         """Unknowns of a rung, from an earlier fit or from the scene that was prepared."""
@@ -316,8 +344,12 @@ class TransportSolver(ReflectanceSolver):
 
     def _short_fit(self, part: Photographed, rung: Rung, start: Unknowns, settings: FitSettings) -> float:
         losses: list[float] = []
-        joint.fit(
-            self._transport, self._stream(part, rung), start, settings, self._edges,
+        joint_optimization.fit(
+            self._transport,
+            self._stream(part, rung),
+            start,
+            settings,
+            self._edges,
             lambda _, loss: losses.append(loss),
         )
         last = losses[-max(1, len(losses) // 5) :]

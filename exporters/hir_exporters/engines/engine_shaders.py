@@ -1,0 +1,163 @@
+"""What each engine makes of a file's material: its published shading formula on points of the surface, as PSNR.
+
+| engine | formula |
+|---|---|
+| `gltf` | glTF 2.0 appendix B with KHR_materials_specular and _ior |
+| `three.js` | r187 under an environment: split sum, multiple scattering (Fdez-Agüera 2019), roughness at least 0.045 |
+| `unreal` | Karis 2013: F0 = lerp(0.08 Specular, BaseColor, Metallic), Lambert without Fresnel, split sum |
+| `unity` | URP Lit's environment term; specular-glossiness where the file has it, else metallic-roughness |
+| `blender` | Principled BSDF as measured at ior 1000, else as `gltf`; of USD the metallic inputs, which it reads |
+| `usd` | UsdPreviewSurface's specification, both workflows |
+
+The fitted model and each formula share points, directions and light, so that what differs is shading and encoding.
+Shadows and reflections between parts are left out of both: `docs/engines/parity.md` has pictures of the engines.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hir_exporters.asset import Asset
+from hir_exporters.conventions import linear_to_srgb
+from hir_exporters.engines.surface_points import SurfacePoints, surface_points
+from hir_exporters.materials import target_brdfs as models
+from hir_exporters.materials.brdf_slice import model_brdf
+from hir_exporters.materials.material_conversion import NO_FRESNEL_IOR, MetallicSurface, SpecularSurface
+from hir_exporters.textures.texture_maps import sample_texels
+
+Array = NDArray[np.float64]
+
+PSNR_MAX: Final = 100.0
+"""dB reported for equal pictures."""
+
+
+class Texels:
+    """A file's material at the points: colours (N, 3), scalars (N, 1)."""
+
+    def __init__(self, points: SurfacePoints, surface: MetallicSurface, legacy: SpecularSurface | None) -> None:
+        def at(value: NDArray[np.floating], color: bool) -> Array:
+            found = sample_texels(np.asarray(value), color, points.places)
+            return found if color else found[:, None]
+
+        self.base, self.metallic = at(surface.base_color, True), at(surface.metallic, False)
+        self.weight, self.color = at(surface.specular_weight, False), at(surface.specular_color, True)
+        self.roughness, self.ior = at(surface.roughness, False), surface.ior
+        self.f0 = np.minimum(models.ior_to_f0(surface.ior) * self.color, 1) * self.weight
+        self.legacy = None
+        if legacy is not None:
+            self.legacy = at(legacy.diffuse, True), at(legacy.specular, True), at(legacy.roughness, False)
+
+
+def engine_psnr(
+    asset: Asset, surface: MetallicSurface, legacy: SpecularSurface | None, *, usd: bool = False
+) -> dict[str, float]:
+    """PSNR in dB by engine of a material as read back from a glTF file (or a USD one) against the asset's own.
+
+    sRGB, clipped, over points seen from four sides (`hir_exporters.engines.surface_points`). Engines that never read
+    the kind of file are left out.
+    """
+    points = surface_points(asset)
+    if not len(points.places):
+        return {}
+    diffuse = sample_texels(asset.material.diffuse_albedo, True, points.places)
+    specular = sample_texels(asset.material.specular_albedo, True, points.places)
+    wanted = _encoded(points.shade(model_brdf(points.slices, asset.material.model, diffuse, specular)))
+    texels = Texels(points, surface, legacy)
+    found = {}
+    for name, shade in (USD_ENGINES if usd else GLTF_ENGINES).items():
+        error = float(np.mean((_encoded(shade(points, texels)) - wanted) ** 2))
+        found[name] = round(min(-10 * float(np.log10(max(error, 1e-12))), PSNR_MAX), 2)
+    return found
+
+
+def gltf(points: SurfacePoints, t: Texels) -> Array:
+    """glTF's text, integrated over the light."""
+    values = models.gltf_brdf(points.slices, t.base, t.metallic[:, 0], t.weight[:, 0], t.color, t.ior)
+    return points.shade(values)
+
+
+def blender(points: SurfacePoints, t: Texels) -> Array:
+    """At ior 1000 the tint is reflected at all angles; elsewhere it follows glTF's text."""
+    if t.ior >= NO_FRESNEL_IOR and not np.any(t.metallic):
+        return points.shade(models.blender_brdf(points.slices, t.base, np.minimum(t.color, 1) * t.weight))
+    return gltf(points, t)
+
+
+def usd_preview_surface(points: SurfacePoints, t: Texels) -> Array:
+    """The specification's two workflows."""
+    if t.legacy is not None:
+        return points.shade(models.specular_workflow_brdf(points.slices, t.legacy[0], t.legacy[1]))
+    return gltf(points, t)
+
+
+def three(points: SurfacePoints, t: Texels) -> Array:
+    """Split sum with multiple scattering; the mirrored direction bends to the normal with roughness to the fourth."""
+    rough = np.clip(t.roughness, 0.045, 1)
+    bend = rough**4
+    seen = points.prefiltered(_unit((1 - bend) * points.reflected + bend * points.normals), rough[:, 0] ** 2)
+    a, b = points.lobe_terms()
+    f90 = t.weight * (1 - t.metallic) + t.metallic
+
+    def scattered(f0: Array) -> tuple[Array, Array]:
+        single, lost = f0 * a + f90 * b, 1 - (a + b)
+        mean = f0 + (1 - f0) / 21
+        return single, single * mean / (1 - lost * mean) * lost
+
+    single_d, multi_d = scattered(t.f0)
+    single_m, multi_m = scattered(t.base)
+    single = single_d + (single_m - single_d) * t.metallic
+    multi = multi_d + (multi_m - multi_d) * t.metallic
+    diffuse = t.base * (1 - t.metallic) * (1 - single_d - multi_d)
+    return np.asarray(seen * single + (multi + diffuse) * points.irradiance_over_pi())
+
+
+def unreal(points: SurfacePoints, t: Texels) -> Array:
+    """One grey Specular a texel, at most 0.08; the mirrored direction bends to the normal (off-specular peak)."""
+    specular = np.minimum(t.f0.max(axis=-1, keepdims=True) / 0.08, 1)
+    f0 = 0.08 * specular * (1 - t.metallic) + t.base * t.metallic
+    width = t.roughness**2
+    keep = (1 - width) * (np.sqrt(1 - width) + width)
+    seen = points.prefiltered(_unit(points.normals + keep * (points.reflected - points.normals)), width[:, 0])
+    a, b = points.lobe_terms()
+    lobe = f0 * a + np.clip(50 * f0[:, 1:2], 0, 1) * b
+    return np.asarray(seen * lobe + t.base * (1 - t.metallic) * points.irradiance_over_pi())
+
+
+def unity(points: SurfacePoints, t: Texels) -> Array:
+    """URP's EnvironmentBRDF: a fitted lobe, rising to a grazing value with the fourth power."""
+    if t.legacy is not None:
+        diffuse, specular, rough = t.legacy
+        reflectivity = specular.max(axis=-1, keepdims=True)
+        diffuse = diffuse * (1 - reflectivity)
+    else:
+        rough, reflectivity = t.roughness, 1 - 0.96 * (1 - t.metallic)
+        diffuse, specular = t.base * (1 - reflectivity), 0.04 * (1 - t.metallic) + t.base * t.metallic
+    grazing = np.minimum(1 - rough + reflectivity, 1)
+    rise = (1 - points.cos_o[:, None]) ** 4
+    lobe = (specular + (grazing - specular) * rise) / (rough**4 + 1)
+    seen = points.prefiltered(points.reflected, rough[:, 0] ** 2)
+    return np.asarray(seen * lobe + diffuse * points.irradiance_over_pi())
+
+
+Shader = Callable[[SurfacePoints, Texels], Array]
+
+GLTF_ENGINES: Final[Mapping[str, Shader]] = {
+    "gltf": gltf,
+    "three.js": three,
+    "blender": blender,
+    "unreal": unreal,
+    "unity": unity,
+}
+USD_ENGINES: Final[Mapping[str, Shader]] = {"usd": usd_preview_surface, "blender": blender}
+
+
+def _encoded(linear: Array) -> Array:
+    return np.asarray(linear_to_srgb(np.clip(linear, 0, 1)), np.float64)
+
+
+def _unit(vectors: Array) -> Array:
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12))

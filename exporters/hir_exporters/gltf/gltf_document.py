@@ -1,0 +1,168 @@
+"""An asset as a typed glTF document (`pygltflib.GLTF2`), its buffer and its images."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from hir_exporters.asset import Asset, AssetMaterial, AssetMesh
+from hir_exporters.configs import GltfConfig
+from hir_exporters.errors import ExportError
+from hir_exporters.gltf import image_based_light, ior, specular, specular_glossiness
+from hir_exporters.gltf.binary import BinaryWriter
+from hir_exporters.gltf.draco import add_draco_primitive
+from hir_exporters.gltf.gltf_images import add_textures
+from hir_exporters.gltf.mesh_primitives import add_primitive
+from hir_exporters.gltf.quantization import add_quantized_primitive
+from hir_exporters.light.environment_map import world_radiance
+from hir_exporters.materials.material_conversion import MetallicSurface, SpecularSurface, to_gltf
+from hir_exporters.materials.texture_packing import EncodedImage, PackedSurface, encode_images, pack_surface
+from hir_exporters.mesh.tangents import with_tangents
+
+if TYPE_CHECKING:
+    from pygltflib import GLTF2
+
+GENERATOR = "hir_exporters"
+
+
+@dataclass(frozen=True)
+class Gathered:
+    """What is written of an asset: a mesh, a packed surface with its images, and what its conversion said."""
+
+    asset: Asset
+    mesh: AssetMesh
+    packed: PackedSurface
+    legacy: SpecularSurface | None
+    images: list[EncodedImage]
+    light: tuple[list[EncodedImage], dict[str, object]] | None
+    """Faces of the light and its object, where it goes into the file (`image_based_light`)."""
+    warnings: tuple[str, ...]
+    residuals: dict[str, float]
+
+
+def gather(asset: Asset, config: GltfConfig) -> Gathered:
+    """Convert the material, compute tangents where they are wanted, and encode the images."""
+    wanted = config.tangents == "always" or (config.tangents == "auto" and asset.material.normal is not None)
+    with ThreadPoolExecutor(max_workers=1) as beside:
+        mesh = beside.submit(with_tangents, asset.mesh) if wanted else None
+        converted, base, packed, images = _surface(asset.material, config)
+    legacy = converted if isinstance(converted, SpecularSurface) else None
+    return Gathered(
+        asset=asset,
+        mesh=asset.mesh if mesh is None else mesh.result(),
+        packed=packed,
+        legacy=legacy,
+        images=images,
+        light=_light(asset, config),
+        warnings=converted.warnings + _light_warning(asset, config),
+        residuals={config.profile: converted.residual, "metalrough": base.residual}
+        if legacy is not None
+        else {config.profile: converted.residual},
+    )
+
+
+def _surface(
+    material: AssetMaterial, config: GltfConfig
+) -> tuple[MetallicSurface | SpecularSurface, MetallicSurface, PackedSurface, list[EncodedImage]]:
+    """The material as the profile says it, what core readers see of it, and that packed, with all images as files."""
+    if config.image_format == "ktx2":
+        raise ExportError(
+            "image_format is 'ktx2': no Python package encodes KTX2; export png, then run Khronos' toktx or "
+            "`gltf-transform uastc` on the file"
+        )
+    converted = to_gltf(material, config.profile)
+    base = converted if isinstance(converted, MetallicSurface) else to_gltf(material, "metalrough")
+    assert isinstance(base, MetallicSurface)
+    packed = pack_surface(base, material.normal)
+    pixels = {
+        "base_color": packed.base_color_image,
+        "occlusion_roughness_metallic": packed.orm_image,
+        "normal": packed.normal_image,
+        "specular": packed.specular_color_image
+        if packed.specular_weight_image is None
+        else packed.specular_weight_image,
+    }
+    named = [(name, image) for name, image in pixels.items() if image is not None]
+    if isinstance(converted, SpecularSurface):
+        named += specular_glossiness.specular_glossiness_images(converted).items()
+    return converted, base, packed, encode_images(named, config.image_format, config.jpeg_quality)
+
+
+def _light_warning(asset: Asset, config: GltfConfig) -> tuple[str, ...]:
+    if not config.image_based_light or asset.environment is None:
+        return ()
+    peak = float(asset.environment.radiance.max())
+    if peak <= image_based_light.BRIGHTEST:
+        return ()
+    return (f"the light inside the file is cut from {peak:.0f} to 255, all that its images hold; the .hdr is whole",)
+
+
+def _light(asset: Asset, config: GltfConfig) -> tuple[list[EncodedImage], dict[str, object]] | None:
+    if not config.image_based_light or asset.environment is None:
+        return None
+    return image_based_light.light_images(world_radiance(asset)[0])
+
+
+def build_document(gathered: Gathered, config: GltfConfig, files_prefix: str | None) -> tuple[GLTF2, BinaryWriter]:
+    """The document and its buffer's writer; images inside, or beside it as files that begin with `files_prefix`."""
+    from pygltflib import GLTF2, Attributes, Mesh, Node, Scene
+    from pygltflib import Asset as Header
+
+    document = GLTF2(asset=Header(version="2.0", generator=GENERATOR))
+    document.extensionsUsed, document.extensionsRequired = [], []
+    if gathered.asset.provenance:
+        document.asset.extras = {"hir": dict(gathered.asset.provenance)}
+    writer = BinaryWriter(document, config.compression == "meshopt")
+    node = Node(name=gathered.asset.name, mesh=0)
+    if config.quantize and config.compression == "draco":
+        raise ExportError("quantize and compression=draco both change the mesh; choose one of them")
+    if config.compression == "draco":
+        primitive = add_draco_primitive(document, gathered.mesh, writer, 0)
+    elif config.quantize:
+        primitive = add_quantized_primitive(document, gathered.mesh, writer, 0, node)
+    else:
+        primitive = add_primitive(gathered.mesh, writer, 0)
+    if config.tangents == "never" or gathered.mesh.tangents is None:
+        assert isinstance(primitive.attributes, Attributes)
+        primitive.attributes.TANGENT = None
+    uvs = gathered.mesh.uvs
+    embedding = writer if files_prefix is None else None
+    atlas = bool(uvs.min() >= 0 and uvs.max() <= 1)
+    textures = add_textures(document, gathered.images, embedding, files_prefix or "", atlas)
+    document.meshes.append(Mesh(name=gathered.asset.name, primitives=[primitive]))
+    document.materials.append(_material(gathered, textures, document))
+    document.nodes.append(node)
+    document.scenes.append(Scene(nodes=[0]))
+    document.scene = 0
+    if gathered.light is not None:
+        image_based_light.add_light(document, *gathered.light, embedding, files_prefix or "")
+    writer.add_buffers()
+    return document, writer
+
+
+def _material(gathered: Gathered, textures: dict[str, int], document: GLTF2) -> Any:
+    from pygltflib import Material, NormalMaterialTexture, PbrMetallicRoughness, TextureInfo
+
+    packed = gathered.packed
+    core = PbrMetallicRoughness(
+        baseColorFactor=[*packed.base_color, 1.0], metallicFactor=packed.metallic, roughnessFactor=packed.roughness
+    )
+    material = Material(name=gathered.asset.name, pbrMetallicRoughness=core, alphaMode="OPAQUE", doubleSided=False)
+    if "base_color" in textures:
+        core.baseColorTexture = TextureInfo(index=textures["base_color"])
+    if "occlusion_roughness_metallic" in textures:
+        core.metallicRoughnessTexture = TextureInfo(index=textures["occlusion_roughness_metallic"])
+    if "normal" in textures:
+        material.normalTexture = NormalMaterialTexture(index=textures["normal"], scale=1.0)
+    extensions: dict[str, Any] = {}
+    if gathered.legacy is not None:
+        extensions[specular_glossiness.NAME] = specular_glossiness.specular_glossiness_extension(
+            gathered.legacy, textures
+        )
+    else:
+        extensions[specular.NAME] = specular.specular_extension(packed, textures)
+        extensions[ior.NAME] = ior.ior_extension(packed.ior)
+    material.extensions = {name: value for name, value in extensions.items() if value is not None}
+    document.extensionsUsed += list(material.extensions)
+    return material

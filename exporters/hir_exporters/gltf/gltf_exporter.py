@@ -1,0 +1,101 @@
+"""Writes .glb and .gltf."""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, final
+from urllib.parse import quote
+
+from hir_exporters.asset import Asset, validate_asset
+from hir_exporters.budgets import apply_budget
+from hir_exporters.configs import GltfConfig
+from hir_exporters.exporter import Edit, Exporter, ExportReport
+from hir_exporters.files.atomic import write_bytes_atomic
+from hir_exporters.gltf.binary import glb_bytes
+from hir_exporters.gltf.gltf_document import Gathered, build_document, gather
+from hir_exporters.gltf.lods import level_of_detail
+from hir_exporters.light.environment_map import world_radiance
+from hir_exporters.materials.texture_packing import limited, reduction_warning
+from hir_exporters.textures.image_files import write_hdr
+
+if TYPE_CHECKING:
+    from pygltflib import GLTF2
+
+
+@final
+class GlbExporter(Exporter):
+    """One binary file, and the environment beside it."""
+
+    def __init__(self, config: GltfConfig) -> None:
+        self._config = config
+
+    def write(self, asset: Asset, destination: Path, edit: Edit | None = None) -> ExportReport:
+        return _write(asset, Path(destination), self._config, edit, embed=True)
+
+
+@final
+class GltfExporter(Exporter):
+    """A text file, a .bin, image files and the environment, all beside each other."""
+
+    def __init__(self, config: GltfConfig) -> None:
+        self._config = config
+
+    def write(self, asset: Asset, destination: Path, edit: Edit | None = None) -> ExportReport:
+        return _write(asset, Path(destination), self._config, edit, embed=False)
+
+
+def _write(asset: Asset, destination: Path, config: GltfConfig, edit: Edit | None, embed: bool) -> ExportReport:
+    start = time.perf_counter()
+    validate_asset(asset)
+    asset, warnings = apply_budget(asset, config.budget)
+    warnings += reduction_warning(asset.material, config.max_texture_size)
+    asset = replace(asset, material=limited(asset.material, config.max_texture_size))
+    gathered = gather(asset, config)
+    warnings += gathered.warnings
+    files = _write_document(gathered, destination, config, edit, embed)
+    for level, triangles in enumerate(config.lods, start=1):
+        coarse, missing = level_of_detail(gathered, level, triangles, config)
+        warnings += missing
+        path = destination.with_name(f"{destination.stem}_lod{level}{destination.suffix}")
+        # The same images again: a level of detail must be of use on its own.
+        files += _write_document(coarse, path, config, edit, embed)
+    if config.environment and asset.environment is not None:
+        radiance, light_warnings = world_radiance(asset)
+        files.append(destination.with_suffix(".hdr"))
+        write_hdr(files[-1], radiance)
+        warnings += light_warnings
+    return ExportReport(tuple(files), warnings, gathered.residuals, time.perf_counter() - start)
+
+
+def _write_document(
+    gathered: Gathered, destination: Path, config: GltfConfig, edit: Edit | None, embed: bool
+) -> list[Path]:
+    prefix = None if embed else f"{destination.stem}_"
+    document, writer = build_document(gathered, config, prefix)
+    if not embed:
+        document.buffers[0].uri = quote(f"{destination.stem}.bin")
+    if edit is not None:
+        edit(document, gathered.asset)
+
+    files = [destination]
+    if embed:
+        write_bytes_atomic(destination, glb_bytes(json_bytes(document), writer.data()))
+    else:
+        # The text that names the others is written last: it never names a file that is not there.
+        for image in [*gathered.images, *(gathered.light[0] if gathered.light else [])]:
+            files.append(destination.with_name(f"{prefix}{image.name}"))
+            write_bytes_atomic(files[-1], image.data)
+        files.append(destination.with_suffix(".bin"))
+        write_bytes_atomic(destination.with_suffix(".bin"), writer.data())
+        write_bytes_atomic(destination, json_bytes(document, indent=2))
+    return files
+
+
+def json_bytes(document: GLTF2, indent: int | None = None) -> bytes:
+    """The document's JSON, UTF-8, without values that are not finite."""
+    plain = json.loads(document.gltf_to_json())
+    separators = (",", ":") if indent is None else (",", ": ")
+    return json.dumps(plain, ensure_ascii=False, allow_nan=False, indent=indent, separators=separators).encode("utf-8")

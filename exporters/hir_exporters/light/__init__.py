@@ -1,0 +1,1 @@
+"""Environment light and its file formats."""

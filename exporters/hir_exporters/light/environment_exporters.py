@@ -1,0 +1,124 @@
+"""The environment as files of its own, in world axes: lat-long .hdr and .exr, prefiltered cubemaps, harmonics."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hir_exporters.asset import Asset, validate_asset
+from hir_exporters.configs import CubeConfig, EnvironmentConfig, HarmonicsConfig
+from hir_exporters.errors import ExportError
+from hir_exporters.exporter import Edit, Exporter, ExportReport
+from hir_exporters.files.atomic import write_bytes_atomic, write_text_atomic
+from hir_exporters.light.cube_containers import dds_bytes, ktx_bytes
+from hir_exporters.light.environment_map import irradiance_harmonics, spherical_harmonics, world_radiance
+from hir_exporters.light.prefilter import SMALLEST, filament_roughness, level_sizes, prefiltered_cube
+from hir_exporters.textures.image_files import write_exr, write_hdr
+
+Array = NDArray[np.float64]
+
+
+@final
+class HdrExporter(Exporter):
+    """Radiance RGBE: 1/256 of a pixel's brightest channel is lost."""
+
+    def __init__(self, config: EnvironmentConfig) -> None:
+        self._config = config
+
+    def write(self, asset: Asset, destination: Path, edit: Edit | None = None) -> ExportReport:
+        return _write(asset, destination, self._config, write_hdr)
+
+
+@final
+class ExrExporter(Exporter):
+    """OpenEXR, float32: nothing is lost."""
+
+    def __init__(self, config: EnvironmentConfig) -> None:
+        self._config = config
+
+    def write(self, asset: Asset, destination: Path, edit: Edit | None = None) -> ExportReport:
+        return _write(asset, destination, self._config, write_exr)
+
+
+@final
+class KtxExporter(Exporter):
+    """Cubemap in KTX 1 with irradiance harmonics in its metadata `sh`: what Filament loads as an indirect light."""
+
+    def __init__(self, config: CubeConfig) -> None:
+        self._config = config
+
+    def write(self, asset: Asset, destination: Path, edit: Edit | None = None) -> ExportReport:
+        def encoded(levels: list[Array], radiance: NDArray[np.float32]) -> bytes:
+            return ktx_bytes(levels, {"sh": filament_harmonics(radiance)})
+
+        return _write_cube(asset, destination, self._config, encoded)
+
+
+@final
+class DdsExporter(Exporter):
+    """Cubemap in DDS with OpenGL's and Direct3D's faces: a texture to sample with a world direction."""
+
+    def __init__(self, config: CubeConfig) -> None:
+        self._config = config
+
+    def write(self, asset: Asset, destination: Path, edit: Edit | None = None) -> ExportReport:
+        return _write_cube(asset, destination, self._config, lambda levels, _: dds_bytes(levels))
+
+
+@final
+class HarmonicsExporter(Exporter):
+    """Nine coefficients of radiance and of irradiance for each channel, as JSON that says its basis."""
+
+    def __init__(self, config: HarmonicsConfig) -> None:
+        self._config = config
+
+    def write(self, asset: Asset, destination: Path, edit: Edit | None = None) -> ExportReport:
+        start = time.perf_counter()
+        validate_asset(asset)
+        radiance, warnings = world_radiance(asset)
+        document = {
+            "basis": "real spherical harmonics, bands 0 to 2, m = -l..l, world axes (x, y, z), +Y up",
+            "order": ["1", "y", "z", "x", "xy", "yz", "3zz-1", "xz", "xx-yy"],
+            "radiance": spherical_harmonics(radiance).tolist(),
+            "irradiance": irradiance_harmonics(radiance).tolist(),
+        }
+        write_text_atomic(destination, json.dumps(document, indent=1, allow_nan=False) + "\n")
+        return ExportReport((Path(destination),), warnings, seconds=time.perf_counter() - start)
+
+
+def filament_harmonics(radiance: NDArray[np.floating]) -> str:
+    """Irradiance over pi with the basis functions' constants multiplied in, as cmgen prints it and Filament sums it."""
+    y00, y1, y2, y20, y22 = 0.282095, 0.488603, 1.092548, 0.315392, 0.546274
+    constants = np.array([y00, y1, y1, y1, y2, y2, y20, y2, y22])
+    rows = irradiance_harmonics(radiance) / np.pi * constants[:, None]
+    return "\n".join(" ".join(f"{x:.9g}" for x in row) for row in rows) + "\n"
+
+
+def _write(
+    asset: Asset, destination: Path, config: EnvironmentConfig, writer: Callable[[Path, NDArray[np.float32]], None]
+) -> ExportReport:
+    start = time.perf_counter()
+    validate_asset(asset)
+    radiance, warnings = world_radiance(asset, config.height)
+    writer(destination, radiance)
+    return ExportReport((Path(destination),), warnings, seconds=time.perf_counter() - start)
+
+
+def _write_cube(
+    asset: Asset, destination: Path, config: CubeConfig, encoded: Callable[[list[Array], NDArray[np.float32]], bytes]
+) -> ExportReport:
+    start = time.perf_counter()
+    validate_asset(asset)
+    if config.size < SMALLEST or config.size & (config.size - 1) or config.size > 4096:
+        raise ExportError(f"a cubemap of {config.size} pixels a side is not a power of two from {SMALLEST} to 4096")
+    radiance, warnings = world_radiance(asset)
+    levels = len(level_sizes(config.size))
+    cube = prefiltered_cube(radiance, [filament_roughness(k, levels) for k in range(levels)], config.size)
+    write_bytes_atomic(destination, encoded(cube, radiance))
+    return ExportReport((Path(destination),), warnings, seconds=time.perf_counter() - start)

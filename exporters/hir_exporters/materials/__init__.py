@@ -1,0 +1,1 @@
+"""BRDF models, and their conversion to what each format can say."""

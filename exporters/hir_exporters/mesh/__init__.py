@@ -1,0 +1,1 @@
+"""Meshes: files, simplification, tangents."""

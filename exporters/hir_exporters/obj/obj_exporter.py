@@ -1,0 +1,99 @@
+"""Writes .obj with an .mtl in the PBR dialect (Pr, Pm, norm) that Blender, Assimp and others read."""
+
+from __future__ import annotations
+
+import re
+import time
+from pathlib import Path
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hir_exporters.asset import Asset, AssetMesh, validate_asset
+from hir_exporters.configs import ObjConfig
+from hir_exporters.exporter import Edit, Exporter, ExportReport
+from hir_exporters.files.atomic import write_bytes_atomic, write_text_atomic
+from hir_exporters.materials.material_conversion import MetallicSurface, to_gltf
+from hir_exporters.materials.texture_packing import (
+    PackedSurface,
+    encode_images,
+    limited,
+    pack_surface,
+    reduction_warning,
+)
+
+
+@final
+class ObjExporter(Exporter):
+    """Geometry exactly, the material by the core metallic-roughness fit."""
+
+    def __init__(self, config: ObjConfig) -> None:
+        self._config = config
+
+    def write(self, asset: Asset, destination: Path, edit: Edit | None = None) -> ExportReport:
+        start, destination = time.perf_counter(), Path(destination)
+        validate_asset(asset)
+        material = limited(asset.material, self._config.max_texture_size)
+        surface = to_gltf(material, "metalrough")
+        assert isinstance(surface, MetallicSurface)
+        packed = pack_surface(surface, material.normal)
+        # The dialect has no channels: roughness and metalness are images of their own.
+        pixels = {"base_color": packed.base_color_image, "normal": packed.normal_image}
+        if packed.orm_image is not None and surface.roughness.ndim == 2:
+            pixels["roughness"] = packed.orm_image[..., 1:2]
+        if packed.orm_image is not None and surface.metallic.ndim == 2:
+            pixels["metallic"] = packed.orm_image[..., 2:3]
+        images = encode_images([(name, image) for name, image in pixels.items() if image is not None])
+        names = {i.name.rpartition(".")[0]: f"{_plain(destination.stem)}_{i.name}" for i in images}
+
+        library = destination.with_name(f"{_plain(destination.stem)}.mtl")
+        files = [destination, library, *(destination.with_name(name) for name in names.values())]
+        for image, file in zip(images, files[2:], strict=True):
+            write_bytes_atomic(file, image.data)
+        write_text_atomic(library, material_text(packed, names))
+        write_bytes_atomic(destination, mesh_text(asset.mesh, library.name, _plain(asset.name)).encode("utf-8"))
+        residuals = {"metalrough": surface.residual}
+        warnings = surface.warnings + reduction_warning(asset.material, self._config.max_texture_size)
+        return ExportReport(tuple(files), warnings, residuals, time.perf_counter() - start)
+
+
+def mesh_text(mesh: AssetMesh, library: str, name: str) -> str:
+    """Text of the .obj: nine significant digits hold float32 exactly."""
+    uvs = mesh.uvs.astype(np.float64) * [1, -1] + [0, 1]
+    corners = np.repeat(mesh.faces.reshape(-1, 3) + 1, 3, axis=1)
+    return "".join(
+        [
+            f"mtllib {library}\no {name}\n",
+            _lines("v %.9g %.9g %.9g\n", mesh.positions),
+            _lines("vt %.9g %.9g\n", uvs),
+            _lines("vn %.9g %.9g %.9g\n", mesh.normals),
+            "usemtl surface\n",
+            _lines("f %d/%d/%d %d/%d/%d %d/%d/%d\n", corners),
+        ]
+    )
+
+
+def material_text(packed: PackedSurface, images: dict[str, str]) -> str:
+    """Text of the .mtl: constants, then the images that take their place; Ns and Ks for readers without PBR."""
+    alpha = max(packed.roughness, 0.01) ** 2
+    exponent = min(max(2 / alpha**2 - 2, 0.0), 1000.0)  # Blinn-Phong's of the same width
+    lines = ["newmtl surface", "illum 2", _line("Kd", *packed.base_color), _line("Ks", 0.04, 0.04, 0.04)]
+    lines += [_line("Ns", exponent), _line("Ni", packed.ior), _line("Pr", packed.roughness)]
+    lines += [_line("Pm", packed.metallic), "d 1"]
+    statements = {"base_color": "map_Kd", "roughness": "map_Pr", "metallic": "map_Pm", "normal": "norm"}
+    lines += [f"{statement} {images[name]}" for name, statement in statements.items() if name in images]
+    return "\n".join(lines) + "\n"
+
+
+def _line(key: str, *values: float) -> str:
+    return " ".join([key, *(f"{value:.6g}" for value in values)])
+
+
+def _lines(form: str, rows: NDArray[np.generic]) -> str:
+    return (form * len(rows)) % tuple(rows.reshape(-1).tolist())
+
+
+def _plain(name: str) -> str:
+    """The format separates by spaces and has no quotes."""
+    return re.sub(r"\s", "_", name)

@@ -1,0 +1,288 @@
+"""What a written file says when other libraries read it: trimesh and pygltflib for glTF, pxr for USD, Pillow for
+images.
+
+Nothing here is shared with the writers. The result is compared with the asset by
+`hir_exporters.reading.file_verification`.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hir_exporters.conventions import srgb_to_linear
+from hir_exporters.errors import HirError, InputError
+from hir_exporters.materials.material_conversion import MetallicSurface, SpecularSurface
+from hir_exporters.reading.gltf_decompression import EXPANDED, plain_glb
+from hir_exporters.reading.usd_containment import check_inside, check_layers
+
+Pixels = NDArray[Any]
+"""(H, W, C) codes of 8 bits, or float32 in [0, 1]."""
+
+
+@dataclass(frozen=True)
+class ReadBack:
+    """Corners and material as a reader of the file has them."""
+
+    corner_positions: NDArray[np.float64]
+    """(F, 3, 3)."""
+    corner_normals: NDArray[np.float64]
+    """(F, 3, 3)."""
+    corner_uvs: NDArray[np.float64]
+    """(F, 3, 2), origin top-left."""
+    surface: MetallicSurface
+    """What a reader that knows the extensions written sees; for USD what the metallic workflow says."""
+    legacy: SpecularSurface | None
+    """Specular-glossiness, or UsdPreviewSurface's specular workflow, where the file has it."""
+    normal: NDArray[np.float32] | None
+    """(H, W, 3) decoded tangent space normals."""
+
+
+def read_gltf(path: Path) -> ReadBack:
+    """A .glb or .gltf with one mesh and one material. Raises `InputError` naming the file where it cannot be read."""
+    from pygltflib import GLTF2
+
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path} is not there")
+    try:
+        document = GLTF2().load(str(path))
+        scene = gltf_scene(path, document)
+        if len(scene.geometry) != 1:
+            raise InputError(f"{path} holds {len(scene.geometry)} meshes where one was written")
+        [mesh] = scene.geometry.values()
+        to_world = scene.graph[scene.graph.nodes_geometry[0]][0]
+        faces = np.asarray(mesh.faces)
+        positions = mesh.vertices[faces] @ to_world[:3, :3].T + to_world[:3, 3]
+        normals = mesh.vertex_normals[faces] @ np.linalg.inv(to_world[:3, :3])
+        uvs = np.asarray(mesh.visual.uv) * [1, -1] + [0, 1]  # trimesh turns v upwards
+        surface, legacy, normal = _gltf_material(document, path)
+        return ReadBack(positions, normals, uvs[faces], surface, legacy, normal)
+    except HirError:
+        raise
+    except Exception as error:  # two libraries, each with many ways to fail on a broken file
+        raise InputError(f"{path} cannot be read back as glTF ({type(error).__name__}: {error})") from error
+
+
+def gltf_scene(path: Path, document: Any) -> Any:
+    """The `trimesh.Scene` of a .glb or .gltf, whose `pygltflib.GLTF2` says what trimesh does not know (`EXPANDED`)."""
+    import trimesh
+
+    class Unquoting(trimesh.resolvers.FilePathResolver):
+        """trimesh looks for files under the names that a .gltf quotes for URIs."""
+
+        def get(self, name: str) -> bytes:
+            return bytes(super().get(unquote(name)))
+
+    source: Path | io.BytesIO = path
+    kind = path.suffix[1:]
+    if not EXPANDED.isdisjoint(document.extensionsRequired or []):
+        source, kind = io.BytesIO(plain_glb(document, lambda i: _gltf_buffer(document, i, path))), "glb"
+    return trimesh.load_scene(source, file_type=kind, process=False, resolver=Unquoting(str(path)))
+
+
+def read_gltf_surface(
+    path: Path,
+) -> tuple[MetallicSurface, SpecularSurface | None, NDArray[np.float32] | None]:
+    """The one material of a .glb or .gltf, whatever its meshes: surface, its legacy form, decoded normals."""
+    from pygltflib import GLTF2
+
+    try:
+        document = GLTF2().load(str(path))
+        if len(document.materials) != 1:
+            raise InputError(f"{path} has {len(document.materials)} materials; an asset has one: join them first")
+        return _gltf_material(document, Path(path))
+    except InputError:
+        raise
+    except Exception as error:  # a library with many ways to fail on a broken file
+        raise InputError(f"{path} cannot be read as glTF ({type(error).__name__}: {error})") from error
+
+
+def read_usd(path: Path) -> ReadBack:
+    """A .usda, .usdc or .usdz with one mesh and one UsdPreviewSurface. Raises `InputError` naming the file."""
+    from pxr import Usd, UsdGeom, UsdShade
+
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path} is not there")
+    try:
+        check_layers(path)
+        stage = Usd.Stage.Open(str(path))
+        meshes = [prim for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh)]
+        if len(meshes) != 1:
+            raise InputError(f"{path} holds {len(meshes)} meshes where one was written")
+        mesh = UsdGeom.Mesh(meshes[0])
+        faces = np.asarray(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 3)
+        st = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("st")
+        uvs = _by_corner(st.ComputeFlattened(), st.GetInterpolation(), faces) * [1, -1] + [0, 1]
+        material, _ = UsdShade.MaterialBindingAPI(mesh).ComputeBoundMaterial()
+        shader, *_ = material.ComputeSurfaceSource()
+        surface, legacy, normal = _usd_material(UsdShade.Shader(shader), path)
+        positions = _by_corner(mesh.GetPointsAttr().Get(), "vertex", faces)
+        normals = _by_corner(mesh.GetNormalsAttr().Get(), mesh.GetNormalsInterpolation(), faces)
+        return ReadBack(positions, normals, uvs, surface, legacy, normal)
+    except InputError:
+        raise
+    except Exception as error:  # OpenUSD's errors span lines, and broken text fails in its own decoder
+        raise InputError(f"{path} cannot be read back as USD ({_reason(error)})") from error
+
+
+def _by_corner(values: Any, interpolation: str, faces: NDArray[np.int32]) -> NDArray[np.float64]:
+    """Values (F, 3, C) of corners from those of points or of corners."""
+    array = np.asarray(values, np.float64)
+    return array.reshape(*faces.shape, -1) if interpolation == "faceVarying" else array[faces]
+
+
+def _reason(error: Exception) -> str:
+    """Type and text on one line; OpenUSD quotes broken files in bytes that are no text."""
+    try:
+        return f"{type(error).__name__}: {' '.join(str(error).split())[:300]}"
+    except UnicodeDecodeError:
+        return type(error).__name__
+
+
+def _gltf_material(
+    document: Any, path: Path
+) -> tuple[MetallicSurface, SpecularSurface | None, NDArray[np.float32] | None]:
+    material = document.materials[0]
+    core, extensions = material.pbrMetallicRoughness, material.extensions or {}
+    specular = extensions.get("KHR_materials_specular", {})
+
+    def pixels(reference: Any) -> Pixels | None:
+        if reference is None:
+            return None
+        index = reference["index"] if isinstance(reference, dict) else reference.index
+        return _decoded(_gltf_image(document, document.textures[index].source, path))
+
+    packed = pixels(core.metallicRoughnessTexture)
+    weight, color = pixels(specular.get("specularTexture")), pixels(specular.get("specularColorTexture"))
+    surface = MetallicSurface(
+        base_color=_times(core.baseColorFactor[:3], _linear(pixels(core.baseColorTexture))),
+        metallic=_times(core.metallicFactor, None if packed is None else packed[..., 2]),
+        roughness=_times(core.roughnessFactor, None if packed is None else packed[..., 1]),
+        specular_weight=_times(specular.get("specularFactor", 1.0), None if weight is None else weight[..., 3]),
+        specular_color=_times(specular.get("specularColorFactor", [1.0] * 3), _linear(color)),
+        ior=extensions.get("KHR_materials_ior", {}).get("ior", 1.5),
+        residual=0.0,
+    )
+    legacy = None
+    if "KHR_materials_pbrSpecularGlossiness" in extensions:
+        old = extensions["KHR_materials_pbrSpecularGlossiness"]
+        image = pixels(old.get("specularGlossinessTexture"))
+        gloss = _times(old.get("glossinessFactor", 1.0), None if image is None else image[..., 3])
+        legacy = SpecularSurface(
+            _times(old["diffuseFactor"][:3], _linear(pixels(old.get("diffuseTexture")))),
+            _times(old["specularFactor"], _linear(image)),
+            1 - gloss,
+            residual=0.0,
+        )
+    normal = pixels(material.normalTexture)
+    return surface, legacy, None if normal is None else _unit(normal[..., :3]) * 2 - 1
+
+
+def _usd_material(
+    shader: Any, path: Path
+) -> tuple[MetallicSurface, SpecularSurface | None, NDArray[np.float32] | None]:
+    def value(name: str, default: Any) -> NDArray[np.floating]:
+        source = shader.GetInput(name)
+        if not source:
+            return np.asarray(default, np.float32)
+        if not source.HasConnectedSource():
+            return np.asarray(source.Get(), np.float32)
+        connection, channel, _ = source.GetConnectedSource()
+        return _usd_texture(connection, str(channel), path)
+
+    white, black = [1.0] * 3, [0.0] * 3
+    roughness = value("roughness", 0.5)
+    surface = MetallicSurface(
+        value("diffuseColor", [0.18] * 3),
+        value("metallic", 0.0),
+        roughness,
+        np.ones((), np.float32),
+        np.asarray(white, np.float32),
+        float(value("ior", 1.5)),
+        residual=0.0,
+    )
+    legacy = None
+    if int(value("useSpecularWorkflow", 0)):
+        legacy = SpecularSurface(surface.base_color, value("specularColor", black), roughness, residual=0.0)
+    normal = value("normal", [0.0, 0.0, 1.0])
+    return surface, legacy, normal.astype(np.float32) if normal.ndim == 3 else None
+
+
+def _usd_texture(connection: Any, channel: str, path: Path) -> NDArray[np.floating]:
+    from pxr import Ar, UsdShade
+
+    node = UsdShade.Shader(connection.GetPrim())
+    file = node.GetInput("file").Get()
+    check_inside(path, file.resolvedPath, file.path)
+    asset = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(file.resolvedPath))
+    image = _decoded(bytes(asset.GetBuffer()))
+    chosen = slice(0, 3) if channel == "rgb" else slice("rgba".index(channel), "rgba".index(channel) + 1)
+    scale, bias = node.GetInput("scale"), node.GetInput("bias")
+    values = (
+        _linear(image[..., chosen]) if node.GetInput("sourceColorSpace").Get() == "sRGB" else _unit(image[..., chosen])
+    )
+    if scale:
+        values = values * np.asarray(scale.Get(), np.float32)[chosen] + np.asarray(bias.Get(), np.float32)[chosen]
+    return np.asarray(values if channel == "rgb" else values[..., 0])
+
+
+def _gltf_image(document: Any, source: int, path: Path) -> bytes:
+    image = document.images[source]
+    if image.uri is not None:
+        return _beside(path, image.uri)
+    view = document.bufferViews[image.bufferView]
+    start = view.byteOffset or 0
+    return _gltf_buffer(document, view.buffer, path)[start : start + view.byteLength]
+
+
+def _gltf_buffer(document: Any, index: int, path: Path) -> bytes:
+    uri = document.buffers[index].uri
+    if uri is None:
+        return bytes(document.binary_blob())
+    if uri.startswith("data:"):
+        return base64.b64decode(uri.partition(",")[2])
+    return _beside(path, uri)
+
+
+def _beside(path: Path, uri: str) -> bytes:
+    """A file in the same folder, also after links are followed."""
+    file = path.with_name(unquote(uri))
+    if file.resolve().parent != path.resolve().parent or not file.is_file():
+        raise InputError(f"{path} names {uri!r}, which is not beside it")
+    return file.read_bytes()
+
+
+def _decoded(data: bytes) -> Pixels:
+    """(H, W, C): 8-bit codes as they are, wider ones in [0, 1]."""
+    from PIL import Image
+
+    with Image.open(io.BytesIO(data)) as image:
+        pixels = np.asarray(image)
+    pixels = pixels[..., None] if pixels.ndim == 2 else pixels
+    return pixels if pixels.dtype == np.uint8 else pixels.astype(np.float32) / np.float32(65535)
+
+
+def _unit(pixels: Pixels) -> NDArray[np.float32]:
+    return pixels.astype(np.float32) / np.float32(255) if pixels.dtype == np.uint8 else pixels.astype(np.float32)
+
+
+def _linear(pixels: Pixels | None) -> Any:
+    if pixels is None:
+        return None
+    if pixels.dtype != np.uint8:
+        return srgb_to_linear(pixels[..., :3])
+    return srgb_to_linear(np.arange(256, dtype=np.float32) / np.float32(255))[pixels[..., :3]]
+
+
+def _times(factor: Any, texture: Pixels | None) -> NDArray[np.floating]:
+    constant = np.asarray(factor, np.float32)
+    return constant if texture is None else _unit(texture) * constant

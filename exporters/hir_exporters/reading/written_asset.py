@@ -1,0 +1,130 @@
+"""What an exported file says, as an asset: mesh and material decoded from its bytes, in the nearest of our models.
+
+Libraries that share nothing with the writers read the file (`hir_exporters.reading.readback`). Numpy only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hir_exporters.asset import PAPER_SPECULAR_MAX, AssetEnvironment, AssetMaterial, AssetMesh
+from hir_exporters.conventions import ALPHA_MIN
+from hir_exporters.materials.material_conversion import NO_FRESNEL_IOR, MetallicSurface, SpecularSurface
+from hir_exporters.materials.target_brdfs import ior_to_f0
+from hir_exporters.reading.readback import ReadBack
+from hir_exporters.textures.image_files import read_exr, read_hdr
+from hir_exporters.textures.texture_maps import common_size, resize
+
+Array = NDArray[np.floating]
+
+
+@dataclass(frozen=True, eq=False)
+class WrittenAsset:
+    """Mesh and material of a file, and how its material was understood."""
+
+    mesh: AssetMesh
+    material: AssetMaterial
+    understood: str
+    """One phrase: which parameters became which model."""
+
+
+def written_asset(back: ReadBack, profile: str = "khr") -> WrittenAsset:
+    """The asset that a file was read back as. `profile`: `blender` files mean what Blender makes of them."""
+    material, understood = decoded_material(back, profile)
+    return WrittenAsset(_mesh(back), material, understood)
+
+
+def written_light(path: Path) -> AssetEnvironment:
+    """The lat-long light of an .hdr or .exr, in world axes."""
+    radiance = read_exr(path) if path.suffix == ".exr" else read_hdr(path)
+    return AssetEnvironment(np.maximum(radiance[..., :3], 0))
+
+
+def decoded_material(back: ReadBack, profile: str) -> tuple[AssetMaterial, str]:
+    """Parameters of the model that is nearest to what the file's own formula says, texel by texel.
+
+    An ior of 1000 stands for a lobe without Fresnel: the `paper` model, exactly for grey lobes. All others are
+    `dielectric`; there F0, the lobe and the light that reaches the diffuse part at normal incidence are kept, while the
+    diffuse part's loss at grazing angles is that of our model instead of the format's.
+    """
+    return decoded_surface(back.surface, back.legacy, back.normal, profile)
+
+
+def decoded_surface(
+    surface: MetallicSurface, legacy: SpecularSurface | None, normal: NDArray[np.float32] | None, profile: str = "khr"
+) -> tuple[AssetMaterial, str]:
+    """`decoded_material` of a material without its mesh."""
+    if legacy is not None:
+        return _specular_workflow(legacy, normal), "specular workflow as `dielectric` of the same F0"
+    if surface.ior >= NO_FRESNEL_IOR and not np.any(surface.metallic):
+        return _without_fresnel(surface, normal, profile), "no Fresnel (ior 1000) as `paper`"
+    phrase = "metallic-roughness as `dielectric` with rho_d = base (1 - metal), rho_s = F0 (1 - metal) + base metal"
+    return _metallic(surface, normal), f"{phrase}, F0 of ior {surface.ior:.4g}"
+
+
+def _metallic(surface: MetallicSurface, normal: NDArray[np.float32] | None) -> AssetMaterial:
+    base, m, weight, color = _together(
+        (surface.base_color, 1), (surface.metallic, 0), (surface.specular_weight, 0), (surface.specular_color, 1)
+    )
+    m, weight = m[..., None], weight[..., None]
+    f0 = weight * np.minimum(ior_to_f0(surface.ior) * color, 1)
+    specular = np.clip(f0 * (1 - m) + base * m, 0, 1)
+    # light through the lobe at normal incidence: (1 - m)(1 - max F0) base there, (1 - rho_s) rho_d here
+    through = (1 - m) * (1 - f0.max(axis=-1, keepdims=True)) * base
+    return _material("dielectric", _under(through, specular), specular, surface.roughness, normal)
+
+
+def _specular_workflow(surface: SpecularSurface, normal: NDArray[np.float32] | None) -> AssetMaterial:
+    diffuse, specular = _together((surface.diffuse, 1), (surface.specular, 1))
+    through = (1 - specular.max(axis=-1, keepdims=True)) * diffuse
+    return _material("dielectric", _under(through, specular), specular, surface.roughness, normal)
+
+
+def _without_fresnel(surface: MetallicSurface, normal: NDArray[np.float32] | None, profile: str) -> AssetMaterial:
+    base, weight, color = _together((surface.base_color, 1), (surface.specular_weight, 0), (surface.specular_color, 1))
+    # Blender was seen to reflect the tint itself at this ior; the ratified text multiplies by F0 = 0.996
+    factor = 1.0 if profile == "blender" else ior_to_f0(surface.ior)
+    specular = np.minimum(factor * color, 1) * weight[..., None]
+    diffuse = (1 - specular.max(axis=-1, keepdims=True)) * base
+    return _material("paper", diffuse, specular, surface.roughness, normal)
+
+
+def _under(through: Array, specular: Array) -> Array:
+    """rho_d of `dielectric` that lets this much light through at normal incidence; 0 under a mirror."""
+    return np.where(specular < 1, through / np.maximum(1 - specular, 1e-6), 0.0)
+
+
+def _material(
+    model: str, diffuse: Array, specular: Array, roughness: Array, normal: NDArray[np.float32] | None
+) -> AssetMaterial:
+    limit = PAPER_SPECULAR_MAX if model == "paper" else 1.0
+    if normal is not None:  # 8 bits leave lengths that are not quite 1
+        normal = normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-6)
+    return AssetMaterial(
+        model="paper" if model == "paper" else "dielectric",
+        diffuse_albedo=np.clip(diffuse, 0, 1).astype(np.float32),
+        specular_albedo=np.clip(specular, 0, limit).astype(np.float32),
+        roughness=np.clip(np.square(roughness), ALPHA_MIN, 1).astype(np.float32),
+        normal=normal,
+    )
+
+
+def _together(*values: tuple[Array, int]) -> list[Array]:
+    """Constants and textures, each with its number of channel axes, at one size."""
+    size = common_size(*(v for v, _ in values), channels=tuple(c for _, c in values))
+    return [resize(v, *size) if size and v.ndim - c == 2 else v for v, c in values]
+
+
+def _mesh(back: ReadBack) -> AssetMesh:
+    """One vertex for each corner: what was one vertex is told by its position."""
+    count = 3 * len(back.corner_positions)
+    return AssetMesh(
+        positions=back.corner_positions.reshape(count, 3).astype(np.float32),
+        normals=back.corner_normals.reshape(count, 3).astype(np.float32),
+        uvs=back.corner_uvs.reshape(count, 2).astype(np.float32),
+        faces=np.arange(count, dtype=np.int32).reshape(-1, 3),
+    )

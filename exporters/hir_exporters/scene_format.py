@@ -1,0 +1,185 @@
+"""The open scene format: a folder with scene.json, mesh.ply and float32 OpenEXR textures and environment."""
+
+from __future__ import annotations
+
+import json
+import os
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path, PurePosixPath
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hir_exporters.asset import MODELS, Asset, AssetEnvironment, AssetMaterial, validate_asset
+from hir_exporters.errors import ExportError, InputError
+from hir_exporters.files.atomic import atomic_directory, write_bytes_atomic, write_text_atomic
+from hir_exporters.mesh.ply_format import decode_ply, encode_ply
+from hir_exporters.textures.image_files import MAX_PIXELS, read_exr, write_exr
+
+FORMAT: Final = "hir-scene"
+VERSION: Final = 1
+"""Version of scene.json; readers refuse newer ones."""
+
+_MAPS = {"diffuse_albedo": 3, "specular_albedo": 3, "roughness": 1, "normal": 3, "observed": 1}
+_OWN_FILES = frozenset({"scene.json", "mesh.ply", "environment.exr", *(f"{name}.exr" for name in _MAPS)})
+_MAX_JSON_BYTES = 16 << 20
+
+
+def save_scene(asset: Asset, folder: str | os.PathLike[str]) -> None:
+    """Write a checked asset into `folder`, replacing a scene that is there as a whole or leaving it as it was.
+
+    Raises `ExportError` where the folder holds anything that is not part of a scene: nothing foreign is ever deleted.
+    """
+    validate_asset(asset)
+    folder = Path(folder)
+    if folder.is_dir():
+        foreign = sorted(entry.name for entry in folder.iterdir() if entry.name not in _OWN_FILES)
+        if foreign:
+            raise ExportError(f"{folder} holds {foreign[0]!r}, which is not part of a scene; choose another folder")
+    with atomic_directory(folder) as place:
+        write_bytes_atomic(place / "mesh.ply", encode_ply(asset.mesh))
+        document = {
+            "format": FORMAT,
+            "version": VERSION,
+            "name": asset.name,
+            "mesh": "mesh.ply",
+            "material": {"model": asset.material.model}
+            | {name: _save_map(place, name, getattr(asset.material, name)) for name in _MAPS},
+            "environment": _save_environment(place, asset.environment),
+            "provenance": dict(asset.provenance),
+        }
+        write_text_atomic(place / "scene.json", json.dumps(document, indent=2, sort_keys=True, allow_nan=False) + "\n")
+
+
+def load_scene(folder: str | os.PathLike[str]) -> Asset:
+    """The asset in a scene folder, checked. Raises `InputError` naming the file or the entry of scene.json at fault."""
+    folder = Path(folder)
+    source = folder / "scene.json"
+    document = _read_json(source)
+    if document.get("format") != FORMAT:
+        raise InputError(f"{source} is not a scene: its format is {document.get('format')!r}, not {FORMAT!r}")
+    version = document.get("version")
+    if not isinstance(version, int) or isinstance(version, bool) or not 1 <= version <= VERSION:
+        raise InputError(f"{source} has the version {version!r}; this program reads 1 to {VERSION}, so update it")
+    mesh_path = _inside(folder, document.get("mesh"), "mesh")
+    asset = Asset(
+        mesh=decode_ply(_read_bytes(mesh_path), str(mesh_path)),
+        material=_load_material(folder, _table(source, document, "material")),
+        environment=_load_environment(folder, source, document),
+        provenance=_table(source, document, "provenance", optional=True),
+        name=document.get("name", "asset"),
+    )
+    try:
+        validate_asset(asset)
+    except InputError as error:
+        raise InputError(f"{folder}: {error}") from error
+    return asset
+
+
+def _save_map(place: Path, name: str, value: NDArray[Any] | None) -> Any:
+    if value is None:
+        return None
+    if value.ndim < 2:
+        return value.astype(np.float64).tolist()
+    write_exr(place / f"{name}.exr", value.astype(np.float32))
+    return f"{name}.exr"
+
+
+def _save_environment(place: Path, environment: AssetEnvironment | None) -> dict[str, Any] | None:
+    if environment is None:
+        return None
+    write_exr(place / "environment.exr", environment.radiance)
+    return {"radiance": "environment.exr", "to_world": environment.to_world.tolist(), "frame": environment.frame}
+
+
+def _load_material(folder: Path, table: dict[str, Any]) -> AssetMaterial:
+    source = folder / "scene.json"
+    model = table.get("model")
+    if model not in MODELS:
+        raise InputError(f"{source}: material.model is {model!r}; known are {', '.join(MODELS)}")
+    for name in ("diffuse_albedo", "specular_albedo", "roughness"):
+        if table.get(name) is None:
+            raise InputError(f"{source}: material.{name} is missing; give a file or a constant")
+    with ThreadPoolExecutor(max_workers=4) as pool:  # the OpenEXR binding decodes without the interpreter's lock
+        maps: dict[str, Any] = dict(
+            zip(_MAPS, pool.map(lambda name: _load_map(folder, name, table.get(name)), _MAPS), strict=True)
+        )
+    observed = maps.pop("observed")
+    return AssetMaterial(model=model, observed=None if observed is None else observed > 0.5, **maps)
+
+
+def _load_map(folder: Path, name: str, value: object) -> NDArray[Any] | None:
+    channels = _MAPS[name]
+    if value is None:
+        return None
+    if isinstance(value, str):
+        pixels = read_exr(_inside(folder, value, f"material.{name}"), MAX_PIXELS, channels)
+        return pixels[..., 0] if channels == 1 else pixels
+    numbers = value if isinstance(value, list) else [value]
+    constant = name in ("diffuse_albedo", "specular_albedo", "roughness")
+    if not constant or len(numbers) != channels or isinstance(value, list) is not (channels == 3):
+        raise InputError(f"{folder / 'scene.json'}: material.{name} is neither a file nor a fitting constant")
+    _check_numbers(folder / "scene.json", f"material.{name}", numbers)
+    return np.array(value, dtype=np.float32)
+
+
+def _load_environment(folder: Path, source: Path, document: dict[str, Any]) -> AssetEnvironment | None:
+    if document.get("environment") is None:
+        return None
+    table = _table(source, document, "environment")
+    rows = table.get("to_world", np.eye(3).tolist())
+    if not isinstance(rows, list) or len(rows) != 3 or not all(isinstance(row, list) and len(row) == 3 for row in rows):
+        raise InputError(f"{source}: environment.to_world is not a list of three rows of three numbers")
+    _check_numbers(source, "environment.to_world", [number for row in rows for number in row])
+    frame = table.get("frame", "world")
+    if frame not in ("world", "camera"):
+        raise InputError(f"{source}: environment.frame is {frame!r}; it is 'world' or 'camera'")
+    radiance = read_exr(_inside(folder, table.get("radiance"), "environment.radiance"), MAX_PIXELS, 3)
+    return AssetEnvironment(radiance, np.array(rows, dtype=np.float64), frame)
+
+
+def _inside(folder: Path, name: object, entry: str) -> Path:
+    """The file an entry names, which must lie in the scene's folder also after links are followed."""
+    source = folder / "scene.json"
+    if not isinstance(name, str) or not name:
+        raise InputError(f"{source}: {entry} does not name a file")
+    plain = PurePosixPath(name)
+    if plain.is_absolute() or ".." in plain.parts or "\\" in name or ":" in name or "\0" in name:
+        raise InputError(f"{source}: {entry} is {name!r}, which leaves the scene's folder")
+    path = folder / plain
+    if not path.resolve().is_relative_to(folder.resolve()):
+        raise InputError(f"{source}: {entry} is {name!r}, a link that leaves the scene's folder")
+    return path
+
+
+def _read_json(source: Path) -> dict[str, Any]:
+    data = _read_bytes(source, _MAX_JSON_BYTES)
+    try:
+        document = json.loads(data)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{source} is not JSON ({error})") from error
+    if not isinstance(document, dict):
+        raise InputError(f"{source} is not a JSON object")
+    return document
+
+
+def _read_bytes(path: Path, limit: int = 8 << 30) -> bytes:
+    try:
+        if path.stat().st_size > limit:
+            raise InputError(f"{path} is larger than {limit} bytes")
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror}") from error
+
+
+def _table(source: Path, document: dict[str, Any], name: str, optional: bool = False) -> dict[str, Any]:
+    value = document.get(name, {} if optional else None)
+    if not isinstance(value, dict):
+        raise InputError(f"{source}: {name} is not a JSON object")
+    return value
+
+
+def _check_numbers(source: Path, entry: str, numbers: list[Any]) -> None:
+    if not all(isinstance(number, int | float) and not isinstance(number, bool) for number in numbers):
+        raise InputError(f"{source}: {entry} holds something that is not a number")

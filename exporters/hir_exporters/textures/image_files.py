@@ -1,0 +1,253 @@
+"""Image files in and out: 8 and 16 bit (PNG, JPEG, …) in their own encoding, Radiance and OpenEXR as linear float32.
+
+Readers look at the header before they decode, refuse pictures of more than `max_pixels`, and name the file in every
+error. Writers give the same bytes for the same pixels, and no file at all when they fail.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hir_exporters.errors import ExportError, InputError
+from hir_exporters.files.atomic import atomic_path, write_bytes_atomic
+from hir_exporters.files.native_output import silenced
+from hir_exporters.textures.png_encoding import png_bytes
+from hir_exporters.textures.rgbe import RgbeError, decode_rgbe, encode_rgbe, read_size
+
+MAX_PIXELS: Final = 100_000_000
+"""Pictures larger than this are refused unless the caller allows more."""
+
+_EXR_LAYOUTS: Final = {1: "Y", 3: "RGB", 4: "RGBA"}
+
+
+def read_ldr(path: str | os.PathLike[str], max_pixels: int = MAX_PIXELS) -> NDArray[np.float32]:
+    """Pixels (H, W, C) in [0, 1], in the file's own encoding (nearly always sRGB); C is 1 grey, 2 grey+alpha, 3 or 4.
+
+    Rows come as stored: an EXIF orientation is not applied. Palettes and CMYK become RGB. 16-bit grey keeps its
+    16 bits; Pillow reads 16-bit colour at 8 bits. Raises `InputError` naming the file.
+    """
+    from PIL import Image, UnidentifiedImageError
+
+    source = _existing_file(path)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Pillow warns of large pictures; the limit below decides
+            with Image.open(source) as image:
+                _check_size(source, image.height, image.width, max_pixels)
+                image.load()
+                return _pillow_pixels(image)
+    except InputError:
+        raise
+    except UnidentifiedImageError as error:
+        raise InputError(f"{source} is not an image that can be read (PNG, JPEG, TIFF, WebP, …)") from error
+    except Image.DecompressionBombError as error:
+        raise InputError(f"{source} has more than {max_pixels} pixels; make it smaller") from error
+    except Exception as error:  # Pillow's decoders raise many types on broken data
+        raise InputError(f"{source} is a broken image ({error}); make it again") from error
+
+
+def read_hdr(path: str | os.PathLike[str], max_pixels: int = MAX_PIXELS) -> NDArray[np.float32]:
+    """Linear pixels (H, W, 3), row 0 at the top, of a .hdr or .exr file, told apart by its first bytes.
+
+    One channel (Y) is repeated three times; alpha and further layers are left out. Raises `InputError` naming the file,
+    also where a pixel is NaN or infinite.
+    """
+    source = _existing_file(path)
+    with _opened(source) as stream:
+        magic = stream.read(4)
+    if magic == b"v/1\x01":
+        return read_exr(source, max_pixels, channels=3)
+    if magic.startswith(b"#?"):
+        return _read_radiance(source, max_pixels)
+    raise InputError(f"{source} is neither a Radiance .hdr nor an OpenEXR file")
+
+
+def read_exr(
+    path: str | os.PathLike[str], max_pixels: int = MAX_PIXELS, channels: int | None = None
+) -> NDArray[np.float32]:
+    """Pixels (H, W, C) of an OpenEXR file's first part, C = 1, 3 or 4 as stored, or `channels` = 1 or 3 exactly.
+
+    Grey is repeated where 3 channels are asked for. Raises `InputError` naming the file.
+    """
+    import OpenEXR
+
+    source = _existing_file(path)
+    try:
+        header = OpenEXR.File(str(source), header_only=True).header()
+        low, high = header["dataWindow"]
+        width, height = (int(edge) for edge in high.astype(np.int64) - low.astype(np.int64) + 1)
+        _check_size(source, height, width, max_pixels)
+        if any((c.xSampling, c.ySampling) != (1, 1) for c in header["channels"] if c.name in "RGBAY"):
+            raise InputError(f"{source} has subsampled channels; save it with full-size channels")
+        with silenced():  # OpenEXR prints a line for each row that a cut-off file lacks
+            planes = _exr_planes(str(source))
+    except InputError:
+        raise
+    except Exception as error:  # the binding raises RuntimeError, ValueError and KeyError on broken files
+        raise InputError(f"{source} is a broken OpenEXR file ({error}); make it again") from error
+    layout = next((layout for layout in ("RGBA", "RGB", "Y") if layout in planes), None)
+    if layout is None:
+        raise InputError(f"{source} has the channels {', '.join(sorted(planes)) or 'none'}; R, G, B or Y are needed")
+    if channels == 1 and layout != "Y":
+        raise InputError(f"{source} has colour where one channel (Y) is expected")
+    pixels = planes[layout].astype(np.float32, copy=False).reshape(height, width, len(layout))
+    if channels == 3:
+        pixels = pixels.repeat(3, axis=-1) if layout == "Y" else pixels[..., :3]
+    return _finite(source, np.ascontiguousarray(pixels))
+
+
+def encode_png(image: NDArray[np.generic], bits: int = 8) -> bytes:
+    """PNG bytes of (H, W) or (H, W, C), C = 1..4: uint8 and uint16 as they are, floats in [0, 1] rounded to `bits`.
+
+    Values are written as given: encode sRGB first. Raises `ExportError` on other shapes, types and non-finite values.
+    """
+    pixels = quantize(image, bits) if np.issubdtype(image.dtype, np.floating) else image
+    pixels = pixels[..., None] if pixels.ndim == 2 else pixels
+    if (
+        pixels.ndim != 3
+        or not 1 <= pixels.shape[2] <= 4
+        or pixels.size == 0
+        or pixels.dtype not in (np.uint8, np.uint16)
+    ):
+        raise ExportError(f"a PNG needs (H, W, 1 to 4) of uint8, uint16 or float, not {image.shape} of {image.dtype}")
+    if pixels.dtype == np.uint8:
+        return png_bytes(pixels.astype(np.uint8, copy=False))
+    return png_bytes(pixels.astype(np.uint16, copy=False))
+
+
+def quantize(image: NDArray[np.generic], bits: int = 8) -> NDArray[np.uint8] | NDArray[np.uint16]:
+    """Floats in [0, 1] rounded to the nearest of 2^bits codes, bits 8 or 16; others are clipped, NaN is an error."""
+    if bits not in (8, 16):
+        raise ExportError(f"images are written with 8 or 16 bits, not {bits}")
+    if not np.isfinite(image).all():
+        raise ExportError("an image to be written holds NaN or infinite values")
+    largest = (1 << bits) - 1
+    scaled = np.clip(image, 0.0, 1.0) * np.asarray(largest, image.dtype) + np.asarray(0.5, image.dtype)
+    return scaled.astype(np.uint8 if bits == 8 else np.uint16)
+
+
+def write_png(path: str | os.PathLike[str], image: NDArray[np.generic], bits: int = 8) -> None:
+    """`encode_png` into a file."""
+    write_bytes_atomic(path, encode_png(image, bits))
+
+
+def write_exr(path: str | os.PathLike[str], image: NDArray[np.generic]) -> None:
+    """(H, W), (H, W, 1), (H, W, 3) or (H, W, 4) as float32 OpenEXR, ZIP compressed; one channel is named Y."""
+    import OpenEXR
+
+    pixels = np.asarray(image, dtype=np.float32)
+    pixels = pixels[..., None] if pixels.ndim == 2 else pixels
+    if pixels.ndim != 3 or pixels.shape[2] not in _EXR_LAYOUTS or pixels.size == 0:
+        raise ExportError(f"{path}: an EXR needs (H, W) or (H, W, 1, 3 or 4), not {image.shape}")
+    if not np.isfinite(pixels).all():
+        raise ExportError(f"{path}: the image holds NaN or infinite values")
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    layout = _EXR_LAYOUTS[pixels.shape[2]]
+    channels = {name: np.ascontiguousarray(pixels[..., index]) for index, name in enumerate(layout)}
+    with atomic_path(path) as temporary:
+        try:
+            OpenEXR.File(header, channels).write(str(temporary))
+        except RuntimeError as error:
+            raise OSError(str(error)) from error
+
+
+def write_hdr(path: str | os.PathLike[str], radiance: NDArray[np.generic]) -> None:
+    """Finite radiance (H, W, 3) as Radiance RGBE; negative values become 0."""
+    pixels = np.asarray(radiance, dtype=np.float64)
+    if pixels.ndim != 3 or pixels.shape[2] != 3 or pixels.size == 0:
+        raise ExportError(f"{path}: a .hdr needs radiance (H, W, 3), not {pixels.shape}")
+    if not np.isfinite(pixels).all():
+        raise ExportError(f"{path}: the radiance holds NaN or infinite values")
+    write_bytes_atomic(path, encode_rgbe(pixels))
+
+
+def _existing_file(path: str | os.PathLike[str]) -> Path:
+    source = Path(path)
+    try:
+        if not source.is_file():
+            raise InputError(f"{source} is {'a folder, not a file' if source.is_dir() else 'not there'}")
+    except OSError as error:  # a name longer than the system takes
+        raise InputError(f"{str(source)[:200]} cannot be opened: {error.strerror}") from error
+    return source
+
+
+def _opened(source: Path) -> io.BufferedReader:
+    try:
+        return open(source, "rb")
+    except OSError as error:
+        raise InputError(f"{source} cannot be opened: {error.strerror}") from error
+
+
+def _check_size(source: Path, height: int, width: int, max_pixels: int) -> None:
+    if height <= 0 or width <= 0:
+        raise InputError(f"{source} has no pixels")
+    if height * width > max_pixels:
+        raise InputError(f"{source} is {width} x {height}, more than {max_pixels} pixels; make it smaller")
+
+
+def _exr_planes(source: str) -> dict[str, NDArray[np.generic]]:
+    """Pixels (H, W) of each channel of an OpenEXR file, RGB or RGBA as one (H, W, 3 or 4)."""
+    import OpenEXR
+
+    try:
+        together = {name: channel.pixels for name, channel in OpenEXR.File(source).channels().items()}
+    except ValueError:  # the binding does not join channels of different types
+        together = {}
+    # Before 3.5 it joined them wrongly, but only where the result is not float32.
+    if together and all(pixels.dtype == np.float32 for pixels in together.values()):
+        return together
+    channels = OpenEXR.File(source, separate_channels=True).channels()
+    planes = {name: channel.pixels for name, channel in channels.items()}
+    for layout in ("RGBA", "RGB"):
+        if all(name in planes for name in layout):
+            return {layout: np.stack([planes[name].astype(np.float32) for name in layout], axis=-1)}
+    return planes
+
+
+def _finite(source: Path, pixels: NDArray[np.float32]) -> NDArray[np.float32]:
+    if np.isfinite(pixels.min()) and np.isfinite(pixels.max()):  # NaN is the least and the largest of all
+        return pixels
+    bad = pixels.size - int(np.isfinite(pixels).sum())
+    if bad:
+        raise InputError(f"{source} holds {bad} NaN or infinite values; replace them and save it again")
+    return pixels
+
+
+def _read_radiance(source: Path, max_pixels: int) -> NDArray[np.float32]:
+    try:
+        with _opened(source) as stream:
+            head = stream.read(1 << 17)
+            _check_size(source, *read_size(head), max_pixels)
+            return decode_rgbe(head + stream.read())
+    except RgbeError as error:
+        raise InputError(f"{source} is a broken Radiance file: {error}") from error
+
+
+def _pillow_pixels(image: object) -> NDArray[np.float32]:
+    from PIL import Image
+
+    assert isinstance(image, Image.Image)
+    if image.mode in ("P", "PA"):
+        image = image.convert("RGBA" if "transparency" in image.info or image.mode == "PA" else "RGB")
+    wide: dict[str, Callable[[NDArray[np.generic]], NDArray[np.float32]]] = {
+        "I": lambda values: (np.clip(values, 0, 65535) / np.float32(65535)).astype(np.float32),
+        "F": lambda values: values.astype(np.float32),
+    }
+    if image.mode == "F" or image.mode.startswith("I"):
+        values = wide[image.mode[0]](np.asarray(image))
+        if not np.isfinite(values).all():
+            raise ValueError("NaN or infinite pixels")
+        return values[..., None]
+    if image.mode not in ("L", "LA", "RGB", "RGBA"):
+        image = image.convert("L" if image.mode == "1" else "RGB")
+    pixels = np.asarray(image)
+    pixels = pixels[..., None] if pixels.ndim == 2 else pixels
+    return pixels.astype(np.float32) / np.float32(255)

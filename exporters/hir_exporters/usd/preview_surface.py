@@ -1,0 +1,172 @@
+"""A material as a UsdPreviewSurface network with its textures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hir_exporters.asset import AssetMaterial
+from hir_exporters.materials.material_conversion import to_specular_workflow, to_usd_metallic
+from hir_exporters.materials.texture_packing import pack_color, pack_surface
+
+if TYPE_CHECKING:
+    from pxr import Usd, UsdShade
+
+Image8 = NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class UsdSurface:
+    """Inputs of a UsdPreviewSurface: constants, and the images that take their place."""
+
+    workflow: Literal["metallic", "specular"]
+    diffuse: tuple[float, float, float]
+    specular: tuple[float, float, float]
+    metallic: float
+    roughness: float
+    ior: float
+    images: dict[str, Image8]
+    """Of `base_color`, `specular_color` (sRGB), `occlusion_roughness_metallic`, `normal` those that are needed."""
+    metallic_textured: bool
+    roughness_textured: bool
+    residual: float
+    warnings: tuple[str, ...]
+
+
+WORTH_SPECULAR: Final = 0.005
+"""Relative error on the BRDF slice by which the specular workflow must be nearer for `auto` to choose it.
+
+Blender's importer, for one, passes over `useSpecularWorkflow`: a metal written so is black there.
+"""
+
+
+def usd_surface(material: AssetMaterial, workflow: Literal["auto", "metallic", "specular"]) -> UsdSurface:
+    """The material in a workflow, its images packed as 8 bits."""
+    images: dict[str, Image8 | None]
+    if workflow == "auto":
+        gain = to_usd_metallic(material).residual - to_specular_workflow(material).residual
+        workflow = "specular" if gain > WORTH_SPECULAR else "metallic"
+    if workflow == "metallic":
+        converted = to_usd_metallic(material)
+        packed = pack_surface(converted, material.normal)
+        images = {
+            "base_color": packed.base_color_image,
+            "occlusion_roughness_metallic": packed.orm_image,
+            "normal": packed.normal_image,
+        }
+        return UsdSurface(
+            workflow,
+            packed.base_color,
+            (0, 0, 0),
+            packed.metallic,
+            packed.roughness,
+            packed.ior,
+            _present(images),
+            converted.metallic.ndim == 2,
+            converted.roughness.ndim == 2,
+            converted.residual,
+            converted.warnings,
+        )
+    surface = to_specular_workflow(material)
+    diffuse, diffuse_image = pack_color(surface.diffuse)
+    specular, specular_image = pack_color(surface.specular)
+    roughness_image = None
+    if surface.roughness.ndim == 2:
+        plane = np.rint(np.clip(surface.roughness, 0, 1) * 255).astype(np.uint8)
+        roughness_image = np.stack([np.full_like(plane, 255), plane, np.zeros_like(plane)], axis=-1)
+    normal = None if material.normal is None else np.rint((material.normal + 1) * 127.5).astype(np.uint8)
+    images = {
+        "base_color": diffuse_image,
+        "specular_color": specular_image,
+        "occlusion_roughness_metallic": roughness_image,
+        "normal": normal,
+    }
+    roughness = float(surface.roughness) if surface.roughness.ndim == 0 else 1.0
+    return UsdSurface(
+        workflow,
+        diffuse,
+        specular,
+        0.0,
+        roughness,
+        1.5,
+        _present(images),
+        False,
+        surface.roughness.ndim == 2,
+        surface.residual,
+        surface.warnings,
+    )
+
+
+def add_material(surface: UsdSurface, stage: Usd.Stage, path: Any, textures: Mapping[str, str]) -> UsdShade.Material:
+    """A material whose surface output is a UsdPreviewSurface fed by constants and textures."""
+    from pxr import Gf, Sdf, UsdShade
+
+    types = Sdf.ValueTypeNames
+    material = UsdShade.Material.Define(stage, path)
+    shader = UsdShade.Shader.Define(stage, path.AppendChild("Surface"))
+    shader.CreateIdAttr("UsdPreviewSurface")
+    specular = surface.workflow == "specular"
+    shader.CreateInput("useSpecularWorkflow", types.Int).Set(int(specular))
+    shader.CreateInput("diffuseColor", types.Color3f).Set(Gf.Vec3f(*surface.diffuse))
+    shader.CreateInput("roughness", types.Float).Set(surface.roughness)
+    shader.CreateInput("ior", types.Float).Set(surface.ior)
+    if specular:
+        shader.CreateInput("specularColor", types.Color3f).Set(Gf.Vec3f(*surface.specular))
+    else:
+        shader.CreateInput("metallic", types.Float).Set(surface.metallic)
+    output = shader.CreateOutput("surface", types.Token)
+    material.CreateSurfaceOutput().ConnectToSource(output)
+    if textures:
+        _connect_textures(surface, shader, material, textures)
+    return material
+
+
+def _connect_textures(
+    surface: UsdSurface, shader: UsdShade.Shader, material: UsdShade.Material, textures: Mapping[str, str]
+) -> None:
+    from pxr import Gf, Sdf, UsdShade
+
+    types, stage, path = Sdf.ValueTypeNames, material.GetPrim().GetStage(), material.GetPath()
+    reader = UsdShade.Shader.Define(stage, path.AppendChild("TextureCoordinates"))
+    reader.CreateIdAttr("UsdPrimvarReader_float2")
+    reader.CreateInput("varname", types.String).Set("st")
+    coordinates = reader.CreateOutput("result", types.Float2)
+
+    def texture(name: str, color_space: str) -> UsdShade.Shader:
+        node = UsdShade.Shader.Define(stage, path.AppendChild("".join(part.title() for part in name.split("_"))))
+        node.CreateIdAttr("UsdUVTexture")
+        node.CreateInput("file", types.Asset).Set(Sdf.AssetPath(textures[name]))
+        node.CreateInput("sourceColorSpace", types.Token).Set(color_space)
+        node.CreateInput("wrapS", types.Token).Set("repeat")
+        node.CreateInput("wrapT", types.Token).Set("repeat")
+        node.CreateInput("st", types.Float2).ConnectToSource(coordinates)
+        return node
+
+    def connect(name: str, kind: Any, source: UsdShade.Shader, channel: str) -> None:
+        output = source.CreateOutput(channel, types.Float3 if channel == "rgb" else types.Float)
+        (shader.GetInput(name) or shader.CreateInput(name, kind)).ConnectToSource(output)
+
+    if "base_color" in textures:
+        connect("diffuseColor", types.Color3f, texture("base_color", "sRGB"), "rgb")
+    if "specular_color" in textures:
+        connect("specularColor", types.Color3f, texture("specular_color", "sRGB"), "rgb")
+    if "occlusion_roughness_metallic" in textures:
+        packed = texture("occlusion_roughness_metallic", "raw")
+        if surface.roughness_textured:
+            connect("roughness", types.Float, packed, "g")
+        if surface.metallic_textured:
+            connect("metallic", types.Float, packed, "b")
+    if "normal" in textures:
+        normal = texture("normal", "raw")
+        # 8-bit codes hold 0..1: back to -1..1, as the specification of UsdPreviewSurface asks.
+        normal.CreateInput("scale", types.Float4).Set(Gf.Vec4f(2, 2, 2, 1))
+        normal.CreateInput("bias", types.Float4).Set(Gf.Vec4f(-1, -1, -1, 0))
+        connect("normal", types.Normal3f, normal, "rgb")
+
+
+def _present(images: Mapping[str, Image8 | None]) -> dict[str, Image8]:
+    return {name: image for name, image in images.items() if image is not None}

@@ -1,0 +1,147 @@
+"""Writes .usda, .usdc and .usdz."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, final
+
+from hir_exporters.asset import Asset, validate_asset
+from hir_exporters.budgets import apply_budget
+from hir_exporters.configs import UsdConfig
+from hir_exporters.errors import ExportError
+from hir_exporters.exporter import Edit, Exporter, ExportReport
+from hir_exporters.files.atomic import write_bytes_atomic, write_text_atomic
+from hir_exporters.light.environment_map import world_radiance
+from hir_exporters.materials.texture_packing import EncodedImage, encode_images, limited, reduction_warning
+from hir_exporters.textures.image_files import write_hdr
+from hir_exporters.usd.dome_light import light_layer
+from hir_exporters.usd.openpbr import openpbr_layer
+from hir_exporters.usd.preview_surface import UsdSurface, usd_surface
+from hir_exporters.usd.usd_stage import build_stage, prim_name
+from hir_exporters.usd.usdz_package import PackageSizeError, usdz_bytes
+
+if TYPE_CHECKING:
+    from pxr import Sdf
+
+QUICK_LOOK_BYTES = 25 << 20
+"""Packages above this load slowly on a phone; the report warns."""
+
+
+@final
+class UsdExporter(Exporter):
+    """A text (.usda) or binary (.usdc) layer, textures, and a layer with the light, all beside each other."""
+
+    def __init__(self, config: UsdConfig) -> None:
+        self._config = config
+
+    def write(self, asset: Asset, destination: Path, edit: Edit | None = None) -> ExportReport:
+        start, destination = time.perf_counter(), Path(destination)
+        if destination.suffix not in (".usda", ".usdc", ".usd"):
+            raise ExportError(f"{destination} is not a name for a USD layer; end it with .usda or .usdc")
+        _check_name(destination)
+        config = self._config
+        if config.materialx and config.workflow == "specular":
+            raise ExportError("materialx: OpenPBR is written from the metallic workflow; set workflow=metallic or auto")
+        asset, surface, images, warnings = _gather(asset, config)
+        paths = {name: f"./{destination.stem}_{image.name}" for name, image in images.items()}
+        stage = build_stage(asset, surface, paths, config.meters_per_unit, config.subsets)
+        if edit is not None:
+            edit(stage, asset)
+        layer = layer_bytes(stage.GetRootLayer(), destination.suffix)
+        files = [destination]
+        for image in images.values():
+            files.append(destination.with_name(f"{destination.stem}_{image.name}"))
+            write_bytes_atomic(files[-1], image.data)
+        write_bytes_atomic(destination, layer)
+        if config.materialx:
+            files.append(destination.with_name(f"{destination.stem}_openpbr.usda"))
+            over = openpbr_layer(surface, prim_name(asset.name), destination.name, paths, config.meters_per_unit)
+            write_bytes_atomic(files[-1], layer_bytes(over, ".usda"))
+        light_files, light_warnings = _write_light(asset, destination, config)
+        return _report(files + light_files, warnings + light_warnings, surface, start)
+
+
+@final
+class UsdzExporter(Exporter):
+    """One package without lights, as AR Quick Look demands, and a layer beside it that adds the light."""
+
+    def __init__(self, config: UsdConfig) -> None:
+        self._config = config
+
+    def write(self, asset: Asset, destination: Path, edit: Edit | None = None) -> ExportReport:
+        start, destination = time.perf_counter(), Path(destination)
+        if destination.suffix != ".usdz":
+            raise ExportError(f"{destination} is not a name for a USD package; end it with .usdz")
+        _check_name(destination)
+        asset, surface, images, warnings = _gather(asset, self._config)
+        if self._config.materialx:
+            raise ExportError("materialx: AR Quick Look reads no MaterialX; write usda or usdc for it")
+        names = {name: image.name for name, image in images.items()}
+        stage = build_stage(asset, surface, names, self._config.meters_per_unit, self._config.subsets)
+        if edit is not None:
+            edit(stage, asset)
+        root = f"{prim_name(asset.name)}.usdc"
+        try:
+            package = usdz_bytes(
+                [(root, layer_bytes(stage.GetRootLayer(), ".usdc")), *((i.name, i.data) for i in images.values())]
+            )
+        except PackageSizeError as error:
+            raise ExportError(f"{destination} would be larger than 4 GiB; reduce max_texture_size") from error
+        if len(package) > QUICK_LOOK_BYTES:
+            warnings += (
+                f"{destination.name} has {len(package) >> 20} MiB; above {QUICK_LOOK_BYTES >> 20} phones load slowly",
+            )
+        write_bytes_atomic(destination, package)
+        light_files, light_warnings = _write_light(asset, destination, self._config)
+        return _report([destination, *light_files], warnings + light_warnings, surface, start)
+
+
+def layer_bytes(layer: Sdf.Layer, suffix: str) -> bytes:
+    """The layer as the bytes of a file of that suffix."""
+    from pxr import Tf
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"layer{suffix}"
+        try:
+            written = layer.Export(str(path))
+        except Tf.ErrorException:  # its text is several lines of USD's own sources
+            written = False
+        if not written:
+            raise ExportError(
+                f"USD could not write layer{suffix} into the temporary folder {folder}; check its rights and free "
+                "space, or name another one in TMPDIR"
+            )
+        return path.read_bytes()
+
+
+def _gather(asset: Asset, config: UsdConfig) -> tuple[Asset, UsdSurface, dict[str, EncodedImage], tuple[str, ...]]:
+    validate_asset(asset)
+    asset, warnings = apply_budget(asset, config.budget)
+    warnings += reduction_warning(asset.material, config.max_texture_size)
+    asset = replace(asset, material=limited(asset.material, config.max_texture_size))
+    surface = usd_surface(asset.material, "metallic" if config.materialx else config.workflow)
+    images = encode_images(list(surface.images.items()))
+    return asset, surface, dict(zip(surface.images, images, strict=True)), warnings + surface.warnings
+
+
+def _write_light(asset: Asset, destination: Path, config: UsdConfig) -> tuple[list[Path], tuple[str, ...]]:
+    if not config.environment or asset.environment is None:
+        return [], ()
+    radiance, warnings = world_radiance(asset)
+    image, layer = destination.with_suffix(".hdr"), destination.with_name(f"{destination.stem}_lit.usda")
+    write_hdr(image, radiance)
+    write_text_atomic(layer, light_layer(prim_name(asset.name), destination.name, image.name, config.meters_per_unit))
+    return [image, layer], warnings
+
+
+def _check_name(destination: Path) -> None:
+    if "@" in destination.name:
+        raise ExportError(f"{destination.name} holds '@', which USD uses to quote file names; choose another name")
+
+
+def _report(files: list[Path], warnings: tuple[str, ...], surface: UsdSurface, start: float) -> ExportReport:
+    residuals = {f"usd-{surface.workflow}": surface.residual}
+    return ExportReport(tuple(files), warnings, residuals, time.perf_counter() - start)

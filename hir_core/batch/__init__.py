@@ -1,4 +1,0 @@
-"""Many captures on Ray: each a chain of tasks that resume the same run, staged through a local cache.
-
-`Batch` in `hir_core.batch.driver` is what `hir batch` runs.
-"""

@@ -1,0 +1,110 @@
+"""Photographs and the cameras that took them, in numpy; pixels are read when they are asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hir_core.capture.camera import Array, Camera, similarity_scale
+from hir_core.capture.lens import camera_lens, undistort
+from hir_core.capture.pixels import Pixels
+from hir_core.errors import CaptureError
+
+
+@dataclass(frozen=True)
+class View:
+    """One photograph: a name, perhaps a camera, and the way to its pixels, which are read when they are asked for."""
+
+    name: str
+    camera: Camera | None
+    read: Callable[[], Pixels]
+    """Reads the file; readers give a picklable callable."""
+    mask: NDArray[np.float32] | None = None
+    """A mask that replaces the file's own, of the picture without distortion; set by mask sources."""
+    distortion: tuple[float, ...] = ()
+    """OpenCV order k1 k2 p1 p2 [k3 …] of the photograph that `read` gives; `pixels` removes it, so that `camera` is a
+    pinhole with the same intrinsics."""
+    exposure: float = 1.0
+    """Gain of this photograph: its linear values are radiance × exposure."""
+    path: Path | None = None
+    """The photograph's file; `hir` computes a run anew when its bytes change."""
+    mask_path: Path | None = None
+    """The file that `read` takes the mask from where that is not the photograph itself; watched like `path`."""
+
+    def pixels(self, downsample: int = 1) -> Pixels:
+        """Linear colour, mask and saturation at 1/`downsample` of the resolution, without lens distortion."""
+        pixels = self.read()
+        if self.camera is not None and any(self.distortion):
+            pixels = undistort(pixels, camera_lens(self.camera, self.distortion))
+        if self.mask is not None:
+            if self.mask.shape != pixels.color_linear.shape[:2]:
+                raise CaptureError(
+                    f"the mask of {self.name} is {self.mask.shape[1]}×{self.mask.shape[0]}, "
+                    f"its image {pixels.color_linear.shape[1]}×{pixels.color_linear.shape[0]}"
+                )
+            pixels = replace(pixels, mask=self.mask)
+        return pixels.downsampled(downsample)
+
+
+@dataclass(frozen=True)
+class OrientedPoints:
+    """A point cloud: positions (N, 3), unit normals (N, 3), linear colours (N, 3)."""
+
+    positions: Array
+    normals: Array | None = None
+    colors: Array | None = None
+
+
+@dataclass(frozen=True)
+class EnvironmentSource:
+    """A light that a capture names: a lat-long file, its strength, and the axes it is given in."""
+
+    path: Path
+    strength: float = 1.0
+    source_from_environment: Array = field(default_factory=lambda: np.eye(3))
+    """3×3: turns a direction of `hir_exporters.conventions`' lat-long axes into the capture's own (source) axes."""
+
+
+@dataclass(frozen=True)
+class Capture:
+    """Views of one split of a capture, in the world of DESIGN section 6 (right-handed, +Y up)."""
+
+    path: Path
+    views: tuple[View, ...]
+    split: str = "train"
+    points: OrientedPoints | None = None
+    light_frame: Literal["world", "camera"] = "world"
+    world_from_source: Array = field(default_factory=lambda: np.eye(4))
+    """4×4 similarity from the axes of the files to those of `views`; whoever moves the world composes it."""
+    environment: EnvironmentSource | None = None
+    """The true light where the files name it: for evaluation only, never read by a fit."""
+    reader: str = ""
+
+    def transformed(self, new_from_old: Array) -> Capture:
+        """Moves the whole capture (cameras, points, record) by a similarity 4×4."""
+        rotation = new_from_old[:3, :3] / similarity_scale(new_from_old)
+        points = self.points
+        if points is not None:
+            moved = points.positions @ new_from_old[:3, :3].T + new_from_old[:3, 3]
+            normals = None if points.normals is None else points.normals @ rotation.T
+            points = replace(points, positions=moved, normals=normals)
+        views = tuple(
+            v if v.camera is None else replace(v, camera=v.camera.transformed(new_from_old)) for v in self.views
+        )
+        return replace(self, views=views, points=points, world_from_source=new_from_old @ self.world_from_source)
+
+    @property
+    def cameras(self) -> list[Camera]:
+        """The cameras of all views; an error names the first view without one."""
+        missing = [v.name for v in self.views if v.camera is None]
+        if missing:
+            raise CaptureError(
+                f"{self.path}: view {missing[0]} has no camera; run an initializer that finds cameras, "
+                'such as: --set \'initializers=["colmap", "visual_hull"]\''
+            )
+        return [v.camera for v in self.views if v.camera is not None]

@@ -1,0 +1,1 @@
+"""Documents and arrays on disk, shared by captures, scenes and runs."""

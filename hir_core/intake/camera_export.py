@@ -1,0 +1,90 @@
+"""Solved cameras for other programs: transforms.json and COLMAP's text files."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from hir_exporters.files.atomic import write_text_atomic
+
+from hir_core.capture import Array, Camera
+from hir_core.errors import ConfigError
+from hir_core.files.json_documents import write_json
+
+FORMATS = ("transforms", "colmap")
+
+_Z_UP_FROM_Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+_OPENGL_FROM_OPENCV = np.diag([1.0, -1, -1, 1])
+
+
+def export_cameras(cameras: Mapping[str, Camera], photographs: Mapping[str, Path], form: str, output: Path) -> Path:
+    """Writes cameras by name, with the paths of their photographs; returns the file or folder that was written.
+
+    `transforms`: `output`/transforms.json (nerfstudio's fields; +Z up, cameras look along -z). `colmap`: the folder
+    `output`/sparse/0 with cameras.txt, images.txt and an empty points3D.txt; +Y up as in the run.
+    """
+    lost = sorted(set(cameras) - set(photographs))
+    if lost:
+        raise ConfigError(f"the capture no longer holds the photograph {lost[0]}, whose camera the run solved")
+    files = {name: os.path.relpath(photographs[name], output) for name in cameras}
+    if form == "transforms":
+        frames = [_frame(cameras[name], files[name]) for name in sorted(cameras)]
+        write_json(output / "transforms.json", {"camera_model": "OPENCV", "frames": frames})
+        return output / "transforms.json"
+    if form == "colmap":
+        folder = output / "sparse" / "0"
+        lines, pictures = _colmap_lines(cameras, {name: photographs[name].name for name in cameras})
+        first = "# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n"
+        write_text_atomic(folder / "cameras.txt", first + "\n".join(lines) + "\n")
+        header = "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n# POINTS2D[] as (X, Y, POINT3D_ID)\n"
+        write_text_atomic(folder / "images.txt", header + "\n\n".join(pictures) + "\n\n")
+        write_text_atomic(folder / "points3D.txt", "# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[]\n")
+        return folder
+    raise ConfigError(f"cameras are written as {' or '.join(FORMATS)}, not as {form!r}")
+
+
+def _frame(camera: Camera, file: str) -> dict[str, Any]:
+    pose = _Z_UP_FROM_Y_UP @ np.linalg.inv(camera.world_to_camera) @ _OPENGL_FROM_OPENCV
+    k = camera.intrinsics
+    frame = {
+        "file_path": Path(file).as_posix(),
+        "w": camera.width,
+        "h": camera.height,
+        "fl_x": float(k[0, 0]),
+        "fl_y": float(k[1, 1]),
+        "cx": float(k[0, 2]),
+        "cy": float(k[1, 2]),
+        "transform_matrix": pose.tolist(),
+    }
+    names = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+    return frame | {name: float(value) for name, value in zip(names, camera.distortion, strict=False)}
+
+
+def _colmap_lines(cameras: Mapping[str, Camera], files: Mapping[str, str]) -> tuple[list[str], list[str]]:
+    """Lines of cameras.txt (one for each photograph) and of images.txt."""
+    lines, pictures = [], []
+    for number, name in enumerate(sorted(cameras), start=1):
+        camera = cameras[name]
+        k = camera.intrinsics
+        parameters = [k[0, 0], k[1, 1], k[0, 2], k[1, 2]]
+        model = "PINHOLE"
+        if any(camera.distortion):
+            padded = [*camera.distortion, *([0.0] * 8)][:8]
+            model = "OPENCV" if not any(padded[4:]) else "FULL_OPENCV"
+            parameters += padded[: 4 if model == "OPENCV" else 8]
+        numbers = " ".join(repr(float(p)) for p in parameters)
+        lines.append(f"{number} {model} {camera.width} {camera.height} {numbers}")
+        pose = [*_quaternion(camera.world_to_camera[:3, :3]), *camera.world_to_camera[:3, 3]]
+        pictures.append(f"{number} {' '.join(repr(float(p)) for p in pose)} {number} {files[name]}")
+    return lines, pictures
+
+
+def _quaternion(rotation: Array) -> Sequence[float]:
+    """(w, x, y, z) of a rotation matrix."""
+    from scipy.spatial.transform import Rotation
+
+    x, y, z, w = Rotation.from_matrix(rotation).as_quat()
+    return float(w), float(x), float(y), float(z)

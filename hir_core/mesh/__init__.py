@@ -1,0 +1,1 @@
+"""Operations on triangle meshes and their textures."""

@@ -1,0 +1,105 @@
+"""Values for texels that no view saw: smooth along the surface, across seams, equal to their seen neighbours."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from numpy.typing import NDArray
+from torch import Tensor
+
+from hir_core.mesh.texel_rasterization import TexelSurface, interpolate, texel_surface
+from hir_core.scene import Mesh
+
+_RELAXATIONS = 40
+"""Averaging steps after the harmonic solution: they close the step at the border of what was seen."""
+
+
+def fill_unobserved(
+    texture: Float[Tensor, "H W C"],
+    mesh: Mesh,
+    observed: Bool[Tensor, "H W"],
+    surface: TexelSurface | None = None,
+) -> Float[Tensor, "H W C"]:
+    """Replaces covered texels that are not `observed`; others are returned as they are. Not differentiable.
+
+    The vertices near observed texels hold their means, the others the harmonic interpolation of those over the mesh's
+    edges (which crosses seams); a component without any observation gets the median of all. Values stay in the range
+    of the observed ones. Nothing observed at all: the texture is returned unchanged.
+    """
+    surface = surface or texel_surface(mesh, (texture.shape[0], texture.shape[1]))
+    seen = observed[surface.covered]
+    if bool(seen.all()) or not bool(seen.any()):
+        return texture
+    values = texture[surface.covered].detach().double()
+    weights = surface.barycentric.double()
+    vertices = harmonic_vertices(
+        mesh.faces.cpu().numpy(),
+        len(mesh.positions),
+        mesh.faces[surface.face[seen]].cpu().numpy(),
+        weights[seen].cpu().numpy(),
+        values[seen].cpu().numpy(),
+    )
+    carried = interpolate(torch.from_numpy(vertices).to(values.device), mesh.faces, surface.face, weights)
+    filled = texture.clone()
+    filled[surface.covered] = torch.where(seen[:, None], values, carried).to(texture.dtype)
+    filled = _relax(filled, surface.covered, surface.covered & ~observed)
+    return torch.where(observed[..., None] | ~surface.covered[..., None], texture, filled)
+
+
+def harmonic_vertices(
+    faces: NDArray[np.int64],
+    count: int,
+    corners: NDArray[np.int64],
+    weights: NDArray[np.float64],
+    values: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """(V, C): means of samples (N, C) at their corners (N, 3), harmonically continued to the other vertices."""
+    from scipy import sparse
+    from scipy.sparse.csgraph import connected_components
+    from scipy.sparse.linalg import spsolve
+
+    total = np.zeros(count)
+    np.add.at(total, corners, weights)
+    result = np.zeros((count, values.shape[1]))
+    for channel in range(values.shape[1]):
+        np.add.at(result[:, channel], corners, weights * values[:, None, channel])
+    known = total > 1e-9
+    result[known] /= total[known, None]
+
+    ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    ends = np.concatenate([ends, ends[:, ::-1]])
+    ends = ends[ends[:, 0] != ends[:, 1]]
+    adjacency = sparse.csr_matrix((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(count, count))
+    adjacency.data[:] = 1
+    _, component = connected_components(adjacency, directed=False)
+    reached = np.zeros(component.max() + 1, dtype=bool)
+    reached[component[known]] = True
+    alone = ~reached[component]
+    result[alone] = np.median(values, axis=0)
+    unknown = np.flatnonzero(~known & ~alone)
+    if len(unknown):
+        rows = adjacency[unknown]
+        degree = sparse.diags(np.asarray(rows.sum(axis=1)).ravel())
+        system = (degree - rows[:, unknown]).tocsc()
+        pull = rows[:, known] @ result[known]
+        result[unknown] = spsolve(system, pull).reshape(len(unknown), -1)
+    low, high = values.min(axis=0), values.max(axis=0)
+    return np.clip(result, low, high)  # the maximum principle holds but for rounding
+
+
+def _relax(texture: Tensor, covered: Tensor, free: Tensor) -> Tensor:
+    """Averages free texels with their four covered neighbours, within charts."""
+    weight = covered.to(texture.dtype)[..., None]
+    count = _four(weight).clamp_min(1)
+    for _ in range(_RELAXATIONS):
+        mean = _four(texture * weight) / count
+        alone = _four(weight) == 0
+        texture = torch.where(free[..., None] & ~alone, mean, texture)
+    return texture
+
+
+def _four(image: Tensor) -> Tensor:
+    padded = torch.nn.functional.pad(image.permute(2, 0, 1), (1, 1, 1, 1))
+    near = padded[:, :-2, 1:-1] + padded[:, 2:, 1:-1] + padded[:, 1:-1, :-2] + padded[:, 1:-1, 2:]
+    return near.permute(1, 2, 0)

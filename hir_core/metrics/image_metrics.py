@@ -1,0 +1,148 @@
+"""How far a fit is from a photograph: PSNR, SSIM, LPIPS, FLIP, masks (docs/evaluation.md). numpy in, numbers out.
+
+One definition for all: fit and photograph are each composited over black with their **own** coverage, as
+sRGB × coverage, in the 8-bit range and clipped, never rounded. `frame` is over all pixels, `object` over pixels of true
+coverage > 0.5.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from hir_exporters.conventions import linear_to_srgb
+from numpy.typing import NDArray
+
+Image = NDArray[np.float32]
+
+Perceptual = Callable[[Image, Image], float]
+"""A distance of two pictures (H, W, 3) in 0…1: of the fit and of the truth."""
+
+OBJECT_COVERAGE: Final = 0.5
+"""True coverage above which a pixel belongs to the object."""
+
+PSNR_MAX: Final = 100.0
+"""dB reported for equal images: an infinity would make every mean infinite."""
+
+
+def composite(color_linear: Image, coverage: Image) -> Image:
+    """Picture (H, W, 3) in 0…1 over black: sRGB of the clipped colour (H, W, 3, unassociated) times coverage (H, W)."""
+    color = np.clip(np.nan_to_num(color_linear, nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0)
+    alpha = np.clip(np.nan_to_num(coverage, nan=0.0), 0.0, 1.0)
+    return np.asarray(linear_to_srgb(color) * alpha[..., None], dtype=np.float32)
+
+
+def unassociate(premultiplied: Image) -> tuple[Image, Image]:
+    """Colour (H, W, 3) and coverage (H, W) of a render (H, W, 4); black where nothing covers."""
+    alpha = np.clip(premultiplied[..., 3], 0.0, 1.0)
+    color = premultiplied[..., :3] / np.maximum(alpha, 1e-6)[..., None]
+    return np.where(alpha[..., None] > 0, color, 0.0).astype(np.float32), alpha.astype(np.float32)
+
+
+def psnr(fit: Image, truth: Image, where: NDArray[np.bool_] | None = None) -> float | None:
+    """Peak signal to noise ratio in dB of pictures in 0…1; at most `PSNR_MAX`; None where no pixel counts."""
+    return psnr_without_noise(fit, fit, truth, where)
+
+
+def psnr_without_noise(
+    first: Image, second: Image, truth: Image, where: NDArray[np.bool_] | None = None
+) -> float | None:
+    """PSNR that ever more samples would lead to, from two renders of independent noise, which is not in the mean
+    product of their differences from the truth. Of one render given twice, `psnr`.
+    """
+    product = (np.asarray(first, np.float64) - truth) * (np.asarray(second, np.float64) - truth)
+    if where is not None:
+        product = product[where]
+    if product.size == 0:
+        return None
+    error = float(np.mean(product))
+    return min(PSNR_MAX, -10.0 * float(np.log10(error))) if error > 0 else PSNR_MAX
+
+
+def ssim(fit: Image, truth: Image) -> float | None:
+    """Structural similarity (Wang et al. 2004): Gaussian window of σ 1.5, population covariance, mean over channels.
+
+    None where the picture is smaller than the window (11 pixels).
+    """
+    from skimage.metrics import structural_similarity
+
+    if min(truth.shape[:2]) < 11:
+        return None
+    value = structural_similarity(  # type: ignore[no-untyped-call,unused-ignore]
+        np.asarray(truth, np.float64),
+        np.asarray(fit, np.float64),
+        data_range=1.0,
+        channel_axis=2,
+        gaussian_weights=True,
+        sigma=1.5,
+        use_sample_covariance=False,
+    )
+    return float(value)
+
+
+class ChannelScale:
+    """Linear scale (3,) of each channel that brings fits nearest to their truths, gathered picture by picture."""
+
+    def __init__(self) -> None:
+        self._power = np.zeros(3)
+        self._product = np.zeros(3)
+
+    def add(self, fit_linear: Image, true_linear: Image) -> None:
+        """Takes linear colours (N, 3) of the fit and of the truth at the same places."""
+        fit, truth = np.asarray(fit_linear, np.float64), np.asarray(true_linear, np.float64)
+        self._power += (fit * fit).sum(axis=0)
+        self._product += (fit * truth).sum(axis=0)
+
+    @property
+    def value(self) -> NDArray[np.float64]:
+        """Least squares; 1 where the fit is black."""
+        return np.where(self._power > 0, self._product / np.maximum(self._power, 1e-300), 1.0)
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Error of one picture."""
+
+    frame: float | None
+    object: float | None
+    ssim: float | None
+    lpips: float | None
+    flip: float | None
+
+    def document(self) -> dict[str, Any]:
+        """As it stands in evaluation JSON."""
+        return {
+            "psnr": {"frame": self.frame, "object": self.object},
+            "ssim": self.ssim,
+            "lpips": self.lpips,
+            "flip": self.flip,
+        }
+
+
+def compare(
+    fit: Image, truth: Image, true_coverage: Image, lpips: Perceptual | None = None, flip: Perceptual | None = None
+) -> Figures:
+    """All figures of two composited pictures."""
+    inside = true_coverage > OBJECT_COVERAGE
+    return Figures(
+        psnr(fit, truth),
+        psnr(fit, truth, inside),
+        ssim(fit, truth),
+        None if lpips is None else lpips(fit, truth),
+        None if flip is None else flip(fit, truth),
+    )
+
+
+def mask_iou(fit: Image, truth: Image) -> float | None:
+    """Intersection over union of two coverages (H, W), each thresholded at one half; None where both are empty."""
+    ours, theirs = fit > OBJECT_COVERAGE, truth > OBJECT_COVERAGE
+    union = int((ours | theirs).sum())
+    return int((ours & theirs).sum()) / union if union else None
+
+
+def mean(values: list[float | None]) -> float | None:
+    """Mean of those that are there."""
+    there = [value for value in values if value is not None]
+    return float(np.mean(there)) if there else None

@@ -1,0 +1,1 @@
+"""The optimisation loop, weighted energies, checkpoints, non-finite diagnostics."""

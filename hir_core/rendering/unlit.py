@@ -1,0 +1,72 @@
+"""A mesh as its colours alone, without light: base-colour textures, vertex colours, a true albedo's counterpart."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hir_core.capture import Camera
+from hir_core.mesh.ray_casting import SurfaceRays
+
+if TYPE_CHECKING:
+    from hir_core.scene import Scene
+
+Array = NDArray[np.float32]
+
+SUPERSAMPLING = 3
+"""Rays across a pixel, in each direction."""
+
+
+class UnlitView:
+    """Shows what a scene's surface is coloured: the material's diffuse albedo, else the vertex colours, else grey."""
+
+    def __init__(self, scene: Scene) -> None:
+        mesh = scene.mesh
+        self._faces = mesh.faces.detach().cpu().numpy().astype(np.int64)
+        self._rays = SurfaceRays(mesh.positions.detach().cpu().numpy().astype(np.float32), self._faces)
+        albedo = None if scene.material is None else scene.material.diffuse_albedo.detach().cpu().numpy()
+        self._texture: Array | None = None
+        self._colors = np.full((1, 3), 0.5, np.float32)
+        if albedo is not None and albedo.ndim == 3 and mesh.uvs is not None and mesh.topology.uv_faces is not None:
+            self._texture = albedo.astype(np.float32)
+            self._uvs = mesh.uvs.detach().cpu().numpy().astype(np.float64)
+            self._uv_faces = mesh.topology.uv_faces.cpu().numpy()
+        elif albedo is not None:
+            self._colors = np.broadcast_to(albedo.reshape(-1)[:3], (1, 3)).astype(np.float32)
+        elif mesh.vertex_colors is not None:
+            self._colors = mesh.vertex_colors.detach().cpu().numpy().astype(np.float32)
+
+    def render(self, camera: Camera) -> Array:
+        """Linear premultiplied RGBA (H, W, 4): mean of the rays of each pixel."""
+        n = SUPERSAMPLING
+        rows, columns = np.arange(camera.height * n), np.arange(camera.width * n)
+        x, y = np.meshgrid((columns + 0.5) / n, (rows + 0.5) / n)
+        origins, directions = camera.rays(np.stack([x.ravel(), y.ravel()], axis=1))
+        face, weights = self._rays.first_hits(origins.astype(np.float32), directions.astype(np.float32))
+        hit = face >= 0
+        fine = np.zeros((len(face), 4), np.float32)
+        fine[hit, :3], fine[hit, 3] = self._color(face[hit], weights[hit]), 1.0
+        blocks = fine.reshape(camera.height, n, camera.width, n, 4)
+        return np.asarray(blocks.mean(axis=(1, 3)), dtype=np.float32)
+
+    def _color(self, face: NDArray[np.int64], weights: Array) -> Array:
+        if self._texture is None:
+            if len(self._colors) == 1:
+                return np.broadcast_to(self._colors, (len(face), 3))
+            return np.asarray((self._colors[self._faces[face]] * weights[..., None]).sum(axis=1), np.float32)
+        uv = (self._uvs[self._uv_faces[face]] * weights[..., None]).sum(axis=1)
+        return sampled(self._texture, uv)
+
+
+def sampled(texture: Array, uv: NDArray[np.floating]) -> Array:
+    """Bilinear samples (N, C) of a texture (H, W, C) at (N, 2), origin top-left; the border's texels go on outside."""
+    height, width = texture.shape[:2]
+    x = np.clip(uv[:, 0] * width - 0.5, 0, width - 1)
+    y = np.clip(uv[:, 1] * height - 0.5, 0, height - 1)
+    x0, y0 = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
+    x1, y1 = np.minimum(x0 + 1, width - 1), np.minimum(y0 + 1, height - 1)
+    fx, fy = (x - x0)[:, None], (y - y0)[:, None]
+    top = texture[y0, x0] * (1 - fx) + texture[y0, x1] * fx
+    return np.asarray(top * (1 - fy) + (texture[y1, x0] * (1 - fx) + texture[y1, x1] * fx) * fy, np.float32)

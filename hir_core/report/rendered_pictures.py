@@ -1,0 +1,181 @@
+"""The pictures of a report: photographs beside their fit, the light, the textures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from hir_exporters.conventions import linear_to_srgb
+from hir_exporters.files.atomic import atomic_directory
+from hir_exporters.scene_format import load_scene
+from hir_exporters.textures.image_files import write_png
+
+from hir_core.capture import block_mean
+from hir_core.evaluation import Truth, difference_picture, masked_pixels, split_in_working_frame, spread
+from hir_core.files.file_names import file_stem
+from hir_core.metrics import OBJECT_COVERAGE, Image, composite, mean, psnr, psnr_without_noise, unassociate
+from hir_core.rendering.reference_renderer import OpenRun, open_for_rendering, reference_renderer, render_view
+from hir_core.rendering.unlit import UnlitView
+from hir_core.run.run_directory import RunDirectory
+
+if TYPE_CHECKING:
+    from hir_core.capture import Camera, View
+    from hir_core.plugins.interfaces import ReflectanceRenderer
+    from hir_core.plugins.manager import PluginManager
+
+VIEWS = 4
+"""Photographs that a report shows, spread over the capture."""
+
+SHOWN_SIDE = 1024
+"""Photographs of twice this and more are shown and measured reduced, to no less; `hir evaluate` renders whole ones."""
+
+FEW_SAMPLES = 64
+"""Through a pixel of each of two renders, which are enough where the fit is farther from the photograph than noise."""
+MOST_NOISE = 0.15
+"""Share of the squared error up to which they are."""
+
+SMALL_SIDE = 192
+"""Pictures of a run's stages, which are only measured, are at most about as large."""
+
+UNLIT_STAGE = "initializer"
+"""It knows colours and no light: its scene is shown as what is baked into it, as plain photogrammetry has it. Stages
+after it carry these colours along for a start and are judged by their outlines."""
+
+
+def write_pictures(
+    directory: RunDirectory, plugins: PluginManager, on_message: Callable[[str], None] | None = None
+) -> dict[str, Any]:
+    """Fills `report/` as a whole with PNGs and returns what they show.
+
+    `views`: name, figures and file names of each, `measured_at` where photographs are larger; `stages`: mean PSNR of
+    the same views after each stage, small.
+    """
+    run = open_for_rendering(directory)
+    capture = split_in_working_frame(run, run.capture_path, "train", plugins)
+    tracer = _Tracer(run, plugins)
+    shown: list[dict[str, Any]] = []
+    seen: list[tuple[Truth, Camera, Image]] = []
+    with atomic_directory(directory.report) as place:
+        for i in spread(len(capture.views), VIEWS):
+            view = capture.views[i]
+            if view.pixels().mask is None:
+                if on_message is not None:
+                    on_message(f"report: {view.name} has no mask and is not shown")
+                continue
+            factor = max(1, max(capture.cameras[i].width, capture.cameras[i].height) // SHOWN_SIDE)
+            camera, truth = capture.cameras[i].downsampled(factor), masked_pixels(view).downsampled(factor)
+            pair = tracer.pair(camera, view, truth)
+            seen.append((truth, camera, _middle(pair)))
+            size = {"measured_at": [camera.width, camera.height]} if factor > 1 else {}
+            shown.append({"name": view.name} | _view_pictures(place, file_stem(view.name), pair, truth) | size)
+        for name, picture in asset_pictures(directory.scene).items():
+            write_png(place / f"{name}.png", picture)
+    return {"views": shown, "stages": stage_psnr(directory, seen)}
+
+
+class _Tracer:
+    """Renders a run's scene with as many samples as its figures need."""
+
+    def __init__(self, run: OpenRun, plugins: PluginManager) -> None:
+        self._scene = run.scene
+        _, self._quick = reference_renderer(plugins, bounces=run.bounces, most_samples=FEW_SAMPLES)
+        _, self._thorough = reference_renderer(plugins, bounces=run.bounces)
+
+    def pair(self, camera: Camera, view: View, truth: Truth) -> tuple[Image, Image]:
+        """Two renders (H, W, 4) of independent noise, or one of many samples, twice, where that noise is too much."""
+        first, second = (self._rendered(self._quick, camera, view, half) for half in (", first", ", second"))
+        if noise_share(first, second, truth) <= MOST_NOISE:
+            return first, second
+        whole = self._rendered(self._thorough, camera, view, "")
+        return whole, whole
+
+    def _rendered(self, renderer: ReflectanceRenderer, camera: Camera, view: View, label: str) -> Image:
+        fit = render_view(renderer, self._scene, camera, view.name + label)
+        fit[..., :3] *= view.exposure
+        return fit
+
+
+def noise_share(first: Image, second: Image, truth: Truth) -> float:
+    """Part that noise has in the squared error of two renders' mean (H, W, 4); 1 where there is no error."""
+    one, other = (composite(*unassociate(half)) for half in (first, second))
+    noise, error = float(np.square(one - other).mean()) / 4, float(np.square((one + other) / 2 - truth.picture).mean())
+    return noise / error if error > 0 else 1.0
+
+
+def stage_psnr(directory: RunDirectory, seen: list[tuple[Truth, Camera, Image]]) -> dict[str, float | None]:
+    """Mean PSNR over object pixels, first mesh and finished asset, of the views shown, all reduced alike.
+
+    `seen`: photographs, their cameras in the working frame, and the finished asset's renders (H, W, 4).
+    """
+    from hir_core.scene.scene_store import load_stage_scene
+
+    factors = [max(1, -(-max(camera.width, camera.height) // SMALL_SIDE)) for _, camera, _ in seen]
+    truths = [truth.downsampled(factor) for (truth, *_), factor in zip(seen, factors, strict=True)]
+    found: dict[str, float | None] = {}
+    record = directory.record(UNLIT_STAGE)
+    if record is not None and record.finished:
+        scene = load_stage_scene(directory.stage(UNLIT_STAGE) / "scene", "cpu")
+        if scene.mesh.vertex_colors is not None:
+            unlit = UnlitView(scene)
+            small = [unlit.render(camera.downsampled(f)) for (_, camera, _), f in zip(seen, factors, strict=True)]
+            found[UNLIT_STAGE] = mean([_object_psnr(fit, truth) for fit, truth in zip(small, truths, strict=True)])
+    small = [block_mean(fit, factor) for (*_, fit), factor in zip(seen, factors, strict=True)]
+    found["reflectance"] = mean([_object_psnr(fit, truth) for fit, truth in zip(small, truths, strict=True)])
+    return found
+
+
+def _object_psnr(fit: Image, truth: Truth) -> float | None:
+    return psnr(composite(*unassociate(fit)), truth.picture, truth.mask > OBJECT_COVERAGE)
+
+
+def asset_pictures(scene: Path) -> dict[str, Image]:
+    """Light and textures of a scene folder, as sRGB pictures; a constant becomes a small square of its value."""
+    asset = load_scene(scene)
+    pictures: dict[str, Image] = {}
+    if asset.environment is not None:
+        pictures["light"] = light_picture(asset.environment.radiance)
+    material = asset.material
+    pictures["albedo"] = np.asarray(linear_to_srgb(as_map(material.diffuse_albedo, 3)), dtype=np.float32)
+    specular = as_map(material.specular_albedo, 3)
+    # a reflectance of a few hundredths is black to the eye: brightest to white
+    pictures["specular"] = np.asarray(linear_to_srgb(specular / max(float(specular.max()), 1e-6)), dtype=np.float32)
+    pictures["roughness"] = as_map(np.sqrt(material.roughness), 1)
+    if material.normal is not None:
+        pictures["normal"] = (material.normal * 0.5 + 0.5).astype(np.float32)
+    return {name: np.clip(picture, 0, 1) for name, picture in pictures.items()}
+
+
+def as_map(value: Image, channels: int) -> Image:
+    """(H, W, C) of a texture or a constant."""
+    array = np.asarray(value, dtype=np.float32)
+    if array.ndim >= 2:
+        return array.reshape(*array.shape[:2], channels)
+    return np.broadcast_to(array.reshape(-1), (32, 32, channels)).copy()
+
+
+def light_picture(radiance: Image) -> Image:
+    """A lat-long light as a picture: the exposure puts its 95th percentile at 0.8, so suns saturate."""
+    level = float(np.quantile(radiance.mean(axis=2), 0.95))
+    picture = np.asarray(linear_to_srgb(np.clip(radiance * (0.8 / max(level, 1e-6)), 0, 1)), dtype=np.float32)
+    enlarge = max(1, 512 // picture.shape[1])
+    return picture.repeat(enlarge, axis=0).repeat(enlarge, axis=1)
+
+
+def _middle(pair: tuple[Image, Image]) -> Image:
+    return np.mean(pair, axis=0, dtype=np.float32)
+
+
+def _view_pictures(place: Path, name: str, pair: tuple[Image, Image], truth: Truth) -> dict[str, Any]:
+    first, second = (composite(*unassociate(fit)) for fit in pair)
+    picture, true = composite(*unassociate(_middle(pair))), truth.picture
+    files = {kind: f"{name}_{kind}.png" for kind in ("true", "fit", "difference")}
+    write_png(place / files["true"], true)
+    write_png(place / files["fit"], picture)
+    write_png(place / files["difference"], difference_picture(picture, true))
+    on_object = truth.mask > OBJECT_COVERAGE
+    return files | {
+        "frame": psnr_without_noise(first, second, true),
+        "object": psnr_without_noise(first, second, true, on_object),
+    }

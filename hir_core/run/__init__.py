@@ -1,0 +1,1 @@
+"""What surrounds the stages: run directory, cache, progress, memory plan, machine."""

@@ -1,0 +1,55 @@
+"""`--deterministic`: the same files for the same input, seed and machine.
+
+Sums over several threads add in any order. Where that decides bits, a run that was asked for the same files uses one
+thread. The switch is torch's own, so that components which the core knows nothing of can ask for it, too.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import random
+import sys
+from collections.abc import Iterator
+
+import numpy as np
+
+from hir_core.run.machine import usable_cores
+
+
+def asked() -> bool:
+    """Does the run under way have to give the same files again?"""
+    torch = sys.modules.get("torch")
+    return torch is not None and torch.are_deterministic_algorithms_enabled()
+
+
+def threads(wanted: int) -> int:
+    """Threads that a component may use: `wanted`, or 1 where the same files are asked for."""
+    return 1 if asked() else wanted
+
+
+@contextlib.contextmanager
+def determinism(deterministic: bool) -> Iterator[None]:
+    """While the block runs, `asked()` is this, and torch has one thread if so; at its end all is as before."""
+    import torch
+
+    before, count = torch.are_deterministic_algorithms_enabled(), torch.get_num_threads()
+    warn_only = torch.is_deterministic_algorithms_warn_only_enabled()
+    torch.use_deterministic_algorithms(deterministic, warn_only=True)
+    if deterministic:
+        torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.use_deterministic_algorithms(before, warn_only=warn_only)
+        torch.set_num_threads(count)
+        if deterministic and not before and "drjit" in sys.modules:
+            sys.modules["drjit"].set_thread_count(usable_cores())  # components that trace rays had set it to 1
+
+
+def seed_everything(seed: int) -> None:
+    """The same random numbers for a stage whether the stages before it ran in this process or were read from disk."""
+    import torch
+
+    random.seed(seed)
+    np.random.seed(seed % (1 << 32))
+    torch.manual_seed(seed)

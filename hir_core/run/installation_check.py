@@ -1,0 +1,122 @@
+"""`hir doctor`: what is installed, what works, and what to install where something does not."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
+from typing import Final, Literal
+
+from hir_core.run.machine import processor_name, total_memory_bytes, usable_cores
+
+TINY_RENDER: Final = """
+import sys
+import mitsuba as mi
+mi.set_variant(sys.argv[1])
+scene = mi.cornell_box()
+scene["sensor"]["film"]["width"] = scene["sensor"]["film"]["height"] = 4
+image = mi.render(mi.load_dict(scene), spp=1)
+import numpy
+assert numpy.isfinite(numpy.array(image)).all()
+"""
+
+MODULES: Final = {
+    "reconstruct": {
+        "torch": "torch",
+        "jaxtyping": "jaxtyping",
+        "mitsuba": "mitsuba",
+        "drjit": "drjit",
+        "pycolmap": "pycolmap",
+        "open3d": "open3d",
+        "xatlas": "xatlas",
+        "cholespy": "cholespy",
+        "fast_simplification": "fast-simplification",
+        "cv2": "opencv-python-headless",
+        "skimage": "scikit-image",
+        "matplotlib": "matplotlib",
+    },
+    "batch": {"ray": "ray", "fsspec": "fsspec"},
+    "evaluate": {"lpips": "lpips", "flip_evaluator": "flip-evaluator"},
+}
+"""Modules of each extra and the distributions that hold them."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line of the doctor's answer."""
+
+    name: str
+    state: Literal["ok", "missing", "broken", "absent"]
+    """`absent` is fine: a GPU that is not there."""
+    detail: str
+    advice: str = ""
+
+
+def examine(problems: list[str]) -> list[Finding]:
+    """All findings, in the order they are shown; `problems` are those of the plugins."""
+    findings = [
+        Finding("python", "ok" if sys.version_info >= (3, 11) else "broken", sys.version.split()[0]),
+        Finding("machine", "ok", f"{processor_name()}, {usable_cores()} cores, {total_memory_bytes() / 2**30:.0f} GiB"),
+    ]
+    for extra, modules in MODULES.items():
+        findings += [examine_module(module, package, extra) for module, package in modules.items()]
+    if find_spec("mitsuba") is not None:
+        findings.append(examine_renderer("llvm_ad_rgb", "renderer (cpu)"))
+        findings.append(examine_renderer("cuda_ad_rgb", "renderer (cuda)"))
+    findings += [Finding("plugin", "broken", problem) for problem in problems]
+    return findings
+
+
+def examine_module(module: str, package: str, extra: str) -> Finding:
+    """Imports one module in a process of its own: a broken library may abort rather than raise."""
+    command = f"pip install 'hir[{extra}]' (in a checkout: pip install -e '.[{extra}]')"
+    if find_spec(module) is None:
+        return Finding(package, "missing", f"for hir[{extra}]", command)
+    code, output = _try([sys.executable, "-c", f"import {module}"])
+    if code != 0:
+        return Finding(package, "broken", last_line(output), _library_advice(output) or command)
+    try:
+        return Finding(package, "ok", version(package))
+    except PackageNotFoundError:
+        return Finding(package, "ok", "installed")
+
+
+def examine_renderer(variant: str, name: str) -> Finding:
+    """A render of 4×4 pixels in a process of its own: with an LLVM that is too old Mitsuba aborts the process."""
+    code, output = _try([sys.executable, "-c", TINY_RENDER, variant])
+    if code == 0:
+        return Finding(name, "ok", variant)
+    if variant.startswith("cuda"):
+        return Finding(name, "absent", "no CUDA device that Mitsuba can use; runs go to the processor")
+    advice = "install LLVM 17 or newer: apt-get install libllvm19 (Debian 12), or set DRJIT_LIBLLVM_PATH to its library"
+    return Finding(name, "broken", f"{variant}: {last_line(output) or f'ended with {code}'}", advice)
+
+
+def last_line(text: str) -> str:
+    """The last line that says something."""
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    return lines[-1][:200] if lines else ""
+
+
+def _library_advice(output: str) -> str:
+    """Debian's package of a shared library that could not be opened."""
+    packages = {
+        "libusb-1.0": "libusb-1.0-0",
+        "libGL.so": "libgl1",
+        "libgomp": "libgomp1",
+        "libEGL": "libegl1",
+        "libX11": "libx11-6",
+        "libLLVM": "libllvm19",
+    }
+    found = [package for library, package in packages.items() if library in output]
+    return f"apt-get install {' '.join(found)}" if found else ""
+
+
+def _try(command: list[str]) -> tuple[int, str]:
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, errors="replace", timeout=180, check=False)
+    except subprocess.TimeoutExpired:
+        return -1, "took more than 180 s"
+    return done.returncode, done.stdout + done.stderr

@@ -1,0 +1,191 @@
+"""What a run leaves on disk: settings, stages, timings; every file complete or absent, one process at a time."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from hir_exporters.files.atomic import is_partial, remove_partials
+
+from hir_core.errors import HirError, InputError, StageError
+from hir_core.files.file_lock import try_lock
+from hir_core.files.json_documents import read_json, write_json
+
+STAGES: Final = ("initializer", "geometry", "atlas", "reflectance", "bake", "export")
+"""The stages in the order of a run; folders are numbered from 1."""
+
+FORMAT: Final = "hir-run"
+VERSION: Final = 1
+
+
+@dataclass(frozen=True)
+class StageRecord:
+    """What stage.json holds."""
+
+    stage: str
+    key: str
+    """Hash of everything the result depends on."""
+    finished: bool = False
+    report: Mapping[str, Any] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class RunDirectory:
+    """The folder of one run (DESIGN section 5)."""
+
+    path: Path
+
+    @property
+    def scene(self) -> Path:
+        """The finished asset in the open scene format."""
+        return self.path / "scene"
+
+    @property
+    def exports(self) -> Path:
+        return self.path / "exports"
+
+    @property
+    def report(self) -> Path:
+        return self.path / "report"
+
+    @property
+    def cameras(self) -> Path:
+        return self.path / "capture" / "cameras.json"
+
+    @property
+    def log(self) -> Path:
+        """What was said, with dates; rotates."""
+        return self.path / "log.txt"
+
+    def evaluation(self, split: str) -> Path:
+        """Where `hir evaluate` writes the figures and pictures of a split."""
+        return self.path / "evaluation" / split
+
+    def stage(self, name: str) -> Path:
+        """Folder of a stage, such as `stages/2-geometry`."""
+        return self.path / "stages" / f"{STAGES.index(name) + 1}-{name}"
+
+    def read_run(self) -> dict[str, Any]:
+        """run.json: settings, versions, plugins, seeds, reports, metrics."""
+        document = read_json(self.path / "run.json")
+        if document.get("format") != FORMAT:
+            raise InputError(f"{self.path / 'run.json'} is not a run's: its format is {document.get('format')!r}")
+        version = document.get("version")
+        if not isinstance(version, int) or isinstance(version, bool) or not 1 <= version <= VERSION:
+            raise InputError(f"{self.path / 'run.json'} has the version {version!r}; this program reads 1 to {VERSION}")
+        return document
+
+    def write_run(self, document: Mapping[str, Any]) -> None:
+        """Replaces run.json."""
+        write_json(self.path / "run.json", {"format": FORMAT, "version": VERSION} | dict(document))
+
+    def read_timings(self) -> dict[str, Any]:
+        """timings.json: seconds, machine, dates, memory; empty where there is none yet."""
+        path = self.path / "timings.json"
+        return read_json(path) if path.exists() else {}
+
+    def write_timings(self, document: Mapping[str, Any]) -> None:
+        write_json(self.path / "timings.json", document)
+
+    def record(self, stage: str) -> StageRecord | None:
+        """The record of a stage, or None where it was never begun or its record is damaged."""
+        path = self.stage(stage) / "stage.json"
+        if not path.exists():
+            return None
+        try:
+            document = read_json(path)
+            return StageRecord(
+                stage,
+                str(document["key"]),
+                document["finished"] is True,
+                dict(document["report"]),
+                tuple(document["warnings"]),
+            )
+        except (InputError, KeyError, TypeError, ValueError):
+            return None
+
+    def begin(self, stage: str, key: str) -> Path:
+        """Makes a stage's folder ready and returns its workspace; what an unfinished one of the same key left stays."""
+        folder = self.stage(stage)
+        record = self.record(stage)
+        if record is None or record.key != key:
+            # the record goes first: a folder without one is never taken for a result
+            (folder / "stage.json").unlink(missing_ok=True)
+            shutil.rmtree(folder, ignore_errors=True)
+        workspace = folder / "work"
+        workspace.mkdir(parents=True, exist_ok=True)
+        self._write_record(StageRecord(stage, key))
+        return workspace
+
+    def finish(self, record: StageRecord) -> None:
+        """Marks a stage as finished; its result must be on disk before."""
+        self._write_record(record)
+
+    def _write_record(self, record: StageRecord) -> None:
+        write_json(
+            self.stage(record.stage) / "stage.json",
+            {
+                "stage": record.stage,
+                "key": record.key,
+                "finished": record.finished,
+                "report": record.report,
+                "warnings": record.warnings,
+            },
+        )
+
+
+def open_run(path: str | os.PathLike[str]) -> RunDirectory:
+    """A run that exists; an error says what is missing."""
+    folder = Path(path)
+    if not folder.is_dir():
+        raise InputError(f"{folder} is not a folder; make a run with: hir reconstruct CAPTURE -o RUN")
+    if not (folder / "run.json").is_file():
+        raise InputError(f"{folder} has no run.json, so it is not a run; make one with: hir reconstruct CAPTURE -o RUN")
+    return RunDirectory(folder)
+
+
+@contextlib.contextmanager
+def damage_told(folder: Path) -> Iterator[None]:
+    """For code that takes documents as we write them: what others wrote, or a disk spoilt, is an `InputError`."""
+    try:
+        yield
+    except HirError:
+        raise
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
+        reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+        raise InputError(
+            f"{folder}: run.json or a file beside it is damaged ({reason}); run again with --resume"
+        ) from error
+
+
+@contextlib.contextmanager
+def claimed_run(path: str | os.PathLike[str], resume: bool) -> Iterator[RunDirectory]:
+    """The folder of a run, made where it is missing and locked against other processes until the block ends.
+
+    A folder that holds something else is refused; one that holds a run is refused unless `resume`.
+    """
+    folder = Path(path)
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder} is a file; give a folder for the run")
+    if folder.is_dir():
+        entries = {entry.name for entry in folder.iterdir() if not is_partial(entry)} - {".lock"}
+        if "run.json" not in entries and entries - {"stages", "capture"}:
+            raise InputError(f"{folder} holds {sorted(entries)[0]!r} and is not a run; choose an empty or new folder")
+        if entries and not resume:
+            raise InputError(f"{folder} already holds a run; continue it with --resume, or choose another folder")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        stream = open(folder / ".lock", "a+b")  # noqa: SIM115 - open for as long as its owner
+    except OSError as error:
+        raise InputError(f"cannot write into {folder}: {error.strerror}; choose another folder") from error
+    with stream:
+        if not try_lock(stream):
+            raise StageError(f"another process works on {folder}; wait for it to end, or choose another folder")
+        remove_partials(folder)  # of a run that was killed
+        yield RunDirectory(folder)

@@ -1,0 +1,129 @@
+"""The only crossings between torch and the exporters: a fitted scene becomes an asset, an asset a scene."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from hir_exporters.asset import PAPER_SPECULAR_MAX, Asset, AssetEnvironment, AssetMaterial, AssetMesh, validate_asset
+from hir_exporters.conventions import ALPHA_MIN
+from hir_exporters.mesh.tangents import with_tangents
+from hir_exporters.mesh.vertex_welding import weld
+from numpy.typing import NDArray
+from torch import Tensor
+
+from hir_core.errors import StageError
+from hir_core.scene.scene import EnvironmentMap, Material, Mesh, Scene, Topology
+
+
+def bake(scene: Scene, *, name: str = "asset", provenance: Mapping[str, Any] | None = None) -> Asset:
+    """The scene as numpy, in the place and scale it has: one vertex for each pair of position and UV.
+
+    With a normal map the mesh has tangents; a vertex whose corners have different ones is then several.
+    Albedos, roughness and light are held in the ranges of an asset (albedo at most 1, light not negative). Raises
+    `StageError` where there is no material, or a texture without texture coordinates; `InputError` for NaN.
+    """
+    if scene.material is None:
+        raise StageError("the scene has no material to bake; let the reflectance stage run")
+    mesh = _bake_mesh(scene.mesh, _has_textures(scene.material))
+    if scene.material.normal is not None:
+        mesh = with_tangents(mesh)  # the frames that the normal map was fitted in
+    asset = Asset(
+        mesh=mesh,
+        material=_bake_material(scene.material),
+        environment=None if scene.environment is None else _bake_environment(scene.environment),
+        provenance=dict(provenance or {}),
+        name=name,
+    )
+    validate_asset(asset)
+    return asset
+
+
+def scene_from_asset(asset: Asset, device: torch.device | str = "cpu") -> Scene:
+    """The scene that `bake` made the asset of: equal positions are one vertex again; normals follow from the faces."""
+    first, group = weld(asset.mesh.positions)
+    faces = asset.mesh.faces.astype(np.int64)
+    mesh = Mesh(
+        positions=torch.from_numpy(asset.mesh.positions[first].copy()),
+        topology=Topology(torch.from_numpy(group[faces]), torch.from_numpy(faces)),
+        uvs=torch.from_numpy(asset.mesh.uvs.copy()),
+    )
+    material, light = asset.material, asset.environment
+    environment = None
+    if light is not None:
+        rotation = torch.from_numpy(light.to_world.astype(np.float32))
+        environment = EnvironmentMap(torch.from_numpy(light.radiance.copy()), rotation, light.frame)
+    return Scene(
+        mesh,
+        Material(
+            model=material.model,
+            diffuse_albedo=torch.from_numpy(material.diffuse_albedo.copy()),
+            specular_albedo=torch.from_numpy(material.specular_albedo.copy()),
+            roughness=torch.from_numpy(material.roughness.copy()).unsqueeze(-1),
+            normal=None if material.normal is None else torch.from_numpy(material.normal.copy()),
+            observed=None if material.observed is None else torch.from_numpy(material.observed.copy()),
+        ),
+        environment,
+    ).to(device)
+
+
+def _has_textures(material: Material) -> bool:
+    maps = (material.diffuse_albedo, material.specular_albedo, material.roughness, material.normal)
+    return any(m is not None and m.ndim == 3 for m in maps)
+
+
+def _bake_mesh(mesh: Mesh, needs_uvs: bool) -> AssetMesh:
+    faces = _numpy(mesh.faces)
+    if mesh.uvs is None or mesh.topology.uv_faces is None:
+        if needs_uvs:
+            raise StageError("the material has textures but the mesh no texture coordinates; let the atlas stage run")
+        uvs, uv_faces = np.zeros((1, 2), np.float32), np.zeros_like(faces)
+    else:
+        uvs = _numpy(mesh.uvs).astype(np.float32)
+        first, group = weld(uvs)
+        uvs, uv_faces = uvs[first], group[_numpy(mesh.topology.uv_faces)]
+    pairs = faces.astype(np.int64) * len(uvs) + uv_faces
+    distinct, corners = np.unique(pairs, return_inverse=True)
+    position, uv = distinct // len(uvs), distinct % len(uvs)
+    return AssetMesh(
+        positions=_numpy(mesh.positions)[position].astype(np.float32),
+        normals=_unit(_numpy(mesh.normals))[position],
+        uvs=uvs[uv],
+        faces=corners.reshape(faces.shape).astype(np.int32),
+    )
+
+
+def _bake_material(material: Material) -> AssetMaterial:
+    limit = PAPER_SPECULAR_MAX if material.model == "paper" else 1.0
+    roughness = _held(material.roughness, ALPHA_MIN, 1.0)
+    return AssetMaterial(
+        model=material.model,
+        diffuse_albedo=_held(material.diffuse_albedo, 0.0, 1.0),
+        specular_albedo=_held(material.specular_albedo, 0.0, limit),
+        roughness=roughness[..., 0],
+        normal=None if material.normal is None else _unit(_numpy(material.normal)),
+        observed=None if material.observed is None else _numpy(material.observed),
+    )
+
+
+def _bake_environment(environment: EnvironmentMap) -> AssetEnvironment:
+    rotation = np.eye(3) if environment.to_world is None else _numpy(environment.to_world).astype(np.float64)
+    return AssetEnvironment(_held(environment.radiance, 0.0, np.inf), rotation, environment.frame)
+
+
+def _held(values: Tensor, low: float, high: float) -> NDArray[np.float32]:
+    return np.clip(_numpy(values).astype(np.float32), np.float32(low), np.float32(high))
+
+
+def _unit(vectors: NDArray[Any]) -> NDArray[np.float32]:
+    """Unit vectors in float32; where the length is 0 (a folded vertex, a blurred map) +Y in the world, +Z in a map."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    up = np.zeros_like(vectors)
+    up[..., 2 if vectors.ndim == 3 else 1] = 1
+    return np.asarray(np.where(length > 1e-12, vectors / np.maximum(length, 1e-12), up), dtype=np.float32)
+
+
+def _numpy(tensor: Tensor) -> NDArray[Any]:
+    return np.asarray(tensor.detach().cpu().numpy())

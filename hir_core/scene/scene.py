@@ -1,0 +1,139 @@
+"""The scene that is fitted, in torch: a mesh, its material, the light. Replaced, never mutated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Topology:
+    """How vertices make triangles; shared by all meshes that differ only in positions."""
+
+    faces: Int[Tensor, "F 3"]
+    uv_faces: Int[Tensor, "F 3"] | None = None
+
+    @cached_property
+    def edges(self) -> Int[Tensor, "E 2"]:
+        """Each edge once, smaller index first; edges between a vertex and itself are left out."""
+        return self._edge_table[0]
+
+    @cached_property
+    def edge_faces(self) -> tuple[Int[Tensor, "3F"], Int[Tensor, "3F"]]:
+        """For each corner edge (3F, degenerate ones left out): index of its edge and of its face."""
+        return self._edge_table[1], self._edge_table[2]
+
+    @cached_property
+    def face_pairs(self) -> Int[Tensor, "P 2"]:
+        """Pairs of faces that share an edge; for an edge of more than two faces, each consecutive pair."""
+        edge, face = self.edge_faces
+        order = torch.argsort(edge, stable=True)
+        edge, face = edge[order], face[order]
+        same = edge[1:] == edge[:-1]
+        return torch.stack([face[:-1][same], face[1:][same]], dim=1)
+
+    @cached_property
+    def _edge_table(self) -> tuple[Tensor, Tensor, Tensor]:
+        corners = torch.cat([self.faces[:, [0, 1]], self.faces[:, [1, 2]], self.faces[:, [2, 0]]])
+        owner = torch.arange(len(self.faces), device=self.faces.device).repeat(3)
+        proper = corners[:, 0] != corners[:, 1]
+        corners, owner = corners[proper].sort(dim=1).values, owner[proper]
+        edges, inverse = torch.unique(corners, dim=0, return_inverse=True)
+        return edges, inverse, owner
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Triangles in the world; texture coordinates have a topology of their own, so seams do not tear."""
+
+    positions: Float[Tensor, "V 3"]
+    topology: Topology
+    uvs: Float[Tensor, "U 2"] | None = None
+    """Origin top-left, as in glTF."""
+    vertex_colors: Float[Tensor, "V 3"] | None = None
+    """Linear."""
+
+    @property
+    def faces(self) -> Int[Tensor, "F 3"]:
+        """Vertex indices of each triangle."""
+        return self.topology.faces
+
+    @property
+    def face_areas_normals(self) -> Float[Tensor, "F 3"]:
+        """Normal of each face times twice its area; counter-clockwise is outside."""
+        a, b, c = self.positions[self.faces].unbind(1)
+        return torch.linalg.cross(b - a, c - a)
+
+    @property
+    def normals(self) -> Float[Tensor, "V 3"]:
+        """Unit vertex normals, each face weighed by its area; (0, 1, 0) where no face has an area."""
+        normals = torch.zeros_like(self.positions).index_add(
+            0, self.faces.reshape(-1), self.face_areas_normals.repeat_interleave(3, dim=0)
+        )
+        length = normals.norm(dim=1, keepdim=True)
+        up = torch.tensor([0.0, 1.0, 0.0], dtype=normals.dtype, device=normals.device).expand_as(normals)
+        # scale first: areas of a millimetre scene in metres underflow when squared
+        return torch.where(length > 0, normals / length.clamp_min(torch.finfo(normals.dtype).tiny), up)
+
+    def with_positions(self, positions: Float[Tensor, "V 3"]) -> Mesh:
+        """The same triangles at other places."""
+        return replace(self, positions=positions)
+
+
+Texture = Float[Tensor, "H W C"] | Float[Tensor, " C"]
+"""A map (row 0 at v = 0, the top) or one value for the whole surface."""
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """A BRDF of docs/conventions.md and its parameters; a map that is not needed is a constant or absent."""
+
+    model: Literal["paper", "dielectric"]
+    diffuse_albedo: Texture
+    specular_albedo: Texture
+    roughness: Texture
+    """GGX width α (not its square root), C = 1."""
+    normal: Float[Tensor, "H W 3"] | None = None
+    """Unit vectors in tangent space, +Y up, MikkTSpace."""
+    observed: Bool[Tensor, "H W"] | None = None
+    """Texels that some view saw."""
+
+
+@dataclass(frozen=True, eq=False)
+class EnvironmentMap:
+    """Distant light as a lat-long image (docs/conventions.md), in the world or carried by the camera."""
+
+    radiance: Float[Tensor, "H W 3"]
+    to_world: Float[Tensor, "3 3"] | None = None
+    """Rotation from the map's axes to the world's (or the camera's); None is the identity."""
+    frame: Literal["world", "camera"] = "world"
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What a run fits."""
+
+    mesh: Mesh
+    material: Material | None = None
+    environment: EnvironmentMap | None = None
+
+    def to(self, device: torch.device | str) -> Scene:
+        """The same scene on another device."""
+        return _to_device(self, torch.device(device))
+
+
+def _to_device(value, device):  # type: ignore[no-untyped-def]
+    """Moves the tensors of nested frozen dataclasses."""
+    from dataclasses import fields, is_dataclass
+
+    if isinstance(value, Tensor):
+        return value.to(device)
+    if is_dataclass(value):
+        moved = {f.name: _to_device(getattr(value, f.name), device) for f in fields(value)}
+        return type(value)(**moved)  # type: ignore[misc]
+    return value

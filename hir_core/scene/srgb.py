@@ -1,0 +1,28 @@
+"""The sRGB curve on tensors, with a gradient everywhere; `hir_exporters.conventions` has it on arrays."""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+_TOE, _TOE_ENCODED = 0.0031308, 0.04045
+
+
+def linear_to_srgb(linear: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
+    """Continued beyond 1; negative values are black."""
+    linear = linear.clamp_min(0)
+    # the power is taken of the toe's end at least: its slope at 0 is infinite, and `where` would make it NaN
+    return torch.where(linear <= _TOE, 12.92 * linear, 1.055 * linear.clamp_min(_TOE) ** (1 / 2.4) - 0.055)
+
+
+def srgb_to_linear(encoded: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
+    """The inverse."""
+    bright = ((encoded.clamp_min(_TOE_ENCODED) + 0.055) / 1.055) ** 2.4
+    return torch.where(encoded <= _TOE_ENCODED, encoded / 12.92, bright)
+
+
+def srgb_slope(linear: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
+    """Derivative of `linear_to_srgb` where it is not negative."""
+    bright = 1.055 / 2.4 * linear.clamp_min(_TOE) ** (1 / 2.4 - 1)
+    return torch.where(linear <= _TOE, torch.full_like(linear, 12.92), bright)

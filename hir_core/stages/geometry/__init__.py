@@ -1,0 +1,1 @@
+"""The geometry stage: silhouettes, then photo-consistency."""

@@ -1,0 +1,1 @@
+"""The reflectance stage: model selection, gradient fit, path-traced refinement."""

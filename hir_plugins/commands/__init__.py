@@ -1,0 +1,1 @@
+"""Built-in commands: `hir batch`, `hir bench`, `hir view`."""

@@ -1,0 +1,1 @@
+"""What suites give: rows, tables, plots."""

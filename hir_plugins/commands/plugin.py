@@ -1,0 +1,27 @@
+"""The built-in commands, and the page that shows an asset in a report. Heavy imports stay inside the commands."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from hir_core.plugins import hookimpl
+from hir_plugins.commands.batch.command import batch_command
+from hir_plugins.commands.bench.command import bench_command
+from hir_plugins.commands.viewer.command import view_command
+
+
+@hookimpl
+def hir_register_commands(cli: click.Group) -> None:
+    """`hir batch`, `hir bench`, `hir view`."""
+    for command in (batch_command, bench_command, view_command):
+        cli.add_command(command)
+
+
+@hookimpl
+def hir_asset_page(run_folder: Path) -> str | None:
+    """The page of `hir view`, without the run's photographs."""
+    from hir_plugins.commands.viewer.viewer_page import view_page
+
+    return view_page(run_folder, photographs=False)

@@ -1,0 +1,1 @@
+"""`hir view`: a page that shows an asset in three.js."""

@@ -1,0 +1,1 @@
+"""A mesh that already exists."""

@@ -1,0 +1,101 @@
+"""Brings a mesh of unknown place, turn and size onto a capture's points."""
+
+from __future__ import annotations
+
+from itertools import permutations, product
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from hir_core.capture import Array
+from hir_core.errors import CaptureError
+
+_SAMPLES = 20_000
+_COARSE = 1_500
+_CANDIDATES = 4
+_TRIMMED = 0.8
+"""Share of the points, the nearest ones, that count: the rest may be the table's."""
+
+_GOOD = 0.03
+"""Largest mean distance, in the mesh's size, of an alignment that is believed."""
+
+
+def aligned(positions: Array, faces: NDArray[np.int64], points: Array) -> tuple[Array, float]:
+    """4×4 similarity from the mesh to the points (N, 3), and the mean distance left, in the mesh's longest side.
+
+    The 24 turns of a cube about the middle are tried, the best refined by iterated closest points with scale (Besl &
+    McKay 1992, open3d). Too few points, or none of the turns fits, is a `CaptureError`.
+    """
+    import open3d
+    import trimesh
+
+    if len(points) < 100:
+        raise CaptureError(
+            f"there are {len(points)} points to align the mesh with; at least 100 are needed: run colmap"
+            " or stereo before, or give initializer.mesh_file.transform"
+        )
+    surface = trimesh.Trimesh(positions, faces, process=False).sample(_SAMPLES, seed=0)
+    rng = np.random.default_rng(0)
+    points = points[rng.permutation(len(points))[:_SAMPLES]]
+    # both in a frame of their own middle and size: medians, for points have outliers
+    to_unit, from_unit = _unit(surface), np.linalg.inv(_unit(points))
+    mesh_unit = _moved(surface, to_unit)
+    cloud = _moved(points, np.linalg.inv(from_unit))
+    tree = cKDTree(mesh_unit)
+    starts = sorted(_turns(), key=lambda turn: _distance(tree, _moved(cloud[:_COARSE], turn)))[:_CANDIDATES]
+    target, source = (open3d.geometry.PointCloud(open3d.utility.Vector3dVector(x)) for x in (mesh_unit, cloud))
+    method = open3d.pipelines.registration.TransformationEstimationPointToPoint(True)
+    found: list[tuple[float, Array]] = []
+    for start in starts:
+        transform = start
+        for reach, rounds in ((0.6, 40), (0.2, 40), (0.08, 60)):
+            ending = open3d.pipelines.registration.ICPConvergenceCriteria(max_iteration=rounds)
+            result = open3d.pipelines.registration.registration_icp(source, target, reach, transform, method, ending)
+            transform = np.asarray(result.transformation)
+        if not np.isfinite(transform).all():
+            continue  # no point was in reach
+        scale = np.cbrt(np.linalg.det(transform[:3, :3]))
+        if 0.3 < scale < 3:
+            # measured at the mesh's size, or shrinking all points into one would fit best
+            found.append((_distance(tree, _moved(cloud, transform)), transform))
+    size = float(np.ptp(mesh_unit, axis=0).max())
+    best = min(found, key=lambda f: f[0]) if found else (np.inf, np.eye(4))
+    if best[0] > _GOOD * size:
+        raise CaptureError(
+            "the mesh does not fit the capture's points in any turn "
+            f"({best[0] / size:.1%} of its size apart); is it the same object? Else give "
+            "initializer.mesh_file.transform"
+        )
+    return from_unit @ np.linalg.inv(best[1]) @ to_unit, float(best[0] / size)
+
+
+def _unit(points: Array) -> Array:
+    """4×4 to the frame of the points' own middle and spread."""
+    center = np.median(points, axis=0)
+    spread = float(np.median(np.linalg.norm(points - center, axis=1))) or 1.0
+    frame = np.eye(4)
+    frame[:3] /= spread
+    frame[:3, 3] = -center / spread
+    return frame
+
+
+def _turns() -> list[Array]:
+    """The 24 rotations that map the axes onto each other."""
+    turns: list[Array] = []
+    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
+        turn = np.eye(4)
+        turn[:3, :3] = np.eye(3)[list(order)] * np.array(signs)[:, None]
+        if np.linalg.det(turn) > 0:
+            turns.append(turn)
+    return turns
+
+
+def _moved(points: Array, transform: Array) -> Array:
+    return points @ transform[:3, :3].T + transform[:3, 3]
+
+
+def _distance(tree: cKDTree, points: Array) -> float:
+    """Mean distance of the nearest of the points."""
+    distance = np.sort(tree.query(points)[0])
+    return float(distance[: max(1, int(_TRIMMED * len(distance)))].mean())

@@ -1,0 +1,158 @@
+"""Initializer: a mesh that already exists. "I have a mesh, give me its materials"."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+import torch
+from hir_exporters.conventions import flip_v, srgb_to_linear
+from hir_exporters.mesh.vertex_welding import weld
+from numpy.typing import NDArray
+
+from hir_core.capture import Array, Capture, similarity_scale
+from hir_core.errors import CaptureError, ConfigError
+from hir_core.plugins.interfaces import Initializer
+from hir_core.scene import Mesh, Scene, Topology
+from hir_plugins.initializers.existing_mesh.mesh_alignment import aligned
+from hir_plugins.initializers.options import MeshFileOptions
+from hir_plugins.initializers.surface.object_bounds import object_ball
+from hir_plugins.initializers.surface.silhouette_fields import working_downsample
+from hir_plugins.initializers.surface.vertex_colors import vertex_colors
+
+_MAX_BYTES = 4 << 30
+
+
+@final
+class MeshFile(Initializer):
+    """Reads a mesh, brings it into the capture's world, keeps its texture coordinates where it has them."""
+
+    def __init__(self, config: MeshFileOptions) -> None:
+        self._config = config
+        self._report: dict[str, Any] = {}
+
+    def initialize(self, capture: Capture, scene: Scene | None, workspace: Path) -> tuple[Capture, Scene | None]:
+        """The capture as it is, and the file's mesh. Unreadable, empty or non-finite meshes raise `CaptureError`."""
+        del scene, workspace
+        path = self._path(capture)
+        loaded = load_mesh(path)
+        to_world = self._world_from_file(path, capture)
+        positions: Array = np.asarray(loaded.vertices, dtype=np.float64) @ to_world[:3, :3].T + to_world[:3, 3]
+        corners = np.asarray(loaded.faces, dtype=np.int64)
+        if np.linalg.det(to_world[:3, :3]) < 0:
+            corners = corners[:, ::-1]
+        if self._config.align == "points":
+            positions = self._aligned(positions, corners, capture)
+        # the file has one vertex for each pair of position and UV: the surface must not come apart there
+        first, group = weld(positions.astype(np.float32))
+        faces = group[corners]
+        proper = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+        faces, corners = np.ascontiguousarray(faces[proper]), np.ascontiguousarray(corners[proper])
+        if not len(faces):
+            raise CaptureError(f"{path} has no triangle with an area")
+        positions = positions[first]
+        uvs = _texture_coordinates(loaded)
+        colors = _file_colors(loaded)
+        if colors is not None:
+            colors = colors[first]
+        elif self._config.vertex_colors and any(view.camera is not None for view in capture.views):
+            colors = vertex_colors(positions, faces, capture.views, working_downsample(capture))
+        mesh = Mesh(
+            positions=torch.from_numpy(positions.astype(np.float32)),
+            topology=Topology(torch.from_numpy(faces), None if uvs is None else torch.from_numpy(corners)),
+            uvs=None if uvs is None else torch.from_numpy(uvs),
+            vertex_colors=None if colors is None else torch.from_numpy(colors),
+        )
+        return capture, Scene(mesh=mesh)
+
+    def files(self, capture: Capture) -> list[Path]:
+        """The mesh."""
+        return [self._path(capture)]
+
+    def report(self) -> Mapping[str, Any]:
+        """How far the mesh lies from the points that it was aligned with."""
+        return self._report
+
+    def _aligned(self, positions: Array, faces: NDArray[np.int64], capture: Capture) -> Array:
+        points = np.zeros((0, 3)) if capture.points is None else capture.points.positions
+        if len(points) and capture.views and all(view.camera is not None for view in capture.views):
+            center, radius = object_ball(capture)
+            points = points[np.linalg.norm(points - center, axis=1) < 1.5 * radius]
+        transform, distance = aligned(positions, faces, points)
+        self._report = {"aligned_with_points": len(points), "mean_distance": round(distance, 6)}
+        moved: Array = positions @ transform[:3, :3].T + transform[:3, 3]
+        return moved
+
+    def _path(self, capture: Capture) -> Path:
+        if not self._config.path:
+            raise ConfigError("initializer 'mesh_file' needs the mesh: --set initializer.mesh_file.path=FILE")
+        folder = capture.path if capture.path.is_dir() else capture.path.parent
+        for candidate in (Path(self._config.path).expanduser(), folder / self._config.path):
+            if candidate.is_file():
+                return candidate
+        raise ConfigError(f"initializer.mesh_file.path: {self._config.path} is neither here nor in {folder}")
+
+    def _world_from_file(self, path: Path, capture: Capture) -> Array:
+        transform = np.eye(4)
+        if self._config.transform:
+            if len(self._config.transform) != 16:
+                raise ConfigError(
+                    "initializer.mesh_file.transform needs 16 numbers, a 4×4 matrix in rows, not "
+                    f"{len(self._config.transform)}"
+                )
+            transform = np.array(self._config.transform).reshape(4, 4)
+            square = transform[:3, :3].T @ transform[:3, :3]
+            scale = similarity_scale(transform)
+            if (
+                not scale > 0
+                or np.abs(square - np.eye(3) * scale**2).max() > 1e-4 * scale**2
+                or np.abs(transform[3] - [0, 0, 0, 1]).max() > 1e-9
+            ):
+                raise ConfigError("initializer.mesh_file.transform is not a similarity (turn, one scale, shift)")
+        axes = self._config.axes
+        if axes == "auto":
+            # glTF says that it is y up, which Blender and others convert to when they write it
+            axes = "world" if path.suffix.lower() in (".glb", ".gltf") else "source"
+        return transform if axes == "world" else capture.world_from_source @ transform
+
+
+def load_mesh(path: Path) -> Any:
+    """The file's triangles as one `trimesh.Trimesh`, vertices as stored; several objects are joined."""
+    import trimesh
+
+    if path.stat().st_size > _MAX_BYTES:
+        raise CaptureError(f"{path} is larger than {_MAX_BYTES >> 30} GB; simplify it first")
+    try:
+        loaded = trimesh.load(path, process=False)
+        mesh = loaded.to_mesh() if isinstance(loaded, trimesh.Scene) else loaded
+    except Exception as error:  # trimesh's loaders raise many types on broken files
+        raise CaptureError(f"{path} cannot be read as a mesh ({' '.join(str(error).split())[:200]})") from None
+    if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
+        raise CaptureError(f"{path} holds no triangles")
+    if not np.isfinite(mesh.vertices).all():
+        raise CaptureError(f"{path} has vertices that are NaN or infinite")
+    faces = np.asarray(mesh.faces)
+    if faces.min() < 0 or faces.max() >= len(mesh.vertices):
+        raise CaptureError(f"{path} has triangles of vertices that it does not have")
+    return mesh
+
+
+def _texture_coordinates(mesh: Any) -> NDArray[np.float32] | None:
+    """Origin top-left; None where the file has none that are finite, one for each vertex."""
+    uv = getattr(mesh.visual, "uv", None)
+    if uv is None or len(uv) != len(mesh.vertices) or not np.isfinite(uv).all():
+        return None
+    # trimesh keeps the origin at the bottom left for all formats
+    return flip_v(np.asarray(uv, dtype=np.float32)).astype(np.float32)
+
+
+def _file_colors(mesh: Any) -> NDArray[np.float32] | None:
+    """Linear colours that the file stores with its vertices."""
+    if getattr(mesh.visual, "kind", None) != "vertex":
+        return None
+    colors = np.asarray(mesh.visual.vertex_colors)
+    if len(colors) != len(mesh.vertices):
+        return None
+    return srgb_to_linear(colors[:, :3].astype(np.float32) / 255).astype(np.float32)

@@ -1,0 +1,48 @@
+"""Initializer: the visual hull of the masks, with vertex colours."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import final
+
+from hir_core.capture import Capture
+from hir_core.errors import CaptureError
+from hir_core.plugins.interfaces import Initializer
+from hir_core.scene import Scene
+from hir_plugins.initializers.hull.carving import Carver, carve
+from hir_plugins.initializers.options import VisualHullOptions
+from hir_plugins.initializers.surface.isosurface import extract_surface, keep_large_components
+from hir_plugins.initializers.surface.mesh_cleaning import cleaned, edge_length
+from hir_plugins.initializers.surface.silhouette_fields import silhouette_fields, working_downsample
+from hir_plugins.initializers.surface.start_scene import make_scene
+from hir_plugins.initializers.surface.volume import Volume
+
+
+@final
+class VisualHull(Initializer):
+    """The largest object that fits all masks: closed, outward, of any place and size."""
+
+    def __init__(self, config: VisualHullOptions) -> None:
+        self._config = config
+
+    def initialize(self, capture: Capture, scene: Scene | None, workspace: Path) -> tuple[Capture, Scene | None]:
+        """The capture as it is, and the hull. Fewer than two masks with cameras raise `CaptureError`."""
+        del scene, workspace
+        volume = hull_volume(capture, self._config)
+        positions, faces = keep_large_components(*extract_surface(volume), self._config.min_component)
+        edge = edge_length(capture, positions, self._config.edge_pixels, volume.spacing)
+        positions, faces = cleaned(positions, faces, edge, self._config.min_component)
+        return capture, make_scene(positions, faces, capture, self._config.vertex_colors)
+
+
+def hull_volume(capture: Capture, options: VisualHullOptions) -> Volume:
+    """The hull of a capture's masks as a sampled field."""
+    fields = silhouette_fields([v for v in capture.views if v.camera is not None], working_downsample(capture))
+    if len(fields) < 2:
+        raise CaptureError(
+            f"{capture.path}: a visual hull needs masks and cameras of at least two photographs, there are "
+            f"{len(fields)}; give images with alpha or a masks folder, "
+            "or name a mask source, such as: --set 'masks=[\"grabcut\"]'"
+        )
+    carver = Carver(fields, options.tolerated_views, options.min_views)
+    return carve(carver, options.pixels_per_voxel, options.max_resolution, options.drop_bad_views)

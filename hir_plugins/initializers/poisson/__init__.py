@@ -1,0 +1,1 @@
+"""Screened Poisson surface reconstruction."""

@@ -1,0 +1,56 @@
+"""Initializer: a surface through the capture's oriented points by screened Poisson reconstruction."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import final
+
+import numpy as np
+from hir_exporters.files.subprocess_call import ChildError, call_apart
+from numpy.typing import NDArray
+
+from hir_core.capture import Array, Capture, OrientedPoints
+from hir_core.errors import CaptureError, StageError
+from hir_core.plugins.interfaces import Initializer
+from hir_core.scene import Scene
+from hir_plugins.initializers.options import PoissonOptions
+from hir_plugins.initializers.surface.isosurface import keep_large_components
+from hir_plugins.initializers.surface.mesh_cleaning import cleaned, edge_length
+from hir_plugins.initializers.surface.start_scene import make_scene
+
+
+@final
+class Poisson(Initializer):
+    """Screened Poisson (Kazhdan & Hoppe 2013); where points are scarce its surface is cut off."""
+
+    def __init__(self, config: PoissonOptions) -> None:
+        self._config = config
+
+    def initialize(self, capture: Capture, scene: Scene | None, workspace: Path) -> tuple[Capture, Scene | None]:
+        """The capture as it is, and the surface. Fewer than 100 oriented points are a `CaptureError`."""
+        del scene, workspace
+        points = capture.points
+        if points is None or points.normals is None or len(points.positions) < 100:
+            raise CaptureError(
+                f"{capture.path}: poisson needs oriented points; run stereo before, such as: "
+                '--set \'initializers=["colmap", "stereo", "poisson"]\''
+            )
+        positions, faces = poisson_surface(points, self._config)
+        edge = edge_length(capture, positions, self._config.edge_pixels)
+        positions, faces = cleaned(positions, faces, edge, self._config.min_component)
+        return capture, make_scene(positions, faces, capture, self._config.vertex_colors)
+
+
+def poisson_surface(points: OrientedPoints, options: PoissonOptions) -> tuple[Array, NDArray[np.int64]]:
+    """Vertices and outward triangles through oriented points, in any scale of the world."""
+    assert points.normals is not None
+    center = points.positions.mean(axis=0)
+    size = float(np.ptp(points.positions, axis=0).max()) or 1.0
+    # an octree cell for each point or so on a surface: cells ~ 4^depth
+    depth = options.depth or int(np.clip(np.round(np.log(len(points.positions)) / np.log(4)), 6, 9))
+    given = {"positions": (points.positions - center) / size, "normals": points.normals, "depth": depth}
+    try:  # open3d keeps Python's lock meanwhile: in a process of its own Ctrl-C and progress get through
+        found = call_apart("hir_plugins.initializers.poisson.screened_poisson:surface", given | {"trim": options.trim})
+    except ChildError as error:
+        raise StageError(f"poisson ended without a surface ({error}); leave it out of 'initializers'") from error
+    return keep_large_components(found["positions"] * size + center, found["faces"], options.min_component)

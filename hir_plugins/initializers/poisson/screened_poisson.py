@@ -1,0 +1,21 @@
+"""Screened Poisson reconstruction by open3d; numpy in, numpy out, nothing else imported: it runs in a child process."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from hir_exporters.files.subprocess_call import Arrays
+
+
+def surface(positions: Any, normals: Any, depth: Any, trim: Any) -> Arrays:
+    """Vertices and triangles through points (N, 3) in a unit box; the share `trim` of scarcest points is cut off."""
+    import open3d
+
+    cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(positions))
+    cloud.normals = open3d.utility.Vector3dVector(normals)
+    mesh, density = open3d.geometry.TriangleMesh.create_from_point_cloud_poisson(cloud, depth=int(depth), n_threads=1)
+    if trim > 0:
+        values = np.asarray(density)
+        mesh.remove_vertices_by_mask(values < np.quantile(values, float(trim)))
+    return {"positions": np.asarray(mesh.vertices), "faces": np.asarray(mesh.triangles).astype(np.int64)}

@@ -1,0 +1,1 @@
+"""Cameras and points by structure from motion."""

@@ -1,0 +1,153 @@
+"""Metres in a world that photographs alone made: from a scale bar, or from where GPS saw the camera."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pycolmap
+
+from hir_core.capture import Array, Camera, View
+from hir_core.capture.exif import gps_position
+from hir_core.errors import CaptureError
+
+_LEAST_PLACES = 5
+_TRUSTED = 0.05
+"""Standard error of a scale from GPS, relative, up to which it is believed."""
+_OUTLIER = 15.0
+"""Metres: GPS places further than this from the best fit are errors of the receiver."""
+
+
+@dataclass(frozen=True)
+class MetricScale:
+    """How large the world is."""
+
+    metres: float
+    """Metres in a unit of the world."""
+    source: str
+    """What told it."""
+
+
+@dataclass(frozen=True)
+class Mark:
+    """One end of a scale bar in one photograph."""
+
+    view: str
+    end: str
+    pixel: tuple[float, float]
+
+
+def read_marks(path: Path) -> list[Mark]:
+    """Marks of a scale bar; a line that is none raises `CaptureError` with its number."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise CaptureError(
+            f"{path} cannot be read: {error}; initializer.colmap.scale_bar names a text file with "
+            "lines like `IMG_0012 a 811.5 402`"
+        ) from error
+    marks = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        # names of photographs may hold spaces
+        words = line.rsplit(maxsplit=3)
+        try:
+            name, end, x, y = words
+            pixel = float(x), float(y)
+        except ValueError:
+            end = ""
+        if end not in ("a", "b") or not np.isfinite(pixel).all():
+            raise CaptureError(
+                f"{path}, line {number}: {line.strip()[:60]!r} is not `photograph end x y`, with an end "
+                "a or b and pixels"
+            )
+        marks.append(Mark(Path(name).stem if Path(name).suffix else name, end, pixel))
+    return marks
+
+
+def scale_of_bar(marks: Sequence[Mark], length: float, views: Sequence[View]) -> MetricScale:
+    """From the distance of the two ends in the world. Marks that do not meet in space raise `CaptureError`."""
+    if length <= 0:
+        raise CaptureError("initializer.colmap.scale_bar_length is missing: the distance of the bar's ends in metres")
+    cameras = {Path(view.name).stem: view for view in views if view.camera is not None}
+    ends = []
+    for end in ("a", "b"):
+        rays = [_ray(cameras[mark.view], mark.pixel) for mark in marks if mark.end == end and mark.view in cameras]
+        if len(rays) < 2:
+            raise CaptureError(
+                f"the scale bar's end {end} is marked in {len(rays)} photographs with a camera; mark it "
+                "in two or more, from different sides"
+            )
+        ends.append(_meeting_point(rays, end))
+    distance = float(np.linalg.norm(ends[0] - ends[1]))
+    if distance <= 0:
+        raise CaptureError("both ends of the scale bar are marked in the same place")
+    return MetricScale(length / distance, f"scale bar of {length:g} m")
+
+
+def scale_of_gps(views: Sequence[View]) -> MetricScale | None:
+    """From the places that photographs record, where they tell the scale to 5 %; None where they do not."""
+    found = [
+        (view.camera.center, place)
+        for view in views
+        if view.camera is not None and view.path is not None and (place := gps_position(view.path)) is not None
+    ]
+    if len(found) < _LEAST_PLACES:
+        return None
+    centers = np.array([center for center, _ in found])
+    globe = np.array([place for _, place in found])
+    metres = pycolmap.GPSTransform().ellipsoid_to_enu(globe, *np.median(globe, axis=0))
+    options = pycolmap.RANSACOptions()
+    options.max_error = _OUTLIER
+    options.random_seed = 0
+    fit: Any = pycolmap.estimate_sim3d_robust(centers, metres, options)
+    if fit is None:
+        return None
+    similarity = fit["tgt_from_src"].matrix()
+    moved = centers @ similarity[:, :3].T + similarity[:, 3]
+    apart = np.linalg.norm(moved - metres, axis=1)
+    kept = apart < _OUTLIER
+    if kept.sum() < _LEAST_PLACES:
+        return None
+    spread = np.sqrt(((moved[kept] - moved[kept].mean(axis=0)) ** 2).sum())
+    # a scale is a regression of places upon places: its error is theirs over the root of the summed squares
+    error = float(np.sqrt((apart[kept] ** 2).sum() / (3 * kept.sum() - 7)) / max(spread, 1e-12))
+    if not error <= _TRUSTED:
+        return None
+    return MetricScale(float(np.linalg.norm(similarity[:, 0])), f"GPS of {int(kept.sum())} photographs, to {error:.1%}")
+
+
+def _ray(view: View, pixel: tuple[float, float]) -> tuple[Array, Array]:
+    camera = view.camera
+    assert camera is not None
+    straight = np.array([_undistorted(pixel, camera, view.distortion)])
+    origin, direction = camera.rays(straight)
+    return np.asarray(origin).reshape(-1, 3)[0], np.asarray(direction).reshape(-1, 3)[0]
+
+
+def _undistorted(pixel: tuple[float, float], camera: Camera, distortion: Sequence[float]) -> Array:
+    """Pixel of the straight picture; marks are made in the picture as taken."""
+    import cv2
+
+    if not any(distortion):
+        return np.asarray(pixel, dtype=np.float64)
+    k = camera.intrinsics
+    coefficients = np.zeros(8)
+    coefficients[: len(distortion)] = distortion
+    point = cv2.undistortPoints(np.array([[pixel]], dtype=np.float64), k, coefficients, P=k)
+    return np.asarray(point, dtype=np.float64).reshape(-1)
+
+
+def _meeting_point(rays: Sequence[tuple[Array, Array]], end: str) -> Array:
+    """The place nearest to all rays."""
+    across = [np.eye(3) - np.outer(d, d) / (d @ d) for _, d in rays]
+    normal = np.sum(across, axis=0)
+    if np.linalg.eigvalsh(normal)[0] < 1e-4 * len(rays):
+        raise CaptureError(
+            f"the photographs that mark the scale bar's end {end} look from the same side; mark it in others too"
+        )
+    return np.asarray(np.linalg.solve(normal, np.sum([a @ o for a, (o, _) in zip(across, rays, strict=True)], axis=0)))

@@ -1,0 +1,168 @@
+"""Features of pictures and their matches, in COLMAP's database (Lowe 2004; Schönberger et al. 2016 for the tree)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Thread
+from typing import Any
+
+import numpy as np
+import pycolmap
+from hir_exporters.files.atomic import atomic_path
+
+from hir_core.errors import StageError
+from hir_plugins.initializers.options import ColmapOptions
+from hir_plugins.initializers.sfm.sfm_images import SfmImage, camera_groups
+
+_MANY_IMAGES = 150
+"""Above this many pictures, pairs are found by a vocabulary tree instead of trying all."""
+
+_EMBEDDING = 64
+"""Numbers that the tree keeps of a descriptor's 128: what COLMAP's own vocabularies use."""
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """How hard one attempt tries."""
+
+    features: int
+    peak_threshold: float
+    min_inliers: int
+    masked: bool
+
+
+def extract(images: Sequence[SfmImage], folder: Path, database: Path, attempt: Attempt, options: ColmapOptions) -> None:
+    """Fills the database with each picture's features; pictures of one camera share it."""
+    extraction = pycolmap.FeatureExtractionOptions()
+    extraction.use_gpu = False
+    extraction.num_threads = options.threads
+    extraction.sift.max_num_features = attempt.features
+    extraction.sift.peak_threshold = attempt.peak_threshold
+    for group in camera_groups(images, options.camera):
+        reader = pycolmap.ImageReaderOptions()
+        reader.camera_model = "PINHOLE" if group[0].parameters else options.camera_model
+        reader.camera_params = _start_parameters(group, options)
+        if attempt.masked:
+            reader.mask_path = str(folder.parent / "masks")
+        known = _known_camera(database, {image.file for image in group})
+        if known is not None:
+            reader.existing_camera_id = known
+        cancellable(
+            lambda token, group=group, reader=reader: pycolmap.extract_features(  # type: ignore[misc]
+                str(database),
+                str(folder.parent / "images"),
+                image_names=[i.file for i in group],
+                camera_mode=pycolmap.CameraMode.SINGLE,
+                reader_options=reader,
+                extraction_options=extraction,
+                device=pycolmap.Device.cpu,
+                cancellation_token=token,
+            )
+        )
+
+
+def _known_camera(database: Path, files: set[str]) -> int | None:
+    """The camera that an interrupted run gave to this group."""
+    if not database.is_file():
+        return None
+    opened = pycolmap.Database.open(str(database))
+    try:
+        return next((image.camera_id for image in opened.read_all_images() if image.name in files), None)
+    finally:
+        opened.close()
+
+
+def _start_parameters(group: Sequence[SfmImage], options: ColmapOptions) -> str:
+    image = group[0]
+    if image.parameters:
+        return ", ".join(map(repr, image.parameters))
+    focal = options.focal_length / image.factor if options.focal_length else float(np.median([i.focal for i in group]))
+    camera = pycolmap.Camera.create_from_model_name(0, options.camera_model, focal, image.width, image.height)
+    return ", ".join(repr(float(p)) for p in camera.params)
+
+
+def match(database: Path, folder: Path, count: int, options: ColmapOptions) -> None:
+    """Compares features of pairs of pictures and keeps what one geometry explains."""
+    matching = pycolmap.FeatureMatchingOptions()
+    matching.use_gpu = False
+    matching.num_threads = options.threads
+    chosen = options.matching
+    if chosen == "auto":
+        chosen = "exhaustive" if count <= _MANY_IMAGES else "vocabulary"
+    verification = pycolmap.TwoViewGeometryOptions()
+    # drawn anew for each pair: what a pair gives depends neither on the pairs before it, which a resumed run skips, nor
+    # on the thread
+    verification.ransac.random_seed = options.seed
+    common: dict[str, Any] = {
+        "matching_options": matching,
+        "verification_options": verification,
+        "device": pycolmap.Device.cpu,
+    }
+    if chosen == "exhaustive":
+        run: Callable[[Any], Any] = lambda token: pycolmap.match_exhaustive(  # noqa: E731
+            str(database), cancellation_token=token, **common
+        )
+    elif chosen == "sequential":
+        run = lambda token: pycolmap.match_sequential(str(database), cancellation_token=token, **common)  # noqa: E731
+    else:
+        pairing = pycolmap.VocabTreePairingOptions()
+        pairing.num_images = min(count, 40)
+        pairing.vocab_tree_path = str(_vocabulary(database, folder, options))
+        run = lambda token: pycolmap.match_vocabtree(  # noqa: E731
+            str(database), pairing_options=pairing, cancellation_token=token, **common
+        )
+    cancellable(run)
+
+
+def _vocabulary(database: Path, folder: Path, options: ColmapOptions) -> Path:
+    """A vocabulary tree trained on the capture's own descriptors: nothing is downloaded."""
+    path = folder / "vocabulary.bin"
+    if path.is_file():
+        return path
+    opened = pycolmap.Database.open(str(database))
+    try:
+        rng = np.random.default_rng(options.seed)
+        parts = []
+        for image in opened.read_all_images():
+            descriptors = opened.read_descriptors(image.image_id)
+            data = np.asarray(descriptors.data)
+            parts.append(data[rng.permutation(len(data))[:400]])
+        kind = descriptors.type
+    finally:
+        opened.close()
+    stacked = np.concatenate(parts)
+    index = pycolmap.VisualIndex.create(stacked.shape[1], _EMBEDDING)
+    build = pycolmap.VisualIndex.BuildOptions()
+    build.num_visual_words = int(min(16384, max(256, len(stacked) // 20)))
+    index.build(build, pycolmap.FeatureDescriptorsFloat(kind, stacked.astype(np.float32)))
+    with atomic_path(path) as temporary:
+        index.write(str(temporary))
+    return path
+
+
+def cancellable(call: Callable[[Any], Any]) -> Any:
+    """Runs COLMAP in a thread, so that Ctrl-C reaches it and its database stays whole."""
+    token = pycolmap.CancellationToken()
+    outcome: list[Any] = []
+    failure: list[BaseException] = []
+
+    def work() -> None:
+        try:
+            outcome.append(call(token))
+        except BaseException as error:  # handed to the caller's thread below
+            failure.append(error)
+
+    thread = Thread(target=work, daemon=True)
+    thread.start()
+    try:
+        while thread.is_alive():
+            thread.join(0.2)
+    except KeyboardInterrupt:
+        token.cancel()
+        thread.join(30)
+        raise
+    if failure:
+        raise StageError(f"COLMAP failed: {' '.join(str(failure[0]).split())}") from failure[0]
+    return outcome[0]

@@ -1,0 +1,111 @@
+"""Structure from motion with COLMAP (Schönberger & Frahm 2016): features, matches, incremental mapping."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pycolmap
+from hir_exporters.files.atomic import write_text_atomic
+
+from hir_plugins.initializers.options import ColmapOptions
+from hir_plugins.initializers.sfm.sfm_images import SfmImage
+from hir_plugins.initializers.sfm.sfm_matches import Attempt, cancellable, extract, match
+
+
+def attempts(options: ColmapOptions, masked: bool) -> list[Attempt]:
+    """From quick to thorough; photographs with masks are first solved from the object alone."""
+    first = options.max_features
+    tries = [
+        Attempt(first, 0.0066, 30, masked),
+        Attempt(2 * first, 0.004, 20, masked),
+    ]
+    if masked:
+        tries.append(Attempt(2 * first, 0.0066, 30, False))
+    return tries if options.retry else tries[:1]
+
+
+def solve(images: Sequence[SfmImage], folder: Path, attempt: Attempt, options: ColmapOptions) -> list[Any]:
+    """Reconstructions of one attempt, the largest first."""
+    return _map(matched(images, folder, attempt, options), folder, attempt, options)
+
+
+def matched(images: Sequence[SfmImage], folder: Path, attempt: Attempt, options: ColmapOptions) -> Path:
+    """The database in `folder` with features and matches; one that a kill left behind is taken up."""
+    folder.mkdir(parents=True, exist_ok=True)
+    database = folder / "database.db"
+    settings = {
+        "attempt": vars(attempt),
+        "camera": options.camera,
+        "model": options.camera_model,
+        "images": [(i.file, i.width, i.height, i.parameters) for i in images],
+    }
+    _same_settings_or_new(folder, settings)
+    pycolmap.set_random_seed(options.seed)
+    pycolmap.logging.minloglevel = int(pycolmap.logging.ERROR)
+    extract(images, folder, database, attempt, options)
+    match(database, folder, len(images), options)
+    return database
+
+
+def _same_settings_or_new(folder: Path, settings: dict[str, Any]) -> None:
+    record = folder / "settings.json"
+    text = json.dumps(settings, sort_keys=True)
+    if not record.is_file() or record.read_text(encoding="utf-8") != text:
+        for name in ("database.db", "database.db-wal", "database.db-shm", "vocabulary.bin"):
+            (folder / name).unlink(missing_ok=True)
+        shutil.rmtree(folder / "models", ignore_errors=True)
+        write_text_atomic(record, text)
+
+
+def _map(database: Path, folder: Path, attempt: Attempt, options: ColmapOptions) -> list[Any]:
+    models = folder / "models"
+    shutil.rmtree(models, ignore_errors=True)
+    models.mkdir()
+    images = str(folder.parent / "images")
+    if options.mapper == "global":
+        found = cancellable(lambda token: pycolmap.global_mapping(str(database), images, str(models)))
+    else:
+        pipeline = pycolmap.IncrementalPipelineOptions()
+        pipeline.num_threads = options.threads
+        pipeline.random_seed = options.seed
+        pipeline.ba_refine_focal_length = options.refine_intrinsics
+        pipeline.ba_refine_extra_params = options.refine_intrinsics
+        pipeline.mapper.abs_pose_min_num_inliers = attempt.min_inliers
+        pipeline.mapper.abs_pose_refine_focal_length = options.refine_intrinsics
+        pipeline.mapper.abs_pose_refine_extra_params = options.refine_intrinsics
+        found = cancellable(
+            lambda token: pycolmap.incremental_mapping(
+                str(database), images, str(models), options=pipeline, cancellation_token=token
+            )
+        )
+    return sorted(found.values(), key=lambda model: -model.num_reg_images())
+
+
+def best_model(images: Sequence[SfmImage], masked: bool, workspace: Path, options: ColmapOptions) -> Any:
+    """The largest reconstruction of all attempts; they stop once nearly all pictures are in one."""
+    best: Any = None
+    for number, attempt in enumerate(attempts(options, masked)):
+        if number and masked and not attempt.masked:
+            warnings.warn(
+                "few photographs could be placed by what lies inside of the masks; the background is used "
+                "too, which misleads where the object stands on a turntable",
+                stacklevel=3,
+            )
+        models = solve(images, workspace / f"attempt-{number + 1}", attempt, options)
+        if models and (best is None or models[0].num_reg_images() > best.num_reg_images()):
+            best = models[0]
+        fragments = [m.num_reg_images() for m in models]
+        if best is not None and best.num_reg_images() >= options.enough * len(images):
+            break
+        if number + 1 < len(attempts(options, masked)):
+            warnings.warn(
+                f"{attempt.features} features a photograph join only {fragments[:5] or 'none'} of "
+                f"{len(images)}; trying more",
+                stacklevel=3,
+            )
+    return best

@@ -1,0 +1,65 @@
+"""Points that photographs of known cameras see, by COLMAP's triangulation of matched features."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pycolmap
+
+from hir_core.capture import Camera
+from hir_plugins.initializers.options import ColmapOptions
+from hir_plugins.initializers.sfm.sfm_images import SfmImage
+from hir_plugins.initializers.sfm.sfm_matches import cancellable
+from hir_plugins.initializers.sfm.structure_from_motion import attempts, matched
+
+
+def triangulated(
+    images: Sequence[SfmImage], cameras: Sequence[Camera], masked: bool, workspace: Path, options: ColmapOptions
+) -> Any:
+    """A reconstruction with the given cameras, one for each picture, and the points that they see."""
+    folder = workspace / "triangulation"
+    database = matched(images, folder, attempts(options, masked)[0], options)
+    posed = _posed({image.file: cameras[image.view] for image in images}, database)
+    models = folder / "models"
+    shutil.rmtree(models, ignore_errors=True)
+    models.mkdir()
+    pipeline = pycolmap.IncrementalPipelineOptions()
+    pipeline.num_threads = options.threads
+    pipeline.random_seed = options.seed
+    pictures = str(workspace / "images")
+    return cancellable(
+        lambda token: pycolmap.triangulate_points(
+            posed, str(database), pictures, str(models), options=pipeline, cancellation_token=token
+        )
+    )
+
+
+def _posed(cameras: dict[str, Camera], database: Path) -> Any:
+    """COLMAP's pictures with the world's poses, under the database's own numbers."""
+    posed = pycolmap.Reconstruction()
+    opened = pycolmap.Database.open(str(database))
+    try:
+        for camera in opened.read_all_cameras():
+            posed.add_camera(camera)
+        for rig in opened.read_all_rigs():
+            posed.add_rig(rig)
+        images = {image.image_id: image for image in opened.read_all_images()}
+        for frame in opened.read_all_frames():
+            frame.rig_from_world = _rigid(cameras[images[next(iter(frame.image_ids)).id].name])
+            posed.add_frame(frame)
+        for image in images.values():
+            posed.add_image(image)
+        for frame in list(posed.frames.values()):
+            posed.register_frame(frame.frame_id)
+    finally:
+        opened.close()
+    return posed
+
+
+def _rigid(camera: Camera) -> Any:
+    pose = np.ascontiguousarray(camera.world_to_camera[:3], dtype=np.float64)
+    return pycolmap.Rigid3d(pose)

@@ -1,0 +1,143 @@
+"""Which depths of which photographs to believe, and the points they make."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn.functional import max_pool2d
+
+from hir_core.capture import Array, Camera, OrientedPoints
+from hir_plugins.initializers.stereo.surface_sweep import SweptView, carried, content, pixel_to_pixel
+
+_FLAT_WEIGHT = 0.3
+"""Weight of depths that only their surroundings tell."""
+
+_LEAST = 0.05
+
+
+@dataclass(frozen=True)
+class DepthMap:
+    """What one photograph says of depth along its axis."""
+
+    camera: Camera
+    inverse: Tensor
+    """H W, 0 where it says nothing."""
+    weight: Tensor
+    """H W, 0…1, 0 where `inverse` is."""
+
+    def to(self, device: str) -> DepthMap:
+        """The same on another device."""
+        return DepthMap(self.camera, self.inverse.to(device), self.weight.to(device))
+
+    def points(self) -> tuple[Array, NDArray[np.int_], NDArray[np.int_]]:
+        """World points (N, 3), with their rows and columns."""
+        inverse = self.inverse.cpu().numpy().astype(np.float64)
+        rows, columns = np.nonzero(inverse > 0)
+        origins, directions = self.camera.rays(np.stack([columns, rows], axis=1) + 0.5)
+        along = directions @ self.camera.world_to_camera[2, :3]
+        return origins + directions / (along * inverse[rows, columns])[:, None], rows, columns
+
+
+def believed(
+    views: Sequence[SweptView],
+    found: Sequence[tuple[Tensor, Tensor]],
+    neighbours: Sequence[Sequence[int]],
+    steps: Sequence[float],
+    window: int,
+    min_views: int,
+) -> list[DepthMap]:
+    """Depths that at least `min_views` neighbours confirm within two steps, weighed.
+
+    Weights grow with the correlation, and with the square of the cosine at which the surface is seen. Windows that
+    reach over an edge of the surface do not count: what lies behind would be carved into the edge.
+    """
+    tolerance = 2 * float(np.median(steps))
+    maps = []
+    for i, (view, (inverse, score)) in enumerate(zip(views, found, strict=True)):
+        agreeing = torch.zeros_like(inverse)
+        for j in neighbours[i]:
+            agreeing += _confirms(view.camera, inverse, views[j].camera, found[j][0], tolerance)
+        flat = content(view.image, window) < 0.5
+        weight = torch.where(flat, torch.full_like(score, _FLAT_WEIGHT), ((score - 0.2) / 0.6).clamp(0, 1))
+        weight = weight / (1 + _slope(view.inverse, view.camera) ** 2)
+        trusted = (agreeing >= min_views) & (weight > _LEAST) & ~_over_edge(view, window, 3 * steps[i])
+        zero = torch.zeros_like(inverse)
+        maps.append(DepthMap(view.camera, torch.where(trusted, inverse, zero), torch.where(trusted, weight, zero)))
+    return maps
+
+
+def oriented_points(
+    maps: Sequence[DepthMap], images: Sequence[NDArray[np.float32]], spacing: float
+) -> OrientedPoints | None:
+    """One point for each cube of side `spacing` that holds depths: means of places, normals and linear colours.
+
+    Normals come from the depth maps' own slopes and face the cameras. None where there are no depths.
+    """
+    places, normals, colors = [], [], []
+    for depth_map, image in zip(maps, images, strict=True):
+        points, rows, columns = depth_map.points()
+        grid = np.full((*depth_map.inverse.shape, 3), np.nan)
+        grid[rows, columns] = points
+        along_x = np.full_like(grid, np.nan)
+        along_y = np.full_like(grid, np.nan)
+        along_x[:, 1:-1] = grid[:, 2:] - grid[:, :-2]
+        along_y[1:-1] = grid[2:] - grid[:-2]
+        # image y runs down: x across y looks away from the camera, so y across x faces it
+        normal = np.cross(along_y, along_x)[rows, columns]
+        length = np.linalg.norm(normal, axis=1)
+        good = np.isfinite(length) & (length > 0)
+        normal = normal[good] / length[good, None]
+        toward = depth_map.camera.center - points[good]
+        normal = np.where((normal * toward).sum(axis=1, keepdims=True) < 0, -normal, normal)
+        places.append(points[good])
+        normals.append(normal)
+        colors.append(image[rows[good], columns[good]])
+    if not places or not sum(len(p) for p in places):
+        return None
+    p, n, c = np.concatenate(places), np.concatenate(normals), np.concatenate(colors).astype(np.float64)
+    cells = np.floor((p - p.min(axis=0)) / spacing).astype(np.int64)
+    _, group, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
+    group = group.reshape(-1)
+
+    def mean(values: Array) -> Array:
+        return np.stack([np.bincount(group, values[:, i]) for i in range(3)], axis=1) / count[:, None]
+
+    normal = mean(n)
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    sound = length[:, 0] > 0.2
+    return OrientedPoints(mean(p)[sound], (normal / np.maximum(length, 1e-12))[sound], mean(c)[sound])
+
+
+def _confirms(camera: Camera, inverse: Tensor, other: Camera, theirs: Tensor, tolerance: float) -> Tensor:
+    """1 where the other's depth map holds the same place (H, W), else 0."""
+    x, y, z = carried(*pixel_to_pixel(camera, other), inverse)
+    ahead = (inverse > 0) & (z > 1e-9)
+    z = torch.where(ahead, z, torch.ones_like(z))
+    column, row = (x / z).floor(), (y / z).floor()
+    height, width = theirs.shape
+    seen = ahead & (column >= 0) & (row >= 0) & (column < width) & (row < height)
+    at = theirs[row.clamp(0, height - 1).long(), column.clamp(0, width - 1).long()]
+    # z is the other's depth over ours
+    return (seen & (at > 0) & ((at - inverse / z).abs() < tolerance)).float()
+
+
+def _slope(inverse: Tensor, camera: Camera) -> Tensor:
+    """Tangent (H, W) of the angle between the surface's normal and the ray, from the slopes of depth."""
+    depth = torch.where(inverse > 0, 1 / inverse.clamp_min(1e-9), torch.zeros_like(inverse))
+    along_x, along_y = torch.zeros_like(depth), torch.zeros_like(depth)
+    along_x[:, 1:-1] = (depth[:, 2:] - depth[:, :-2]) / 2
+    along_y[1:-1] = (depth[2:] - depth[:-2]) / 2
+    focal = float(np.sqrt(abs(np.linalg.det(camera.intrinsics[:2, :2]))))
+    return torch.hypot(along_x, along_y) * focal / depth.clamp_min(1e-6)
+
+
+def _over_edge(view: SweptView, window: int, jump: float) -> Tensor:
+    """Where (H, W) a window reaches to what lies far behind its middle, or beside the object."""
+    shown = torch.where(view.inside, view.inverse, torch.zeros_like(view.inverse))
+    farthest = -max_pool2d(-shown[None, None], window, 1, window // 2)[0, 0]
+    return (farthest <= 0) | (shown - farthest > jump * (window // 2))

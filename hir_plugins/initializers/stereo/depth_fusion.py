@@ -1,0 +1,168 @@
+"""What depths carve out of a volume, and whether photographs agree that it was not there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation, gaussian_filter, label, zoom
+from torch import Tensor
+
+from hir_core.capture import Array
+from hir_plugins.initializers.stereo.depth_agreement import DepthMap
+from hir_plugins.initializers.stereo.surface_sweep import SweptView, content, correlations
+from hir_plugins.initializers.stereo.swept_photographs import Surface
+from hir_plugins.initializers.surface.volume import Volume
+
+_TRUNCATION = 2.0
+"""Voxels at which distances are cut off on both sides: far off depths are votes, and few wrong ones weigh little."""
+
+_REACH = 6.0
+"""Voxels behind a measured surface up to which it says that there is something."""
+
+_BETTER = 0.02
+"""Gain in correlation at which half of a carving is believed."""
+
+
+def volume_of(surface: Surface, positions: Array, spacing: float) -> Volume:
+    """A closed surface as distances, positive inside, exact within two voxels of it and cut off beyond."""
+    low, high = positions.min(axis=0) - 3 * spacing, positions.max(axis=0) + 3 * spacing
+    size = np.ceil((high - low) / spacing).astype(int) + 1
+    band = np.zeros(size, dtype=bool)
+    cells = np.rint((positions - low) / spacing).astype(int)
+    band[tuple(np.clip(cells, 0, size - 1).T)] = True
+    band = binary_dilation(band, np.ones((3, 3, 3)), iterations=2)
+    values = np.zeros(size, dtype=np.float32)
+    index = np.argwhere(band)
+    values[band] = surface.signed_distance(low + index * spacing)
+    # what the band separates lies inside or outside as a whole
+    pieces, _ = label(~band)
+    firsts = np.unique(pieces.reshape(-1), return_index=True)
+    for number, first in zip(*firsts, strict=True):
+        if number:
+            place = low + np.array(np.unravel_index(first, size)) * spacing
+            values[pieces == number] = np.sign(surface.signed_distance(place[None])[0]) * 4 * spacing
+    for axis in range(3):
+        side = np.moveaxis(values, axis, 0)
+        side[[0, -1]] = np.minimum(side[[0, -1]], -spacing)
+    return Volume(np.clip(values, -4 * spacing, 4 * spacing), low, spacing)
+
+
+def carved(volume: Volume, maps: Sequence[DepthMap], min_weight: float) -> Volume:
+    """The volume with what depths carve out of it (Curless & Levoy 1996): nowhere larger than it was.
+
+    `volume` is positive inside. Places with less weight of depths, in front of what was measured or a little behind it,
+    keep their value.
+    """
+    spacing, size = volume.spacing, volume.values.shape
+    device = maps[0].inverse.device if maps else torch.device("cpu")
+    values = torch.from_numpy(volume.values).reshape(-1).to(device)
+    near = torch.nonzero(values > -2 * spacing)[:, 0]
+    index = torch.stack([near // (size[1] * size[2]), near // size[2] % size[1], near % size[2]], dim=1).float()
+    total, weight = torch.zeros(len(near), device=device), torch.zeros(len(near), device=device)
+    for depth_map in maps:
+        projection = depth_map.camera.intrinsics @ depth_map.camera.world_to_camera[:3]
+        turn = torch.from_numpy(projection[:, :3] * spacing).float().to(device)
+        shift = torch.from_numpy(projection[:, :3] @ volume.origin + projection[:, 3]).float().to(device)
+        x, y, z = (index @ turn.T + shift).unbind(1)
+        column, row = (x / z.clamp_min(1e-9)).floor(), (y / z.clamp_min(1e-9)).floor()
+        height, width = depth_map.inverse.shape
+        shown = torch.nonzero((z > 0) & (column >= 0) & (row >= 0) & (column < width) & (row < height))[:, 0]
+        at = (row[shown].long(), column[shown].long())
+        inverse, trust = depth_map.inverse[at], depth_map.weight[at]
+        # positive behind the measured surface: inside the object
+        signed = z[shown] - 1 / inverse.clamp_min(1e-12)
+        counted = (inverse > 0) & (signed < _REACH * spacing)
+        shown, signed, trust = shown[counted], signed[counted], trust[counted]
+        total[shown] += signed.clamp(-_TRUNCATION * spacing, _TRUNCATION * spacing) * trust
+        weight[shown] += trust
+    known = weight >= min_weight
+    values = values.clone()
+    values[near[known]] = torch.minimum(values[near[known]], total[known] / weight[known])
+    return replace(volume, values=values.reshape(size).cpu().numpy())
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Where photographs prefer what was carved."""
+
+    volume: Volume
+    removed: float
+    """Share of the volume's inside that was carved away."""
+    kept: float
+    """Share of what was carved that photographs confirm."""
+    gain: float
+    """Median gain in correlation over what was carved."""
+
+
+def judged(
+    whole: Volume,
+    carving: Volume,
+    views: Sequence[SweptView],
+    neighbours: Sequence[Sequence[int]],
+    window: int,
+    steps: Sequence[float],
+) -> Verdict:
+    """The carving where photographs, compared along its surface, match better than along that of the whole volume.
+
+    `views` show the carved surface (`inverse`) and the whole one (`bound`). What the difference of correlations says at
+    a pixel counts for all places between the two surfaces; the mean is taken over a few voxels around, and where
+    nothing was said, over more. So a highlight, whose mirror image lies behind the surface, is outvoted by photographs
+    that see the same place without it.
+    """
+    size = tuple(-(-n // 2) for n in whole.values.shape)
+    gain, weight = np.zeros(int(np.prod(size))), np.zeros(int(np.prod(size)))
+    for i, view in enumerate(views):
+        if not neighbours[i]:
+            continue
+        apart = view.valid & (view.inverse > 0) & (view.bound - view.inverse > 0.75 * steps[i])
+        if not apart.any():
+            continue
+        both = correlations(view, [views[j] for j in neighbours[i]], torch.stack([view.bound, view.inverse]), window)
+        trust = content(view.image, window)
+        rows, columns = torch.nonzero(apart & (trust > 0.5), as_tuple=True)
+        difference = (both[1] - both[0])[rows, columns].cpu().numpy()
+        share = trust[rows, columns].cpu().numpy()
+        for cells in _between(view, rows, columns, whole, size):
+            gain += np.bincount(cells, difference * share, minlength=len(gain))
+            weight += np.bincount(cells, share, minlength=len(gain))
+    believed = _spread(gain.reshape(size), weight.reshape(size))
+    fine = zoom(believed, 2, order=1, grid_mode=True, mode="nearest")[tuple(slice(n) for n in whole.values.shape)]
+    # a soft switch, so that its border makes no cliff
+    switch = np.clip(0.5 + (fine - _BETTER) / _BETTER, 0, 1).astype(np.float32)
+    values = whole.values + switch * (carving.values - whole.values)
+    lost = (whole.values > 0) & (carving.values <= 0)
+    return Verdict(
+        replace(whole, values=values),
+        removed=float(lost.sum() / max((whole.values > 0).sum(), 1)),
+        kept=float((lost & (values <= 0)).sum() / max(lost.sum(), 1)),
+        gain=float(np.median(fine[lost])) if lost.any() else 0.0,
+    )
+
+
+def _between(
+    view: SweptView, rows: Tensor, columns: Tensor, volume: Volume, size: tuple[int, ...]
+) -> list[NDArray[np.int64]]:
+    """Cells of two voxels' side, as flat indices, at eight places between the two surfaces of each pixel."""
+    pixels = torch.stack([columns, rows], dim=1).cpu().numpy() + 0.5
+    origins, directions = view.camera.rays(pixels)
+    along = directions @ view.camera.world_to_camera[2, :3]
+    front, back = (1 / m[rows, columns].cpu().numpy().astype(np.float64) for m in (view.bound, view.inverse))
+    found = []
+    for share in np.linspace(0, 1, 8):
+        points = origins + directions * ((front + share * (back - front)) / along)[:, None]
+        cell = np.floor((points - volume.origin) / (2 * volume.spacing) + 0.25).astype(np.int64)
+        found.append(np.ravel_multi_index(tuple(np.clip(cell, 0, np.array(size) - 1).T), size))
+    return found
+
+
+def _spread(gain: NDArray[np.float64], weight: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Weighted mean of the gain around each cell; -1 where nothing is said far and wide."""
+    result = np.full(gain.shape, -1.0)
+    for sigma, least in ((6.0, 1e-6), (2.0, 1e-3)):
+        sums, weights = gaussian_filter(gain, sigma), gaussian_filter(weight, sigma)
+        result = np.where(weights > least, sums / np.maximum(weights, 1e-12), result)
+    return result

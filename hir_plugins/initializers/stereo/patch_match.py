@@ -1,0 +1,98 @@
+"""Depth by COLMAP's PatchMatch (Schönberger et al. 2016), where COLMAP was built with CUDA."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+import torch
+from hir_exporters.conventions import linear_to_srgb
+
+from hir_core.capture import Array, Camera
+from hir_core.errors import StageError
+from hir_plugins.initializers.sfm.sfm_matches import cancellable
+from hir_plugins.initializers.stereo.depth_agreement import DepthMap
+from hir_plugins.initializers.stereo.swept_photographs import Photograph
+
+NEIGHBOURS = 10
+"""Photographs that each one is compared with at most; COLMAP chooses among them at each pixel."""
+
+
+def available() -> bool:
+    """Whether this COLMAP can: wheels without CUDA cannot."""
+    return bool(pycolmap.has_cuda)
+
+
+def patch_match(
+    photographs: Sequence[Photograph], near: Sequence[Sequence[int]], center: Array, radius: float, folder: Path
+) -> list[DepthMap]:
+    """Depth of each photograph, checked for geometric consistency; `near` names the neighbours of each.
+
+    `center` and `radius` bound what is searched. COLMAP's workspace is written below `folder`.
+    """
+    workspace = write_workspace(photographs, near, folder / "patch_match")
+    options = pycolmap.PatchMatchOptions()
+    distances = [np.linalg.norm(p.camera.center - center) for p in photographs]
+    options.depth_min = float(max(min(distances) - 1.1 * radius, 1e-3 * min(distances)))
+    options.depth_max = float(max(distances) + 1.1 * radius)
+    options.geom_consistency = True
+    cancellable(lambda token: pycolmap.patch_match_stereo(str(workspace), options=options, cancellation_token=token))
+    return [read_depth(workspace, index, photograph) for index, photograph in enumerate(photographs)]
+
+
+def write_workspace(photographs: Sequence[Photograph], near: Sequence[Sequence[int]], workspace: Path) -> Path:
+    """A folder as COLMAP's dense stereo reads it: pictures without distortion, a model, and the neighbours of each."""
+    from PIL import Image
+
+    shutil.rmtree(workspace, ignore_errors=True)
+    for name in ("images", "sparse", "stereo/depth_maps", "stereo/normal_maps", "stereo/consistency_graphs"):
+        (workspace / name).mkdir(parents=True)
+    model = pycolmap.Reconstruction()
+    for index, photograph in enumerate(photographs):
+        encoded = np.rint(np.clip(linear_to_srgb(photograph.color_linear), 0, 1) * 255).astype(np.uint8)
+        Image.fromarray(encoded).save(workspace / "images" / _name(index))
+        _add(model, index, photograph.camera)
+    model.write(str(workspace / "sparse"))
+    lines = []
+    for index, others in enumerate(near):
+        lines += [_name(index), ", ".join(_name(j) for j in others[:NEIGHBOURS])]
+    (workspace / "stereo" / "patch-match.cfg").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return workspace
+
+
+def read_depth(workspace: Path, index: int, photograph: Photograph) -> DepthMap:
+    """COLMAP's geometrically consistent depth as ours, nothing outside of the mask; all of it counts alike."""
+    path = workspace / "stereo" / "depth_maps" / f"{_name(index)}.geometric.bin"
+    if not path.is_file():
+        raise StageError(f"COLMAP's PatchMatch left no {path.name}; see its messages above")
+    stored = pycolmap.DepthMap()
+    stored.read(str(path))
+    depth = np.asarray(stored.to_array(), dtype=np.float32)
+    height, width = photograph.color_linear.shape[:2]
+    if depth.shape != (height, width):
+        raise StageError(f"{path} is {depth.shape[1]}×{depth.shape[0]}, its photograph {width}×{height}")
+    known = (depth > 0) & np.isfinite(depth) & (photograph.inside > 0.5)
+    inverse = torch.from_numpy(np.where(known, 1 / np.where(known, depth, 1), 0).astype(np.float32))
+    return DepthMap(photograph.camera, inverse, (inverse > 0).float())
+
+
+def _name(index: int) -> str:
+    return f"{index:05d}.png"
+
+
+def _add(model: pycolmap.Reconstruction, index: int, camera: Camera) -> None:
+    k = camera.intrinsics
+    lens = pycolmap.Camera(
+        model="PINHOLE",
+        width=camera.width,
+        height=camera.height,
+        params=[k[0, 0], k[1, 1], k[0, 2], k[1, 2]],
+        camera_id=index + 1,
+    )
+    model.add_camera_with_trivial_rig(lens)
+    image = pycolmap.Image(name=_name(index), camera_id=index + 1, image_id=index + 1)
+    pose = np.ascontiguousarray(camera.world_to_camera[:3], dtype=np.float64)
+    model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose))

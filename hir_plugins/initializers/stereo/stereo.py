@@ -1,0 +1,239 @@
+"""Initializer: multi-view stereo on CPU or GPU, which carves out of the visual hull what no outline shows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn.functional import interpolate
+
+from hir_core.capture import Array, Capture, OrientedPoints
+from hir_core.errors import CaptureError, MissingExtraError, StageError
+from hir_core.plugins.interfaces import Initializer
+from hir_core.scene import Scene
+from hir_plugins.initializers.hull.visual_hull import hull_volume
+from hir_plugins.initializers.options import PoissonOptions, StereoOptions, VisualHullOptions
+from hir_plugins.initializers.poisson.poisson import poisson_surface
+from hir_plugins.initializers.stereo.depth_agreement import DepthMap, believed, oriented_points
+from hir_plugins.initializers.stereo.depth_fusion import Verdict, carved, judged, volume_of
+from hir_plugins.initializers.stereo.patch_match import available, patch_match
+from hir_plugins.initializers.stereo.surface_sweep import Sweep, SweptView, inverse_depth_step, sweep
+from hir_plugins.initializers.stereo.swept_photographs import Surface, neighbours, photograph
+from hir_plugins.initializers.stereo.tsdf import tsdf_surface
+from hir_plugins.initializers.surface.isosurface import extract_surface, keep_large_components
+from hir_plugins.initializers.surface.mesh_cleaning import cleaned, edge_length, pixel_size
+from hir_plugins.initializers.surface.object_bounds import object_ball
+from hir_plugins.initializers.surface.start_scene import make_scene
+from hir_plugins.initializers.surface.volume import Volume
+
+_REFINE = (12, 6)
+"""Steps inward and outward that the finer levels try: what a level half as fine may have missed."""
+
+_JUDGES = 4
+"""Neighbours that judge the result and had no part in it, beside those that had."""
+
+_MIN_COMPONENT = 0.02
+"""Pieces with less than this share of the largest piece's area are dropped."""
+
+Mesh = tuple[Array, NDArray[np.int64]]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What stereo saw."""
+
+    maps: list[DepthMap]
+    points: OrientedPoints | None
+    mesh: Mesh | None
+    """The surface that was carved; None where there was no volume to carve from."""
+    verdict: Verdict | None
+
+
+@final
+class Stereo(Initializer):
+    """Depth of every photograph, kept where others confirm it; a surface of hull and depths, or of depths alone."""
+
+    def __init__(self, config: StereoOptions) -> None:
+        if config.window % 2 == 0 or config.window < 3:
+            raise CaptureError(f"initializer.stereo.window is {config.window}; it must be odd, 3 or more")
+        if not 1 <= config.levels <= 6 or config.max_image_size < 32:
+            raise CaptureError("initializer.stereo needs 1 to 6 levels and a max_image_size of at least 32")
+        if config.method == "patch_match" and not available():
+            raise MissingExtraError(
+                "initializer.stereo.method is patch_match, which needs a COLMAP built with CUDA; "
+                "install one with: pip install pycolmap-cuda12, or leave the method at auto"
+            )
+        self._config = config
+        self._report: dict[str, Any] = {}
+
+    def initialize(self, capture: Capture, scene: Scene | None, workspace: Path) -> tuple[Capture, Scene | None]:
+        """The capture with dense oriented points, and a mesh. Captures without cameras are a `CaptureError`."""
+        cameras = capture.cameras
+        if len(cameras) < 3:
+            raise CaptureError(f"{capture.path}: stereo needs at least three photographs, there are {len(cameras)}")
+        masked = sum(view.pixels().mask is not None for view in capture.views)
+        # also where the depths alone make the surface: inside of a hull they are measured better than in a ball
+        carve = self._config.surface == "hull" or (
+            self._config.surface in ("auto", "tsdf") and (masked >= 2 or scene is not None)
+        )
+        volume = _volume(capture, scene, self._config) if carve else None
+        by_colmap = self._config.method != "sweep" and available()
+        measured = measure(capture, volume, self._config, workspace if by_colmap else None)
+        sweep_name = f"surface sweep in torch on {_device(self._config)}"
+        self._report = {"method": "COLMAP PatchMatch on cuda" if by_colmap else sweep_name}
+        if measured.points is None:
+            if scene is None:
+                raise StageError(
+                    "stereo measured no depth that photographs agree on; the object may have too little "
+                    "texture, or the photographs too little overlap"
+                )
+            self._report["surface"] = "kept: photographs agree on no depth"
+            return capture, scene
+        solved = replace(capture, points=measured.points)
+        self._report["points"] = len(measured.points.positions)
+        if self._config.surface == "tsdf":
+            voxel = self._config.pixels_per_voxel * pixel_size(capture.cameras, measured.points.positions.mean(axis=0))
+            return solved, self._finished(*tsdf_surface(measured.maps, voxel), capture, "tsdf", voxel)
+        if measured.mesh is None:
+            mesh = poisson_surface(measured.points, PoissonOptions())
+            return solved, self._finished(*mesh, capture, "poisson")
+        if measured.verdict is not None:
+            self._report |= {
+                "carved_share": round(measured.verdict.removed, 5),
+                "confirmed_share": round(measured.verdict.kept, 4),
+                "correlation_gain": round(measured.verdict.gain, 4),
+            }
+        spacing = 0.0 if volume is None else volume.spacing
+        return solved, self._finished(*measured.mesh, capture, "hull and depths", spacing)
+
+    def _finished(
+        self, positions: Array, faces: NDArray[np.int64], capture: Capture, surface: str, spacing: float = 0.0
+    ) -> Scene:
+        self._report["surface"] = surface
+        edge = edge_length(capture, positions, self._config.edge_pixels, spacing)
+        positions, faces = cleaned(positions, faces, edge, _MIN_COMPONENT)
+        return make_scene(positions, faces, capture, self._config.vertex_colors)
+
+    def report(self) -> Mapping[str, Any]:
+        """Which method ran where, and what came of it."""
+        return self._report
+
+
+def measure(capture: Capture, volume: Volume | None, options: StereoOptions, folder: Path | None = None) -> Measured:
+    """Depth maps of all views, confirmed by each other, from coarse to fine; each level starts from the last's surface.
+
+    Without a volume the sweep starts at the front of a ball around what the photographs are about. With a `folder` to
+    work in, COLMAP's PatchMatch measures instead of the sweep, at the finest level alone.
+    """
+    device = _device(options)
+    front = keep_large_components(*extract_surface(volume), min_share=_MIN_COMPONENT) if volume is not None else None
+    center, radius = object_ball(capture) if front is None else _ball_of(front[0])
+    if front is None:
+        front = _sphere(center, 1.05 * radius)
+    side = max(max(c.width, c.height) for c in capture.cameras)
+    shrink = -(-side // options.max_image_size)
+    photographs = [
+        cut
+        for view in capture.views
+        if (cut := photograph(view, shrink, 2 ** (options.levels - 1), center, radius)) is not None
+    ]
+    near = neighbours([p.camera for p in photographs], center, options.neighbours)
+    bound = Surface(*front)
+    current, verdict, mesh = bound, None, front if volume is not None else None
+    dense: list[Tensor] = []
+    maps: list[DepthMap] = []
+    with torch.inference_mode():
+        for level in [0] if folder is not None else reversed(range(options.levels)):
+            if folder is not None:
+                maps = [m.to(device) for m in patch_match(photographs, near, center, radius, folder)]
+            else:
+                views = [p.at(2**level, current, bound, device) for p in photographs]
+                if dense:
+                    views = [replace(v, inverse=_enlarged(d, v)) for v, d in zip(views, dense, strict=True)]
+                steps = _steps(views, near, center)
+                solid = bound if level == options.levels - 1 else None
+                found = [_swept(views, i, near[i], steps[i], solid, options) for i in range(len(views))]
+                maps = believed(views, found, near, steps, options.window, options.min_views)
+                dense = [inverse for inverse, _ in found] if volume is None else []
+            if volume is None:
+                continue
+            result = carved(volume, maps, min_weight=1.0)
+            mesh = keep_large_components(*extract_surface(result), min_share=_MIN_COMPONENT)
+            current = Surface(*mesh)
+            if options.judge:
+                seen = [p.at(2**level, current, bound, device) for p in photographs]
+                more = neighbours([p.camera for p in photographs], center, options.neighbours + _JUDGES)
+                verdict = judged(volume, result, seen, more, options.window, _steps(seen, more, center))
+                mesh = keep_large_components(*extract_surface(verdict.volume), min_share=_MIN_COMPONENT)
+                current = Surface(*mesh)
+    apart = 1.5 * pixel_size([p.camera for p in photographs], center)
+    points = oriented_points(maps, [p.color_linear for p in photographs], apart)
+    return Measured(maps, points, mesh, verdict)
+
+
+def _swept(
+    views: list[SweptView], index: int, near: list[int], step: float, solid: Surface | None, options: StereoOptions
+) -> tuple[Tensor, Tensor]:
+    """Inverse depth and correlation of a view; `solid` is what the first level sweeps through."""
+    view = views[index]
+    if not near or not view.valid.any():
+        return torch.zeros_like(view.image), torch.zeros_like(view.image)
+    inward, outward = _REFINE
+    thickness: Tensor | None = None
+    if solid is not None:
+        thickness = torch.from_numpy(solid.thickness(view.camera, view.bound.cpu().numpy())).to(view.bound.device)
+        reach = float(np.quantile(thickness[view.valid].cpu().numpy(), 0.98))
+        # a very thick object, seen from far apart, is swept in longer steps
+        step = max(step, reach / options.steps)
+        inward, outward = int(np.clip(np.ceil(reach / step), 4, options.steps)), 2
+    return sweep(view, [views[j] for j in near], step, Sweep(options.window, inward, outward), thickness)
+
+
+def _steps(views: list[SweptView], near: list[list[int]], center: Array) -> list[float]:
+    """Steps of inverse depth of a pixel; infinite for views without neighbours."""
+    return [
+        inverse_depth_step(view.camera, [views[j].camera for j in others], center) if others else float("inf")
+        for view, others in zip(views, near, strict=True)
+    ]
+
+
+def _volume(capture: Capture, scene: Scene | None, options: StereoOptions) -> Volume:
+    """The surface that an earlier initializer made, or else the hull of the masks, as distances."""
+    if scene is None:
+        hull = VisualHullOptions(pixels_per_voxel=options.pixels_per_voxel, max_resolution=options.max_resolution)
+        return hull_volume(capture, hull)
+    positions = scene.mesh.positions.detach().cpu().numpy().astype(np.float64)
+    faces = scene.mesh.faces.cpu().numpy()
+    middle = 0.5 * (positions.min(axis=0) + positions.max(axis=0))
+    extent = float(np.ptp(positions, axis=0).max())
+    spacing = max(options.pixels_per_voxel * pixel_size(capture.cameras, middle), extent / options.max_resolution)
+    return volume_of(Surface(positions, faces), positions, spacing)
+
+
+def _ball_of(positions: Array) -> tuple[Array, float]:
+    center = (positions.min(axis=0) + positions.max(axis=0)) / 2
+    return center, float(np.linalg.norm(positions - center, axis=1).max())
+
+
+def _sphere(center: Array, radius: float) -> Mesh:
+    import open3d
+
+    ball = open3d.geometry.TriangleMesh.create_sphere(1.0, resolution=60)
+    return center + radius * np.asarray(ball.vertices), np.asarray(ball.triangles).astype(np.int64)
+
+
+def _enlarged(inverse: Tensor, view: SweptView) -> Tensor:
+    size = view.image.shape
+    return interpolate(inverse[None, None], size=tuple(size), mode="bilinear", align_corners=False)[0, 0]
+
+
+def _device(options: StereoOptions) -> str:
+    if options.device != "auto":
+        return options.device
+    return "cuda" if torch.cuda.is_available() else "cpu"

@@ -1,0 +1,154 @@
+"""Photographs as stereo sees them: cut to the object, at several sizes, with what a surface shows in them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from hir_exporters.conventions import linear_to_srgb
+from numpy.typing import NDArray
+
+from hir_core.capture import Array, Camera, View
+from hir_plugins.initializers.stereo.surface_sweep import SweptView
+
+if TYPE_CHECKING:
+    import open3d
+
+_MARGIN = 16
+"""Pixels around the object that are kept: windows reach over its outline."""
+
+
+@dataclass(frozen=True)
+class Photograph:
+    """The part of a photograph that may show the object; sides are multiples of the largest factor asked for."""
+
+    camera: Camera
+    brightness: NDArray[np.float32]
+    """H W, sRGB, black beside the object."""
+    color_linear: NDArray[np.float32]
+    """H W 3."""
+    inside: NDArray[np.float32]
+    """H W, coverage of the object."""
+    clipped: NDArray[np.float32]
+    """H W."""
+
+    def at(self, factor: int, front: Surface, bound: Surface, device: str) -> SweptView:
+        """The photograph made `factor` times smaller, with the depth of both surfaces."""
+        camera = self.camera.downsampled(factor)
+        inside, clipped = _reduced(self.inside, factor), _reduced(self.clipped, factor)
+        inverse = front.inverse_depth(camera)
+        return SweptView(
+            camera,
+            torch.from_numpy(_reduced(self.brightness, factor)).to(device),
+            torch.from_numpy(inside > 0.5).to(device),
+            torch.from_numpy((inside > 0.5) & (clipped == 0)).to(device),
+            torch.from_numpy(inverse).to(device),
+            torch.from_numpy(inverse if bound is front else bound.inverse_depth(camera)).to(device),
+        )
+
+
+def photograph(view: View, shrink: int, multiple: int, center: Array, radius: float) -> Photograph | None:
+    """A view made `shrink` times smaller and cut to its mask, else to a ball; None where it shows nothing of it."""
+    assert view.camera is not None
+    pixels = view.pixels(shrink)
+    camera = view.camera.downsampled(shrink)
+    brightness = linear_to_srgb(np.clip(pixels.color_linear.mean(axis=2), 0, 1)).astype(np.float32)
+    inside = _ball(camera, center, radius) if pixels.mask is None else pixels.mask
+    if pixels.mask is not None:
+        # the background moves with a turntable, and is black in renders: it must not be compared
+        brightness = brightness * pixels.mask
+    rows, columns = np.nonzero((inside > 0.5).any(axis=1))[0], np.nonzero((inside > 0.5).any(axis=0))[0]
+    if not len(rows):
+        return None
+    (top, bottom), (left, right) = (
+        _span(int(used[0]), int(used[-1]) + 1, size, multiple)
+        for used, size in ((rows, camera.height), (columns, camera.width))
+    )
+    part = (slice(top, bottom), slice(left, right))
+    intrinsics = np.array([[1, 0, -left], [0, 1, -top], [0, 0, 1.0]]) @ camera.intrinsics
+    camera = replace(camera, intrinsics=intrinsics, width=right - left, height=bottom - top)
+    clipped = pixels.saturated.astype(np.float32)
+    return Photograph(camera, brightness[part], pixels.color_linear[part], inside[part], clipped[part])
+
+
+class Surface:
+    """A mesh that rays are cast at, in a frame of its own size: Embree works in float32."""
+
+    def __init__(self, positions: Array, faces: NDArray[np.int64]) -> None:
+        import open3d
+
+        self._center = 0.5 * (positions.min(axis=0) + positions.max(axis=0))
+        self._size = float(np.ptp(positions, axis=0).max()) or 1.0
+        self._scene = open3d.t.geometry.RaycastingScene(nthreads=0)
+        triangles = open3d.core.Tensor.from_numpy(faces.astype(np.uint32))
+        self._scene.add_triangles(self._tensor((positions - self._center) / self._size), triangles)
+
+    def inverse_depth(self, camera: Camera) -> NDArray[np.float32]:
+        """H W, of what the camera sees first; 0 where it sees nothing."""
+        return self._inverse(camera, last=False)
+
+    def thickness(self, camera: Camera, front: NDArray[np.float32]) -> NDArray[np.float32]:
+        """H W, in inverse depth: how far behind the front the last of the surface lies."""
+        back = self._inverse(camera, last=True)
+        return np.where((front > 0) & (back > 0), front - back, 0).astype(np.float32)
+
+    def signed_distance(self, points: Array) -> NDArray[np.float32]:
+        """(N,), positive inside, in the unit of the world."""
+        found = self._scene.compute_signed_distance(self._tensor((points - self._center) / self._size))
+        return np.asarray(-found.numpy() * self._size, dtype=np.float32)
+
+    def _inverse(self, camera: Camera, last: bool) -> NDArray[np.float32]:
+        rows, columns = np.mgrid[0 : camera.height, 0 : camera.width] + 0.5
+        origins, directions = camera.rays(np.stack([columns, rows], axis=-1).reshape(-1, 2))
+        along = directions @ camera.world_to_camera[2, :3]
+        start = (origins - self._center) / self._size
+        beyond = 2 * float(np.linalg.norm(start[0])) + 4
+        rays = [start + directions * beyond, -directions] if last else [start, directions]
+        hit = self._scene.cast_rays(self._tensor(np.concatenate(rays, axis=1)))["t_hit"].numpy().astype(np.float64)
+        depth = (beyond - hit if last else hit) * self._size * along
+        seen = np.isfinite(depth) & (depth > 0)
+        inverse = np.where(seen, 1 / np.where(seen, depth, 1), 0)
+        return inverse.reshape(camera.height, camera.width).astype(np.float32)
+
+    def _tensor(self, values: Array) -> open3d.core.Tensor:
+        import open3d
+
+        return open3d.core.Tensor.from_numpy(np.ascontiguousarray(values, dtype=np.float32))
+
+
+def neighbours(cameras: Sequence[Camera], center: Array, count: int) -> list[list[int]]:
+    """For each camera those whose direction to the object differs by about 10°, the nearest to that first."""
+    toward = np.array([c.center - center for c in cameras])
+    toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+    angle = np.degrees(np.arccos(np.clip(toward @ toward.T, -1, 1)))
+    # too near measures no depth, too far looks different: a ratio of 2 either way costs the same
+    cost = np.abs(np.log(np.maximum(angle, 0.5) / 10.0))
+    cost[angle < 1.5] = np.inf
+    cost[angle > 50] = np.inf
+    np.fill_diagonal(cost, np.inf)
+    return [[int(j) for j in np.argsort(row, kind="stable")[:count] if np.isfinite(row[j])] for row in cost]
+
+
+def _ball(camera: Camera, center: Array, radius: float) -> NDArray[np.float32]:
+    pixel, depth = camera.project(center[None])
+    reach = radius * camera.intrinsics[0, 0] / max(float(depth[0]), 1e-9)
+    rows, columns = np.mgrid[0 : camera.height, 0 : camera.width] + 0.5
+    return (np.hypot(columns - pixel[0, 0], rows - pixel[0, 1]) < reach).astype(np.float32)
+
+
+def _span(first: int, last: int, size: int, multiple: int) -> tuple[int, int]:
+    """`first`…`last` with a margin, its length a multiple; where the picture is too small, what fits of it."""
+    low = max(first - _MARGIN, 0)
+    length = -(-(min(last + _MARGIN, size) - low) // multiple) * multiple
+    if low + length > size:
+        low = max(size - length, 0)
+        length = (size - low) // multiple * multiple
+    return low, low + length
+
+
+def _reduced(image: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
+    height, width = image.shape
+    return np.ascontiguousarray(image.reshape(height // factor, factor, width // factor, factor).mean(axis=(1, 3)))

@@ -1,0 +1,1 @@
+"""A closed, coloured start surface from a sampled field."""

@@ -1,0 +1,76 @@
+"""A first mesh that later stages can work on: manifold, without crumbs, its triangles even, as fine as pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hir_core.capture import Array, Camera, Capture
+from hir_core.errors import StageError
+from hir_core.mesh.remeshing import remesh
+from hir_plugins.initializers.surface.isosurface import compact
+
+Faces = NDArray[np.int64]
+
+_ROUNDS = 2
+"""Of remeshing: voxels are even already, so that two rounds do."""
+
+
+def pixel_size(cameras: Sequence[Camera], place: Array) -> float:
+    """Length in the world that a pixel of the median photograph covers at a `place` (3,)."""
+    return float(np.median([np.linalg.norm(c.center - place) / c.intrinsics[0, 0] for c in cameras]))
+
+
+def edge_length(capture: Capture, positions: Array, pixels: float, spacing: float = 0.0) -> float:
+    """Length of `pixels` photographs' pixels at the mesh, but no finer than voxels of `spacing` can tell; 0 for 0."""
+    if pixels <= 0:
+        return 0.0
+    middle = 0.5 * (positions.min(axis=0) + positions.max(axis=0))
+    cameras = [view.camera for view in capture.views if view.camera is not None]
+    return max(pixels * pixel_size(cameras, middle), 1.25 * spacing)
+
+
+def cleaned(positions: Array, faces: Faces, edge_length: float, min_component: float) -> tuple[Array, Faces]:
+    """The mesh without edges of three faces and small pieces, remeshed to `edge_length`; 0 keeps its triangles.
+
+    Pieces with less than a share `min_component` of the largest one's area go. Open meshes stay open. Raises
+    `StageError` where nothing is left.
+    """
+    positions, faces = _large_pieces(*_manifold(positions, faces), min_component)
+    if edge_length > 0:
+        positions, faces = remesh(positions.astype(np.float64), faces, edge_length, _ROUNDS)
+    return positions, faces
+
+
+def _manifold(positions: Array, faces: Faces) -> tuple[Array, Faces]:
+    """Without the smallest of the faces that meet at an edge of more than two, nor faces without area."""
+    import open3d
+
+    mesh = open3d.geometry.TriangleMesh(
+        open3d.utility.Vector3dVector(positions), open3d.utility.Vector3iVector(faces.astype(np.int32))
+    )
+    mesh.remove_degenerate_triangles()
+    mesh.remove_duplicated_triangles()
+    if not mesh.is_edge_manifold(allow_boundary_edges=True):
+        mesh.remove_non_manifold_edges()
+    return compact(np.asarray(mesh.vertices), np.asarray(mesh.triangles).astype(np.int64))
+
+
+def _large_pieces(positions: Array, faces: Faces, min_share: float) -> tuple[Array, Faces]:
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    empty = StageError("the first surface has no triangles; give it finer voxels or more photographs")
+    if len(faces) == 0:
+        raise empty
+    pairs = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]])
+    graph = coo_matrix((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(positions),) * 2)
+    _, label = connected_components(graph, directed=False)
+    a, b, c = (positions[faces[:, i]] - positions.mean(axis=0) for i in range(3))
+    piece = label[faces[:, 0]]
+    areas = np.bincount(piece, np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2)
+    if not (areas > 0).any():
+        raise empty
+    return compact(positions, faces[areas[piece] >= min_share * areas.max()])

@@ -1,0 +1,253 @@
+"""The files of a COLMAP model, text and binary, parsed without COLMAP."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from hir_exporters.conventions import srgb_to_linear
+
+from hir_core.capture import Array, OrientedPoints
+from hir_core.errors import CaptureError
+from hir_plugins.readers.parsing.capture_paths import MAX_TEXT_BYTES
+from hir_plugins.readers.parsing.lens_camera import LensCamera
+
+_MAX_BINARY_BYTES = 8 << 30
+
+# id, name, number of parameters
+_MODELS: Final = (
+    (0, "SIMPLE_PINHOLE", 3),
+    (1, "PINHOLE", 4),
+    (2, "SIMPLE_RADIAL", 4),
+    (3, "RADIAL", 5),
+    (4, "OPENCV", 8),
+    (5, "OPENCV_FISHEYE", 8),
+    (6, "FULL_OPENCV", 12),
+    (7, "FOV", 5),
+    (8, "SIMPLE_RADIAL_FISHEYE", 4),
+    (9, "RADIAL_FISHEYE", 5),
+    (10, "THIN_PRISM_FISHEYE", 12),
+)
+
+
+@dataclass(frozen=True)
+class ColmapImage:
+    """A registered picture."""
+
+    name: str
+    camera_id: int
+    world_to_camera: Array
+
+
+def read_cameras(folder: Path) -> dict[int, LensCamera]:
+    """Cameras of cameras.bin or cameras.txt by their number."""
+    cameras: dict[int, LensCamera] = {}
+    if (folder / "cameras.bin").is_file():
+        stream = _Binary(folder / "cameras.bin")
+        for _ in range(stream.count()):
+            number, model, width, height = stream.take("<iiQQ")
+            known = {identity: (name, size) for identity, name, size in _MODELS}
+            if model not in known:
+                raise CaptureError(f"{stream.path}: camera model number {model} is not known")
+            name, size = known[model]
+            cameras[number] = lens_camera(name, stream.take(f"<{size}d"), width, height, str(stream.path))
+    else:
+        path = folder / "cameras.txt"
+        for line in _lines(path):
+            match line.split():
+                case [number, name, width, height, *parameters]:
+                    values = _numbers([width, height, *parameters], path, line)
+                    cameras[_integer(number, path, line)] = lens_camera(
+                        name, values[2:], int(values[0]), int(values[1]), str(path)
+                    )
+                case _:
+                    raise CaptureError(f"{path}: the line {line[:80]!r} is not a camera")
+    if not cameras:
+        raise CaptureError(f"{folder} holds a COLMAP model without cameras")
+    return cameras
+
+
+def read_images(folder: Path) -> list[ColmapImage]:
+    """Registered pictures of images.bin or images.txt, by name."""
+    images: list[ColmapImage] = []
+    if (folder / "images.bin").is_file():
+        stream = _Binary(folder / "images.bin")
+        for _ in range(stream.count()):
+            _, *pose, camera = stream.take("<I7dI")
+            name = stream.text()
+            (points,) = stream.take("<Q")
+            stream.skip(24 * points)
+            images.append(ColmapImage(name, camera, _pose(pose, str(stream.path))))
+    else:
+        path = folder / "images.txt"
+        lines = _lines(path, keep_empty=True)
+        for line in lines:
+            if not line:
+                continue
+            fields = line.split(maxsplit=9)
+            if len(fields) != 10:
+                raise CaptureError(f"{path}: the line {line[:80]!r} is not a picture")
+            pose = _numbers(fields[1:8], path, line)
+            images.append(ColmapImage(fields[9].strip(), _integer(fields[8], path, line), _pose(pose, str(path))))
+            next(lines, None)  # the picture's points, perhaps an empty line
+    if not images:
+        raise CaptureError(f"{folder} holds a COLMAP model without registered images")
+    return sorted(images, key=lambda image: image.name)
+
+
+def read_points(folder: Path) -> OrientedPoints | None:
+    """Points and linear colours of points3D.bin or points3D.txt; None where there is no such file or it is empty."""
+    rows: list[tuple[float, ...]] = []
+    if (folder / "points3D.bin").is_file():
+        stream = _Binary(folder / "points3D.bin")
+        for _ in range(stream.count()):
+            _, x, y, z, r, g, b, _, track = stream.take("<Q3d3BdQ")
+            stream.skip(8 * track)
+            rows.append((x, y, z, r, g, b))
+    elif (folder / "points3D.txt").is_file():
+        path = folder / "points3D.txt"
+        for line in _lines(path):
+            rows.append(tuple(_numbers(line.split(maxsplit=7)[1:7], path, line, count=6)))
+    if not rows:
+        return None
+    table = np.array(rows, dtype=np.float64)
+    table = table[np.isfinite(table).all(axis=1)]
+    colors = srgb_to_linear(np.clip(table[:, 3:], 0, 255) / 255)
+    return OrientedPoints(positions=table[:, :3], colors=colors) if len(table) else None
+
+
+def lens_camera(
+    model: str, parameters: tuple[float, ...] | list[float], width: int, height: int, owner: str
+) -> LensCamera:
+    """A COLMAP camera; models that OpenCV's lenses do not hold raise `CaptureError`."""
+    p = tuple(float(value) for value in parameters)
+    sizes = {name: size for _, name, size in _MODELS}
+    if model not in sizes or len(p) != sizes[model]:
+        raise CaptureError(f"{owner}: a camera {model!r} with {len(p)} parameters is not known")
+    if not all(math.isfinite(value) for value in p):
+        raise CaptureError(f"{owner}: a camera has parameters that are NaN or infinite")
+    if not 0 < width < 1 << 20 or not 0 < height < 1 << 20:
+        raise CaptureError(f"{owner}: a camera has a picture of {width}×{height}")
+    match model:
+        case "SIMPLE_PINHOLE":
+            return LensCamera(p[0], p[0], p[1], p[2], width, height)
+        case "PINHOLE":
+            return LensCamera(p[0], p[1], p[2], p[3], width, height)
+        case "SIMPLE_RADIAL" | "RADIAL":
+            return LensCamera(p[0], p[0], p[1], p[2], width, height, (*p[3:], 0.0, 0.0, 0.0)[:4])
+        case "OPENCV" | "FULL_OPENCV":
+            return LensCamera(p[0], p[1], p[2], p[3], width, height, p[4:])
+        case "OPENCV_FISHEYE":
+            return LensCamera(p[0], p[1], p[2], p[3], width, height, p[4:], "fisheye")
+        case "SIMPLE_RADIAL_FISHEYE" | "RADIAL_FISHEYE":
+            return LensCamera(p[0], p[0], p[1], p[2], width, height, (*p[3:], 0.0, 0.0, 0.0)[:4], "fisheye")
+        case _:
+            raise CaptureError(
+                f"{owner}: the camera model {model} cannot be used; let COLMAP undistort the images "
+                "(colmap image_undistorter) and give its result"
+            )
+
+
+def quaternion_rotation(quaternion: Array) -> Array:
+    """3×3 rotation of a quaternion (w, x, y, z) of any length but zero."""
+    w, x, y, z = quaternion / np.linalg.norm(quaternion)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def _pose(values: list[float] | tuple[float, ...], owner: str) -> Array:
+    """4×4 from a quaternion (w, x, y, z) and a translation."""
+    numbers = np.array(values, dtype=np.float64)
+    if not np.isfinite(numbers).all() or not np.linalg.norm(numbers[:4]) > 1e-9:
+        raise CaptureError(f"{owner}: a picture has a pose that is NaN, infinite or without a rotation")
+    pose = np.eye(4)
+    pose[:3, :3] = quaternion_rotation(numbers[:4])
+    pose[:3, 3] = numbers[4:]
+    return pose
+
+
+class _Binary:
+    """A little-endian file that is never read past its end."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            if path.stat().st_size > _MAX_BINARY_BYTES:
+                raise CaptureError(f"{path} is larger than {_MAX_BINARY_BYTES >> 30} GB")
+            self._bytes = path.read_bytes()
+        except OSError as error:
+            raise CaptureError(f"{path} cannot be read ({error.strerror})") from None
+        self._at = 0
+
+    def count(self) -> int:
+        """A number of records; each has at least one byte, so a larger one is a broken file."""
+        (number,) = self.take("<Q")
+        if number > len(self._bytes):
+            raise self._short()
+        return int(number)
+
+    def take(self, layout: str) -> tuple[Any, ...]:
+        size = struct.calcsize(layout)
+        if self._at + size > len(self._bytes):
+            raise self._short()
+        values = struct.unpack_from(layout, self._bytes, self._at)
+        self._at += size
+        return values
+
+    def skip(self, size: int) -> None:
+        if self._at + size > len(self._bytes):
+            raise self._short()
+        self._at += size
+
+    def text(self) -> str:
+        end = self._bytes.find(b"\0", self._at, self._at + 4096)
+        if end < 0:
+            raise self._short()
+        value = self._bytes[self._at : end].decode("utf-8", "replace")
+        self._at = end + 1
+        return value
+
+    def _short(self) -> CaptureError:
+        return CaptureError(f"{self.path} ends in the middle of a record; it is broken or of another version of COLMAP")
+
+
+def _lines(path: Path, keep_empty: bool = False) -> Iterator[str]:
+    try:
+        if path.stat().st_size > MAX_TEXT_BYTES:
+            raise CaptureError(f"{path} is larger than {MAX_TEXT_BYTES >> 20} MB; save the model as binary")
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise CaptureError(f"{path} cannot be read ({error.strerror})") from None
+    except UnicodeDecodeError:
+        raise CaptureError(f"{path} is not text") from None
+    for line in text.splitlines():
+        if not line.startswith("#") and (keep_empty or line.strip()):
+            yield line.strip()
+
+
+def _numbers(fields: list[str], path: Path, line: str, count: int = 0) -> list[float]:
+    try:
+        values = [float(field) for field in fields]
+    except ValueError:
+        raise CaptureError(f"{path}: the line {line[:80]!r} holds something that is not a number") from None
+    if count and len(values) != count:
+        raise CaptureError(f"{path}: the line {line[:80]!r} is too short")
+    if not all(math.isfinite(value) for value in values):
+        raise CaptureError(f"{path}: the line {line[:80]!r} holds NaN or infinite numbers")
+    return values
+
+
+def _integer(field: str, path: Path, line: str) -> int:
+    if not field.lstrip("-").isdecimal():
+        raise CaptureError(f"{path}: {field!r} in the line {line[:80]!r} is not a whole number")
+    return int(field)

@@ -1,0 +1,78 @@
+"""Finds the mask that belongs to a photograph, as people name them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import lru_cache
+from pathlib import Path
+
+from hir_plugins.readers.parsing.capture_paths import PHOTO_SUFFIXES
+
+FOLDERS = ("masks", "mask", "Masks", "Mask", "object_mask", "silhouettes")
+"""Folders of masks that captures have, beside the folder of photographs or in the capture's own."""
+
+_AFFIXES = ("", "mask", "masks", "alpha", "matte", "silhouette", "seg")
+
+
+def match_mask(photo: Path, masks: Iterable[Path]) -> Path | None:
+    """The mask of `photo` among files: the same name, before endings and whatever says "mask"; case does not count.
+
+    `a.jpg` is matched by `a.png`, `A.PNG`, `a.jpg.png`, `a_mask.png`, `mask-a.png`, in this order of preference.
+    """
+    listed = [mask for mask in masks if mask.suffix.lower() in PHOTO_SUFFIXES and mask != photo]
+    for wanted in (
+        lambda m: m.stem == photo.stem,
+        lambda m: m.stem == photo.name,
+        lambda m: _bare(m.stem) == _bare(photo.stem),
+    ):
+        found = sorted(mask for mask in listed if wanted(mask))
+        if found:
+            return found[0]
+    return None
+
+
+def beside(photo: Path, capture: Path) -> Path | None:
+    """The mask of `photo` in one of `FOLDERS`, in the capture's folder or beside the folder of the photograph."""
+    for parent in dict.fromkeys((capture, photo.parent.parent, photo.parent)):
+        if not parent.resolve().is_relative_to(capture.resolve()):
+            continue
+        # Stanford-ORB: train_mask beside train
+        for name in (*FOLDERS, f"{photo.parent.name}_mask", f"{photo.parent.name}_masks"):
+            # photographs in folders of their own (train/a.png) have masks in folders of the same name
+            inner = _listed(parent / name / photo.parent.name)
+            found = match_mask(photo, inner) or match_mask(photo, _listed(parent / name))
+            if found is not None and found.resolve().is_relative_to(capture.resolve()):
+                return found
+    return None
+
+
+def orphans(photos: Iterable[Path], capture: Path) -> list[Path]:
+    """Files in the capture's folders of masks that belong to none of all its photographs."""
+    photos = list(photos)
+    matched = {beside(photo, capture) for photo in photos}
+    listed = [file for name in FOLDERS for file in _listed(capture / name) if file.suffix.lower() in PHOTO_SUFFIXES]
+    return [file for file in dict.fromkeys(listed) if file not in matched and file not in photos]
+
+
+@lru_cache(maxsize=64)
+def _listed_at(folder: Path, changed_ns: int) -> tuple[Path, ...]:
+    del changed_ns  # part of the key: a folder that changes is listed again
+    return tuple(sorted(p for p in folder.iterdir() if p.is_file()))
+
+
+def _listed(folder: Path) -> tuple[Path, ...]:
+    try:
+        return _listed_at(folder, folder.stat().st_mtime_ns) if folder.is_dir() else ()
+    except OSError:
+        return ()
+
+
+def _bare(stem: str) -> str:
+    """A name without endings and words that say that it is a mask."""
+    name = stem.lower()
+    for suffix in PHOTO_SUFFIXES:
+        name = name.removesuffix(suffix)
+    for word in _AFFIXES[1:]:
+        for separator in ("_", "-", ".", " "):
+            name = name.removesuffix(separator + word).removeprefix(word + separator)
+    return name

@@ -1,0 +1,90 @@
+"""The two BRDF models as a BSDF plugin `hir_ggx` for scenes and integrators of Mitsuba itself.
+
+    {"type": "hir_ggx", "model": "paper", "diffuse_albedo": …, "specular_albedo": …, "alpha": …}
+
+Each parameter is a texture (give bitmaps as float32 with `raw`) or a constant. Mitsuba's `wi` points to the eye.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from hir_plugins.reflectance_renderers.mitsuba_ggx import ggx_drjit
+from hir_plugins.reflectance_renderers.mitsuba_ggx.ggx_drjit import Reflectance
+
+_registered: dict[str, type] = {}
+"""The class for each variant: Mitsuba's base classes differ between them."""
+
+
+def register() -> None:
+    """Makes `{"type": "hir_ggx"}` known to the current variant."""
+    variant = str(mi.variant())
+    if variant not in _registered:
+        _registered[variant] = _plugin_class()
+        mi.register_bsdf("hir_ggx", _registered[variant])
+
+
+def _front(si: Any) -> Any:
+    """Seen from outside by the face's own normal: at outlines the interpolated one may already look away."""
+    return dr.dot(si.n, si.to_world(si.wi)) > 0
+
+
+def _plugin_class() -> type:
+    class HirGGX(mi.BSDF):  # type: ignore[misc,name-defined]
+        def __init__(self, props: Any) -> None:
+            mi.BSDF.__init__(self, props)
+            self.model = str(props.get("model", "dielectric"))
+            if self.model not in ("paper", "dielectric"):
+                raise ValueError(f"hir_ggx: model is {self.model!r}; known are 'paper' and 'dielectric'")
+            self.textures = {
+                name: props.get_texture(name, default)
+                for name, default in (("diffuse_albedo", 0.5), ("specular_albedo", 0.04), ("alpha", 0.3))
+            }
+            flags = mi.BSDFFlags.DiffuseReflection | mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide
+            flags |= mi.BSDFFlags.SpatiallyVarying
+            self.m_components = [flags]
+            self.m_flags = flags
+
+        def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:
+            reflectance = self._at(si, active)
+            sampled: Any = mi.BSDFSample3f()
+            sampled.wo = ggx_drjit.sample(reflectance, si.wi, sample2)
+            sampled.pdf = ggx_drjit.pdf(reflectance, si.wi, sampled.wo)
+            sampled.eta = 1.0
+            sampled.sampled_type = mi.UInt32(+mi.BSDFFlags.GlossyReflection)
+            sampled.sampled_component = mi.UInt32(0)
+            active = active & _front(si) & (sampled.pdf > 0)
+            weight = ggx_drjit.evaluate(reflectance, si.wi, sampled.wo) / dr.maximum(sampled.pdf, 1e-30)
+            return sampled, dr.select(active, weight, 0)
+
+        def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+            value = ggx_drjit.evaluate(self._at(si, active), si.wi, wo)
+            return dr.select(active & _front(si) & (wo.z > 0), value, 0)
+
+        def pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+            density = ggx_drjit.pdf(self._at(si, active), si.wi, wo)
+            return dr.select(active & _front(si) & (wo.z > 0), density, 0)
+
+        def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+            return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
+
+        def traverse(self, callback: Any) -> None:
+            for name, texture in self.textures.items():
+                callback.put(name, texture, mi.ParamFlags.Differentiable)
+
+        def to_string(self) -> str:
+            return f"HirGGX[model={self.model}]"
+
+        def _at(self, si: Any, active: Any) -> Reflectance:
+            textures = self.textures
+            return Reflectance(
+                self.model,
+                textures["diffuse_albedo"].eval(si, active),
+                textures["specular_albedo"].eval(si, active),
+                textures["alpha"].eval_1(si, active),
+            )
+
+    return HirGGX

@@ -1,0 +1,149 @@
+"""The frozen mesh: rays, and where they meet it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import torch
+from hir_exporters.mesh.tangents import corner_tangents
+from torch import Tensor
+
+from hir_core.errors import StageError
+from hir_core.scene import Mesh
+from hir_plugins.reflectance_renderers.drjit_arrays import floats, to_float, to_uint
+
+_OFFSET = 2e-5
+"""How far above the surface, in radii of the object, rays start: a few float32 steps."""
+
+
+@dataclass(frozen=True)
+class Point:
+    """Where rays met the surface; only valid where `valid`."""
+
+    valid: Any
+    """The ray met the front of a face."""
+    met: Any
+    """The ray met anything."""
+    position: Any
+    geometric: Any
+    """Normal of the face."""
+    normal: Any
+    """Interpolated vertex normal, or that of the normal map."""
+    u: Any
+    v: Any
+    face: Any
+    weights: tuple[Any, Any, Any]
+
+
+class Surface:
+    """A mesh in the unit sphere with its acceleration structure."""
+
+    def __init__(self, mesh: Mesh) -> None:
+        positions = mesh.positions.detach()
+        used = positions[mesh.faces.reshape(-1)]
+        if not len(used) or not bool(torch.isfinite(used).all()):
+            raise StageError("the mesh to render is empty or has vertices that are not finite")
+        low, high = used.amin(0).double(), used.amax(0).double()
+        self.center = ((low + high) / 2).cpu().numpy()
+        self.radius = max(float((used.double() - (low + high) / 2).norm(dim=1).max()), 1e-30)
+        middle = torch.from_numpy(self.center).to(positions.device)
+        unit = ((positions.double() - middle) / self.radius).float()
+        self.device = positions.device
+        self._mesh = mesh
+        # arrays are gathered as packets of four
+        self._positions = to_float(_four(unit), mi)
+        self._normals = to_float(_four(mesh.normals), mi)
+        self._faces = to_uint(_four(mesh.faces), mi)
+        self._uvs = self._uv_faces = self._tangents = None
+        if mesh.uvs is not None and mesh.topology.uv_faces is not None:
+            self._uvs = to_float(mesh.uvs, mi)
+            self._uv_faces = to_uint(_four(mesh.topology.uv_faces), mi)
+        self.scene = _acceleration(unit, mesh.faces)
+
+    @property
+    def has_uvs(self) -> bool:
+        """Whether textures can be looked up."""
+        return self._uvs is not None
+
+    def intersect(self, origin: Any, direction: Any, active: Any, coherent: bool = False) -> Point:
+        """First hits of rays in the unit sphere."""
+        hit = self.scene.ray_intersect_preliminary(mi.Ray3f(origin, direction), coherent=coherent, active=active)
+        met = hit.is_valid() & active
+        corners = self._corners(self._faces, hit.prim_index, met)
+        b, c = hit.prim_uv.x, hit.prim_uv.y
+        weights = (1 - b - c, b, c)
+        p = [_vector(self._positions, i, met) for i in corners]
+        n = [_vector(self._normals, i, met) for i in corners]
+        position = _mix(p, weights)
+        geometric = dr.cross(p[1] - p[0], p[2] - p[0])
+        geometric *= dr.rcp(dr.maximum(dr.norm(geometric), 1e-30))
+        normal = _mix(n, weights)
+        length = dr.norm(normal)
+        normal = dr.select(length > 1e-6, normal / dr.maximum(length, 1e-6), geometric)
+        u = v = mi.Float(0)
+        if self._uvs is not None:
+            uv = [dr.gather(mi.Vector2f, self._uvs, i, met) for i in self._corners(self._uv_faces, hit.prim_index, met)]
+            mixed = _mix(uv, weights)
+            u, v = mixed.x, mixed.y
+        valid = met & (dr.dot(geometric, direction) < 0)
+        return Point(valid, met, position, geometric, normal, u, v, hit.prim_index, weights)
+
+    def occluded(self, origin: Any, direction: Any, active: Any) -> Any:
+        """Whether rays meet anything."""
+        return self.scene.ray_test(mi.Ray3f(origin, direction), active=active)
+
+    def start(self, point: Point, direction: Any) -> Any:
+        """Origin of a ray that leaves the surface towards `direction`."""
+        side = dr.select(dr.dot(point.geometric, direction) >= 0, _OFFSET, -_OFFSET)
+        return point.position + point.geometric * side
+
+    def bent(self, point: Point, tangent_normal: Any) -> Any:
+        """The world's normal of a normal-map vector, in MikkTSpace's frames."""
+        if self._tangents is None:
+            self._tangents = self._upload_tangents()
+        corner = [dr.gather(mi.Vector4f, self._tangents, point.face * 3 + i, point.valid) for i in range(3)]
+        tangent = _mix([mi.Vector3f(t.x, t.y, t.z) for t in corner], point.weights)
+        bitangent = corner[0].w * dr.cross(point.normal, tangent)
+        bent = tangent_normal.x * tangent + tangent_normal.y * bitangent + tangent_normal.z * point.normal
+        length = dr.norm(bent)
+        return dr.select(length > 1e-6, bent / dr.maximum(length, 1e-6), point.normal)
+
+    def _upload_tangents(self) -> Any:
+        mesh = self._mesh
+        if mesh.uvs is None or mesh.topology.uv_faces is None:
+            raise StageError("a normal map needs texture coordinates; let the atlas stage run")
+        faces, uv_faces = mesh.faces.cpu().numpy().reshape(-1), mesh.topology.uv_faces.cpu().numpy().reshape(-1)
+        corners = np.arange(len(faces), dtype=np.int32).reshape(-1, 3)
+        positions, normals = mesh.positions.detach().cpu().numpy(), mesh.normals.detach().cpu().numpy()
+        tangents = corner_tangents(positions[faces], normals[faces], mesh.uvs.detach().cpu().numpy()[uv_faces], corners)
+        return floats(tangents, mi)
+
+    def _corners(self, faces: Any, index: Any, active: Any) -> tuple[Any, Any, Any]:
+        found = dr.gather(mi.Vector4u, faces, index, active)
+        return found.x, found.y, found.z
+
+
+def _vector(values: Any, index: Any, active: Any) -> Any:
+    packet = dr.gather(mi.Vector4f, values, index, active)
+    return mi.Vector3f(packet.x, packet.y, packet.z)
+
+
+def _mix(values: list[Any], weights: tuple[Any, Any, Any]) -> Any:
+    return values[0] * weights[0] + values[1] * weights[1] + values[2] * weights[2]
+
+
+def _four(rows: Tensor) -> Tensor:
+    return torch.nn.functional.pad(rows, (0, 1))
+
+
+def _acceleration(positions: Tensor, faces: Tensor) -> Any:
+    mesh = mi.Mesh("surface", vertex_count=len(positions), face_count=len(faces))
+    parameters = mi.traverse(mesh)
+    parameters["vertex_positions"] = to_float(positions, mi)
+    parameters["faces"] = to_uint(faces, mi)
+    parameters.update()
+    return mi.load_dict({"type": "scene", "surface": mesh})

@@ -1,0 +1,103 @@
+"""Path tracing with multiple importance sampling (Veach 1997), as a plain function of the material and the light.
+
+Light that meets the eye after at most `max_depth - 1` reflections (Mitsuba's count of `max_depth`: 2 is direct light).
+Directions and densities are drawn without derivative, so differentiating the value differentiates the estimator's
+integrand: unbiased, also for what is black now.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from hir_plugins.reflectance_renderers.mitsuba_ggx.emitter import Light
+from hir_plugins.reflectance_renderers.mitsuba_ggx.ggx_drjit import Reflectance, evaluate, pdf, sample
+from hir_plugins.reflectance_renderers.mitsuba_ggx.mitsuba_mesh import Point, Surface
+from hir_plugins.reflectance_renderers.mitsuba_ggx.mitsuba_textures import Parameter
+from hir_plugins.reflectance_renderers.mitsuba_ggx.sample_sequence import Sequence
+
+
+@dataclass
+class Shading:
+    """The material on the device."""
+
+    model: str
+    diffuse: Parameter
+    specular: Parameter
+    alpha: Parameter
+    normal: Parameter | None
+
+    def at(self, surface: Surface, point: Point) -> tuple[Reflectance, Any]:
+        """Parameters and shading frame at points of the surface."""
+        u, v, active = point.u, point.v, point.valid
+        reflectance = Reflectance(
+            self.model, self.diffuse.at(u, v, active), self.specular.at(u, v, active), self.alpha.at(u, v, active)
+        )
+        normal = point.normal
+        if self.normal is not None:
+            color = self.normal.at(u, v, active)
+            normal = surface.bent(point, mi.Vector3f(color.x, color.y, color.z))
+        return reflectance, mi.Frame3f(normal)
+
+
+def incoming(
+    surface: Surface,
+    shading: Shading,
+    light: Light,
+    light_from_world: Any,
+    first: Point,
+    direction: Any,
+    points: Sequence,
+    max_depth: int,
+) -> Any:
+    """Color3f: radiance towards the eye from `first`, seen along `direction`; 0 where it is not valid.
+
+    `light_from_world` is a Matrix3f for each lane.
+    """
+    up: Any = mi.Vector3f(0, 0, 1)
+    total: Any = mi.Color3f(0)
+    throughput: Any = mi.Color3f(1)
+    point, active = first, mi.Bool(first.valid)
+    for bounce in range(1, max_depth):
+        reflectance, frame = shading.at(surface, point)
+        # lanes that are done compute with harmless directions: a NaN would reach derivatives through masks
+        eye = dr.select(active, frame.to_local(-direction), up)
+
+        towards, density = light.sample(points.next())
+        world = dr.detach(light_from_world.T @ towards)
+        chosen = dr.select(active, frame.to_local(world), up)
+        lit = active & (dr.detach(chosen.z) > 0)
+        lit &= ~surface.occluded(surface.start(point, world), world, lit)
+        weight = _power(density, dr.detach(pdf(reflectance, eye, chosen))) / dr.maximum(density, 1e-30)
+        value = throughput * evaluate(reflectance, eye, chosen) * light.radiance(towards) * weight
+        total += dr.select(lit, value, 0)
+
+        drawn = dr.detach(sample(reflectance, dr.detach(eye), points.next()))
+        density = dr.detach(pdf(reflectance, dr.detach(eye), drawn))
+        world = dr.detach(frame.to_world(drawn))
+        active &= density > 0
+        local = dr.select(active, frame.to_local(world), up)  # equal to `drawn`, but follows the normal map
+        throughput *= dr.select(active, evaluate(reflectance, eye, local) / dr.maximum(density, 1e-30), 0)
+        start = surface.start(point, world)
+        last = bounce == max_depth - 1
+        if last:
+            escaped = active & ~surface.occluded(start, world, active)
+        else:
+            point = surface.intersect(start, world, active)
+            escaped = active & ~point.met
+        towards = dr.detach(light_from_world @ world)
+        weight = _power(density, light.pdf(towards))
+        total += dr.select(escaped, throughput * light.radiance(towards) * weight, 0)
+        if not last:
+            active = active & point.valid
+            direction = world
+    return total
+
+
+def _power(a: Any, b: Any) -> Any:
+    """Weight of the sampler with density a against b: the power heuristic, free of overflow."""
+    ratio = b / dr.maximum(a, 1e-30)
+    return dr.rcp(1 + dr.square(dr.minimum(ratio, 1e15)))

@@ -1,0 +1,41 @@
+"""Random points in the unit square, well spread among the samples of one pixel."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+
+class Sequence:
+    """For each lane (a sample of a pixel) as many 2D points as are asked for.
+
+    The samples of a pixel are a randomly scrambled (0, 2)-sequence (van der Corput, Sobol) in each pair of dimensions,
+    in an order of its own: every point by itself is uniform, so estimates are unbiased.
+    """
+
+    def __init__(self, pixel: tuple[Any, Any], sample: Any, samples: int, seed: Any) -> None:
+        """`pixel`: two integers that tell pixels apart, whatever batch they are in; `seed`: an opaque integer."""
+        self._sample = sample
+        self._mask = (1 << max(samples - 1, 0).bit_length()) - 1
+        first, second = mi.sample_tea_32(pixel[0], pixel[1])
+        self._key = mi.sample_tea_32(first ^ seed, second)
+        self._drawn = 0
+
+    def next(self) -> Any:
+        """The next Point2f of each lane."""
+        self._drawn += 1
+        number = mi.UInt32((self._drawn * 0x9E3779B9) & 0xFFFFFFFF)
+        first, second = mi.sample_tea_32(self._key[0] ^ number, self._key[1])
+        third, fourth = mi.sample_tea_32(first, second)
+        # an odd factor and a shift permute the numbers below a power of two
+        order = (self._sample * (third | 1) + fourth) & self._mask
+        return mi.Point2f(mi.radical_inverse_2(order, first), mi.sobol_2(order, second))
+
+
+def lanes(pixels: int, samples: int) -> tuple[Any, Any]:
+    """Number of the pixel and of the sample of each lane; samples of a pixel are neighbours."""
+    lane = dr.arange(mi.UInt32, pixels * samples)
+    pixel = lane // samples
+    return pixel, lane - pixel * samples

@@ -1,0 +1,1 @@
+"""Everything that is linear in the light."""

@@ -1,0 +1,115 @@
+"""The light as a pyramid of lat-long images, and lookups in it as rows of a sparse matrix.
+
+A lookup that stands for a cone of directions reads the level whose texels are about as large as the cone, so few
+directions suffice for a wide lobe (filtered importance sampling, Křivánek & Colbert 2008). Every level is a linear
+function of the finest, so the whole transport stays linear in the light.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Pyramid:
+    """Sizes and offsets of the levels of a lat-long image of `height`×`width`."""
+
+    height: int
+    width: int
+    smallest: int = 2
+
+    @property
+    def shapes(self) -> list[tuple[int, int]]:
+        """(H, W) of each level, finest first."""
+        shapes = [(self.height, self.width)]
+        while shapes[-1][0] % 2 == 0 and shapes[-1][1] % 2 == 0 and shapes[-1][0] > self.smallest:
+            shapes.append((shapes[-1][0] // 2, shapes[-1][1] // 2))
+        return shapes
+
+    @property
+    def texels(self) -> int:
+        """Texels of all levels together."""
+        return sum(h * w for h, w in self.shapes)
+
+    def flatten(self, radiance: Float[Tensor, "H W C"]) -> Float[Tensor, "T C"]:
+        """All levels, one below the other; each texel is the solid-angle mean of the four finer ones."""
+        levels = [radiance]
+        for height, width in self.shapes[1:]:
+            finer = levels[-1]
+            weight = row_solid_angles(2 * height, finer.dtype, finer.device).reshape(height, 2)
+            weight = weight / weight.sum(dim=1, keepdim=True)
+            blocks = finer.reshape(height, 2, width, 2, -1).mean(dim=3)
+            levels.append((blocks * weight[:, :, None, None]).sum(dim=1))
+        return torch.cat([level.reshape(-1, radiance.shape[-1]) for level in levels])
+
+    def lookup(
+        self, directions: Float[Tensor, "N 3"], solid_angle: Float[Tensor, " N"]
+    ) -> tuple[Int[Tensor, "N 4"], Float[Tensor, "N 4"]]:
+        """Texels of `flatten` and their bilinear weights for each direction, at the level that fits its cone."""
+        shapes = self.shapes
+        u, v = latlong(directions)
+        texel = 2 * math.pi**2 / (self.height * self.width) * torch.sin(math.pi * v).clamp_min(1e-3)
+        level = (0.5 * torch.log2((solid_angle / texel).clamp_min(1e-12))).round().clamp(0, len(shapes) - 1).long()
+        heights = torch.tensor([s[0] for s in shapes], device=u.device)[level]
+        widths = torch.tensor([s[1] for s in shapes], device=u.device)[level]
+        sizes = torch.tensor([0] + [h * w for h, w in shapes], device=u.device)
+        offset = sizes.cumsum(0)[level]
+        return bilinear(u, v, heights, widths, offset)
+
+
+def latlong(directions: Float[Tensor, "N 3"]) -> tuple[Float[Tensor, " N"], Float[Tensor, " N"]]:
+    """(u, v) of unit directions, v from the top row (docs/conventions.md)."""
+    x, y, z = directions.unbind(-1)
+    u = 0.5 - torch.atan2(x, z) / (2 * math.pi)
+    # near a pole acos loses all digits: within 3e-4 rad every direction would be the pole
+    v = torch.atan2(torch.hypot(x, z), y) / math.pi
+    return u, v
+
+
+def texel_directions(height: int, width: int) -> Float[Tensor, "T 3"]:
+    """Unit directions of all texel centres, row by row."""
+    v = (torch.arange(height, dtype=torch.float64) + 0.5) / height
+    u = (torch.arange(width, dtype=torch.float64) + 0.5) / width
+    theta, phi = torch.meshgrid(v * math.pi, (0.5 - u) * 2 * math.pi, indexing="ij")
+    directions = torch.stack([theta.sin() * phi.sin(), theta.cos(), theta.sin() * phi.cos()], dim=-1)
+    return directions.reshape(-1, 3).float()
+
+
+def row_solid_angles(height: int, dtype: torch.dtype, device: torch.device) -> Float[Tensor, " H"]:
+    """Share of the sphere that each row of a lat-long image covers; sums to 1."""
+    edges = torch.cos(torch.linspace(0, math.pi, height + 1, dtype=torch.float64))
+    return ((edges[:-1] - edges[1:]) / 2).to(dtype).to(device)
+
+
+def bilinear(
+    u: Tensor, v: Tensor, height: Tensor, width: Tensor, offset: Tensor
+) -> tuple[Int[Tensor, "N 4"], Float[Tensor, "N 4"]]:
+    """Indices and weights of the four texels around (u, v); wraps in u, holds at the poles."""
+    x, y = u * width - 0.5, v * height - 0.5
+    x0, y0 = torch.floor(x), torch.floor(y)
+    fx, fy = x - x0, y - y0
+    x0, y0 = x0.long() % width, y0.long()
+    x1 = (x0 + 1) % width
+    top, bottom = y0.clamp_min(0), torch.minimum(y0 + 1, height - 1)
+    top = torch.minimum(top, height - 1)
+    index = torch.stack([top * width + x0, top * width + x1, bottom * width + x0, bottom * width + x1], dim=1)
+    weight = torch.stack([(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy], dim=1)
+    return index + offset[:, None], weight
+
+
+def resized(radiance: Float[Tensor, "h w C"], pyramid: Pyramid) -> Float[Tensor, "H W C"]:
+    """A light at the pyramid's size; smaller by area, so that suns keep their energy. Differentiable."""
+    height, width, _ = radiance.shape
+    if (height, width) == (pyramid.height, pyramid.width):
+        return radiance
+    image = radiance.permute(2, 0, 1)[None]
+    if height >= pyramid.height and width >= pyramid.width:
+        image = torch.nn.functional.adaptive_avg_pool2d(image, (pyramid.height, pyramid.width))
+    else:
+        image = torch.nn.functional.interpolate(image, (pyramid.height, pyramid.width), mode="bilinear")
+    return image[0].permute(1, 2, 0)

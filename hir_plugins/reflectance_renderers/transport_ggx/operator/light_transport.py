@@ -1,0 +1,123 @@
+"""All that is computed once for frozen geometry: acceleration structure, cells, irradiance matrices."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from numpy.typing import NDArray
+from torch import Tensor
+
+from hir_core.scene import Mesh
+from hir_plugins.reflectance_renderers.transport_ggx.operator.diffuse_transport import (
+    DiffuseTransport,
+    diffuse_transport,
+)
+from hir_plugins.reflectance_renderers.transport_ggx.operator.irradiance_cache import Cells, make_cells
+from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import Pyramid, texel_directions
+from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
+from hir_plugins.reflectance_renderers.transport_ggx.operator.ray_tracer import RayTracer
+from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes import Lobes, trace_lobes
+from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import Surface, SurfacePoints, refine
+
+RAY_OFFSET = 1e-3
+"""Lift of ray origins off the surface, as a fraction of the object's radius."""
+
+
+@dataclass(frozen=True, eq=False)
+class Transport:
+    """Cached light transport of one surface."""
+
+    surface: Surface
+    tracer: RayTracer
+    cells: Cells
+    face_cells: NDArray[np.int64]
+    pyramid: Pyramid
+    level: slice
+    """Rows of the flattened pyramid that `diffuse` is a matrix on."""
+    diffuse: DiffuseTransport
+    offset: float
+    cell_average: LinearMap
+    """Means of vertex values over cells, as a matrix (C, V)."""
+
+    def interpolation(self, points: SurfacePoints) -> tuple[LinearMap, LinearMap]:
+        """Matrices from vertices and from cells to points."""
+        corners = self.surface.faces[points.face]
+        weights = points.barycentric
+        vertices = LinearMap.from_rows(corners, weights, len(self.surface.positions))
+        return vertices, LinearMap.from_rows(self.cells.of_vertex[corners], weights, len(self.cells))
+
+    def sources(
+        self, radiance: Float[Tensor, "H W 3"], albedo: Float[Tensor, "V 3"], bounces: int
+    ) -> tuple[Float[Tensor, "S 3"], Float[Tensor, "C 3"]]:
+        """What a ray can meet (pyramid texels, then cells) and the irradiance of every cell."""
+        pyramid = self.pyramid.flatten(radiance)
+        direct = self.diffuse.sky @ pyramid[self.level]
+        if not bounces:
+            return torch.cat([pyramid, torch.zeros_like(direct)]), direct
+        cell_albedo = self.cell_average @ albedo
+        irradiance = direct
+        for _ in range(bounces):
+            irradiance = direct + self.diffuse.bounce @ (cell_albedo * irradiance / torch.pi)
+        # what a mirror sees of the surface is lit directly: one bounce less than the irradiance
+        return torch.cat([pyramid, cell_albedo * direct / torch.pi]), irradiance
+
+    @cached_property
+    def _vector_sky(self) -> LinearMap:
+        """(3C, T): the light's own direction in place of the cosine of `diffuse.sky`."""
+        sky = self.diffuse.sky.matrix
+        height, width = next(shape for shape in self.pyramid.shapes if shape[0] * shape[1] == sky.shape[1])
+        directions = texel_directions(height, width).to(sky.device)
+        cosine = (self.cells.normals @ directions.T).clamp_min(1e-6)
+        matrix = torch.cat([sky / cosine * directions[:, axis] for axis in range(3)])
+        return LinearMap(matrix, matrix.T.contiguous())
+
+    def vector_irradiance(self, radiance: Float[Tensor, "H W 3"]) -> Float[Tensor, "C 3 3"]:
+        """Direct light that reaches each cell, weighed by its direction (axis by axis, then colours)."""
+        found = self._vector_sky @ self.pyramid.flatten(radiance)[self.level]
+        return found.reshape(3, len(self.cells), 3).transpose(0, 1)
+
+    def sky_only(self, radiance: Float[Tensor, "H W 3"]) -> Float[Tensor, "S 3"]:
+        """What a ray can meet when only the light shines."""
+        pyramid = self.pyramid.flatten(radiance)
+        return torch.cat([pyramid, pyramid.new_zeros(len(self.cells), pyramid.shape[1])])
+
+    def lobes(
+        self,
+        points: SurfacePoints,
+        alpha: Float[Tensor, "#P 1"],
+        samples: int,
+        rotation: Float[Tensor, "N 3 3"] | None = None,
+        seed: int = 0,
+    ) -> Lobes:
+        """The specular lobe of each point."""
+        places = self.face_cells, len(self.cells)
+        return trace_lobes(self.tracer, points, *places, alpha, samples, self.pyramid, self.offset, rotation, seed)
+
+
+def build_transport(
+    mesh: Mesh, vertices: int, most_cells: int, environment: tuple[int, int], diffuse_rows: int, device: str
+) -> Transport:
+    """Traces the irradiance matrices of a mesh for a light of `environment` = (height, width) texels."""
+    surface = refine(mesh, vertices)
+    center = (surface.positions.max(dim=0).values + surface.positions.min(dim=0).values) / 2
+    radius = float((surface.positions - center).norm(dim=1).max())
+    tracer = RayTracer(surface.positions.cpu().numpy(), surface.faces.cpu().numpy().astype(np.int32), device)
+    cells = make_cells(surface, most_cells)
+    face_cells = cells.of_vertex[surface.faces[:, 0]].cpu().numpy()
+    pyramid = Pyramid(*environment)
+    offset = RAY_OFFSET * max(radius, 1e-30)
+    start = 0
+    for height, width in pyramid.shapes:
+        if height <= diffuse_rows:
+            break
+        start += height * width
+    diffuse = diffuse_transport(tracer, cells, face_cells, height, width, offset)
+    level = slice(start, start + height * width)
+    count = torch.bincount(cells.of_vertex, minlength=len(cells)).clamp_min(1).float()
+    share = (1 / count)[cells.of_vertex]
+    average = LinearMap.from_rows(cells.of_vertex[:, None], share[:, None], len(cells)).T
+    return Transport(surface, tracer, cells, face_cells, pyramid, level, diffuse, offset, average)

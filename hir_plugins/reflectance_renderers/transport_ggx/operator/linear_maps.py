@@ -1,0 +1,92 @@
+"""Constant linear maps for automatic differentiation, and sparse matrices whose pattern outlives their values."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Pattern:
+    """Where a matrix has entries: the same number in each row, in `columns` (rows, entries)."""
+
+    columns: Int[Tensor, "R N"]
+    width: int
+    """Number of columns of the matrix."""
+
+    def matrix(self, values: Float[Tensor, "R N"]) -> Tensor:
+        """The matrix as a compressed sparse row tensor."""
+        return compressed(self._start, self._flat, values.reshape(-1), (len(self.columns), self.width))
+
+    def transposed(self, values: Float[Tensor, "R N"]) -> Tensor:
+        """Its transpose as a compressed sparse row tensor."""
+        order, start, owner = self._transpose
+        return compressed(start, owner, values.reshape(-1)[order], (self.width, len(self.columns)))
+
+    @cached_property
+    def _flat(self) -> Tensor:
+        return self.columns.reshape(-1).int()
+
+    @cached_property
+    def _start(self) -> Tensor:
+        rows, entries = self.columns.shape
+        return torch.arange(rows + 1, dtype=torch.int32, device=self.columns.device) * entries
+
+    @cached_property
+    def _transpose(self) -> tuple[Tensor, Tensor, Tensor]:
+        # found once: only the values change when the width of the lobe does. scipy's counting sort is linear
+        from scipy.sparse import csr_matrix
+
+        places = np.arange(len(self._flat), dtype=np.int32)
+        shape = (len(self.columns), self.width)
+        by_row = csr_matrix((places, self._flat.cpu().numpy(), self._start.cpu().numpy()), shape)
+        by_column = by_row.tocsc()
+        parts = by_column.data, by_column.indptr, by_column.indices
+        order, start, owner = (torch.from_numpy(p.astype(np.int32, copy=False)).to(self.columns.device) for p in parts)
+        return order, start, owner
+
+
+@dataclass(frozen=True, eq=False)
+class LinearMap:
+    """A constant matrix, dense or sparse, and a copy of its transpose: both directions at full speed."""
+
+    matrix: Tensor
+    transposed: Tensor
+
+    @classmethod
+    def from_rows(cls, columns: Int[Tensor, "R N"], values: Float[Tensor, "R N"], width: int) -> LinearMap:
+        """A matrix with the same number of entries in every row."""
+        pattern = Pattern(columns, width)
+        return cls(pattern.matrix(values), pattern.transposed(values))
+
+    @property
+    def T(self) -> LinearMap:  # noqa: N802 - the name that numpy and torch use
+        """The transpose."""
+        return LinearMap(self.transposed, self.matrix)
+
+    def __matmul__(self, dense: Float[Tensor, "W C"]) -> Float[Tensor, "R C"]:
+        return _Product.apply(dense, self)
+
+
+class _Product(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, dense, linear_map):  # type: ignore[no-untyped-def]
+        ctx.linear_map = linear_map
+        return linear_map.matrix @ dense
+
+    @staticmethod
+    def backward(ctx, gradient):  # type: ignore[no-untyped-def]
+        return ctx.linear_map.transposed @ gradient.contiguous(), None
+
+
+def compressed(start: Tensor, columns: Tensor, values: Tensor, size: tuple[int, int]) -> Tensor:
+    """A CSR tensor without torch's warning that such tensors are in beta."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*(Sparse CSR|[Ss]parse invariant).*")
+        return torch.sparse_csr_tensor(start, columns, values, size, check_invariants=False)

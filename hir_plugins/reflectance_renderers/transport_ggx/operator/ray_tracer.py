@@ -1,0 +1,66 @@
+"""Closest hits and occlusion by Mitsuba's ray tracer (Embree on the CPU, OptiX on CUDA), arrays in, arrays out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hir_plugins.reflectance_renderers.mitsuba_variant import mitsuba_on
+
+CHUNK = 1 << 21
+"""Rays a launch: bounds memory at about 100 MB."""
+
+
+@dataclass(frozen=True)
+class Hits:
+    """First hits of N rays; `face` is −1 for a miss."""
+
+    face: NDArray[np.int32]
+    barycentric: NDArray[np.float32]
+    """(N, 2): weights of the face's second and third corner."""
+
+
+class RayTracer:
+    """One acceleration structure over one mesh."""
+
+    def __init__(self, positions: NDArray[np.float32], faces: NDArray[np.int32], device: str = "cpu") -> None:
+        mi = mitsuba_on(device)
+        mesh = mi.Mesh("surface", vertex_count=len(positions), face_count=len(faces))
+        parameters = mi.traverse(mesh)
+        parameters["vertex_positions"] = mi.Float(np.ascontiguousarray(positions, dtype=np.float32).ravel())
+        parameters["faces"] = mi.UInt32(np.ascontiguousarray(faces, dtype=np.uint32).ravel())
+        parameters.update()
+        self._scene = mi.load_dict({"type": "scene", "surface": mesh})
+        self._mi = mi
+
+    def closest(self, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> Hits:
+        """First hit of each ray (N, 3), (N, 3)."""
+        face, barycentric = [], []
+        for start in range(0, len(origins), CHUNK):
+            ray = self._ray(origins[start : start + CHUNK], directions[start : start + CHUNK])
+            hit = self._scene.ray_intersect_preliminary(ray, coherent=True)
+            valid = np.asarray(hit.is_valid()).astype(bool)
+            face.append(np.where(valid, np.asarray(hit.prim_index).astype(np.int32), -1))
+            uv = np.stack([np.asarray(hit.prim_uv.x), np.asarray(hit.prim_uv.y)], axis=1)
+            barycentric.append(np.where(valid[:, None], uv, 0).astype(np.float32))
+        if not face:
+            return Hits(np.empty(0, np.int32), np.empty((0, 2), np.float32))
+        return Hits(np.concatenate(face), np.concatenate(barycentric))
+
+    def occluded(self, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """Whether each ray (N, 3), (N, 3) meets the mesh at all."""
+        found = [
+            np.asarray(self._scene.ray_test(self._ray(origins[s : s + CHUNK], directions[s : s + CHUNK]))).astype(bool)
+            for s in range(0, len(origins), CHUNK)
+        ]
+        return np.concatenate(found) if found else np.empty(0, bool)
+
+    def _ray(self, origins: NDArray[np.float32], directions: NDArray[np.float32]):  # type: ignore[no-untyped-def]
+        mi = self._mi
+        return mi.Ray3f(mi.Point3f(*_columns(origins, mi)), mi.Vector3f(*_columns(directions, mi)))
+
+
+def _columns(array: NDArray[np.float32], mi) -> list:  # type: ignore[no-untyped-def, type-arg]
+    return [mi.Float(np.ascontiguousarray(array[:, i], dtype=np.float32)) for i in range(3)]

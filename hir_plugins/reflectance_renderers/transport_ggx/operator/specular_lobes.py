@@ -1,0 +1,204 @@
+"""The GGX lobe of every pixel as rows of a sparse matrix on the light's pyramid.
+
+Directions follow the distribution of visible normals at one width α₀; another α re-weights them. The lobe is split as
+`specular = ρs·(W − G) + G` for Schlick's term and `ρs·W` for the paper's model, so both are linear in ρs and the light.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from numpy.typing import NDArray
+from torch import Tensor
+
+from hir_plugins.reflectance_renderers.brdf_torch import directional_albedo_terms, ggx_d, schlick_weight, specular_lobe
+from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import Pyramid
+from hir_plugins.reflectance_renderers.transport_ggx.operator.ray_tracer import RayTracer
+from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import SurfacePoints
+
+PIXELS_AT_ONCE = 1 << 16
+LEAST_COSINE = 1e-3
+"""Between normal and eye: what interpolated normals turn away is seen as grazing."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lobes:
+    """K directions of each of P pixels, with all that a change of α needs."""
+
+    columns: Int[Tensor, "P 4K"]
+    """Texels of the flattened pyramid; behind them the cells of the surface, for directions that meet it."""
+    bilinear: Float[Tensor, "P 4K"]
+    n_wi: Float[Tensor, "P K"]
+    n_h: Float[Tensor, "P K"]
+    sin2_h: Float[Tensor, "P K"]
+    h_wo: Float[Tensor, "P K"]
+    n_wo: Float[Tensor, " P"]
+    inverse_pdf: Float[Tensor, "P K"]
+    """1 / (K · density of the direction at the α it was drawn with); 0 below the horizon."""
+    drawn_alpha: Float[Tensor, "P 1"]
+    """The α that the directions were drawn with."""
+    toward_light: Float[Tensor, "P K 3"]
+    """Unit directions, in `axes`."""
+    toward_eye: Float[Tensor, "P 3"]
+    axes: Float[Tensor, "P 3 3"]
+    """Rows: tangent, bitangent and the normal that the directions were drawn about, in the world."""
+    sources: int
+    """Texels of the pyramid and cells together: the columns of the matrices."""
+
+    def __len__(self) -> int:
+        return len(self.columns)
+
+    def take(self, rows: Tensor) -> Lobes:
+        """The lobes of some pixels."""
+        parts: dict[str, Any] = {name: getattr(self, name)[rows] for name in _PER_PIXEL}
+        return replace(self, **parts)
+
+    def weights(
+        self, alpha: Float[Tensor, "#P 1"], normal: Float[Tensor, "P 3"] | None = None
+    ) -> tuple[Float[Tensor, "P K"], Float[Tensor, "P K"]]:
+        """Weight of every direction at width α, and its part that Schlick's term takes; differentiable in α.
+
+        With another `normal`, in `axes`, than the one they were drawn about.
+        """
+        if normal is None:
+            lobe = specular_lobe(alpha, self.n_wi, self.n_wo[:, None], self.n_h, self.sin2_h)
+        else:
+            half = torch.nn.functional.normalize(self.toward_light + self.toward_eye[:, None], dim=-1, eps=1e-12)
+            n_wi, n_h = (self.toward_light @ normal[..., None])[..., 0], (half @ normal[..., None])[..., 0]
+            sin2_h = torch.linalg.cross(half, normal[:, None].expand_as(half)).square().sum(-1)
+            lobe = specular_lobe(alpha, n_wi, self.cosine_of_eye(normal)[:, None], n_h, sin2_h)
+        weight = lobe * self.inverse_pdf
+        return weight, weight * schlick_weight(self.h_wo)
+
+    def cosine_of_eye(self, normal: Float[Tensor, "P 3"] | None = None) -> Float[Tensor, " P"]:
+        """Between the eye and a normal in `axes`; by default the one that directions were drawn about."""
+        return self.n_wo if normal is None else (self.toward_eye * normal).sum(dim=1).clamp_min(LEAST_COSINE)
+
+    def spread(self, weight: Float[Tensor, "P K"]) -> Float[Tensor, "P 4K"]:
+        """Weights of directions as entries of a matrix on the sources."""
+        return (weight[..., None] * self.bilinear.reshape(*weight.shape, 4)).reshape(self.columns.shape)
+
+
+_PER_PIXEL = [field.name for field in fields(Lobes) if field.name != "sources"]
+
+
+def trace_lobes(
+    tracer: RayTracer,
+    points: SurfacePoints,
+    face_cells: NDArray[np.int64],
+    cells: int,
+    alpha: Float[Tensor, "#P 1"],
+    samples: int,
+    pyramid: Pyramid,
+    offset: float,
+    rotation: Float[Tensor, "N 3 3"] | None = None,
+    seed: int = 0,
+) -> Lobes:
+    """Draws `samples` visible normals for each point, traces their reflections and looks them up in the light.
+
+    A direction that the surface blocks reads the radiance of the cell it meets (`face_cells`: the cell of each face).
+    `rotation` (per view) turns world directions into the light's own frame.
+    """
+    parts = []
+    alpha = alpha.detach().expand(len(points), 1)
+    for start in range(0, max(len(points), 1), PIXELS_AT_ONCE):
+        part = slice(start, start + PIXELS_AT_ONCE)
+        rows = points.take(torch.arange(len(points), device=points.face.device)[part])
+        parts.append(_trace(tracer, rows, face_cells, alpha[part], samples, pyramid, offset, rotation, seed + start))
+    joined: dict[str, Any] = {name: torch.cat([getattr(p, name) for p in parts]) for name in _PER_PIXEL}
+    return Lobes(**joined, sources=pyramid.texels + cells)
+
+
+def _trace(tracer, points, face_cells, alpha, samples, pyramid, offset, rotation, seed):  # type: ignore[no-untyped-def]
+    device = points.position.device
+    count = len(points)
+    tangent, bitangent = frame(points.normal)
+    wo = points.to_eye
+    local_o = torch.stack([(wo * tangent).sum(1), (wo * bitangent).sum(1), (wo * points.normal).sum(1)], dim=1)
+    n_wo = local_o[:, 2].clamp_min(LEAST_COSINE)
+    local_o = torch.nn.functional.normalize(torch.cat([local_o[:, :2], n_wo[:, None]], dim=1), dim=1)
+    square = points_of_square(count, samples, seed, device)
+    h = visible_normal(local_o[:, None, :].expand(-1, samples, -1), alpha, square)
+    h_wo = (h * local_o[:, None]).sum(-1).clamp(0, 1)
+    local_i = 2 * h_wo[..., None] * h - local_o[:, None]
+    n_wi = local_i[..., 2]
+    sin2 = h[..., 0].square() + h[..., 1].square()
+    cosine = n_wo[:, None]
+    smith = cosine + (alpha.square() + (1 - alpha.square()) * cosine.square()).sqrt()
+    density = ggx_d(h[..., 2], alpha, sin2) / (2 * smith)
+    axes = torch.stack([tangent, bitangent, points.normal], dim=1)
+    wi = local_i @ axes
+    flat = wi.reshape(-1, 3)
+    above = (n_wi > 0).reshape(-1)
+    lift = offset * (points.face_normal + points.normal)
+    origin = (points.position + lift)[:, None].expand(-1, samples, -1).reshape(-1, 3)
+    chosen = above.nonzero()[:, 0]
+    face = tracer.closest(origin[chosen].cpu().numpy(), flat[chosen].cpu().numpy()).face
+    lookup = flat
+    if rotation is not None:
+        lookup = (rotation[points.view][:, None] @ wi[..., None]).reshape(-1, 3)
+    inverse = 1 / (samples * density.clamp_min(1e-12))
+    columns, bilinear = pyramid.lookup(lookup, inverse.reshape(-1))
+    blocked = chosen[torch.from_numpy(face >= 0).to(device)]
+    columns[blocked] = pyramid.texels + torch.from_numpy(face_cells[face[face >= 0]]).to(device)[:, None]
+    bilinear[blocked] = 0.25
+    # the directions must integrate a white light exactly: the few there are leave an error of per cents otherwise
+    lobe = specular_lobe(alpha, n_wi, cosine, h[..., 2], sin2)
+    a, b = directional_albedo_terms(cosine, alpha)
+    total = (lobe * inverse).sum(1, keepdim=True).clamp_min(1e-6)
+    inverse = inverse * ((a + b) / total).clamp(0.5, 2.0)
+    return Lobes(
+        columns.reshape(count, -1).int(),
+        bilinear.reshape(count, -1),
+        n_wi,
+        h[..., 2],
+        sin2,
+        h_wo,
+        n_wo,
+        inverse * above.reshape(count, samples),
+        alpha,
+        local_i,
+        local_o,
+        axes,
+        0,
+    )
+
+
+def frame(normal: Float[Tensor, "N 3"]) -> tuple[Float[Tensor, "N 3"], Float[Tensor, "N 3"]]:
+    """Tangent and bitangent that complete unit normals, without a pole (Duff et al. 2017)."""
+    x, y, z = normal.unbind(1)
+    sign = torch.where(z >= 0, 1.0, -1.0)
+    a = -1 / (sign + z)
+    b = x * y * a
+    tangent = torch.stack([1 + sign * x * x * a, sign * b, -sign * x], dim=1)
+    bitangent = torch.stack([b, sign + y * y * a, -y], dim=1)
+    return tangent, bitangent
+
+
+def visible_normal(
+    wo: Float[Tensor, "*b 3"], alpha: Float[Tensor, "*#b"], square: Float[Tensor, "*b 2"]
+) -> Float[Tensor, "*b 3"]:
+    """Normals visible from local directions `wo`, by the spherical cap of Dupuy and Benyoub (2023)."""
+    stretched = torch.nn.functional.normalize(
+        torch.stack([alpha * wo[..., 0], alpha * wo[..., 1], wo[..., 2]], dim=-1), dim=-1
+    )
+    phi = 2 * math.pi * square[..., 0]
+    z = (1 - square[..., 1]) * (1 + stretched[..., 2]) - stretched[..., 2]
+    r = (1 - z * z).clamp_min(0).sqrt()
+    h = torch.stack([r * phi.cos(), r * phi.sin(), z], dim=-1) + stretched
+    h = torch.stack([alpha * h[..., 0], alpha * h[..., 1], h[..., 2].clamp_min(1e-9)], dim=-1)
+    return torch.nn.functional.normalize(h, dim=-1)
+
+
+def points_of_square(count: int, samples: int, seed: int, device: torch.device) -> Float[Tensor, "P K 2"]:
+    """The R2 sequence (Roberts 2018), shifted at random for each pixel, so that neighbours share no error."""
+    index = torch.arange(samples, device=device, dtype=torch.float64)
+    step = torch.tensor([0.7548776662466927, 0.5698402909980532], device=device, dtype=torch.float64)
+    generator = torch.Generator().manual_seed(seed)
+    shift = torch.rand(count, 1, 2, generator=generator, dtype=torch.float64).to(device)
+    return ((index[:, None] * step)[None] + shift).remainder(1).float()

@@ -1,0 +1,113 @@
+"""Specular radiance of a block of pixels: sparse, linear in light and ρs, and linearised in α between refreshes."""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from hir_plugins.reflectance_renderers.brdf_torch import Model, directional_albedo_terms
+from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import Pattern
+from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes import Lobes
+
+_TILT_STEP = 0.02
+"""Step of the derivative in the normal, in widths of the lobe."""
+_ALPHA_STEP = 0.01
+"""Relative step of the one-sided derivative in α; its error is far below that of the linearisation itself."""
+
+
+class SpecularBlock:
+    """The lobes of P pixels as matrices on the sources of light; `refresh` follows α."""
+
+    def __init__(self, lobes: Lobes, model: Model) -> None:
+        self._lobes = lobes
+        self._pattern = Pattern(lobes.columns, lobes.sources)
+        self._model = model
+        self.alpha = torch.empty(0)
+        self.normal: Tensor | None = None
+
+    def refresh(
+        self, alpha: Float[Tensor, "#P 1"], rho_s: Float[Tensor, "#P C"], normal: Float[Tensor, "P 3"] | None = None
+    ) -> None:
+        """Rebuilds the matrices at width α (per pixel or one for all) and for bent normals, in the lobes' axes, if
+        there are any; derivatives are taken at `rho_s`.
+        """
+        lobes = self._lobes
+        weight, grazing = lobes.weights(alpha, normal)
+        mean = rho_s.mean(dim=-1, keepdim=True)
+
+        def slope(moved: Tensor, moved_grazing: Tensor) -> Tensor:
+            if self._model == "paper":
+                return mean * (moved - weight)
+            return mean * (moved - weight) + (1 - mean) * (moved_grazing - grazing)
+
+        slopes = [slope(*lobes.weights(alpha * (1 + _ALPHA_STEP), normal)) / (alpha * _ALPHA_STEP)]
+        if normal is not None:
+            for axis in range(2):
+                step = torch.zeros_like(normal)
+                step[:, axis] = (_TILT_STEP * alpha).expand(len(normal), 1)[:, 0]
+                tilted = torch.nn.functional.normalize(normal + step, dim=1, eps=1e-12)
+                slopes.append(slope(*lobes.weights(alpha, tilted)) / (_TILT_STEP * alpha))
+        self.alpha, self.normal = alpha, normal
+        self._w = lobes.spread(weight)
+        self._g = lobes.spread(grazing)
+        self._w_matrix = self._pattern.matrix(self._w)
+        self._slopes = [self._pattern.matrix(lobes.spread(values)) for values in slopes]
+        self._w_transposed = self._pattern.transposed(self._w)
+        if self._model == "dielectric":
+            self._g_matrix = self._pattern.matrix(self._g)
+            self._g_transposed = self._pattern.transposed(self._g)
+            a, b = directional_albedo_terms(lobes.cosine_of_eye(normal)[:, None], alpha)
+            self._albedo_terms = (a, b)
+
+    def diffuse_share(self, rho_s: Float[Tensor, "#P C"]) -> Float[Tensor, "P C"] | float:
+        """What the specular lobe leaves to the diffuse part: `1 − E` for `dielectric`, 1 for `paper`."""
+        if self._model == "paper":
+            return 1.0
+        a, b = self._albedo_terms
+        return (1 - rho_s * a - b).clamp_min(0)
+
+    def radiance(
+        self,
+        sources: Float[Tensor, "S 3"],
+        rho_s: Float[Tensor, "#P C"],
+        alpha: Float[Tensor, "#P 1"],
+        normal: Float[Tensor, "P 3"] | None = None,
+    ) -> Float[Tensor, "P 3"]:
+        """Specular radiance; differentiable in all. α and normal enter to first order around the last `refresh`."""
+        count = len(self._lobes)
+        drift = (alpha - self.alpha).expand(count, 1)
+        if normal is not None and self.normal is not None:
+            drift = torch.cat([drift, (normal - self.normal)[:, :2]], dim=1)
+        return _Specular.apply(sources, rho_s.expand(count, -1), drift, self)
+
+
+class _Specular(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, sources, rho_s, drift, block):  # type: ignore[no-untyped-def]
+        w = block._w_matrix @ sources
+        slopes = [matrix @ sources for matrix in block._slopes[: drift.shape[1]]]
+        if block._model == "paper":
+            factor, value = w, rho_s * w
+        else:
+            g = block._g_matrix @ sources
+            factor = w - g
+            value = rho_s * factor + g
+        ctx.block = block
+        ctx.save_for_backward(rho_s, factor, *slopes)
+        for i, slope in enumerate(slopes):
+            value = value + drift[:, i : i + 1] * slope
+        return value
+
+    @staticmethod
+    def backward(ctx, gradient):  # type: ignore[no-untyped-def]
+        rho_s, factor, *slopes = ctx.saved_tensors
+        block = ctx.block
+        # the drift's own part of the light's gradient is left out: it vanishes at every refresh
+        light = block._w_transposed @ (rho_s * gradient)
+        if block._model == "dielectric":
+            light = light + block._g_transposed @ ((1 - rho_s) * gradient)
+        rho = gradient * factor
+        rho = rho.sum(dim=1, keepdim=True) if rho_s.shape[1] == 1 else rho
+        drift = torch.stack([(gradient * slope).sum(dim=1) for slope in slopes], dim=1)
+        return light, rho, drift, None

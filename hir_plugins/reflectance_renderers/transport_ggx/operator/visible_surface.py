@@ -1,0 +1,131 @@
+"""The frozen surface, and what the pixels of a capture see of it: points, normals, directions to the eye."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+from torch.nn.functional import normalize
+
+from hir_core.capture import Camera
+from hir_core.scene import Mesh
+from hir_plugins.reflectance_renderers.transport_ggx.operator.ray_tracer import RayTracer
+
+MOST_FACES = 400_000
+"""Refinement for the sake of colour stops here."""
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """Triangles with the shading normals of the mesh they refine and the texture coordinates of their corners."""
+
+    positions: Float[Tensor, "V 3"]
+    normals: Float[Tensor, "V 3"]
+    faces: Int[Tensor, "F 3"]
+    corner_uvs: Float[Tensor, "F 3 2"] | None
+
+    @property
+    def face_normals(self) -> Float[Tensor, "F 3"]:
+        """Unit normals of the facets; zero where a face has no area."""
+        a, b, c = self.positions[self.faces].unbind(1)
+        return normalize(torch.linalg.cross(b - a, c - a), dim=1, eps=1e-30)
+
+
+def refine(mesh: Mesh, vertices: int) -> Surface:
+    """The surface of a mesh with at least about `vertices` vertices: coarse meshes are split, their shape unchanged."""
+    uvs = None
+    if mesh.uvs is not None and mesh.topology.uv_faces is not None:
+        uvs = mesh.uvs[mesh.topology.uv_faces]
+    surface = Surface(mesh.positions, mesh.normals, mesh.faces, uvs)
+    while len(surface.positions) * 2 < vertices and 4 * len(surface.faces) <= MOST_FACES:
+        surface = _split(surface)
+    return surface
+
+
+def _split(surface: Surface) -> Surface:
+    """Every triangle into four; normals are interpolated, so shading does not change."""
+    corner = torch.stack([surface.faces[:, [0, 1]], surface.faces[:, [1, 2]], surface.faces[:, [2, 0]]], dim=1)
+    flat = corner.reshape(-1, 2).sort(dim=1).values
+    unique, inverse = torch.unique(flat, dim=0, return_inverse=True)
+    middle = inverse.reshape(-1, 3) + len(surface.positions)
+    positions = torch.cat([surface.positions, surface.positions[unique].mean(dim=1)])
+    normals = torch.cat([surface.normals, normalize(surface.normals[unique].sum(dim=1), dim=1, eps=1e-12)])
+    a, b, c = surface.faces.unbind(1)
+    ab, bc, ca = middle.unbind(1)
+    quads = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
+    faces = torch.stack([torch.stack(q, dim=1) for q in quads], dim=1).reshape(-1, 3)
+    uvs = surface.corner_uvs
+    if uvs is not None:
+        u, v, w = uvs.unbind(1)
+        uv, vw, wu = (u + v) / 2, (v + w) / 2, (w + u) / 2
+        parts = [(u, uv, wu), (uv, v, vw), (wu, vw, w), (uv, vw, wu)]
+        uvs = torch.stack([torch.stack(p, dim=1) for p in parts], dim=1).reshape(-1, 3, 2)
+    return Surface(positions, normals, faces, uvs)
+
+
+@dataclass(frozen=True, eq=False)
+class SurfacePoints:
+    """Points of the surface, each seen from one direction."""
+
+    view: Int[Tensor, " P"]
+    face: Int[Tensor, " P"]
+    barycentric: Float[Tensor, "P 3"]
+    position: Float[Tensor, "P 3"]
+    normal: Float[Tensor, "P 3"]
+    """Unit shading normal, interpolated from the vertices."""
+    face_normal: Float[Tensor, "P 3"]
+    to_eye: Float[Tensor, "P 3"]
+
+    def __len__(self) -> int:
+        return len(self.face)
+
+    def take(self, rows: Tensor) -> SurfacePoints:
+        """Some of the points."""
+        return SurfacePoints(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+
+    def bent(self, normal: Float[Tensor, "P 3"]) -> SurfacePoints:
+        """The same points with other shading normals."""
+        return replace(self, normal=normal)
+
+    def uvs(self, surface: Surface) -> Float[Tensor, "P 2"]:
+        """Texture coordinates of the points."""
+        if surface.corner_uvs is None:
+            raise ValueError("the mesh has no texture coordinates; unwrap it first (hir_core.stages.atlas.unwrap)")
+        return (surface.corner_uvs[self.face] * self.barycentric[..., None]).sum(1)
+
+
+def see(
+    tracer: RayTracer, surface: Surface, cameras: Mapping[int, Camera], pixels: Int[Tensor, "N 3"], offset: float = 0.5
+) -> tuple[SurfacePoints, Bool[Tensor, " N"]]:
+    """Surface points seen through pixels (view, x, y), and which pixels meet the front of the surface at all.
+
+    Pixels that miss hold the first face's data; `offset` places the ray in the pixel (0.5: its centre).
+    """
+    index = pixels.cpu().numpy()
+    origins = np.empty((len(index), 3), np.float32)
+    directions = np.empty((len(index), 3), np.float32)
+    for view in np.unique(index[:, 0]):
+        rows = index[:, 0] == view
+        # float64 until here: a far-away world keeps its digits
+        origin, direction = cameras[int(view)].rays(index[rows, 1:].astype(np.float64) + offset)
+        origins[rows], directions[rows] = origin, direction
+    hits = tracer.closest(origins, directions)
+    device = surface.positions.device
+    face = torch.from_numpy(hits.face.astype(np.int64)).to(device)
+    uv = torch.from_numpy(hits.barycentric).to(device)
+    points = locate(surface, face.clamp_min(0), uv, -torch.from_numpy(directions).to(device), pixels[:, 0].to(device))
+    front = (points.face_normal * points.to_eye).sum(1) > 0
+    return points, (face >= 0) & front
+
+
+def locate(surface: Surface, face: Tensor, uv: Tensor, to_eye: Tensor, view: Tensor) -> SurfacePoints:
+    """Points at barycentric (u, v) of faces, with interpolated normals."""
+    barycentric = torch.stack([1 - uv[:, 0] - uv[:, 1], uv[:, 0], uv[:, 1]], dim=1)
+    corners = surface.faces[face]
+    position = (surface.positions[corners] * barycentric[..., None]).sum(1)
+    normal = normalize((surface.normals[corners] * barycentric[..., None]).sum(1), dim=1, eps=1e-12)
+    return SurfacePoints(view.long(), face, barycentric, position, normal, surface.face_normals[face], to_eye)

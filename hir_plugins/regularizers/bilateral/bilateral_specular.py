@@ -1,0 +1,59 @@
+"""Places that are near and of like diffuse colour have like specular albedo (Zhu et al. 2023)."""
+
+from __future__ import annotations
+
+import warnings
+from typing import TYPE_CHECKING, final
+
+from jaxtyping import Float
+from torch import Tensor
+
+from hir_core.errors import StageError
+from hir_core.plugins.interfaces import Regularizer
+from hir_core.scene import Scene
+from hir_plugins.regularizers.bilateral.bilateral_term import refuse_empty_widths, surface_filter
+from hir_plugins.regularizers.material_options import BilateralSpecularOptions
+
+if TYPE_CHECKING:
+    from hir_core.plugins.interfaces import Energy
+
+
+@final
+class BilateralSpecular(Regularizer):
+    """`R = Σ_p ‖ρs[p] − Σ_q k_pq ρs[q] / Σ_q k_pq‖₁`, `k_pq = exp(−‖p−q‖²/2σ1² − ‖ρd[p]−ρd[q]‖²/2σ2²)`.
+
+    q runs over all places including p. The gradient reaches ρs, and ρd through k. A constant ρs costs nothing, and a
+    material with one ρs for the whole surface has nothing to compare: that is warned of.
+    """
+
+    def __init__(self, config: BilateralSpecularOptions) -> None:
+        refuse_empty_widths("bilateral_specular", config)
+        self._config = config
+
+    def prepare(self, scene: Scene) -> Energy:
+        config, material = self._config, scene.material
+        if material is None:
+            raise StageError("bilateral_specular needs a material; it belongs to the reflectance stage")
+        if material.specular_albedo.ndim == 1:
+            warnings.warn(
+                "regularizer bilateral_specular has no effect: the model has one specular albedo for the whole surface "
+                "(a map: --set reflectance.model=specular_map)",
+                stacklevel=2,
+            )
+            return _nothing
+        size = (material.specular_albedo.shape[0], material.specular_albedo.shape[1])
+        smooth = surface_filter(scene.mesh, size, config)
+
+        def energy(scene: Scene) -> Float[Tensor, ""]:
+            assert scene.material is not None
+            specular = smooth.places.values(scene.material.specular_albedo)
+            diffuse = smooth.places.values(scene.material.diffuse_albedo) / config.sigma_albedo
+            total = smooth.deviation(diffuse, specular).abs().sum()
+            return total / max(len(specular), 1) if config.average else total
+
+        return energy
+
+
+def _nothing(scene: Scene) -> Float[Tensor, ""]:
+    assert scene.material is not None
+    return scene.material.specular_albedo.sum() * 0
