@@ -30,7 +30,7 @@ from hir_core.scene import Mesh, Scene
 from hir_core.stages.geometry.geometry_fit import fit_geometry
 from hir_plugins.geometry_renderers.contour import Contour
 from hir_plugins.geometry_renderers.options import ContourOptions
-from tests.geometry.shapes import icosphere, mesh_of
+from tests.fixtures.meshes import icosphere, mesh_of
 
 
 @dataclass(frozen=True)

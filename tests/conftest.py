@@ -1,4 +1,4 @@
-"""Fixtures that several test rooms share."""
+"""Fixtures that tests of several packages share."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 from parity.browser import chromium_command
+
+pytest_plugins = ["tests.fixtures.runs", "tests.fixtures.spot_pictures"]
 
 ROOT = Path(__file__).resolve().parent.parent
 

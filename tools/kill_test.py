@@ -114,7 +114,7 @@ def main() -> int:
 
 def captured(folder: Path, kind: str) -> Path:
     """What is reconstructed: the sample capture, small, or photographs of a painted room without cameras."""
-    from tests.pipeline.conftest import make_tiny
+    from tests.fixtures.runs import make_tiny
 
     if kind != "sfm":
         return make_tiny(folder, train=10, test=1)
@@ -122,7 +122,7 @@ def captured(folder: Path, kind: str) -> Path:
     folder.with_name("octahedron.obj").write_text(OCTAHEDRON)
     from hir_exporters.textures.image_files import write_png
 
-    from tests.initialization.test_colmap import cameras_on_an_arc, room
+    from tests.hir_plugins.initializers.test_colmap import cameras_on_an_arc, room
 
     for number, camera in enumerate(cameras_on_an_arc(PHOTOGRAPHS)):
         write_png(folder / f"{number:02}.png", room(camera, 0))

@@ -18,7 +18,7 @@ from pathlib import Path
 from packaging.requirements import Requirement
 
 ROOT = Path(__file__).resolve().parent.parent
-TESTS = ["tests/exporters", "tests/core/test_manager.py"]
+TESTS = ["tests/exporters", "tests/hir_core/plugins/test_manager.py"]
 TOOLS = ["pytest", "hypothesis", "mpmath", "jsonschema"]
 
 

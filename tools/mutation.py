@@ -34,17 +34,26 @@ class Subject:
 
 
 SUBJECTS = {
-    "conventions": Subject(("hir_exporters/conventions.py",), ("tests/exporters/test_conventions.py",)),
+    "conventions": Subject(("hir_exporters/conventions.py",), ("tests/hir_exporters/test_conventions.py",)),
     "materials": Subject(
         ("hir_exporters/materials/material_conversion.py",),
-        ("tests/exporters/test_materials.py", "tests/exporters/test_metal_mixture.py"),
+        (
+            "tests/hir_exporters/materials/test_material_conversion.py",
+            "tests/hir_exporters/materials/test_metallic_mixture.py",
+        ),
     ),
     "losses": Subject(
-        tuple(f"hir_core/{name}.py" for name in ("photometric", "silhouettes", "energies", "energy_guard", "srgb")),
         (
-            "tests/reflectance/test_photometric.py",
-            "tests/reflectance/test_energy_guard.py",
-            "tests/geometry/test_losses.py",
+            "hir_core/stages/reflectance/gradient_fit.py",
+            "hir_core/scene/silhouette_targets.py",
+            "hir_core/scene/energy_conservation.py",
+            "hir_core/scene/srgb.py",
+            "hir_core/optimization/weighted_energies.py",
+        ),
+        (
+            "tests/hir_core/stages/reflectance/test_gradient_fit.py",
+            "tests/hir_core/scene/test_energy_conservation.py",
+            "tests/hir_core/scene/test_silhouettes_and_srgb.py",
         ),
     ),
 }

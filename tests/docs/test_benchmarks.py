@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import filecmp
 
-from .test_site import ROOT, tool
+from tests.docs.test_site import ROOT, tool
 
 TOOL = tool("write_benchmarks")
 ADVICE = "run: python tools/write_benchmarks.py"

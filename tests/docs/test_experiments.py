@@ -9,7 +9,7 @@ from types import ModuleType
 
 import pytest
 
-from .test_site import ROOT
+from tests.docs.test_site import ROOT
 
 
 @pytest.fixture

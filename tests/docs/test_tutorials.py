@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.docs.blocks import BLOCK, Reader
-from tests.pipeline.conftest import QUICK, make_tiny
+from tests.fixtures.runs import QUICK, make_tiny
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 PAGES = [*sorted((DOCS / "writing_plugins").glob("*.md")), DOCS / "plugin_api.md", DOCS / "architecture.md"]

@@ -17,7 +17,7 @@ from hir_exporters.scene_format import load_scene
 
 from hir_core.pipeline import Run
 from hir_core.run.determinism import asked, determinism, seed_everything, threads
-from tests.pipeline.conftest import QUICK
+from tests.fixtures.runs import QUICK
 
 ROOT = Path(__file__).resolve().parents[2]
 CLOCKED = {"timings.json", "report.html", "log.txt", ".lock"}

@@ -15,7 +15,7 @@ import pytest
 
 from hir_core.run.interrupt import PATIENCE_SECONDS
 from hir_core.run.run_directory import STAGES, RunDirectory
-from tests.pipeline.conftest import QUICK
+from tests.fixtures.runs import QUICK
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals")
 

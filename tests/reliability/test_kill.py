@@ -13,7 +13,7 @@ import pytest
 from hir_exporters.files.atomic import atomic_directory, atomic_path, is_partial
 
 from hir_core.run.run_directory import RunDirectory, claimed_run
-from tests.pipeline.conftest import QUICK
+from tests.fixtures.runs import QUICK
 
 ROOT = Path(__file__).resolve().parents[2]
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals and fork")

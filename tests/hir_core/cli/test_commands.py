@@ -1,0 +1,225 @@
+"""The command line: what it prints, what it refuses, and with which exit code."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import click
+import pytest
+
+from hir_core.cli import main
+from hir_core.plugins import hookimpl
+from hir_core.plugins.manager import KINDS, PluginManager
+
+ROOT = Path(__file__).resolve().parents[3]
+SAMPLE = ROOT / "examples" / "sample_capture"
+
+
+def hir(*words: object) -> int:
+    """Runs `hir` in this process and returns its exit code."""
+    with pytest.raises(SystemExit) as stop:
+        main([str(word) for word in words])
+    assert isinstance(stop.value.code, int)
+    return stop.value.code
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["reconstruct", "no/such/folder", "-o", "{tmp}/run"], "no/such/folder does not exist"),
+        (["reconstruct", "{tmp}", "-o", "{tmp}/run"], "no capture that an installed reader knows"),
+        (
+            ["reconstruct", SAMPLE, "-o", "{tmp}/run", "--preset", "fastest"],
+            "no preset 'fastest'; there are: best, fast, paper",
+        ),
+        (
+            ["reconstruct", SAMPLE, "-o", "{tmp}/run", "--set", "geometry.iteration=3"],
+            "unknown option 'geometry.iteration'; did you mean 'iterations'?",
+        ),
+        (["reconstruct", SAMPLE, "-o", "{tmp}/run", "--set", "reflectance.model=glossy"], "'normal_map'"),
+        (["reconstruct", SAMPLE, "-o", "{tmp}/run", "--model", "glossy"], "'glossy' is not one of"),
+        (["reconstruct", SAMPLE, "-o", "{tmp}/run", "--set", "geometry.iterations"], "write it as key=value"),
+        (["reconstruct", SAMPLE, "-o", "{tmp}/run", "--set", "geometry.iterations=many"], "geometry.iterations"),
+        (["reconstruct", SAMPLE, "-o", "{tmp}/run", "--set", "geometry.learning_rate=nan"], "finite"),
+        (
+            ["reconstruct", SAMPLE, "-o", "{tmp}/run", "--set", "geometry.renderer=contuor"],
+            "named 'contuor'; there are: contour",
+        ),
+        (["reconstruct", SAMPLE, "-o", "{tmp}/run", "--config", "{tmp}/none.toml"], "none.toml: cannot be read"),
+        (["reconstruct", SAMPLE, "-o", "{tmp}/run", "--plugin", "{tmp}/none.py"], "none.py"),
+        (["reconstruct", SAMPLE, "-o", "{tmp}/file"], "is a file; give a folder"),
+        (["reconstruct", SAMPLE], "Missing option '-o'"),
+        (["reconstruct", SAMPLE, "-o", "{tmp}/run", "--until", "lunch"], "'lunch' is not one of"),
+        (["export", "{tmp}", "-f", "glb", "-o", "{tmp}/out"], "holds no finished scene"),
+        (["export", "{tmp}/gone", "-f", "glb", "-o", "{tmp}/out"], "is not there; give the folder of a run"),
+        (["evaluate", "{tmp}"], "it has no run.json"),
+        (["report", "{tmp}"], "it is not a run; make one with: hir reconstruct"),
+        (["render", "{tmp}", "-o", "{tmp}/out"], "say what to render"),
+        (["dance"], "No such command 'dance'"),
+    ],
+    ids=lambda value: " ".join(str(v) for v in value[:1]) if isinstance(value, list) else str(value)[:24],
+)
+def test_wrong_input_is_one_sentence_and_exit_code_2(
+    words: list[object], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("x")
+    assert hir(*(str(word).replace("{tmp}", str(tmp_path)) for word in words)) == 2
+    printed = capsys.readouterr().err
+    assert said in printed and "Traceback" not in printed
+    assert not (tmp_path / "run").exists()
+
+
+def test_verbose_shows_where(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert hir("export", tmp_path, "-f", "glb", "-o", tmp_path / "out", "-v") == 2
+    assert "Traceback" in capsys.readouterr().err
+
+
+def test_a_bug_is_called_one_and_exits_1(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(PluginManager, "discover", lambda *_: 1 / 0)
+    assert hir("plugins") == 1
+    printed = capsys.readouterr().err
+    assert "this is a bug: ZeroDivisionError" in printed and "Traceback" not in printed
+
+
+def test_missing_extra_names_the_command(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import importlib.util
+
+    real = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *rest: None if name == "torch" else real(name, *rest))
+    assert hir("reconstruct", SAMPLE, "-o", tmp_path / "run") == 2
+    assert "hir reconstruct needs torch; install it with: pip install 'hir[reconstruct]'" in capsys.readouterr().err
+
+
+def test_plugins_json_lists_every_kind(capsys: pytest.CaptureFixture[str]) -> None:
+    assert hir("plugins", "--json") == 0
+    listed = json.loads(capsys.readouterr().out)
+    assert {row["kind"] for row in listed["components"]} <= set(KINDS)
+    glb = next(row for row in listed["components"] if (row["kind"], row["name"]) == ("exporter", "glb"))
+    assert glb["distribution"] == "hir" and glb["missing"] == [] and glb["install"] is None
+    assert set(listed["presets"]) >= {"fast", "paper"} and listed["problems"] == []
+
+
+def test_plugins_table_names_each_component(capsys: pytest.CaptureFixture[str]) -> None:
+    assert hir("plugins") == 0
+    printed = capsys.readouterr().out
+    for registered in PluginManager.discover().components():
+        assert registered.component.name in printed
+        assert registered.component.summary.split()[0] in printed
+
+
+@pytest.mark.parametrize("preset", ["fast", "paper"])
+def test_shown_settings_fed_back_are_the_same_settings(
+    preset: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["--preset", preset, "--set", "geometry.iterations=7", "--set", "export=['glb']", "--set", "seed=3"]
+    assert hir("config", "show", *words) == 0
+    shown = capsys.readouterr().out
+    assert "iterations = 7" in shown
+    (tmp_path / "settings.toml").write_text(shown, encoding="utf-8")
+    assert hir("config", "show", "--config", tmp_path / "settings.toml") == 0
+    assert capsys.readouterr().out == shown
+
+
+def test_schema_describes_every_setting_and_component(capsys: pytest.CaptureFixture[str]) -> None:
+    assert hir("config", "schema") == 0
+    schema = json.loads(capsys.readouterr().out)
+    assert schema["settings"]["properties"]["initializers"]["description"].startswith("The chain")
+    for registered in PluginManager.discover().components():
+        assert registered.component.name in schema["components"][registered.kind]
+
+
+def test_paper_preset_is_what_the_paper_prints() -> None:
+    from hir_core.config import load_config
+
+    config = load_config(PluginManager.discover(), "paper")
+    geometry, reflectance = config.geometry, config.reflectance
+    assert {name: dict(table)["weight"] for name, table in geometry.regularizers.items() if table} == {
+        "laplacian": 1.0,
+        "normal_consistency": 0.01,
+        "edge_length": 1.0,
+    }
+    assert (geometry.renderer, geometry.iterations_per_view, geometry.views_per_step) == ("soft_silhouette", 200, 1)
+    assert geometry.learning_rate * geometry.start_radius == pytest.approx(0.001), "Adam's rate in its scene"
+    assert (reflectance.rgb_weight, reflectance.learning_rate, reflectance.learning_rate_end) == (0.1, 1e-4, 1.0)
+    assert (reflectance.environment_width, reflectance.environment_height) == (512, 128)
+    assert (reflectance.environment_start, reflectance.downsample, reflectance.iterations_per_view) == (0.5, 4, 400)
+    assert config.reflectance_renderer["mitsuba_ggx"] == {"samples": 4, "max_depth": 3}
+    assert reflectance.brdf == "paper"
+
+
+def test_command_of_a_plugin_is_listed_and_runs(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def register(cli: click.Group) -> None:
+        cli.add_command(click.Command("greet", callback=lambda: click.echo("hello from a plugin"), help="Greets."))
+
+    def discover(*_: object) -> PluginManager:
+        manager = PluginManager()
+        manager.register(SimpleNamespace(__name__="mine", hir_register_commands=hookimpl(register)), "mine", "1")
+        return manager
+
+    monkeypatch.setattr(PluginManager, "discover", discover)
+    assert hir("greet") == 0
+    assert "hello from a plugin" in capsys.readouterr().out
+    assert hir("--help") == 0
+    assert "Greets." in capsys.readouterr().out
+
+
+def test_nothing_named_is_help_and_an_error(capsys: pytest.CaptureFixture[str]) -> None:
+    assert hir() == 2
+    assert "Usage: hir" in capsys.readouterr().out
+
+
+def test_doctor_names_what_is_missing_and_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    from hir_core.run import installation_check
+
+    assert installation_check.examine_module("json", "nothing-of-that-name", "reconstruct").state == "ok"
+    missing = installation_check.examine_module("no_such_module", "no-such", "reconstruct")
+    assert missing.state == "missing" and "pip install 'hir[reconstruct]'" in missing.advice
+    said = "ImportError: libGL.so.1: cannot open shared object file: No such file or directory"
+    monkeypatch.setattr(installation_check, "_try", lambda command: (1, said))
+    broken = installation_check.examine_module("json", "json", "reconstruct")
+    assert broken.state == "broken" and broken.advice == "apt-get install libgl1"
+    monkeypatch.setattr(installation_check, "_try", lambda command: (-6, "LLVM ERROR: Cannot select: fminimum"))
+    renderer = installation_check.examine_renderer("llvm_ad_rgb", "renderer (cpu)")
+    assert renderer.state == "broken" and "libllvm19" in renderer.advice and "fminimum" in renderer.detail
+    assert installation_check.examine_renderer("cuda_ad_rgb", "renderer (cuda)").state == "absent", "no GPU is no fault"
+
+
+def test_a_swallowed_interrupt_is_raised_where_progress_is_told() -> None:
+    """As where Ctrl-C falls into a finaliser or into an import that catches everything."""
+    code = """
+import os, signal
+from hir_core.run.interrupt import remember_interrupts
+from hir_core.run.progress_listener import Listener
+from hir_core.plugins.manager import PluginManager
+from hir_core.plugins.progress import Progress
+remember_interrupts()
+listener = Listener("geometry", PluginManager(), None)
+listener.report(Progress("geometry", 1, 10, 0.1))
+try:
+    os.kill(os.getpid(), signal.SIGINT)
+except BaseException:
+    pass
+try:
+    listener.report(Progress("geometry", 2, 10, 0.2))
+except KeyboardInterrupt:
+    print("raised again")
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout.strip() == "raised again", done.stderr
+
+
+def test_interrupt_ends_with_130_and_names_resume() -> None:
+    code = (
+        "import hir_core.cli.app as app\nfrom hir_core.plugins.manager import PluginManager\n"
+        "def stop(*_): raise KeyboardInterrupt\nPluginManager.discover = stop\napp.main(['plugins'])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 130 and "--resume" in done.stderr and "Traceback" not in done.stderr

@@ -1,0 +1,60 @@
+"""`hir reconstruct` of a run that is there already, and `hir render` of it, as a person types them."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from hir_core.cli import main
+from hir_core.pipeline import Run
+from tests.fixtures.runs import QUICK
+
+
+def hir(*words: object) -> int:
+    """Runs `hir` in this process and returns its exit code."""
+    with pytest.raises(SystemExit) as stop:
+        main([str(word) for word in words])
+    assert isinstance(stop.value.code, int)
+    return stop.value.code
+
+
+def test_a_finished_run_is_reused_and_its_files_are_told(
+    finished: Run, tiny_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(finished.path, tmp_path / "run")
+    settings = [word for assignment in QUICK for word in ("--set", assignment)]
+    words = [
+        "reconstruct",
+        tiny_capture,
+        "-o",
+        tmp_path / "run",
+        *settings,
+        "--triangles",
+        "1500",
+        "--texture-size",
+        "64",
+        "--device",
+        "cpu",
+        "--deterministic",
+        "--resume",
+    ]
+    assert hir(*words) == 0
+    said = capsys.readouterr()
+    stages = ("initializer", "geometry", "atlas", "reflectance", "bake", "export")
+    assert all(f"{stage}: reused" in said.err for stage in stages), said.err
+    told = said.out.splitlines()
+    assert [line.split()[0] for line in told[:3]] == ["asset", "files", "report"]
+    assert {line.split()[0] for line in told[3:]} == {p.name for p in finished.directory.exports.iterdir()}
+    assert hir(*words, "-q") == 0
+    assert capsys.readouterr().out == ""
+
+
+def test_pictures_around_a_run(finished: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ("render", finished.path, "--orbit", "2", "--size", "16", "--set", "render_samples=2", "-o", tmp_path)
+    assert hir(*words) == 0
+    told = capsys.readouterr().out.splitlines()
+    assert [Path(line).name for line in told] == ["orbit_000.png", "orbit_001.png"]
+    assert all(Path(line).is_file() for line in told)
+    assert hir(*words, "-q") == 0 and capsys.readouterr().out == ""

@@ -1,0 +1,180 @@
+"""report.html in a browser: its script runs, its pictures are there, its asset turns, it asks the network nothing."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hir_exporters.textures.image_files import read_ldr
+
+from hir_core.evaluation import spread
+from hir_core.files.json_documents import read_json, write_json
+from hir_core.pipeline import Run
+from hir_core.plugins.manager import PluginManager
+from hir_core.report import convergence, history_chart, refresh_page, rendered_pictures, tables
+from hir_core.report.curve_svg import curve_svg, thinned
+from hir_core.report.rendered_pictures import light_picture
+from hir_core.run.run_directory import STAGES, RunDirectory
+
+SHOOT = Path(__file__).resolve().parents[3] / "tools" / "shoot_report.py"
+
+
+def test_page_works_in_a_browser(finished: Run, chromium: list[str], tmp_path: Path) -> None:
+    page = finished.path / "report.html"
+    words = [
+        *chromium,
+        f"--user-data-dir={tmp_path}",
+        "--dump-dom",
+        "--virtual-time-budget=3000",
+        page.as_uri(),
+    ]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=90, check=True)
+    document = done.stdout
+    slides = len(re.findall(r'class="slide', document))
+    assert len(re.findall(r'class="slide shown"', document)) == 1, "the script chose the first view"
+    assert f"1 of {slides}" in document and len(re.findall(r'class="thumb', document)) == slides
+    sources = re.findall(r'<img[^>]* src="([^"]{20})', document)
+    assert len(sources) >= 4 * 4 + 2 and all(source.startswith("data:image/jpeg;") for source in sources)
+    assert not re.findall(r"<!--[\w-]+-->", document), "every place of the template is filled"
+    assert re.search(r'<iframe id="model"[^>]* src="blob:', document), "the asset's page was unpacked"
+
+
+@pytest.mark.parametrize(
+    ("theme", "background"),
+    [
+        pytest.param("light", (0xF6, 0xF5, 0xF2), marks=pytest.mark.slow),
+        ("dark", (0x13, 0x14, 0x17)),
+    ],
+)
+def test_asset_is_drawn_in_either_theme(
+    finished: Run, chromium: list[str], tmp_path: Path, theme: str, background: tuple[int, int, int]
+) -> None:
+    spec = spec_from_file_location("shoot_report", SHOOT)
+    assert spec is not None and spec.loader is not None
+    tool = module_from_spec(spec)
+    spec.loader.exec_module(tool)
+    tool.shoot(finished.path / "report.html", tmp_path / "page.png", 1280, 700, theme)
+    picture = read_ldr(tmp_path / "page.png")[..., :3] * 255
+    assert np.abs(picture[5, 5] - background).max() < 1.5
+    # the frame with the asset: right half, below the button; its own background is near black
+    frame = picture[120:500, 700:1180]
+    drawn = np.abs(frame - [0x17, 0x18, 0x1B]).max(axis=2) > 8
+    assert 0.05 < drawn.mean() < 0.9, "the cow, and darkness around it"
+
+
+def test_large_photographs_are_shown_and_measured_reduced(
+    finished: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(finished.path, tmp_path / "run")
+    directory = RunDirectory(tmp_path / "run")
+    monkeypatch.setattr(rendered_pictures, "SHOWN_SIDE", 20)
+    shown = rendered_pictures.write_pictures(directory, PluginManager.discover())
+    for view in shown["views"]:
+        picture = read_ldr(directory.report / view["fit"])
+        assert 20 <= max(picture.shape[:2]) < 40 and view["measured_at"] == list(picture.shape[1::-1])
+        assert view["object"] > 15, "the reduced photograph is that of the reduced camera"
+    write_json(directory.report / "views.json", shown)
+    refresh_page(directory, PluginManager.discover())
+    width, height = shown["views"][0]["measured_at"]
+    assert f"measured at {width}×{height}" in (directory.path / "report.html").read_text(encoding="utf-8")
+
+
+def test_few_samples_give_the_figures_of_many(finished: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shutil.copytree(finished.path, tmp_path / "run")
+    directory, plugins = RunDirectory(tmp_path / "run"), PluginManager.discover()
+    found = {}
+    for name, most in (("few", 1.0), ("many", -1.0)):
+        monkeypatch.setattr(rendered_pictures, "MOST_NOISE", most)
+        found[name] = rendered_pictures.write_pictures(directory, plugins)["views"]
+    for few, many in zip(found["few"], found["many"], strict=True):
+        assert few["object"] != many["object"], "both are the same renders"
+        assert few["object"] == pytest.approx(many["object"], abs=0.15)
+        assert few["frame"] == pytest.approx(many["frame"], abs=0.15)
+
+
+def test_page_says_what_the_run_knows(finished: Run, tmp_path: Path) -> None:
+    shutil.copytree(finished.path, tmp_path / "run")
+    directory = RunDirectory(tmp_path / "run")
+    document, timings = directory.read_run(), directory.read_timings()
+    found = convergence.history(directory, document, timings)
+    assert [stage for stage, _ in found.ends] == list(STAGES)
+    assert found.ends[-1][1] == pytest.approx(timings["seconds"], rel=1e-6)
+    (stages,) = [series for series in found.series if series.kind == "stages"]
+    assert len(stages.psnr) == 2 and stages.psnr[1] > 10, "the first mesh and the finished asset"
+    views = read_json(directory.report / "views.json")
+    large = np.mean([view["object"] for view in views["views"]])
+    assert stages.psnr[1] == pytest.approx(large, abs=0.5), "64 pixels are not reduced"
+    # a run on which nothing was measured has a page too
+    (directory.report / "views.json").unlink()
+    (directory.path / "timings.json").write_text("{}")
+    text = refresh_page(directory, PluginManager.discover()).read_text(encoding="utf-8")
+    assert "No stage was measured" in text and "No view with a mask" in text
+
+
+def test_history_marks_stages_and_every_point() -> None:
+    series = (
+        convergence.Series("held <out>", "held-out", (3.0, 6.0, 9.0), (20.0, 24.0, 25.0)),
+        convergence.Series("unseen views", "unseen", (10.0,), (24.5,)),
+    )
+    drawn = history_chart.history_chart(convergence.History(series, (("initializer", 1.0), ("reflectance", 10.0))))
+    assert drawn.count("<circle") == 3 + 2 and drawn.count("<polyline") == 1 and "held &lt;out&gt;" in drawn
+    assert drawn.count('class="band') == 2 and "reflectance · 9 s" in drawn and "nan" not in drawn
+    points = re.findall(r'points="([^"]+)"', drawn)[0].split()
+    heights = [float(point.split(",")[1]) for point in points]
+    assert heights == sorted(heights, reverse=True), "more dB stands higher"
+
+
+@pytest.mark.parametrize(("low", "high"), [(0, 1), (0.013, 0.9), (20, 36), (-5, 1e4)])
+def test_ticks_are_round_and_inside(low: float, high: float) -> None:
+    found = history_chart.ticks(low, high, 6)
+    assert 3 <= len(found) <= 8 and found[0] >= low - 1e-9 and found[-1] <= high + 1e-9
+    steps = np.diff(found)
+    assert np.allclose(steps, steps[0]) and f"{steps[0]:e}"[0] in "125"
+
+
+def test_the_ladder_shows_what_votes_took_and_what_settling_brought() -> None:
+    rows = [{"name": name, "held_out_db": 20.0, "gain_db": 0.1, "noise_db": None, "kept": True} for name in "abc"]
+    settled = {
+        "renderer": "mitsuba_ggx",
+        "before_db": 30.0,
+        "after_db": 31.5,
+        "gain_db": 1.5,
+        "noise_db": 0.1,
+        "kept": True,
+    }
+    report = {"ladder": rows, "settled": settled}
+    page = tables.ladder({"stages": {"reflectance": {"report": report}}}, [2.0, 4.0, 10.0])
+    assert re.findall(r">(\d+) s<", page) == ["2", "2", "6"]
+    assert "±" in page and page.count("<tr") == 4
+    assert "30.00 → 31.50 dB (1.50 ± 0.10 dB): kept" in page
+    untimed = tables.ladder({"stages": {"reflectance": {"report": {"ladder": rows}}}}, [])
+    assert untimed.count("<td class=number>–</td>") == 3 and "solved once more" not in untimed
+    forced = {"ladder": [], "rung": "diffuse", "settled": settled}
+    assert "1.50 ± 0.10 dB" in tables.ladder({"stages": {"reflectance": {"report": forced}}}, [])
+
+
+def test_loops_one_after_the_other_are_counted_on() -> None:
+    np.testing.assert_array_equal(convergence.going_on(np.array([1, 2, 3, 1, 2])), [1, 2, 3, 4, 5])
+    np.testing.assert_array_equal(convergence.going_on(np.array([5, 10, 15])), [5, 10, 15])
+
+
+def test_curve_of_many_steps_is_thinned_and_finite() -> None:
+    steps, values = thinned(np.arange(10_000.0), np.where(np.arange(10_000) % 7, 1.0, np.nan))
+    assert len(steps) == len(values) == 400 and (values == 1).all()
+    assert "nan" not in curve_svg("flat <loss>", np.arange(5), np.zeros(5))
+    assert "&lt;loss&gt;" in curve_svg("flat <loss>", np.arange(5), np.zeros(5))
+    assert curve_svg("one", np.arange(1), np.zeros(1)) == ""
+
+
+def test_views_are_spread_from_first_to_last() -> None:
+    assert spread(24, 4) == [0, 8, 15, 23]
+    assert spread(2, 4) == [0, 1] and spread(1, 4) == [0] and spread(0, 4) == []
+
+
+def test_black_light_is_a_black_picture() -> None:
+    assert light_picture(np.zeros((4, 8, 3), np.float32)).max() == 0

@@ -1,0 +1,115 @@
+"""For each answer of the ladder a scene for which it is right, by all photographs' word."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from hir_core.scene import Material, Mesh, Scene
+from hir_core.stages.atlas import unwrap_mesh
+from tests.fixtures.made_captures import (
+    BROWN,
+    above,
+    around,
+    ball,
+    bowl,
+    fitted,
+    lamps,
+    look,
+    observed,
+    painted,
+    photographs,
+    sky,
+    unseen_db,
+)
+
+
+def checked(mesh: Mesh, low: float, high: float) -> Tensor:
+    """A map (H, W, 1) of two values with soft edges."""
+    wave = painted(mesh, lambda p: torch.tanh(4 * torch.sin(3 * p[:, :1] + p[:, 1:2])))[0]
+    return low + (high - low) * (0.5 + 0.5 * wave)
+
+
+MATERIALS: dict[str, Callable[[Mesh], Material]] = {
+    "paper, specular": lambda mesh: look((0.4, 0.2, 0.1), 0.25, 0.2),
+    "dielectric, specular": lambda mesh: look((0.4, 0.2, 0.1), 0.04, 0.2, "dielectric"),
+    "paper, specular, coloured": lambda mesh: look((0.05, 0.05, 0.05), (0.9, 0.6, 0.2), 0.2),
+    "paper, specular map": lambda mesh: look((0.3, 0.2, 0.1), checked(mesh, 0.02, 0.42).expand(-1, -1, 3), 0.2),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", MATERIALS)
+def test_the_ladder_ends_where_the_truth_is(name: str, tmp_path: Path) -> None:
+    """Under a light that is not known, by all photographs' word."""
+    mesh = ball()
+    truth = Scene(mesh, MATERIALS[name](mesh), lamps())
+    scene, report = fitted(mesh, photographs(truth, around(16)), tmp_path)
+    assert report["rung"] == name
+    assert unseen_db(scene, truth) > 30
+
+
+@pytest.mark.slow
+def test_the_ladder_finds_that_the_width_varies(tmp_path: Path) -> None:
+    mesh = ball()
+    truth = Scene(mesh, look((0.3, 0.2, 0.1), 0.3, checked(mesh, 0.1, 0.6)), lamps())
+    scene, report = fitted(mesh, photographs(truth, around(16)), tmp_path, light=lamps(), brdf="paper")
+    assert "roughness map" in report["rung"]
+    assert unseen_db(scene, truth) > 30
+
+
+@pytest.mark.slow
+def test_the_ladder_finds_indirect_light(tmp_path: Path) -> None:
+    """In a bowl whose light is known; the direct fit's albedo has the light between the walls in it, and is near 1."""
+    mesh, color = unwrap_mesh(bowl(), 128)[0], torch.tensor([0.6, 0.4, 0.2])
+    truth = Scene(mesh, look(color), sky())
+    capture = photographs(truth, above(12, 0.9), depth=3, size=48)
+    scene, report = fitted(
+        mesh, capture, tmp_path, texels=128, light=sky(), options={"steps": 150, "cells": 4000, "vertices": 8000}
+    )
+    assert report["rung"] == "diffuse, 1 bounce"
+    values, _ = observed(scene)
+    assert float((values.mean(dim=0) - color).abs().max()) < 0.03
+
+
+@pytest.mark.slow
+def test_light_between_walls_is_found_where_more_of_it_is_than_the_model_has(tmp_path: Path) -> None:
+    """Six reflections in the photographs, one in the model, few cells: what is left may be called a lobe, or dents."""
+    mesh, color = unwrap_mesh(bowl(), 128)[0], torch.tensor([0.6, 0.4, 0.2])
+    truth = Scene(mesh, look(color), sky())
+    capture = photographs(truth, above(12, 0.9), depth=8, size=48)
+    scene, report = fitted(mesh, capture, tmp_path, texels=128, light=sky(), options={"steps": 150})
+    assert "1 bounce" in report["rung"]
+    gains = {row["name"]: row["gain_db"] for row in report["ladder"]}
+    assert gains["paper, specular, 1 bounce"] > 1
+    values, _ = observed(scene)
+    assert float((values.mean(dim=0) - color).abs().max()) < 0.1
+
+
+def test_without_a_specular_part_the_answer_is_diffuse(tmp_path: Path) -> None:
+    """Everything is open: light on the camera, both models, indirect light."""
+    truth = Scene(ball(), look(BROWN), lamps())
+    capture = photographs(truth, around(16))
+    scene, report = fitted(truth.mesh, capture, tmp_path, light_frame="auto", options={"steps": 100})
+    assert report["rung"] == "diffuse" and not any(row["kept"] for row in report["ladder"][1:])
+    assert scene.material is not None and float(scene.material.specular_albedo.max()) == 0
+    values, _ = observed(scene)
+    hue = values.mean(dim=0) / values.mean()
+    torch.testing.assert_close(hue, torch.tensor(BROWN) / np.mean(BROWN), atol=0.02, rtol=0)
+    assert unseen_db(scene, truth) > 40
+
+
+@pytest.mark.parametrize("frame", ["world", "camera"])
+def test_whether_the_light_goes_with_the_camera(frame: str, tmp_path: Path) -> None:
+    truth = Scene(ball(), look(BROWN), replace(sky(), frame=frame))
+    scene, report = fitted(
+        truth.mesh, photographs(truth, around(12)), tmp_path, light_frame="auto", brdf="paper", options={"steps": 100}
+    )
+    assert report["light_frame"] == frame and report["rung"].startswith("diffuse")
+    assert scene.environment is not None and scene.environment.frame == frame
+    values, _ = observed(scene)
+    assert float(values.log().std(dim=0).max()) < 0.05, "no shading in the albedo"

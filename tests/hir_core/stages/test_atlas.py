@@ -1,0 +1,223 @@
+"""Texture coordinates, texels on the surface, dilation and fill."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from hir_core.capture import Capture, View
+from hir_core.config import AtlasSettings
+from hir_core.errors import StageError
+from hir_core.mesh.texel_rasterization import dilate, rasterize, texel_surface
+from hir_core.mesh.texture_inpainting import fill_unobserved
+from hir_core.run.stage_context import StageContext
+from hir_core.scene import Mesh, Scene, Topology
+from hir_core.stages.atlas import texture_size, unwrap, unwrap_mesh
+from tests.fixtures.scenes import bumpy_sphere, icosphere, looking_at, square
+
+
+def uv_areas(mesh: Mesh) -> torch.Tensor:
+    assert mesh.uvs is not None and mesh.topology.uv_faces is not None
+    a, b, c = mesh.uvs[mesh.topology.uv_faces].double().unbind(1)
+    return 0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
+
+
+def context(tmp_path: Path, warnings: list[str]) -> StageContext:
+    return StageContext(plugins=None, workspace=tmp_path, warn=warnings.append)  # type: ignore[arg-type]
+
+
+def capture_of(*cameras) -> Capture:  # type: ignore[no-untyped-def]
+    return Capture(Path("none"), tuple(View(str(i), camera, read=lambda: None) for i, camera in enumerate(cameras)))  # type: ignore[arg-type,return-value]
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e-3, 1e4])
+def test_unwrapped_faces_have_their_area_and_do_not_overlap(scale: float) -> None:
+    mesh, _ = unwrap_mesh(bumpy_sphere().with_positions(bumpy_sphere().positions * scale + 7 * scale), 256)
+    assert mesh.uvs is not None
+    assert float(mesh.uvs.min()) >= 0
+    assert float(mesh.uvs.max()) <= 1
+    surface = texel_surface(mesh, 512)
+    assert surface.overlaps == 0
+    ratio = uv_areas(mesh).abs() / mesh.face_areas_normals.double().norm(dim=1)
+    assert float(ratio.max() / ratio.median()) < 4
+    assert float(ratio.min() / ratio.median()) > 0.25
+
+
+def test_unwrapping_twice_gives_the_same_bits() -> None:
+    first, _ = unwrap_mesh(bumpy_sphere(), 256)
+    second, _ = unwrap_mesh(bumpy_sphere(), 256)
+    assert first.uvs is not None and second.uvs is not None
+    assert torch.equal(first.uvs, second.uvs)
+
+
+@pytest.mark.parametrize("size", [128, 512])
+def test_charts_keep_their_distance(size: int) -> None:
+    """No two texels of different charts are closer than the padding."""
+    from scipy.ndimage import label
+
+    mesh, _ = unwrap_mesh(bumpy_sphere(), size, padding=4)
+    covered = texel_surface(mesh, size).covered.numpy()
+    charts, count = label(covered, structure=np.ones((3, 3)))
+    assert count > 1
+    grown = dilate(torch.from_numpy(charts).float()[..., None], torch.from_numpy(covered), 1)
+    reach, number = label(grown[..., 0].numpy() > 0, structure=np.ones((3, 3)))
+    assert number == count, "one ring more and two charts touch"
+    assert reach.max() == count
+
+
+def test_a_texel_is_covered_exactly_when_its_centre_is_in_a_triangle() -> None:
+    """Against a plain test of every texel with every triangle."""
+    rng = np.random.default_rng(0)
+    corners = rng.uniform(-4, 24, (30, 3, 2))
+    owner, weights, _ = rasterize(corners, 20, 21)
+    columns, rows = np.meshgrid(np.arange(21) + 0.5, np.arange(20) + 0.5)
+    centre = np.stack([columns, rows], -1)
+    expected = np.zeros((20, 21), bool)
+    for a, b, c in corners:
+        side = [
+            (q[0] - p[0]) * (centre[..., 1] - p[1]) - (q[1] - p[1]) * (centre[..., 0] - p[0])
+            for p, q in ((a, b), (b, c), (c, a))
+        ]
+        expected |= (np.min(side, axis=0) >= 0) | (np.max(side, axis=0) <= 0)
+    np.testing.assert_array_equal(owner >= 0, expected)
+    rebuilt = (weights[..., None] * corners[owner]).sum(axis=2)
+    np.testing.assert_allclose(rebuilt[expected], centre[expected], atol=1e-4)
+
+
+def test_no_crack_between_faces_that_share_an_edge() -> None:
+    """A grid of triangles whose edges run through texel centres leaves none out."""
+    n = 9
+    x, y = np.meshgrid(np.arange(n) * 2 + 0.5, np.arange(n) * 2 + 0.5)
+    points = np.stack([x, y], -1)
+    a, b, c, d = points[:-1, :-1], points[:-1, 1:], points[1:, 1:], points[1:, :-1]
+    corners = np.concatenate([np.stack([a, b, c], 2).reshape(-1, 3, 2), np.stack([a, c, d], 2).reshape(-1, 3, 2)])
+    owner, _, overlaps = rasterize(corners, 20, 20)
+    assert (owner[:17, :17] >= 0).all()
+    assert overlaps == 0
+
+
+def test_texels_lie_on_the_surface() -> None:
+    mesh, _ = unwrap_mesh(icosphere(4), 256)
+    surface = texel_surface(mesh, 256)
+    assert mesh.uvs is not None and mesh.topology.uv_faces is not None
+    torch.testing.assert_close(surface.barycentric.sum(1), torch.ones(len(surface.face)))
+    np.testing.assert_allclose(surface.position.norm(dim=1), 1, atol=4e-3)
+    outwards = torch.nn.functional.normalize(surface.position, dim=1)
+    assert float((outwards * surface.normal).sum(1).min()) > 0.9999
+    rows, columns = surface.covered.nonzero(as_tuple=True)
+    uv = (mesh.uvs[mesh.topology.uv_faces[surface.face]] * surface.barycentric[..., None]).sum(1)
+    torch.testing.assert_close(uv, torch.stack([columns + 0.5, rows + 0.5], 1) / 256, atol=1e-5, rtol=0)
+
+
+def test_an_image_in_the_texture_appears_upright() -> None:
+    """v grows downwards: the first row of a texture lies at v = 0."""
+    surface = texel_surface(square(), (2, 4))
+    assert bool(surface.covered.all())
+    grid = surface.position.reshape(2, 4, 3)
+    torch.testing.assert_close(grid[0, 0], torch.tensor([-0.75, 0.0, -0.5]))
+    torch.testing.assert_close(grid[1, 3], torch.tensor([0.75, 0.0, 0.5]))
+
+
+def test_dilation_fills_rings_with_means_and_keeps_the_chart() -> None:
+    texture = torch.zeros(7, 7, 1)
+    covered = torch.zeros(7, 7, dtype=torch.bool)
+    texture[3, 3], covered[3, 3] = 5.0, True
+    texture[0, 0] = 9.0
+    grown = dilate(texture, covered, 2)
+    assert bool((grown[1:6, 1:6] == 5).all())
+    assert float(grown[0, 0]) == 9, "texels that dilation does not reach stay"
+    texture.requires_grad_()
+    gradient = torch.autograd.grad(dilate(texture, covered, 2).sum(), texture)[0]
+    assert float(gradient[3, 3]) == pytest.approx(25)
+
+
+def test_fill_is_smooth_across_seams_and_keeps_what_was_seen() -> None:
+    """Half of a sphere is hidden: a colour that depends linearly on height is continued between its extremes."""
+    mesh, _ = unwrap_mesh(icosphere(4), 256)
+    surface = texel_surface(mesh, 256)
+    texture = torch.zeros(256, 256, 3)
+    texture[surface.covered] = surface.position * 0.4 + 0.5
+    seen = surface.covered.clone()
+    seen[surface.covered] = surface.position[:, 0].abs() > 0.35
+    filled = fill_unobserved(texture * seen[..., None], mesh, seen, surface)
+    assert torch.equal(filled[seen], texture[seen])
+    error = (filled - texture)[surface.covered].abs()
+    assert float(error.max()) < 0.08
+    assert float(filled[surface.covered].min()) >= float(texture[seen].min()) - 1e-6
+    assert float(filled[surface.covered].max()) <= float(texture[seen].max()) + 1e-6
+
+
+def test_fill_of_a_component_without_any_view_is_the_median() -> None:
+    ball = icosphere(2)
+    far = Mesh(
+        torch.cat([ball.positions, ball.positions + 3]),
+        Topology(torch.cat([ball.faces, ball.faces + len(ball.positions)])),
+    )
+    mesh, _ = unwrap_mesh(far, 128)
+    surface = texel_surface(mesh, 128)
+    texture = torch.zeros(128, 128, 1)
+    texture[surface.covered] = 0.25
+    seen = surface.covered.clone()
+    seen[surface.covered] = surface.position[:, 0] < 1.5
+    filled = fill_unobserved(texture * seen[..., None], mesh, seen, surface)
+    torch.testing.assert_close(filled[surface.covered], torch.full((len(surface.face), 1), 0.25))
+    nothing = torch.zeros_like(seen)
+    assert torch.equal(fill_unobserved(texture, mesh, nothing, surface), texture)
+
+
+def test_texture_has_a_texel_for_each_pixel() -> None:
+    """A square that fills a 256² image, on 0.6 of the texture: the next power of two above 330, twice it for twice the
+    resolution."""
+
+    def camera(width: int):  # type: ignore[no-untyped-def]
+        return looking_at((0.0, 1.0 / 2 * 2 * 1.5 * 2, 0.0), width, width, focal=1.5)
+
+    assert texture_size(square(), [camera(256)]) == 512
+    assert texture_size(square(), [camera(512)]) == 1024
+    assert texture_size(square(), [looking_at((0.0, -3.0, 0.0), 512, 512)]) == 64, "seen from behind"
+
+
+def test_stage_keeps_good_coordinates_and_replaces_bad_ones(tmp_path: Path) -> None:
+    warnings: list[str] = []
+    capture = capture_of(looking_at((0, 3, 0), 128, 128))
+    settings = AtlasSettings(texture_size=64)
+    kept, report = unwrap(Scene(square()), capture, settings, context(tmp_path, warnings))
+    assert torch.equal(kept.mesh.uvs, square().uvs)  # type: ignore[arg-type]
+    assert report["texture_size"] == 64
+    assert not warnings
+    overlapping = replace(bumpy_sphere(), uvs=square().uvs)
+    overlapping = replace(overlapping, topology=Topology(overlapping.faces, overlapping.faces % 4))
+    fresh, _ = unwrap(Scene(overlapping), capture, settings, context(tmp_path, warnings))
+    assert texel_surface(fresh.mesh, 128).overlaps == 0
+    assert len(warnings) == 1
+
+
+def test_stage_bakes_vertex_colours(tmp_path: Path) -> None:
+    mesh = icosphere(3)
+    mesh = replace(mesh, vertex_colors=mesh.positions * 0.4 + 0.5)
+    scene, _ = unwrap(
+        Scene(mesh), capture_of(looking_at((0, 0, 4), 64, 64)), AtlasSettings(texture_size=128), context(tmp_path, [])
+    )
+    assert scene.material is not None
+    surface = texel_surface(scene.mesh, 128)
+    expected = surface.position * 0.4 + 0.5
+    torch.testing.assert_close(scene.material.diffuse_albedo[surface.covered], expected, atol=1e-5, rtol=0)
+
+
+def test_a_mesh_without_triangles_is_named() -> None:
+    with pytest.raises(StageError, match="no triangles"):
+        unwrap_mesh(Mesh(torch.zeros(3, 3), Topology(torch.zeros(0, 3, dtype=torch.long))), 64)
+
+
+@pytest.mark.slow
+def test_forty_thousand_triangles_unwrap_in_twenty_seconds() -> None:
+    import time
+
+    mesh = bumpy_sphere(6)
+    started = time.perf_counter()
+    unwrap_mesh(mesh, 1024)
+    assert time.perf_counter() - started < 40 * len(mesh.faces) / 80_000

@@ -1,0 +1,163 @@
+"""Each contract has a plugin that breaks it, and it alone; the sound ones that they are made of break none."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+
+from hir_core.plugins import Component
+from hir_core.plugins.manager import PluginManager, Registered
+from hir_core.testing import ContractError, all_checks, check_component
+from hir_core.testing.running import Result, as_registered
+from tests.hir_core.testing import (
+    broken_exporters,
+    broken_initializers,
+    broken_inputs,
+    broken_regularizers,
+    broken_renderers,
+)
+
+CAMERAS = "cameras_are_the_true_ones"
+
+QUICK: dict[str, Mapping[str, Component]] = {
+    "regularizer": broken_regularizers.BROKEN,
+    "geometry_renderer": broken_renderers.BROKEN_GEOMETRY,
+    "capture_reader": broken_inputs.BROKEN_READERS,
+    "mask_source": broken_inputs.BROKEN_MASKS,
+    "exporter": broken_exporters.BROKEN_EXPORTERS,
+    "initializer": {k: v for k, v in broken_initializers.BROKEN_INITIALIZERS.items() if k != CAMERAS},
+}
+SLOW: dict[str, Mapping[str, Component]] = {
+    "reflectance_renderer": broken_renderers.BROKEN_REFLECTANCE,
+    "initializer": {CAMERAS: broken_initializers.BROKEN_INITIALIZERS[CAMERAS]},
+}
+FROM_FILES = ("imports_light", "requirements_declared", "missing_extra_is_named")
+SOUND = [
+    ("regularizer", broken_regularizers.SOUND),
+    ("geometry_renderer", broken_renderers.geometry()),
+    ("capture_reader", broken_inputs.reader()),
+    ("mask_source", broken_inputs.mask_source()),
+    ("initializer", broken_initializers.surface()),
+    ("exporter", broken_exporters.obj()),
+    ("exporter", broken_exporters.usda()),
+]
+
+
+def cases(table: Mapping[str, Mapping[str, Component]]) -> list[object]:
+    return [
+        pytest.param(kind, component, check, id=f"{check}-{component.target.rpartition(':')[2]}")
+        for kind, broken in table.items()
+        for check, component in broken.items()
+    ]
+
+
+def failed(results: list[Result]) -> list[str]:
+    return [result.check for result in results if result.outcome == "failed"]
+
+
+@pytest.fixture(scope="module")
+def plugins() -> PluginManager:
+    return PluginManager.discover()
+
+
+def test_every_contract_has_its_broken_plugin() -> None:
+    covered = {check for table in (*QUICK.values(), *SLOW.values()) for check in table}
+    assert covered | {*FROM_FILES, "devices_agree"} == set(all_checks())
+
+
+@pytest.mark.parametrize(("kind", "component", "check"), cases(QUICK))
+def test_breaks_its_contract_and_no_other(kind: str, component: Component, check: str, plugins: PluginManager) -> None:
+    results = check_component(as_registered(kind, component), plugins=plugins, raises=False)
+    assert failed(results) == [check], [r.detail for r in results if r.outcome == "failed"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "component", "check"), cases(SLOW))
+def test_breaks_its_contract_and_no_other_slowly(
+    kind: str, component: Component, check: str, plugins: PluginManager
+) -> None:
+    test_breaks_its_contract_and_no_other(kind, component, check, plugins)
+
+
+@pytest.mark.parametrize(("kind", "component"), SOUND, ids=[f"{k}-{c.name}" for k, c in SOUND])
+def test_sound_ones_break_none(kind: str, component: Component, plugins: PluginManager) -> None:
+    check_component(as_registered(kind, component), plugins=plugins)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kind", "component"),
+    [("reflectance_renderer", broken_renderers.reflectance()), ("initializer", broken_initializers.cameras())],
+    ids=["reflectance_renderer", "cameras"],
+)
+def test_slow_sound_ones_break_none(kind: str, component: Component, plugins: PluginManager) -> None:
+    check_component(as_registered(kind, component), plugins=plugins)
+
+
+@pytest.mark.gpu
+def test_devices_agree_is_broken_by_one_that_goes_elsewhere(plugins: PluginManager) -> None:
+    component = as_registered("regularizer", broken_regularizers.BROKEN_ON_CUDA)
+    assert failed(check_component(component, plugins=plugins, raises=False)) == ["devices_agree"]
+
+
+FILE = """
+from hir_core.plugins.interfaces import Regularizer
+from hir_core.plugins import Component, NoOptions, hookimpl
+{at_the_top}
+
+class Spread(Regularizer):
+    def __init__(self, config: NoOptions) -> None: ...
+
+    def prepare(self, scene):
+        {inside}
+        return lambda scene: (scene.mesh.positions - scene.mesh.positions.mean(dim=0)).square().sum()
+
+def ideal(scene):
+    from dataclasses import replace
+    return replace(scene, mesh=scene.mesh.with_positions(scene.mesh.positions * 0))
+
+@hookimpl
+def hir_register_regularizers():
+    return [Component("{name}", "hir_plugin_{name}:Spread", summary="Keeps vertices together.",
+                      requires={requires}, traits=frozenset({{"differentiable"}}), testing="hir_plugin_{name}:ideal")]
+"""
+
+
+@pytest.mark.parametrize(
+    ("check", "at_the_top", "inside", "requires"),
+    [
+        ("imports_light", "import torch", "", ("torch",)),
+        ("requirements_declared", "", "import torch", ()),
+    ],
+    ids=["imports_light", "requirements_declared"],
+)
+def test_file_breaks_its_contract_and_no_other(
+    check: str, at_the_top: str, inside: str, requires: tuple[str, ...], tmp_path: Path
+) -> None:
+    path = tmp_path / f"broken_{check}.py"
+    path.write_text(FILE.format(at_the_top=at_the_top, inside=inside, requires=requires, name=path.stem))
+    plugins = PluginManager.discover((str(path),))
+    results = check_component(path.stem, plugins=plugins, raises=False)
+    assert failed(results) == [check], [r.detail for r in results if r.outcome == "failed"]
+
+
+def test_an_extra_that_is_none_is_found(plugins: PluginManager) -> None:
+    component = broken_regularizers.made(extra="reconstuct")
+    registered = Registered("regularizer", component, "hir", "1.0", "tests")
+    results = check_component(registered, plugins=plugins, raises=False)
+    assert failed(results) == ["missing_extra_is_named"]
+    (said,) = [r.detail for r in results if r.outcome == "failed"]
+    assert "'reconstuct' is no extra of hir" in said and "reconstruct" in said
+
+
+def test_a_failure_names_contract_what_was_seen_and_section(plugins: PluginManager) -> None:
+    component = as_registered("regularizer", broken_regularizers.BROKEN["gradient_is_that_of_the_value"])
+    with pytest.raises(ContractError) as caught:
+        check_component(component, plugins=plugins)
+    said = str(caught.value)
+    assert "regularizer 'spread' breaks the contract 'gradient_is_that_of_the_value'" in said
+    assert "contract: In float64 the gradient agrees with central differences" in said
+    assert "positions the gradient says" in said
+    assert "see:      docs/writing_plugins/contracts.md#gradient_is_that_of_the_value" in said

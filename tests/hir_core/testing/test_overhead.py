@@ -1,0 +1,156 @@
+"""What the plugin system costs: discovery, and hooks in a run."""
+
+from __future__ import annotations
+
+import ast
+import os
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hir_core.pipeline import Run
+from hir_core.plugins import hookimpl
+from hir_core.plugins.manager import PluginManager
+from tests.fixtures.runs import make_tiny
+
+ROOT = Path(__file__).resolve().parents[3]
+PLUGINS = 50
+LIMIT_MS = 100.0
+
+PLUGIN = '''
+from dataclasses import dataclass
+from hir_core.plugins import Component, hookimpl
+
+@dataclass(frozen=True)
+class Options:
+    """Of term {i}."""
+    strength: float = 1.0
+    """Factor of the term."""
+
+@hookimpl
+def hir_register_regularizers():
+    return [Component("term_{i}", "crowd_{i}:Term", Options, "A term.")]
+'''
+
+
+def test_discovery_of_fifty_installed_plugins_takes_a_tenth_of_a_second(tmp_path: Path) -> None:
+    """Seconds of the processor between the interpreter's start with `hir_core.plugins.manager` imported and all
+    components
+    being known, ours and the imports of all fifty included; the best of some processes, for the machine does other
+    things too. A machine on which Python alone takes more than half of that to find and import the same plugins is a
+    slow one: there it is twice what Python takes.
+    """
+    for i in range(PLUGINS):
+        (tmp_path / f"crowd_{i}.py").write_text(PLUGIN.format(i=i))
+        info = tmp_path / f"crowd_{i}-1.0.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: crowd-{i}\nVersion: 1.0\n")
+        (info / "entry_points.txt").write_text(f"[hir]\ncrowd = crowd_{i}\n")
+    begin = (
+        f"import sys, time; sys.path.insert(0, {str(tmp_path)!r})\n"
+        "from hir_core.plugins.manager import PluginManager\n"
+        "before = time.process_time()\n"
+    )
+    plain_python = begin + (
+        "from importlib.metadata import entry_points\n"
+        "for entry_point in entry_points(group='hir'): entry_point.load()\n"
+        "print(1000 * (time.process_time() - before))"
+    )
+    code = begin + (
+        "manager = PluginManager.discover()\n"
+        "spent = time.process_time() - before\n"
+        "assert not manager.problems, manager.problems\n"
+        "crowd = [r for r in manager.components('regularizer') if r.distribution.startswith('crowd')]\n"
+        f"assert len(crowd) == {PLUGINS}\n"
+        "assert 'numpy' not in sys.modules, 'a plugin.py imports numpy'\n"
+        "print(1000 * spent)"
+    )
+    # what measures coverage in child processes, too, would be measured with it
+    plain = {name: value for name, value in os.environ.items() if not name.startswith("COVERAGE")}
+    best = {code: float("inf"), plain_python: float("inf")}
+    for _ in range(8):
+        for program in best:
+            done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=plain)
+            assert done.returncode == 0, done.stderr
+            best[program] = min(best[program], float(done.stdout))
+    spent, alone = best[code], best[plain_python]
+    assert 0 < spent <= max(LIMIT_MS, 2 * alone), f"{spent:.0f} ms, Python alone {alone:.0f} ms"
+
+
+class Counting:
+    """An observer that counts."""
+
+    def __init__(self) -> None:
+        self.calls: Counter[str] = Counter()
+        self.steps = 0
+
+    @hookimpl
+    def hir_run_started(self) -> None:
+        self.calls["hir_run_started"] += 1
+
+    @hookimpl
+    def hir_progress(self, progress: Any) -> None:
+        self.calls["hir_progress"] += 1
+        self.steps += max((len(values) for values in progress.scalars.values()), default=0)
+
+    @hookimpl
+    def hir_stage_finished(self, stage: str) -> None:
+        self.calls["hir_stage_finished"] += 1
+
+    @hookimpl
+    def hir_suggest_initializers(self, capture: Any) -> None:
+        self.calls["hir_suggest_initializers"] += 1
+
+    @hookimpl
+    def hir_gltf_document(self, document: Any) -> None:
+        self.calls["hir_gltf_document"] += 1
+
+
+@pytest.mark.slow
+def test_no_hook_runs_in_an_inner_loop(tmp_path: Path, quick: Callable[..., Run]) -> None:
+    """A run of hundreds of steps calls hooks once a stage, and progress at most four times a second."""
+    counting = Counting()
+    plugins = PluginManager.discover()
+    plugins.register(counting, "test", "")
+    assert plugins.problems == []
+    capture = make_tiny(tmp_path / "capture")
+    steps = ("geometry.iterations=300", "reflectance.iterations=100", "reflectance.batch_pixels=64")
+    term = "reflectance.regularizers={ total_variation = { weight = 1.0 } }"
+    run = quick(capture, tmp_path / "run", *steps, term, 'export=["glb"]', plugins=plugins)
+    timings = run.directory.read_timings()["stages"]
+    assert counting.calls["hir_run_started"] == 1
+    assert counting.calls["hir_stage_finished"] == len(timings) == 6
+    assert counting.calls["hir_gltf_document"] == 1
+    assert counting.calls["hir_suggest_initializers"] <= 3
+    assert counting.steps >= 400, "the scalars of every step arrive"
+    most = sum(4 * stage["seconds"] + 2 for stage in timings.values())
+    assert counting.calls["hir_progress"] <= most, counting.calls
+    if counting.steps > 16 * (timings["geometry"]["seconds"] + timings["reflectance"]["seconds"]):
+        # where a step takes a quarter of a second, four calls a second are a call each step
+        assert counting.calls["hir_progress"] < counting.steps / 4
+
+
+def test_hooks_are_called_from_few_places() -> None:
+    """The session at stage boundaries, the listener in blocks, start-up, export and a benchmark; nothing else."""
+    callers = set()
+    for file in [*(ROOT / "hir_core").rglob("*.py"), *(ROOT / "hir_plugins").rglob("*.py")]:
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)):
+                continue
+            edits = node.func.attr == "edit" and "plugins" in ast.unparse(node.func.value)
+            if edits or node.func.attr in ("notify", "suggest_initializers"):
+                callers.add(file.relative_to(ROOT).as_posix())
+    assert callers == {
+        "hir_plugins/commands/bench/suites/initializers_suite.py",
+        "hir_core/cli/app.py",
+        "hir_core/stages/export/asset_export.py",
+        "hir_core/stages/initialization.py",
+        "hir_core/run/progress_listener.py",
+        "hir_core/pipeline.py",
+        "hir_core/run/session.py",
+    }

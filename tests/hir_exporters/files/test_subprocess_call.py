@@ -1,0 +1,63 @@
+"""A function in a process of its own: values there and back, and what its end becomes."""
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hir_exporters.errors import ExportError, InputError
+from hir_exporters.files.subprocess_call import ChildError, call_apart
+
+HERE = "tests.hir_exporters.files.test_subprocess_call"
+
+
+def echoed(**given: Any) -> dict[str, Any]:
+    return {**given, "process": np.asarray(os.getpid())}
+
+
+def refused() -> dict[str, Any]:
+    raise ExportError("x.usdz has no mesh")
+
+
+def broken() -> dict[str, Any]:
+    raise ValueError("nothing of ours")
+
+
+def ended() -> dict[str, Any]:
+    os.abort()
+
+
+@pytest.fixture(autouse=True)
+def _found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The child finds this file as it finds everything else: by the path of its parent."""
+    monkeypatch.syspath_prepend(str(Path(__file__).parent.parent.parent))
+
+
+def test_arrays_numbers_and_words_come_back_from_another_process() -> None:
+    given = {"a": np.arange(6, dtype=np.float32).reshape(2, 3), "n": 3, "word": "größer.usdz"}
+    found = call_apart(f"{HERE}:echoed", given)
+    np.testing.assert_array_equal(found["a"], given["a"])
+    assert found["a"].dtype == np.float32 and int(found["n"]) == 3 and str(found["word"]) == "größer.usdz"
+    assert int(found["process"]) != os.getpid()
+
+
+@pytest.mark.parametrize(
+    ("name", "error", "words"),
+    [
+        ("refused", InputError, "^x.usdz has no mesh$"),
+        ("broken", ChildError, "^ValueError: nothing of ours$"),
+        ("ended", ChildError, "^exit code -6$"),
+        ("missing", ChildError, "has no attribute 'missing'"),
+    ],
+)
+def test_its_end_is_one_sentence(name: str, error: type[Exception], words: str) -> None:
+    if name == "ended" and os.name != "posix":
+        pytest.skip("signals")
+    with pytest.raises(error, match=words):
+        call_apart(f"{HERE}:{name}", {})
+
+
+def test_nothing_that_needs_unpickling_comes_back() -> None:
+    with pytest.raises(ChildError, match=r"allow_pickle|Object arrays"):
+        call_apart(f"{HERE}:echoed", {"a": np.array([{}], object)})

@@ -1,0 +1,138 @@
+"""The package as an integrator meets it: its README, its schema, what importing it costs."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import hir_exporters
+import numpy as np
+import pytest
+from hir_exporters.asset import Asset, AssetMaterial
+from hir_exporters.materials import material_conversion
+from hir_exporters.scene_format import save_scene
+
+PACKAGE = Path(hir_exporters.__file__).parent
+ROOT = Path(__file__).resolve().parents[2]
+README = ROOT / "exporters" / "README.md"
+FORMATS_PAGE = ROOT / "docs" / "formats.md"
+
+
+def test_the_readme_builds_an_asset_in_ten_lines(tmp_path: Path) -> None:
+    [block] = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
+    assert len([line for line in block.splitlines() if line.strip()]) <= 10
+    environment = {**os.environ, "PYTHONPATH": str(PACKAGE.parent)}
+    subprocess.run([sys.executable, "-c", block], check=True, cwd=tmp_path, env=environment)
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == ["tile.glb", "tile.hdr", "tile.usdz", "tile_lit.usda"]
+
+
+def residual_rows() -> list[str]:
+    rows = []
+    for model in ("dielectric", "paper"):
+        for specular in (0.02, 0.04, 0.08, 0.2):
+            for alpha in (0.05, 0.3):
+                material = AssetMaterial(model, [0.5] * 3, [specular] * 3, alpha)
+                found = [
+                    material_conversion.to_gltf(material, profile).residual
+                    for profile in ("khr", "blender", "metalrough", "unity-legacy")
+                ]
+                rows.append(f"| {model} | {specular} | {alpha} | " + " | ".join(f"{x:.3f}" for x in found) + " |")
+    return rows
+
+
+def test_the_readme_states_the_residuals_that_the_code_computes() -> None:
+    text = README.read_text(encoding="utf-8")
+    table = text.split("<!-- residuals -->")[1].split("<!-- /residuals -->")[0].strip().splitlines()
+    assert table[2:] == residual_rows(), "\n".join(residual_rows())
+
+
+def formats_rows() -> list[str]:
+    half = np.zeros((8, 8, 1)) + (np.arange(8) < 4)[:, None]
+    materials_by_name = {
+        "`paper`, grey lobe of 0.1": AssetMaterial("paper", [0.5, 0.4, 0.3], [0.1] * 3, 0.25),
+        "`paper`, coloured lobe": AssetMaterial("paper", [0.3, 0.2, 0.1], [0.3, 0.2, 0.1], 0.25),
+        "`dielectric`, ρs = 0.04": AssetMaterial("dielectric", [0.5, 0.4, 0.3], [0.04] * 3, 0.25),
+        "`dielectric`, ρs = 0.08": AssetMaterial("dielectric", [0.5, 0.4, 0.3], [0.08] * 3, 0.25),
+        "`dielectric`, coloured non-metal": AssetMaterial("dielectric", [0.3, 0.2, 0.1], [0.15, 0.08, 0.05], 0.25),
+        "`dielectric`, gold": AssetMaterial("dielectric", [0.0] * 3, [0.9, 0.7, 0.3], 0.2),
+        "half gold, half plastic": AssetMaterial(
+            "dielectric", (1 - half) * 0.5 * np.ones(3), half * [0.86, 0.66, 0.26] + 0.04, 0.2
+        ),
+    }
+    rows = []
+    for name, material in materials_by_name.items():
+        found = [
+            material_conversion.to_gltf(material, p).residual for p in ("khr", "blender", "metalrough", "unity-legacy")
+        ]
+        found += [
+            material_conversion.to_usd_metallic(material).residual,
+            material_conversion.to_specular_workflow(material).residual,
+        ]
+        rows.append(f"| {name} | " + " | ".join(f"{x:.3f}" for x in found) + " |")
+    return rows
+
+
+def test_the_formats_page_states_the_schema_and_the_residuals() -> None:
+    text = FORMATS_PAGE.read_text(encoding="utf-8")
+    shown = text.split("<!-- schema -->")[1].split("<!-- /schema -->")[0].strip()
+    assert shown == "```json\n" + (PACKAGE / "scene.schema.json").read_text(encoding="utf-8").strip() + "\n```"
+    table = text.split("<!-- residuals -->")[1].split("<!-- /residuals -->")[0].strip().splitlines()
+    assert table[2:] == formats_rows(), "\n".join(formats_rows())
+
+
+def test_every_module_of_the_readme_exists() -> None:
+    table = README.read_text(encoding="utf-8").split("## What is here")[1].split("## Formats")[0]
+    for row in re.findall(r"^\| (`.*?`) \|", table, re.MULTILINE):
+        for name in re.findall(r"`(\w+)`", row):
+            assert (PACKAGE / f"{name}.py").is_file(), name
+
+
+@pytest.mark.parametrize("kind", ["textured_asset", "constant_asset"])
+def test_saved_scenes_follow_the_schema(kind: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
+    jsonschema = pytest.importorskip("jsonschema", reason="the schema is checked with jsonschema")
+    schema = json.loads((PACKAGE / "scene.schema.json").read_text())
+    asset: Asset = request.getfixturevalue(kind)
+    save_scene(asset, tmp_path / "s")
+    document = json.loads((tmp_path / "s" / "scene.json").read_text())
+    validator = jsonschema.Draft202012Validator(schema)
+    validator.check_schema(schema)
+    validator.validate(document)
+    for path, value in ((["mesh"], "../mesh.ply"), (["material", "model"], "phong"), (["version"], 2)):
+        spoiled = json.loads(json.dumps(document))
+        table = spoiled
+        for key in path[:-1]:
+            table = table[key]
+        table[path[-1]] = value
+        assert list(validator.iter_errors(spoiled)), path
+
+
+def imported(statement: str) -> set[str]:
+    code = f"import sys; {statement}; print('\\n'.join(sys.modules))"
+    environment = {**os.environ, "PYTHONPATH": str(PACKAGE.parent)}
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True, env=environment)
+    return {name.partition(".")[0] for name in done.stdout.split()}
+
+
+def test_importing_costs_what_is_used() -> None:
+    heavy = {"torch", "mitsuba", "drjit", "open3d", "pxr", "pygltflib", "trimesh", "scipy", "PIL", "hir_core", "pluggy"}
+    assert not imported("import hir_exporters, hir_exporters.errors, hir_exporters.configs") & (heavy | {"numpy"})
+    assert not imported("import hir_exporters.formats, hir_exporters.asset") & heavy
+
+
+def test_no_module_reaches_upwards_or_for_torch() -> None:
+    for path in PACKAGE.rglob("*.py"):
+        text = path.read_text(encoding="utf-8")
+        assert not re.search(r"^\s*(import|from) (torch|mitsuba|pluggy|hir_core|hir_plugins)\b", text, re.MULTILINE), (
+            path
+        )
+        assert len(text.splitlines()) <= 400, path
+
+
+def test_public_names_resolve() -> None:
+    for name in hir_exporters.__all__:
+        assert getattr(hir_exporters, name) is not None
+    with pytest.raises(AttributeError, match="no attribute"):
+        _ = hir_exporters.nothing

@@ -1,0 +1,81 @@
+"""Lobes in texels: a ball of threads, matt and metallic, that photographs show from many sides."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from hir_core.capture import Capture
+from hir_core.scene import Scene
+from tests.fixtures.made_captures import TEXELS, around, ball, fitted, lamps, look, painted, photographs, unseen_db
+
+
+def brocade(frequency: float = 9.0, texels: int = TEXELS) -> Scene:
+    """A matt and a metallic thread in turn, in columns of π over `frequency`; the ball's radius is 1."""
+    mesh = ball(texels)
+
+    def threads(metal: tuple[float, ...], matt: tuple[float, ...]) -> Tensor:
+        def color(place: Tensor) -> Tensor:
+            is_metal = (torch.sin(frequency * place[:, :2]).prod(dim=1, keepdim=True) > 0).float()
+            return is_metal * torch.tensor(metal) + (1 - is_metal) * torch.tensor(matt)
+
+        return painted(mesh, color, texels)[0]
+
+    diffuse, specular = threads((0.02, 0.02, 0.02), (0.3, 0.5, 0.2)), threads((0.6, 0.5, 0.2), (0.03, 0.03, 0.03))
+    return Scene(mesh, look(diffuse, specular, threads((0.3,), (0.6,)), "dielectric"), lamps())
+
+
+def test_threads_are_told_apart(tmp_path: Path) -> None:
+    """Under a known light, from unseen sides; one lobe for all misses decibels."""
+    truth = brocade()
+    capture = photographs(truth, around(24), size=64)
+    one, own = (
+        fitted(
+            truth.mesh,
+            capture,
+            tmp_path / model,
+            light=lamps(),
+            brdf="dielectric",
+            model=model,
+            options={"vertices": 2000},
+        )
+        for model in ("specular", "texel_lobes")
+    )
+    material, report = own[0].material, own[1]
+    assert material is not None and material.normal is not None and material.observed is not None
+    assert material.specular_albedo.shape == (TEXELS, TEXELS, 3) and material.roughness.shape == (TEXELS, TEXELS, 1)
+    assert report["rung"] == "dielectric, specular, lobes in texels" and report["observed"] > 0.8
+    assert torch.isfinite(material.normal).all()
+    assert unseen_db(own[0], truth) > unseen_db(one[0], truth) + 2
+    known = material.observed
+    metal = truth.material.specular_albedo[known][:, 0] > 0.5  # type: ignore[union-attr]
+    found = material.specular_albedo[known][:, 0]
+    assert float(found[metal].median()) > 4 * float(found[~metal].median())
+
+
+@pytest.mark.slow
+def test_the_ladder_finds_threads_that_are_finer_than_vertices(tmp_path: Path) -> None:
+    """Under a light that is not known; maps at vertices .15 apart gain nothing from columns of .22."""
+    truth = brocade(14.0, 128)
+    scene, report = fitted(truth.mesh, photographs(truth, around(32), size=96), tmp_path, texels=128, brdf="dielectric")
+    assert report["rung"] == "dielectric, specular, lobes in texels"
+    assert scene.material is not None and scene.material.normal is not None
+    assert unseen_db(scene, truth) > 39  # 41.0 measured
+
+
+def test_few_photographs_and_dark_ones_make_no_nonsense(tmp_path: Path) -> None:
+    """Three views, one of them black: texels that too few see are filled, and all values stay physical."""
+    truth = brocade()
+    seen = photographs(truth, around(3), size=32)
+    black = seen.views[1]
+    pixels = black.pixels()
+    dark = type(pixels)(np.zeros_like(pixels.color_linear), pixels.mask, pixels.saturated)
+    views = (seen.views[0], type(black)(black.name, black.camera, lambda: dark), seen.views[2])
+    scene, report = fitted(truth.mesh, Capture(Path("made"), views), tmp_path, brdf="dielectric", model="texel_lobes")
+    assert report["observed"] < 0.5
+    assert scene.material is not None and scene.material.normal is not None
+    assert torch.isfinite(scene.material.normal).all()
