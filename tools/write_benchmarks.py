@@ -1,7 +1,8 @@
-"""Writes docs/benchmarks.md, its plots and README's table from benchmarks/results; tests compare.
+"""Writes docs/benchmarks.md and README's table from benchmarks/results, and moves plots to docs/images; tests compare.
 
-`python tools/write_benchmarks.py [--runs RUN…]`: with runs, first keeps what finished and evaluated runs say of
-themselves in benchmarks/results/whole_runs.json. `hir bench … -o benchmarks/results` writes the other files.
+`python tools/write_benchmarks.py [--runs RUN…]`: with runs, the figures of finished and evaluated runs are first stored
+in benchmarks/results/whole_runs.json. `hir bench … -o benchmarks/results` writes the other files. The plots that it
+writes beside them are moved to docs/images, the one place of generated figures.
 """
 
 from __future__ import annotations
@@ -27,20 +28,31 @@ SUITES = ("geometry", "reflectance", "regularizers", "export", "initializers", "
 
 
 def whole_runs() -> list[dict[str, Any]]:
-    """What was kept of finished runs."""
+    """The stored figures of finished runs."""
     path = RESULTS / "whole_runs.json"
     return list(json.loads(path.read_text(encoding="utf-8"))["runs"]) if path.is_file() else []
 
 
-def gathered(run: Path) -> dict[str, Any]:
-    """What a finished, evaluated run says of itself."""
+def run_figures(run: Path) -> dict[str, Any]:
+    """Settings, seconds, memory and metrics of a finished and evaluated run, from its JSON documents."""
     document = json.loads((run / "run.json").read_text(encoding="utf-8"))
     timings = json.loads((run / "timings.json").read_text(encoding="utf-8"))
     first = next(iter(json.loads((run / "capture" / "cameras.json").read_text(encoding="utf-8"))["views"]))
     test = json.loads((run / "evaluation" / "test" / "metrics.json").read_text(encoding="utf-8"))
-    # a thread's own work is what a clock shows where nothing else runs; of several threads only the clock knows
+    # one thread: processor time equals wall-clock time on an idle machine; several threads: only wall-clock time does
     seconds = "processor_seconds" if timings["machine"].get("threads") == 1 else "seconds"
-    kept = ("psnr", "psnr_scaled", "ssim", "lpips", "flip", "iou", "light", "surface", "albedo", "light_error")
+    stored_metrics = (
+        "psnr",
+        "psnr_scaled",
+        "ssim",
+        "lpips",
+        "flip",
+        "iou",
+        "light",
+        "surface",
+        "albedo",
+        "light_error",
+    )
     return {
         "capture": document["capture"]["name"],
         "preset": document["settings"]["preset"],
@@ -53,7 +65,7 @@ def gathered(run: Path) -> dict[str, Any]:
         "processor": timings["machine"]["processor"],
         "date": timings["finished"][:10],
         "rung": document["stages"]["reflectance"]["report"].get("rung"),
-        "metrics": {split: {k: m[k] for k in kept if k in m} for split, m in document["metrics"].items()},
+        "metrics": {split: {k: m[k] for k in stored_metrics if k in m} for split, m in document["metrics"].items()},
     }
 
 
@@ -81,7 +93,7 @@ def runs_table(runs: list[dict[str, Any]]) -> str:
 
 
 def stages_table(runs: list[dict[str, Any]]) -> str:
-    """Where the time went."""
+    """Seconds of each stage, peak memory and selected model of each run."""
     names = list(dict.fromkeys(name for run in runs for name in run["stages"]))
     order = [n for n in ("initializer", "geometry", "atlas", "reflectance", "bake", "export") if n in names]
     lines = ["| capture | " + " | ".join(order) + " | peak memory | model |", "|---|" + "---|" * (len(order) + 2)]
@@ -108,6 +120,11 @@ def page() -> str:
     return text
 
 
+def plot(suite: str) -> Path:
+    """The plot of a suite's results."""
+    return IMAGES / f"bench_{suite}.svg"
+
+
 def section(suite: str) -> str:
     """Table and plot of one suite."""
     path = RESULTS / f"{suite}.json"
@@ -117,13 +134,13 @@ def section(suite: str) -> str:
     text = markdown(result).rstrip()
     if result.settings.get("quick"):
         text += " The smallest sizes alone (`--quick`)."
-    if (RESULTS / f"{suite}.svg").is_file():
+    if plot(suite).is_file():
         text += f"\n\n![hir bench {suite}: seconds as cases grow, and against error](images/bench_{suite}.svg)"
     return text
 
 
 def with_table(readme: str) -> str:
-    """README with the table of today's results between its marks."""
+    """README with the table of the stored results between its markers."""
     before, _, rest = readme.partition(BEGIN)
     _, _, after = rest.partition(END)
     return f"{before}{BEGIN}\n{runs_table(whole_runs())}\n{END}{after}"
@@ -136,13 +153,13 @@ def main() -> None:
     if options.runs:
         RESULTS.mkdir(parents=True, exist_ok=True)
         text = json.dumps(
-            {"runs": [gathered(run) for run in options.runs]}, indent=1, sort_keys=True, ensure_ascii=False
+            {"runs": [run_figures(run) for run in options.runs]}, indent=1, sort_keys=True, ensure_ascii=False
         )
         (RESULTS / "whole_runs.json").write_text(text + "\n", encoding="utf-8")
-    PAGE.write_text(page(), encoding="utf-8")
     for suite in SUITES:
         if (RESULTS / f"{suite}.svg").is_file():
-            shutil.copy(RESULTS / f"{suite}.svg", IMAGES / f"bench_{suite}.svg")
+            shutil.move(RESULTS / f"{suite}.svg", plot(suite))
+    PAGE.write_text(page(), encoding="utf-8")
     README.write_text(with_table(README.read_text(encoding="utf-8")), encoding="utf-8")
 
 
