@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from benchmarks.reflectance_task import asked_task
-from hir_core.plugins.model_spec import Rung
+from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene.srgb import srgb_slope, srgb_to_linear
 from hir_plugins.commands.bench.suites.reflectance_fits import DOWNSAMPLE, FITTED
 from hir_plugins.reflectance_renderers.transport_ggx.fit.final_albedo import DARKEST, with_solved_albedo
@@ -59,7 +59,7 @@ def _silent(share: float) -> None:
 def alternated(solver: TransportSolver, views: Sequence[int], rounds: int) -> Unknowns:
     """Light, then albedos, so often, from what gradient steps begin with."""
     photographs = solver._photographs(views)
-    unknowns = solver._begin(FITTED, Fit(Rung(), solver._begin(Rung(), None, photographs)), photographs)
+    unknowns = solver._begin(FITTED, Fit(ModelSpec(), solver._begin(ModelSpec(), None, photographs)), photographs)
     stream = solver._stream(photographs, FITTED)
     blocks = [stream.make(unknowns, number) for number in range(stream.count)]
     specular = specular_blocks(blocks, FITTED.brdf)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from hir_core.capture.capture_size import CaptureSize
-    from hir_core.plugins.model_spec import Rung
+    from hir_core.plugins.model_spec import ModelSpec
     from hir_core.scene import EnvironmentMap, Material, Mesh, Scene
     from hir_core.scene.silhouette_targets import SilhouetteTargets
 
@@ -111,7 +111,9 @@ class ReflectanceSolver(PreparedReflectance):
         """
 
     @abstractmethod
-    def fit(self, rung: Rung, start: Any, views: Sequence[int], effort: float, report: Callable[[float], None]) -> Any:
+    def fit(
+        self, spec: ModelSpec, start: Any, views: Sequence[int], effort: float, report: Callable[[float], None]
+    ) -> Any:
         """Fits light and material of a rung to some views, from an earlier fit or None; `effort` 1 is a full fit,
         0 (for rungs that give texels values of their own) leaves the earlier fit as it is.
 

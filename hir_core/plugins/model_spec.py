@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Rung:
+class ModelSpec:
     """One model of the ladder."""
 
     brdf: Literal["diffuse", "paper", "dielectric"] = "diffuse"

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-FIT, VOTE = "fit", "vote"
+MODEL_FITTED, MODELS_COMPARED = "fit", "vote"
 """Milestones of the reflectance stage: a model was fitted and judged; a rung of the ladder was kept or refused."""
 
 

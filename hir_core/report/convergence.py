@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hir_core.files.json_documents import read_json
-from hir_core.plugins.progress import FIT
+from hir_core.plugins.progress import MODEL_FITTED
 from hir_core.report.curve_svg import curve_svg
 from hir_core.run.progress_listener import read_curves
 from hir_core.run.run_directory import STAGES, RunDirectory
@@ -63,7 +63,7 @@ def history(directory: RunDirectory, document: Mapping[str, Any], timings: Mappi
     if points:
         points.sort()
         found.append(_series("the photographs shown, after each stage", "stages", points))
-    seconds = milestones(timings, FIT)
+    seconds = milestones(timings, MODEL_FITTED)
     curves = read_curves(directory.stage("reflectance") / "curves.npz")
     for name, kind, label in (
         ("held_out_psnr", "held-out", "views held out while models are chosen"),

@@ -11,7 +11,7 @@ from typing import Any
 from hir_exporters.files.atomic import write_text_atomic
 
 from hir_core.plugins.manager import PluginManager
-from hir_core.plugins.progress import VOTE
+from hir_core.plugins.progress import MODELS_COMPARED
 from hir_core.report import convergence, embedded_pictures, embedded_viewer, history_chart, tables
 from hir_core.run.run_directory import RunDirectory, damage_told
 
@@ -38,7 +38,7 @@ def _page(directory: RunDirectory, plugins: PluginManager) -> str:
         "comparison": embedded_pictures.comparison(directory),
         "textures": embedded_pictures.textures(directory, tables.report_of(document, "bake")),
         "history": history_chart.history_chart(convergence.history(directory, document, timings)),
-        "ladder": tables.ladder(document, convergence.milestones(timings, VOTE)),
+        "ladder": tables.ladder(document, convergence.milestones(timings, MODELS_COMPARED)),
         "curves": convergence.curves(directory),
         "stages": tables.stages(document, timings),
         "evaluations": tables.evaluations(document),

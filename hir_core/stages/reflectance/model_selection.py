@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from hir_core.config import ReflectanceSettings
 from hir_core.errors import ConfigError
-from hir_core.plugins.model_spec import Rung
+from hir_core.plugins.model_spec import ModelSpec
 
 if TYPE_CHECKING:
     from hir_core.plugins.interfaces import ReflectanceSolver
@@ -46,7 +46,7 @@ FEWEST_VIEWS = 6
 class Step:
     """One comparison on the ladder."""
 
-    rung: Rung
+    spec: ModelSpec
     held_out_db: float
     gain_db: float
     """Against the best rung before it; mean over held-out views."""
@@ -57,8 +57,8 @@ class Step:
     def row(self) -> dict[str, Any]:
         """For run.json."""
         return {
-            "name": self.rung.name,
-            **asdict(self.rung),
+            "name": self.spec.name,
+            **asdict(self.spec),
             "held_out_db": round(self.held_out_db, 3),
             "gain_db": round(self.gain_db, 3),
             "noise_db": round(self.noise_db, 3),
@@ -79,68 +79,70 @@ class Watcher(Protocol):
         """A candidate was kept or refused."""
 
 
-def climb(
+def select_model(
     solver: ReflectanceSolver, settings: ReflectanceSettings, views: int, watcher: Watcher
-) -> tuple[Any, Rung, list[Step]]:
+) -> tuple[Any, ModelSpec, list[Step]]:
     """Climbs the ladder on training views, judged by held-out ones; returns the best fit and its rung.
 
     A rung named in the settings is fitted without a vote.
     """
     every = list(range(views))
     training, held_out = split_views(views)
-    forced = forced_rung(settings)
+    forced = forced_spec(settings)
     if forced is not None or not held_out:
-        return *_without_votes(solver, forced or default_rung(settings), every, watcher), []
+        return *_without_votes(solver, forced or default_spec(settings), every, watcher), []
     ladder = _Ladder(solver, training, held_out, watcher, _expected_cost(settings))
-    base = Rung(light_frame=_first_frame(settings))
+    base = ModelSpec(light_frame=_first_frame(settings))
     ladder.begin(base)
     if settings.light_frame == "auto":
         ladder.vote([replace(base, light_frame="camera")], afresh=True)
     models = ["paper", "dielectric"] if settings.brdf == "auto" else [settings.brdf]
-    ladder.vote([replace(ladder.rung, brdf=model, specular="uniform") for model in models])  # type: ignore[arg-type]
-    if ladder.rung.light_frame == "world":
+    ladder.vote([replace(ladder.spec, brdf=model, specular="uniform") for model in models])  # type: ignore[arg-type]
+    if ladder.spec.light_frame == "world":
         # before the maps: they would paint the light between parts of the object
-        before = ladder.rung
-        ladder.vote([replace(ladder.rung, bounces=1)])
-        if ladder.rung != before and before.brdf != "diffuse":
+        before = ladder.spec
+        ladder.vote([replace(ladder.spec, bounces=1)])
+        if ladder.spec != before and before.brdf != "diffuse":
             # light between parts of the object can look like a lobe: with it, the lobe must prove itself again
-            ladder.question(Rung(bounces=1))
-    if ladder.rung.brdf != "diffuse":
-        ladder.vote([replace(ladder.rung, colored=True)])
-        ladder.vote([replace(ladder.rung, specular="map")])
-        ladder.vote([replace(ladder.rung, roughness="map")])
-    if ladder.rung.light_frame == "world":
-        ladder.vote([replace(ladder.rung, normals="map")], significance=NORMALS_SIGNIFICANCE)
-        if ladder.rung.brdf != "diffuse" and not ladder.rung.mapped:
+            ladder.question(ModelSpec(bounces=1))
+    if ladder.spec.brdf != "diffuse":
+        ladder.vote([replace(ladder.spec, colored=True)])
+        ladder.vote([replace(ladder.spec, specular="map")])
+        ladder.vote([replace(ladder.spec, roughness="map")])
+    if ladder.spec.light_frame == "world":
+        ladder.vote([replace(ladder.spec, normals="map")], significance=NORMALS_SIGNIFICANCE)
+        if ladder.spec.brdf != "diffuse" and not ladder.spec.mapped:
             # maps at vertices that were kept show that nothing changes faster than they do
-            ladder.refine(replace(ladder.rung, texels="lobes"), replace(ladder.rung, texels="albedo"))
-    return ladder.fit, ladder.rung, ladder.steps
+            ladder.refine(replace(ladder.spec, texels="lobes"), replace(ladder.spec, texels="albedo"))
+    return ladder.fit, ladder.spec, ladder.steps
 
 
-def _without_votes(solver: ReflectanceSolver, rung: Rung, views: Sequence[int], watcher: Watcher) -> tuple[Any, Rung]:
+def _without_votes(
+    solver: ReflectanceSolver, spec: ModelSpec, views: Sequence[int], watcher: Watcher
+) -> tuple[Any, ModelSpec]:
     """The fit of one rung to all views, through simpler ones where it would go astray from the start."""
     plan = []
-    if rung.brdf != "diffuse":
+    if spec.brdf != "diffuse":
         # a lobe that starts under a flat light widens: the ladder's first step comes first here too
-        plan.append((Rung(light_frame=rung.light_frame), FIRST_EFFORT))
-    if rung.normals == "map":
+        plan.append((ModelSpec(light_frame=spec.light_frame), FIRST_EFFORT))
+    if spec.normals == "map":
         # and the lobe before the dents, which would do its work
-        plan.append((replace(rung, normals="mesh"), FIRST_EFFORT))
-    plan.append((rung, 1.0))
+        plan.append((replace(spec, normals="mesh"), FIRST_EFFORT))
+    plan.append((spec, 1.0))
     course, fit = _Course(watcher, sum(_cost(*fitted) for fitted in plan)), None
     for each, effort in plan:
         fit = solver.fit(each, fit, views, effort, course.part(each, effort))
-    return fit, rung
+    return fit, spec
 
 
-def _cost(rung: Rung, effort: float) -> float:
+def _cost(spec: ModelSpec, effort: float) -> float:
     """About how long a fit takes, in full diffuse fits: for the progress bar alone."""
-    return effort * (1 if rung.brdf == "diffuse" else 2) * (1.5 if rung.normals == "map" else 1)
+    return effort * (1 if spec.brdf == "diffuse" else 2) * (1.5 if spec.normals == "map" else 1)
 
 
 def _expected_cost(settings: ReflectanceSettings) -> float:
     """Of a ladder on which a lobe and a reflection are kept and no map at vertices is."""
-    matt, lobe = Rung(), Rung("dielectric", "uniform")
+    matt, lobe = ModelSpec(), ModelSpec("dielectric", "uniform")
     frames = 2 if settings.light_frame == "auto" else 1
     brdfs = 2 if settings.brdf == "auto" else 1
     before = frames * _cost(matt, FIRST_EFFORT) + _cost(matt, EFFORT) + brdfs * _cost(lobe, EFFORT)
@@ -158,14 +160,14 @@ class _Course:
         self._expected = expected
         self._spent = self._share = 0.0
 
-    def part(self, rung: Rung, effort: float) -> Callable[[float], None]:
+    def part(self, spec: ModelSpec, effort: float) -> Callable[[float], None]:
         """What the next fit reports its own share to."""
-        begins, cost = self._spent, _cost(rung, effort)
+        begins, cost = self._spent, _cost(spec, effort)
         self._spent += cost
 
         def tell(share: float) -> None:
             self._share = max(self._share, (begins + cost * share) / max(self._expected, self._spent))
-            self._watcher.fitting(rung.name, self._share)
+            self._watcher.fitting(spec.name, self._share)
 
         return tell
 
@@ -194,67 +196,67 @@ class _Ladder:
         self._start: Any = None
         self._controlled = False
         self.fit: Any = None
-        self.rung = Rung()
+        self.spec = ModelSpec()
         self.steps: list[Step] = []
 
-    def begin(self, rung: Rung) -> None:
+    def begin(self, spec: ModelSpec) -> None:
         """Fits the first rung."""
-        self.rung = rung
-        self.fit, self._errors = self._fitted(rung, None, FIRST_EFFORT)
-        self._record(rung, self._errors, 0.0, 0.0, True)
+        self.spec = spec
+        self.fit, self._errors = self._fitted(spec, None, FIRST_EFFORT)
+        self._record(spec, self._errors, 0.0, 0.0, True)
 
-    def vote(self, candidates: Sequence[Rung], afresh: bool = False, significance: float = SIGNIFICANCE) -> None:
+    def vote(self, candidates: Sequence[ModelSpec], afresh: bool = False, significance: float = SIGNIFICANCE) -> None:
         """Keeps the best candidate that held-out views prefer to the rung as it is, by `significance` errors."""
         if not afresh and not self._controlled:
             # more steps alone lower the error: without this control every rung would look like a gain
             self._start, self._controlled = self.fit, True
-            self.fit, self._errors = self._fitted(self.rung, self._start, EFFORT)
+            self.fit, self._errors = self._fitted(self.spec, self._start, EFFORT)
         standing = self._errors
         start, effort = (None, FIRST_EFFORT) if afresh else (self._start, EFFORT)
-        for rung in candidates:
-            fit, errors = self._fitted(rung, start, effort)
+        for spec in candidates:
+            fit, errors = self._fitted(spec, start, effort)
             gain, noise = compare(standing, errors)
             better = float(decibels(errors).mean()) > float(decibels(self._errors).mean())
             told = gain > significance * noise and gain > LEAST_GAIN_DB
             kept = told and better and float(decibels(standing).mean()) < FINEST_DB
             if kept:
-                self.rung, self.fit, self._errors, self._controlled = rung, fit, errors, False
-            self._record(rung, errors, gain, noise, kept)
+                self.spec, self.fit, self._errors, self._controlled = spec, fit, errors, False
+            self._record(spec, errors, gain, noise, kept)
 
-    def refine(self, finer: Rung, control: Rung) -> None:
+    def refine(self, finer: ModelSpec, control: ModelSpec) -> None:
         """Keeps what texels are given of their own when the rest is fitted, where held-out views prefer it to a
         `control` that is given less; neither takes another step of the fit.
         """
         fits, found = [], []
-        for rung in (control, finer):
-            fits.append(self._solver.fit(rung, self.fit, self._training, 0.0, self._course.part(rung, EFFORT)))
+        for spec in (control, finer):
+            fits.append(self._solver.fit(spec, self.fit, self._training, 0.0, self._course.part(spec, EFFORT)))
             found.append(self._solver.errors(fits[-1], self._held_out))
         standing, errors = found
         gain, noise = compare(standing, errors)
         near = float(decibels(standing).mean()) >= FINEST_DB
         kept = gain > NORMALS_SIGNIFICANCE * noise and gain > LEAST_GAIN_DB and not near
         if kept:
-            self.rung, self.fit, self._errors = finer, fits[1], errors
+            self.spec, self.fit, self._errors = finer, fits[1], errors
         self._record(finer, errors, gain, noise, kept)
 
-    def question(self, simpler: Rung) -> None:
+    def question(self, simpler: ModelSpec) -> None:
         """Goes back to a simpler rung unless what the last vote kept still gains on it; both had as many steps."""
         fit, errors = self._fitted(simpler, self._start, EFFORT)
         gain, noise = compare(errors, self._errors)
         kept = not (gain > SIGNIFICANCE * noise and gain > LEAST_GAIN_DB)
         if kept:
-            self.rung, self.fit, self._errors = simpler, fit, errors
+            self.spec, self.fit, self._errors = simpler, fit, errors
         self._record(simpler, errors, -gain, noise, kept)
 
-    def _fitted(self, rung: Rung, start: Any, effort: float) -> tuple[Any, NDArray[np.float64]]:
-        fit = self._solver.fit(rung, start, self._training, effort, self._course.part(rung, effort))
+    def _fitted(self, spec: ModelSpec, start: Any, effort: float) -> tuple[Any, NDArray[np.float64]]:
+        fit = self._solver.fit(spec, start, self._training, effort, self._course.part(spec, effort))
         errors = self._solver.errors(fit, self._held_out)
         fitted = self._solver.errors(fit, self._sample)
         self._watcher.judged(float(decibels(errors).mean()), float(decibels(fitted).mean()))
         return fit, errors
 
-    def _record(self, rung: Rung, errors: NDArray[np.float64], gain: float, noise: float, kept: bool) -> None:
-        self.steps.append(Step(rung, float(np.mean(decibels(errors))), gain, noise, kept))
+    def _record(self, spec: ModelSpec, errors: NDArray[np.float64], gain: float, noise: float, kept: bool) -> None:
+        self.steps.append(Step(spec, float(np.mean(decibels(errors))), gain, noise, kept))
         self._watcher.voted(self.steps[-1])
 
 
@@ -282,25 +284,25 @@ def decibels(errors: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(-10 * np.log10(np.maximum(errors, 1e-12)))
 
 
-def default_rung(settings: ReflectanceSettings) -> Rung:
+def default_spec(settings: ReflectanceSettings) -> ModelSpec:
     """What is fitted when there are too few views to vote."""
     brdf = "dielectric" if settings.brdf == "auto" else settings.brdf
-    return Rung(brdf=brdf, specular="uniform", light_frame=_first_frame(settings))
+    return ModelSpec(brdf=brdf, specular="uniform", light_frame=_first_frame(settings))
 
 
-def forced_rung(settings: ReflectanceSettings) -> Rung | None:
+def forced_spec(settings: ReflectanceSettings) -> ModelSpec | None:
     """The rung that `reflectance.model` names; None for `auto`."""
     if settings.model == "auto":
         return None
     brdf = "dielectric" if settings.brdf == "auto" else settings.brdf
     frame = _first_frame(settings)
     rungs = {
-        "diffuse": Rung(light_frame=frame),
-        "specular": Rung(brdf, "uniform", light_frame=frame),
-        "specular_map": Rung(brdf, "map", light_frame=frame),
-        "roughness_map": Rung(brdf, "map", "map", light_frame=frame),
-        "normal_map": Rung(brdf, "uniform", normals="map", light_frame=frame),
-        "texel_lobes": Rung(brdf, "uniform", light_frame=frame, texels="lobes"),
+        "diffuse": ModelSpec(light_frame=frame),
+        "specular": ModelSpec(brdf, "uniform", light_frame=frame),
+        "specular_map": ModelSpec(brdf, "map", light_frame=frame),
+        "roughness_map": ModelSpec(brdf, "map", "map", light_frame=frame),
+        "normal_map": ModelSpec(brdf, "uniform", normals="map", light_frame=frame),
+        "texel_lobes": ModelSpec(brdf, "uniform", light_frame=frame, texels="lobes"),
     }
     if settings.model in ("normal_map", "texel_lobes") and frame == "camera":
         raise ConfigError(

@@ -19,13 +19,13 @@ from hir_core.config import ReflectanceSettings
 from hir_core.errors import ConfigError, StageError
 from hir_core.optimization.weighted_energies import prepare_energies
 from hir_core.plugins.interfaces import PreparedReflectance, ReflectanceRenderer, ReflectanceSolver
-from hir_core.plugins.model_spec import Rung
-from hir_core.plugins.progress import FIT, VOTE, Progress
+from hir_core.plugins.model_spec import ModelSpec
+from hir_core.plugins.progress import MODEL_FITTED, MODELS_COMPARED, Progress
 from hir_core.run.stage_context import StageContext, passed_on
 from hir_core.scene import EnvironmentMap, Material, Scene
 from hir_core.scene.energy_conservation import conserving
 from hir_core.stages.reflectance.gradient_fit import fit_by_gradient, object_pixels
-from hir_core.stages.reflectance.model_selection import Step, Watcher, climb, default_rung, forced_rung
+from hir_core.stages.reflectance.model_selection import Step, Watcher, default_spec, forced_spec, select_model
 from hir_core.stages.reflectance.path_traced_refinement import polished, settled
 
 TICKS = 1000
@@ -62,16 +62,16 @@ def starting_scene(scene: Scene, capture: Capture, settings: ReflectanceSettings
     if scene.material is None or scene.mesh.uvs is None:
         raise StageError("the reflectance stage needs texture coordinates and a base colour; let the atlas stage run")
     device = scene.mesh.positions.device
-    rung = forced_rung(settings) or default_rung(settings)
+    spec = forced_spec(settings) or default_spec(settings)
     diffuse = scene.material.diffuse_albedo
     specular: Tensor = torch.full((3,), settings.specular_start, device=device)
-    if settings.method == "gradient" and rung.specular == "map" and diffuse.ndim == 3:
+    if settings.method == "gradient" and spec.specular == "map" and diffuse.ndim == 3:
         specular = specular.expand(diffuse.shape[0], diffuse.shape[1], 3).contiguous()
     roughness = torch.full((1,), settings.roughness_start, device=device)
-    if settings.method == "gradient" and rung.roughness == "map" and diffuse.ndim == 3:
+    if settings.method == "gradient" and spec.roughness == "map" and diffuse.ndim == 3:
         roughness = roughness.expand(diffuse.shape[0], diffuse.shape[1], 1).contiguous()
     material = Material(
-        model="dielectric" if rung.brdf == "diffuse" else rung.brdf,
+        model="dielectric" if spec.brdf == "diffuse" else spec.brdf,
         diffuse_albedo=diffuse if settings.method != "gradient" else torch.full_like(diffuse, settings.diffuse_start),
         specular_albedo=specular,
         roughness=roughness,
@@ -109,26 +109,26 @@ def _by_solver(
     began = time.perf_counter()
     bar = _Bar(context, began)
     solver.keep(context.checkpoints, context.checkpoint_seconds)
-    fit, rung, steps = climb(solver, settings, views, bar)
-    if not steps and forced_rung(settings) is None:
+    fit, spec, steps = select_model(solver, settings, views, bar)
+    if not steps and forced_spec(settings) is None:
         context.warn(
-            f"{views} views are too few to hold some out, so the model was not chosen but set: {rung.name}; "
+            f"{views} views are too few to hold some out, so the model was not chosen but set: {spec.name}; "
             "take at least 6 photographs to let them decide"
         )
     everything = list(range(views))
     if steps:
-        fit = solver.fit(rung, fit, everything, 1.0, bar.part("all views", f"{rung.name}, all views"))
+        fit = solver.fit(spec, fit, everything, 1.0, bar.part("all views", f"{spec.name}, all views"))
     fitted, facts = solver.scene(fit, everything, bar.part("textures"))
     report: dict[str, Any] = {
-        "rung": rung.name,
-        "bounces": rung.bounces,
-        "light_frame": rung.light_frame,
+        "rung": spec.name,
+        "bounces": spec.bounces,
+        "light_frame": spec.light_frame,
         "ladder": [step.row() for step in steps],
         **facts,
     }
     if settings.settle:  # before the regularizers: it would undo what they bring
         settle = bar.part("path tracing")
-        fitted, report["settled"] = settled(fitted, solver, capture, settings, rung.bounces, context, settle)
+        fitted, report["settled"] = settled(fitted, solver, capture, settings, spec.bounces, context, settle)
     energies = prepare_energies(fitted, settings.regularizers, context)
     if energies and not settings.iterations and not settings.polish_iterations:
         context.warn(
@@ -146,7 +146,7 @@ def _by_solver(
             context,
             steps=settings.iterations,
             fit_light=not settings.known_environment,
-            fit_specular=rung.brdf != "diffuse",
+            fit_specular=spec.brdf != "diffuse",
         )
         report["refinement"] = refined
     if settings.polish_iterations:
@@ -161,7 +161,7 @@ def _by_gradient(
     pixels = object_pixels(capture, views, settings.downsample, str(scene.mesh.positions.device))
     steps = settings.iterations_per_view * len(views) or settings.iterations
     energies = prepare_energies(scene, settings.regularizers, context)
-    rung: Rung = forced_rung(settings) or default_rung(settings)
+    spec: ModelSpec = forced_spec(settings) or default_spec(settings)
     fitted, report = fit_by_gradient(
         scene,
         prepared,
@@ -171,9 +171,9 @@ def _by_gradient(
         context,
         steps=steps,
         fit_light=not settings.known_environment,
-        fit_specular=rung.brdf != "diffuse",
+        fit_specular=spec.brdf != "diffuse",
     )
-    return fitted, {"rung": rung.name, "ladder": [], **report} | _light_report(fitted)
+    return fitted, {"rung": spec.name, "ladder": [], **report} | _light_report(fitted)
 
 
 def _light_report(scene: Scene) -> dict[str, Any]:
@@ -216,11 +216,11 @@ class _Bar(Watcher):
     def judged(self, held_out_db: float, training_db: float) -> None:
         """What a fit of the ladder came to."""
         levels = {"held_out_psnr": np.array([held_out_db]), "training_psnr": np.array([training_db])}
-        self._report(levels, FIT)
+        self._report(levels, MODEL_FITTED)
 
     def voted(self, step: Step) -> None:
         """A candidate with all that was fitted for its sake."""
-        self._report({}, VOTE)
+        self._report({}, MODELS_COMPARED)
 
     def _go(self, name: str, done: float) -> None:
         self._name, self._done = name, max(self._done, done)

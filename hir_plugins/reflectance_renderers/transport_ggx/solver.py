@@ -17,7 +17,7 @@ from torch import Tensor
 from hir_core.capture import Capture
 from hir_core.errors import StageError
 from hir_core.plugins.interfaces import PreparedReflectance, ReflectanceSolver
-from hir_core.plugins.model_spec import Rung
+from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene import EnvironmentMap, Material, Scene, Topology
 from hir_core.scene.srgb import linear_to_srgb, srgb_to_linear
 from hir_plugins.reflectance_renderers.transport_ggx.fit import joint_optimization
@@ -37,7 +37,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.shading_normals import 
 from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_light import pixel_irradiance
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
-from hir_plugins.reflectance_renderers.transport_ggx.textures.albedo_refinement import Settling
+from hir_plugins.reflectance_renderers.transport_ggx.textures.albedo_refinement import AlbedoRefinement
 from hir_plugins.reflectance_renderers.transport_ggx.textures.observations import Pictures
 from hir_plugins.reflectance_renderers.transport_ggx.textures.per_texel_brdf import LitSurface, shown_pixels
 from hir_plugins.reflectance_renderers.transport_ggx.textures.per_texel_maps import solve_lobe_maps
@@ -64,7 +64,7 @@ PROBE_SHARE = 0.4
 class Fit:
     """A fitted rung."""
 
-    rung: Rung
+    spec: ModelSpec
     unknowns: Unknowns
     views: tuple[int, ...] = ()
     """Of those it was fitted to; points that have values of their own are solved from them."""
@@ -90,7 +90,7 @@ class TransportSolver(ReflectanceSolver):
         self._edges = Topology(transport.surface.faces).edges
         self._indirect: Indirect | None = None
         self._equations: list[TexelEquations] = []
-        self._settling: Settling | None = None
+        self._settling: AlbedoRefinement | None = None
         self._files: FitFiles | None = None
         self._samples: dict[int, Photographed] = {}
         self._pictures = Pictures(capture, downsample)
@@ -108,49 +108,49 @@ class TransportSolver(ReflectanceSolver):
         """Fits that have ended are read again from `folder`, one under way goes on from its last state."""
         self._files = FitFiles(folder, seconds)
 
-    def fit(self, rung: Rung, start: Any, views: Sequence[int], effort: float, report: Callable[[float], None]) -> Fit:
+    def fit(self, spec: ModelSpec, start: Any, views: Sequence[int], effort: float, report: Callable[[float], None]) -> Fit:
         """Adam on cached transport; a rung's new unknowns start from the values of the earlier fit.
 
         Without one a diffuse model is fitted first: light and albedo before the lobes that depend on both.
         """
-        if rung.texels != "none":
+        if spec.texels != "none":
             # what points have of their own is solved when they are looked at
-            whole = replace(rung, texels="none")
+            whole = replace(spec, texels="none")
             base = start if effort == 0 else self.fit(whole, start, views, effort, report)
             report(1.0)
-            return Fit(rung, base.unknowns, tuple(views))
-        if start is None and rung.brdf != "diffuse":
-            start = self.fit(Rung("diffuse", light_frame=rung.light_frame), None, views, effort, lambda share: None)
-        file = self._files.next(rung, tuple(views), effort) if self._files is not None else None
+            return Fit(spec, base.unknowns, tuple(views))
+        if start is None and spec.brdf != "diffuse":
+            start = self.fit(ModelSpec("diffuse", light_frame=spec.light_frame), None, views, effort, lambda share: None)
+        file = self._files.next(spec, tuple(views), effort) if self._files is not None else None
         device = self._transport.surface.positions.device
         ended = file.result() if file is not None else None
         if ended is not None:
             report(1.0)
-            return Fit(rung, ended.to(device), tuple(views))
+            return Fit(spec, ended.to(device), tuple(views))
         photographs = self._thinned(self._photographs(views), effort)
         if not len(photographs):
             raise StageError(
                 f"no pixel of {len(views)} photographs shows the surface from more than {GRAZING_DEGREES:.0f} degrees: "
                 "mesh, masks and cameras do not fit together, or all views graze it; see with: hir check"
             )
-        unknowns = self._begin(rung, start, photographs)
+        unknowns = self._begin(spec, start, photographs)
         steps = max(1, round(self._options.steps * effort))
         known = self._options.known_light
         settings = FitSettings(
             steps,
-            rung.brdf,
-            rung.bounces,
+            spec.brdf,
+            spec.bounces,
             known_light=known,
             light_smoothness=self._options.light_smoothness,
             light_whiteness=self._options.light_whiteness,
             albedo_smoothness=self._options.albedo_smoothness,
         )
         begun = file is not None and file.begun()
-        if rung.brdf != "diffuse" and start.unknowns.width is None and not begun:
-            unknowns = self._probe(photographs, unknowns, settings, rung, effort)
+        if spec.brdf != "diffuse" and start.unknowns.width is None and not begun:
+            unknowns = self._probe(photographs, unknowns, settings, spec, effort)
         fitted = joint_optimization.fit(
             self._transport,
-            self._stream(photographs, rung),
+            self._stream(photographs, spec),
             unknowns,
             settings,
             self._edges,
@@ -159,7 +159,7 @@ class TransportSolver(ReflectanceSolver):
         )
         if file is not None:
             file.finish(fitted)
-        return Fit(rung, fitted, tuple(views))
+        return Fit(spec, fitted, tuple(views))
 
     def errors(self, fit: Fit, views: Sequence[int]) -> NDArray[np.float64]:
         """Mean squared sRGB error of each view's pixels; a clipped pixel that the fit makes brighter is right.
@@ -182,27 +182,27 @@ class TransportSolver(ReflectanceSolver):
     def _shown(self, fit: Fit, photographs: Photographed) -> Iterator[tuple[ShownPixels, Tensor]]:
         """Pixels, in parts, with the radiance that a fit shows there."""
         with torch.no_grad():
-            if fit.rung.texels != "none":
+            if fit.spec.texels != "none":
                 apart = max(1, math.ceil(len(photographs) / JUDGED_POINTS))
                 few = photographs.take(torch.arange(0, len(photographs), apart))
-                yield ShownPixels.of(few), shown_pixels(self._lit(fit), few, fit.rung.texels == "lobes")
+                yield ShownPixels.of(few), shown_pixels(self._lit(fit), few, fit.spec.texels == "lobes")
                 return
-            for block, specular in self._stream(photographs, fit.rung).each(fit.unknowns, fit.rung.brdf):
-                yield block, predict(self._transport, block, specular, fit.unknowns, fit.rung.bounces)
+            for block, specular in self._stream(photographs, fit.spec).each(fit.unknowns, fit.spec.brdf):
+                yield block, predict(self._transport, block, specular, fit.unknowns, fit.spec.bounces)
 
     def _lit(self, fit: Fit) -> LitSurface:
         """The surface under the light of a fit; the last one is kept, for two rungs and two judgements ask for it."""
         if self._last is None or self._last[0] is not fit.unknowns or self._last[1] != fit.views:
             self._last = None  # its probes go before there are new ones
-            lit = LitSurface.of(self._transport, self._pictures, fit.views, fit.rung, fit.shown)
+            lit = LitSurface.of(self._transport, self._pictures, fit.views, fit.spec, fit.shown)
             self._last = fit.unknowns, fit.views, lit
         return self._last[2]
 
     def scene(self, fit: Fit, views: Sequence[int], report: Callable[[float], None]) -> tuple[Scene, dict[str, Any]]:
         """Textures solved from all pixels, light as fitted. `radiance` has the fit's indirect light from then on."""
-        moving = fit.rung.light_frame == "camera"
+        moving = fit.spec.light_frame == "camera"
         shown = fit.shown
-        if fit.rung.texels == "lobes":
+        if fit.spec.texels == "lobes":
             lit = self._lit(replace(fit, views=tuple(views)))
             material, shown, self._equations, facts = solve_lobe_maps(
                 lit, self._scene, self._photographs(views), self._downsample, self._options, report
@@ -214,15 +214,15 @@ class TransportSolver(ReflectanceSolver):
                 self._capture,
                 views,
                 self._downsample,
-                fit.rung,
+                fit.spec,
                 shown,
                 self._rotation if moving else None,
                 self._options,
                 report,
             )
-        if fit.rung.bounces:
-            self._indirect = self._indirect_light(shown, fit.rung.bounces)
-        light = EnvironmentMap(shown.radiance, UPRIGHT.to(shown.light) if moving else None, fit.rung.light_frame)
+        if fit.spec.bounces:
+            self._indirect = self._indirect_light(shown, fit.spec.bounces)
+        light = EnvironmentMap(shown.radiance, UPRIGHT.to(shown.light) if moving else None, fit.spec.light_frame)
         return replace(self._scene, material=material, environment=light), facts
 
     def settle(
@@ -230,7 +230,7 @@ class TransportSolver(ReflectanceSolver):
     ) -> Scene | None:
         """The albedo solved from the same pixels, with what `traced` shows of them in place of what was cached."""
         if self._settling is None or self._settling.scene is not scene:
-            self._settling = Settling(scene, self._equations)
+            self._settling = AlbedoRefinement(scene, self._equations)
         return self._settling.solved(self._transport.surface, traced, views, report)
 
     def _indirect_light(self, values: Unknowns, bounces: int) -> Indirect:
@@ -257,27 +257,27 @@ class TransportSolver(ReflectanceSolver):
         generator = torch.Generator().manual_seed(self._options.seed)
         return photographs.take((torch.rand(len(photographs), generator=generator) < share).nonzero()[:, 0])
 
-    def _stream(self, photographs: Photographed, rung: Rung) -> Stream:
+    def _stream(self, photographs: Photographed, spec: ModelSpec) -> Stream:
         block = self._options.block_pixels
         count = max(1, math.ceil(len(photographs) / block))
         order = torch.randperm(len(photographs), generator=torch.Generator().manual_seed(self._options.seed))
 
         def make(state: Unknowns, number: int) -> Block:
-            return self._block(photographs.take(order[number::count]), rung, state, number)
+            return self._block(photographs.take(order[number::count]), spec, state, number)
 
         return Stream(make, count, max(1, self._options.resident_pixels // block))
 
-    def _block(self, part: Photographed, rung: Rung, unknowns: Unknowns, seed: int) -> Block:
+    def _block(self, part: Photographed, spec: ModelSpec, unknowns: Unknowns, seed: int) -> Block:
         vertices, cells = self._transport.interpolation(part.points)
         points = part.points
         if unknowns.tilt is not None:
             points = points.bent(bent(points.normal, vertices.matrix @ unknowns.tilt.detach()))
-        rotation = self._rotation if rung.light_frame == "camera" else None
+        rotation = self._rotation if spec.light_frame == "camera" else None
         direct = None
         if rotation is not None:
             direct = pixel_irradiance(self._transport, part.points, self._options.diffuse_samples, rotation, seed)
         lobes = None
-        if rung.brdf != "diffuse":
+        if spec.brdf != "diffuse":
             alpha = unknowns.alpha.detach()
             alpha = alpha if len(alpha) == 1 else vertices.matrix @ alpha
             lobes = self._transport.lobes(points, alpha, self._options.samples, rotation, seed)
@@ -292,22 +292,22 @@ class TransportSolver(ReflectanceSolver):
             part.points.normal,
         )
 
-    def _begin(self, rung: Rung, start: Fit | None, photographs: Photographed) -> Unknowns:
+    def _begin(self, spec: ModelSpec, start: Fit | None, photographs: Photographed) -> Unknowns:
         """Unknowns of a rung, from an earlier fit or from the scene that was prepared."""
         assert self._scene.material is not None and self._scene.environment is not None
         if start is None:
             light = self._scene.environment.radiance.clamp(1e-6, LIGHT_LIMIT).log()
-            diffuse = self._start_albedo(photographs, rung, light.exp())
+            diffuse = self._start_albedo(photographs, spec, light.exp())
             gain = light.new_zeros(len(self._capture.views)) if self._options.view_gain else None
             base = Unknowns(light, torch.logit(diffuse), None, None, gain)
         else:
             base = start.unknowns
-            if rung.bounces and not start.rung.bounces:
-                base = replace(base, diffuse=without_indirect(self._transport, base, rung.bounces))
+            if spec.bounces and not start.spec.bounces:
+                base = replace(base, diffuse=without_indirect(self._transport, base, spec.bounces))
         tilt = base.tilt
-        if rung.normals == "map" and tilt is None:
+        if spec.normals == "map" and tilt is None:
             tilt = torch.zeros_like(self._transport.surface.positions)
-        if rung.brdf == "diffuse":
+        if spec.brdf == "diffuse":
             return Unknowns(base.light, base.diffuse, None, None, base.gain, tilt=tilt)
         specular, width = base.specular, base.width
         vertices = len(base.diffuse)
@@ -315,22 +315,22 @@ class TransportSolver(ReflectanceSolver):
             rho = self._scene.material.specular_albedo.mean().clamp(1e-3, 0.999)
             alpha = self._scene.material.roughness.mean().clamp(0.02, 0.98)
             specular, width = torch.logit(rho).reshape(1, 1), width_of(alpha).reshape(1, 1)
-        if rung.colored and specular.shape[1] == 1:
+        if spec.colored and specular.shape[1] == 1:
             specular = specular.clamp_min(LEAST_START).expand(-1, 3)
-        if rung.specular == "map" and len(specular) == 1:
+        if spec.specular == "map" and len(specular) == 1:
             specular = specular.clamp_min(LEAST_START).expand(vertices, -1)
-        if rung.roughness == "map" and len(width) == 1:
+        if spec.roughness == "map" and len(width) == 1:
             width = width.expand(vertices, -1)
         return Unknowns(base.light, base.diffuse, specular.contiguous(), width.contiguous(), base.gain, tilt=tilt)
 
-    def _start_albedo(self, photographs: Photographed, rung: Rung, light: Tensor) -> Float[Tensor, "V 3"]:
-        rotation = self._rotation if rung.light_frame == "camera" else None
+    def _start_albedo(self, photographs: Photographed, spec: ModelSpec, light: Tensor) -> Float[Tensor, "V 3"]:
+        rotation = self._rotation if spec.light_frame == "camera" else None
         alike = self._options.start == "uniform" and not self._options.known_light
         samples = self._options.diffuse_samples
         return albedo_of_photographs(self._transport, photographs, light, alike, rotation, samples)
 
     def _probe(
-        self, photographs: Photographed, unknowns: Unknowns, settings: FitSettings, rung: Rung, effort: float
+        self, photographs: Photographed, unknowns: Unknowns, settings: FitSettings, spec: ModelSpec, effort: float
     ) -> Unknowns:
         """The start, narrow or wide, from which a short fit to some of the pixels gets farther."""
         part = self._thinned(photographs, PROBE_SHARE / 2)
@@ -339,14 +339,14 @@ class TransportSolver(ReflectanceSolver):
         assert unknowns.width is not None
         wide = width_of(torch.full_like(unknowns.width, WIDE))
         starts = [unknowns, replace(unknowns, width=wide)]
-        losses = [self._short_fit(part, rung, start, short) for start in starts]
+        losses = [self._short_fit(part, spec, start, short) for start in starts]
         return starts[losses.index(min(losses))]
 
-    def _short_fit(self, part: Photographed, rung: Rung, start: Unknowns, settings: FitSettings) -> float:
+    def _short_fit(self, part: Photographed, spec: ModelSpec, start: Unknowns, settings: FitSettings) -> float:
         losses: list[float] = []
         joint_optimization.fit(
             self._transport,
-            self._stream(part, rung),
+            self._stream(part, spec),
             start,
             settings,
             self._edges,

@@ -21,7 +21,7 @@ from hir_core.errors import HirError
 from hir_core.intake.reader_lookup import read_capture
 from hir_core.optimization.weighted_energies import Energies
 from hir_core.plugins.interfaces import ReflectanceSolver
-from hir_core.plugins.model_spec import Rung
+from hir_core.plugins.model_spec import ModelSpec
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import Scene
 from hir_core.stages.reflectance.path_traced_refinement import polished
@@ -37,7 +37,7 @@ POLISHED_EFFORT, POLISH_STEPS = 0.5, 20
 TUNED_STEPS = (50, 150)
 PAPER_STEPS = (100,)
 """Of 32,000 that the paper takes with 80 photographs."""
-FITTED = Rung("dielectric", "uniform", bounces=1)
+FITTED = ModelSpec("dielectric", "uniform", bounces=1)
 DOWNSAMPLE = 2
 TUNED = ReflectanceSettings(
     renderer="mitsuba_ggx",

@@ -27,7 +27,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.textures.texture_solve impo
 
 
 @dataclass(eq=False)
-class Settling:
+class AlbedoRefinement:
     """A scene and the equations that its albedo was solved from, view by view."""
 
     scene: Scene

@@ -49,7 +49,7 @@ def with_fitted_light(
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(adam, STEPS)
     for _ in range(STEPS):
         radiance = replace(unknowns, light=light).radiance
-        sources, irradiance = transport.sources(radiance, unknowns.diffuse_albedo, lit.rung.bounces)
+        sources, irradiance = transport.sources(radiance, unknowns.diffuse_albedo, lit.spec.bounces)
         vectors = transport.vector_irradiance(radiance)
         arriving = irradiance_at(transport, points, pixels.points.normal, irradiance, vectors)
         gathered = gathering[0] @ sources, gathering[1] @ sources

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from hir_core.mesh.texel_rasterization import TexelSurface
-from hir_core.plugins.model_spec import Rung
+from hir_core.plugins.model_spec import ModelSpec
 from hir_plugins.reflectance_renderers.brdf_torch import Model
 from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import Photographed
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Unknowns
@@ -41,7 +41,7 @@ class LitSurface:
     transport: Transport
     pictures: Pictures
     views: Sequence[int]
-    rung: Rung
+    spec: ModelSpec
     unknowns: Unknowns
     probes: ProbeTable
     sources: Float[Tensor, "S 3"]
@@ -50,23 +50,23 @@ class LitSurface:
 
     @classmethod
     def of(
-        cls, transport: Transport, pictures: Pictures, views: Sequence[int], rung: Rung, unknowns: Unknowns
+        cls, transport: Transport, pictures: Pictures, views: Sequence[int], spec: ModelSpec, unknowns: Unknowns
     ) -> LitSurface:
         """Filters the light of a fit."""
         with torch.no_grad():
-            sources, irradiance = transport.sources(unknowns.radiance, unknowns.diffuse_albedo, rung.bounces)
+            sources, irradiance = transport.sources(unknowns.radiance, unknowns.diffuse_albedo, spec.bounces)
             vectors = transport.vector_irradiance(unknowns.radiance)
             probes = ProbeTable(make_probes(transport, sources[transport.level], sources[transport.pyramid.texels :]))
-        return cls(transport, pictures, views, rung, unknowns, probes, sources, irradiance, vectors)
+        return cls(transport, pictures, views, spec, unknowns, probes, sources, irradiance, vectors)
 
     @property
     def model(self) -> Model:
         """Of its lobes."""
-        return "paper" if self.rung.brdf == "paper" else "dielectric"
+        return "paper" if self.spec.brdf == "paper" else "dielectric"
 
     def under(self, unknowns: Unknowns) -> LitSurface:
         """The same surface in another light."""
-        return LitSurface.of(self.transport, self.pictures, self.views, self.rung, unknowns)
+        return LitSurface.of(self.transport, self.pictures, self.views, self.spec, unknowns)
 
     def solve(
         self, face: Tensor, barycentric: Tensor, position: Tensor, normal: Tensor, own_lobes: bool

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from hir_core.capture import Capture
-from hir_core.plugins.model_spec import Rung
+from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene import Material, Mesh, Scene, Topology
 from hir_core.scene.srgb import srgb_slope
 from hir_core.stages.atlas import TexelSurface, dilate, fill_unobserved, texel_surface, texture_of_vertices
@@ -54,7 +54,7 @@ def solve_scene(
     capture: Capture,
     views: Sequence[int],
     downsample: int,
-    rung: Rung,
+    spec: ModelSpec,
     unknowns: Unknowns,
     rotation: Tensor | None,
     options: TransportGGXOptions,
@@ -66,7 +66,7 @@ def solve_scene(
     mesh = refined_mesh(transport.surface)
     surface = texel_surface(mesh, (height, width))
     with torch.no_grad():
-        sources, irradiance = _light(transport, unknowns, rung, rotation)
+        sources, irradiance = _light(transport, unknowns, spec, rotation)
         vectors = None if unknowns.tilt is None else transport.vector_irradiance(unknowns.radiance)
         equations = []
         told = unknowns.light.new_zeros(len(transport.surface.positions), 2)
@@ -74,7 +74,7 @@ def solve_scene(
         for done, view in enumerate(views):
             part = photographed(transport, capture, view, most, downsample, options.seed + 1)
             found = _equations(
-                transport, part, unknowns, rung, sources, irradiance, vectors, rotation, options, (height, width)
+                transport, part, unknowns, spec, sources, irradiance, vectors, rotation, options, (height, width)
             )
             told += _told(transport, part, found)
             equations += found
@@ -91,18 +91,18 @@ def solve_scene(
             return dilate(fill_unobserved(texture, mesh, observed, surface), surface.covered, PADDING)
 
         material = Material(
-            model="paper" if rung.brdf == "paper" else "dielectric",
+            model="paper" if spec.brdf == "paper" else "dielectric",
             diffuse_albedo=finished(diffuse),
             specular_albedo=_map(mesh, surface, _rgb(unknowns.specular_albedo), finished)
-            if rung.brdf != "diffuse"
+            if spec.brdf != "diffuse"
             else diffuse.new_zeros(3),
-            roughness=_map(mesh, surface, unknowns.alpha, finished) if rung.brdf != "diffuse" else diffuse.new_ones(1),
+            roughness=_map(mesh, surface, unknowns.alpha, finished) if spec.brdf != "diffuse" else diffuse.new_ones(1),
             normal=None
             if unknowns.tilt is None
             else normal_map(scene.mesh, finished(texture_of_vertices(mesh, unknowns.tilt, surface)), PADDING),
             observed=observed,
         )
-        if rung.brdf == "diffuse":
+        if spec.brdf == "diffuse":
             # ρs = 0 is Lambert's law in the paper's model; `dielectric` would keep its grazing reflection
             material = Material(
                 "paper",
@@ -124,7 +124,7 @@ def _equations(
     transport: Transport,
     part: Photographed,
     unknowns: Unknowns,
-    rung: Rung,
+    spec: ModelSpec,
     sources: Tensor,
     irradiance: Tensor,
     vectors: Tensor | None,
@@ -146,13 +146,13 @@ def _equations(
         arriving = irradiance_at(transport, points, part.points.normal, irradiance, vectors)
     else:
         arriving = pixel_irradiance(transport, points, options.diffuse_samples, rotation, options.seed).matrix @ sources
-    if rung.brdf == "diffuse":
+    if spec.brdf == "diffuse":
         gain, specular = arriving / torch.pi, torch.zeros_like(arriving)
     else:
         rho_s, alpha = at_points(unknowns.specular_albedo), at_points(unknowns.alpha)
         lobes = transport.lobes(points, alpha, options.texture_samples, rotation, options.seed)
         gathered = received(lobes, alpha, sources)
-        gain, specular = gain_and_lobe(rung.brdf, rho_s, alpha, arriving, lobes, gathered)
+        gain, specular = gain_and_lobe(spec.brdf, rho_s, alpha, arriving, lobes, gathered)
     return [texel_equations(transport, part, gain, specular, unknowns.exposure, size)]
 
 
@@ -188,10 +188,10 @@ def _informed(told: Float[Tensor, "V 2"]) -> Bool[Tensor, " V"]:
     return known & (light > LEAST_INFORMATION * PRIOR * mean)
 
 
-def _light(transport: Transport, unknowns: Unknowns, rung: Rung, rotation: Tensor | None) -> tuple[Tensor, Tensor]:
+def _light(transport: Transport, unknowns: Unknowns, spec: ModelSpec, rotation: Tensor | None) -> tuple[Tensor, Tensor]:
     if rotation is not None:
         return transport.sky_only(unknowns.radiance), unknowns.radiance.new_zeros(0, 3)
-    return transport.sources(unknowns.radiance, unknowns.diffuse_albedo, rung.bounces)
+    return transport.sources(unknowns.radiance, unknowns.diffuse_albedo, spec.bounces)
 
 
 def _map(

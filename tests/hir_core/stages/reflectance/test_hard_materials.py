@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from hir_core.errors import StageError
-from hir_core.plugins.model_spec import Rung
+from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene import EnvironmentMap, Material, Scene
 from hir_core.stages.atlas import unwrap_mesh
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import texel_directions
@@ -238,8 +238,8 @@ def test_a_deep_bowl_needs_indirect_light(tmp_path: Path) -> None:
     place = mesh.positions
     inside = (place[:, [0, 2]].norm(dim=1) < 0.84) & (place[:, 1] < 0.1) & (place.norm(dim=1) < 0.92)
     errors = []
-    for rung in (Rung(), Rung(bounces=1), Rung(bounces=2)):
-        fit = solver.fit(rung, None, range(10), 1.0, lambda _: None)
+    for spec in (ModelSpec(), ModelSpec(bounces=1), ModelSpec(bounces=2)):
+        fit = solver.fit(spec, None, range(10), 1.0, lambda _: None)
         assert_sound(solver.scene(fit, range(10), lambda _: None)[0])
         errors.append(float((fit.unknowns.diffuse_albedo[inside].mean(dim=0) - color).abs().max()))
     assert errors[0] > 0.3 and errors[1] < 0.4 * errors[0] and errors[2] < 0.05

@@ -10,7 +10,7 @@ import torch
 
 from benchmarks.alternation import LightProblem
 from benchmarks.remaining_error import seen_from
-from hir_core.plugins.model_spec import Rung
+from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene import EnvironmentMap
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Unknowns
 from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import refresh, specular_blocks
@@ -18,7 +18,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.solver import Fit
 from tests.hir_plugins.reflectance_renderers.transport_ggx.test_light_and_albedo import solver_of
 
 
-def light_problem(rung: Rung) -> tuple[Any, Unknowns, LightProblem]:
+def light_problem(rung: ModelSpec) -> tuple[Any, Unknowns, LightProblem]:
     """A ball with what its photographs begin with, in several blocks."""
     solver, _ = solver_of(block_pixels=400)
     photographs = solver._photographs(range(6))
@@ -30,8 +30,8 @@ def light_problem(rung: Rung) -> tuple[Any, Unknowns, LightProblem]:
     return solver, unknowns, LightProblem(solver._transport, blocks, specular, unknowns, rung.bounces)
 
 
-@pytest.mark.parametrize("rung", [Rung(), Rung("dielectric", "uniform", bounces=1)])
-def test_the_light_in_closed_form_shows_what_was_photographed(rung: Rung) -> None:
+@pytest.mark.parametrize("rung", [ModelSpec(), ModelSpec("dielectric", "uniform", bounces=1)])
+def test_the_light_in_closed_form_shows_what_was_photographed(rung: ModelSpec) -> None:
     solver, unknowns, problem = light_problem(rung)
     found = problem.solution()
     assert bool((found > 0).all()) and bool(torch.isfinite(found).all())
@@ -42,7 +42,7 @@ def test_the_light_in_closed_form_shows_what_was_photographed(rung: Rung) -> Non
 
 def test_what_a_light_shows_is_linear_and_its_transpose_is_one() -> None:
     """⟨A x, y⟩ = ⟨x, Aᵀ y⟩, which conjugate gradients rely on."""
-    _, unknowns, problem = light_problem(Rung("dielectric", "uniform", bounces=1))
+    _, unknowns, problem = light_problem(ModelSpec("dielectric", "uniform", bounces=1))
     torch.manual_seed(0)
     light = torch.rand_like(unknowns.light)
     shown = problem._shown(light)

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from hir_core.capture import Capture, Pixels, View
-from hir_core.plugins.model_spec import Rung
+from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene import EnvironmentMap, Material, Scene
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import texel_directions
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
@@ -49,7 +49,7 @@ def test_drifting_exposures_are_found_and_cost_nothing() -> None:
     for gain in (False, True):
         options = TransportGGXOptions(vertices=0, cells=800, steps=150, view_gain=gain)
         solver = TransportGGX(options).prepare(scene, capture)
-        fit = solver.fit(Rung(), None, range(6), 1.0, lambda _: None)  # type: ignore[attr-defined]
+        fit = solver.fit(ModelSpec(), None, range(6), 1.0, lambda _: None)  # type: ignore[attr-defined]
         errors[gain] = solver.errors(fit, range(6)).mean()  # type: ignore[attr-defined]
         if gain:
             found = fit.unknowns.exposure.numpy()
@@ -62,7 +62,7 @@ def test_a_photograph_that_was_not_fitted_is_judged_at_its_own_exposure() -> Non
     capture, scene = photographs(FACTORS)
     options = TransportGGXOptions(vertices=0, cells=800, steps=150, view_gain=True)
     solver = TransportGGX(options).prepare(scene, capture)
-    fit = solver.fit(Rung(), None, range(5), 1.0, lambda _: None)  # type: ignore[attr-defined]
+    fit = solver.fit(ModelSpec(), None, range(5), 1.0, lambda _: None)  # type: ignore[attr-defined]
     found = -10 * np.log10(solver.errors(fit, [5])[0])  # type: ignore[attr-defined]
     as_others = replace(fit, unknowns=replace(fit.unknowns, gain=None))
     # what is left is the rim that no other photograph shows

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from hir_core.plugins.model_spec import Rung
+from hir_core.plugins.model_spec import ModelSpec
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Unknowns
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGGX
@@ -34,7 +34,7 @@ def test_a_fit_begins_with_one_albedo_unless_it_is_told_or_knows_the_light(
     options: dict[str, Any], alike: bool
 ) -> None:
     solver, middle = solver_of(**options)
-    begun = spread(solver._begin(Rung(), None, solver._photographs(range(6))), middle)
+    begun = spread(solver._begin(ModelSpec(), None, solver._photographs(range(6))), middle)
     assert begun < 1e-6 if alike else begun > 0.1
 
 
@@ -42,5 +42,5 @@ def test_few_edges_in_the_albedo_are_preferred() -> None:
     spreads = []
     for weight in (1e-3, 0.0):
         solver, middle = solver_of(albedo_smoothness=weight)
-        spreads.append(spread(solver.fit(Rung(), None, range(6), 1.0, lambda _: None).unknowns, middle))
+        spreads.append(spread(solver.fit(ModelSpec(), None, range(6), 1.0, lambda _: None).unknowns, middle))
     assert spreads[0] < 0.85 * spreads[1]

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from hir_core.plugins.model_spec import Rung
+from hir_core.plugins.model_spec import ModelSpec
 from hir_plugins.reflectance_renderers.transport_ggx import solver
 from hir_plugins.reflectance_renderers.transport_ggx.fit import joint_optimization
 from hir_plugins.reflectance_renderers.transport_ggx.fit.joint_optimization import FitSettings
@@ -33,17 +33,17 @@ def test_a_fit_under_a_moving_light_begins_without_the_matrix_of_all_pixels(monk
     """300 views of 512²: it took 2 GB for the mean of three numbers."""
     fit, _ = solver_of()
     monkeypatch.setattr(solver, "pixel_irradiance", lambda *_: pytest.fail("3 kB a pixel"))
-    begun = fit._begin(Rung(light_frame="camera"), None, fit._photographs(range(6)))
+    begun = fit._begin(ModelSpec(light_frame="camera"), None, fit._photographs(range(6)))
     assert bool(torch.isfinite(begun.diffuse).all())
 
 
 def test_lobes_are_let_go_before_new_ones_are_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
     fit, _ = solver_of()
-    rung, photographs = Rung("dielectric", "uniform"), fit._photographs(range(6))
+    spec, photographs = ModelSpec("dielectric", "uniform"), fit._photographs(range(6))
     earlier: list[weakref.ref[Lobes]] = []
     monkeypatch.setattr(joint_optimization, "_drifted", lambda *_: True)
 
-    whole = fit._stream(photographs, rung)
+    whole = fit._stream(photographs, spec)
 
     def make(state: Unknowns, number: int) -> Block:
         assert all(lobes() is None for lobes in earlier), "the lobes of both widths at once"
@@ -53,7 +53,7 @@ def test_lobes_are_let_go_before_new_ones_are_drawn(monkeypatch: pytest.MonkeyPa
         return block
 
     settings = FitSettings(20, "dielectric", 0, refresh=5)
-    start = fit._begin(rung, None, photographs)
+    start = fit._begin(spec, None, photographs)
     joint_optimization.fit(fit._transport, replace(whole, make=make), start, settings, fit._edges, lambda *_: None)
     assert len(earlier) == 5, "one at the start, and one at each refresh"
 
@@ -66,9 +66,9 @@ def test_a_stream_shows_every_pixel_and_holds_no_more_blocks_than_it_may(monkeyp
     most = 0
     block_of = fit._block
 
-    def counted(part: Photographed, rung: Rung, state: Unknowns, number: int) -> Block:
+    def counted(part: Photographed, spec: ModelSpec, state: Unknowns, number: int) -> Block:
         nonlocal most
-        block: Block = block_of(part, rung, state, number)
+        block: Block = block_of(part, spec, state, number)
         assert block.lobes is not None
         alive.append(weakref.ref(block.lobes))
         shown.add(number)
@@ -76,20 +76,20 @@ def test_a_stream_shows_every_pixel_and_holds_no_more_blocks_than_it_may(monkeyp
         return block
 
     monkeypatch.setattr(fit, "_block", counted)
-    rung = Rung("dielectric", "uniform")
-    stream = fit._stream(photographs, rung)
+    spec = ModelSpec("dielectric", "uniform")
+    stream = fit._stream(photographs, spec)
     settings = FitSettings(15 * stream.turns, "dielectric", 0)
     joint_optimization.fit(
-        fit._transport, stream, fit._begin(rung, None, photographs), settings, fit._edges, lambda *_: None
+        fit._transport, stream, fit._begin(spec, None, photographs), settings, fit._edges, lambda *_: None
     )
     assert stream.turns > 2 and shown == set(range(stream.count))
     assert most <= 2, "blocks of two turns at once"
 
 
 def test_a_fit_in_turns_ends_near_the_one_that_holds_all() -> None:
-    rung, every = Rung("dielectric", "uniform"), range(6)
+    spec, every = ModelSpec("dielectric", "uniform"), range(6)
     errors = []
     for resident in (1 << 20, 400):
         fit, _ = solver_of(block_pixels=200, resident_pixels=resident)
-        errors.append(fit.errors(fit.fit(rung, None, every, 1.0, lambda _: None), every).mean())
+        errors.append(fit.errors(fit.fit(spec, None, every, 1.0, lambda _: None), every).mean())
     assert errors[1] < 1.6 * errors[0] < 1e-6, "66.7 dB, and 65.5 in turns"

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from hir_core.capture import Capture, Pixels, View
-from hir_core.plugins.model_spec import Rung
+from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene import EnvironmentMap, Material, Mesh, Scene, Topology
 from hir_plugins.reflectance_renderers.brdf_torch import directional_albedo_terms
 from hir_plugins.reflectance_renderers.mitsuba_ggx.options import MitsubaGGXOptions
@@ -236,7 +236,7 @@ def test_a_specular_map_can_grow_where_one_value_for_all_went_to_zero() -> None:
     scene = Scene(icosphere(3), gloss(), smooth_light(16))
     solver = TransportGGX(options).prepare(scene, capture())
     assert isinstance(solver, TransportSolver)
-    uniform = Rung("dielectric", "uniform")
+    uniform = ModelSpec("dielectric", "uniform")
     vanished = solver.fit(uniform, None, [0], 1.0, lambda _: None)
     vanished = replace(vanished, unknowns=replace(vanished.unknowns, specular=torch.full((1, 1), -12.0)))
     for grown in (replace(uniform, specular="map"), replace(uniform, colored=True)):
