@@ -40,8 +40,8 @@ _HOMES = {
     "errors": ("ExportError", "HirError", "InputError"),
     "exporter": ("Exporter", "ExportReport"),
     "formats": ("FORMATS", "create_exporter"),
-    "scene_files": ("load_scene", "save_scene"),
-    "verify": ("verify_file",),
+    "scene_format": ("load_scene", "save_scene"),
+    "reading.file_verification": ("verify_file",),
 }
 
 

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 from hir_exporters.conventions import direction_to_latlong_uv, latlong_directions, latlong_solid_angles
-from hir_exporters.light.environment_map import bilinear, resample_latlong
+from hir_exporters.light.environment_map import resample_latlong, sample_latlong
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -106,7 +106,7 @@ def three_spheres(radiance: Array, pixels: int = SPHERE_PIXELS) -> dict[str, Arr
     lobe = cosine / (cosine**2 * (SILVER_ALPHA**2 - 1) + 1) ** 2
     lobe *= (normals @ directions.T) > 0
     silver = lobe @ flux / np.maximum(lobe @ solid, 1e-300)[:, None]
-    return {"mirror": bilinear(radiance, direction_to_latlong_uv(mirrored)), "silver": silver, "diffuse": diffuse}
+    return {"mirror": sample_latlong(radiance, direction_to_latlong_uv(mirrored)), "silver": silver, "diffuse": diffuse}
 
 
 def sphere_normals(pixels: int = SPHERE_PIXELS) -> Array:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from hir_exporters.asset import Asset, AssetMesh
 from hir_exporters.conventions import ALPHA_MIN, direction_to_latlong_uv
-from hir_exporters.light.environment_map import bilinear, resample_latlong, world_radiance
+from hir_exporters.light.environment_map import resample_latlong, sample_latlong, world_radiance
 from hir_exporters.materials import brdf_numpy
 from hir_exporters.materials.brdf_slice import BrdfSlice
 from hir_exporters.textures.texture_maps import sample_texels
@@ -202,7 +202,7 @@ def _lookup(pyramid: list[Array], directions: Array, solid_angle: Array) -> Arra
     for index in np.unique(lower):
         chosen = lower == index
         share = (level[chosen] - index)[:, None]
-        near, far = (bilinear(pyramid[k], uv[chosen]) for k in (index, index + 1))
+        near, far = (sample_latlong(pyramid[k], uv[chosen]) for k in (index, index + 1))
         result[chosen] = (1 - share) * near + share * far
     return result
 

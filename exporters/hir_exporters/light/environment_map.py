@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from hir_exporters.asset import Asset, AssetEnvironment
 from hir_exporters.conventions import direction_to_latlong_uv, latlong_directions, latlong_solid_angles
 from hir_exporters.errors import ExportError
+from hir_exporters.textures.bilinear import sample_bilinear
 
 Array = NDArray[np.float64]
 
@@ -61,7 +62,7 @@ def rotate_latlong(radiance: NDArray[np.floating], to_world: NDArray[np.floating
         if abs(shift - round(shift)) < 1e-9 * width:
             return np.roll(values, round(shift), axis=1)
     fine = latlong_directions(2 * height, 2 * width) @ rotation  # rows are directions: d @ R is R^T d
-    turned = bilinear(values, direction_to_latlong_uv(fine)).reshape(height, 2, width, 2, -1)
+    turned = sample_latlong(values, direction_to_latlong_uv(fine)).reshape(height, 2, width, 2, -1)
     weight = latlong_solid_angles(2 * height, 2 * width).reshape(height, 2, 1, 1, 1)
     turned = (turned * weight).sum((1, 3)) / (2 * weight.sum(1)[:, :, 0])
     before, after = mean_radiance(values), mean_radiance(turned)
@@ -124,12 +125,9 @@ def _overlap(old: Array, new: Array) -> Array:
     return np.maximum(high - low, 0.0) / (new[1:] - new[:-1])[:, None]
 
 
-def bilinear(values: Array, uv: NDArray[np.floating]) -> Array:
-    """Samples (..., C) at lat-long coordinates: u wraps, v stops at the poles."""
-    height, width, _ = values.shape
-    x, y = uv[..., 0] * width - 0.5, np.clip(uv[..., 1] * height - 0.5, 0, height - 1)
-    x0, y0 = np.floor(x).astype(np.int64), np.minimum(np.floor(y).astype(np.int64), max(height - 2, 0))
-    fx, fy = (x - x0)[..., None], (y - y0)[..., None]
-    left, right, below = x0 % width, (x0 + 1) % width, np.minimum(y0 + 1, height - 1)
-    top = values[y0, left] * (1 - fx) + values[y0, right] * fx
-    return top * (1 - fy) + (values[below, left] * (1 - fx) + values[below, right] * fx) * fy
+def sample_latlong(values: Array, uv: NDArray[np.floating]) -> Array:
+    """Bilinear samples (..., C) of a lat-long image (H, W, C) at uv (..., 2): u wraps around, v stops at the poles."""
+    height, width = values.shape[:2]
+    return np.asarray(
+        sample_bilinear(values, uv[..., 0] * width - 0.5, uv[..., 1] * height - 0.5, "wrap_columns"), np.float64
+    )

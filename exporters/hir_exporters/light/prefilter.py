@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hir_exporters.conventions import direction_to_latlong_uv, latlong_directions, latlong_solid_angles
-from hir_exporters.light.environment_map import bilinear, resample_latlong
+from hir_exporters.light.environment_map import resample_latlong, sample_latlong
 
 Array = NDArray[np.float64]
 
@@ -147,8 +147,8 @@ def _lookup(pyramid: list[Array], directions: Array, solid_angle: float) -> Arra
     level = float(np.clip(0.5 * np.log2(max(solid_angle / pixel, 1e-12)), 0, len(pyramid) - 1))
     lower = min(int(level), len(pyramid) - 1)
     uv = direction_to_latlong_uv(directions)
-    value = bilinear(pyramid[lower], uv)
+    value = sample_latlong(pyramid[lower], uv)
     share = level - lower
     if share > 0:
-        value = (1 - share) * value + share * bilinear(pyramid[lower + 1], uv)
+        value = (1 - share) * value + share * sample_latlong(pyramid[lower + 1], uv)
     return np.asarray(value)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hir_exporters.conventions import ALPHA_MIN
+from hir_exporters.textures.bilinear import sample_bilinear
 
 Array = NDArray[np.float64]
 
@@ -96,12 +97,7 @@ def albedo_terms(cos_theta: ArrayLike, alpha: ArrayLike) -> tuple[Array, Array]:
     """
     table = albedo_table()
     row, column = table_coordinates(cos_theta, alpha)
-    r0 = np.minimum(row.astype(np.int64), table.shape[0] - 2)
-    c0 = np.minimum(column.astype(np.int64), table.shape[1] - 2)
-    fr, fc = (row - r0)[..., None], (column - c0)[..., None]
-    near = table[r0, c0] * (1 - fc) + table[r0, c0 + 1] * fc
-    far = table[r0 + 1, c0] * (1 - fc) + table[r0 + 1, c0 + 1] * fc
-    terms = near * (1 - fr) + far * fr
+    terms = np.asarray(sample_bilinear(table, column, row), np.float64)
     return terms[..., 0], terms[..., 1]
 
 
