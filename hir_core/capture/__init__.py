@@ -2,12 +2,14 @@
 
 from hir_core.capture.camera import Array, Camera, similarity_scale
 from hir_core.capture.capture import Capture, EnvironmentSource, OrientedPoints, View
+from hir_core.capture.coordinate_frames import CoordinateFrames
 from hir_core.capture.pixels import Pixels, block_mean
 
 __all__ = [
     "Array",
     "Camera",
     "Capture",
+    "CoordinateFrames",
     "EnvironmentSource",
     "OrientedPoints",
     "Pixels",

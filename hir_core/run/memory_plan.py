@@ -33,7 +33,7 @@ _UNITS = {"": 1, "k": 1 << 10, "m": 1 << 20, "g": 1 << 30, "t": 1 << 40}
 
 
 @dataclass(frozen=True)
-class Plan:
+class MemoryPlan:
     """What a run may use, and what was changed to stay within a limit."""
 
     config: RunConfig
@@ -66,7 +66,7 @@ def parse_size(text: str) -> int:
     return int(float(match[1]) * _UNITS[match[2]])
 
 
-def plan_memory(config: RunConfig, plugins: PluginManager, size: CaptureSize) -> Plan:
+def plan_memory(config: RunConfig, plugins: PluginManager, size: CaptureSize) -> MemoryPlan:
     """Settings under which no stage is expected to exceed `config.max_memory`; without one, the settings as they are.
 
     First the cache of photographs shrinks, then what components say can, then the photographs are taken at a half, a
@@ -86,7 +86,7 @@ def plan_memory(config: RunConfig, plugins: PluginManager, size: CaptureSize) ->
     return plan
 
 
-def _smaller(plan: Plan, plugins: PluginManager, size: CaptureSize) -> Plan | None:
+def _smaller(plan: MemoryPlan, plugins: PluginManager, size: CaptureSize) -> MemoryPlan | None:
     """The next plan under which the largest stage takes less; None where nothing is left to shrink."""
     worst = max(plan.stages, key=plan.total)
     for config, cache, said in _candidates(plan, plugins, size, worst):
@@ -97,7 +97,7 @@ def _smaller(plan: Plan, plugins: PluginManager, size: CaptureSize) -> Plan | No
 
 
 def _candidates(
-    plan: Plan, plugins: PluginManager, size: CaptureSize, worst: str
+    plan: MemoryPlan, plugins: PluginManager, size: CaptureSize, worst: str
 ) -> Iterator[tuple[RunConfig, int, str]]:
     """Settings, bytes of the cache, and what is said of the change, gentlest first."""
     config, used = plan.config, min(plan.cache_bytes, size.pixels * DECODED)
@@ -132,7 +132,7 @@ def _with(changes: tuple[str, ...], said: str) -> tuple[str, ...]:
 
 def _estimated(
     config: RunConfig, plugins: PluginManager, size: CaptureSize, cache: int, limit: int, changes: tuple[str, ...]
-) -> Plan:
+) -> MemoryPlan:
     cached = min(cache, size.pixels * DECODED)
     common = {"program": BASE_BYTES, "photographs": cached}
     stages: dict[str, dict[str, int]] = {
@@ -153,7 +153,7 @@ def _estimated(
     if config.reflectance.enabled:
         shrunk = _downsampled(size, config.reflectance.downsample)
         stages["reflectance"] = common | {"fit": _reflectance_renderer(config, plugins).memory(shrunk)}
-    return Plan(config, cache, stages, limit, changes)
+    return MemoryPlan(config, cache, stages, limit, changes)
 
 
 def _reflectance_renderer(config: RunConfig, plugins: PluginManager) -> ReflectanceRenderer:

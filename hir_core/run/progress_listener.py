@@ -26,7 +26,7 @@ HEARTBEAT_SECONDS = 0.5
 """A stage that says nothing for this long is said to be alive, with its seconds; nobody waits 5 s in silence."""
 
 
-class Listener:
+class ProgressListener:
     """The `report` of one stage; keeps the curves of its scalars."""
 
     def __init__(self, stage: str, plugins: PluginManager, on_progress: Callable[[Progress], None] | None) -> None:
@@ -65,7 +65,7 @@ class Listener:
             self._tell(now)
 
     @contextlib.contextmanager
-    def beating(self) -> Iterator[None]:
+    def heartbeat(self) -> Iterator[None]:
         """While the block runs, a thread repeats the last progress where the stage is silent."""
         if self._on_progress is None:
             yield

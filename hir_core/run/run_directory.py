@@ -12,15 +12,16 @@ from typing import Any, Final
 
 from hir_exporters.files.atomic import is_partial, remove_partials
 
-from hir_core.errors import HirError, InputError, StageError
+from hir_core.errors import ConfigError, HirError, InputError, StageError
 from hir_core.files.file_lock import try_lock
 from hir_core.files.json_documents import read_json, write_json
 
-STAGES: Final = ("initializer", "geometry", "atlas", "reflectance", "bake", "export")
+STAGE_NAMES: Final = ("initializer", "geometry", "atlas", "reflectance", "bake", "export")
 """The stages in the order of a run; folders are numbered from 1."""
+LAST_STAGE: Final = STAGE_NAMES[-1]
 
 FORMAT: Final = "hir-run"
-VERSION: Final = 1
+VERSION: Final = 2
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,7 @@ class RunDirectory:
 
     def stage(self, name: str) -> Path:
         """Folder of a stage, such as `stages/2-geometry`."""
-        return self.path / "stages" / f"{STAGES.index(name) + 1}-{name}"
+        return self.path / "stages" / f"{STAGE_NAMES.index(name) + 1}-{name}"
 
     def read_run(self) -> dict[str, Any]:
         """run.json: settings, versions, plugins, seeds, reports, metrics."""
@@ -77,8 +78,11 @@ class RunDirectory:
         if document.get("format") != FORMAT:
             raise InputError(f"{self.path / 'run.json'} is not a run's: its format is {document.get('format')!r}")
         version = document.get("version")
-        if not isinstance(version, int) or isinstance(version, bool) or not 1 <= version <= VERSION:
-            raise InputError(f"{self.path / 'run.json'} has the version {version!r}; this program reads 1 to {VERSION}")
+        if version != VERSION or isinstance(version, bool):
+            raise InputError(
+                f"{self.path / 'run.json'} has format version {version!r}, this program reads {VERSION}; "
+                "reconstruct the capture again into a new folder"
+            )
         return document
 
     def write_run(self, document: Mapping[str, Any]) -> None:
@@ -138,6 +142,13 @@ class RunDirectory:
                 "warnings": record.warnings,
             },
         )
+
+
+def check_stage_name(name: str) -> str:
+    """The name of a stage; another one is a `ConfigError`."""
+    if name not in STAGE_NAMES:
+        raise ConfigError(f"there is no stage {name!r}; the stages are: {', '.join(STAGE_NAMES)}")
+    return name
 
 
 def open_run(path: str | os.PathLike[str]) -> RunDirectory:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
-from hir_core.capture import Capture
+import numpy as np
+
+from hir_core.capture import Capture, CoordinateFrames
 from hir_core.capture.capture_store import file_hash
 from hir_core.config import RunConfig
 from hir_core.errors import CaptureError, StageError
@@ -18,19 +21,37 @@ from hir_core.scene import Scene
 from hir_core.scene.frames import move_scene, unit_similarity
 
 
+@dataclass(frozen=True)
+class InitializationReport:
+    """What the chain of initializers found."""
+
+    initializers: tuple[str, ...]
+    frames: CoordinateFrames
+    views: int
+    masked_views: int
+    vertices: int
+    triangles: int
+    details: Mapping[str, Mapping[str, Any]]
+    """What each initializer says about its own result."""
+
+    def as_document(self) -> dict[str, Any]:
+        """For run.json."""
+        fields = {name: getattr(self, name) for name in ("views", "masked_views", "vertices", "triangles", "details")}
+        return {"initializers": list(self.initializers), "frames": self.frames.as_document()} | fields
+
+
 def initialize(
     capture: Capture, config: RunConfig, context: StageContext
-) -> tuple[tuple[Capture, Scene], dict[str, Any]]:
-    """Runs the chain of initializers with mask sources between them (DESIGN section 5); all ends in the working frame.
+) -> tuple[Capture, Scene, CoordinateFrames, InitializationReport]:
+    """Runs the resolved chain of initializers with mask sources between them (DESIGN section 5).
 
-    The report holds `working_from_asset`, 4×4: the asset's frame is the one that the initializers ended in.
+    Capture and scene are returned in the working frame. The asset's frame is the one that the initializers ended in.
     """
+    assert config.initializers != "auto", "`resolve_initializers` comes first"
     scene: Scene | None = None
     capture = _apply_masks(capture, scene, config, context, with_cameras=False)
-    # after the masks: what a capture still lacks without them decides on the chain
-    chain = _chain(capture, config, context)
-    report: dict[str, Any] = {"initializers": chain}
-    details: dict[str, Any] = {}
+    chain = config.initializers
+    details: dict[str, Mapping[str, Any]] = {}
     masked = False
     for i, name in enumerate(chain):
         if not masked and capture.views and all(view.camera is not None for view in capture.views):
@@ -42,7 +63,8 @@ def initialize(
         workspace.mkdir(parents=True, exist_ok=True)
         with passed_on(context):
             capture, scene = initializer.initialize(capture, scene, workspace)
-        details |= {name: dict(found)} if (found := initializer.report()) else {}
+        if own_report := initializer.report():
+            details[name] = dict(own_report)
         capture = _registered_only(capture, context)
     if scene is None:
         raise StageError(
@@ -50,22 +72,58 @@ def initialize(
             "such as visual_hull or mesh_file"
         )
     working_from_asset = unit_similarity(scene.mesh)
-    report |= {
-        "working_from_asset": working_from_asset.tolist(),
-        "views": len(capture.views),
-        "masked_views": sum(view.pixels().mask is not None for view in capture.views),
-        "vertices": len(scene.mesh.positions),
-        "triangles": len(scene.mesh.faces),
-        "details": details,
-    }
-    moved = move_scene(scene, working_from_asset).to(context.device)
-    return (capture.transformed(working_from_asset), moved), report
+    moved_capture = capture.transformed(working_from_asset)
+    asset_from_working = np.linalg.inv(working_from_asset)
+    frames = CoordinateFrames(asset_from_working, asset_from_working @ moved_capture.world_from_source)
+    report = InitializationReport(
+        initializers=chain,
+        frames=frames,
+        views=len(capture.views),
+        masked_views=sum(view.pixels().mask is not None for view in capture.views),
+        vertices=len(scene.mesh.positions),
+        triangles=len(scene.mesh.faces),
+        details=details,
+    )
+    return moved_capture, move_scene(scene, working_from_asset).to(context.device), frames, report
 
 
-def files_read(chain: Sequence[str], capture: Capture, config: RunConfig, plugins: PluginManager) -> list[str]:
+def resolve_initializers(capture: Capture, config: RunConfig, plugins: PluginManager) -> tuple[str, ...]:
+    """The chain of initializers: the one in the settings, else what a plugin suggests for the capture with its masks.
+
+    Mask sources that the settings name are assumed to find masks: they may take minutes, and run in the stage.
+    """
+    if config.initializers != "auto":
+        chain = tuple(config.initializers)
+    else:
+        chain = tuple(plugins.suggest_initializers(_with_expected_masks(capture, config, plugins)))
+    if not chain:
+        known = ", ".join(r.component.name for r in plugins.components("initializer")) or "none"
+        raise CaptureError(
+            f"{capture.path}: no plugin suggests how to start from it; name a chain, such as "
+            f"--set 'initializers=[\"visual_hull\"]' (installed: {known})"
+        )
+    for name in chain:
+        plugins.find("initializer", name)
+    return chain
+
+
+def _with_expected_masks(capture: Capture, config: RunConfig, plugins: PluginManager) -> Capture:
+    """The capture with the masks that the stage will give it, as far as a suggestion depends on them."""
+    if config.masks == "auto":
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # the stage repeats them, for the user and run.json
+            return _masked(capture, None, config, plugins, with_cameras=False)
+    if not config.masks or not capture.views:
+        return capture
+    height, width = capture.views[0].pixels().color_linear.shape[:2]
+    expected = np.ones((height, width), np.float32)
+    return replace(capture, views=(replace(capture.views[0], mask=expected), *capture.views[1:]))
+
+
+def hashes_of_files_read(capture: Capture, config: RunConfig, plugins: PluginManager) -> list[str]:
     """Hashes of the files beyond the photographs that the stage's components read: other files, another result."""
     components = [("mask_source", name, config.mask_source) for name in _mask_sources(config, plugins)]
-    components += [("initializer", name, config.initializer) for name in chain]
+    components += [("initializer", name, config.initializer) for name in config.initializers]
     hashes: list[str] = []
     for kind, name, options in components:
         if "reads_files" in plugins.find(kind, name).component.traits:
@@ -81,35 +139,32 @@ def _mask_sources(config: RunConfig, plugins: PluginManager) -> list[str]:
     return [r.component.name for r in offered if "automatic" in r.component.traits and not r.missing]
 
 
-def _chain(capture: Capture, config: RunConfig, context: StageContext) -> list[str]:
-    if config.initializers != "auto":
-        chain = list(config.initializers)
-    else:
-        chain = context.plugins.suggest_initializers(capture)
-    if not chain:
-        known = ", ".join(r.component.name for r in context.plugins.components("initializer")) or "none"
-        raise CaptureError(
-            f"{capture.path}: no plugin suggests how to start from it; name a chain, such as "
-            f"--set 'initializers=[\"visual_hull\"]' (there are: {known})"
-        )
-    return chain
-
-
 def _apply_masks(
     capture: Capture, scene: Scene | None, config: RunConfig, context: StageContext, with_cameras: bool
 ) -> Capture:
-    """Asks the mask sources in their order for the masks that views still lack."""
+    """`_masked`, with the sources' warnings for the user and run.json."""
+    with passed_on(context):
+        return _masked(capture, scene, config, context.plugins, with_cameras)
+
+
+def _masked(
+    capture: Capture, scene: Scene | None, config: RunConfig, plugins: PluginManager, with_cameras: bool
+) -> Capture:
+    """Calls the mask sources in their order for the views that still lack a mask.
+
+    `with_cameras` chooses between sources that need cameras and sources that do not. Sources that the settings name
+    replace masks that the views have already.
+    """
     needed = [i for i, view in enumerate(capture.views) if view.pixels().mask is None]
-    names = _mask_sources(config, context.plugins)
+    names = _mask_sources(config, plugins)
     if config.masks != "auto":
         needed = list(range(len(capture.views))) if names else []
     for name in names:
-        needs_cameras = "needs_cameras" in context.plugins.find("mask_source", name).component.traits
+        needs_cameras = "needs_cameras" in plugins.find("mask_source", name).component.traits
         if not needed or needs_cameras is not with_cameras:
             continue
-        source: MaskSource = context.plugins.create("mask_source", name, config.mask_source.get(name))
-        with passed_on(context):
-            masks = source.masks(capture, scene)
+        source: MaskSource = plugins.create("mask_source", name, config.mask_source.get(name))
+        masks = source.masks(capture, scene)
         views = list(capture.views)
         for i in needed:
             if masks[i] is not None:

@@ -17,7 +17,7 @@ import pytest
 from hir_exporters.scene_format import load_scene
 
 from hir_core.pipeline import Run
-from hir_core.run.run_directory import STAGES, RunDirectory
+from hir_core.run.run_directory import STAGE_NAMES, RunDirectory
 from tests.fixtures.runs import QUICK
 
 Reconstruct = Callable[..., Run]
@@ -42,7 +42,7 @@ def test_run_directory_is_that_of_the_design(finished: Run) -> None:
         "report.html",
     }
     stages = sorted(entry.name for entry in (finished.path / "stages").iterdir())
-    assert stages == [f"{i + 1}-{name}" for i, name in enumerate(STAGES)]
+    assert stages == [f"{i + 1}-{name}" for i, name in enumerate(STAGE_NAMES)]
     exports = {path.suffix for path in finished.directory.exports.iterdir()}
     assert exports >= {".glb", ".usdz", ".usda", ".hdr", ".exr"}
     pictures = {path.name for path in finished.directory.report.glob("*.png")}
@@ -54,11 +54,11 @@ def test_run_directory_is_that_of_the_design(finished: Run) -> None:
 def test_run_json_holds_settings_and_timings_json_the_clock(finished: Run) -> None:
     document, timings = finished.directory.read_run(), finished.directory.read_timings()
     assert document["settings"]["geometry"]["triangles"] == 1500 and document["seed"] == 0
-    assert set(document["stages"]) == set(STAGES) == set(timings["stages"])
+    assert set(document["stages"]) == set(STAGE_NAMES) == set(timings["stages"])
     assert document["versions"]["torch"] and any("visual_hull" in plugin for plugin in document["plugins"])
     text = json.dumps({name: value for name, value in document.items() if name != "settings"})
     assert "seconds" not in text and "started" not in text
-    assert all(timings["stages"][name]["seconds"] >= 0 for name in STAGES)
+    assert all(timings["stages"][name]["seconds"] >= 0 for name in STAGE_NAMES)
 
 
 def test_cameras_and_asset_share_the_world(finished: Run, tiny_capture: Path) -> None:
@@ -85,7 +85,9 @@ def test_asset_lies_where_the_files_have_the_object(finished: Run) -> None:
     asset = load_scene(finished.directory.scene)
     radius = np.linalg.norm(asset.mesh.positions, axis=1).max()
     assert radius == pytest.approx(1.0, abs=0.04), "the true mesh has radius 1; a pixel of 64² is 0.04 wide"
-    matrix = np.array(finished.directory.read_run()["asset_from_source"])
+    matrix = np.array(
+        finished.directory.read_run()["stages"]["initializer"]["report"]["frames"]["asset_from_source"]
+    )
     np.testing.assert_allclose(matrix[:3, :3], [[1, 0, 0], [0, 0, 1], [0, -1, 0]], atol=1e-12)
     np.testing.assert_allclose(matrix[:3, 3], 0, atol=1e-12)
 
@@ -115,12 +117,12 @@ def test_finished_run_is_reused_whole_and_a_setting_redoes_what_depends_on_it(
     shutil.copytree(finished.path, folder)
     before = files(folder / "scene")
     again = quick(tiny_capture, folder, resume=True, deterministic=True)
-    assert again.reused == STAGES and files(folder / "scene") == before
+    assert again.reused == STAGE_NAMES and files(folder / "scene") == before
     said: list[str] = []
     changed = quick(tiny_capture, folder, "export=['obj']", resume=True, deterministic=True, on_message=said.append)
-    assert changed.reused == STAGES[:-1]
+    assert changed.reused == STAGE_NAMES[:-1]
     assert {path.suffix for path in changed.directory.exports.iterdir()} <= {".obj", ".mtl", ".png"}
-    assert sum("reused" in sentence for sentence in said) == len(STAGES) - 1
+    assert sum("reused" in sentence for sentence in said) == len(STAGE_NAMES) - 1
 
 
 def test_until_leaves_a_run_that_goes_on(tiny_capture: Path, quick: Reconstruct, finished: Run, tmp_path: Path) -> None:
@@ -135,19 +137,19 @@ def test_until_leaves_a_run_that_goes_on(tiny_capture: Path, quick: Reconstruct,
 
 
 def test_evaluate_says_what_it_compared(finished: Run, tiny_capture: Path, tmp_path: Path) -> None:
-    from hir_core.evaluation import Question, evaluate_run
+    from hir_core.evaluation import EvaluationRequest, evaluate_run
     from hir_core.plugins.manager import PluginManager
 
     folder = tmp_path / "run"
     shutil.copytree(finished.path, folder)
     plugins = PluginManager.discover()
-    result = evaluate_run(RunDirectory(folder), Question(), plugins)
+    result = evaluate_run(RunDirectory(folder), EvaluationRequest(), plugins)
     assert result["light"] == {"fitted": True}, "the test split names the light of train by another file"
     assert len(result["views"]) == 2 and result["psnr"]["object"] > 12
     assert result["psnr"]["frame"] == pytest.approx(np.mean([v["psnr"]["frame"] for v in result["views"]]))
     assert (result["lpips"] is None) == bool(result["lpips_missing"])
     assert set(result) >= {"psnr", "psnr_scaled", "scale", "ssim", "lpips", "views"} and len(result["scale"]) == 3
-    relit = evaluate_run(RunDirectory(folder), Question(split="relight_0"), plugins)
+    relit = evaluate_run(RunDirectory(folder), EvaluationRequest(split="relight_0"), plugins)
     assert relit["light"]["file"] == "env_relight_0.hdr"
     assert relit["psnr_scaled"]["object"] >= relit["psnr"]["object"] - 1.0
     assert set(RunDirectory(folder).read_run()["metrics"]) == {"test", "relight_0"}

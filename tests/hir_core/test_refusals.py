@@ -19,10 +19,11 @@ from hir_core.files.array_files import read_arrays
 from hir_core.files.json_documents import read_json
 from hir_core.plugins import Component, NoOptions, hookimpl
 from hir_core.plugins.manager import PluginManager
-from hir_core.rendering.reference_renderer import parse_light, reference_renderer
+from hir_core.rendering.light_files import parse_light_file
+from hir_core.rendering.reference_renderer import reference_renderer
+from hir_core.run.device import resolve_device
 from hir_core.run.progress_listener import read_curves
-from hir_core.run.run_directory import RunDirectory
-from hir_core.run.session import check_until, resolve_device
+from hir_core.run.run_directory import RunDirectory, check_stage_name
 from hir_plugins.commands.bench.results.bench_result import Result
 
 PLUGINS = PluginManager.discover()
@@ -112,20 +113,20 @@ def test_a_value_that_is_no_toml_is_a_text() -> None:
 
 
 def test_names_of_stages_devices_and_lights() -> None:
-    assert check_until(None) == "export" and check_until("atlas") == "atlas"
+    assert check_stage_name("atlas") == "atlas"
     with pytest.raises(ConfigError, match="there is no stage 'lunch'; the stages are: initializer, geometry, atlas"):
-        check_until("lunch")
+        check_stage_name("lunch")
     assert resolve_device("cpu") == "cpu" and resolve_device("auto") in ("cpu", "cuda")
     with pytest.raises(ConfigError, match="device 'tpu' is not known; it is auto, cpu or cuda"):
         resolve_device("tpu")
-    assert parse_light("a*b.hdr*0.5") == (Path("a*b.hdr"), 0.5) and parse_light("a.hdr") == (Path("a.hdr"), 1.0)
+    assert parse_light_file("a*b.hdr*0.5") == (Path("a*b.hdr"), 0.5) and parse_light_file("a.hdr") == (Path("a.hdr"), 1.0)
     for text, said in (
         ("a.hdr*x", "after [*] comes the light's strength"),
         ("a.hdr*-1", "finite number of at least 0"),
         ("a.hdr*inf", "finite number of at least 0"),
     ):
         with pytest.raises(InputError, match=said):
-            parse_light(text)
+            parse_light_file(text)
 
 
 def test_cuda_that_is_not_there_is_said(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,11 +11,11 @@ import pytest
 
 from hir_core.errors import InputError, StageError
 from hir_core.files.json_documents import jsonable
-from hir_core.run.run_directory import STAGES, RunDirectory, StageRecord, claimed_run, open_run
+from hir_core.run.run_directory import STAGE_NAMES, RunDirectory, StageRecord, claimed_run, open_run
 
 
 def test_stage_folders_are_numbered_in_the_order_of_a_run(tmp_path: Path) -> None:
-    names = [RunDirectory(tmp_path).stage(name).name for name in STAGES]
+    names = [RunDirectory(tmp_path).stage(name).name for name in STAGE_NAMES]
     assert names == ["1-initializer", "2-geometry", "3-atlas", "4-reflectance", "5-bake", "6-export"]
 
 

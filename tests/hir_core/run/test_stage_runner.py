@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,56 +13,74 @@ from hir_core.config import RunConfig
 from hir_core.errors import StageError
 from hir_core.plugins.manager import PluginManager
 from hir_core.plugins.progress import Progress
-from hir_core.run.progress_listener import Listener, read_curves
+from hir_core.run.memory_plan import MemoryPlan
+from hir_core.run.progress_listener import ProgressListener, read_curves
 from hir_core.run.run_directory import RunDirectory
-from hir_core.run.session import Session, StopRun
+from hir_core.run.run_records import RunRecords
+from hir_core.run.stage import Stage, StageResult
 from hir_core.run.stage_context import StageContext
+from hir_core.run.stage_runner import StageRunner
 
 NAMES = ("initializer", "geometry", "atlas")
 
 
-class Chain:
-    """Three stages that each append a word; counts what is computed."""
+@dataclass(frozen=True)
+class WordReport:
+    """Report of a stage that appends a letter."""
 
-    def __init__(
-        self, folder: Path, config: RunConfig | None = None, key: str = "input", until: str = "export"
-    ) -> None:
+    length: int
+
+
+class Chain:
+    """Three stages that each append a letter to a text; counts what is computed."""
+
+    def __init__(self, folder: Path, config: RunConfig | None = None, key: str = "input") -> None:
         self.messages: list[str] = []
         self.computed: list[str] = []
-        self.session = Session(
-            config or RunConfig(), PluginManager(), RunDirectory(folder), "cpu", until, None, self.messages.append, key
+        directory, plugins, config = RunDirectory(folder), PluginManager(), config or RunConfig()
+        memory = MemoryPlan(config, 0, {})
+        self.records = RunRecords(directory, plugins, self.messages.append)
+        self.records.start({"path": "somewhere", "name": "it"}, config, memory, "cpu")
+        self.runner = StageRunner(
+            config, plugins, directory, "cpu", self.records, memory, None, self.messages.append, key
         )
 
     def run(self, fail: str = "", **settings: Any) -> str:
-        self.session.start({"path": "somewhere", "name": "it"})
         text = ""
         for name in NAMES:
-
-            def compute(context: StageContext, name: str = name, text: str = text) -> tuple[str, dict[str, Any]]:
-                (context.workspace / "checkpoint").write_text(name)
-                if name == fail:
-                    raise StageError("the disk is full")
-                self.computed.append(name)
-                context.warn(f"{name} is thin")
-                return text + name[0], {"length": len(text) + 1}
-
-            text = self.session.stage(
-                name,
-                settings.get(name, {}),
-                compute,
-                save=lambda value, folder: (folder / "result").write_text(value) and None,
-                load=lambda folder: (folder / "result").read_text(),
-            )
+            text = self.runner.run(self._stage(name, settings.get(name, {}), fail), text)
         return text
+
+    def _stage(self, name: str, settings: dict[str, Any], fail: str) -> Stage[str, str]:
+        def compute(text: str, context: StageContext) -> StageResult[str]:
+            (context.workspace / "checkpoint").write_text(name)
+            if name == fail:
+                raise StageError("the disk is full")
+            self.computed.append(name)
+            context.warn(f"{name} is thin")
+            return StageResult(text + name[0], WordReport(len(text) + 1))
+
+        def save(text: str, value: str, folder: Path) -> None:
+            (folder / "result").write_text(value)
+
+        return Stage(
+            name=name,
+            settings=lambda text: settings,
+            compute=compute,
+            save=save,
+            load=lambda text, folder: (folder / "result").read_text(),
+            extend=lambda text, value: value,
+        )
 
 
 def test_second_run_reuses_every_stage_and_says_so(tmp_path: Path) -> None:
     assert Chain(tmp_path).run() == "iga"
     again = Chain(tmp_path)
     assert again.run() == "iga"
-    assert again.computed == [] and again.session.reused == list(NAMES)
+    assert again.computed == [] and again.runner.reused == list(NAMES)
     assert sum("reused" in message for message in again.messages) == 3
-    assert again.session.document["stages"]["atlas"] == {"report": {"length": 3}, "warnings": ("atlas is thin",)}
+    document = RunDirectory(tmp_path).read_run()
+    assert document["stages"]["atlas"] == {"report": {"length": 3}, "warnings": ["atlas is thin"]}
 
 
 @pytest.mark.parametrize(
@@ -108,12 +126,17 @@ def test_metrics_stay_until_a_stage_is_computed_again(tmp_path: Path) -> None:
     assert directory.read_run()["metrics"] == {}
 
 
-def test_until_stops_after_the_stage(tmp_path: Path) -> None:
-    chain = Chain(tmp_path, until="geometry")
-    with pytest.raises(StopRun):
-        chain.run()
-    assert chain.computed == ["initializer", "geometry"]
-    assert RunDirectory(tmp_path).record("atlas") is None
+def test_later_stages_get_what_load_reads_where_a_stage_asks_for_it(tmp_path: Path) -> None:
+    chain = Chain(tmp_path)
+    stage = chain._stage("initializer", {}, "")
+    rounded = replace(stage, load=lambda text, folder: (folder / "result").read_text().upper(), reads_back=True)
+    assert chain.runner.run(rounded, "") == "I"
+
+
+def test_a_report_must_be_a_dataclass() -> None:
+    assert StageResult("", WordReport(2)).report_document() == {"length": 2}
+    with pytest.raises(TypeError, match="must be a dataclass, not list"):
+        StageResult("", [1]).report_document()
 
 
 def test_run_json_is_the_same_for_the_same_run_and_timings_hold_the_rest(tmp_path: Path) -> None:
@@ -127,7 +150,7 @@ def test_run_json_is_the_same_for_the_same_run_and_timings_hold_the_rest(tmp_pat
 
 def test_listener_tells_in_blocks_and_keeps_every_scalar(tmp_path: Path) -> None:
     told: list[Progress] = []
-    listener = Listener("geometry", PluginManager(), told.append)
+    listener = ProgressListener("geometry", PluginManager(), told.append)
     for step in range(1, 1001):
         listener.report(Progress("", step, 1000, step * 1e-4, {"loss": np.array([1 / step])}))
     listener.close(0.1)
@@ -146,7 +169,7 @@ def test_a_second_phase_of_a_stage_has_its_own_time_left(monkeypatch: pytest.Mon
     monkeypatch.setattr("hir_core.run.progress_listener.time.perf_counter", lambda: now[0])
     now = [next(clock)]
     told: list[Progress] = []
-    listener = Listener("geometry", PluginManager(), told.append)
+    listener = ProgressListener("geometry", PluginManager(), told.append)
     now[0] = next(clock)
     listener.report(Progress("geometry", 800, 800, 600.0))
     now[0] = next(clock)

@@ -1,0 +1,99 @@
+"""A finished run, read from its folder: its scene in the working frame, its cameras, its capture in that frame."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from hir_exporters.scene_format import load_scene
+
+from hir_core.capture import Camera, Capture
+from hir_core.capture.capture_store import read_cameras, restore_capture
+from hir_core.capture.coordinate_frames import CoordinateFrames
+from hir_core.errors import CaptureError, InputError
+from hir_core.intake.reader_lookup import find_reader, read_capture
+from hir_core.run.run_directory import RunDirectory
+from hir_core.scene import EnvironmentMap, Scene
+from hir_core.scene.asset_conversion import scene_from_asset
+from hir_core.scene.frames import move_scene
+
+if TYPE_CHECKING:
+    from hir_core.plugins.manager import PluginManager
+
+
+@dataclass(frozen=True)
+class FinishedRun:
+    """A run whose scene is complete. `scene` is in the working frame: object at the origin, radius 1."""
+
+    directory: RunDirectory
+    document: Mapping[str, Any]
+    """run.json."""
+    scene: Scene
+    frames: CoordinateFrames
+
+    @property
+    def bounces(self) -> int | None:
+        """Reflections between parts of the object that the fit modelled; None where run.json has no number."""
+        report = self.document.get("stages", {}).get("reflectance", {}).get("report", {})
+        bounces = report.get("bounces")
+        return bounces if isinstance(bounces, int) else None
+
+    @property
+    def capture_path(self) -> Path:
+        """The folder of photographs that the run was made from."""
+        return Path(self.document["capture"]["path"])
+
+    def cameras(self) -> dict[str, Camera]:
+        """The run's own cameras by view name, in the working frame."""
+        cameras = read_cameras(self.directory.cameras)
+        return {name: camera.transformed(self.frames.working_from_asset) for name, camera in cameras.items()}
+
+    def read_split(self, path: Path, split: str, plugins: PluginManager) -> Capture:
+        """A split of a capture, moved from the axes of its files to the working frame; it may have no views."""
+        reader = self._reader_name if path == self.capture_path else "auto"
+        capture = read_capture(path, split, plugins, reader)
+        return capture.transformed(self.frames.working_from_source @ np.linalg.inv(capture.world_from_source))
+
+    def views_of_split(self, path: Path, split: str, plugins: PluginManager) -> Capture:
+        """As `read_split`; the train split of the run's own capture has the cameras and masks that the run computed.
+
+        `CaptureError` where the split has no views.
+        """
+        if split != "train" or path.resolve() != self.capture_path.resolve():
+            capture = self.read_split(path, split, plugins)
+        else:
+            _, reader = find_reader(path, plugins, self._reader_name)
+            capture = restore_capture(reader.read(path, split), self.directory.stage("initializer"))
+        if not capture.views:
+            raise CaptureError(f"{path}: split {split!r} has no views")
+        return capture
+
+    def with_light(self, light: EnvironmentMap) -> Scene:
+        """The scene under another light, which is in the working frame."""
+        return replace(self.scene, environment=light)
+
+    @property
+    def _reader_name(self) -> str:
+        return str(self.document["capture"].get("reader", "auto"))
+
+
+def open_finished_run(directory: RunDirectory, device: str = "cpu") -> FinishedRun:
+    """Reads run.json and scene/; `InputError` where the run has no finished scene."""
+    document = directory.read_run()
+    if not directory.scene.is_dir():
+        raise InputError(f"{directory.path} has no finished scene; finish it with: hir reconstruct … --resume")
+    frames = _frames(document, str(directory.path / "run.json"))
+    scene = move_scene(scene_from_asset(load_scene(directory.scene)), frames.working_from_asset)
+    return FinishedRun(directory, document, scene.to(device), frames)
+
+
+def _frames(document: Mapping[str, Any], source: str) -> CoordinateFrames:
+    """The frames that the initializer stage reports."""
+    try:
+        entry = document["stages"]["initializer"]["report"]["frames"]
+    except (KeyError, TypeError) as error:
+        raise InputError(f"{source} holds no coordinate frames; finish the run with --resume") from error
+    return CoordinateFrames.from_document(entry, source)

@@ -1,0 +1,89 @@
+"""run.json and timings.json while a run grows: run.json is the same for the same run, timings.json is not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from datetime import UTC, datetime
+from typing import Any
+
+from hir_core.config import RunConfig
+from hir_core.errors import InputError
+from hir_core.plugins.manager import PluginManager
+from hir_core.run.machine import describe_machine, versions
+from hir_core.run.memory_plan import MemoryPlan
+from hir_core.run.run_directory import RunDirectory, StageRecord
+
+
+class RunRecords:
+    """Writes both files before the first stage and after each one."""
+
+    def __init__(self, directory: RunDirectory, plugins: PluginManager, on_message: Callable[[str], None]) -> None:
+        self._directory = directory
+        self._plugins = plugins
+        self._on_message = on_message
+        self._document: dict[str, Any] = {}
+        self._timings: dict[str, Any] = {}
+
+    def start(self, capture: Mapping[str, Any], config: RunConfig, memory: MemoryPlan, device: str) -> None:
+        """Writes both files as they are before the first stage."""
+        self._document = {
+            "capture": dict(capture),
+            "settings": asdict(config),
+            "seed": config.seed,
+            "versions": versions(),
+            "plugins": [
+                f"{r.kind} {r.component.name} ({r.distribution} {r.version})".strip()
+                for r in self._plugins.components()
+            ],
+            "plugin_problems": list(self._plugins.problems),
+            "stages": {},
+            "metrics": self._earlier_metrics(),
+        }
+        if memory.limit:
+            self._document["memory"] = memory.document()
+        earlier = self._directory.read_timings()
+        self._timings = {
+            "machine": describe_machine(device),
+            "started": current_time(),
+            "stages": earlier.get("stages", {}),
+        }
+        self._write()
+
+    def add_stage(self, record: StageRecord, timings: Mapping[str, Any] | None) -> None:
+        """Adds a finished stage; `timings` is None where its result was reused."""
+        self._document["stages"][record.stage] = {"report": record.report, "warnings": record.warnings}
+        if timings is not None:
+            self._timings["stages"][record.stage] = dict(timings)
+        self._write()
+
+    def forget_metrics(self) -> None:
+        """Drops what `hir evaluate` measured: it belongs to an earlier result."""
+        self._document["metrics"] = {}
+
+    def finish(self) -> None:
+        """Writes the time at which the run ended."""
+        self._timings["finished"] = current_time()
+        self._timings["seconds"] = sum(s.get("seconds", 0.0) for s in self._timings["stages"].values())
+        self._write()
+
+    def _earlier_metrics(self) -> dict[str, Any]:
+        """What `hir evaluate` measured of an earlier result; it holds until a stage is computed again."""
+        if not (self._directory.path / "run.json").exists():
+            return {}
+        try:
+            return dict(self._directory.read_run().get("metrics", {}))
+        except (InputError, TypeError, ValueError):
+            return {}
+
+    def _write(self) -> None:
+        for problem in self._plugins.problems[len(self._document["plugin_problems"]) :]:
+            self._on_message(f"plugin problem: {problem}")
+        self._document["plugin_problems"] = list(self._plugins.problems)
+        self._directory.write_run(self._document)
+        self._directory.write_timings(self._timings)
+
+
+def current_time() -> str:
+    """ISO 8601 in UTC, to the second."""
+    return datetime.now(UTC).isoformat(timespec="seconds")

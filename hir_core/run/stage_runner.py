@@ -1,0 +1,137 @@
+"""Runs one stage: reuses its stored result where nothing it depends on changed, else computes, stores and times it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, is_dataclass
+from pathlib import Path
+from typing import Any
+
+from hir_core.config import RunConfig
+from hir_core.errors import InputError
+from hir_core.files.json_documents import jsonable
+from hir_core.plugins.manager import PluginManager
+from hir_core.plugins.progress import Progress
+from hir_core.run.determinism import seed_everything
+from hir_core.run.machine import peak_memory_bytes, processor_seconds, return_freed_memory
+from hir_core.run.memory_plan import MemoryPlan, gigabytes
+from hir_core.run.progress_listener import ProgressListener
+from hir_core.run.run_directory import LAST_STAGE, RunDirectory, StageRecord
+from hir_core.run.run_records import RunRecords, current_time
+from hir_core.run.stage import Stage, State, Value
+from hir_core.run.stage_context import StageContext
+
+
+@dataclass
+class StageRunner:
+    """Runs the stages of one call of `reconstruct`, in order; the cache key of each covers all before it."""
+
+    config: RunConfig
+    plugins: PluginManager
+    directory: RunDirectory
+    device: str
+    records: RunRecords
+    memory: MemoryPlan
+    on_progress: Callable[[Progress], None] | None
+    on_message: Callable[[str], None]
+    key: str
+    """Hash of all that the next stage's input depends on."""
+    reused: list[str] = field(default_factory=list)
+    """Stages whose stored result was used."""
+
+    def run(self, stage: Stage[State, Value], state: State) -> State:
+        """The state with the stage's value."""
+        settings = stage.settings(state)
+        self.key = cache_key(self.key, stage.name, settings, self.config.seed, self.config.deterministic)
+        record = self.directory.record(stage.name)
+        stored = self._stored(stage, state, record)
+        timings = None
+        if stored is not None and record is not None:
+            (value,) = stored
+            self.reused.append(stage.name)
+            self.on_message(f"{stage.name}: reused, its settings and input are unchanged")
+        else:
+            value, record, timings = self._compute(stage, state)
+            if stage.name != LAST_STAGE:
+                self.records.forget_metrics()
+        state = stage.extend(state, value)
+        if timings is not None:
+            scene = stage.scene(state)
+            self.plugins.notify("hir_stage_finished", stage=stage.name, scene=scene, report=record.report)
+        self.records.add_stage(record, timings)
+        return state
+
+    def _stored(self, stage: Stage[State, Value], state: State, record: StageRecord | None) -> tuple[Value] | None:
+        """The stored value of a finished stage of the same key, in a tuple; None where there is none."""
+        if record is None or not record.finished or record.key != self.key:
+            return None
+        try:
+            return (stage.load(state, self.directory.stage(stage.name)),)
+        except InputError as error:
+            self.on_message(f"{stage.name}: its stored result is damaged ({error})")
+            return None
+
+    def _compute(self, stage: Stage[State, Value], state: State) -> tuple[Value, StageRecord, dict[str, Any]]:
+        name = stage.name
+        if self.directory.record(name) is not None:
+            self.on_message(f"{name}: computed again, because its settings or input changed or it was interrupted")
+        if self.memory.limit and self.memory.total(name):
+            self.on_message(f"{name}: about {gigabytes(self.memory.total(name))} of memory expected")
+        listener = ProgressListener(name, self.plugins, self.on_progress)
+        warnings: list[str] = []
+        context = self._context(name, self.directory.begin(name, self.key), listener, warnings)
+        seed_everything(self.config.seed)
+        started, cpu_started = time.perf_counter(), processor_seconds()
+        with listener.heartbeat():
+            result = stage.compute(state, context)
+        seconds, cpu_seconds = time.perf_counter() - started, processor_seconds() - cpu_started
+        listener.close(seconds)
+        folder = self.directory.stage(name)
+        stage.save(state, result.value, folder)
+        listener.write(folder / "curves.npz")
+        record = StageRecord(name, self.key, True, result.report_document(), tuple(warnings))
+        self.directory.finish(record)
+        shutil.rmtree(context.checkpoints, ignore_errors=True)
+        return_freed_memory()
+        self.on_message(f"{name}: {seconds:.1f} s")
+        timings = {
+            "seconds": round(seconds, 3),
+            "processor_seconds": round(cpu_seconds, 3),
+            "peak_memory_bytes": peak_memory_bytes(),
+            "finished": current_time(),
+            "progress": listener.seconds,
+            "milestones": listener.milestones,
+        }
+        return stage.load(state, folder) if stage.reads_back else result.value, record, timings
+
+    def _context(self, name: str, workspace: Path, listener: ProgressListener, warnings: list[str]) -> StageContext:
+        def warn(sentence: str) -> None:
+            if sentence not in warnings:
+                warnings.append(sentence)
+                self.on_message(f"{name}: warning: {sentence}")
+
+        return StageContext(
+            plugins=self.plugins,
+            workspace=workspace,
+            options={
+                "geometry_renderer": self.config.geometry_renderer,
+                "reflectance_renderer": self.config.reflectance_renderer,
+            },
+            device=self.device,
+            seed=self.config.seed,
+            deterministic=self.config.deterministic,
+            checkpoint_seconds=self.config.checkpoint_seconds,
+            report=listener.report,
+            warn=warn,
+        )
+
+
+def cache_key(*parts: Any) -> str:
+    """Hash of JSON-compatible values and dataclasses."""
+    plain = [asdict(p) if is_dataclass(p) and not isinstance(p, type) else p for p in parts]
+    text = json.dumps(jsonable(plain), sort_keys=True)
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()

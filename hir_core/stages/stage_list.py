@@ -1,0 +1,241 @@
+"""The six stages of a run, each declared once. What they compute lies in the modules that they import when they run."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hir_core.capture import Capture, CoordinateFrames
+from hir_core.capture.capture_store import file_hash, restore_capture, save_capture, write_cameras
+from hir_core.files.json_documents import read_json, write_json
+from hir_core.run.stage import SkippedStageReport, Stage, StageResult
+from hir_core.run.stage_context import StageContext
+from hir_core.stages.run_state import RunState
+
+if TYPE_CHECKING:
+    from hir_exporters.asset import Asset
+
+    from hir_core.scene import Scene
+
+
+@dataclass(frozen=True)
+class InitializedCapture:
+    """Value of the initializer stage: capture and mesh in the working frame."""
+
+    capture: Capture
+    scene: Scene
+    frames: CoordinateFrames
+
+
+@dataclass(frozen=True)
+class FittedScene:
+    """Value of the reflectance stage."""
+
+    scene: Scene
+    bounces: int | None
+
+
+def _initializer_settings(state: RunState) -> Any:
+    from hir_core.stages.initialization import hashes_of_files_read
+
+    config = state.config
+    hashes = hashes_of_files_read(state.capture, config, state.plugins)
+    return [list(config.initializers), config.masks, config.initializer, config.mask_source, hashes]
+
+
+def _initialize(state: RunState, context: StageContext) -> StageResult[InitializedCapture]:
+    from hir_core.stages.initialization import initialize
+
+    capture, scene, frames, report = initialize(state.capture, state.config, context)
+    return StageResult(InitializedCapture(capture, scene, frames), report)
+
+
+def _save_initialized(state: RunState, value: InitializedCapture, folder: Path) -> None:
+    from hir_core.scene.scene_store import save_stage_scene
+
+    save_capture(value.capture, folder)
+    save_stage_scene(value.scene, folder / "scene")
+    write_json(folder / "frames.json", value.frames.as_document())
+
+
+def _load_initialized(state: RunState, folder: Path) -> InitializedCapture:
+    from hir_core.scene.scene_store import load_stage_scene
+
+    path = folder / "frames.json"
+    return InitializedCapture(
+        restore_capture(state.capture, folder),
+        load_stage_scene(folder / "scene", state.device),
+        CoordinateFrames.from_document(read_json(path), str(path)),
+    )
+
+
+def _extend_initialized(state: RunState, value: InitializedCapture) -> RunState:
+    in_asset_frame = value.capture.transformed(value.frames.asset_from_working)
+    write_cameras(state.directory.cameras, in_asset_frame, state.source.view_names)
+    capture = state.photographs.undistort(value.capture)
+    return replace(state, capture=capture, scene=value.scene, frames=value.frames)
+
+
+def _geometry_settings(state: RunState) -> Any:
+    settings = state.config.geometry
+    if not settings.enabled:
+        return SWITCHED_OFF
+    return [asdict(settings), state.config.geometry_renderer.get(settings.renderer, {})]
+
+
+def _fit_geometry(state: RunState, context: StageContext) -> StageResult[Scene]:
+    scene = _scene(state)
+    if not state.config.geometry.enabled:
+        return StageResult(scene, SkippedStageReport())
+    from hir_core.stages.geometry.geometry_fit import fit_geometry
+
+    return StageResult(*fit_geometry(scene, state.capture, state.config.geometry, context))
+
+
+def _unwrap(state: RunState, context: StageContext) -> StageResult[Scene]:
+    from hir_core.stages.atlas import unwrap
+
+    return StageResult(*unwrap(_scene(state), state.capture, state.config.atlas, context))
+
+
+def _reflectance_settings(state: RunState) -> Any:
+    settings = state.config.reflectance
+    if not settings.enabled:
+        return SWITCHED_OFF
+    light = Path(settings.known_environment.rpartition("*")[0] or settings.known_environment)
+    light_hash = file_hash(light) if settings.known_environment else ""
+    return [asdict(settings), light_hash, state.config.reflectance_renderer]
+
+
+def _fit_reflectance(state: RunState, context: StageContext) -> StageResult[FittedScene]:
+    scene = _scene(state)
+    if not state.config.reflectance.enabled:
+        return StageResult(FittedScene(scene, None), SkippedStageReport())
+    from hir_core.stages.reflectance.reflectance_fit import fit_reflectance
+
+    fitted, report = fit_reflectance(scene, state.capture, state.config.reflectance, context)
+    return StageResult(FittedScene(fitted, _bounces(report)), report)
+
+
+def _bounces(report: Any) -> int | None:
+    """Of the reflectance stage's report."""
+    bounces: int | None = report.get("bounces") if isinstance(report, dict) else report.bounces
+    return bounces
+
+
+def _save_fitted(state: RunState, value: FittedScene, folder: Path) -> None:
+    _save_scene(state, value.scene, folder)
+    write_json(folder / "model.json", {"bounces": value.bounces})
+
+
+def _load_fitted(state: RunState, folder: Path) -> FittedScene:
+    bounces = read_json(folder / "model.json").get("bounces")
+    return FittedScene(_load_scene(state, folder), bounces if isinstance(bounces, int) else None)
+
+
+def _bake(state: RunState, context: StageContext) -> StageResult[Asset]:
+    from hir_core.stages.bake import bake_stage
+
+    return StageResult(*bake_stage(state))
+
+
+def _save_asset(state: RunState, asset: Asset, folder: Path) -> None:
+    from hir_exporters.scene_format import save_scene
+
+    save_scene(asset, state.directory.scene)
+
+
+def _load_asset(state: RunState, folder: Path) -> Asset:
+    from hir_exporters.scene_format import load_scene
+
+    return load_scene(state.directory.scene)
+
+
+def _export(state: RunState, context: StageContext) -> StageResult[None]:
+    from hir_core.stages.export.export_stage import export_stage
+
+    return StageResult(None, export_stage(state, context))
+
+
+def _scene(state: RunState) -> Scene:
+    assert state.scene is not None
+    return state.scene
+
+
+def _save_scene(state: RunState, scene: Scene, folder: Path) -> None:
+    from hir_core.scene.scene_store import save_stage_scene
+
+    save_stage_scene(scene, folder / "scene")
+
+
+def _load_scene(state: RunState, folder: Path) -> Scene:
+    from hir_core.scene.scene_store import load_stage_scene
+
+    return load_stage_scene(folder / "scene", state.device)
+
+
+def _extend_scene(state: RunState, scene: Scene) -> RunState:
+    return replace(state, scene=scene)
+
+
+SWITCHED_OFF = "switched off"
+"""The cache key of a stage that the settings switch off."""
+
+INITIALIZER: Stage[RunState, InitializedCapture] = Stage(
+    name="initializer",
+    settings=_initializer_settings,
+    compute=_initialize,
+    save=_save_initialized,
+    load=_load_initialized,
+    extend=_extend_initialized,
+    scene=_scene,
+)
+GEOMETRY: Stage[RunState, Scene] = Stage(
+    name="geometry",
+    settings=_geometry_settings,
+    compute=_fit_geometry,
+    save=_save_scene,
+    load=_load_scene,
+    extend=_extend_scene,
+    scene=_scene,
+)
+ATLAS: Stage[RunState, Scene] = Stage(
+    name="atlas",
+    settings=lambda state: asdict(state.config.atlas),
+    compute=_unwrap,
+    save=_save_scene,
+    load=_load_scene,
+    extend=_extend_scene,
+    scene=_scene,
+)
+REFLECTANCE: Stage[RunState, FittedScene] = Stage(
+    name="reflectance",
+    settings=_reflectance_settings,
+    compute=_fit_reflectance,
+    save=_save_fitted,
+    load=_load_fitted,
+    extend=lambda state, value: replace(state, scene=value.scene, bounces=value.bounces),
+    scene=_scene,
+)
+BAKE: Stage[RunState, Asset] = Stage(
+    name="bake",
+    settings=lambda state: state.source.name,
+    compute=_bake,
+    save=_save_asset,
+    load=_load_asset,
+    extend=lambda state, asset: replace(state, asset=asset),
+    scene=_scene,
+    reads_back=True,  # the scene format rounds v and orders keys: an export must not depend on an interruption
+)
+EXPORT: Stage[RunState, None] = Stage(
+    name="export",
+    settings=lambda state: [list(state.config.export), state.config.exporter],
+    compute=_export,
+    save=lambda state, value, folder: None,
+    load=lambda state, folder: None,
+    extend=lambda state, value: state,
+)
+
+STAGES: tuple[Stage[RunState, Any], ...] = (INITIALIZER, GEOMETRY, ATLAS, REFLECTANCE, BAKE, EXPORT)
+"""In the order of a run."""
