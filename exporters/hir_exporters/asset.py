@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from hir_exporters.conventions import ALPHA_MIN
 from hir_exporters.errors import InputError
 
-MODELS: Final = ("paper", "dielectric")
+BRDF_MODELS: Final = ("paper", "dielectric")
 """BRDF models of a material; `hir_exporters.materials.brdf_numpy` holds their formulas."""
 
 PAPER_SPECULAR_MAX: Final = 4 / np.pi
@@ -176,8 +176,8 @@ def _validate_mesh(mesh: AssetMesh) -> None:
 
 
 def _validate_material(material: AssetMaterial) -> None:
-    if material.model not in MODELS:
-        raise InputError(f"material.model is {material.model!r}; known are {', '.join(MODELS)}")
+    if material.model not in BRDF_MODELS:
+        raise InputError(f"material.model is {material.model!r}; known are {', '.join(BRDF_MODELS)}")
     specular_limit = PAPER_SPECULAR_MAX if material.model == "paper" else 1.0
     for name, limit in (("diffuse_albedo", 1.0), ("specular_albedo", specular_limit)):
         value = getattr(material, name)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 from hir_exporters.asset import Asset, textures
-from hir_exporters.materials.texture_packing import limited
+from hir_exporters.materials.texture_packing import limit_texture_sizes
 from hir_exporters.mesh.simplification import simplify
 
 BudgetName = Literal["none", "quicklook", "web", "desktop"]
@@ -37,7 +37,7 @@ def apply_budget(asset: Asset, name: BudgetName) -> tuple[Asset, tuple[str, ...]
     largest = max((max(value.shape[:2]) for _, value in textures(asset.material)), default=0)
     if largest > budget.texture_size:
         warnings.append(f"textures were reduced from {largest} to {budget.texture_size} pixels for the {name} budget")
-        asset = replace(asset, material=limited(asset.material, budget.texture_size))
+        asset = replace(asset, material=limit_texture_sizes(asset.material, budget.texture_size))
     count = len(asset.mesh.faces)
     if count > budget.triangles:
         asset = replace(asset, mesh=simplify(asset.mesh, budget.triangles))

@@ -89,7 +89,7 @@ def create_exporter(name: str, config: Any = None) -> Exporter:
     return exporter
 
 
-def import_writers(names: Iterable[str]) -> None:
+def preload_exporters(names: Iterable[str]) -> None:
     """Imports now what writing these formats will need; what is not installed, or no format of ours, is passed over.
 
     For programs that read their asset in another thread meanwhile: decoders leave the interpreter to this one.

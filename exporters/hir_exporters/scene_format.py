@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hir_exporters.asset import MODELS, Asset, AssetEnvironment, AssetMaterial, validate_asset
+from hir_exporters.asset import BRDF_MODELS, Asset, AssetEnvironment, AssetMaterial, validate_asset
 from hir_exporters.errors import ExportError, InputError
 from hir_exporters.files.atomic import atomic_directory, write_bytes_atomic, write_text_atomic
 from hir_exporters.mesh.ply_format import decode_ply, encode_ply
@@ -96,8 +96,8 @@ def _save_environment(place: Path, environment: AssetEnvironment | None) -> dict
 def _load_material(folder: Path, table: dict[str, Any]) -> AssetMaterial:
     source = folder / "scene.json"
     model = table.get("model")
-    if model not in MODELS:
-        raise InputError(f"{source}: material.model is {model!r}; known are {', '.join(MODELS)}")
+    if model not in BRDF_MODELS:
+        raise InputError(f"{source}: material.model is {model!r}; known are {', '.join(BRDF_MODELS)}")
     for name in ("diffuse_albedo", "specular_albedo", "roughness"):
         if table.get(name) is None:
             raise InputError(f"{source}: material.{name} is missing; give a file or a constant")

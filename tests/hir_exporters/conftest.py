@@ -13,7 +13,7 @@ from hir_exporters.asset import Asset, AssetEnvironment, AssetMaterial, AssetMes
 REPOSITORY = Path(__file__).resolve().parents[2]
 
 
-def sphere_mesh(rings: int = 12, segments: int = 24, wobble: float = 0.0) -> AssetMesh:
+def uv_sphere(rings: int = 12, segments: int = 24, wobble: float = 0.0) -> AssetMesh:
     """A UV sphere with a seam: positions repeat where u wraps, so there is one vertex for each (position, UV) pair."""
     v, u = np.meshgrid(np.linspace(0, 1, rings + 1), np.linspace(0, 1, segments + 1), indexing="ij")
     polar, azimuth = v * np.pi, u * 2 * np.pi
@@ -70,19 +70,19 @@ def textured_asset() -> Asset:
         normal=normal_map(32),
         observed=np.ones((32, 32), bool),
     )
-    return Asset(sphere_mesh(), material, AssetEnvironment(axis_map()), {"source": "test"}, "sphere")
+    return Asset(uv_sphere(), material, AssetEnvironment(axis_map()), {"source": "test"}, "sphere")
 
 
 @pytest.fixture
 def constant_asset() -> Asset:
     """A grey `paper` sphere without textures or light."""
-    return Asset(sphere_mesh(), AssetMaterial("paper", [0.5, 0.4, 0.3], [0.2, 0.2, 0.2], 0.25), name="ball")
+    return Asset(uv_sphere(), AssetMaterial("paper", [0.5, 0.4, 0.3], [0.2, 0.2, 0.2], 0.25), name="ball")
 
 
 @pytest.fixture(scope="session")
 def make_sphere() -> Callable[..., AssetMesh]:
-    """`sphere_mesh`, for tests that need another size."""
-    return sphere_mesh
+    """`uv_sphere`, for tests that need another size."""
+    return uv_sphere
 
 
 @pytest.fixture(scope="session")

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 from hir_exporters.conventions import linear_to_srgb
-from hir_exporters.engines.engine_shaders import Texels, three
+from hir_exporters.engines.engine_shaders import MaterialSamples, three
 from hir_exporters.engines.surface_points import surface_points
 from hir_exporters.materials.brdf_slice import model_brdf
 from hir_exporters.materials.material_conversion import MetallicSurface, to_gltf
@@ -29,7 +29,7 @@ def rows(light: Path) -> list[str]:
     asset = metal_egg(light).asset
     surface, points = to_gltf(asset.material, "khr"), surface_points(asset)
     assert isinstance(surface, MetallicSurface)
-    texels = Texels(points, surface, None)
+    texels = MaterialSamples(points, surface, None)
     specular = sample_texels(asset.material.specular_albedo, True, points.places)
     wanted = _encoded(points.shade(model_brdf(points.slices, "dielectric", 0 * specular, specular)))
 

@@ -9,7 +9,7 @@ import numpy as np
 from hir_exporters.asset import AssetMesh
 
 from hir_core.capture import Camera
-from hir_core.rendering.run_pictures import orbit_cameras
+from hir_core.rendering.orbit_cameras import orbit_cameras
 
 ELEVATION_DEG: Final = 22.0
 SIDES: Final = 3

@@ -35,10 +35,12 @@ PSNR_MAX: Final = 100.0
 """dB reported for equal pictures."""
 
 
-class Texels:
+class MaterialSamples:
     """A file's material at the points: colours (N, 3), scalars (N, 1)."""
 
-    def __init__(self, points: SurfacePoints, surface: MetallicSurface, legacy: SpecularSurface | None) -> None:
+    def __init__(
+        self, points: SurfacePoints, surface: MetallicSurface, specular_surface: SpecularSurface | None
+    ) -> None:
         def at(value: NDArray[np.floating], color: bool) -> Array:
             found = sample_texels(np.asarray(value), color, points.places)
             return found if color else found[:, None]
@@ -47,13 +49,17 @@ class Texels:
         self.weight, self.color = at(surface.specular_weight, False), at(surface.specular_color, True)
         self.roughness, self.ior = at(surface.roughness, False), surface.ior
         self.f0 = np.minimum(models.ior_to_f0(surface.ior) * self.color, 1) * self.weight
-        self.legacy = None
-        if legacy is not None:
-            self.legacy = at(legacy.diffuse, True), at(legacy.specular, True), at(legacy.roughness, False)
+        self.specular_surface = None
+        if specular_surface is not None:
+            self.specular_surface = (
+                at(specular_surface.diffuse, True),
+                at(specular_surface.specular, True),
+                at(specular_surface.roughness, False),
+            )
 
 
 def engine_psnr(
-    asset: Asset, surface: MetallicSurface, legacy: SpecularSurface | None, *, usd: bool = False
+    asset: Asset, surface: MetallicSurface, specular_surface: SpecularSurface | None, *, usd: bool = False
 ) -> dict[str, float]:
     """PSNR in dB by engine of a material as read back from a glTF file (or a USD one) against the asset's own.
 
@@ -66,7 +72,7 @@ def engine_psnr(
     diffuse = sample_texels(asset.material.diffuse_albedo, True, points.places)
     specular = sample_texels(asset.material.specular_albedo, True, points.places)
     wanted = _encoded(points.shade(model_brdf(points.slices, asset.material.model, diffuse, specular)))
-    texels = Texels(points, surface, legacy)
+    texels = MaterialSamples(points, surface, specular_surface)
     found = {}
     for name, shade in (USD_ENGINES if usd else GLTF_ENGINES).items():
         error = float(np.mean((_encoded(shade(points, texels)) - wanted) ** 2))
@@ -74,27 +80,27 @@ def engine_psnr(
     return found
 
 
-def gltf(points: SurfacePoints, t: Texels) -> Array:
+def gltf(points: SurfacePoints, t: MaterialSamples) -> Array:
     """glTF's text, integrated over the light."""
     values = models.gltf_brdf(points.slices, t.base, t.metallic[:, 0], t.weight[:, 0], t.color, t.ior)
     return points.shade(values)
 
 
-def blender(points: SurfacePoints, t: Texels) -> Array:
+def blender(points: SurfacePoints, t: MaterialSamples) -> Array:
     """At ior 1000 the tint is reflected at all angles; elsewhere it follows glTF's text."""
     if t.ior >= NO_FRESNEL_IOR and not np.any(t.metallic):
         return points.shade(models.blender_brdf(points.slices, t.base, np.minimum(t.color, 1) * t.weight))
     return gltf(points, t)
 
 
-def usd_preview_surface(points: SurfacePoints, t: Texels) -> Array:
+def usd_preview_surface(points: SurfacePoints, t: MaterialSamples) -> Array:
     """The specification's two workflows."""
-    if t.legacy is not None:
-        return points.shade(models.specular_workflow_brdf(points.slices, t.legacy[0], t.legacy[1]))
+    if t.specular_surface is not None:
+        return points.shade(models.specular_workflow_brdf(points.slices, t.specular_surface[0], t.specular_surface[1]))
     return gltf(points, t)
 
 
-def three(points: SurfacePoints, t: Texels) -> Array:
+def three(points: SurfacePoints, t: MaterialSamples) -> Array:
     """Split sum with multiple scattering; the mirrored direction bends to the normal with roughness to the fourth."""
     rough = np.clip(t.roughness, 0.045, 1)
     bend = rough**4
@@ -115,7 +121,7 @@ def three(points: SurfacePoints, t: Texels) -> Array:
     return np.asarray(seen * single + (multi + diffuse) * points.irradiance_over_pi())
 
 
-def unreal(points: SurfacePoints, t: Texels) -> Array:
+def unreal(points: SurfacePoints, t: MaterialSamples) -> Array:
     """One grey Specular a texel, at most 0.08; the mirrored direction bends to the normal (off-specular peak)."""
     specular = np.minimum(t.f0.max(axis=-1, keepdims=True) / 0.08, 1)
     f0 = 0.08 * specular * (1 - t.metallic) + t.base * t.metallic
@@ -127,10 +133,10 @@ def unreal(points: SurfacePoints, t: Texels) -> Array:
     return np.asarray(seen * lobe + t.base * (1 - t.metallic) * points.irradiance_over_pi())
 
 
-def unity(points: SurfacePoints, t: Texels) -> Array:
+def unity(points: SurfacePoints, t: MaterialSamples) -> Array:
     """URP's EnvironmentBRDF: a fitted lobe, rising to a grazing value with the fourth power."""
-    if t.legacy is not None:
-        diffuse, specular, rough = t.legacy
+    if t.specular_surface is not None:
+        diffuse, specular, rough = t.specular_surface
         reflectivity = specular.max(axis=-1, keepdims=True)
         diffuse = diffuse * (1 - reflectivity)
     else:
@@ -143,7 +149,7 @@ def unity(points: SurfacePoints, t: Texels) -> Array:
     return np.asarray(seen * lobe + diffuse * points.irradiance_over_pi())
 
 
-Shader = Callable[[SurfacePoints, Texels], Array]
+Shader = Callable[[SurfacePoints, MaterialSamples], Array]
 
 GLTF_ENGINES: Final[Mapping[str, Shader]] = {
     "gltf": gltf,

@@ -22,7 +22,7 @@ from hir_exporters.textures.texture_maps import sample_texels
 
 Array = NDArray[np.float64]
 
-POINTS_A_SIDE: Final = 256
+POINTS_PER_VIEW: Final = 256
 _ROWS = 64  # of the light: finer detail is below what the directions resolve
 _COUNT, _STEP = 89, 55  # directions from each density: a Fibonacci number and the one before it
 _GOLDEN = (np.sqrt(5) - 1) / 2
@@ -81,7 +81,7 @@ class SurfacePoints:
 
 
 def surface_points(asset: Asset) -> SurfacePoints:
-    """`4 * POINTS_A_SIDE` points of a checked asset under its light, or an even one where it has none."""
+    """`4 * POINTS_PER_VIEW` points of a checked asset under its light, or an even one where it has none."""
     sides = [_seen_from(asset, view) for view in _views()]
     normals, views, places = (np.concatenate([side[i] for side in sides]) for i in range(3))
     alpha = np.maximum(sample_texels(asset.material.roughness, False, places), ALPHA_MIN)
@@ -105,9 +105,9 @@ def _seen_from(asset: Asset, view: Array) -> tuple[Array, Array, Array]:
     facing = np.maximum(np.cross(b - a, c - a) @ view, 0)
     if facing.sum() <= 0:
         return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 2))
-    steps = (np.arange(POINTS_A_SIDE) + 0.5) / POINTS_A_SIDE
+    steps = (np.arange(POINTS_PER_VIEW) + 0.5) / POINTS_PER_VIEW
     faces = np.searchsorted(np.cumsum(facing) / facing.sum(), steps).clip(0, len(facing) - 1)
-    p, q = np.sqrt((np.arange(POINTS_A_SIDE) * _GOLDEN) % 1), (np.arange(POINTS_A_SIDE) * _GOLDEN**2) % 1
+    p, q = np.sqrt((np.arange(POINTS_PER_VIEW) * _GOLDEN) % 1), (np.arange(POINTS_PER_VIEW) * _GOLDEN**2) % 1
     corners = np.stack([1 - p, p * (1 - q), p * q], axis=-1)[..., None]
     chosen = mesh.faces[faces]
     normals = _unit((mesh.normals[chosen] * corners).sum(1))

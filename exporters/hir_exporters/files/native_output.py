@@ -1,4 +1,4 @@
-"""Keeps what a native library prints by itself off the screen, where its errors are told in words of ours."""
+"""Suppresses what a native library prints by itself, where its errors are reported as exceptions of ours."""
 
 from __future__ import annotations
 
@@ -9,23 +9,26 @@ import threading
 from collections.abc import Iterator
 from typing import Final
 
-_STREAMS: Final = (1, 2)
+_FILE_DESCRIPTORS: Final = (1, 2)
+"""Standard output and standard error."""
+
 _LOCK: Final = threading.Lock()
 
 
 @contextlib.contextmanager
-def silenced() -> Iterator[None]:
-    """Standard output and error of the process lead nowhere meanwhile, those of other threads, too: for short calls.
+def suppress_native_output() -> Iterator[None]:
+    """Redirects standard output and error of the whole process, other threads included, to nowhere: for short calls.
 
-    Bindings print through Python, too. A stream that the process does not have is left as it is.
+    `sys.stdout` is redirected as well, because bindings also print through Python. A descriptor that the process does
+    not have is left alone.
     """
-    with _LOCK, contextlib.ExitStack() as restored, contextlib.redirect_stdout(io.StringIO()):
+    with _LOCK, contextlib.ExitStack() as cleanup, contextlib.redirect_stdout(io.StringIO()):
         with contextlib.suppress(OSError):
-            nowhere = os.open(os.devnull, os.O_WRONLY)
-            restored.callback(os.close, nowhere)
-            for stream in _STREAMS:
-                kept = os.dup(stream)
-                restored.callback(os.close, kept)
-                restored.callback(os.dup2, kept, stream)
-                os.dup2(nowhere, stream)
+            null_device = os.open(os.devnull, os.O_WRONLY)
+            cleanup.callback(os.close, null_device)
+            for descriptor in _FILE_DESCRIPTORS:
+                original = os.dup(descriptor)
+                cleanup.callback(os.close, original)
+                cleanup.callback(os.dup2, original, descriptor)
+                os.dup2(null_device, descriptor)
         yield

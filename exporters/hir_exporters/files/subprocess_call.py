@@ -1,7 +1,8 @@
-"""A function called in a process of its own, arrays in, arrays out.
+"""Calls a function in a separate process: arrays in, arrays out.
 
-For native code that ends the whole process on some inputs, which no `except` sees, or that keeps Python's lock for so
-long that neither Ctrl-C nor a progress bar gets through. The child starts in 0.2 s and imports what the function needs.
+Two uses: native code that aborts the process on some inputs, which no `except` catches, and native code that holds
+Python's lock for so long that neither Ctrl-C nor a progress bar works. The subprocess starts in about 0.2 s and imports
+only what the function needs.
 """
 
 from __future__ import annotations
@@ -16,60 +17,63 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from hir_exporters.errors import HirError, InputError
 
 Arrays = dict[str, NDArray[Any]]
+"""Arrays of any type by name."""
 
-_REFUSED = 3
-"""Exit code of a child whose last line is the sentence of a `HirError`; Python's own is 1, a signal's below 0."""
-
-
-class ChildError(HirError):
-    """The child ended without a result: by a signal, by native code, or by an error that is not ours."""
+_INPUT_ERROR_EXIT_CODE = 3
+"""Exit code of a subprocess whose last line is the message of a `HirError`. Python's own is 1, a signal's is negative.
+"""
 
 
-def call_apart(target: str, arrays: Mapping[str, Any]) -> Arrays:
-    """What `target`, `module:function`, gives for these arrays, numbers and words by name: again arrays by name.
+class SubprocessCrashError(HirError):
+    """The subprocess gave no result: a signal, native code or an error other than `HirError` ended it."""
 
-    Raises `InputError` with the sentence of a `HirError` that the function raised, `ChildError` where it gave nothing.
+
+def run_in_subprocess(target: str, arguments: Mapping[str, ArrayLike]) -> Arrays:
+    """Calls `target`, written `module:function`, with arrays, numbers and strings by name; returns arrays by name.
+
+    Raises `InputError` with the message of a `HirError` that the function raised, `SubprocessCrashError` where the
+    subprocess ended without a result.
     """
-    with tempfile.TemporaryDirectory(prefix="hir-apart-") as folder:
-        given, result = Path(folder) / "given.npz", Path(folder) / "result.npz"
-        np.savez(given, **arrays)
-        # -P: the folder that a user stands in may hold a numpy.py; the child finds modules where this process does
-        done = subprocess.run(
-            [sys.executable, "-P", "-m", "hir_exporters.files.subprocess_call", target, str(given), str(result)],
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(place for place in sys.path if place)},
+    with tempfile.TemporaryDirectory(prefix="hir-subprocess-") as folder:
+        input_file, result_file = Path(folder) / "arguments.npz", Path(folder) / "result.npz"
+        np.savez(input_file, **{name: np.asarray(value) for name, value in arguments.items()})
+        # -P: the current folder may contain a numpy.py. The subprocess finds modules where this process does.
+        process = subprocess.run(
+            [sys.executable, "-P", "-m", "hir_exporters.files.subprocess_call", target, input_file, result_file],
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(folder for folder in sys.path if folder)},
             capture_output=True,
             text=True,
             errors="replace",
             check=False,
         )
-        if done.returncode == _REFUSED:
-            raise InputError(done.stdout.strip().splitlines()[-1])
-        if done.returncode:
-            said = done.stderr.strip().splitlines() if done.returncode == 1 else []
-            raise ChildError(said[-1][:300] if said else f"exit code {done.returncode}")
-        return _read(result)
+        if process.returncode == _INPUT_ERROR_EXIT_CODE:
+            raise InputError(process.stdout.strip().splitlines()[-1])
+        if process.returncode:
+            messages = process.stderr.strip().splitlines() if process.returncode == 1 else []
+            raise SubprocessCrashError(messages[-1][:300] if messages else f"exit code {process.returncode}")
+        return _load_arrays(result_file)
 
 
-def _read(file: Path) -> Arrays:
+def _load_arrays(file: Path) -> Arrays:
     with np.load(file, allow_pickle=False) as arrays:
         return {name: arrays[name] for name in arrays.files}
 
 
 def main() -> int:
-    """The child's: a target, an .npz of what it is given, the .npz to write."""
-    target, given, result = sys.argv[1:4]
+    """Entry point of the subprocess; its arguments are the target, the .npz to read and the .npz to write."""
+    target, input_file, result_file = sys.argv[1:4]
     module, _, name = target.partition(":")
     try:
-        found = getattr(import_module(module), name)(**_read(Path(given)))
+        result = getattr(import_module(module), name)(**_load_arrays(Path(input_file)))
     except HirError as error:
         print(error)
-        return _REFUSED
-    np.savez(result, **found)
+        return _INPUT_ERROR_EXIT_CODE
+    np.savez(result_file, **result)
     return 0
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from hir_exporters.asset import AssetMesh
 from hir_exporters.errors import ExportError
 from hir_exporters.gltf.binary import BinaryWriter
-from hir_exporters.gltf.mesh_primitives import unit
+from hir_exporters.mesh.unit_vectors import unit_tangents, unit_vectors
 
 if TYPE_CHECKING:
     from pygltflib import GLTF2, Primitive
@@ -39,7 +39,7 @@ def add_draco_primitive(document: GLTF2, mesh: AssetMesh, writer: BinaryWriter, 
         TEXCOORD_0=writer.described_accessor(count, np.float32, 2),
     )
     if mesh.tangents is not None:
-        tangents = np.concatenate([unit(mesh.tangents[:, :3]), mesh.tangents[:, 3:]], axis=1)
+        tangents = unit_tangents(mesh.tangents)
         attributes.TANGENT = writer.accessor(tangents)
     indices = writer.described_accessor(mesh.faces.size, np.uint16 if small else np.uint32, 1)
     primitive = Primitive(attributes=attributes, indices=indices, material=material)
@@ -62,7 +62,7 @@ def _encoded(mesh: AssetMesh) -> tuple[bytes, dict[str, int]]:
         compression_level=_LEVEL,
         preserve_order=True,
         tex_coord=mesh.uvs.astype(np.float64),
-        normals=unit(mesh.normals).astype(np.float64),
+        normals=unit_vectors(mesh.normals).astype(np.float64),
         tex_coord_quantization_bits=UV_BITS,
         normal_quantization_bits=NORMAL_BITS,
     )

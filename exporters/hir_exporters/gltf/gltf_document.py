@@ -27,13 +27,13 @@ GENERATOR = "hir_exporters"
 
 
 @dataclass(frozen=True)
-class Gathered:
+class GatheredAsset:
     """What is written of an asset: a mesh, a packed surface with its images, and what its conversion said."""
 
     asset: Asset
     mesh: AssetMesh
     packed: PackedSurface
-    legacy: SpecularSurface | None
+    specular_surface: SpecularSurface | None
     images: list[EncodedImage]
     light: tuple[list[EncodedImage], dict[str, object]] | None
     """Faces of the light and its object, where it goes into the file (`image_based_light`)."""
@@ -41,23 +41,23 @@ class Gathered:
     residuals: dict[str, float]
 
 
-def gather(asset: Asset, config: GltfConfig) -> Gathered:
+def gather_asset(asset: Asset, config: GltfConfig) -> GatheredAsset:
     """Convert the material, compute tangents where they are wanted, and encode the images."""
     wanted = config.tangents == "always" or (config.tangents == "auto" and asset.material.normal is not None)
     with ThreadPoolExecutor(max_workers=1) as beside:
         mesh = beside.submit(with_tangents, asset.mesh) if wanted else None
         converted, base, packed, images = _surface(asset.material, config)
-    legacy = converted if isinstance(converted, SpecularSurface) else None
-    return Gathered(
+    specular_surface = converted if isinstance(converted, SpecularSurface) else None
+    return GatheredAsset(
         asset=asset,
         mesh=asset.mesh if mesh is None else mesh.result(),
         packed=packed,
-        legacy=legacy,
+        specular_surface=specular_surface,
         images=images,
         light=_light(asset, config),
         warnings=converted.warnings + _light_warning(asset, config),
         residuals={config.profile: converted.residual, "metalrough": base.residual}
-        if legacy is not None
+        if specular_surface is not None
         else {config.profile: converted.residual},
     )
 
@@ -104,7 +104,7 @@ def _light(asset: Asset, config: GltfConfig) -> tuple[list[EncodedImage], dict[s
     return image_based_light.light_images(world_radiance(asset)[0])
 
 
-def build_document(gathered: Gathered, config: GltfConfig, files_prefix: str | None) -> tuple[GLTF2, BinaryWriter]:
+def build_document(gathered: GatheredAsset, config: GltfConfig, files_prefix: str | None) -> tuple[GLTF2, BinaryWriter]:
     """The document and its buffer's writer; images inside, or beside it as files that begin with `files_prefix`."""
     from pygltflib import GLTF2, Attributes, Mesh, Node, Scene
     from pygltflib import Asset as Header
@@ -141,7 +141,7 @@ def build_document(gathered: Gathered, config: GltfConfig, files_prefix: str | N
     return document, writer
 
 
-def _material(gathered: Gathered, textures: dict[str, int], document: GLTF2) -> Any:
+def _material(gathered: GatheredAsset, textures: dict[str, int], document: GLTF2) -> Any:
     from pygltflib import Material, NormalMaterialTexture, PbrMetallicRoughness, TextureInfo
 
     packed = gathered.packed
@@ -156,9 +156,9 @@ def _material(gathered: Gathered, textures: dict[str, int], document: GLTF2) -> 
     if "normal" in textures:
         material.normalTexture = NormalMaterialTexture(index=textures["normal"], scale=1.0)
     extensions: dict[str, Any] = {}
-    if gathered.legacy is not None:
+    if gathered.specular_surface is not None:
         extensions[specular_glossiness.NAME] = specular_glossiness.specular_glossiness_extension(
-            gathered.legacy, textures
+            gathered.specular_surface, textures
         )
     else:
         extensions[specular.NAME] = specular.specular_extension(packed, textures)

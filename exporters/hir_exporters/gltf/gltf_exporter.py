@@ -15,10 +15,10 @@ from hir_exporters.configs import GltfConfig
 from hir_exporters.exporter import Edit, Exporter, ExportReport
 from hir_exporters.files.atomic import write_bytes_atomic
 from hir_exporters.gltf.binary import glb_bytes
-from hir_exporters.gltf.gltf_document import Gathered, build_document, gather
+from hir_exporters.gltf.gltf_document import GatheredAsset, build_document, gather_asset
 from hir_exporters.gltf.lods import level_of_detail
 from hir_exporters.light.environment_map import world_radiance
-from hir_exporters.materials.texture_packing import limited, reduction_warning
+from hir_exporters.materials.texture_packing import limit_texture_sizes, texture_size_warnings
 from hir_exporters.textures.image_files import write_hdr
 
 if TYPE_CHECKING:
@@ -51,9 +51,9 @@ def _write(asset: Asset, destination: Path, config: GltfConfig, edit: Edit | Non
     start = time.perf_counter()
     validate_asset(asset)
     asset, warnings = apply_budget(asset, config.budget)
-    warnings += reduction_warning(asset.material, config.max_texture_size)
-    asset = replace(asset, material=limited(asset.material, config.max_texture_size))
-    gathered = gather(asset, config)
+    warnings += texture_size_warnings(asset.material, config.max_texture_size)
+    asset = replace(asset, material=limit_texture_sizes(asset.material, config.max_texture_size))
+    gathered = gather_asset(asset, config)
     warnings += gathered.warnings
     files = _write_document(gathered, destination, config, edit, embed)
     for level, triangles in enumerate(config.lods, start=1):
@@ -71,7 +71,7 @@ def _write(asset: Asset, destination: Path, config: GltfConfig, edit: Edit | Non
 
 
 def _write_document(
-    gathered: Gathered, destination: Path, config: GltfConfig, edit: Edit | None, embed: bool
+    gathered: GatheredAsset, destination: Path, config: GltfConfig, edit: Edit | None, embed: bool
 ) -> list[Path]:
     prefix = None if embed else f"{destination.stem}_"
     document, writer = build_document(gathered, config, prefix)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from hir_exporters.asset import textures
 from hir_exporters.configs import GltfConfig
-from hir_exporters.gltf.gltf_document import Gathered
+from hir_exporters.gltf.gltf_document import GatheredAsset
 from hir_exporters.materials.texture_packing import encode_images
 from hir_exporters.mesh.normal_baking import baked_normals
 from hir_exporters.mesh.simplification import simplify
@@ -18,8 +18,8 @@ PLAIN_SIZE = 1024
 
 
 def level_of_detail(
-    gathered: Gathered, level: int, triangles: int, config: GltfConfig
-) -> tuple[Gathered, tuple[str, ...]]:
+    gathered: GatheredAsset, level: int, triangles: int, config: GltfConfig
+) -> tuple[GatheredAsset, tuple[str, ...]]:
     """The gathered asset with about `triangles` triangles, and what could not be had."""
     coarse = simplify(replace(gathered.asset.mesh, tangents=None), triangles)
     warnings: tuple[str, ...] = ()

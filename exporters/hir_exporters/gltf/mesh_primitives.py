@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hir_exporters.asset import AssetMesh
 from hir_exporters.gltf.binary import ELEMENT_ARRAY_BUFFER, BinaryWriter
+from hir_exporters.mesh.unit_vectors import unit_tangents, unit_vectors
 
 if TYPE_CHECKING:
     from pygltflib import Primitive
@@ -20,11 +20,11 @@ def add_primitive(mesh: AssetMesh, writer: BinaryWriter, material: int) -> Primi
 
     attributes = Attributes(
         POSITION=writer.accessor(mesh.positions, bounds=True),
-        NORMAL=writer.accessor(unit(mesh.normals)),
+        NORMAL=writer.accessor(unit_vectors(mesh.normals)),
         TEXCOORD_0=writer.accessor(mesh.uvs),
     )
     if mesh.tangents is not None:
-        tangents = np.concatenate([unit(mesh.tangents[:, :3]), mesh.tangents[:, 3:]], axis=1)
+        tangents = unit_tangents(mesh.tangents)
         attributes.TANGENT = writer.accessor(tangents)
     return Primitive(attributes=attributes, indices=add_indices(mesh, writer), material=material)
 
@@ -34,9 +34,3 @@ def add_indices(mesh: AssetMesh, writer: BinaryWriter) -> int:
     small = len(mesh.positions) <= np.iinfo(np.uint16).max
     indices = mesh.faces.reshape(-1).astype(np.uint16 if small else np.uint32)
     return writer.accessor(indices, ELEMENT_ARRAY_BUFFER)
-
-
-def unit(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Vectors of length 1 to float32 precision, as the format demands of normals and tangents."""
-    exact = vectors.astype(np.float64)
-    return (exact / np.linalg.norm(exact, axis=1, keepdims=True)).astype(np.float32)

@@ -12,7 +12,8 @@ import numpy as np
 
 from hir_exporters.asset import AssetMesh
 from hir_exporters.gltf.binary import BinaryWriter
-from hir_exporters.gltf.mesh_primitives import add_indices, unit
+from hir_exporters.gltf.mesh_primitives import add_indices
+from hir_exporters.mesh.unit_vectors import unit_tangents, unit_vectors
 
 if TYPE_CHECKING:
     from pygltflib import GLTF2, Node, Primitive
@@ -32,14 +33,14 @@ def add_quantized_primitive(
     steps = np.rint((mesh.positions - center) / half * 32767).astype(np.int16)
     attributes = Attributes(
         POSITION=writer.accessor(steps, normalized=True, bounds=True),
-        NORMAL=writer.accessor(np.rint(unit(mesh.normals) * 127).astype(np.int8), normalized=True),
+        NORMAL=writer.accessor(np.rint(unit_vectors(mesh.normals) * 127).astype(np.int8), normalized=True),
     )
     if mesh.uvs.min() >= 0 and mesh.uvs.max() <= 1:
         attributes.TEXCOORD_0 = writer.accessor(np.rint(mesh.uvs * 65535).astype(np.uint16), normalized=True)
     else:
         attributes.TEXCOORD_0 = writer.accessor(mesh.uvs)
     if mesh.tangents is not None:
-        tangents = np.concatenate([unit(mesh.tangents[:, :3]), mesh.tangents[:, 3:]], axis=1)
+        tangents = unit_tangents(mesh.tangents)
         attributes.TANGENT = writer.accessor(np.rint(tangents * 127).astype(np.int8), normalized=True)
     document.extensionsUsed.append(NAME)
     document.extensionsRequired.append(NAME)

@@ -28,7 +28,7 @@ from hir_exporters.asset import AssetMaterial
 from hir_exporters.materials import brdf_slice as slices
 from hir_exporters.materials import target_brdfs as engines
 from hir_exporters.materials.metallic_fit import core_base_color, fit_metallic, fit_specular_workflow
-from hir_exporters.textures.texture_maps import common_size, constant_if_uniform, in_strips, resize, sample_texels
+from hir_exporters.textures.texture_maps import common_size, constant_if_uniform, map_in_strips, resize, sample_texels
 
 Array = NDArray[np.floating]
 
@@ -74,7 +74,7 @@ class SpecularSurface:
 
 def to_gltf(material: AssetMaterial, profile: GltfProfile) -> MetallicSurface | SpecularSurface:
     """The material in a glTF profile; `unity-legacy` is a `SpecularSurface`, all others a `MetallicSurface`."""
-    material = simplified(material)
+    material = collapse_uniform_textures(material)
     if profile == "unity-legacy":
         return to_specular_workflow(material)
     if profile == "metalrough":
@@ -86,7 +86,7 @@ def to_gltf(material: AssetMaterial, profile: GltfProfile) -> MetallicSurface | 
 
 def to_usd_metallic(material: AssetMaterial) -> MetallicSurface:
     """UsdPreviewSurface's metallic workflow: its ior where rho_s is one grey value, a fit where it is not."""
-    material = simplified(material)
+    material = collapse_uniform_textures(material)
     specular = material.specular_albedo
     grey = specular.shape == (3,) and float(np.ptp(specular)) <= 1e-3 * float(specular.max())
     if material.model == "dielectric" and grey and 0 < specular[0] <= METAL_F0:
@@ -97,7 +97,7 @@ def to_usd_metallic(material: AssetMaterial) -> MetallicSurface:
 
 def to_specular_workflow(material: AssetMaterial) -> SpecularSurface:
     """Diffuse and specular colours: as they are for `dielectric`, a least-squares fit for `paper`."""
-    material = simplified(material)
+    material = collapse_uniform_textures(material)
     if material.model == "dielectric":
         diffuse, specular = material.diffuse_albedo, material.specular_albedo
     else:
@@ -108,7 +108,7 @@ def to_specular_workflow(material: AssetMaterial) -> SpecularSurface:
     return replace(surface, residual=specular_residual(material, surface), warnings=_clip_warning(diffuse, "diffuse"))
 
 
-def simplified(material: AssetMaterial) -> AssetMaterial:
+def collapse_uniform_textures(material: AssetMaterial) -> AssetMaterial:
     """The same material with textures that hold one value only turned into constants."""
     return replace(
         material,
@@ -148,7 +148,9 @@ def _dielectric_with_extensions(material: AssetMaterial) -> MetallicSurface:
 def _mixture(material: AssetMaterial) -> MetallicSurface:
     """Metal where there is metal, over a non-metal whose reflectance is what metal leaves of rho_s."""
     model, diffuse, specular, alpha = _together(material)
-    metal = in_strips(lambda s: (s[..., 0] > METAL_F0) | (s[..., 1] > METAL_F0) | (s[..., 2] > METAL_F0), (specular, 1))
+    metal = map_in_strips(
+        lambda s: (s[..., 0] > METAL_F0) | (s[..., 1] > METAL_F0) | (s[..., 2] > METAL_F0), (specular, 1)
+    )
     metallic = fit_metallic(model, diffuse, specular, alpha) * metal
 
     def texels(diffuse: Array, specular: Array, alpha: Array, metallic: Array) -> Array:
@@ -166,7 +168,7 @@ def _mixture(material: AssetMaterial) -> MetallicSurface:
         color = np.clip((specular - m * base) / np.maximum(1 - m, 1e-3), 0.0, 1.0) / engines.CORE_F0
         return np.concatenate(np.broadcast_arrays(base, np.where(m == 1, 1.0, color)), axis=-1, dtype=np.float32)
 
-    both = in_strips(texels, (diffuse, 1), (specular, 1), (alpha, 0), (metallic, 0))
+    both = map_in_strips(texels, (diffuse, 1), (specular, 1), (alpha, 0), (metallic, 0))
     surface = _surface(both[..., :3], metallic, _roughness(material), color=both[..., 3:])
     return _measured(material, surface)
 

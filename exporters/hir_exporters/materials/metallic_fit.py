@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from hir_exporters.materials.brdf_slice import gram_table
 from hir_exporters.materials.target_brdfs import CORE_F0
-from hir_exporters.textures.texture_maps import in_strips, resize
+from hir_exporters.textures.texture_maps import map_in_strips, resize
 
 Array = NDArray[np.floating]
 _Table = NDArray[np.float64]
@@ -48,7 +48,7 @@ def fit_metallic(model: str, diffuse: Array, specular: Array, alpha: Array) -> A
         losses = terms.losses(_METALNESS_STEPS.astype(alpha.dtype))
         return np.asarray(_METALNESS_STEPS[np.argmin(losses, axis=0)])
 
-    metallic = in_strips(nearest, (diffuse, 1), (specular, 1), (alpha, 0))
+    metallic = map_in_strips(nearest, (diffuse, 1), (specular, 1), (alpha, 0))
     metallic = np.where(metallic < _SNAP, 0.0, np.where(metallic > 1 - _SNAP, 1.0, metallic)).astype(np.float32)
     return resize(metallic, *size) if size is not None and metallic.ndim == 2 else metallic
 
@@ -63,7 +63,7 @@ def core_base_color(model: str, diffuse: Array, specular: Array, alpha: Array, m
         return np.moveaxis(np.clip(terms.top(metallic) / terms.bottom(metallic), 0.0, 1.0), 0, -1)
 
     metallic = np.asarray(metallic, alpha.dtype)
-    return in_strips(best, (diffuse, 1), (specular, 1), (alpha, 0), (metallic, 0))
+    return map_in_strips(best, (diffuse, 1), (specular, 1), (alpha, 0), (metallic, 0))
 
 
 def fit_specular_workflow(model: str, diffuse: Array, specular: Array, alpha: Array) -> tuple[Array, Array]:
@@ -86,7 +86,7 @@ def fit_specular_workflow(model: str, diffuse: Array, specular: Array, alpha: Ar
         reflected = np.maximum(x, 0.0) / (1 - f0.max(axis=0))
         return np.moveaxis(np.concatenate([reflected, f0]), 0, -1).astype(np.float32)
 
-    both = in_strips(fitted, (diffuse, 1), (specular, 1), (alpha, 0))
+    both = map_in_strips(fitted, (diffuse, 1), (specular, 1), (alpha, 0))
     return both[..., :3], both[..., 3:]
 
 

@@ -53,7 +53,7 @@ class EncodedImage:
     mime: Literal["image/png", "image/jpeg"]
 
 
-def limited(material: AssetMaterial, largest: int) -> AssetMaterial:
+def limit_texture_sizes(material: AssetMaterial, largest: int) -> AssetMaterial:
     """The material with textures of at most `largest` pixels a side, averaged down; normals stay unit vectors."""
 
     def reduced(value: NDArray[np.float32], ends: int) -> NDArray[np.float32]:
@@ -73,7 +73,7 @@ def limited(material: AssetMaterial, largest: int) -> AssetMaterial:
     )
 
 
-def reduction_warning(material: AssetMaterial, largest: int) -> tuple[str, ...]:
+def texture_size_warnings(material: AssetMaterial, largest: int) -> tuple[str, ...]:
     """A sentence where `limited` will reduce a texture of the material."""
     found = max((max(value.shape[:2]) for _, value in textures(material)), default=0)
     if found <= largest:

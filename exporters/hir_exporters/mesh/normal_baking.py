@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hir_exporters.asset import AssetMesh
 from hir_exporters.mesh.tangents import with_tangents
 from hir_exporters.textures.texture_maps import resize
-from hir_exporters.textures.uv_rasterization import TexelCover, spread, texel_cover
+from hir_exporters.textures.uv_rasterization import TexelCoverage, dilate, rasterize_uvs
 
 Array = NDArray[np.float64]
 
@@ -34,7 +34,7 @@ def baked_normals(
     `coarse` must have the tangents it is written with. None where texture coordinates overlap or leave [0, 1]: there
     a texel is no one place.
     """
-    below = texel_cover(coarse.uvs, coarse.faces, size)
+    below = rasterize_uvs(coarse.uvs, coarse.faces, size)
     if coarse.uvs.min() < 0 or coarse.uvs.max() > 1 or below.overlap > OVERLAP:
         return None
     world = _world_normals(fine, normal, size).reshape(-1, 3)[below.texels]
@@ -49,13 +49,13 @@ def baked_normals(
     result, known = np.tile(up.astype(np.float32), (size * size, 1)), np.zeros(size * size, bool)
     result[below.texels] = np.where(fits, local / np.maximum(length, 1e-9), up)
     known[below.texels] = True
-    return _unit(spread(result.reshape(size, size, 3), known.reshape(size, size), _MARGIN))
+    return _unit(dilate(result.reshape(size, size, 3), known.reshape(size, size), _MARGIN))
 
 
 def _world_normals(mesh: AssetMesh, normal: NDArray[np.float32] | None, size: int) -> NDArray[np.float32]:
     """Shading normals (size, size, 3) of a mesh over its texture, grown past the borders of its charts."""
     mesh = mesh if normal is None else with_tangents(mesh)
-    cover = texel_cover(mesh.uvs, mesh.faces, size)
+    cover = rasterize_uvs(mesh.uvs, mesh.faces, size)
     if normal is None:
         shading = cover.interpolated(mesh.normals, mesh.faces)
     else:
@@ -64,10 +64,10 @@ def _world_normals(mesh: AssetMesh, normal: NDArray[np.float32] | None, size: in
         shading = x * t + y * b + z * n
     world, known = np.zeros((size * size, 3), np.float32), np.zeros(size * size, bool)
     world[cover.texels], known[cover.texels] = _unit(shading), True
-    return spread(world.reshape(size, size, 3), known.reshape(size, size), _MARGIN)
+    return dilate(world.reshape(size, size, 3), known.reshape(size, size), _MARGIN)
 
 
-def _frame(mesh: AssetMesh, cover: TexelCover) -> tuple[Array, Array, Array]:
+def _frame(mesh: AssetMesh, cover: TexelCoverage) -> tuple[Array, Array, Array]:
     """Tangent, bitangent and normal (N, 3) at the texels."""
     assert mesh.tangents is not None
     tangent = cover.interpolated(mesh.tangents, mesh.faces)

@@ -18,9 +18,9 @@ from hir_exporters.materials.material_conversion import MetallicSurface, to_gltf
 from hir_exporters.materials.texture_packing import (
     PackedSurface,
     encode_images,
-    limited,
+    limit_texture_sizes,
     pack_surface,
-    reduction_warning,
+    texture_size_warnings,
 )
 
 
@@ -34,7 +34,7 @@ class ObjExporter(Exporter):
     def write(self, asset: Asset, destination: Path, edit: Edit | None = None) -> ExportReport:
         start, destination = time.perf_counter(), Path(destination)
         validate_asset(asset)
-        material = limited(asset.material, self._config.max_texture_size)
+        material = limit_texture_sizes(asset.material, self._config.max_texture_size)
         surface = to_gltf(material, "metalrough")
         assert isinstance(surface, MetallicSurface)
         packed = pack_surface(surface, material.normal)
@@ -54,7 +54,7 @@ class ObjExporter(Exporter):
         write_text_atomic(library, material_text(packed, names))
         write_bytes_atomic(destination, mesh_text(asset.mesh, library.name, _plain(asset.name)).encode("utf-8"))
         residuals = {"metalrough": surface.residual}
-        warnings = surface.warnings + reduction_warning(asset.material, self._config.max_texture_size)
+        warnings = surface.warnings + texture_size_warnings(asset.material, self._config.max_texture_size)
         return ExportReport(tuple(files), warnings, residuals, time.perf_counter() - start)
 
 

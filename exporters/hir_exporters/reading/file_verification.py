@@ -13,7 +13,7 @@ from hir_exporters.asset import Asset, AssetMesh
 from hir_exporters.errors import ExportError
 from hir_exporters.materials.material_conversion import metallic_residual, specular_residual
 from hir_exporters.reading.readback import ReadBack, read_gltf, read_usd
-from hir_exporters.reading.usd_import import read_foreign_usd
+from hir_exporters.reading.usd_import import read_untrusted_usd
 
 READERS: Final[Mapping[str, Callable[[Path], ReadBack]]] = {
     ".glb": read_gltf,
@@ -50,10 +50,10 @@ def verify_file(path: Path, asset: Asset, profile: str = "khr") -> Verification:
     formats.
     """
     path = Path(path)
-    return compare(path, asset, read_back(path), profile)
+    return compare_with_asset(path, asset, read_back(path), profile)
 
 
-def read_back(path: Path, *, foreign: bool = False) -> ReadBack:
+def read_back(path: Path, *, untrusted: bool = False) -> ReadBack:
     """What independent readers see in a file; `foreign`: one that we did not write, which may end OpenUSD's process.
 
     Raises `ExportError` for suffixes not in `READERS`, `InputError` for files that cannot be read.
@@ -61,10 +61,10 @@ def read_back(path: Path, *, foreign: bool = False) -> ReadBack:
     if path.suffix not in READERS:
         raise ExportError(f"{path}: no independent reader checks {path.suffix!r} files")
     reader = READERS[path.suffix]
-    return read_foreign_usd(path) if foreign and reader is read_usd else reader(path)
+    return read_untrusted_usd(path) if untrusted and reader is read_usd else reader(path)
 
 
-def compare(path: Path, asset: Asset, back: ReadBack, profile: str = "khr") -> Verification:
+def compare_with_asset(path: Path, asset: Asset, back: ReadBack, profile: str = "khr") -> Verification:
     """What was read back against the asset; `path` is named in the problems (`verify_file`)."""
     mesh, problems = asset.mesh, []
     if back.corner_positions.shape != (len(mesh.faces), 3, 3):
@@ -80,8 +80,8 @@ def compare(path: Path, asset: Asset, back: ReadBack, profile: str = "khr") -> V
     )
     # From the chord: acos of a cosine near 1 would show rounding as hundredths of a degree.
     normals = float(np.degrees(2 * np.arcsin(np.clip(np.linalg.norm(have - want, axis=-1) / 2, 0, 1))).max())
-    if back.legacy is not None:
-        brdf = specular_residual(asset.material, back.legacy)
+    if back.specular_surface is not None:
+        brdf = specular_residual(asset.material, back.specular_surface)
     else:
         blender = profile == "blender" and asset.material.model == "paper"
         brdf = metallic_residual(asset.material, back.surface, as_blender=blender)

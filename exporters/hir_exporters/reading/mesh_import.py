@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from hir_exporters.asset import Asset, AssetEnvironment, AssetMaterial, AssetMesh, validate_asset
 from hir_exporters.conventions import srgb_to_linear
 from hir_exporters.errors import HirError, InputError
-from hir_exporters.materials.material_conversion import MetallicSurface, simplified
+from hir_exporters.materials.material_conversion import MetallicSurface, collapse_uniform_textures
+from hir_exporters.reading.asset_decoding import decode_asset, decode_surface
 from hir_exporters.reading.readback import gltf_scene, read_gltf_surface
-from hir_exporters.reading.usd_import import read_foreign_usd
-from hir_exporters.reading.written_asset import decoded_surface, written_asset
+from hir_exporters.reading.usd_import import read_untrusted_usd
 from hir_exporters.textures.image_files import read_exr, read_hdr, read_ldr
 
 Array = NDArray[np.floating]
@@ -32,7 +32,7 @@ MESH_SUFFIXES: Final = (".obj", ".ply", ".glb", ".gltf", ".usda", ".usdc", ".usd
 
 
 @dataclass(frozen=True)
-class SurfaceMaps:
+class MaterialOverrides:
     """A metallic-roughness material as files or numbers; None takes what the mesh's file says, else the default."""
 
     base_color: Path | tuple[float, float, float] | None = None
@@ -45,27 +45,29 @@ class SurfaceMaps:
     """Tangent space normals, green up."""
 
 
-def load_mesh_asset(path: Path, maps: SurfaceMaps | None = None, light: Path | None = None) -> Asset:
+def load_mesh_asset(path: Path, maps: MaterialOverrides | None = None, light: Path | None = None) -> Asset:
     """The mesh of a file with its material, or with `maps`, as a `dielectric`; `light` is a lat-long .hdr or .exr.
 
     Raises `InputError` naming the file, the field and how to mend it.
     """
-    path, maps = Path(path), maps or SurfaceMaps()
+    path, maps = Path(path), maps or MaterialOverrides()
     suffix = path.suffix.lower()
     if suffix not in MESH_SUFFIXES:
         raise InputError(f"{path} is no mesh that can be read; known are {', '.join(MESH_SUFFIXES)}")
     if not path.is_file():
         raise InputError(f"{path} is not there")
     if suffix.startswith(".usd"):
-        written = written_asset(read_foreign_usd(path))
+        written = decode_asset(read_untrusted_usd(path))
         mesh, material = written.mesh, written.material
-        if maps != SurfaceMaps():
+        if maps != MaterialOverrides():
             raise InputError(f"{path} brings its own material; textures can be given with .obj, .ply, .glb and .gltf")
     else:
         mesh = _trimesh_mesh(path)
         material = _material(path, suffix, maps)
-    material = simplified(material)
-    asset = Asset(mesh, material, None if light is None else read_light(light), {"made_from": path.name}, path.stem)
+    material = collapse_uniform_textures(material)
+    asset = Asset(
+        mesh, material, None if light is None else read_environment(light), {"made_from": path.name}, path.stem
+    )
     try:
         validate_asset(asset)
     except InputError as error:
@@ -73,7 +75,7 @@ def load_mesh_asset(path: Path, maps: SurfaceMaps | None = None, light: Path | N
     return asset
 
 
-def read_light(path: Path) -> AssetEnvironment:
+def read_environment(path: Path) -> AssetEnvironment:
     """A lat-long .hdr or .exr, +Z in its middle, in the asset's axes."""
     if path.suffix.lower() not in (".hdr", ".exr"):
         raise InputError(f"{path}: a light is a lat-long .hdr or .exr")
@@ -127,10 +129,10 @@ def _unit_normals(part: Any) -> Array:
     return np.where(length > 1e-12, normals / np.maximum(length, 1e-12), [0.0, 1.0, 0.0])
 
 
-def _material(path: Path, suffix: str, maps: SurfaceMaps) -> AssetMaterial:
+def _material(path: Path, suffix: str, maps: MaterialOverrides) -> AssetMaterial:
     surface, normal = _plain_surface(), None
     if suffix in (".glb", ".gltf") and _unset(maps):
-        material, _ = decoded_surface(*read_gltf_surface(path))
+        material, _ = decode_surface(*read_gltf_surface(path))
         return material if maps.normal is None else replace(material, normal=_normal(maps.normal))
     if suffix in (".glb", ".gltf"):
         surface, _, normal = read_gltf_surface(path)
@@ -142,7 +144,7 @@ def _material(path: Path, suffix: str, maps: SurfaceMaps) -> AssetMaterial:
         roughness=surface.roughness if maps.roughness is None else _scalar(maps.roughness, "roughness"),
         metallic=surface.metallic if maps.metallic is None else _scalar(maps.metallic, "metallic"),
     )
-    material, _ = decoded_surface(surface, None, normal if maps.normal is None else _normal(maps.normal))
+    material, _ = decode_surface(surface, None, normal if maps.normal is None else _normal(maps.normal))
     return material
 
 
@@ -159,26 +161,26 @@ def _plain_surface() -> MetallicSurface:
     )
 
 
-def _unset(maps: SurfaceMaps) -> bool:
+def _unset(maps: MaterialOverrides) -> bool:
     return maps.base_color is None and maps.roughness is None and maps.metallic is None
 
 
-def _filled(maps: SurfaceMaps, found: SurfaceMaps) -> SurfaceMaps:
+def _filled(maps: MaterialOverrides, found: MaterialOverrides) -> MaterialOverrides:
     """What was given, else what was found."""
 
     def either(name: str) -> Any:
         given = getattr(maps, name)
         return getattr(found, name) if given is None else given
 
-    return SurfaceMaps(either("base_color"), either("roughness"), either("metallic"), either("normal"))
+    return MaterialOverrides(either("base_color"), either("roughness"), either("metallic"), either("normal"))
 
 
-def _mtl_maps(path: Path) -> SurfaceMaps:
+def _mtl_maps(path: Path) -> MaterialOverrides:
     """What the first material of an .obj's .mtl says; empty where there is none."""
     library = next((name for key, name in _statements(path, limit=2000) if key == "mtllib"), None)
     file = None if library is None else _beside(path, library)
     if file is None or not os.path.isfile(file):  # pathlib's raises where a name is too long
-        return SurfaceMaps()
+        return MaterialOverrides()
     said: dict[str, str] = {}
     for key, value in _statements(file):
         if key == "newmtl" and "newmtl" in said:
@@ -195,7 +197,7 @@ def _mtl_maps(path: Path) -> SurfaceMaps:
     color = tuple(_number(x, f"{file}: Kd") for x in said["Kd"].split()[:3]) if "Kd" in said else None
     if color is not None and len(color) != 3:
         raise InputError(f"{file}: Kd is not three numbers")
-    return SurfaceMaps(
+    return MaterialOverrides(
         base_color=image("map_Kd") or color,  # type: ignore[arg-type] # three numbers, as was just checked
         roughness=image("map_Pr") or number("Pr"),
         metallic=image("map_Pm") or number("Pm"),
@@ -278,7 +280,7 @@ PARSED: Final[Mapping[str, str]] = {"base_color": "R,G,B", "roughness": "NUMBER"
 """What may be given in place of a file, by the name of a map."""
 
 
-def parse_map(name: str, text: str) -> Any:
+def parse_material_override(name: str, text: str) -> Any:
     """A file, or the number or colour that stands in its place. Raises `InputError` naming the option."""
     if name != "normal":
         parts = text.split(",")

@@ -39,7 +39,7 @@ class ReadBack:
     """(F, 3, 2), origin top-left."""
     surface: MetallicSurface
     """What a reader that knows the extensions written sees; for USD what the metallic workflow says."""
-    legacy: SpecularSurface | None
+    specular_surface: SpecularSurface | None
     """Specular-glossiness, or UsdPreviewSurface's specular workflow, where the file has it."""
     normal: NDArray[np.float32] | None
     """(H, W, 3) decoded tangent space normals."""
@@ -63,8 +63,8 @@ def read_gltf(path: Path) -> ReadBack:
         positions = mesh.vertices[faces] @ to_world[:3, :3].T + to_world[:3, 3]
         normals = mesh.vertex_normals[faces] @ np.linalg.inv(to_world[:3, :3])
         uvs = np.asarray(mesh.visual.uv) * [1, -1] + [0, 1]  # trimesh turns v upwards
-        surface, legacy, normal = _gltf_material(document, path)
-        return ReadBack(positions, normals, uvs[faces], surface, legacy, normal)
+        surface, specular_surface, normal = _gltf_material(document, path)
+        return ReadBack(positions, normals, uvs[faces], surface, specular_surface, normal)
     except HirError:
         raise
     except Exception as error:  # two libraries, each with many ways to fail on a broken file
@@ -124,10 +124,10 @@ def read_usd(path: Path) -> ReadBack:
         uvs = _by_corner(st.ComputeFlattened(), st.GetInterpolation(), faces) * [1, -1] + [0, 1]
         material, _ = UsdShade.MaterialBindingAPI(mesh).ComputeBoundMaterial()
         shader, *_ = material.ComputeSurfaceSource()
-        surface, legacy, normal = _usd_material(UsdShade.Shader(shader), path)
+        surface, specular_surface, normal = _usd_material(UsdShade.Shader(shader), path)
         positions = _by_corner(mesh.GetPointsAttr().Get(), "vertex", faces)
         normals = _by_corner(mesh.GetNormalsAttr().Get(), mesh.GetNormalsInterpolation(), faces)
-        return ReadBack(positions, normals, uvs, surface, legacy, normal)
+        return ReadBack(positions, normals, uvs, surface, specular_surface, normal)
     except InputError:
         raise
     except Exception as error:  # OpenUSD's errors span lines, and broken text fails in its own decoder
@@ -172,19 +172,19 @@ def _gltf_material(
         ior=extensions.get("KHR_materials_ior", {}).get("ior", 1.5),
         residual=0.0,
     )
-    legacy = None
+    specular_surface = None
     if "KHR_materials_pbrSpecularGlossiness" in extensions:
         old = extensions["KHR_materials_pbrSpecularGlossiness"]
         image = pixels(old.get("specularGlossinessTexture"))
         gloss = _times(old.get("glossinessFactor", 1.0), None if image is None else image[..., 3])
-        legacy = SpecularSurface(
+        specular_surface = SpecularSurface(
             _times(old["diffuseFactor"][:3], _linear(pixels(old.get("diffuseTexture")))),
             _times(old["specularFactor"], _linear(image)),
             1 - gloss,
             residual=0.0,
         )
     normal = pixels(material.normalTexture)
-    return surface, legacy, None if normal is None else _unit(normal[..., :3]) * 2 - 1
+    return surface, specular_surface, None if normal is None else _unit(normal[..., :3]) * 2 - 1
 
 
 def _usd_material(
@@ -210,11 +210,11 @@ def _usd_material(
         float(value("ior", 1.5)),
         residual=0.0,
     )
-    legacy = None
+    specular_surface = None
     if int(value("useSpecularWorkflow", 0)):
-        legacy = SpecularSurface(surface.base_color, value("specularColor", black), roughness, residual=0.0)
+        specular_surface = SpecularSurface(surface.base_color, value("specularColor", black), roughness, residual=0.0)
     normal = value("normal", [0.0, 0.0, 1.0])
-    return surface, legacy, normal.astype(np.float32) if normal.ndim == 3 else None
+    return surface, specular_surface, normal.astype(np.float32) if normal.ndim == 3 else None
 
 
 def _usd_texture(connection: Any, channel: str, path: Path) -> NDArray[np.floating]:

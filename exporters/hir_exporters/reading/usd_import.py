@@ -12,27 +12,29 @@ from pathlib import Path
 from typing import Any
 
 from hir_exporters.errors import InputError
-from hir_exporters.files.subprocess_call import Arrays, ChildError, call_apart
+from hir_exporters.files.subprocess_call import Arrays, SubprocessCrashError, run_in_subprocess
 from hir_exporters.materials.material_conversion import MetallicSurface, SpecularSurface
 from hir_exporters.reading.readback import ReadBack, read_usd
 
 
-def read_foreign_usd(path: Path) -> ReadBack:
+def read_untrusted_usd(path: Path) -> ReadBack:
     """`read_usd` by a child process, 0.5 s more; a file that ends the child is an `InputError`, too."""
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path} is not there")
     try:
-        return _unpacked(call_apart("hir_exporters.reading.usd_import:read_apart", {"path": os.fspath(path)}))
-    except ChildError as error:
+        return _unpacked(
+            run_in_subprocess("hir_exporters.reading.usd_import:read_usd_arrays", {"path": os.fspath(path)})
+        )
+    except SubprocessCrashError as error:
         raise InputError(
             f"{path} cannot be read as USD: it ended the process that read it ({error}); the file is damaged, "
             "write it again"
         ) from error
 
 
-def read_apart(path: Any) -> Arrays:
-    """The child's part of `read_foreign_usd`: a `ReadBack` as arrays by name."""
+def read_usd_arrays(path: Any) -> Arrays:
+    """The child's part of `read_untrusted_usd`: a `ReadBack` as arrays by name."""
     return dict(_packed(read_usd(Path(str(path))), ""))
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from hir_exporters.errors import ExportError, InputError
 from hir_exporters.files.atomic import atomic_path, write_bytes_atomic
-from hir_exporters.files.native_output import silenced
+from hir_exporters.files.native_output import suppress_native_output
 from hir_exporters.textures.png_encoding import png_bytes
 from hir_exporters.textures.rgbe import RgbeError, decode_rgbe, encode_rgbe, read_size
 
@@ -87,7 +87,7 @@ def read_exr(
         _check_size(source, height, width, max_pixels)
         if any((c.xSampling, c.ySampling) != (1, 1) for c in header["channels"] if c.name in "RGBAY"):
             raise InputError(f"{source} has subsampled channels; save it with full-size channels")
-        with silenced():  # OpenEXR prints a line for each row that a cut-off file lacks
+        with suppress_native_output():  # OpenEXR prints a line for each row that a cut-off file lacks
             planes = _exr_planes(str(source))
     except InputError:
         raise

@@ -66,7 +66,7 @@ _STRIP = 1 << 16
 """Texels of a strip: its values stay near a processor's cache, and textures of any size need little memory."""
 
 
-def in_strips(compute: Callable[..., NDArray[_Number]], *values: tuple[Array, int]) -> NDArray[_Number]:
+def map_in_strips(compute: Callable[..., NDArray[_Number]], *values: tuple[Array, int]) -> NDArray[_Number]:
     """What a function of texels makes of textures of one size and constants, strip by strip and side by side.
 
     `values` are (texture or constant, number of channel axes); the result has the textures' height and width.
@@ -126,7 +126,7 @@ def normal_to_unorm8(normal: Array) -> NDArray[np.uint8]:
 
 
 def _codes(encode: Callable[[Array], NDArray[np.uint8]], values: Array) -> NDArray[np.uint8]:
-    return in_strips(encode, (values, max(values.ndim - 2, 0)))
+    return map_in_strips(encode, (values, max(values.ndim - 2, 0)))
 
 
 @cache

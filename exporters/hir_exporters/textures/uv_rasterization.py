@@ -12,7 +12,7 @@ Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
-class TexelCover:
+class TexelCoverage:
     """The N texels of a `size`² texture whose middles lie in a triangle; each once."""
 
     size: int
@@ -30,7 +30,7 @@ class TexelCover:
         return np.asarray(np.einsum("nk,nkc->nc", self.weights, values[corners[self.faces]].astype(np.float64)))
 
 
-def texel_cover(uvs: NDArray[np.floating], faces: NDArray[np.integer], size: int) -> TexelCover:
+def rasterize_uvs(uvs: NDArray[np.floating], faces: NDArray[np.integer], size: int) -> TexelCoverage:
     """Triangles (F, 3) with texture coordinates (V, 2), origin top-left, over a `size`² texture.
 
     A middle on an edge belongs to one of its two triangles; coordinates outside of [0, 1] cover nothing.
@@ -47,10 +47,10 @@ def texel_cover(uvs: NDArray[np.floating], faces: NDArray[np.integer], size: int
     kept = len(face) - 1 - kept
     overlap = 1 - len(texels) / len(face) if len(face) else 0.0
     weights = _barycentric(corners[face[kept]], np.stack([column[kept], row[kept]], axis=-1).astype(np.float64))
-    return TexelCover(size, texels, face[kept], weights, overlap)
+    return TexelCoverage(size, texels, face[kept], weights, overlap)
 
 
-def spread(values: NDArray[np.float32], known: NDArray[np.bool_], steps: int) -> NDArray[np.float32]:
+def dilate(values: NDArray[np.float32], known: NDArray[np.bool_], steps: int) -> NDArray[np.float32]:
     """A texture (H, W, C) grown into texels that are not `known`, one ring a step: the mean of known neighbours."""
     values, known = values.copy(), known.copy()
     for _ in range(steps):

@@ -15,7 +15,12 @@ from hir_exporters.errors import ExportError
 from hir_exporters.exporter import Edit, Exporter, ExportReport
 from hir_exporters.files.atomic import write_bytes_atomic, write_text_atomic
 from hir_exporters.light.environment_map import world_radiance
-from hir_exporters.materials.texture_packing import EncodedImage, encode_images, limited, reduction_warning
+from hir_exporters.materials.texture_packing import (
+    EncodedImage,
+    encode_images,
+    limit_texture_sizes,
+    texture_size_warnings,
+)
 from hir_exporters.textures.image_files import write_hdr
 from hir_exporters.usd.dome_light import light_layer
 from hir_exporters.usd.openpbr import openpbr_layer
@@ -120,8 +125,8 @@ def layer_bytes(layer: Sdf.Layer, suffix: str) -> bytes:
 def _gather(asset: Asset, config: UsdConfig) -> tuple[Asset, UsdSurface, dict[str, EncodedImage], tuple[str, ...]]:
     validate_asset(asset)
     asset, warnings = apply_budget(asset, config.budget)
-    warnings += reduction_warning(asset.material, config.max_texture_size)
-    asset = replace(asset, material=limited(asset.material, config.max_texture_size))
+    warnings += texture_size_warnings(asset.material, config.max_texture_size)
+    asset = replace(asset, material=limit_texture_sizes(asset.material, config.max_texture_size))
     surface = usd_surface(asset.material, "metallic" if config.materialx else config.workflow)
     images = encode_images(list(surface.images.items()))
     return asset, surface, dict(zip(surface.images, images, strict=True)), warnings + surface.warnings

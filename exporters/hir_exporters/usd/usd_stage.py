@@ -10,7 +10,7 @@ import numpy as np
 
 from hir_exporters.asset import Asset, AssetMesh
 from hir_exporters.conventions import flip_v
-from hir_exporters.gltf.mesh_primitives import unit
+from hir_exporters.mesh.unit_vectors import unit_vectors
 from hir_exporters.mesh.vertex_welding import weld
 from hir_exporters.textures.texture_maps import sample_texels
 from hir_exporters.usd.preview_surface import UsdSurface, add_material
@@ -57,7 +57,7 @@ def _add_mesh(asset: Asset, stage: Usd.Stage, path: Any) -> Any:
 
     mesh = UsdGeom.Mesh.Define(stage, path)
     data = asset.mesh
-    normals = unit(data.normals)
+    normals = unit_vectors(data.normals)
     first, point = weld(np.concatenate([data.positions, normals], axis=1))
     mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(data.positions[first]))
     mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(data.faces), 3, np.int32)))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hir_exporters.asset import Asset, AssetEnvironment, AssetMaterial
 from hir_exporters.conventions import latlong_directions
-from hir_exporters.engines.engine_shaders import GLTF_ENGINES, Texels, engine_psnr
+from hir_exporters.engines.engine_shaders import GLTF_ENGINES, MaterialSamples, engine_psnr
 from hir_exporters.engines.surface_points import surface_points
 from hir_exporters.materials.brdf_numpy import albedo_terms
 from hir_exporters.materials.material_conversion import (
@@ -57,8 +57,10 @@ def test_unreal_and_unity_lose_what_their_parameters_cannot_say(constant_asset: 
     for engine in ("unreal", "unity"):
         losses = [engine_psnr(under_sky(constant_asset, m), *written(m, "khr"))[engine] for m in (colored, plain)]
         assert losses[0] < losses[1], engine
-    legacy = engine_psnr(under_sky(constant_asset, colored), *written(colored, "unity-legacy"))
-    assert legacy["unity"] > engine_psnr(under_sky(constant_asset, colored), *written(colored, "khr"))["unity"]
+    specular_surface = engine_psnr(under_sky(constant_asset, colored), *written(colored, "unity-legacy"))
+    assert (
+        specular_surface["unity"] > engine_psnr(under_sky(constant_asset, colored), *written(colored, "khr"))["unity"]
+    )
 
 
 @pytest.mark.parametrize("alpha", [0.05, 0.3, 0.9])
@@ -67,7 +69,7 @@ def test_white_metal_in_an_even_light(constant_asset: Asset, alpha: float) -> No
     material = AssetMaterial("dielectric", [0.0] * 3, [1.0] * 3, alpha)
     asset = under_sky(constant_asset, material, even=True)
     points = surface_points(asset)
-    texels = Texels(points, *written(material, "khr"))
+    texels = MaterialSamples(points, *written(material, "khr"))
     np.testing.assert_allclose(GLTF_ENGINES["three.js"](points, texels).mean(), 0.7, rtol=0.01)
     lost = sum(albedo_terms(points.cos_o, points.alpha))
     np.testing.assert_allclose(GLTF_ENGINES["gltf"](points, texels).mean() / 0.7, lost.mean(), rtol=0.01)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from hir_exporters.errors import ExportError, InputError
-from hir_exporters.files.subprocess_call import ChildError, call_apart
+from hir_exporters.files.subprocess_call import SubprocessCrashError, run_in_subprocess
 
 HERE = "tests.hir_exporters.files.test_subprocess_call"
 
@@ -36,7 +36,7 @@ def _found(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_arrays_numbers_and_words_come_back_from_another_process() -> None:
     given = {"a": np.arange(6, dtype=np.float32).reshape(2, 3), "n": 3, "word": "größer.usdz"}
-    found = call_apart(f"{HERE}:echoed", given)
+    found = run_in_subprocess(f"{HERE}:echoed", given)
     np.testing.assert_array_equal(found["a"], given["a"])
     assert found["a"].dtype == np.float32 and int(found["n"]) == 3 and str(found["word"]) == "größer.usdz"
     assert int(found["process"]) != os.getpid()
@@ -46,18 +46,18 @@ def test_arrays_numbers_and_words_come_back_from_another_process() -> None:
     ("name", "error", "words"),
     [
         ("refused", InputError, "^x.usdz has no mesh$"),
-        ("broken", ChildError, "^ValueError: nothing of ours$"),
-        ("ended", ChildError, "^exit code -6$"),
-        ("missing", ChildError, "has no attribute 'missing'"),
+        ("broken", SubprocessCrashError, "^ValueError: nothing of ours$"),
+        ("ended", SubprocessCrashError, "^exit code -6$"),
+        ("missing", SubprocessCrashError, "has no attribute 'missing'"),
     ],
 )
 def test_its_end_is_one_sentence(name: str, error: type[Exception], words: str) -> None:
     if name == "ended" and os.name != "posix":
         pytest.skip("signals")
     with pytest.raises(error, match=words):
-        call_apart(f"{HERE}:{name}", {})
+        run_in_subprocess(f"{HERE}:{name}", {})
 
 
 def test_nothing_that_needs_unpickling_comes_back() -> None:
-    with pytest.raises(ChildError, match=r"allow_pickle|Object arrays"):
-        call_apart(f"{HERE}:echoed", {"a": np.array([{}], object)})
+    with pytest.raises(SubprocessCrashError, match=r"allow_pickle|Object arrays"):
+        run_in_subprocess(f"{HERE}:echoed", {"a": np.array([{}], object)})

@@ -233,7 +233,7 @@ def test_maps_of_one_value_become_constants(profile: str) -> None:
         material = AssetMaterial(
             "paper", np.full((side, side, 3), 0.3), np.full((side, side, 3), 0.1), np.full((side, side), 0.2)
         )
-        simple = material_conversion.simplified(material)
+        simple = material_conversion.collapse_uniform_textures(material)
         assert simple.diffuse_albedo.shape == simple.specular_albedo.shape == (3,) and simple.roughness.shape == ()
         surface, alone = converted(material, profile), converted(simple, profile)
         for field in dataclasses.fields(surface):

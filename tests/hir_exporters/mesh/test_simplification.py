@@ -12,7 +12,7 @@ from hir_exporters.mesh.simplification import simplify
 from hir_exporters.mesh.tangents import with_tangents
 from hir_exporters.mesh.vertex_welding import weld
 from hir_exporters.reading.readback import read_gltf
-from hir_exporters.textures.uv_rasterization import texel_cover
+from hir_exporters.textures.uv_rasterization import rasterize_uvs
 
 Sphere = Callable[..., AssetMesh]
 
@@ -110,7 +110,7 @@ def test_levels_of_detail_are_files_of_their_own(textured_asset: Asset, suffix: 
 
 def shading(mesh: AssetMesh, normal: np.ndarray | None, size: int, texels: np.ndarray) -> np.ndarray:
     """Unit normals (N, 3) that a shader sees at texels, from the mesh and its map."""
-    cover = texel_cover(mesh.uvs, mesh.faces, size)
+    cover = rasterize_uvs(mesh.uvs, mesh.faces, size)
     n, t = cover.interpolated(mesh.normals, mesh.faces), np.zeros((len(cover.texels), 4))
     seen = n
     if normal is not None:
@@ -149,7 +149,7 @@ def test_a_level_of_detail_shades_as_the_finest(
             np.arange(3 * count).reshape(-1, 3),
         )
     )
-    inner = np.intersect1d(*(texel_cover(m.uvs, m.faces, size).texels for m in (fine, coarse)))
+    inner = np.intersect1d(*(rasterize_uvs(m.uvs, m.faces, size).texels for m in (fine, coarse)))
     inner = inner[(inner // size > 1) & (inner // size < size - 2)]  # at the poles triangles have no texture
     want = shading(with_tangents(fine), normal, size, inner)
     with_map, without = (
@@ -170,9 +170,9 @@ def test_overlapping_textures_keep_their_own_normals_and_say_so(make_sphere: Sph
 
 def test_every_texel_belongs_to_one_triangle(make_sphere: Sphere) -> None:
     mesh = make_sphere(7, 13)
-    cover = texel_cover(mesh.uvs, mesh.faces, 64)
+    cover = rasterize_uvs(mesh.uvs, mesh.faces, 64)
     assert cover.overlap == 0 and (cover.weights >= -1e-9).all()
     places = cover.interpolated(mesh.uvs, mesh.faces) * 64 - 0.5
     np.testing.assert_allclose(places[:, 1] * 64 + places[:, 0], cover.texels, atol=1e-6)
-    full = texel_cover(np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]]), np.array([[0, 1, 2], [0, 2, 3]]), 32)
+    full = rasterize_uvs(np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]]), np.array([[0, 1, 2], [0, 2, 3]]), 32)
     np.testing.assert_array_equal(full.texels, np.arange(1024))

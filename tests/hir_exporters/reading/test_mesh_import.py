@@ -11,7 +11,7 @@ from hir_exporters.conventions import linear_to_srgb
 from hir_exporters.errors import InputError
 from hir_exporters.formats import create_exporter
 from hir_exporters.reading.file_verification import verify_file
-from hir_exporters.reading.mesh_import import SurfaceMaps, load_mesh_asset, parse_map
+from hir_exporters.reading.mesh_import import MaterialOverrides, load_mesh_asset, parse_material_override
 from hir_exporters.textures.image_files import write_png
 
 
@@ -49,7 +49,7 @@ def test_maps_and_light_by_hand(textured_asset: Asset, tmp_path: Path) -> None:
     create_exporter("hdr").write(textured_asset, tmp_path / "sky.hdr")
     write_png(tmp_path / "packed.png", np.tile(np.array([0.0, 0.6, 1.0]), (4, 4, 1)))
     write_png(tmp_path / "gold.png", linear_to_srgb(np.tile(np.array([0.9, 0.6, 0.2]), (4, 4, 1))))
-    maps = SurfaceMaps(tmp_path / "gold.png", tmp_path / "packed.png", tmp_path / "packed.png")
+    maps = MaterialOverrides(tmp_path / "gold.png", tmp_path / "packed.png", tmp_path / "packed.png")
     asset = load_mesh_asset(tmp_path / "x.obj", maps, tmp_path / "sky.hdr")
     np.testing.assert_allclose(asset.material.specular_albedo, [0.9, 0.6, 0.2], atol=0.004)
     assert float(asset.material.diffuse_albedo.max()) == 0, "a metal"
@@ -57,7 +57,9 @@ def test_maps_and_light_by_hand(textured_asset: Asset, tmp_path: Path) -> None:
     assert asset.environment is not None and describe(asset)["environment"]["size"] == "64 x 32"
     create_exporter("glb").write(asset, tmp_path / "out" / "x.glb")
     assert verify_file(tmp_path / "out" / "x.glb", asset).problems == ()
-    plain = load_mesh_asset(tmp_path / "x.obj", SurfaceMaps(base_color=(0.2, 0.3, 0.4), roughness=0.5, metallic=0.0))
+    plain = load_mesh_asset(
+        tmp_path / "x.obj", MaterialOverrides(base_color=(0.2, 0.3, 0.4), roughness=0.5, metallic=0.0)
+    )
     np.testing.assert_allclose(plain.material.diffuse_albedo, [0.2, 0.3, 0.4], rtol=1e-6)
 
 
@@ -82,13 +84,16 @@ def test_bad_input_names_file_and_field(textured_asset: Asset, tmp_path: Path) -
         with pytest.raises(InputError, match=message):
             load_mesh_asset(tmp_path / name)
     with pytest.raises(InputError, match=r"lost.png for base color.*R,G,B"):
-        parse_map("base_color", "lost.png")
+        parse_material_override("base_color", "lost.png")
     with pytest.raises(InputError, match="normal"):
-        parse_map("normal", "0.5")
+        parse_material_override("normal", "0.5")
     create_exporter("usda").write(textured_asset, tmp_path / "x.usda")
     with pytest.raises(InputError, match="its own material"):
-        load_mesh_asset(tmp_path / "x.usda", SurfaceMaps(roughness=0.5))
+        load_mesh_asset(tmp_path / "x.usda", MaterialOverrides(roughness=0.5))
 
 
 def test_numbers_and_colours_are_parsed() -> None:
-    assert parse_map("base_color", "0.1,0.2,0.3") == (0.1, 0.2, 0.3) and parse_map("roughness", "0.4") == 0.4
+    assert (
+        parse_material_override("base_color", "0.1,0.2,0.3") == (0.1, 0.2, 0.3)
+        and parse_material_override("roughness", "0.4") == 0.4
+    )

@@ -23,43 +23,46 @@ Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True, eq=False)
-class WrittenAsset:
+class DecodedAsset:
     """Mesh and material of a file, and how its material was understood."""
 
     mesh: AssetMesh
     material: AssetMaterial
-    understood: str
+    interpretation: str
     """One phrase: which parameters became which model."""
 
 
-def written_asset(back: ReadBack, profile: str = "khr") -> WrittenAsset:
+def decode_asset(back: ReadBack, profile: str = "khr") -> DecodedAsset:
     """The asset that a file was read back as. `profile`: `blender` files mean what Blender makes of them."""
-    material, understood = decoded_material(back, profile)
-    return WrittenAsset(_mesh(back), material, understood)
+    material, interpretation = decode_material(back, profile)
+    return DecodedAsset(_mesh(back), material, interpretation)
 
 
-def written_light(path: Path) -> AssetEnvironment:
+def read_environment(path: Path) -> AssetEnvironment:
     """The lat-long light of an .hdr or .exr, in world axes."""
     radiance = read_exr(path) if path.suffix == ".exr" else read_hdr(path)
     return AssetEnvironment(np.maximum(radiance[..., :3], 0))
 
 
-def decoded_material(back: ReadBack, profile: str) -> tuple[AssetMaterial, str]:
+def decode_material(back: ReadBack, profile: str) -> tuple[AssetMaterial, str]:
     """Parameters of the model that is nearest to what the file's own formula says, texel by texel.
 
     An ior of 1000 stands for a lobe without Fresnel: the `paper` model, exactly for grey lobes. All others are
     `dielectric`; there F0, the lobe and the light that reaches the diffuse part at normal incidence are kept, while the
     diffuse part's loss at grazing angles is that of our model instead of the format's.
     """
-    return decoded_surface(back.surface, back.legacy, back.normal, profile)
+    return decode_surface(back.surface, back.specular_surface, back.normal, profile)
 
 
-def decoded_surface(
-    surface: MetallicSurface, legacy: SpecularSurface | None, normal: NDArray[np.float32] | None, profile: str = "khr"
+def decode_surface(
+    surface: MetallicSurface,
+    specular_surface: SpecularSurface | None,
+    normal: NDArray[np.float32] | None,
+    profile: str = "khr",
 ) -> tuple[AssetMaterial, str]:
-    """`decoded_material` of a material without its mesh."""
-    if legacy is not None:
-        return _specular_workflow(legacy, normal), "specular workflow as `dielectric` of the same F0"
+    """`decode_material` of a material without its mesh."""
+    if specular_surface is not None:
+        return _specular_workflow(specular_surface, normal), "specular workflow as `dielectric` of the same F0"
     if surface.ior >= NO_FRESNEL_IOR and not np.any(surface.metallic):
         return _without_fresnel(surface, normal, profile), "no Fresnel (ior 1000) as `paper`"
     phrase = "metallic-roughness as `dielectric` with rho_d = base (1 - metal), rho_s = F0 (1 - metal) + base metal"
