@@ -1,1 +1,1 @@
-"""Everything that is linear in the light."""
+"""Light transport: everything that is linear in the light."""

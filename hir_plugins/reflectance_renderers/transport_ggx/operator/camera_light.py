@@ -1,4 +1,4 @@
-"""Diffuse transport when the light moves with the camera: irradiance belongs to a pixel, not to a place."""
+"""Diffuse transport when the light moves with the camera: irradiance is computed for each pixel, not cached."""
 
 from __future__ import annotations
 
@@ -10,21 +10,24 @@ from jaxtyping import Float
 from torch import Tensor
 
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
-from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap, Pattern
-from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes import frame, points_of_square
+from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap, SparsityPattern
+from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes import r2_points, tangent_frame
 from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import SurfacePoints
 
-PIXELS_AT_ONCE = 1 << 16
+PIXELS_PER_CHUNK = 1 << 16
 
 
 def pixel_irradiance(
     transport: Transport, points: SurfacePoints, samples: int, rotation: Float[Tensor, "N 3 3"], seed: int = 0
 ) -> LinearMap:
-    """Irradiance of each point as a matrix on the flattened pyramid (and zero columns for the cells), by cosine-
-    distributed directions with visibility, each read at the level of its share of the hemisphere."""
+    """Irradiance of each point as a matrix on the flattened pyramid; its columns for cache cells are zero.
+
+    Directions follow the cosine and are tested for occlusion. Each reads the pyramid level whose texels are as large as
+    its share of the hemisphere.
+    """
     parts = list(_parts(transport, points, samples, rotation, seed))
     columns, values = (torch.cat(part) for part in zip(*parts, strict=True))
-    return LinearMap.from_rows(columns, values, transport.pyramid.texels + len(transport.cells))
+    return LinearMap.from_rows(columns, values, transport.pyramid.texels + len(transport.irradiance_cache))
 
 
 def irradiance_of(
@@ -35,17 +38,17 @@ def irradiance_of(
     sources: Float[Tensor, "S 3"],
     seed: int = 0,
 ) -> Float[Tensor, "P 3"]:
-    """The same, times `sources`: of many points, whose matrix would take 3 kB each."""
+    """`pixel_irradiance(…) @ sources` without the whole matrix in memory, which takes 3 kB a point."""
     parts = _parts(transport, points, samples, rotation, seed)
-    return torch.cat([Pattern(columns, len(sources)).matrix(values) @ sources for columns, values in parts])
+    return torch.cat([SparsityPattern(columns, len(sources)).matrix(values) @ sources for columns, values in parts])
 
 
 def _parts(
     transport: Transport, points: SurfacePoints, samples: int, rotation: Tensor, seed: int
 ) -> Iterator[tuple[Tensor, Tensor]]:
-    """Columns and values of the matrix, some rows at a time."""
-    for start in range(0, max(len(points), 1), PIXELS_AT_ONCE):
-        rows = torch.arange(len(points), device=points.face.device)[start : start + PIXELS_AT_ONCE]
+    """Columns and values of the matrix, in chunks of rows."""
+    for start in range(0, max(len(points), 1), PIXELS_PER_CHUNK):
+        rows = torch.arange(len(points), device=points.face.device)[start : start + PIXELS_PER_CHUNK]
         yield _rows(transport, points.take(rows), samples, rotation, seed + start)
 
 
@@ -53,18 +56,18 @@ def _rows(
     transport: Transport, points: SurfacePoints, samples: int, rotation: Tensor, seed: int
 ) -> tuple[Tensor, Tensor]:
     count, device = len(points), points.position.device
-    square = points_of_square(count, samples, seed, device)
+    square = r2_points(count, samples, seed, device)
     radius, phi = square[..., 1].sqrt(), 2 * math.pi * square[..., 0]
     height = (1 - square[..., 1]).clamp_min(0).sqrt()
     local = torch.stack([radius * phi.cos(), radius * phi.sin(), height], dim=-1)
-    tangent, bitangent = frame(points.normal)
+    tangent, bitangent = tangent_frame(points.normal)
     directions = local @ torch.stack([tangent, bitangent, points.normal], dim=1)
     origin = points.position + transport.offset * (points.face_normal + points.normal)
     origins = origin[:, None].expand(-1, samples, -1).reshape(-1, 3)
-    hidden = transport.tracer.occluded(origins.cpu().numpy(), directions.reshape(-1, 3).cpu().numpy())
+    occluded = transport.tracer.occluded(origins.cpu().numpy(), directions.reshape(-1, 3).cpu().numpy())
     lookup = (rotation[points.view][:, None] @ directions[..., None]).reshape(-1, 3)
     solid_angle = math.pi / (samples * height.clamp_min(0.05))
     index, weight = transport.pyramid.lookup(lookup, solid_angle.reshape(-1))
-    visible = torch.from_numpy(~hidden).to(device, torch.float32)
+    visible = torch.from_numpy(~occluded).to(device, torch.float32)
     weight = weight * (visible * math.pi / samples)[:, None]
     return index.reshape(count, -1).int(), weight.reshape(count, -1)

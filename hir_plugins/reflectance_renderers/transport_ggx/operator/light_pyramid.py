@@ -1,8 +1,8 @@
 """The light as a pyramid of lat-long images, and lookups in it as rows of a sparse matrix.
 
-A lookup that stands for a cone of directions reads the level whose texels are about as large as the cone, so few
-directions suffice for a wide lobe (filtered importance sampling, Křivánek & Colbert 2008). Every level is a linear
-function of the finest, so the whole transport stays linear in the light.
+A sample that represents a cone of directions reads the level whose texels are about as large as the cone, so a wide
+lobe needs few samples (filtered importance sampling, Křivánek & Colbert 2008). Every level is a linear function of the
+finest, so the whole transport stays linear in the light.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Pyramid:
         return sum(h * w for h, w in self.shapes)
 
     def flatten(self, radiance: Float[Tensor, "H W C"]) -> Float[Tensor, "T C"]:
-        """All levels, one below the other; each texel is the solid-angle mean of the four finer ones."""
+        """All levels in one array, finest first; each texel is the solid-angle mean of the four finer ones."""
         levels = [radiance]
         for height, width in self.shapes[1:]:
             finer = levels[-1]
@@ -50,7 +50,7 @@ class Pyramid:
     def lookup(
         self, directions: Float[Tensor, "N 3"], solid_angle: Float[Tensor, " N"]
     ) -> tuple[Int[Tensor, "N 4"], Float[Tensor, "N 4"]]:
-        """Texels of `flatten` and their bilinear weights for each direction, at the level that fits its cone."""
+        """Texels of `flatten` and their bilinear weights for each direction, at the level of its solid angle."""
         shapes = self.shapes
         u, v = latlong(directions)
         texel = 2 * math.pi**2 / (self.height * self.width) * torch.sin(math.pi * v).clamp_min(1e-3)
@@ -103,7 +103,7 @@ def bilinear(
 
 
 def resized(radiance: Float[Tensor, "h w C"], pyramid: Pyramid) -> Float[Tensor, "H W C"]:
-    """A light at the pyramid's size; smaller by area, so that suns keep their energy. Differentiable."""
+    """A light at the pyramid's size; reduced by area averages, so that a sun keeps its energy. Differentiable."""
     height, width, _ = radiance.shape
     if (height, width) == (pyramid.height, pyramid.width):
         return radiance

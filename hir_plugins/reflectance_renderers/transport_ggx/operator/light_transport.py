@@ -1,4 +1,4 @@
-"""All that is computed once for frozen geometry: acceleration structure, cells, irradiance matrices."""
+"""What is computed once for frozen geometry: acceleration structure, irradiance cache, irradiance matrices."""
 
 from __future__ import annotations
 
@@ -16,7 +16,10 @@ from hir_plugins.reflectance_renderers.transport_ggx.operator.diffuse_transport 
     DiffuseTransport,
     diffuse_transport,
 )
-from hir_plugins.reflectance_renderers.transport_ggx.operator.irradiance_cache import Cells, make_cells
+from hir_plugins.reflectance_renderers.transport_ggx.operator.irradiance_cache import (
+    IrradianceCache,
+    build_irradiance_cache,
+)
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import Pyramid, texel_directions
 from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
 from hir_plugins.reflectance_renderers.transport_ggx.operator.ray_tracer import RayTracer
@@ -24,7 +27,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes imp
 from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import Surface, SurfacePoints, refine
 
 RAY_OFFSET = 1e-3
-"""Lift of ray origins off the surface, as a fraction of the object's radius."""
+"""Distance of ray origins from the surface, as a fraction of the object's radius."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,27 +36,30 @@ class Transport:
 
     surface: Surface
     tracer: RayTracer
-    cells: Cells
+    irradiance_cache: IrradianceCache
     face_cells: NDArray[np.int64]
+    """The cache cell that represents each face."""
     pyramid: Pyramid
     level: slice
-    """Rows of the flattened pyramid that `diffuse` is a matrix on."""
+    """Rows of the flattened pyramid that `diffuse` multiplies."""
     diffuse: DiffuseTransport
     offset: float
     cell_average: LinearMap
-    """Means of vertex values over cells, as a matrix (C, V)."""
+    """Matrix (C, V) that averages vertex values over each cache cell."""
 
     def interpolation(self, points: SurfacePoints) -> tuple[LinearMap, LinearMap]:
-        """Matrices from vertices and from cells to points."""
+        """Matrices that interpolate vertex values and cache cells at points."""
         corners = self.surface.faces[points.face]
         weights = points.barycentric
         vertices = LinearMap.from_rows(corners, weights, len(self.surface.positions))
-        return vertices, LinearMap.from_rows(self.cells.of_vertex[corners], weights, len(self.cells))
+        return vertices, LinearMap.from_rows(
+            self.irradiance_cache.of_vertex[corners], weights, len(self.irradiance_cache)
+        )
 
     def sources(
         self, radiance: Float[Tensor, "H W 3"], albedo: Float[Tensor, "V 3"], bounces: int
     ) -> tuple[Float[Tensor, "S 3"], Float[Tensor, "C 3"]]:
-        """What a ray can meet (pyramid texels, then cells) and the irradiance of every cell."""
+        """Radiance of all that a ray can hit (pyramid texels, then cache cells), and the irradiance of every cell."""
         pyramid = self.pyramid.flatten(radiance)
         direct = self.diffuse.sky @ pyramid[self.level]
         if not bounces:
@@ -62,28 +68,28 @@ class Transport:
         irradiance = direct
         for _ in range(bounces):
             irradiance = direct + self.diffuse.bounce @ (cell_albedo * irradiance / torch.pi)
-        # what a mirror sees of the surface is lit directly: one bounce less than the irradiance
+        # a reflection shows the surface under direct light: one bounce less than the irradiance
         return torch.cat([pyramid, cell_albedo * direct / torch.pi]), irradiance
 
     @cached_property
     def _vector_sky(self) -> LinearMap:
-        """(3C, T): the light's own direction in place of the cosine of `diffuse.sky`."""
+        """(3C, T): as `diffuse.sky`, with the direction towards the light in place of the cosine."""
         sky = self.diffuse.sky.matrix
         height, width = next(shape for shape in self.pyramid.shapes if shape[0] * shape[1] == sky.shape[1])
         directions = texel_directions(height, width).to(sky.device)
-        cosine = (self.cells.normals @ directions.T).clamp_min(1e-6)
+        cosine = (self.irradiance_cache.normals @ directions.T).clamp_min(1e-6)
         matrix = torch.cat([sky / cosine * directions[:, axis] for axis in range(3)])
         return LinearMap(matrix, matrix.T.contiguous())
 
     def vector_irradiance(self, radiance: Float[Tensor, "H W 3"]) -> Float[Tensor, "C 3 3"]:
-        """Direct light that reaches each cell, weighed by its direction (axis by axis, then colours)."""
+        """Vector irradiance of each cell from direct light (Gershun 1939): axes first, then colours."""
         found = self._vector_sky @ self.pyramid.flatten(radiance)[self.level]
-        return found.reshape(3, len(self.cells), 3).transpose(0, 1)
+        return found.reshape(3, len(self.irradiance_cache), 3).transpose(0, 1)
 
     def sky_only(self, radiance: Float[Tensor, "H W 3"]) -> Float[Tensor, "S 3"]:
-        """What a ray can meet when only the light shines."""
+        """Radiance of all that a ray can hit, without light reflected by the surface."""
         pyramid = self.pyramid.flatten(radiance)
-        return torch.cat([pyramid, pyramid.new_zeros(len(self.cells), pyramid.shape[1])])
+        return torch.cat([pyramid, pyramid.new_zeros(len(self.irradiance_cache), pyramid.shape[1])])
 
     def lobes(
         self,
@@ -94,20 +100,20 @@ class Transport:
         seed: int = 0,
     ) -> Lobes:
         """The specular lobe of each point."""
-        places = self.face_cells, len(self.cells)
-        return trace_lobes(self.tracer, points, *places, alpha, samples, self.pyramid, self.offset, rotation, seed)
+        cells = self.face_cells, len(self.irradiance_cache)
+        return trace_lobes(self.tracer, points, *cells, alpha, samples, self.pyramid, self.offset, rotation, seed)
 
 
 def build_transport(
-    mesh: Mesh, vertices: int, most_cells: int, environment: tuple[int, int], diffuse_rows: int, device: str
+    mesh: Mesh, vertices: int, max_cells: int, environment: tuple[int, int], diffuse_rows: int, device: str
 ) -> Transport:
     """Traces the irradiance matrices of a mesh for a light of `environment` = (height, width) texels."""
     surface = refine(mesh, vertices)
     center = (surface.positions.max(dim=0).values + surface.positions.min(dim=0).values) / 2
     radius = float((surface.positions - center).norm(dim=1).max())
     tracer = RayTracer(surface.positions.cpu().numpy(), surface.faces.cpu().numpy().astype(np.int32), device)
-    cells = make_cells(surface, most_cells)
-    face_cells = cells.of_vertex[surface.faces[:, 0]].cpu().numpy()
+    cache = build_irradiance_cache(surface, max_cells)
+    face_cells = cache.of_vertex[surface.faces[:, 0]].cpu().numpy()
     pyramid = Pyramid(*environment)
     offset = RAY_OFFSET * max(radius, 1e-30)
     start = 0
@@ -115,9 +121,9 @@ def build_transport(
         if height <= diffuse_rows:
             break
         start += height * width
-    diffuse = diffuse_transport(tracer, cells, face_cells, height, width, offset)
+    diffuse = diffuse_transport(tracer, cache, face_cells, height, width, offset)
     level = slice(start, start + height * width)
-    count = torch.bincount(cells.of_vertex, minlength=len(cells)).clamp_min(1).float()
-    share = (1 / count)[cells.of_vertex]
-    average = LinearMap.from_rows(cells.of_vertex[:, None], share[:, None], len(cells)).T
-    return Transport(surface, tracer, cells, face_cells, pyramid, level, diffuse, offset, average)
+    count = torch.bincount(cache.of_vertex, minlength=len(cache)).clamp_min(1).float()
+    share = (1 / count)[cache.of_vertex]
+    average = LinearMap.from_rows(cache.of_vertex[:, None], share[:, None], len(cache)).T
+    return Transport(surface, tracer, cache, face_cells, pyramid, level, diffuse, offset, average)

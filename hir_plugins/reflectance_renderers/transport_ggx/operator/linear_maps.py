@@ -1,4 +1,4 @@
-"""Constant linear maps for automatic differentiation, and sparse matrices whose pattern outlives their values."""
+"""Constant linear maps for automatic differentiation, and sparse matrices whose values change but not their pattern."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from torch import Tensor
 
 
 @dataclass(frozen=True, eq=False)
-class Pattern:
-    """Where a matrix has entries: the same number in each row, in `columns` (rows, entries)."""
+class SparsityPattern:
+    """Positions of the entries of a sparse matrix: the same number in each row, in `columns` (rows, entries)."""
 
     columns: Int[Tensor, "R N"]
     width: int
@@ -40,12 +40,12 @@ class Pattern:
 
     @cached_property
     def _transpose(self) -> tuple[Tensor, Tensor, Tensor]:
-        # found once: only the values change when the width of the lobe does. scipy's counting sort is linear
+        # computed once, because a new lobe width changes only the values; scipy's counting sort is linear
         from scipy.sparse import csr_matrix
 
-        places = np.arange(len(self._flat), dtype=np.int32)
+        positions = np.arange(len(self._flat), dtype=np.int32)
         shape = (len(self.columns), self.width)
-        by_row = csr_matrix((places, self._flat.cpu().numpy(), self._start.cpu().numpy()), shape)
+        by_row = csr_matrix((positions, self._flat.cpu().numpy(), self._start.cpu().numpy()), shape)
         by_column = by_row.tocsc()
         parts = by_column.data, by_column.indptr, by_column.indices
         order, start, owner = (torch.from_numpy(p.astype(np.int32, copy=False)).to(self.columns.device) for p in parts)
@@ -54,7 +54,7 @@ class Pattern:
 
 @dataclass(frozen=True, eq=False)
 class LinearMap:
-    """A constant matrix, dense or sparse, and a copy of its transpose: both directions at full speed."""
+    """A constant matrix, dense or sparse, and a copy of its transpose, so that value and gradient are equally fast."""
 
     matrix: Tensor
     transposed: Tensor
@@ -62,7 +62,7 @@ class LinearMap:
     @classmethod
     def from_rows(cls, columns: Int[Tensor, "R N"], values: Float[Tensor, "R N"], width: int) -> LinearMap:
         """A matrix with the same number of entries in every row."""
-        pattern = Pattern(columns, width)
+        pattern = SparsityPattern(columns, width)
         return cls(pattern.matrix(values), pattern.transposed(values))
 
     @property

@@ -1,8 +1,8 @@
-"""What a point's lobe receives, looked up in the `probes` of its cell (Dr.Jit).
+"""The radiance in a point's specular lobe, looked up in the radiance probe of its cache cell (Dr.Jit).
 
-The lobe is one lookup, towards the direction it has most of its light from (Lagarde & de Rousiers 2014), bilinear in
-the probe and linear between its levels. It reads eight texels, which is most of its cost; so they are a `Patch` that
-also tells, extrapolated, what lobes of nearby normals and levels receive: good enough for derivatives.
+The lobe is one lookup in its dominant direction (Lagarde & de Rousiers 2014), bilinear in the probe and linear between
+its levels. Reading the eight texels is most of the cost. So they form a `Patch`, which also gives, by extrapolation,
+the radiance in lobes of nearby normals and levels. That is accurate enough for derivatives.
 """
 
 from __future__ import annotations
@@ -15,38 +15,38 @@ import numpy as np
 
 from hir_plugins.reflectance_renderers.mitsuba_ggx.ggx_drjit import albedo_terms
 from hir_plugins.reflectance_renderers.transport_ggx.operator.radiance_probes import (
-    COLUMNS,
-    LEVELS,
-    NARROWEST,
-    ROWS,
-    Probes,
+    ALPHA_LEVELS,
+    MIN_LEVEL_ALPHA,
+    PROBE_COLUMNS,
+    PROBE_ROWS,
+    RadianceProbes,
 )
-from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes import LEAST_COSINE
+from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes import MIN_EYE_COSINE
 
-PROBE = LEVELS * ROWS * COLUMNS
-"""Texels of one cell's probe."""
-FARTHEST = 1.0
-"""Columns, at most, from the lobe that a patch was read for: near the poles a small turn passes many."""
+TEXELS_PER_PROBE = ALPHA_LEVELS * PROBE_ROWS * PROBE_COLUMNS
+"""Texels of one cell's probe, all levels together."""
+MAX_PATCH_COLUMNS = 1.0
+"""Extrapolation in columns is limited to this: near the poles a small rotation passes many columns."""
 
 
 class ProbeTable:
-    """Probes where Dr.Jit reads them."""
+    """The probes as a Dr.Jit array."""
 
-    def __init__(self, probes: Probes) -> None:
+    def __init__(self, probes: RadianceProbes) -> None:
         self.values = mi.Float16(probes.radiance.reshape(-1).cpu().numpy())
 
 
 class Lobe(NamedTuple):
-    """Where a lobe looks, in texels from the centre of the first one, and its albedo."""
+    """The position of a lobe in a probe, in texels from the centre of the first one, and its directional albedo."""
 
     column: Any
     row: Any
     level: Any
     """0 is the narrowest."""
     scale: Any
-    """Of ρs."""
+    """A of the directional albedo ρs·A + B."""
     bias: Any
-    """What is added to it."""
+    """B of it."""
 
 
 class Patch(NamedTuple):
@@ -56,38 +56,41 @@ class Patch(NamedTuple):
     left: Any
     top: Any
     below: Any
-    """Column, row and level of the first, whole numbers."""
+    """`left`, `top`, `below`: column, row and level of the first texel, whole numbers."""
     images: Any
-    """Of each of two levels: the first texel, its differences across and down, and the mixed one."""
+    """For each of two levels: the first texel, its differences along columns and rows, and the mixed difference."""
 
 
 def lobe_of(normal: Any, eye: Any, level: Any, coupled: float) -> Lobe:
-    """The lobe of a `level` of α (`probes.level_of`); in the paper's model, which is not `coupled`, ρs is no F0: it
-    scales all of the lobe.
+    """The lobe of a `level` of α (`radiance_probes.level_of`).
+
+    `coupled` is 0 for the paper's model, where ρs is no F0 but scales the whole lobe, and 1 for `dielectric`.
     """
-    alpha = NARROWEST * dr.exp(dr.clip(level, 0, LEVELS - 1) * float(-np.log(NARROWEST) / (LEVELS - 1)))
-    cosine = dr.maximum(dr.dot(normal, eye), LEAST_COSINE)
+    alpha = MIN_LEVEL_ALPHA * dr.exp(
+        dr.clip(level, 0, ALPHA_LEVELS - 1) * float(-np.log(MIN_LEVEL_ALPHA) / (ALPHA_LEVELS - 1))
+    )
+    cosine = dr.maximum(dr.dot(normal, eye), MIN_EYE_COSINE)
     mirrored = dr.normalize(2 * cosine * normal - eye)
     smooth = 1 - alpha
-    mostly = dr.normalize(dr.lerp(normal, mirrored, smooth * (dr.sqrt(dr.maximum(smooth, 0)) + alpha)))
-    u = 0.5 - dr.atan2(mostly.x, mostly.z) / (2 * dr.pi)
-    v = dr.atan2(dr.hypot(mostly.x, mostly.z), mostly.y) / dr.pi
+    dominant = dr.normalize(dr.lerp(normal, mirrored, smooth * (dr.sqrt(dr.maximum(smooth, 0)) + alpha)))
+    u = 0.5 - dr.atan2(dominant.x, dominant.z) / (2 * dr.pi)
+    v = dr.atan2(dr.hypot(dominant.x, dominant.z), dominant.y) / dr.pi
     scale, bias = albedo_terms(cosine, alpha)
     if coupled == 0:
         scale, bias = scale + bias, mi.Float(0)
-    column, row = u * COLUMNS - 0.5, dr.clip(v * ROWS - 0.5, 0, ROWS - 1.001)
-    return Lobe(column, row, dr.clip(level, 0, LEVELS - 1.001), scale, bias)
+    column, row = u * PROBE_COLUMNS - 0.5, dr.clip(v * PROBE_ROWS - 0.5, 0, PROBE_ROWS - 1.001)
+    return Lobe(column, row, dr.clip(level, 0, ALPHA_LEVELS - 1.001), scale, bias)
 
 
 def patch_around(probes: Any, first: Any, lobe: Lobe) -> Patch:
-    """Reads the `ProbeTable.values` of the cell whose probe begins at texel `first`."""
+    """Reads the texels around a lobe from `ProbeTable.values`; the cell's probe begins at texel `first`."""
     left, top, below = dr.floor(lobe.column), dr.floor(lobe.row), dr.floor(lobe.level)
     upper, nearer, column = mi.Int32(top), mi.Int32(below), mi.Int32(left)
-    column = dr.select(column < 0, column + COLUMNS, column)
-    right = dr.select(column + 1 >= COLUMNS, 0, column + 1)
+    column = dr.select(column < 0, column + PROBE_COLUMNS, column)
+    right = dr.select(column + 1 >= PROBE_COLUMNS, 0, column + 1)
 
     def at(level: Any, row: Any, column: Any) -> Any:
-        index = first + mi.UInt32((level * ROWS + row) * COLUMNS + column)
+        index = first + mi.UInt32((level * PROBE_ROWS + row) * PROBE_COLUMNS + column)
         return mi.Vector3f(dr.gather(mi.Array3f16, probes, index))  # type: ignore[arg-type]
 
     def image(level: Any) -> tuple[Any, Any, Any, Any]:
@@ -98,11 +101,11 @@ def patch_around(probes: Any, first: Any, lobe: Lobe) -> Patch:
     return Patch(lobe, left, top, below, (image(nearer), image(nearer + 1)))
 
 
-def gathered(patch: Patch, lobe: Lobe) -> Any:
-    """Mean radiance in a lobe on a patch or beside it, not negative."""
+def patch_radiance(patch: Patch, lobe: Lobe) -> Any:
+    """Mean radiance in a lobe on a patch or near it; not negative."""
     away = lobe.column - patch.lobe.column
-    away -= COLUMNS * dr.round(away / COLUMNS)
-    across = patch.lobe.column - patch.left + dr.clip(away, -FARTHEST, FARTHEST)
+    away -= PROBE_COLUMNS * dr.round(away / PROBE_COLUMNS)
+    across = patch.lobe.column - patch.left + dr.clip(away, -MAX_PATCH_COLUMNS, MAX_PATCH_COLUMNS)
     down = lobe.row - patch.top
     near, far = (here + across * x + down * (y + across * xy) for here, x, y, xy in patch.images)
     return dr.maximum(dr.lerp(near, far, lobe.level - patch.below), 0)

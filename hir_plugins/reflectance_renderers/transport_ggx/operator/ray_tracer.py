@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from hir_plugins.reflectance_renderers.mitsuba_variant import mitsuba_on
 
-CHUNK = 1 << 21
-"""Rays a launch: bounds memory at about 100 MB."""
+RAYS_PER_LAUNCH = 1 << 21
+"""Bounds the memory of a launch at about 100 MB."""
 
 
 @dataclass(frozen=True)
@@ -38,8 +38,8 @@ class RayTracer:
     def closest(self, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> Hits:
         """First hit of each ray (N, 3), (N, 3)."""
         face, barycentric = [], []
-        for start in range(0, len(origins), CHUNK):
-            ray = self._ray(origins[start : start + CHUNK], directions[start : start + CHUNK])
+        for start in range(0, len(origins), RAYS_PER_LAUNCH):
+            ray = self._ray(origins[start : start + RAYS_PER_LAUNCH], directions[start : start + RAYS_PER_LAUNCH])
             hit = self._scene.ray_intersect_preliminary(ray, coherent=True)
             valid = np.asarray(hit.is_valid()).astype(bool)
             face.append(np.where(valid, np.asarray(hit.prim_index).astype(np.int32), -1))
@@ -50,10 +50,12 @@ class RayTracer:
         return Hits(np.concatenate(face), np.concatenate(barycentric))
 
     def occluded(self, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> NDArray[np.bool_]:
-        """Whether each ray (N, 3), (N, 3) meets the mesh at all."""
+        """Whether each ray (N, 3), (N, 3) hits the mesh."""
         found = [
-            np.asarray(self._scene.ray_test(self._ray(origins[s : s + CHUNK], directions[s : s + CHUNK]))).astype(bool)
-            for s in range(0, len(origins), CHUNK)
+            np.asarray(
+                self._scene.ray_test(self._ray(origins[s : s + RAYS_PER_LAUNCH], directions[s : s + RAYS_PER_LAUNCH]))
+            ).astype(bool)
+            for s in range(0, len(origins), RAYS_PER_LAUNCH)
         ]
         return np.concatenate(found) if found else np.empty(0, bool)
 

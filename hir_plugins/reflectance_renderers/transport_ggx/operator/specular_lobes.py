@@ -1,7 +1,8 @@
 """The GGX lobe of every pixel as rows of a sparse matrix on the light's pyramid.
 
-Directions follow the distribution of visible normals at one width α₀; another α re-weights them. The lobe is split as
-`specular = ρs·(W − G) + G` for Schlick's term and `ρs·W` for the paper's model, so both are linear in ρs and the light.
+Directions are drawn from the distribution of visible normals at one width α₀; another α changes only their weights. The
+lobe is split as `specular = ρs·(W − G) + G` for Schlick's term and `ρs·W` for the paper's model, so both are linear in
+ρs and the light.
 """
 
 from __future__ import annotations
@@ -21,17 +22,18 @@ from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid impo
 from hir_plugins.reflectance_renderers.transport_ggx.operator.ray_tracer import RayTracer
 from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import SurfacePoints
 
-PIXELS_AT_ONCE = 1 << 16
-LEAST_COSINE = 1e-3
-"""Between normal and eye: what interpolated normals turn away is seen as grazing."""
+PIXELS_PER_CHUNK = 1 << 16
+MIN_EYE_COSINE = 1e-3
+"""Least cosine between normal and eye: interpolated normals may face away from the camera at silhouettes."""
 
 
 @dataclass(frozen=True, eq=False)
 class Lobes:
-    """K directions of each of P pixels, with all that a change of α needs."""
+    """K directions of each of P pixels, and the cosines from which their weights for any α follow."""
 
     columns: Int[Tensor, "P 4K"]
-    """Texels of the flattened pyramid; behind them the cells of the surface, for directions that meet it."""
+    """Texels of the flattened pyramid, or cache cells (numbered after the texels) where a direction hits the surface.
+    """
     bilinear: Float[Tensor, "P 4K"]
     n_wi: Float[Tensor, "P K"]
     n_h: Float[Tensor, "P K"]
@@ -39,8 +41,8 @@ class Lobes:
     h_wo: Float[Tensor, "P K"]
     n_wo: Float[Tensor, " P"]
     inverse_pdf: Float[Tensor, "P K"]
-    """1 / (K · density of the direction at the α it was drawn with); 0 below the horizon."""
-    drawn_alpha: Float[Tensor, "P 1"]
+    """1 / (K · density of the direction at `sampling_alpha`); 0 below the horizon."""
+    sampling_alpha: Float[Tensor, "P 1"]
     """The α that the directions were drawn with."""
     toward_light: Float[Tensor, "P K 3"]
     """Unit directions, in `axes`."""
@@ -54,16 +56,16 @@ class Lobes:
         return len(self.columns)
 
     def take(self, rows: Tensor) -> Lobes:
-        """The lobes of some pixels."""
+        """The lobes of the pixels of `rows`."""
         parts: dict[str, Any] = {name: getattr(self, name)[rows] for name in _PER_PIXEL}
         return replace(self, **parts)
 
     def weights(
         self, alpha: Float[Tensor, "#P 1"], normal: Float[Tensor, "P 3"] | None = None
     ) -> tuple[Float[Tensor, "P K"], Float[Tensor, "P K"]]:
-        """Weight of every direction at width α, and its part that Schlick's term takes; differentiable in α.
+        """Weight of every direction at width α, and that weight times Schlick's term; differentiable in α.
 
-        With another `normal`, in `axes`, than the one they were drawn about.
+        `normal`: another shading normal, in `axes`, than the one about which directions were drawn.
         """
         if normal is None:
             lobe = specular_lobe(alpha, self.n_wi, self.n_wo[:, None], self.n_h, self.sin2_h)
@@ -76,10 +78,10 @@ class Lobes:
         return weight, weight * schlick_weight(self.h_wo)
 
     def cosine_of_eye(self, normal: Float[Tensor, "P 3"] | None = None) -> Float[Tensor, " P"]:
-        """Between the eye and a normal in `axes`; by default the one that directions were drawn about."""
-        return self.n_wo if normal is None else (self.toward_eye * normal).sum(dim=1).clamp_min(LEAST_COSINE)
+        """Cosine between the eye and a normal in `axes`; by default the one about which directions were drawn."""
+        return self.n_wo if normal is None else (self.toward_eye * normal).sum(dim=1).clamp_min(MIN_EYE_COSINE)
 
-    def spread(self, weight: Float[Tensor, "P K"]) -> Float[Tensor, "P 4K"]:
+    def matrix_entries(self, weight: Float[Tensor, "P K"]) -> Float[Tensor, "P 4K"]:
         """Weights of directions as entries of a matrix on the sources."""
         return (weight[..., None] * self.bilinear.reshape(*weight.shape, 4)).reshape(self.columns.shape)
 
@@ -101,13 +103,13 @@ def trace_lobes(
 ) -> Lobes:
     """Draws `samples` visible normals for each point, traces their reflections and looks them up in the light.
 
-    A direction that the surface blocks reads the radiance of the cell it meets (`face_cells`: the cell of each face).
+    A direction that hits the surface reads the radiance of the cache cell there (`face_cells`: the cell of each face).
     `rotation` (per view) turns world directions into the light's own frame.
     """
     parts = []
     alpha = alpha.detach().expand(len(points), 1)
-    for start in range(0, max(len(points), 1), PIXELS_AT_ONCE):
-        part = slice(start, start + PIXELS_AT_ONCE)
+    for start in range(0, max(len(points), 1), PIXELS_PER_CHUNK):
+        part = slice(start, start + PIXELS_PER_CHUNK)
         rows = points.take(torch.arange(len(points), device=points.face.device)[part])
         parts.append(_trace(tracer, rows, face_cells, alpha[part], samples, pyramid, offset, rotation, seed + start))
     joined: dict[str, Any] = {name: torch.cat([getattr(p, name) for p in parts]) for name in _PER_PIXEL}
@@ -117,12 +119,12 @@ def trace_lobes(
 def _trace(tracer, points, face_cells, alpha, samples, pyramid, offset, rotation, seed):  # type: ignore[no-untyped-def]
     device = points.position.device
     count = len(points)
-    tangent, bitangent = frame(points.normal)
+    tangent, bitangent = tangent_frame(points.normal)
     wo = points.to_eye
     local_o = torch.stack([(wo * tangent).sum(1), (wo * bitangent).sum(1), (wo * points.normal).sum(1)], dim=1)
-    n_wo = local_o[:, 2].clamp_min(LEAST_COSINE)
+    n_wo = local_o[:, 2].clamp_min(MIN_EYE_COSINE)
     local_o = torch.nn.functional.normalize(torch.cat([local_o[:, :2], n_wo[:, None]], dim=1), dim=1)
-    square = points_of_square(count, samples, seed, device)
+    square = r2_points(count, samples, seed, device)
     h = visible_normal(local_o[:, None, :].expand(-1, samples, -1), alpha, square)
     h_wo = (h * local_o[:, None]).sum(-1).clamp(0, 1)
     local_i = 2 * h_wo[..., None] * h - local_o[:, None]
@@ -147,7 +149,7 @@ def _trace(tracer, points, face_cells, alpha, samples, pyramid, offset, rotation
     blocked = chosen[torch.from_numpy(face >= 0).to(device)]
     columns[blocked] = pyramid.texels + torch.from_numpy(face_cells[face[face >= 0]]).to(device)[:, None]
     bilinear[blocked] = 0.25
-    # the directions must integrate a white light exactly: the few there are leave an error of per cents otherwise
+    # normalised so that a white light is integrated exactly: few directions have an error of some per cent
     lobe = specular_lobe(alpha, n_wi, cosine, h[..., 2], sin2)
     a, b = directional_albedo_terms(cosine, alpha)
     total = (lobe * inverse).sum(1, keepdim=True).clamp_min(1e-6)
@@ -169,8 +171,8 @@ def _trace(tracer, points, face_cells, alpha, samples, pyramid, offset, rotation
     )
 
 
-def frame(normal: Float[Tensor, "N 3"]) -> tuple[Float[Tensor, "N 3"], Float[Tensor, "N 3"]]:
-    """Tangent and bitangent that complete unit normals, without a pole (Duff et al. 2017)."""
+def tangent_frame(normal: Float[Tensor, "N 3"]) -> tuple[Float[Tensor, "N 3"], Float[Tensor, "N 3"]]:
+    """Tangent and bitangent of unit normals, without a singularity (Duff et al. 2017)."""
     x, y, z = normal.unbind(1)
     sign = torch.where(z >= 0, 1.0, -1.0)
     a = -1 / (sign + z)
@@ -195,8 +197,8 @@ def visible_normal(
     return torch.nn.functional.normalize(h, dim=-1)
 
 
-def points_of_square(count: int, samples: int, seed: int, device: torch.device) -> Float[Tensor, "P K 2"]:
-    """The R2 sequence (Roberts 2018), shifted at random for each pixel, so that neighbours share no error."""
+def r2_points(count: int, samples: int, seed: int, device: torch.device) -> Float[Tensor, "P K 2"]:
+    """The R2 sequence (Roberts 2018) in the unit square, shifted at random for each pixel to decorrelate neighbours."""
     index = torch.arange(samples, device=device, dtype=torch.float64)
     step = torch.tensor([0.7548776662466927, 0.5698402909980532], device=device, dtype=torch.float64)
     generator = torch.Generator().manual_seed(seed)

@@ -1,4 +1,4 @@
-"""Specular radiance of a block of pixels: sparse, linear in light and ρs, and linearised in α between refreshes."""
+"""Specular radiance of a pixel batch: sparse, linear in light and ρs, and linearised in α between refreshes."""
 
 from __future__ import annotations
 
@@ -7,21 +7,21 @@ from jaxtyping import Float
 from torch import Tensor
 
 from hir_plugins.reflectance_renderers.brdf_torch import Model, directional_albedo_terms
-from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import Pattern
+from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import SparsityPattern
 from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes import Lobes
 
-_TILT_STEP = 0.02
-"""Step of the derivative in the normal, in widths of the lobe."""
-_ALPHA_STEP = 0.01
-"""Relative step of the one-sided derivative in α; its error is far below that of the linearisation itself."""
+_NORMAL_STEP_IN_ALPHAS = 0.02
+"""Finite-difference step of the normal, as a fraction of α."""
+_RELATIVE_ALPHA_STEP = 0.01
+"""Relative finite-difference step of α; its error is far below that of the linearisation itself."""
 
 
-class SpecularBlock:
-    """The lobes of P pixels as matrices on the sources of light; `refresh` follows α."""
+class SpecularMatrices:
+    """The lobes of P pixels as matrices on the light sources; `refresh` rebuilds them for a new α."""
 
     def __init__(self, lobes: Lobes, model: Model) -> None:
         self._lobes = lobes
-        self._pattern = Pattern(lobes.columns, lobes.sources)
+        self._pattern = SparsityPattern(lobes.columns, lobes.sources)
         self._model = model
         self.alpha = torch.empty(0)
         self.normal: Tensor | None = None
@@ -29,8 +29,8 @@ class SpecularBlock:
     def refresh(
         self, alpha: Float[Tensor, "#P 1"], rho_s: Float[Tensor, "#P C"], normal: Float[Tensor, "P 3"] | None = None
     ) -> None:
-        """Rebuilds the matrices at width α (per pixel or one for all) and for bent normals, in the lobes' axes, if
-        there are any; derivatives are taken at `rho_s`.
+        """Rebuilds the matrices for α (per pixel or one for all) and for shading normals, if there are any, in the axes
+        of the lobes. Derivatives are taken at `rho_s`.
         """
         lobes = self._lobes
         weight, grazing = lobes.weights(alpha, normal)
@@ -41,18 +41,18 @@ class SpecularBlock:
                 return mean * (moved - weight)
             return mean * (moved - weight) + (1 - mean) * (moved_grazing - grazing)
 
-        slopes = [slope(*lobes.weights(alpha * (1 + _ALPHA_STEP), normal)) / (alpha * _ALPHA_STEP)]
+        slopes = [slope(*lobes.weights(alpha * (1 + _RELATIVE_ALPHA_STEP), normal)) / (alpha * _RELATIVE_ALPHA_STEP)]
         if normal is not None:
             for axis in range(2):
                 step = torch.zeros_like(normal)
-                step[:, axis] = (_TILT_STEP * alpha).expand(len(normal), 1)[:, 0]
-                tilted = torch.nn.functional.normalize(normal + step, dim=1, eps=1e-12)
-                slopes.append(slope(*lobes.weights(alpha, tilted)) / (_TILT_STEP * alpha))
+                step[:, axis] = (_NORMAL_STEP_IN_ALPHAS * alpha).expand(len(normal), 1)[:, 0]
+                turned = torch.nn.functional.normalize(normal + step, dim=1, eps=1e-12)
+                slopes.append(slope(*lobes.weights(alpha, turned)) / (_NORMAL_STEP_IN_ALPHAS * alpha))
         self.alpha, self.normal = alpha, normal
-        self._w = lobes.spread(weight)
-        self._g = lobes.spread(grazing)
+        self._w = lobes.matrix_entries(weight)
+        self._g = lobes.matrix_entries(grazing)
         self._w_matrix = self._pattern.matrix(self._w)
-        self._slopes = [self._pattern.matrix(lobes.spread(values)) for values in slopes]
+        self._slopes = [self._pattern.matrix(lobes.matrix_entries(values)) for values in slopes]
         self._w_transposed = self._pattern.transposed(self._w)
         if self._model == "dielectric":
             self._g_matrix = self._pattern.matrix(self._g)
@@ -61,7 +61,7 @@ class SpecularBlock:
             self._albedo_terms = (a, b)
 
     def diffuse_share(self, rho_s: Float[Tensor, "#P C"]) -> Float[Tensor, "P C"] | float:
-        """What the specular lobe leaves to the diffuse part: `1 − E` for `dielectric`, 1 for `paper`."""
+        """Factor of the diffuse part: `1 − E` for `dielectric`, 1 for `paper`."""
         if self._model == "paper":
             return 1.0
         a, b = self._albedo_terms
@@ -74,7 +74,8 @@ class SpecularBlock:
         alpha: Float[Tensor, "#P 1"],
         normal: Float[Tensor, "P 3"] | None = None,
     ) -> Float[Tensor, "P 3"]:
-        """Specular radiance; differentiable in all. α and normal enter to first order around the last `refresh`."""
+        """Specular radiance; differentiable in all arguments. α and normal enter to first order around the last
+        `refresh`."""
         count = len(self._lobes)
         drift = (alpha - self.alpha).expand(count, 1)
         if normal is not None and self.normal is not None:
@@ -103,7 +104,7 @@ class _Specular(torch.autograd.Function):
     def backward(ctx, gradient):  # type: ignore[no-untyped-def]
         rho_s, factor, *slopes = ctx.saved_tensors
         block = ctx.block
-        # the drift's own part of the light's gradient is left out: it vanishes at every refresh
+        # the light's gradient leaves out the first-order terms: they vanish at every refresh
         light = block._w_transposed @ (rho_s * gradient)
         if block._model == "dielectric":
             light = light + block._g_transposed @ ((1 - rho_s) * gradient)

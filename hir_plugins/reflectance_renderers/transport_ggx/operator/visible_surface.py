@@ -1,4 +1,4 @@
-"""The frozen surface, and what the pixels of a capture see of it: points, normals, directions to the eye."""
+"""The frozen surface, and the surface points behind the pixels of a capture: normals, directions to the camera."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from hir_core.capture import Camera
 from hir_core.scene import Mesh
 from hir_plugins.reflectance_renderers.transport_ggx.operator.ray_tracer import RayTracer
 
-MOST_FACES = 400_000
-"""Refinement for the sake of colour stops here."""
+MAX_REFINED_FACES = 400_000
+"""Coarse meshes are not subdivided beyond this number of faces."""
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Triangles with the shading normals of the mesh they refine and the texture coordinates of their corners."""
+    """Triangles with the vertex normals of the mesh they subdivide and the texture coordinates of their corners."""
 
     positions: Float[Tensor, "V 3"]
     normals: Float[Tensor, "V 3"]
@@ -30,24 +30,24 @@ class Surface:
 
     @property
     def face_normals(self) -> Float[Tensor, "F 3"]:
-        """Unit normals of the facets; zero where a face has no area."""
+        """Unit normals of the faces; zero where a face has no area."""
         a, b, c = self.positions[self.faces].unbind(1)
         return normalize(torch.linalg.cross(b - a, c - a), dim=1, eps=1e-30)
 
 
 def refine(mesh: Mesh, vertices: int) -> Surface:
-    """The surface of a mesh with at least about `vertices` vertices: coarse meshes are split, their shape unchanged."""
+    """The surface of a mesh, subdivided until it has about `vertices` vertices; its shape does not change."""
     uvs = None
     if mesh.uvs is not None and mesh.topology.uv_faces is not None:
         uvs = mesh.uvs[mesh.topology.uv_faces]
     surface = Surface(mesh.positions, mesh.normals, mesh.faces, uvs)
-    while len(surface.positions) * 2 < vertices and 4 * len(surface.faces) <= MOST_FACES:
+    while len(surface.positions) * 2 < vertices and 4 * len(surface.faces) <= MAX_REFINED_FACES:
         surface = _split(surface)
     return surface
 
 
 def _split(surface: Surface) -> Surface:
-    """Every triangle into four; normals are interpolated, so shading does not change."""
+    """Splits every triangle into four; normals are interpolated, so shading does not change."""
     corner = torch.stack([surface.faces[:, [0, 1]], surface.faces[:, [1, 2]], surface.faces[:, [2, 0]]], dim=1)
     flat = corner.reshape(-1, 2).sort(dim=1).values
     unique, inverse = torch.unique(flat, dim=0, return_inverse=True)
@@ -69,7 +69,7 @@ def _split(surface: Surface) -> Surface:
 
 @dataclass(frozen=True, eq=False)
 class SurfacePoints:
-    """Points of the surface, each seen from one direction."""
+    """Surface points, each with the view that sees it."""
 
     view: Int[Tensor, " P"]
     face: Int[Tensor, " P"]
@@ -84,10 +84,10 @@ class SurfacePoints:
         return len(self.face)
 
     def take(self, rows: Tensor) -> SurfacePoints:
-        """Some of the points."""
+        """The points of `rows`."""
         return SurfacePoints(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
-    def bent(self, normal: Float[Tensor, "P 3"]) -> SurfacePoints:
+    def with_normals(self, normal: Float[Tensor, "P 3"]) -> SurfacePoints:
         """The same points with other shading normals."""
         return replace(self, normal=normal)
 
@@ -98,19 +98,20 @@ class SurfacePoints:
         return (surface.corner_uvs[self.face] * self.barycentric[..., None]).sum(1)
 
 
-def see(
+def visible_points(
     tracer: RayTracer, surface: Surface, cameras: Mapping[int, Camera], pixels: Int[Tensor, "N 3"], offset: float = 0.5
 ) -> tuple[SurfacePoints, Bool[Tensor, " N"]]:
-    """Surface points seen through pixels (view, x, y), and which pixels meet the front of the surface at all.
+    """Surface points behind pixels (view, x, y), and which pixels see the front of the surface.
 
-    Pixels that miss hold the first face's data; `offset` places the ray in the pixel (0.5: its centre).
+    Pixels without a hit have the data of the first face. `offset` is the position of the ray in the pixel (0.5:
+    centre).
     """
     index = pixels.cpu().numpy()
     origins = np.empty((len(index), 3), np.float32)
     directions = np.empty((len(index), 3), np.float32)
     for view in np.unique(index[:, 0]):
         rows = index[:, 0] == view
-        # float64 until here: a far-away world keeps its digits
+        # float64 up to here: coordinates far from the origin keep their precision
         origin, direction = cameras[int(view)].rays(index[rows, 1:].astype(np.float64) + offset)
         origins[rows], directions[rows] = origin, direction
     hits = tracer.closest(origins, directions)
