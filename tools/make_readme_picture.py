@@ -13,11 +13,14 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from hir_core.evaluation import masked_pixels, split_in_working_frame, spread
 from hir_core.metrics import composite, unassociate
 from hir_core.plugins.manager import PluginManager
-from hir_core.rendering.reference_renderer import OpenRun, light_of, open_for_rendering, reference_renderer, render_view
-from hir_core.rendering.run_pictures import orbit_cameras
+from hir_core.rendering.light_files import load_light
+from hir_core.rendering.orbit_cameras import orbit_cameras
+from hir_core.rendering.photographs import masked_photograph
+from hir_core.rendering.reference_renderer import reference_renderer, render_view
+from hir_core.rendering.view_selection import evenly_spaced_indices
+from hir_core.run.finished_run import FinishedRun, open_finished_run
 from hir_core.run.run_directory import open_run
 from hir_core.scene import EnvironmentMap, Material, Scene
 
@@ -26,12 +29,12 @@ SIDE = 300
 PAPER = np.array([246, 245, 242], np.float32) / 255
 
 
-def relit_by(run: OpenRun, plugins: PluginManager, split: str) -> EnvironmentMap:
+def relit_by(run: FinishedRun, plugins: PluginManager, split: str) -> EnvironmentMap:
     """The light that a split of the run's capture names, in the run's working frame."""
-    capture = run.read(run.capture_path, split, plugins)
+    capture = run.read_split(run.capture_path, split, plugins)
     if capture.environment is None:
         raise SystemExit(f"{run.capture_path}: split {split} names no light")
-    return light_of(capture.environment, capture.world_from_source)
+    return load_light(capture.environment, capture.world_from_source)
 
 
 def main(run_folder: str, split: str) -> None:
@@ -39,10 +42,10 @@ def main(run_folder: str, split: str) -> None:
     import torch
 
     plugins = PluginManager.discover()
-    run = open_for_rendering(open_run(run_folder))
-    capture = split_in_working_frame(run, run.capture_path, "train", plugins)
+    run = open_finished_run(open_run(run_folder))
+    capture = run.views_of_split(run.capture_path, "train", plugins)
     _, renderer = reference_renderer(plugins, options={"render_samples": 128}, bounces=run.bounces)
-    photographs = [masked_pixels(capture.views[i]) for i in spread(len(capture.views), 4)]
+    photographs = [masked_photograph(capture.views[i]) for i in evenly_spaced_indices(len(capture.views), 4)]
     tiles = [_on_paper(photo.color_linear, photo.mask) for photo in photographs]
     quarters = [
         np.asarray(Image.fromarray(_codes(t)).resize((SIDE // 2, SIDE // 2), Image.Resampling.LANCZOS)) for t in tiles
@@ -61,7 +64,7 @@ def main(run_folder: str, split: str) -> None:
         "mesh": replace(run.scene, material=grey, environment=plain),
         "albedo": replace(run.scene, material=flat, environment=white),
         "fitted light": run.scene,
-        "another light": run.lit_by(other),
+        "another light": run.with_light(other),
     }
     pictures = {
         name: _codes(_on_paper(*unassociate(render_view(renderer, s, camera, name)))) for name, s in shots.items()

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from hir_core.capture import Array, Camera
-from hir_core.capture.capture_store import restore_capture
-from hir_core.evaluation import masked_pixels
 from hir_core.intake.reader_lookup import read_capture
 from hir_core.metrics import composite
 from hir_core.plugins.manager import PluginManager
+from hir_core.rendering.photographs import masked_photograph
+from hir_core.run.capture_store import restore_capture
 from hir_core.run.run_directory import RunDirectory, open_run
 from hir_core.scene import Mesh
 from hir_core.scene.scene_store import load_stage_scene
@@ -87,7 +87,7 @@ def row(folder: str, number: int | None, plugins: PluginManager) -> list[Image.I
     assert view.camera is not None
     factor = max(1, min(view.camera.width, view.camera.height) // SIDE)
     camera = view.camera.downsampled(factor)
-    photograph = masked_pixels(view)
+    photograph = masked_photograph(view)
     tiles = [composite(photograph.color_linear, photograph.mask) + PAPER * (1 - photograph.mask[..., None])]
     first, fitted = (
         load_stage_scene(directory.stage(stage) / "scene", "cpu").mesh for stage in ("initializer", "geometry")

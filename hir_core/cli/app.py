@@ -1,4 +1,4 @@
-"""The group of commands, found on first use, and the one place where errors become sentences."""
+"""The command group `hir`, which imports a command when it is used, and the conversion of errors to messages."""
 
 from __future__ import annotations
 
@@ -18,28 +18,28 @@ from hir_core import __version__
 from hir_core.run.interrupt import remember_interrupts
 
 COMMANDS = {
-    "check": "hir_core.cli.check:check_command",
-    "reconstruct": "hir_core.cli.reconstruct:reconstruct_command",
-    "export": "hir_core.cli.export:export_command",
-    "evaluate": "hir_core.cli.evaluate:evaluate_command",
-    "render": "hir_core.cli.render:render_command",
-    "report": "hir_core.cli.report:report_command",
-    "edit": "hir_core.cli.edit:edit_command",
-    "cameras": "hir_core.cli.cameras:cameras_command",
-    "plugins": "hir_core.cli.plugins:plugins_command",
-    "new-plugin": "hir_core.cli.new_plugin:new_plugin_command",
-    "check-plugin": "hir_core.cli.check_plugin:check_plugin_command",
-    "doctor": "hir_core.cli.doctor:doctor_command",
-    "config": "hir_core.cli.config:config_group",
+    "check": "hir_core.cli.check_command:check_command",
+    "reconstruct": "hir_core.cli.reconstruct_command:reconstruct_command",
+    "export": "hir_core.cli.export_command:export_command",
+    "evaluate": "hir_core.cli.evaluate_command:evaluate_command",
+    "render": "hir_core.cli.render_command:render_command",
+    "report": "hir_core.cli.report_command:report_command",
+    "edit": "hir_core.cli.edit_command:edit_command",
+    "cameras": "hir_core.cli.cameras_command:cameras_command",
+    "plugins": "hir_core.cli.plugins_command:plugins_command",
+    "new-plugin": "hir_core.cli.new_plugin_command:new_plugin_command",
+    "check-plugin": "hir_core.cli.check_plugin_command:check_plugin_command",
+    "doctor": "hir_core.cli.doctor_command:doctor_command",
+    "config": "hir_core.cli.config_command:config_group",
 }
 
 INPUT_ERROR = 2
 INTERRUPTED = 130
-INTERRUPTION = "hir: interrupted; a run continues where it was with --resume"
+INTERRUPTION = "hir: interrupted; continue the run with --resume"
 
 
 class LazyGroup(click.Group):
-    """Imports a command's module when the command is named, and asks plugins for theirs when none of ours fits."""
+    """Imports the module of a command when the command is used; asks plugins for commands that are not built in."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         self._add_plugin_commands()
@@ -56,13 +56,13 @@ class LazyGroup(click.Group):
     def _add_plugin_commands(self) -> None:
         from hir_core.plugins.manager import PluginManager
 
-        if not ctx_object().get("plugins_asked"):
-            ctx_object()["plugins_asked"] = True
+        if not shared_state().get("plugin_commands_added"):
+            shared_state()["plugin_commands_added"] = True
             PluginManager.discover().notify("hir_register_commands", cli=self)
 
 
-def ctx_object() -> dict[str, Any]:
-    """What the commands of one call share."""
+def shared_state() -> dict[str, Any]:
+    """A dictionary that all commands of one call share."""
     context = click.get_current_context(silent=True)
     root = context.find_root() if context is not None else None
     if root is None:
@@ -76,19 +76,19 @@ def ctx_object() -> dict[str, Any]:
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="hir")
 def cli() -> None:
-    """Photographs in, a game-ready asset out."""
+    """Reconstructs game-ready assets from photographs: mesh, PBR textures and light."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """The entry point `hir`: exit code 0, 2 for what the user can mend, 130 when interrupted, 1 for a bug."""
-    words = list(sys.argv[1:] if arguments is None else arguments)
-    verbose = "-v" in words or "--verbose" in words
+    """The entry point `hir`. Exit codes: 0, 2 for an error the user can correct, 130 when interrupted, 1 for a bug."""
+    command_line = list(sys.argv[1:] if arguments is None else arguments)
+    verbose = "-v" in command_line or "--verbose" in command_line
     if arguments is None and not verbose:
-        warnings.simplefilter("ignore")  # libraries advising their programmers
+        warnings.simplefilter("ignore")  # they address programmers, not users
     if arguments is None:
-        remember_interrupts(_leave)
+        remember_interrupts(_exit_at_once)
     try:
-        code = cli.main(words, prog_name="hir", standalone_mode=False)
+        code = cli.main(command_line, prog_name="hir", standalone_mode=False)
     except click.exceptions.Exit as stop:
         code = stop.exit_code
     except click.exceptions.NoArgsIsHelpError as shown:
@@ -104,23 +104,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
         code = INPUT_ERROR
     except (KeyboardInterrupt, click.Abort):
         code = INTERRUPTED
-        if arguments is None:  # a process of our own: tearing down compilers and thread pools takes seconds
-            _leave()
+        if arguments is None:  # an orderly shutdown of compilers and thread pools takes seconds
+            _exit_at_once()
         click.echo(INTERRUPTION, err=True)
     except BrokenPipeError:
-        sys.stderr.close()  # the reader of our output has left; Python would complain while it shuts down
+        sys.stderr.close()  # the reader of the output is closed; otherwise Python prints an error at exit
         code = 1
     except Exception as error:
         if verbose:
             traceback.print_exc()
-        click.echo(
-            f"hir: this is a bug: {type(error).__name__}: {error} (run again with -v for where it happened)", err=True
-        )
+        click.echo(f"hir: this is a bug: {type(error).__name__}: {error} (-v prints the traceback)", err=True)
         code = 1
     sys.exit(code if isinstance(code, int) else 0)
 
 
-def _leave() -> None:
+def _exit_at_once() -> None:
     """Ends the process at once after Ctrl-C."""
     click.echo(INTERRUPTION, err=True)
     with contextlib.suppress(OSError):

@@ -1,18 +1,22 @@
-"""Results of `hir evaluate` as tables in the terminal."""
+"""Tables of the results of `hir evaluate`."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 
-def print_table(results: list[dict[str, Any]]) -> None:
-    """One row for each run; then the conventions of Stanford-ORB, and what was compared with the truth."""
+def print_table(results: Sequence[Mapping[str, Any]]) -> None:
+    """Prints one row per run: image metrics, then those by Stanford-ORB's rules and those against ground truth."""
     from rich.console import Console
 
     console = Console(highlight=False)
-    console.print(table_of(results, PICTURES))
-    for key, columns in FURTHER.items():
+    console.print(table_of(results, IMAGE_COLUMNS))
+    for key, columns in OTHER_TABLES.items():
         if any(key in r for r in results):
             console.print()
             console.print(table_of([r for r in results if key in r], columns))
@@ -21,9 +25,9 @@ def print_table(results: list[dict[str, Any]]) -> None:
 
 
 Columns = tuple[tuple[str, str, int, bool], ...]
-"""Heading, dotted place in the result, digits, whether more is better."""
+"""Heading, dotted key in the result, digits, whether larger is better."""
 
-PICTURES: Columns = (
+IMAGE_COLUMNS: Columns = (
     ("PSNR frame", "psnr.frame", 2, True),
     ("object", "psnr.object", 2, True),
     ("scaled frame", "psnr_scaled.frame", 2, True),
@@ -34,7 +38,7 @@ PICTURES: Columns = (
     ("mask IoU", "iou", 4, True),
 )
 
-FURTHER: dict[str, Columns] = {
+OTHER_TABLES: dict[str, Columns] = {
     "stanford_orb": (
         ("Stanford-ORB: PSNR-H", "stanford_orb.psnr_h", 2, True),
         ("PSNR-L", "stanford_orb.psnr_l", 2, True),
@@ -45,7 +49,7 @@ FURTHER: dict[str, Columns] = {
         ("Chamfer, radii", "surface.chamfer", 5, False),
         ("accuracy", "surface.accuracy", 5, False),
         ("completeness", "surface.completeness", 5, False),
-        ("seen Chamfer", "surface.seen.chamfer", 5, False),
+        ("visible Chamfer", "surface.seen.chamfer", 5, False),
         ("F at .005", "surface.seen.f_score.0|005", 4, True),
         ("normals, °", "surface.seen.normal_error_deg", 2, False),
     ),
@@ -56,7 +60,7 @@ FURTHER: dict[str, Columns] = {
     ),
     "light_error": (
         ("light, texels", "light_error.texels", 3, False),
-        ("mirror ball", "light_error.spheres.mirror", 3, False),
+        ("mirror sphere", "light_error.spheres.mirror", 3, False),
         ("silver", "light_error.spheres.silver", 3, False),
         ("diffuse", "light_error.spheres.diffuse", 3, False),
         ("colour, °", "light_error.angular_deg.diffuse", 2, False),
@@ -64,8 +68,8 @@ FURTHER: dict[str, Columns] = {
 }
 
 
-def table_of(results: list[dict[str, Any]], columns: Columns) -> Any:
-    """Rows of runs, with the best of each column in bold where there are several."""
+def table_of(results: Sequence[Mapping[str, Any]], columns: Columns) -> Table:
+    """One row per run; with several runs the best value of each column is bold."""
     from rich.table import Table
 
     table = Table(box=None, padding=(0, 2, 0, 0))
@@ -73,23 +77,23 @@ def table_of(results: list[dict[str, Any]], columns: Columns) -> Any:
         table.add_column(heading, overflow="fold")
     for heading, *_ in columns:
         table.add_column(heading, justify="right", overflow="fold")
-    best = {}
-    for _, place, digits, more in columns:
-        values = [round(v, digits) for r in results if (v := value_at(r, place)) is not None]
-        best[place] = (max if more else min)(values) if len(values) > 1 else None
+    best: dict[str, float | None] = {}
+    for _, key, digits, more in columns:
+        values = [round(v, digits) for r in results if (v := value_at(r, key)) is not None]
+        best[key] = (max if more else min)(values) if len(values) > 1 else None
     for r in results:
         cells = []
-        for _, place, digits, _ in columns:
-            value = value_at(r, place)
+        for _, key, digits, _ in columns:
+            value = value_at(r, key)
             text = "–" if value is None else f"{value:.{digits}f}"
-            cells.append(f"[bold]{text}[/bold]" if value is not None and round(value, digits) == best[place] else text)
+            cells.append(f"[bold]{text}[/bold]" if value is not None and round(value, digits) == best[key] else text)
         table.add_row(Path(r["run"]).name, r["split"], *cells)
     return table
 
 
-def value_at(result: dict[str, Any], place: str) -> float | None:
-    """The number at `a.b.c` of nested tables; `|` stands for a point inside a name."""
-    found: Any = result
-    for part in place.split("."):
-        found = found.get(part.replace("|", ".")) if isinstance(found, dict) else None
-    return found if isinstance(found, float | int) else None
+def value_at(result: Mapping[str, Any], key: str) -> float | None:
+    """The number at the dotted key `a.b.c`; `|` stands for a dot inside a name. None where there is none."""
+    value: object = result
+    for part in key.split("."):
+        value = value.get(part.replace("|", ".")) if isinstance(value, dict) else None
+    return value if isinstance(value, float | int) else None

@@ -1,21 +1,6 @@
-"""`hir evaluate`: a finished run against photographs, and against a true mesh, albedo and light where there are any."""
+"""`hir evaluate`: measures a finished run against photographs, and against the true mesh, albedo and light if known."""
 
-from hir_core.evaluation.evaluation_request import Question
-from hir_core.evaluation.view_evaluation import (
-    Truth,
-    difference_picture,
-    evaluate_run,
-    masked_pixels,
-    split_in_working_frame,
-    spread,
-)
+from hir_core.evaluation.evaluation_request import EvaluationRequest
+from hir_core.evaluation.view_evaluation import evaluate_run
 
-__all__ = [
-    "Question",
-    "Truth",
-    "difference_picture",
-    "evaluate_run",
-    "masked_pixels",
-    "split_in_working_frame",
-    "spread",
-]
+__all__ = ["EvaluationRequest", "evaluate_run"]

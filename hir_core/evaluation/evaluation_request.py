@@ -1,36 +1,44 @@
-"""What an evaluation is asked for."""
+"""The settings of one evaluation."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    pass
+from hir_core.files.file_names import file_stem
+from hir_core.rendering.light_files import parse_light_file
 
 
 @dataclass(frozen=True)
-class Question:
-    """What is compared with what."""
+class EvaluationRequest:
+    """What a run is compared with, and how."""
 
     split: str = "test"
     capture: Path | None = None
-    """The run's own where it is None."""
+    """Folder of the capture; None for the run's own."""
     relight: str = ""
-    """`FILE` or `FILE*STRENGTH`, in the capture's axes; replaces the light."""
+    """`FILE` or `FILE*STRENGTH`, in the capture's axes: the light to render under, in place of the split's."""
     renderer: str = ""
-    """Reflectance renderer; the reference one where it is empty."""
-    options: dict[str, Any] | None = None
+    """Name of the reflectance renderer; empty for the reference renderer."""
+    options: Mapping[str, Any] | None = None
     """Options of the renderer."""
     device: str = "cpu"
     download: bool = False
-    """Fetch LPIPS's weights where they are missing."""
+    """Download the weights of LPIPS where they are missing."""
     mesh: Path | None = None
-    """The true mesh, in the axes of the capture's own files."""
+    """The true mesh, in the axes of the capture's files."""
     albedo: str = ""
-    """A split of the true diffuse albedo."""
+    """Name of a split whose images are the true diffuse albedo."""
     views: int = 0
-    """At most so many views, spread over the split; 0 takes all."""
+    """Maximum number of views, evenly spaced over the split; 0 for all."""
     truth: bool = False
-    """Compare with all the truth that lies in the capture: its mesh, the split's albedo, its light."""
+    """Compare with every ground truth in the capture: its mesh, the albedo of the split, its light."""
+
+    @property
+    def label(self) -> str:
+        """Name of the result's folder and of its entry in run.json."""
+        if not self.relight:
+            return self.split
+        return f"{self.split}-{file_stem(parse_light_file(self.relight)[0].stem)}"

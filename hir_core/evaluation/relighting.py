@@ -1,4 +1,4 @@
-"""Which light an evaluation is under: the fitted one, the split's own, or one that is named."""
+"""The light of an evaluation: the fitted one, the split's own, or a file that the user names."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ import numpy as np
 from hir_core.capture import Array, Capture, EnvironmentSource
 from hir_core.errors import InputError
 from hir_core.intake.reader_lookup import find_reader
-from hir_core.rendering.reference_renderer import OpenRun, light_of, parse_light, same_light
+from hir_core.rendering.light_files import is_same_light, load_light, parse_light_file
+from hir_core.run.finished_run import FinishedRun
 
 if TYPE_CHECKING:
     from hir_core.plugins.manager import PluginManager
@@ -18,40 +19,42 @@ if TYPE_CHECKING:
 
 
 def lit_scene(
-    run: OpenRun, path: Path, capture: Capture, relight: str, plugins: PluginManager, device: str = "cpu"
+    run: FinishedRun, path: Path, capture: Capture, relight: str, plugins: PluginManager, device: str = "cpu"
 ) -> tuple[Scene, dict[str, Any]]:
-    """The scene under the light that is asked for, and what that light is.
+    """The scene under the light of the evaluation, and a JSON-able description of that light.
 
-    `relight` is `FILE` or `FILE*STRENGTH`, in the capture's axes; without it the split's own light where it differs
-    from train's, else the fitted one.
+    `relight` is `FILE` or `FILE*STRENGTH`, in the capture's axes. Where it is empty, the light is the split's own if
+    that differs from the light of the train split, else the fitted light.
     """
     source = capture.environment
     if relight:
-        file, strength = parse_light(relight)
-        axes = _environment_axes(path, capture, run, plugins)
-        source = EnvironmentSource(file, strength, axes)
-    elif source is None or _is_training_light(path, source, run, plugins):
+        file, strength = parse_light_file(relight)
+        source = EnvironmentSource(file, strength, _environment_axes(path, capture, plugins))
+    elif source is None or _is_training_light(path, source, plugins):
         return run.scene, {"fitted": True}
     if source.path.suffix.lower() not in (".hdr", ".exr"):
-        raise InputError(f"{source.path}: a light is a lat-long .hdr or .exr file")
-    light = light_of(source, capture.world_from_source, device)
-    return run.lit_by(light), {"fitted": False, "file": source.path.name, "strength": source.strength}
+        raise InputError(f"{source.path}: a light must be a lat-long .hdr or .exr file")
+    light = load_light(source, capture.world_from_source, device)
+    return run.with_light(light), {"fitted": False, "file": source.path.name, "strength": source.strength}
 
 
-def _environment_axes(path: Path, capture: Capture, run: OpenRun, plugins: PluginManager) -> Array:
-    """3×3 of `EnvironmentSource`: as the split or train says; the asset's axes where a capture names no light."""
+def training_light(path: Path, plugins: PluginManager) -> EnvironmentSource | None:
+    """The light of the train split; None where the capture names none."""
+    _, reader = find_reader(path, plugins)
+    return reader.read(path, "train").environment if "train" in reader.splits(path) else None
+
+
+def _environment_axes(path: Path, capture: Capture, plugins: PluginManager) -> Array:
+    """3×3 of `EnvironmentSource`, from the split or the train split; the asset's axes where neither names a light."""
     if capture.environment is not None:
         return capture.environment.source_from_environment
-    _, reader = find_reader(path, plugins)
-    train = reader.read(path, "train").environment if "train" in reader.splits(path) else None
+    train = training_light(path, plugins)
     if train is not None:
         return train.source_from_environment
     linear = capture.world_from_source[:3, :3]
     return np.asarray(linear.T / np.cbrt(np.linalg.det(linear)))
 
 
-def _is_training_light(path: Path, source: EnvironmentSource, run: OpenRun, plugins: PluginManager) -> bool:
+def _is_training_light(path: Path, source: EnvironmentSource, plugins: PluginManager) -> bool:
     _, reader = find_reader(path, plugins)
-    if "train" not in reader.splits(path):
-        return False
-    return same_light(source, reader.read(path, "train").environment)
+    return "train" in reader.splits(path) and is_same_light(source, training_light(path, plugins))

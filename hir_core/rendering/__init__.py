@@ -1,1 +1,1 @@
-"""Pictures of a finished run."""
+"""Renders for measuring and showing: the reference renderer, lights from files, photographs to compare with."""

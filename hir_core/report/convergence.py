@@ -13,7 +13,7 @@ from hir_core.files.json_documents import read_json
 from hir_core.plugins.progress import MODEL_FITTED
 from hir_core.report.curve_svg import curve_svg
 from hir_core.run.progress_listener import read_curves
-from hir_core.run.run_directory import STAGES, RunDirectory
+from hir_core.run.run_directory import STAGE_NAMES, RunDirectory
 
 SHOWN_CURVES = 8
 
@@ -50,7 +50,7 @@ class History:
 def history(directory: RunDirectory, document: Mapping[str, Any], timings: Mapping[str, Any]) -> History:
     """All that the folder knows of quality over time."""
     starts, ends, clock = {}, [], 0.0
-    for stage in STAGES:
+    for stage in STAGE_NAMES:
         if stage in timings.get("stages", {}):
             starts[stage] = clock
             clock += float(timings["stages"][stage]["seconds"])
@@ -89,7 +89,7 @@ def milestones(timings: Mapping[str, Any], kind: str) -> list[float]:
 def curves(directory: RunDirectory) -> str:
     """Small plots of each stage's scalars."""
     shown = []
-    for stage in STAGES:
+    for stage in STAGE_NAMES:
         found = read_curves(directory.stage(stage) / "curves.npz")
         for name in sorted(found)[:SHOWN_CURVES]:
             steps, values = going_on(found[name][0]), found[name][1]

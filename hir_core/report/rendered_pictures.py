@@ -13,11 +13,13 @@ from hir_exporters.scene_format import load_scene
 from hir_exporters.textures.image_files import write_png
 
 from hir_core.capture import block_mean
-from hir_core.evaluation import Truth, difference_picture, masked_pixels, split_in_working_frame, spread
 from hir_core.files.file_names import file_stem
 from hir_core.metrics import OBJECT_COVERAGE, Image, composite, mean, psnr, psnr_without_noise, unassociate
-from hir_core.rendering.reference_renderer import OpenRun, open_for_rendering, reference_renderer, render_view
-from hir_core.rendering.unlit import UnlitView
+from hir_core.rendering.photographs import MaskedPhotograph, difference_picture, masked_photograph
+from hir_core.rendering.reference_renderer import reference_renderer, render_view
+from hir_core.rendering.unlit_renderer import UnlitRenderer
+from hir_core.rendering.view_selection import evenly_spaced_indices
+from hir_core.run.finished_run import FinishedRun, open_finished_run
 from hir_core.run.run_directory import RunDirectory
 
 if TYPE_CHECKING:
@@ -52,20 +54,20 @@ def write_pictures(
     `views`: name, figures and file names of each, `measured_at` where photographs are larger; `stages`: mean PSNR of
     the same views after each stage, small.
     """
-    run = open_for_rendering(directory)
-    capture = split_in_working_frame(run, run.capture_path, "train", plugins)
+    run = open_finished_run(directory)
+    capture = run.views_of_split(run.capture_path, "train", plugins)
     tracer = _Tracer(run, plugins)
     shown: list[dict[str, Any]] = []
-    seen: list[tuple[Truth, Camera, Image]] = []
+    seen: list[tuple[MaskedPhotograph, Camera, Image]] = []
     with atomic_directory(directory.report) as place:
-        for i in spread(len(capture.views), VIEWS):
+        for i in evenly_spaced_indices(len(capture.views), VIEWS):
             view = capture.views[i]
             if view.pixels().mask is None:
                 if on_message is not None:
                     on_message(f"report: {view.name} has no mask and is not shown")
                 continue
             factor = max(1, max(capture.cameras[i].width, capture.cameras[i].height) // SHOWN_SIDE)
-            camera, truth = capture.cameras[i].downsampled(factor), masked_pixels(view).downsampled(factor)
+            camera, truth = capture.cameras[i].downsampled(factor), masked_photograph(view).downsampled(factor)
             pair = tracer.pair(camera, view, truth)
             seen.append((truth, camera, _middle(pair)))
             size = {"measured_at": [camera.width, camera.height]} if factor > 1 else {}
@@ -78,12 +80,12 @@ def write_pictures(
 class _Tracer:
     """Renders a run's scene with as many samples as its figures need."""
 
-    def __init__(self, run: OpenRun, plugins: PluginManager) -> None:
+    def __init__(self, run: FinishedRun, plugins: PluginManager) -> None:
         self._scene = run.scene
-        _, self._quick = reference_renderer(plugins, bounces=run.bounces, most_samples=FEW_SAMPLES)
+        _, self._quick = reference_renderer(plugins, bounces=run.bounces, max_samples=FEW_SAMPLES)
         _, self._thorough = reference_renderer(plugins, bounces=run.bounces)
 
-    def pair(self, camera: Camera, view: View, truth: Truth) -> tuple[Image, Image]:
+    def pair(self, camera: Camera, view: View, truth: MaskedPhotograph) -> tuple[Image, Image]:
         """Two renders (H, W, 4) of independent noise, or one of many samples, twice, where that noise is too much."""
         first, second = (self._rendered(self._quick, camera, view, half) for half in (", first", ", second"))
         if noise_share(first, second, truth) <= MOST_NOISE:
@@ -97,14 +99,14 @@ class _Tracer:
         return fit
 
 
-def noise_share(first: Image, second: Image, truth: Truth) -> float:
+def noise_share(first: Image, second: Image, truth: MaskedPhotograph) -> float:
     """Part that noise has in the squared error of two renders' mean (H, W, 4); 1 where there is no error."""
     one, other = (composite(*unassociate(half)) for half in (first, second))
     noise, error = float(np.square(one - other).mean()) / 4, float(np.square((one + other) / 2 - truth.picture).mean())
     return noise / error if error > 0 else 1.0
 
 
-def stage_psnr(directory: RunDirectory, seen: list[tuple[Truth, Camera, Image]]) -> dict[str, float | None]:
+def stage_psnr(directory: RunDirectory, seen: list[tuple[MaskedPhotograph, Camera, Image]]) -> dict[str, float | None]:
     """Mean PSNR over object pixels, first mesh and finished asset, of the views shown, all reduced alike.
 
     `seen`: photographs, their cameras in the working frame, and the finished asset's renders (H, W, 4).
@@ -118,7 +120,7 @@ def stage_psnr(directory: RunDirectory, seen: list[tuple[Truth, Camera, Image]])
     if record is not None and record.finished:
         scene = load_stage_scene(directory.stage(UNLIT_STAGE) / "scene", "cpu")
         if scene.mesh.vertex_colors is not None:
-            unlit = UnlitView(scene)
+            unlit = UnlitRenderer(scene)
             small = [unlit.render(camera.downsampled(f)) for (_, camera, _), f in zip(seen, factors, strict=True)]
             found[UNLIT_STAGE] = mean([_object_psnr(fit, truth) for fit, truth in zip(small, truths, strict=True)])
     small = [block_mean(fit, factor) for (*_, fit), factor in zip(seen, factors, strict=True)]
@@ -126,7 +128,7 @@ def stage_psnr(directory: RunDirectory, seen: list[tuple[Truth, Camera, Image]])
     return found
 
 
-def _object_psnr(fit: Image, truth: Truth) -> float | None:
+def _object_psnr(fit: Image, truth: MaskedPhotograph) -> float | None:
     return psnr(composite(*unassociate(fit)), truth.picture, truth.mask > OBJECT_COVERAGE)
 
 
@@ -167,7 +169,7 @@ def _middle(pair: tuple[Image, Image]) -> Image:
     return np.mean(pair, axis=0, dtype=np.float32)
 
 
-def _view_pictures(place: Path, name: str, pair: tuple[Image, Image], truth: Truth) -> dict[str, Any]:
+def _view_pictures(place: Path, name: str, pair: tuple[Image, Image], truth: MaskedPhotograph) -> dict[str, Any]:
     first, second = (composite(*unassociate(fit)) for fit in pair)
     picture, true = composite(*unassociate(_middle(pair))), truth.picture
     files = {kind: f"{name}_{kind}.png" for kind in ("true", "fit", "difference")}

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from hir_core.run.run_directory import STAGES
+from hir_core.run.run_directory import STAGE_NAMES
 
 Document = Mapping[str, Any]
 
@@ -86,7 +86,7 @@ def stages(document: Document, timings: Document) -> str:
     entries = timings.get("stages", {})
     longest = max([entry.get("seconds", 0.0) for entry in entries.values()] or [0.0]) or 1.0
     rows = []
-    for stage in STAGES:
+    for stage in STAGE_NAMES:
         if stage not in document["stages"]:
             continue
         seconds = float(entries.get(stage, {}).get("seconds", 0.0))
@@ -207,7 +207,7 @@ def exports(document: Document) -> str:
 
 def warnings(document: Document) -> str:
     """Everything that the run advised."""
-    found = [(stage, w) for stage in STAGES for w in document["stages"].get(stage, {}).get("warnings", ())]
+    found = [(stage, w) for stage in STAGE_NAMES for w in document["stages"].get(stage, {}).get("warnings", ())]
     found += [("plugin", problem) for problem in document.get("plugin_problems", ())]
     if not found:
         return "<p class=quiet>None.</p>"

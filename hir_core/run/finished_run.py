@@ -11,10 +11,10 @@ import numpy as np
 from hir_exporters.scene_format import load_scene
 
 from hir_core.capture import Camera, Capture
-from hir_core.capture.capture_store import read_cameras, restore_capture
 from hir_core.capture.coordinate_frames import CoordinateFrames
 from hir_core.errors import CaptureError, InputError
 from hir_core.intake.reader_lookup import find_reader, read_capture
+from hir_core.run.capture_store import read_cameras, restore_capture
 from hir_core.run.run_directory import RunDirectory
 from hir_core.scene import EnvironmentMap, Scene
 from hir_core.scene.asset_conversion import scene_from_asset

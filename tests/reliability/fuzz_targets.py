@@ -20,7 +20,7 @@ from unittest import mock
 
 import numpy as np
 from hir_exporters.errors import HirError
-from hir_exporters.files.native_output import silenced
+from hir_exporters.files.native_output import suppress_native_output
 from hir_exporters.textures.image_files import encode_png, write_exr, write_hdr
 
 from hir_core.plugins.manager import PluginManager
@@ -157,7 +157,7 @@ def _timings(folder: Path) -> object:
 
 
 def _cameras(folder: Path) -> object:
-    from hir_core.capture.capture_store import read_cameras
+    from hir_core.run.capture_store import read_cameras
 
     return read_cameras(folder / "cameras.json")
 
@@ -198,7 +198,7 @@ def _capture(folder: Path) -> object:
 
 
 def _restored(folder: Path) -> object:
-    from hir_core.capture.capture_store import restore_capture
+    from hir_core.run.capture_store import restore_capture
 
     return [view.pixels() for view in restore_capture(seeds.two_views(folder), folder).views]
 
@@ -260,7 +260,7 @@ def _asset(name: str) -> Callable[[Path], object]:
 
 
 def _usd(name: str) -> Callable[[Path], object]:
-    """OpenUSD in a fork, which it may end: what `read_foreign_usd` does, without Python's half second of start."""
+    """OpenUSD in a fork, which it may end: what `read_untrusted_usd` does, without Python's half second of start."""
 
     def read(folder: Path) -> object:
         from hir_exporters.reading import mesh_import
@@ -273,7 +273,7 @@ def _usd(name: str) -> Callable[[Path], object]:
         if child == 0:
             code = 1
             try:
-                with silenced(), mock.patch.object(mesh_import, "read_foreign_usd", read_usd):
+                with suppress_native_output(), mock.patch.object(mesh_import, "read_untrusted_usd", read_usd):
                     mesh_import.load_mesh_asset(folder / name)
                 code = 0
             except HirError as error:

@@ -15,7 +15,7 @@ from hir_exporters.scene_format import save_scene
 from hir_exporters.textures.image_files import encode_png
 
 from hir_core.capture import Camera, Capture, OrientedPoints, Pixels, View
-from hir_core.capture.capture_store import save_capture
+from hir_core.run.capture_store import save_capture
 from hir_plugins.commands.batch.scheduling.manifest import FORMAT, VERSION, document_bytes
 from hir_plugins.commands.bench.results.bench_result import Result, Row, Timing
 
@@ -58,10 +58,10 @@ def scene(folder: Path) -> None:
 
 def run(folder: Path) -> None:
     """A run that ended, without its pictures."""
-    from hir_core.run.run_directory import STAGES, RunDirectory, StageRecord
+    from hir_core.run.run_directory import STAGE_NAMES, RunDirectory, StageRecord
 
     directory = RunDirectory(folder)
-    stages = {name: {"report": {"triangles": 12, "iou": 0.9, "warnings": []}, "warnings": ["thin"]} for name in STAGES}
+    stages = {name: {"report": {"triangles": 12, "iou": 0.9, "warnings": []}, "warnings": ["thin"]} for name in STAGE_NAMES}
     directory.write_run(
         {
             "capture": {
@@ -94,7 +94,7 @@ def run(folder: Path) -> None:
         "reflectance": {"seconds": 2.0, "progress": [[0, 0.1], [10, 1.9]], "milestones": ended},
     }
     directory.write_timings({"machine": {"cores": 2}, "stages": timed, "seconds": 3.0})
-    for name in STAGES:
+    for name in STAGE_NAMES:
         directory.begin(name, "key")
         directory.finish(StageRecord(name, "key", True, {"a": 1}, ()))
     curve = {"held_out_psnr": np.linspace(20, 30, 4), "held_out_psnr@step": np.array([2, 4, 6, 8])}
@@ -103,7 +103,7 @@ def run(folder: Path) -> None:
 
 def cameras(folder: Path) -> None:
     """capture/cameras.json of a run."""
-    from hir_core.capture.capture_store import camera_document
+    from hir_core.run.capture_store import camera_document
 
     document = camera_document(Camera(_K, _POSE, 64, 48))
     (folder / "cameras.json").write_text(json.dumps({"views": [{"name": "a", "split": "train"} | (document or {})]}))

@@ -14,7 +14,7 @@ from hir_exporters.errors import HirError
 from hir_exporters.scene_format import load_scene, save_scene
 
 from hir_core.pipeline import Run
-from hir_core.run.run_directory import STAGES, RunDirectory
+from hir_core.run.run_directory import STAGE_NAMES, RunDirectory
 from tests.reliability import seeds
 
 MOST_SCENE = 3 << 20
@@ -45,7 +45,7 @@ def test_a_full_disk_ends_a_run_in_one_sentence_and_the_run_goes_on_when_there_i
             quick(tiny_capture, disk / "run", deterministic=True)
         assert "\n" not in str(found.value)
         run = RunDirectory(disk / "run")
-        ended = [name for name in STAGES if (record := run.record(name)) is not None and record.finished]
+        ended = [name for name in STAGE_NAMES if (record := run.record(name)) is not None and record.finished]
         assert ended, "half of a run fits"
         subprocess.run(["mount", "-o", "remount,size=100m", str(disk)], check=True)
         again = quick(tiny_capture, disk / "run", deterministic=True, resume=True)

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from hir_core.run.interrupt import PATIENCE_SECONDS
-from hir_core.run.run_directory import STAGES, RunDirectory
+from hir_core.run.run_directory import STAGE_NAMES, RunDirectory
 from tests.fixtures.runs import QUICK
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals")
@@ -23,10 +23,10 @@ LIMIT_SECONDS = 2.0
 
 NATIVE = """
 import sys
-from hir_core.cli.app import _leave
+from hir_core.cli.app import _exit_at_once
 from hir_core.run.interrupt import remember_interrupts
 
-remember_interrupts(_leave)
+remember_interrupts(_exit_at_once)
 import torch
 torch.set_num_threads(1)
 a = torch.rand(9000, 9000)
@@ -96,5 +96,5 @@ def test_any_moment_of_a_run_ends_in_time_and_resumes(tiny_capture: Path, tmp_pa
 
 def _has_ended(run: Path) -> bool:
     """Has every stage ended, and is the report there?"""
-    records = [RunDirectory(run).record(name) for name in STAGES]
+    records = [RunDirectory(run).record(name) for name in STAGE_NAMES]
     return all(record is not None and record.finished for record in records) and (run / "report.html").exists()

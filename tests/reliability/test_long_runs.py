@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 import torch
 
-from hir_core.cli.progress_bar import ProgressBar
 from hir_core.optimization.optimization_loop import Schedule, optimize
 from hir_core.plugins.manager import PluginManager
 from hir_core.plugins.progress import Progress
 from hir_core.run.machine import return_freed_memory
-from hir_core.run.progress_listener import Listener
+from hir_core.run.progress_listener import ProgressListener
 from hir_core.run.run_log import BACKUPS, MOST_BYTES, write_log
+from hir_core.terminal.progress_bar import ProgressBar
 
 
 def resident_bytes() -> int:
@@ -39,9 +39,9 @@ def test_a_silent_stage_is_said_to_be_alive(capsys: pytest.CaptureFixture[str]) 
             if len(capsys.readouterr().err) and not before:
                 times.append(time.monotonic())
 
-        listener = Listener("initializer", PluginManager(), heard)
+        listener = ProgressListener("initializer", PluginManager(), heard)
         started = time.monotonic()
-        with listener.beating():
+        with listener.heartbeat():
             time.sleep(5.6)
         ended = time.monotonic()
     # a second more than is promised: other tests may have the processors
@@ -50,8 +50,8 @@ def test_a_silent_stage_is_said_to_be_alive(capsys: pytest.CaptureFixture[str]) 
 
 def test_a_stage_that_reports_is_not_talked_over() -> None:
     told: list[Progress] = []
-    listener = Listener("geometry", PluginManager(), told.append)
-    with listener.beating():
+    listener = ProgressListener("geometry", PluginManager(), told.append)
+    with listener.heartbeat():
         for step in range(1, 13):
             time.sleep(0.1)
             listener.report(Progress("geometry", step, 100, 0.0, {"loss": np.array([1.0])}))

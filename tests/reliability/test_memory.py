@@ -19,8 +19,8 @@ from hir_core.errors import ConfigError, StageError
 from hir_core.pipeline import Run
 from hir_core.plugins.manager import PluginManager
 from hir_core.run.machine import return_freed_memory
-from hir_core.run.memory_plan import parse_size, plan_memory
-from hir_core.run.run_directory import STAGES
+from hir_core.run.run_directory import STAGE_NAMES
+from hir_core.stages.memory_plan import parse_size, plan_memory
 from tests.reliability.test_long_runs import resident_bytes
 
 PLUGINS = PluginManager.discover()
@@ -75,8 +75,8 @@ def test_a_run_says_and_writes_what_it_shrank(
     tiny_capture: Path, quick: Callable[..., Run], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A capture of 64×64 pixels fits into anything: decoded pixels are counted as a thousand times as many bytes."""
-    monkeypatch.setattr("hir_core.run.memory_plan.DECODED", 17_000)
-    monkeypatch.setattr("hir_core.run.memory_plan.LEAST_CACHE", 1000)
+    monkeypatch.setattr("hir_core.stages.memory_plan.DECODED", 17_000)
+    monkeypatch.setattr("hir_core.stages.memory_plan.LEAST_CACHE", 1000)
     kept: list[int] = []
     plain = PixelCache.__init__
     monkeypatch.setattr(PixelCache, "__init__", lambda self, most: (kept.append(most), plain(self, most))[1])
@@ -152,5 +152,5 @@ def test_300_views_of_512_take_at_most_4_gigabytes(shared: Path, tmp_path: Path)
     assert max(measured.values()) <= 4 << 30
     assert set(measured) >= {"initializer", "geometry", "atlas", "reflectance", "bake"}
     # a peak is that of all stages so far
-    told = [name for name in STAGES if name in measured]
+    told = [name for name in STAGE_NAMES if name in measured]
     assert all(measured[name] <= max(estimated[n] for n in told[: i + 1]) for i, name in enumerate(told))

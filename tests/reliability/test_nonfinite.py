@@ -15,7 +15,7 @@ from hir_core.capture import Capture, Pixels, View
 from hir_core.config import GeometrySettings, ReflectanceSettings
 from hir_core.errors import HirError, StageError
 from hir_core.optimization.checkpoints import load_checkpoint
-from hir_core.optimization.optimization_loop import PATIENCE_NONFINITE, Keep, Schedule, optimize
+from hir_core.optimization.optimization_loop import MAX_CONSECUTIVE_NONFINITE_STEPS, Keep, Schedule, optimize
 from hir_core.plugins.manager import PluginManager
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import Material, Scene
@@ -68,8 +68,8 @@ def test_a_value_of_one_view_is_named(
     monkeypatch.setattr(Contour, "overlap", overlap)
     settings = replace(SETTINGS, views_per_step=2)
     fitted, report = fit_geometry(scene, capture, settings, context[0])
-    level = report["levels"][0]
-    assert 5 <= level["skipped_steps"]["silhouette"] <= 10, "one step in four draws that view"
+    level = report.levels[0]
+    assert 5 <= level.skipped_steps["silhouette"] <= 10, "one step in four draws that view"
     assert any(f"view {bad.name}" in w and "silhouette is not finite" in w for w in context[1])
     assert bool(torch.isfinite(fitted.mesh.positions).all())
 
@@ -92,7 +92,7 @@ def test_a_gradient_at_some_vertices_is_named(
 
     monkeypatch.setattr(Contour, "overlap", overlap)
     fitted, report = fit_geometry(Scene(sphere(radius=1.3)), capture, replace(SETTINGS, views_per_step=2), context[0])
-    assert report["levels"][0]["skipped_steps"]["silhouette"] >= 1
+    assert report.levels[0].skipped_steps["silhouette"] >= 1
     assert any("vertices 3, 7" in w for w in context[1]), context[1]
     assert bool(torch.isfinite(fitted.mesh.positions).all())
 
@@ -115,7 +115,7 @@ def test_a_regularizer_is_named(
 
     monkeypatch.setattr(Laplacian, "prepare", prepare)
     _, report = fit_geometry(Scene(sphere(radius=1.3)), capture, SETTINGS, context[0])
-    assert report["levels"][0]["skipped_steps"] == {"laplacian": 1}
+    assert report.levels[0].skipped_steps == {"laplacian": 1}
     assert any("step 9: laplacian is not finite" in w for w in context[1]), context[1]
 
 
@@ -140,7 +140,7 @@ def _sick_photograph(view: View) -> View:
 def test_a_photograph_of_nan_is_named_or_its_pixels_left_out(
     capture: Capture, context: tuple[StageContext, list[str]]
 ) -> None:
-    from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import photographed
+    from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import observe_pixels
     from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import build_transport
 
     views = list(capture.views)
@@ -150,7 +150,7 @@ def test_a_photograph_of_nan_is_named_or_its_pixels_left_out(
         object_pixels(sick, list(range(8)), 1, "cpu")
     transport = build_transport(sphere(), 500, 100, (4, 8), 4, "cpu")
     with pytest.warns(UserWarning, match=f"view {views[3].name}: "):
-        found = photographed(transport, sick, 3, 10_000, 1, 0)
+        found = observe_pixels(transport, sick, 3, 10_000, 1, 0)
     assert bool(torch.isfinite(found.color).all())
 
 
@@ -186,7 +186,7 @@ def _fit(capture: Capture, context: StageContext, lamp: Lamp, poison: str = "") 
     pixels = object_pixels(capture, list(range(8)), 1, "cpu")
     from hir_core.optimization.weighted_energies import prepare_energies
 
-    energies = prepare_energies(scene, {}, context)
+    energies = prepare_energies(scene, {}, context.plugins)
     return fit_by_gradient(scene, lamp, pixels, settings, energies, context, steps=40)  # type: ignore[arg-type]
 
 
@@ -209,7 +209,7 @@ def test_a_view_of_the_reflectance_fit_is_named(capture: Capture, context: tuple
 def test_a_texture_of_nan_stops_the_stage_and_is_named(
     capture: Capture, context: tuple[StageContext, list[str]]
 ) -> None:
-    with pytest.raises(StageError, match=rf"{PATIENCE_NONFINITE} steps in a row"):
+    with pytest.raises(StageError, match=rf"{MAX_CONSECUTIVE_NONFINITE_STEPS} steps in a row"):
         _fit(capture, context[0], Lamp(lambda _: False), poison="texture")
 
 

@@ -1,4 +1,4 @@
-"""Writes an asset in the formats asked for; imports nothing of the heavy side."""
+"""Writes an asset in several formats. Imports no torch, so `hir export` starts fast."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ EDIT_HOOKS: Mapping[str, tuple[str, str]] = {
     "gltf": ("hir_gltf_document", "document"),
     "usd": ("hir_usd_stage", "stage"),
 }
-"""An exporter's trait, the hook that may change its document, and the name that the hook gives the document."""
+"""Trait of an exporter → the hook that edits its document, and the name of the hook's parameter for the document."""
 
 
 def export_asset(
@@ -31,14 +31,18 @@ def export_asset(
     options: Mapping[str, Mapping[str, Any]] | None = None,
     on_file: Callable[[str, ExportReport], None] | None = None,
 ) -> dict[str, ExportReport]:
-    """Writes `folder/<asset's name>.<format>` for each format; all names are checked before the first is written."""
+    """Writes `folder/<name of the asset>.<format>` for each format.
+
+    All formats and options are checked before the first file is written. `options` are those of each format; `on_file`
+    is called after each format. `ConfigError` where no format is named.
+    """
     exporters: dict[str, tuple[Registered, Exporter]] = {}
     for name in formats:
         exporter: Exporter = plugins.create("exporter", name, (options or {}).get(name))
         exporters[name] = (plugins.find("exporter", name), exporter)
     if not exporters:
         known = ", ".join(r.component.name for r in plugins.components("exporter"))
-        raise ConfigError(f"no format is named; give one or more with -f: {known}")
+        raise ConfigError(f"no format is chosen; choose one or more with -f: {known}")
     reports = {}
     for name, (registered, exporter) in exporters.items():
         report = exporter.write(asset, folder / f"{file_stem(asset.name)}.{name}", _edit(registered, plugins))

@@ -1,4 +1,4 @@
-"""Renders what was written beside what was fitted: the same cameras, the same renderer, the same random numbers."""
+"""Renders exported files and the fitted scene with equal cameras, renderer and random numbers, and compares them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from hir_exporters.asset import Asset, AssetEnvironment
-from hir_exporters.reading.written_asset import WrittenAsset
+from hir_exporters.reading.asset_decoding import DecodedAsset
 
 from hir_core.capture import Array, Camera
 from hir_core.metrics import OBJECT_COVERAGE, Image, composite, psnr, unassociate
@@ -23,18 +23,18 @@ if TYPE_CHECKING:
     from hir_core.scene import Scene
 
 VIEWS: Final = 4
-"""Cameras that a file is rendered from, spread over the run's."""
+"""Number of cameras that a file is rendered from, evenly spaced over those of the run."""
 
-FINER: Final = 8
-"""Equal random numbers hide most noise while materials are alike; where they are not, so many times the paths are
-taken."""
+RETRY_SAMPLE_FACTOR: Final = 8
+"""Factor of the paths per pixel in the second comparison. Equal random numbers cancel most noise between similar
+materials; where the first comparison is bad, noise may be the reason."""
 
 
 class Rerender:
-    """The fitted scene's pictures, rendered once, and the comparison of files with them.
+    """Renders the fitted scene once, and compares files with it.
 
-    `cameras` are in the asset's frame, `working_from_asset` (4×4) leads to the frame that renderers are used to.
-    `side` bounds the pictures' longer side in pixels, `samples` are paths for each pixel.
+    `cameras` are in the asset frame; `working_from_asset` (4×4) moves them to the frame in which renderers work.
+    `side` is the maximum of the longer image side in pixels, `samples` the number of paths per pixel.
     """
 
     _is_finer = False
@@ -72,57 +72,57 @@ class Rerender:
 
     @cached_property
     def _finer(self) -> Rerender:
-        """The same with more paths, for files whose first comparison may be noise."""
+        """The same comparison with more paths per pixel."""
         finer = copy(self)
         finer.__dict__.pop("_fitted", None)
-        finer._sample(FINER * self._samples)
+        finer._sample(RETRY_SAMPLE_FACTOR * self._samples)
         finer._is_finer = True
         return finer
 
-    def compare(self, written: WrittenAsset, light: AssetEnvironment | None) -> dict[str, Any]:
-        """PSNR in dB of a file's pictures against the fitted scene's, JSON-able.
+    def compare(self, written: DecodedAsset, light: AssetEnvironment | None) -> dict[str, Any]:
+        """PSNR in dB of renders of a file against renders of the fitted scene, JSON-able.
 
-        `psnr.object` is over pixels that the fitted object covers, `psnr.views` the same of each camera. Below 40 dB
-        it is rendered again with `FINER` times the paths, and where that stays so `costs` has the PSNR with one part of
-        the file alone (its material, mesh or light) in the fitted scene. `light` of the file, in world axes, is used
-        where the run's light stands in the world.
+        `psnr.object` is over pixels that the fitted object covers, `psnr.views` the same for each camera. Below
+        `GOOD_PSNR` the file is rendered again with `RETRY_SAMPLE_FACTOR` times the paths. Where it is still below,
+        `costs` has the PSNR of the fitted scene with one part of the file: its material, mesh or light. `light` is
+        that of the file, in world axes; it is used where the run's light is fixed in the world.
         """
         lit = light if light is not None and self.light_in_world else self._asset.environment
         whole = replace(self._asset, mesh=written.mesh, material=written.material, environment=lit)
         views = self._views(self._pictures(whole))
         if _mean(views) < GOOD_PSNR and not self._is_finer:
             return self._finer.compare(written, light)
-        found: dict[str, Any] = {
-            "rendered": written.understood,
+        result: dict[str, Any] = {
+            "rendered": written.interpretation,
             "renderer": self._name,
             "samples": self._samples,
             "side": self._side,
             "psnr": {"object": _mean(views), "views": views},
         }
         if _mean(views) < GOOD_PSNR:
-            # what was fitted under its own normals and UVs takes only one part at a time from the file
+            # one part at a time: material and normals of the fit belong to its own UVs
             parts = {
                 "the material": replace(self._asset, material=written.material),
                 "the mesh": replace(self._asset, mesh=written.mesh),
             }
             if lit is not self._asset.environment:
                 parts["the light"] = replace(self._asset, environment=lit)
-            found["costs"] = {name: _mean(self._views(self._pictures(part))) for name, part in parts.items()}
-        return found
+            result["costs"] = {name: _mean(self._views(self._pictures(part))) for name, part in parts.items()}
+        return result
 
     def _pictures(self, asset: Asset) -> dict[str, Image]:
         scene: Scene = move_scene(scene_from_asset(asset), self._working_from_asset).to(self._device)
         return {name: render_view(self._renderer, scene, camera, name) for name, camera in self._cameras.items()}
 
     def _views(self, pictures: Mapping[str, Image]) -> dict[str, float]:
-        found = {}
+        values = {}
         for name, picture in pictures.items():
             truth = self._fitted[name]
             where = truth[..., 3] > OBJECT_COVERAGE
             value = psnr(composite(*unassociate(picture)), composite(*unassociate(truth)), where)
-            if value is not None:  # a camera that does not see the object tells nothing
-                found[name] = round(value, 2)
-        return found
+            if value is not None:  # None: the camera does not see the object
+                values[name] = round(value, 2)
+        return values
 
 
 def _mean(views: Mapping[str, float]) -> float:
@@ -135,4 +135,4 @@ def _small(camera: Camera, side: int) -> Camera:
 
 
 GOOD_PSNR: Final = 40.0
-"""dB over the object's pixels under which a re-rendered file is warned of."""
+"""dB over the object's pixels; a warning is given for files below."""

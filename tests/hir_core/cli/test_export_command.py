@@ -18,7 +18,7 @@ from hir_exporters.scene_format import save_scene
 from hir_exporters.textures.image_files import write_png
 
 from hir_core.cli import main
-from hir_core.cli.export import parse_lods
+from hir_core.cli.export_command import parse_lods
 
 ROOT = Path(__file__).resolve().parents[3]
 PLATE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nvt 1 1\nf 1/1 2/2 3/3\nf 2/2 4/4 3/3\n"

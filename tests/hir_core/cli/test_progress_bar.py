@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hir_core.cli.progress_bar import ProgressBar, time_text
 from hir_core.plugins.progress import Progress
+from hir_core.terminal.progress_bar import ProgressBar, time_text
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from hir_core.errors import InputError
 from hir_core.evaluation.relighting import lit_scene
 from hir_core.pipeline import Run
 from hir_core.plugins.manager import PluginManager
-from hir_core.rendering.reference_renderer import open_for_rendering
+from hir_core.run.finished_run import open_finished_run
 
 PLUGINS = PluginManager.discover()
 
@@ -20,8 +20,8 @@ PLUGINS = PluginManager.discover()
 def test_the_light_is_the_fitted_one_the_splits_or_the_named_one(
     finished: Run, tiny_capture: Path, tmp_path: Path
 ) -> None:
-    run = open_for_rendering(finished.directory)
-    splits = {split: run.read(tiny_capture, split, PLUGINS) for split in ("test", "relight_0")}
+    run = open_finished_run(finished.directory)
+    splits = {split: run.read_split(tiny_capture, split, PLUGINS) for split in ("test", "relight_0")}
     scene, facts = lit_scene(run, tiny_capture, splits["test"], "", PLUGINS)
     assert scene is run.scene and facts == {"fitted": True}, "the same light as in training"
     scene, facts = lit_scene(run, tiny_capture, splits["relight_0"], "", PLUGINS)

@@ -15,13 +15,15 @@ from hir_exporters.textures.image_files import write_png
 
 from hir_core.cli import main
 from hir_core.errors import InputError
-from hir_core.evaluation import Question, evaluate_run
+from hir_core.evaluation import EvaluationRequest, evaluate_run
 from hir_core.evaluation.truth_evaluation import light_figures, surface_figures
 from hir_core.metrics import composite, psnr, unassociate
 from hir_core.pipeline import Run
 from hir_core.plugins.manager import PluginManager
-from hir_core.rendering.reference_renderer import light_of, open_for_rendering, reference_renderer, render_view
-from hir_core.rendering.unlit import UnlitView
+from hir_core.rendering.light_files import load_light
+from hir_core.rendering.reference_renderer import reference_renderer, render_view
+from hir_core.rendering.unlit_renderer import UnlitRenderer
+from hir_core.run.finished_run import open_finished_run
 from hir_core.run.run_directory import RunDirectory
 from hir_core.scene.asset_conversion import scene_from_asset
 
@@ -42,16 +44,16 @@ def known(finished: Run, tiny_capture: Path, plugins: PluginManager, tmp_path: P
     document = directory.read_run()
     document["capture"]["path"] = str(tmp_path / "capture")
     directory.write_run(document)
-    run = open_for_rendering(directory)
-    source_from_working = np.linalg.inv(run.working_from_asset @ run.asset_from_source)
+    run = open_finished_run(directory)
+    source_from_working = np.linalg.inv(run.frames.working_from_source)
     positions = run.scene.mesh.positions.numpy() @ source_from_working[:3, :3].T + source_from_working[:3, 3]
     trimesh.Trimesh(positions, run.scene.mesh.faces.numpy(), process=False).export(
         tmp_path / "capture" / "reference.obj"
     )
     test = json.loads((tmp_path / "capture" / "transforms_test.json").read_text())
-    views = run.read(tmp_path / "capture", "test", plugins)
+    views = run.read_split(tmp_path / "capture", "test", plugins)
     for frame, camera in zip(test["frames"], views.cameras, strict=True):
-        color, coverage = unassociate(UnlitView(run.scene).render(camera))
+        color, coverage = unassociate(UnlitRenderer(run.scene).render(camera))
         frame["file_path"] = frame["file_path"].replace("test/", "albedo_test/")
         name = tmp_path / "capture" / Path(frame["file_path"]).with_suffix(".png")
         name.parent.mkdir(exist_ok=True)
@@ -62,7 +64,7 @@ def known(finished: Run, tiny_capture: Path, plugins: PluginManager, tmp_path: P
 
 
 def test_a_run_is_its_own_truth(known: RunDirectory, plugins: PluginManager) -> None:
-    result = evaluate_run(known, Question(truth=True, options=CHEAP, views=1), plugins)
+    result = evaluate_run(known, EvaluationRequest(truth=True, options=CHEAP, views=1), plugins)
     assert len(result["views"]) == 1
     assert result["surface"]["chamfer"] < 1e-5 and result["surface"]["seen"]["f_score"]["0.005"] == 1.0
     # 8 bits of sRGB: an error of at most half a step, mostly less
@@ -74,23 +76,23 @@ def test_a_run_is_its_own_truth(known: RunDirectory, plugins: PluginManager) -> 
 
 
 def test_the_true_light_is_no_error_and_a_turned_one_is(known: RunDirectory, plugins: PluginManager) -> None:
-    run = open_for_rendering(known)
+    run = open_finished_run(known)
     path = run.capture_path
-    capture = run.read(path, "train", plugins)
+    capture = run.read_split(path, "train", plugins)
     assert capture.environment is not None
-    truth = light_of(capture.environment, capture.world_from_source)
-    found = light_figures(replace(run, scene=run.lit_by(truth)), path, capture, plugins)
+    truth = load_light(capture.environment, capture.world_from_source)
+    found = light_figures(replace(run, scene=run.with_light(truth)), path, capture, plugins)
     assert found is not None and found["texels"] < 1e-9 and found["scale"] == pytest.approx(1.0)
     turned = replace(truth, radiance=truth.radiance.roll(truth.radiance.shape[1] // 4, dims=1))
-    wrong = light_figures(replace(run, scene=run.lit_by(turned)), path, capture, plugins)
+    wrong = light_figures(replace(run, scene=run.with_light(turned)), path, capture, plugins)
     assert wrong is not None and wrong["spheres"]["diffuse"] > 0.05
     carried = replace(truth, frame="camera")
-    assert light_figures(replace(run, scene=run.lit_by(carried)), path, capture, plugins) is None
+    assert light_figures(replace(run, scene=run.with_light(carried)), path, capture, plugins) is None
 
 
 def test_a_file_that_is_no_mesh_is_named(known: RunDirectory, plugins: PluginManager, tmp_path: Path) -> None:
-    run = open_for_rendering(known)
-    capture = run.read(run.capture_path, "test", plugins)
+    run = open_finished_run(known)
+    capture = run.read_split(run.capture_path, "test", plugins)
     (tmp_path / "points.obj").write_text("v 0 0 0\n")
     with pytest.raises(InputError, match=r"points\.obj"):
         surface_figures(run, tmp_path / "points.obj", capture)
@@ -115,17 +117,17 @@ def test_command_compares_runs(known: RunDirectory, capsys: pytest.CaptureFixtur
 @pytest.mark.parametrize("split", ["relight_0", "relight_1"])
 def test_a_light_file_lights_the_true_object_as_cycles_did(shared: Path, plugins: PluginManager, split: str) -> None:
     """The axes of a capture's light: the true mesh and material under it are the photograph, a turned light is not."""
-    from hir_exporters.reading.mesh_import import SurfaceMaps, load_mesh_asset
+    from hir_exporters.reading.mesh_import import MaterialOverrides, load_mesh_asset
 
     from hir_core.intake.reader_lookup import read_capture
     from hir_core.scene.frames import move_scene
 
     capture = read_capture(shared / "captures" / "spot", split, plugins)
-    maps = SurfaceMaps(shared / "models" / "spot" / "spot_texture.png", roughness=0.3, metallic=0.0)
+    maps = MaterialOverrides(shared / "models" / "spot" / "spot_texture.png", roughness=0.3, metallic=0.0)
     asset = load_mesh_asset(shared / "captures" / "spot" / "reference.obj", maps)
     scene = move_scene(scene_from_asset(asset), capture.world_from_source)
     assert capture.environment is not None
-    light = light_of(capture.environment, capture.world_from_source)
+    light = load_light(capture.environment, capture.world_from_source)
     view = capture.views[2].pixels().downsampled(4)
     truth = composite(view.color_linear, view.mask)
     _, renderer = reference_renderer(plugins, "", {"render_samples": 64, "max_depth": 4})

@@ -14,13 +14,13 @@ from hir_core.cli import main
 from hir_core.errors import InputError
 from hir_core.pipeline import Run
 from hir_core.plugins.manager import PluginManager
-from hir_core.rendering.asset_edit import Edit, edit_run, edited
+from hir_core.rendering.asset_edit import AssetEdit, apply_edit, edit_run
 from hir_core.testing.assets import textured_asset
 
 
 def test_factors_are_those_of_engines() -> None:
     asset = textured_asset()
-    found = edited(asset, Edit(roughness=1.5, tint=(1.0, 0.5, 0.25), specular=2.0))
+    found = apply_edit(asset, AssetEdit(roughness=1.5, tint=(1.0, 0.5, 0.25), specular=2.0))
     np.testing.assert_allclose(
         np.sqrt(found.material.roughness), np.minimum(np.sqrt(asset.material.roughness) * 1.5, 1), rtol=1e-5
     )
@@ -30,13 +30,13 @@ def test_factors_are_those_of_engines() -> None:
     )
     assert found.provenance["edited"] == "roughness × 1.5, albedo × 1 0.5 0.25, specular × 2"
     np.testing.assert_array_equal(found.mesh.positions, asset.mesh.positions)
-    np.testing.assert_array_equal(edited(asset, Edit()).material.roughness, asset.material.roughness)
+    np.testing.assert_array_equal(apply_edit(asset, AssetEdit()).material.roughness, asset.material.roughness)
 
 
 def test_light_is_replaced_strength_included(tmp_path: Path) -> None:
     radiance = np.full((8, 16, 3), 2.0, np.float32)
     write_hdr(tmp_path / "even.hdr", radiance)
-    found = edited(textured_asset(), Edit(light=f"{tmp_path / 'even.hdr'}*0.25"))
+    found = apply_edit(textured_asset(), AssetEdit(light=f"{tmp_path / 'even.hdr'}*0.25"))
     assert found.environment is not None and found.environment.frame == "world"
     np.testing.assert_allclose(found.environment.radiance, 0.5, rtol=0.01)
 
@@ -44,15 +44,15 @@ def test_light_is_replaced_strength_included(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("edit", "said"),
     [
-        (Edit(roughness=-1), "--roughness"),
-        (Edit(specular=float("nan")), "--specular"),
-        (Edit(tint=(1, -1, 1)), "--tint"),
-        (Edit(light="gone.hdr"), "gone.hdr"),
+        (AssetEdit(roughness=-1), "--roughness"),
+        (AssetEdit(specular=float("nan")), "--specular"),
+        (AssetEdit(tint=(1, -1, 1)), "--tint"),
+        (AssetEdit(light="gone.hdr"), "gone.hdr"),
     ],
 )
-def test_what_makes_no_sense_is_said(edit: Edit, said: str) -> None:
+def test_what_makes_no_sense_is_said(edit: AssetEdit, said: str) -> None:
     with pytest.raises(InputError, match=said):
-        edited(textured_asset(), edit)
+        apply_edit(textured_asset(), edit)
 
 
 def test_command_writes_a_scene_and_a_picture(finished: Run, tmp_path: Path) -> None:
@@ -78,11 +78,11 @@ def test_command_writes_a_scene_and_a_picture(finished: Run, tmp_path: Path) -> 
 def test_places_that_hold_something_else_are_left_alone(finished: Run, tmp_path: Path) -> None:
     plugins = PluginManager.discover()
     with pytest.raises(InputError, match="holds no finished scene"):
-        edit_run(tmp_path, Edit(), tmp_path / "out", plugins)
+        edit_run(tmp_path, AssetEdit(), tmp_path / "out", plugins)
     (tmp_path / "letters").mkdir()
     (tmp_path / "letters" / "to_mother.txt").write_text("dear")
     with pytest.raises(InputError, match="holds something else"):
-        edit_run(finished.path, Edit(), tmp_path / "letters", plugins, picture=False)
+        edit_run(finished.path, AssetEdit(), tmp_path / "letters", plugins, picture=False)
     assert [file.name for file in (tmp_path / "letters").iterdir()] == ["to_mother.txt"]
 
 
@@ -90,8 +90,8 @@ def test_a_scene_without_light_needs_one_for_its_picture(tmp_path: Path) -> None
     plugins = PluginManager.discover()
     save_scene(replace(textured_asset(), environment=None), tmp_path / "dark")
     with pytest.raises(InputError, match="has no light to be shown under; give one with --light"):
-        edit_run(tmp_path / "dark", Edit(), tmp_path / "out", plugins)
-    written = edit_run(tmp_path / "dark", Edit(roughness=0.5), tmp_path / "plain", plugins, picture=False)
+        edit_run(tmp_path / "dark", AssetEdit(), tmp_path / "out", plugins)
+    written = edit_run(tmp_path / "dark", AssetEdit(roughness=0.5), tmp_path / "plain", plugins, picture=False)
     assert written == [tmp_path / "plain" / "scene.json"]
-    again = edit_run(tmp_path / "plain", Edit(roughness=0.5), tmp_path / "plain", plugins, picture=False)
+    again = edit_run(tmp_path / "plain", AssetEdit(roughness=0.5), tmp_path / "plain", plugins, picture=False)
     assert again == written, "a scene folder may be written over"

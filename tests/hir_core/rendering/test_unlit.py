@@ -9,7 +9,7 @@ import torch
 
 from hir_core.plugins.manager import PluginManager
 from hir_core.rendering.reference_renderer import reference_renderer, render_view
-from hir_core.rendering.unlit import UnlitView, sampled
+from hir_core.rendering.unlit_renderer import UnlitRenderer, sampled
 from hir_core.scene import EnvironmentMap, Material, Scene
 from hir_core.testing.scenes import looking_at, sphere
 
@@ -26,7 +26,7 @@ def textured() -> Scene:
 
 def test_unlit_is_what_a_white_furnace_shows() -> None:
     scene, camera = textured(), looking_at((1.0, 1.5, 3.0), SIZE)
-    ours = UnlitView(scene).render(camera)
+    ours = UnlitRenderer(scene).render(camera)
     _, renderer = reference_renderer(PluginManager.discover(), "", {"render_samples": 256, "max_depth": 2})
     theirs = render_view(renderer, scene, camera, "furnace")
     inside = (ours[..., 3] == 1) & (theirs[..., 3] > 0.999)
@@ -42,7 +42,7 @@ def test_vertex_colours_are_interpolated() -> None:
     positions = scene.mesh.positions
     mesh = replace(scene.mesh, vertex_colors=positions * 0.4 + 0.5)
     camera = looking_at((0.0, 0.0, 3.0), SIZE)
-    picture = UnlitView(Scene(mesh)).render(camera)
+    picture = UnlitRenderer(Scene(mesh)).render(camera)
     rows, columns = np.nonzero(picture[..., 3] == 1)
     pixels = np.stack([columns + 0.5, rows + 0.5], axis=1)
     origins, directions = camera.rays(pixels)
@@ -56,7 +56,7 @@ def test_vertex_colours_are_interpolated() -> None:
 
 def test_a_scene_without_colours_is_grey() -> None:
     scene = replace(textured(), material=None)
-    picture = UnlitView(scene).render(looking_at((0.0, 0.0, 3.0), SIZE))
+    picture = UnlitRenderer(scene).render(looking_at((0.0, 0.0, 3.0), SIZE))
     np.testing.assert_allclose(picture[..., :3], 0.5 * picture[..., 3:].repeat(3, axis=2), atol=1e-6)
 
 

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 from hir_exporters.textures.image_files import read_ldr
 
-from hir_core.evaluation import spread
 from hir_core.files.json_documents import read_json, write_json
 from hir_core.pipeline import Run
 from hir_core.plugins.manager import PluginManager
+from hir_core.rendering.view_selection import evenly_spaced_indices
 from hir_core.report import convergence, history_chart, refresh_page, rendered_pictures, tables
 from hir_core.report.curve_svg import curve_svg, thinned
 from hir_core.report.rendered_pictures import light_picture
-from hir_core.run.run_directory import STAGES, RunDirectory
+from hir_core.run.run_directory import STAGE_NAMES, RunDirectory
 
 SHOOT = Path(__file__).resolve().parents[3] / "tools" / "shoot_report.py"
 
@@ -102,7 +102,7 @@ def test_page_says_what_the_run_knows(finished: Run, tmp_path: Path) -> None:
     directory = RunDirectory(tmp_path / "run")
     document, timings = directory.read_run(), directory.read_timings()
     found = convergence.history(directory, document, timings)
-    assert [stage for stage, _ in found.ends] == list(STAGES)
+    assert [stage for stage, _ in found.ends] == list(STAGE_NAMES)
     assert found.ends[-1][1] == pytest.approx(timings["seconds"], rel=1e-6)
     (stages,) = [series for series in found.series if series.kind == "stages"]
     assert len(stages.psnr) == 2 and stages.psnr[1] > 10, "the first mesh and the finished asset"
@@ -172,8 +172,12 @@ def test_curve_of_many_steps_is_thinned_and_finite() -> None:
 
 
 def test_views_are_spread_from_first_to_last() -> None:
-    assert spread(24, 4) == [0, 8, 15, 23]
-    assert spread(2, 4) == [0, 1] and spread(1, 4) == [0] and spread(0, 4) == []
+    assert evenly_spaced_indices(24, 4) == [0, 8, 15, 23]
+    assert (
+        evenly_spaced_indices(2, 4) == [0, 1]
+        and evenly_spaced_indices(1, 4) == [0]
+        and evenly_spaced_indices(0, 4) == []
+    )
 
 
 def test_black_light_is_a_black_picture() -> None:

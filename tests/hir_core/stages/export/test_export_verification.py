@@ -12,17 +12,17 @@ from hir_exporters.asset import Asset, AssetEnvironment, AssetMaterial, AssetMes
 from hir_exporters.exporter import ExportReport
 from hir_exporters.formats import create_exporter
 from hir_exporters.materials.material_conversion import to_gltf
+from hir_exporters.reading.asset_decoding import decode_material
 from hir_exporters.reading.readback import ReadBack
-from hir_exporters.reading.written_asset import decoded_material
 from hir_exporters.textures.image_files import read_hdr, write_hdr
 from pygltflib import GLTF2
 
 from hir_core.cli import main
 from hir_core.pipeline import Run
 from hir_core.plugins.manager import PluginManager
-from hir_core.rendering.run_pictures import orbit_cameras
+from hir_core.rendering.orbit_cameras import orbit_cameras
 from hir_core.stages.export.export_rerendering import Rerender
-from hir_core.stages.export.export_verification import Verified, verify_export
+from hir_core.stages.export.export_verification import ExportVerification, verify_export
 
 GREY = {"diffuse_albedo": [0.4, 0.3, 0.2], "specular_albedo": [0.2] * 3, "roughness": 0.2}
 
@@ -42,7 +42,7 @@ def ball(model: str, **material: object) -> Asset:
     return Asset(mesh, AssetMaterial(model, **given), AssetEnvironment(light), name="ball")  # type: ignore[arg-type]
 
 
-def verified(asset: Asset, folder: Path, spoil: object = None, **options: object) -> Verified:
+def verified(asset: Asset, folder: Path, spoil: object = None, **options: object) -> ExportVerification:
     """Writes a .glb, lets `spoil` change the files, verifies."""
     plugins = PluginManager.discover()
     report: ExportReport = plugins.create("exporter", "glb", options).write(asset, folder / "ball.glb")
@@ -126,9 +126,9 @@ def test_decoding_undoes_the_conversion(model: str, profile: str) -> None:
     """Before any rounding to 8 bits. What is left out is a least-squares fit, which nothing undoes."""
     material = ball(model, **GREY | {"specular_albedo": [0.1] * 3}).material
     surface = to_gltf(material, profile)  # type: ignore[arg-type]
-    legacy = surface if profile == "unity-legacy" else None
-    back = ReadBack(*[np.zeros((0, 3, 3))] * 3, surface=surface, legacy=legacy, normal=None)  # type: ignore[arg-type]
-    decoded, _ = decoded_material(back, profile)
+    specular_surface = surface if profile == "unity-legacy" else None
+    back = ReadBack(*[np.zeros((0, 3, 3))] * 3, surface=surface, specular_surface=specular_surface, normal=None)  # type: ignore[arg-type]
+    decoded, _ = decode_material(back, profile)
     assert decoded.model == model
     np.testing.assert_allclose(decoded.diffuse_albedo, material.diffuse_albedo, rtol=1e-5)
     np.testing.assert_allclose(decoded.specular_albedo, material.specular_albedo, rtol=1e-5)
@@ -193,7 +193,7 @@ def test_a_light_that_moves_with_the_camera_is_the_runs_own(tmp_path: Path) -> N
     ],
 )
 def test_what_was_verified_in_one_line(report: dict[str, object], sentence: str) -> None:
-    assert Verified(report, ()).sentence() == sentence
+    assert ExportVerification(report, ()).sentence() == sentence
 
 
 def test_a_light_with_nothing_to_compare_it_with_is_told(tmp_path: Path) -> None:

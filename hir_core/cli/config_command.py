@@ -1,4 +1,4 @@
-"""`hir config`: what the settings are and what they may be."""
+"""`hir config`: prints the settings and their schema."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from typing import Any
 
 import click
 
-from hir_core.cli.options import plugin_option, settings_options
+from hir_core.terminal.command_options import plugin_option, settings_options
 
 
 @click.group("config")
 def config_group() -> None:
-    """Shows settings."""
+    """Prints the settings of a run, or their JSON schema."""
 
 
 @config_group.command("show")
@@ -23,7 +23,7 @@ def config_group() -> None:
 def show_command(
     preset: str, config_file: Path | None, assignments: tuple[str, ...], plugin_files: tuple[str, ...]
 ) -> None:
-    """Prints all settings as TOML, after preset, file and --set are merged; feed it back with --config."""
+    """Prints all settings as TOML: preset, file and --set merged. `hir reconstruct --config` reads the output."""
     import tomli_w
 
     from hir_core.config import load_config
@@ -37,7 +37,7 @@ def show_command(
 @config_group.command("schema")
 @plugin_option
 def schema_command(plugin_files: tuple[str, ...]) -> None:
-    """Prints the JSON schema of the settings and of every component's options."""
+    """Prints the JSON schema of the settings and of the options of every component."""
     from hir_core.config import RunConfig
     from hir_core.plugins.manager import PluginManager
     from hir_core.plugins.options import options_schema
@@ -55,7 +55,7 @@ def schema_command(plugin_files: tuple[str, ...]) -> None:
 
 
 def _plain(value: Any) -> Any:
-    """TOML has lists but no tuples."""
+    """Tuples as lists, which TOML has."""
     if isinstance(value, dict):
         return {k: _plain(v) for k, v in value.items()}
     return [_plain(v) for v in value] if isinstance(value, list | tuple) else value

@@ -1,4 +1,4 @@
-"""Progress on the terminal: one bar for the running stage with its time left and its current error."""
+"""Progress of a run in the terminal: one bar for the current stage, with the remaining time and the current error."""
 
 from __future__ import annotations
 
@@ -8,17 +8,21 @@ from typing import Self
 
 from hir_core.plugins.progress import Progress
 
-LOSSES = ("psnr", "held_out_psnr", "loss", "iou", "silhouette", "error")
-"""Scalars that are shown beside the bar, the first two that a stage reports."""
+SHOWN_SCALARS = ("psnr", "held_out_psnr", "loss", "iou", "silhouette", "error")
+"""Scalars in the order of preference; the first two that a stage reports are printed beside the bar."""
+
+
+LINE_SECONDS = 4.5
+"""Minimum time between two plain lines of a stage."""
 
 
 class ProgressBar:
-    """A context manager; on anything but a terminal it prints plain lines instead, one at least every 5 s."""
+    """A context manager. Where stderr is not a terminal it prints plain lines, at most one every `LINE_SECONDS`."""
 
     def __init__(self, quiet: bool = False) -> None:
         self._quiet = quiet
         self._stage = ""
-        self._spoken = 0.0
+        self._last_line = 0.0
 
     def __enter__(self) -> Self:
         from rich.console import Console
@@ -51,7 +55,7 @@ class ProgressBar:
         self._console.print(sentence, markup=False)
 
     def update(self, progress: Progress) -> None:
-        """Moves the bar of the stage that reports; a new stage starts a new bar."""
+        """Updates the bar; a new stage starts a new bar."""
         error = describe_error(progress)
         left = f"{time_text(progress.seconds_left)} left" if progress.seconds_left else ""
         if not self._terminal:
@@ -75,22 +79,22 @@ class ProgressBar:
         import time
 
         now = time.monotonic()
-        if progress.stage == self._stage and now - self._spoken < 4.5:
+        if progress.stage == self._stage and now - self._last_line < LINE_SECONDS:
             return
-        self._stage, self._spoken = progress.stage, now
+        self._stage, self._last_line = progress.stage, now
         done = f"{progress.stage}: {progress.step}/{progress.steps} after {time_text(progress.seconds)}"
         parts = [done, progress.message, left, error]
         print(", ".join(part for part in parts if part), file=sys.stderr, flush=True)
 
 
 def describe_error(progress: Progress) -> str:
-    """The newest value of up to two scalars that tell how good the fit is."""
-    shown = [name for name in LOSSES if name in progress.scalars and len(progress.scalars[name])][:2]
+    """The latest values of up to two of `SHOWN_SCALARS`."""
+    shown = [name for name in SHOWN_SCALARS if name in progress.scalars and len(progress.scalars[name])][:2]
     return " ".join(f"{name.replace('_', ' ')} {progress.scalars[name][-1]:.4g}" for name in shown)
 
 
 def time_text(seconds: float) -> str:
-    """Such as `2 min 05 s`."""
+    """A duration such as `2 min 05 s`."""
     whole = round(seconds)
     if whole < 60:
         return f"{whole} s"

@@ -1,4 +1,4 @@
-"""`hir report`."""
+"""`hir report`: renders the pictures of a run and writes its page."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from pathlib import Path
 
 import click
 
-from hir_core.cli.options import FOLDER, loudness_options, plugin_option
+from hir_core.terminal.command_options import FOLDER, plugin_option, verbosity_options
 
 
 @click.command("report")
 @click.argument("run", type=FOLDER)
 @plugin_option
-@loudness_options
+@verbosity_options
 def report_command(run: Path, plugin_files: tuple[str, ...], quiet: bool, verbose: bool) -> None:
     """Renders the pictures of RUN again and writes its report.html."""
     from hir_core.plugins.manager import PluginManager

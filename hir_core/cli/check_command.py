@@ -1,34 +1,43 @@
-"""`hir check`."""
+"""`hir check`: finds problems of a capture before a fit."""
 
 from __future__ import annotations
 
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, cast
 
 import click
 
-from hir_core.cli.options import FOLDER, loudness_options, plugin_option
 from hir_core.errors import InputError
+from hir_core.terminal.command_options import FOLDER, plugin_option, verbosity_options
 
 if TYPE_CHECKING:
     from hir_core.capture import Array, Capture
     from hir_core.intake.capture_check import CaptureCheck
 
 ROWS = 12
-"""Photographs in the table unless -v asks for all of them: those that stand out most."""
+"""Maximum number of photographs in the table without -v."""
 
 
 @click.command("check")
 @click.argument("capture", type=FOLDER)
-@click.option("--split", default="train", show_default=True, help="The views to check.")
-@click.option("--reader", default="auto", show_default=True, metavar="NAME", help="Who reads the capture.")
-@click.option("--sheet", type=FOLDER, metavar="FILE.png", help="Write a picture of all photographs, masks shown.")
-@click.option("--mesh", type=FOLDER, metavar="FILE", help="The object, in the capture's axes: tells a moving light.")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@click.option("--split", default="train", show_default=True, help="The split to check.")
+@click.option(
+    "--reader", default="auto", show_default=True, metavar="NAME", help="The capture reader; auto detects it."
+)
+@click.option(
+    "--sheet", type=FOLDER, metavar="FILE.png", help="Write a contact sheet of all photographs with their masks."
+)
+@click.option(
+    "--mesh",
+    type=FOLDER,
+    metavar="FILE",
+    help="A mesh of the object, in the capture's axes: detects a light that moves with the camera.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @plugin_option
-@loudness_options
+@verbosity_options
 def check_command(
     capture: Path,
     split: str,
@@ -40,9 +49,9 @@ def check_command(
     quiet: bool,
     verbose: bool,
 ) -> None:
-    """Says what is wrong with a capture before anything is fitted: blur, clipping, masks that contradict cameras.
+    """Finds problems of CAPTURE before a fit: blur, clipping, masks that contradict the cameras.
 
-    Reads masks as `hir reconstruct` does where they need no camera. -v lists every photograph.
+    Uses the mask sources of `hir reconstruct` that need no cameras. -v lists every photograph.
     """
     from hir_core.files.json_documents import jsonable
     from hir_core.intake.capture_check import check_capture, contact_sheet, masked
@@ -50,11 +59,11 @@ def check_command(
     from hir_core.plugins.manager import PluginManager
 
     if sheet is not None and sheet.suffix.lower() != ".png":
-        raise InputError(f"--sheet {sheet}: the picture is a .png; give a name that ends so")
+        raise InputError(f"--sheet {sheet}: the contact sheet is a PNG; give a name that ends in .png")
     plugins = PluginManager.discover(plugin_files)
     found = masked(read_capture(capture, split, plugins, reader), plugins)
     if not found.views:
-        raise InputError(f"{capture} holds no photographs in its split {split}; is it the folder of a capture?")
+        raise InputError(f"{capture} has no photographs in the split {split}; give the folder of a capture")
     check = check_capture(found, None if mesh is None else surface_of(mesh, found))
     if sheet is not None:
         from hir_exporters.textures.image_files import write_png
@@ -70,25 +79,25 @@ def check_command(
     for sentence in check.advice:
         click.echo(f"→ {sentence}")
     if not check.advice:
-        click.echo("nothing to mend")
+        click.echo("no problems found")
     if sheet is not None and not quiet:
         click.echo(str(sheet))
 
 
 def surface_of(mesh: Path, capture: Capture) -> tuple[Array, Array]:
-    """Vertices and normals (N, 3) of a mesh in the capture's axes, in the world of the capture's cameras."""
+    """Vertices and unit normals (N, 3) of a mesh file in the capture's axes, moved to the world of its cameras."""
     import numpy as np
     import trimesh
 
     if not mesh.is_file():
-        raise InputError(f"{mesh} is not there; --mesh is a file such as object.obj")
+        raise InputError(f"--mesh {mesh}: no such file")
     try:
-        loaded: Any = trimesh.load(mesh, force="mesh")
+        loaded = cast(trimesh.Trimesh, trimesh.load(mesh, force="mesh"))
         positions, normals = np.asarray(loaded.vertices, float), np.asarray(loaded.vertex_normals, float)
-    except Exception as error:  # trimesh's readers fail in as many ways as there are formats
+    except Exception as error:  # parsers of trimesh raise many types
         raise InputError(f"{mesh} cannot be read as a mesh ({type(error).__name__}: {error})") from error
     if not len(loaded.faces) or not np.isfinite(positions).all():
-        raise InputError(f"{mesh} holds no mesh of finite positions")
+        raise InputError(f"{mesh} has no triangles, or vertices that are not finite")
     world = capture.world_from_source
     turned = normals @ world[:3, :3].T
     length = np.linalg.norm(turned, axis=1, keepdims=True)
@@ -96,7 +105,7 @@ def surface_of(mesh: Path, capture: Capture) -> tuple[Array, Array]:
 
 
 def summary(capture: Capture, check: CaptureCheck) -> str:
-    """One line of counts."""
+    """One line: counts, sizes, agreement of masks and cameras."""
     sizes = sorted({(v.width, v.height) for v in check.views})
     masks = sum(v.mask_share is not None for v in check.views)
     size = f"{sizes[0][0]}×{sizes[0][1]}" + (f" to {sizes[-1][0]}×{sizes[-1][1]}" if len(sizes) > 1 else "")
@@ -113,7 +122,7 @@ def summary(capture: Capture, check: CaptureCheck) -> str:
 
 
 def print_views(check: CaptureCheck, every: bool) -> None:
-    """A table of the photographs; the worst ones unless `every` is asked for."""
+    """A table of the photographs: all with `every`, else those of the lowest agreement and sharpness."""
     from rich.console import Console
     from rich.table import Table
 
@@ -137,4 +146,4 @@ def print_views(check: CaptureCheck, every: bool) -> None:
     console = Console(highlight=False)
     console.print(table)
     if len(views) < len(check.views):
-        console.print(f"… the {len(views)} lowest of {len(check.views)}; -v lists all")
+        console.print(f"the {len(views)} worst of {len(check.views)}; -v lists all")

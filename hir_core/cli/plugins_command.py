@@ -1,4 +1,4 @@
-"""`hir plugins`."""
+"""`hir plugins`: lists the installed components."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import json
 
 import click
 
-from hir_core.cli.options import plugin_option
+from hir_core.terminal.command_options import plugin_option
 
 
 @click.command("plugins")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@click.option("--json", "as_json", is_flag=True, help="Print the list as JSON.")
 @plugin_option
 def plugins_command(as_json: bool, plugin_files: tuple[str, ...]) -> None:
-    """Lists every component that is installed, and what to install for those that cannot run."""
+    """Lists the installed components, and what to install for those whose packages are missing."""
     from hir_core.plugins.manager import PluginManager
 
     manager = PluginManager.discover(plugin_files)

@@ -1,4 +1,4 @@
-"""`hir doctor`."""
+"""`hir doctor`: checks the installation."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import click
 
 
 @click.command("doctor")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@click.option("--json", "as_json", is_flag=True, help="Print the findings as JSON.")
 def doctor_command(as_json: bool) -> None:
-    """Says what is installed and works, and what to install where something does not; exit code 1 if anything fails."""
+    """Checks what is installed and whether it works, and advises what to install. Exit code 1 if anything fails."""
     from hir_core.plugins.manager import PluginManager
     from hir_core.run.installation_check import examine
 

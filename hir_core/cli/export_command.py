@@ -1,4 +1,4 @@
-"""`hir export`."""
+"""`hir export`: writes an asset as glTF, USD, OBJ and light files."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hir_core.cli.options import FOLDER, loudness_options, plugin_option
 from hir_core.errors import ConfigError, InputError
+from hir_core.terminal.command_options import FOLDER, plugin_option, verbosity_options
 
 if TYPE_CHECKING:
     from hir_exporters.asset import Asset
@@ -28,31 +28,35 @@ BUDGETS = ("none", "quicklook", "web", "desktop")
     multiple=True,
     required=True,
     metavar="NAME",
-    help="A format, as often as needed: glb, gltf, usda, usdc, usdz, obj, hdr, exr, …: `hir plugins` lists them.",
+    help="A format, such as glb, usdz or obj; repeatable. `hir plugins` lists all.",
 )
-@click.option("-o", "--output", type=FOLDER, required=True, metavar="DIR", help="Where the files go.")
-@click.option("--profile", type=click.Choice(PROFILES), help="How glTF says the material: docs/engines says which.")
-@click.option("--budget", type=click.Choice(BUDGETS), help="Bounds of a target on triangles and textures.")
-@click.option("--lod", metavar="N,N,…", help="Levels of detail of glTF as triangle counts, such as 100k,20k,5k.")
-@click.option("--base-color", metavar="FILE|R,G,B", help="Of a MESH: an sRGB image, or linear numbers.")
-@click.option("--roughness", metavar="FILE|NUMBER", help="Of a MESH: perceptual, 0 to 1.")
-@click.option("--metallic", metavar="FILE|NUMBER", help="Of a MESH: 0 to 1.")
-@click.option("--normal", metavar="FILE", help="Of a MESH: tangent space normals, green up.")
-@click.option("--light", type=FOLDER, metavar="FILE", help="Of a MESH: a lat-long .hdr or .exr.")
+@click.option("-o", "--output", type=FOLDER, required=True, metavar="DIR", help="Folder for the files.")
+@click.option(
+    "--profile",
+    type=click.Choice(PROFILES),
+    help="Target of the glTF material; docs/engines/ says which one to choose.",
+)
+@click.option("--budget", type=click.Choice(BUDGETS), help="Limits of a target platform on triangles and texture size.")
+@click.option("--lod", metavar="N,N,…", help="glTF levels of detail as triangle counts, such as 100k,20k,5k.")
+@click.option("--base-color", metavar="FILE|R,G,B", help="Base colour of a MESH: an sRGB image, or linear numbers.")
+@click.option("--roughness", metavar="FILE|NUMBER", help="Perceptual roughness of a MESH, 0 to 1.")
+@click.option("--metallic", metavar="FILE|NUMBER", help="Metalness of a MESH, 0 to 1.")
+@click.option("--normal", metavar="FILE", help="Normal map of a MESH: tangent space, +Y (green up).")
+@click.option("--light", type=FOLDER, metavar="FILE", help="Light for a MESH: a lat-long .hdr or .exr.")
 @click.option(
     "--set",
     "assignments",
     multiple=True,
     metavar="KEY=VALUE",
-    help="An option of a format, such as glb.max_texture_size=1024.",
+    help="An option of a format, such as glb.max_texture_size=1024; repeatable.",
 )
 @click.option(
     "--verify/--no-verify",
     default=True,
-    help="Read each file back and, for a run, render it again beside the fitted scene; on by default.",
+    help="Read each file back and, for a run, compare its render with that of the fitted scene; on by default.",
 )
 @plugin_option
-@loudness_options
+@verbosity_options
 def export_command(
     source: Path,
     formats: tuple[str, ...],
@@ -71,45 +75,46 @@ def export_command(
     quiet: bool,
     verbose: bool,
 ) -> None:
-    """Writes an asset in other formats: that of a run, of a scene folder, or a mesh with textures.
+    """Writes the asset of a RUN, a SCENE folder or a MESH file in other formats.
 
-    A MESH is an .obj, .ply, .glb, .gltf or USD file with texture coordinates; it brings its material, or is given one.
+    A MESH is an .obj, .ply, .glb, .gltf or USD file with texture coordinates. The material is that of the file, or
+    that of the options.
     """
     from concurrent.futures import ThreadPoolExecutor
 
     from hir_exporters.exporter import ExportReport
-    from hir_exporters.formats import import_writers
+    from hir_exporters.formats import preload_exporters
 
     from hir_core.plugins.manager import PluginManager
     from hir_core.stages.export.asset_export import export_asset
 
     maps = {"base_color": base_color, "roughness": roughness, "metallic": metallic, "normal": normal}
     plugins = PluginManager.discover(plugin_files)
-    wanted = list(dict.fromkeys(formats))
-    options = _options(plugins, assignments, wanted, profile, budget, lod)
-    with ThreadPoolExecutor(max_workers=1) as beside:
-        reading = beside.submit(_asset, source, {n: text for n, text in maps.items() if text is not None}, light)
-        import_writers(wanted)
+    chosen = list(dict.fromkeys(formats))
+    options = _options(plugins, assignments, chosen, profile, budget, lod)
+    with ThreadPoolExecutor(max_workers=1) as executor:
+        reading = executor.submit(_asset, source, {n: text for n, text in maps.items() if text is not None}, light)
+        preload_exporters(chosen)
         asset = reading.result()
 
-    def told(name: str, report: ExportReport) -> None:
+    def print_files(name: str, report: ExportReport) -> None:
         for warning in report.warnings:
             click.echo(f"hir: {name}: {warning}", err=True)
         if not quiet:
             for file in report.files:
                 click.echo(f"{file}  {file.stat().st_size / 1e6:.2f} MB")
 
-    reports = export_asset(asset, wanted, output, plugins, options, told)
+    reports = export_asset(asset, chosen, output, plugins, options, print_files)
     if verify:
         from hir_core.stages.export.export_verification import rerender_of_run, verify_export
 
         rerender, why_not = rerender_of_run(source, asset, plugins)
         for name, report in reports.items():
-            found = verify_export(report, asset, options.get(name), rerender, why_not)
-            for warning in found.warnings:
+            verification = verify_export(report, asset, options.get(name), rerender, why_not)
+            for warning in verification.warnings:
                 click.echo(f"hir: {name}: {warning}", err=True)
             if not quiet:
-                click.echo(f"{name}: {found.sentence()}")
+                click.echo(f"{name}: {verification.sentence()}")
 
 
 def _options(
@@ -120,7 +125,7 @@ def _options(
     budget: str | None,
     lod: str | None,
 ) -> dict[str, Any]:
-    """Options by format: those of `--set`, then the short ones where a format has them."""
+    """Options by format: those of `--set`, then --profile, --budget and --lod for the formats that have them."""
     from hir_core.config import assign
 
     options: dict[str, Any] = {}
@@ -132,15 +137,15 @@ def _options(
                 f"--set {name}={table}: name the format and its option, such as --set glb.max_texture_size=1024"
             )
         plugins.find("exporter", name)
-    short = {"profile": profile, "budget": budget, "lods": None if lod is None else parse_lods(lod)}
-    for key, value in short.items():
+    shortcuts = {"profile": profile, "budget": budget, "lods": None if lod is None else parse_lods(lod)}
+    for key, value in shortcuts.items():
         if value is None:
             continue
-        takers = [n for n in formats if key in _fields(plugins, n)]
-        if not takers:
+        supporting = [n for n in formats if key in _fields(plugins, n)]
+        if not supporting:
             flag = {"lods": "--lod"}.get(key, f"--{key}")
-            raise ConfigError(f"{flag}: none of the formats {', '.join(formats)} has it; leave it out, or add -f glb")
-        for name in takers:
+            raise ConfigError(f"{flag}: no format of {', '.join(formats)} has this option; remove it, or add -f glb")
+        for name in supporting:
             options.setdefault(name, {}).setdefault(key, value)
     return options
 
@@ -159,7 +164,7 @@ def parse_lods(text: str) -> list[int]:
         except (ValueError, OverflowError):
             count = 0
         if count < 1:
-            raise ConfigError(f"--lod {text}: {part!r} is no number of triangles; write such as 100k,20k,5k")
+            raise ConfigError(f"--lod {text}: {part!r} is not a number of triangles; an example is 100k,20k,5k")
         counts.append(count)
     return counts
 
@@ -168,21 +173,23 @@ def _asset(source: Path, maps: dict[str, str], light: Path | None) -> Asset:
     from hir_exporters.scene_format import load_scene
 
     if source.is_file():
-        from hir_exporters.reading.mesh_import import SurfaceMaps, load_mesh_asset, parse_map
+        from hir_exporters.reading.mesh_import import MaterialOverrides, load_mesh_asset, parse_material_override
 
-        return load_mesh_asset(source, SurfaceMaps(**{n: parse_map(n, text) for n, text in maps.items()}), light)
+        return load_mesh_asset(
+            source, MaterialOverrides(**{n: parse_material_override(n, text) for n, text in maps.items()}), light
+        )
     if maps or light is not None:
-        given = ", ".join([*(f"--{name.replace('_', '-')}" for name in maps), *(["--light"] if light else [])])
-        raise InputError(f"{source} is no mesh file, and {given} go with a mesh such as model.obj")
+        options = ", ".join([*(f"--{name.replace('_', '-')}" for name in maps), *(["--light"] if light else [])])
+        raise InputError(f"{source} is not a mesh file; {options} can only be used with a mesh file such as model.obj")
     return load_scene(scene_folder(source))
 
 
 def scene_folder(run: Path) -> Path:
-    """The scene of a run's folder, or the folder itself where it is a scene."""
+    """The scene folder of a run; `run` itself where it is a scene folder. `InputError` where there is no scene."""
     if (run / "scene.json").is_file():
         return run
     if (run / "scene" / "scene.json").is_file():
         return run / "scene"
     if not run.is_dir():
-        raise InputError(f"{run} is not there; give the folder of a run or of a scene, or a mesh file")
-    raise InputError(f"{run} holds no finished scene; finish the run with: hir reconstruct … --resume")
+        raise InputError(f"{run}: no such file or folder; give the folder of a run or of a scene, or a mesh file")
+    raise InputError(f"{run} has no finished scene; finish the run with: hir reconstruct … --resume")

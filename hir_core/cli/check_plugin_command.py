@@ -1,4 +1,4 @@
-"""`hir check-plugin`: the contract tests without pytest."""
+"""`hir check-plugin`: runs the contract tests without pytest."""
 
 from __future__ import annotations
 
@@ -8,20 +8,26 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hir_core.cli.options import plugin_option
+from hir_core.terminal.command_options import plugin_option
 
 if TYPE_CHECKING:
     from hir_core.testing import Result
 
-MARKS = {"passed": "ok", "failed": "FAILED", "skipped": "skipped", "expected": "expected", "mended": "FAILED"}
+OUTCOME_LABELS = {"passed": "ok", "failed": "FAILED", "skipped": "skipped", "expected": "expected", "mended": "FAILED"}
 
 
 @click.command("check-plugin")
 @click.argument("name")
-@click.option("--only", multiple=True, metavar="CHECK", help="One check, as often as needed; all by default.")
-@click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="An option to try, such as samples=64.")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-@click.option("-q", "--quiet", is_flag=True, help="Print failures alone.")
+@click.option("--only", multiple=True, metavar="CHECK", help="Run this check only; repeatable. Default: all checks.")
+@click.option(
+    "--set",
+    "assignments",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="Set an option of the component, such as samples=64; repeatable.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
+@click.option("-q", "--quiet", is_flag=True, help="Print failures only.")
 @plugin_option
 def check_plugin_command(
     name: str,
@@ -31,9 +37,9 @@ def check_plugin_command(
     quiet: bool,
     plugin_files: tuple[str, ...],
 ) -> None:
-    """Runs the contract tests of NAME: a component, KIND:COMPONENT, a distribution, or a plugin's .py file.
+    """Runs the contract tests of NAME: a component, KIND:COMPONENT, a distribution, or the .py file of a plugin.
 
-    Exit code 2 where a contract is broken; each failure says the contract, what was seen, and where the docs say more.
+    The exit code is 2 if a check fails. Each failure names the contract, the observed value and the page of the docs.
     """
     from hir_core.config import assign
     from hir_core.errors import PluginError
@@ -60,7 +66,7 @@ def check_plugin_command(
         for result in check_component(registered, only=only, options=options, plugins=plugins, raises=False):
             results.append(result)
             if not as_json and not (quiet and result.sound):
-                _tell(result)
+                _print_result(result)
     failed = [result for result in results if not result.sound]
     if as_json:
         click.echo(json.dumps({"results": [asdict(r) for r in results], "problems": problems}, indent=1))
@@ -71,15 +77,17 @@ def check_plugin_command(
             click.echo(f"hir: plugin notice: {notice}", err=True)
         passed = sum(result.outcome == "passed" for result in results)
         skipped = sum(result.outcome == "skipped" for result in results)
-        click.echo(f"{passed} contracts hold, {len(failed)} are broken, {skipped} do not apply here")
+        click.echo(f"{passed} checks passed, {len(failed)} failed, {skipped} skipped")
     if failed or problems:
         raise click.exceptions.Exit(2)
 
 
-def _tell(result: Result) -> None:
-    mark = click.style(f"{MARKS[result.outcome]:>8}", fg={"passed": "green", "failed": "red"}.get(result.outcome))
+def _print_result(result: Result) -> None:
+    label = click.style(
+        f"{OUTCOME_LABELS[result.outcome]:>8}", fg={"passed": "green", "failed": "red"}.get(result.outcome)
+    )
     reason = f"  {result.detail}" if result.sound and result.detail else ""
-    click.echo(f"{mark}  {result.check:<36} {result.seconds:6.1f} s{reason}")
+    click.echo(f"{label}  {result.check:<36} {result.seconds:6.1f} s{reason}")
     if not result.sound:
         for line in result.detail.splitlines()[1:]:
             click.echo(f"{'':>8}  {line}")

@@ -1,4 +1,4 @@
-"""Options that several commands share."""
+"""Command-line options that several commands have."""
 
 from __future__ import annotations
 
@@ -14,22 +14,20 @@ FOLDER: Any = click.Path(path_type=Path)
 
 
 def plugin_option(function: Function) -> Function:
-    """`--plugin FILE`, as often as needed."""
+    """`--plugin FILE`, repeatable."""
     return click.option(
         "--plugin",
         "plugin_files",
         multiple=True,
         metavar="FILE",
-        help="A plugin beside the installed ones: a .py file or a module. Its code runs.",
+        help="An additional plugin: a .py file or a module; repeatable. Its code is executed.",
     )(function)
 
 
-def loudness_options(function: Function) -> Function:
+def verbosity_options(function: Function) -> Function:
     """`-q` and `-v`."""
-    function = click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors and what was asked for.")(
-        function
-    )
-    return click.option("-v", "--verbose", is_flag=True, help="Print more, and where an error happened.")(function)
+    function = click.option("-q", "--quiet", is_flag=True, help="Print only errors and the requested output.")(function)
+    return click.option("-v", "--verbose", is_flag=True, help="Print more, and the traceback of an error.")(function)
 
 
 def settings_options(function: Function) -> Function:
@@ -39,7 +37,7 @@ def settings_options(function: Function) -> Function:
         "assignments",
         multiple=True,
         metavar="KEY=VALUE",
-        help="One setting, such as geometry.regularizers.laplacian.weight=2.",
+        help="One setting, such as geometry.iterations=200; repeatable.",
     )(function)
     function = click.option("--config", "config_file", type=FOLDER, metavar="FILE", help="A TOML file of settings.")(
         function
@@ -48,5 +46,5 @@ def settings_options(function: Function) -> Function:
         "--preset",
         default="",
         metavar="NAME",
-        help="Settings to start from: fast (default), best, paper, or a plugin's.",
+        help="Preset of settings, such as fast (default), best or paper; `hir plugins` lists them.",
     )(function)

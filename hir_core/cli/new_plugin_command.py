@@ -1,4 +1,4 @@
-"""`hir new-plugin`."""
+"""`hir new-plugin`: writes a plugin to start from."""
 
 from __future__ import annotations
 
@@ -6,25 +6,30 @@ from pathlib import Path
 
 import click
 
-from hir_core.cli.options import FOLDER
 from hir_core.plugins.manager import KINDS
+from hir_core.terminal.command_options import FOLDER
 
 
 @click.command("new-plugin")
 @click.argument("name")
 @click.option(
-    "--kind", type=click.Choice([k.replace("_", "-") for k in KINDS]), default="regularizer", help="What it adds."
+    "--kind",
+    type=click.Choice([k.replace("_", "-") for k in KINDS]),
+    default="regularizer",
+    help="Kind of the component.",
 )
-@click.option("--one-file", is_flag=True, help="A single .py file for --plugin, in place of a package; a regularizer.")
-@click.option("-o", "--output", type=FOLDER, default=Path(), metavar="DIR", help="Where it is written.")
+@click.option(
+    "--one-file", is_flag=True, help="Write one .py file for --plugin in place of a package; regularizers only."
+)
+@click.option("-o", "--output", type=FOLDER, default=Path(), metavar="DIR", help="Parent folder.")
 def new_plugin_command(name: str, kind: str, one_file: bool, output: Path) -> None:
-    """Writes a plugin NAME that can be installed and passes the contract tests as it is."""
+    """Writes an installable plugin NAME with one component that passes the contract tests."""
     from hir_core.errors import ConfigError
     from hir_core.scaffold import write_one_file, write_plugin
 
     if one_file:
         if kind != "regularizer":
-            raise ConfigError(f"--one-file writes a regularizer; leave it out for a {kind}")
+            raise ConfigError(f"--one-file writes a regularizer only; remove it for a {kind}")
         path = write_one_file(name, output)
         click.echo(path)
         click.echo(f"check it with:  hir check-plugin {path}")

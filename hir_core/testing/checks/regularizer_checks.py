@@ -132,7 +132,7 @@ def linear_in_weight(subject: Subject) -> None:
     name, values = subject.component.name, []
     for weight in (1.0, 3.0):
         seeded(0)
-        energies = prepare_energies(scene, {name: {**subject.options, "weight": weight}}, context)
+        energies = prepare_energies(scene, {name: {**subject.options, "weight": weight}}, context.plugins)
         values.append([float(energies(_moved(scene))[name]) for _ in range(3)])
     once, thrice = values
     require(

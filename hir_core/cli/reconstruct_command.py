@@ -1,4 +1,4 @@
-"""`hir reconstruct`."""
+"""`hir reconstruct`: photographs in, asset out."""
 
 from __future__ import annotations
 
@@ -8,26 +8,32 @@ from typing import Any, get_args
 
 import click
 
-from hir_core.cli.options import FOLDER, loudness_options, plugin_option, settings_options
 from hir_core.config import ModelName
-from hir_core.run.run_directory import STAGES
+from hir_core.run.run_directory import STAGE_NAMES
+from hir_core.terminal.command_options import FOLDER, plugin_option, settings_options, verbosity_options
 
 
 @click.command("reconstruct")
 @click.argument("capture", type=FOLDER)
-@click.option("-o", "--output", "run", type=FOLDER, required=True, metavar="RUN", help="The folder of the run.")
+@click.option("-o", "--output", "run", type=FOLDER, required=True, metavar="RUN", help="Folder of the run.")
 @settings_options
-@click.option("--device", type=click.Choice(["auto", "cpu", "cuda"]), help="auto takes CUDA where there is one.")
-@click.option("--resume", is_flag=True, help="Continue: reuse finished stages whose settings and input are unchanged.")
-@click.option("--until", type=click.Choice(STAGES), help="Stop after this stage.")
-@click.option("--model", type=click.Choice(get_args(ModelName)), help="Fit this much; auto asks held-out views.")
-@click.option("--triangles", type=click.IntRange(min=0), help="Triangles of the mesh; 0 derives them from the views.")
-@click.option("--texture-size", type=click.IntRange(min=0), help="Side of the textures; 0 derives it from the views.")
+@click.option("--device", type=click.Choice(["auto", "cpu", "cuda"]), help="auto uses CUDA if there is a device.")
+@click.option(
+    "--resume", is_flag=True, help="Continue a run: reuse finished stages whose settings and input are unchanged."
+)
+@click.option("--until", type=click.Choice(STAGE_NAMES), help="Stop after this stage.")
+@click.option(
+    "--model", type=click.Choice(get_args(ModelName)), help="Reflectance model; auto selects it on held-out views."
+)
+@click.option("--triangles", type=click.IntRange(min=0), help="Number of triangles; 0 derives it from the views.")
+@click.option(
+    "--texture-size", type=click.IntRange(min=0), help="Side of the textures in texels; 0 derives it from the views."
+)
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of all random numbers.")
-@click.option("--max-memory", metavar="SIZE", help="Stay within it, such as 4GB: caches and batches shrink to fit.")
-@click.option("--deterministic", is_flag=True, help="The same files for the same input and machine; slower.")
+@click.option("--max-memory", metavar="SIZE", help="Memory limit, such as 4GB: caches and batches are reduced to fit.")
+@click.option("--deterministic", is_flag=True, help="Bit-identical files for equal input on one machine; slower.")
 @plugin_option
-@loudness_options
+@verbosity_options
 def reconstruct_command(
     capture: Path,
     run: Path,
@@ -47,9 +53,9 @@ def reconstruct_command(
     quiet: bool,
     verbose: bool,
 ) -> None:
-    """Turns the photographs of CAPTURE into a mesh, textures and a light, in the folder RUN."""
-    from hir_core.cli.progress_bar import ProgressBar
+    """Reconstructs mesh, PBR textures and light from the photographs of CAPTURE, in the folder RUN."""
     from hir_core.plugins.manager import PluginManager
+    from hir_core.terminal.progress_bar import ProgressBar
 
     chosen = list(assignments)
     if model is not None:
@@ -89,7 +95,7 @@ def reconstruct_command(
 
 
 def _check_heavy_packages() -> None:
-    """One sentence before anything is imported, where the extra is not installed at all."""
+    """Raises `MissingExtraError` with one sentence where the packages of hir[reconstruct] are not installed."""
     from importlib.util import find_spec
 
     from hir_core.errors import MissingExtraError

@@ -1,4 +1,4 @@
-"""A mesh as its colours alone, without light: base-colour textures, vertex colours, a true albedo's counterpart."""
+"""Renders a mesh without light: its diffuse albedo or vertex colours. Comparable with images of true albedo."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 Array = NDArray[np.float32]
 
 SUPERSAMPLING = 3
-"""Rays across a pixel, in each direction."""
+"""Rays per pixel along each image axis."""
 
 
-class UnlitView:
-    """Shows what a scene's surface is coloured: the material's diffuse albedo, else the vertex colours, else grey."""
+class UnlitRenderer:
+    """Renders the diffuse albedo of the material; without a material the vertex colours; without colours grey."""
 
     def __init__(self, scene: Scene) -> None:
         mesh = scene.mesh
@@ -39,7 +39,7 @@ class UnlitView:
             self._colors = mesh.vertex_colors.detach().cpu().numpy().astype(np.float32)
 
     def render(self, camera: Camera) -> Array:
-        """Linear premultiplied RGBA (H, W, 4): mean of the rays of each pixel."""
+        """Linear premultiplied RGBA (H, W, 4): the mean over the rays of each pixel."""
         n = SUPERSAMPLING
         rows, columns = np.arange(camera.height * n), np.arange(camera.width * n)
         x, y = np.meshgrid((columns + 0.5) / n, (rows + 0.5) / n)

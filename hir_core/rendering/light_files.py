@@ -1,0 +1,54 @@
+"""Lights that are stored in files: the notation `FILE*STRENGTH`, reading, comparing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from hir_exporters.textures.image_files import read_hdr
+
+from hir_core.capture import Array, EnvironmentSource
+from hir_core.errors import InputError
+from hir_core.scene import EnvironmentMap
+
+
+def load_light(source: EnvironmentSource, world_from_source: Array, device: str = "cpu") -> EnvironmentMap:
+    """Reads the light of a capture, times its strength, into the world of `world_from_source` (4×4)."""
+    radiance = read_hdr(source.path) * np.float32(source.strength)
+    linear = world_from_source[:3, :3]
+    rotation = linear / np.cbrt(np.linalg.det(linear))
+    to_world = rotation @ np.asarray(source.source_from_environment, dtype=np.float64)
+    return EnvironmentMap(
+        torch.from_numpy(np.ascontiguousarray(radiance)).to(device),
+        torch.from_numpy(to_world.astype(np.float32)).to(device),
+        "world",
+    )
+
+
+def is_same_light(a: EnvironmentSource | None, b: EnvironmentSource | None) -> bool:
+    """Whether two splits have the same light. File contents are compared too, because captures often copy a file."""
+    if a is None or b is None:
+        return a is b
+    return (
+        a.strength == b.strength
+        and np.allclose(a.source_from_environment, b.source_from_environment)
+        and (a.path == b.path or a.path.read_bytes() == b.path.read_bytes())
+    )
+
+
+def parse_light_file(text: str) -> tuple[Path, float]:
+    """Path and strength of `FILE` or `FILE*STRENGTH`; the strength is 1 where none is given.
+
+    `InputError` where the strength is not a finite number of at least 0.
+    """
+    name, star, strength = text.rpartition("*")
+    if not star:
+        return Path(text), 1.0
+    try:
+        value = float(strength)
+    except ValueError:
+        raise InputError(f"{text!r}: the strength after * must be a number, such as studio.hdr*0.5") from None
+    if not (np.isfinite(value) and value >= 0):
+        raise InputError(f"{text!r}: the light's strength must be a finite number of at least 0")
+    return Path(name), value

@@ -1,0 +1,67 @@
+"""`hir render`: renders of a finished run from its own cameras or from an orbit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from hir_exporters.conventions import linear_to_srgb
+from hir_exporters.textures.image_files import write_exr, write_png
+
+from hir_core.capture import EnvironmentSource
+from hir_core.errors import InputError
+from hir_core.files.file_names import file_stem
+from hir_core.metrics import unassociate
+from hir_core.rendering.light_files import load_light, parse_light_file
+from hir_core.rendering.orbit_cameras import orbit_cameras
+from hir_core.rendering.reference_renderer import reference_renderer, render_view
+from hir_core.run.finished_run import open_finished_run
+from hir_core.run.run_directory import RunDirectory
+
+if TYPE_CHECKING:
+    from hir_core.plugins.manager import PluginManager
+
+
+def render_pictures(
+    directory: RunDirectory,
+    plugins: PluginManager,
+    folder: Path,
+    views: Sequence[str] = (),
+    orbit: int = 0,
+    elevation: float = 20.0,
+    size: int = 512,
+    relight: str = "",
+    renderer: str = "",
+    options: Mapping[str, Any] | None = None,
+    exr: bool = False,
+) -> Iterator[Path]:
+    """Writes PNGs (sRGB, unassociated alpha) into `folder`, one by one, and yields their paths.
+
+    `views` are names of the run's photographs; `orbit` is a number of cameras around the object at `elevation` degrees,
+    with `size`² pixels. `exr` adds linear premultiplied files. `InputError` where a view does not exist.
+    """
+    run = open_finished_run(directory)
+    cameras = {}
+    run_cameras = run.cameras()
+    for name in views:
+        if name not in run_cameras:
+            raise InputError(
+                f"{directory.path} has no view {name!r}; its views are: {', '.join(list(run_cameras)[:8])}, …"
+            )
+        cameras[file_stem(name)] = run_cameras[name]
+    cameras |= {f"orbit_{i:03d}": camera for i, camera in enumerate(orbit_cameras(orbit, elevation, size))}
+    scene = run.scene
+    if relight:
+        path, strength = parse_light_file(relight)
+        scene = run.with_light(load_light(EnvironmentSource(path, strength), np.eye(4)))
+    _, path_tracer = reference_renderer(plugins, renderer, options, run.bounces)
+    for name, camera in cameras.items():
+        image = render_view(path_tracer, scene, camera, name)
+        color, coverage = unassociate(image)
+        encoded = np.asarray(linear_to_srgb(np.clip(color, 0, 1)), dtype=np.float32)
+        write_png(folder / f"{name}.png", np.concatenate([encoded, coverage[..., None]], axis=-1))
+        if exr:
+            write_exr(folder / f"{name}.exr", image)
+        yield folder / f"{name}.png"
