@@ -3,25 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hir_core.capture.capture_size import size_of
-from hir_core.capture.capture_store import fingerprint
 from hir_core.capture.pixel_cache import PixelCache
 from hir_core.config import RunConfig, load_config
 from hir_core.errors import CaptureError
 from hir_core.intake.reader_lookup import find_reader, read_capture
 from hir_core.plugins.manager import PluginManager
+from hir_core.run.capture_store import fingerprint
 from hir_core.run.determinism import determinism
 from hir_core.run.device import resolve_device
-from hir_core.run.memory_plan import MemoryPlan, gigabytes, plan_memory
 from hir_core.run.run_directory import LAST_STAGE, STAGE_NAMES, RunDirectory, check_stage_name, claimed_run
 from hir_core.run.run_log import write_log
 from hir_core.run.run_records import RunRecords
+from hir_core.run.stage_context import StageContext
 from hir_core.run.stage_runner import StageRunner
 from hir_core.stages.initialization import resolve_initializers
+from hir_core.stages.memory_plan import MemoryPlan, gigabytes, plan_memory
 from hir_core.stages.run_state import CaptureSource, RunState
 from hir_core.stages.stage_list import STAGES
 
@@ -89,15 +90,14 @@ def reconstruct(
 
         state, memory = prepare(Path(capture), config, plugins, directory, resolved_device, say)
         records = RunRecords(directory, plugins, say)
-        records.start(_capture_document(state), state.config, memory, resolved_device)
+        records.start(_capture_document(state), asdict(state.config), memory.document(), resolved_device)
         plugins.notify("hir_run_started", config=state.config, run_folder=directory.path)
         runner = StageRunner(
-            config=state.config,
             plugins=plugins,
             directory=directory,
-            device=resolved_device,
             records=records,
-            memory=memory,
+            context=_stage_context(state),
+            expected_memory=memory.sentences(),
             on_progress=on_progress,
             on_message=say,
             key=state.source.fingerprint,
@@ -143,6 +143,23 @@ def prepare(
     capture = photographs.wrap(capture)
     final = replace(memory.config, initializers=resolve_initializers(capture, memory.config, plugins))
     return RunState(final, plugins, directory, device, source, photographs, capture), memory
+
+
+def _stage_context(state: RunState) -> StageContext:
+    """What all stages are given."""
+    config = state.config
+    return StageContext(
+        plugins=state.plugins,
+        workspace=state.directory.path,
+        options={
+            "geometry_renderer": config.geometry_renderer,
+            "reflectance_renderer": config.reflectance_renderer,
+        },
+        device=state.device,
+        seed=config.seed,
+        deterministic=config.deterministic,
+        checkpoint_seconds=config.checkpoint_seconds,
+    )
 
 
 def _capture_document(state: RunState) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from torch import Tensor
 
 if TYPE_CHECKING:
     from hir_core.plugins.interfaces import Energy
-    from hir_core.run.stage_context import StageContext
+    from hir_core.plugins.manager import PluginManager
     from hir_core.scene import Scene
 
 
@@ -30,7 +30,7 @@ class Energies:
 
 
 def prepare_energies(
-    scene: Scene, regularizers: Mapping[str, Mapping[str, Any] | Literal[False]], context: StageContext
+    scene: Scene, regularizers: Mapping[str, Mapping[str, Any] | Literal[False]], plugins: PluginManager
 ) -> Energies:
     """The terms that settings name; `false` and weight 0 leave a term out."""
     terms: dict[str, tuple[float, Energy]] = {}
@@ -40,5 +40,5 @@ def prepare_energies(
         options = {key: value for key, value in table.items() if key != "weight"}
         weight = float(table.get("weight", 1.0))
         if weight != 0:
-            terms[name] = weight, context.plugins.create("regularizer", name, options).prepare(scene)
+            terms[name] = weight, plugins.create("regularizer", name, options).prepare(scene)
     return Energies(terms)

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Any
 
-from hir_core.config import RunConfig
 from hir_core.errors import InputError
 from hir_core.plugins.manager import PluginManager
 from hir_core.run.machine import describe_machine, versions
-from hir_core.run.memory_plan import MemoryPlan
 from hir_core.run.run_directory import RunDirectory, StageRecord
 
 
@@ -25,12 +22,14 @@ class RunRecords:
         self._document: dict[str, Any] = {}
         self._timings: dict[str, Any] = {}
 
-    def start(self, capture: Mapping[str, Any], config: RunConfig, memory: MemoryPlan, device: str) -> None:
-        """Writes both files as they are before the first stage."""
+    def start(
+        self, capture: Mapping[str, Any], settings: Mapping[str, Any], memory: Mapping[str, Any], device: str
+    ) -> None:
+        """Writes both files as they are before the first stage; `memory` is empty where no limit is set."""
         self._document = {
             "capture": dict(capture),
-            "settings": asdict(config),
-            "seed": config.seed,
+            "settings": dict(settings),
+            "seed": settings["seed"],
             "versions": versions(),
             "plugins": [
                 f"{r.kind} {r.component.name} ({r.distribution} {r.version})".strip()
@@ -40,8 +39,8 @@ class RunRecords:
             "stages": {},
             "metrics": self._earlier_metrics(),
         }
-        if memory.limit:
-            self._document["memory"] = memory.document()
+        if memory:
+            self._document["memory"] = dict(memory)
         earlier = self._directory.read_timings()
         self._timings = {
             "machine": describe_machine(device),

@@ -6,19 +6,17 @@ import hashlib
 import json
 import shutil
 import time
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, is_dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from hir_core.config import RunConfig
 from hir_core.errors import InputError
 from hir_core.files.json_documents import jsonable
 from hir_core.plugins.manager import PluginManager
 from hir_core.plugins.progress import Progress
 from hir_core.run.determinism import seed_everything
 from hir_core.run.machine import peak_memory_bytes, processor_seconds, return_freed_memory
-from hir_core.run.memory_plan import MemoryPlan, gigabytes
 from hir_core.run.progress_listener import ProgressListener
 from hir_core.run.run_directory import LAST_STAGE, RunDirectory, StageRecord
 from hir_core.run.run_records import RunRecords, current_time
@@ -30,12 +28,13 @@ from hir_core.run.stage_context import StageContext
 class StageRunner:
     """Runs the stages of one call of `reconstruct`, in order; the cache key of each covers all before it."""
 
-    config: RunConfig
     plugins: PluginManager
     directory: RunDirectory
-    device: str
     records: RunRecords
-    memory: MemoryPlan
+    context: StageContext
+    """For every stage: device, seed, options of renderers; the runner adds workspace, progress and warnings."""
+    expected_memory: Mapping[str, str]
+    """What is said about the memory of a stage before it starts, by stage; empty without a limit."""
     on_progress: Callable[[Progress], None] | None
     on_message: Callable[[str], None]
     key: str
@@ -46,7 +45,7 @@ class StageRunner:
     def run(self, stage: Stage[State, Value], state: State) -> State:
         """The state with the stage's value."""
         settings = stage.settings(state)
-        self.key = cache_key(self.key, stage.name, settings, self.config.seed, self.config.deterministic)
+        self.key = cache_key(self.key, stage.name, settings, self.context.seed, self.context.deterministic)
         record = self.directory.record(stage.name)
         stored = self._stored(stage, state, record)
         timings = None
@@ -79,12 +78,12 @@ class StageRunner:
         name = stage.name
         if self.directory.record(name) is not None:
             self.on_message(f"{name}: computed again, because its settings or input changed or it was interrupted")
-        if self.memory.limit and self.memory.total(name):
-            self.on_message(f"{name}: about {gigabytes(self.memory.total(name))} of memory expected")
+        if name in self.expected_memory:
+            self.on_message(f"{name}: {self.expected_memory[name]}")
         listener = ProgressListener(name, self.plugins, self.on_progress)
         warnings: list[str] = []
         context = self._context(name, self.directory.begin(name, self.key), listener, warnings)
-        seed_everything(self.config.seed)
+        seed_everything(self.context.seed)
         started, cpu_started = time.perf_counter(), processor_seconds()
         with listener.heartbeat():
             result = stage.compute(state, context)
@@ -114,20 +113,7 @@ class StageRunner:
                 warnings.append(sentence)
                 self.on_message(f"{name}: warning: {sentence}")
 
-        return StageContext(
-            plugins=self.plugins,
-            workspace=workspace,
-            options={
-                "geometry_renderer": self.config.geometry_renderer,
-                "reflectance_renderer": self.config.reflectance_renderer,
-            },
-            device=self.device,
-            seed=self.config.seed,
-            deterministic=self.config.deterministic,
-            checkpoint_seconds=self.config.checkpoint_seconds,
-            report=listener.report,
-            warn=warn,
-        )
+        return replace(self.context, workspace=workspace, report=listener.report, warn=warn)
 
 
 def cache_key(*parts: Any) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,6 @@ from hir_core.config import RunConfig
 from hir_core.errors import StageError
 from hir_core.plugins.manager import PluginManager
 from hir_core.plugins.progress import Progress
-from hir_core.run.memory_plan import MemoryPlan
 from hir_core.run.progress_listener import ProgressListener, read_curves
 from hir_core.run.run_directory import RunDirectory
 from hir_core.run.run_records import RunRecords
@@ -38,11 +37,17 @@ class Chain:
         self.messages: list[str] = []
         self.computed: list[str] = []
         directory, plugins, config = RunDirectory(folder), PluginManager(), config or RunConfig()
-        memory = MemoryPlan(config, 0, {})
         self.records = RunRecords(directory, plugins, self.messages.append)
-        self.records.start({"path": "somewhere", "name": "it"}, config, memory, "cpu")
+        self.records.start({"path": "somewhere", "name": "it"}, asdict(config), {}, "cpu")
         self.runner = StageRunner(
-            config, plugins, directory, "cpu", self.records, memory, None, self.messages.append, key
+            plugins,
+            directory,
+            self.records,
+            StageContext(plugins, folder, seed=config.seed),
+            {},
+            None,
+            self.messages.append,
+            key,
         )
 
     def run(self, fail: str = "", **settings: Any) -> str:

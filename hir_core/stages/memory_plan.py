@@ -29,8 +29,6 @@ DECODED = 12 + 4 + 1
 LEAST_CACHE = 64 << 20
 MOST_DOWNSAMPLE = 8
 
-_UNITS = {"": 1, "k": 1 << 10, "m": 1 << 20, "g": 1 << 30, "t": 1 << 40}
-
 
 @dataclass(frozen=True)
 class MemoryPlan:
@@ -47,8 +45,16 @@ class MemoryPlan:
         """Estimate of a stage; 0 where there is none."""
         return sum(self.stages.get(stage, {}).values())
 
+    def sentences(self) -> dict[str, str]:
+        """What is said before each stage starts; empty without a limit."""
+        if not self.limit:
+            return {}
+        return {s: f"about {gigabytes(self.total(s))} of memory expected" for s in self.stages if self.total(s)}
+
     def document(self) -> dict[str, Any]:
-        """For run.json."""
+        """For run.json; empty without a limit."""
+        if not self.limit:
+            return {}
         return {
             "limit_bytes": self.limit,
             "estimated_bytes": {stage: self.total(stage) for stage in self.stages},
@@ -57,13 +63,18 @@ class MemoryPlan:
 
 
 def parse_size(text: str) -> int:
-    """Bytes of `4GB`, `3.5G`, `800MB`; 0 for an empty text. Units are powers of 1024."""
-    match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kmgt]?)i?b?\s*", text.lower())
+    """Bytes of `4GB` (10⁹), `4GiB` (2³⁰), `800MB`; 0 for an empty text."""
+    from pydantic import ByteSize, TypeAdapter, ValidationError
+
     if not text.strip():
         return 0
-    if match is None or float(match[1]) == 0:
+    try:
+        size = int(TypeAdapter(ByteSize).validate_python(text))
+    except (ValidationError, OverflowError, ValueError):
+        size = 0
+    if size <= 0 or not re.search(r"[a-zA-Z]\s*$", text):  # a bare number is more likely a slip than bytes
         raise ConfigError(f"max_memory is {text!r}; write it as 4GB or 800MB")
-    return int(float(match[1]) * _UNITS[match[2]])
+    return size
 
 
 def plan_memory(config: RunConfig, plugins: PluginManager, size: CaptureSize) -> MemoryPlan:
@@ -169,5 +180,5 @@ def _downsampled(size: CaptureSize, factor: int) -> CaptureSize:
 
 
 def gigabytes(count: int) -> str:
-    """Such as `1.5 GB`; of 1024³ bytes."""
-    return f"{count / (1 << 30):.2g} GB"
+    """Such as `1.5 GB`, of 10⁹ bytes."""
+    return f"{count / 1e9:.2g} GB"
