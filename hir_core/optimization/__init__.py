@@ -1,1 +1,1 @@
-"""The optimisation loop, weighted energies, checkpoints, non-finite diagnostics."""
+"""The optimisation loop, its schedules and checkpoints, weighted energies, non-finite diagnostics."""

@@ -1,4 +1,4 @@
-"""The state of an optimisation on disk: plain arrays, complete or not there, read back bit for bit."""
+"""The state of an optimisation on disk: plain arrays, written atomically, read back bit for bit."""
 
 from __future__ import annotations
 
@@ -19,40 +19,40 @@ Arrays = dict[str, NDArray[Any]]
 
 
 class Stateful(Protocol):
-    """What a loop changes beside its parameters and must find again after an interruption."""
+    """What a loop changes besides its parameters, and must restore after an interruption."""
 
     def state(self) -> Arrays:
-        """All of it, as arrays."""
+        """The state as named arrays."""
         ...
 
     def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """Takes over what `state` gave."""
+        """Sets the state to what `state` returned."""
         ...
 
 
-class Together:
-    """Several as one."""
+class CombinedState:
+    """Several states as one."""
 
     def __init__(self, **parts: Stateful) -> None:
         self._parts = parts
 
     def state(self) -> Arrays:
-        """The state of every part, under its name."""
+        """The arrays of every part, with its name as prefix."""
         return {f"{name}/{key}": value for name, part in self._parts.items() for key, value in part.state().items()}
 
     def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """Gives every part what is its."""
+        """Restores every part from the arrays with its prefix."""
         for name, part in self._parts.items():
-            part.restore(below(state, name))
+            part.restore(arrays_under(state, name))
 
 
 def save_checkpoint(
-    path: Path, optimizer: torch.optim.Optimizer, step: int, more: Mapping[str, NDArray[Any]] | None = None
+    path: Path, optimizer: torch.optim.Optimizer, step: int, extra: Mapping[str, NDArray[Any]] | None = None
 ) -> None:
-    """Writes parameters, the optimizer's state, torch's random numbers, the next step and `more`."""
+    """Writes parameters, the optimizer's state, the state of torch's random generator, the next step and `extra`."""
     arrays: Arrays = {"step": np.asarray(step), "random": torch.get_rng_state().numpy()}
-    arrays |= {f"more/{name}": value for name, value in (more or {}).items()}
-    for i, parameter in enumerate(parameters_of(optimizer)):
+    arrays |= {f"extra/{name}": value for name, value in (extra or {}).items()}
+    for i, parameter in enumerate(optimized_tensors(optimizer)):
         arrays[f"parameter/{i}"] = parameter.detach().cpu().numpy()
         for name, value in optimizer.state.get(parameter, {}).items():
             arrays[f"state/{i}/{name}"] = (
@@ -62,9 +62,12 @@ def save_checkpoint(
 
 
 def load_checkpoint(path: Path, optimizer: torch.optim.Optimizer) -> tuple[int, Arrays] | None:
-    """Restores what `save_checkpoint` wrote; the next step and `more`. None, with nothing changed, where none fits."""
+    """Restores what `save_checkpoint` wrote; returns the next step and `extra`.
+
+    Returns None and changes nothing if there is no checkpoint, if it is damaged or if its shapes differ.
+    """
     arrays = read_arrays(path)
-    parameters = parameters_of(optimizer)
+    parameters = optimized_tensors(optimizer)
     shapes = [arrays[f"parameter/{i}"].shape for i in range(len(parameters)) if f"parameter/{i}" in arrays]
     if not {"step", "random"} <= set(arrays) or shapes != [tuple(p.shape) for p in parameters]:
         return None
@@ -72,35 +75,35 @@ def load_checkpoint(path: Path, optimizer: torch.optim.Optimizer) -> tuple[int, 
         with torch.no_grad():
             parameter.copy_(torch.from_numpy(arrays[f"parameter/{i}"]))
         state: dict[str, Any] = {}
-        for name, array in below(arrays, f"state/{i}").items():
+        for name, array in arrays_under(arrays, f"state/{i}").items():
             value = torch.from_numpy(np.array(array))
-            # Adam keeps its count of steps on the CPU
+            # Adam stores its step count on the CPU
             state[name] = value if value.ndim == 0 else value.to(parameter.device)
         if state:
             optimizer.state[parameter] = state
     torch.set_rng_state(torch.from_numpy(arrays["random"].copy()))
-    return int(arrays["step"]), below(arrays, "more")
+    return int(arrays["step"]), arrays_under(arrays, "extra")
 
 
 def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Named arrays into one file, which is complete or not there."""
+    """Writes named arrays into one file, atomically."""
     with atomic_write(path) as stream:
         np.savez(stream, **arrays)  # type: ignore[arg-type]
 
 
 def read_arrays(path: Path) -> Arrays:
-    """What `write_arrays` wrote; nothing where there is no such file or it is damaged."""
+    """What `write_arrays` wrote; empty if the file is missing or damaged."""
     try:
         return array_files.read_arrays(path)
     except InputError:
         return {}
 
 
-def below(arrays: Mapping[str, NDArray[Any]], name: str) -> Arrays:
-    """The arrays whose names begin with `name/`, without that."""
-    return {key[len(name) + 1 :]: value for key, value in arrays.items() if key.startswith(f"{name}/")}
+def arrays_under(arrays: Mapping[str, NDArray[Any]], prefix: str) -> Arrays:
+    """The arrays whose names begin with `prefix/`, without the prefix."""
+    return {key[len(prefix) + 1 :]: value for key, value in arrays.items() if key.startswith(f"{prefix}/")}
 
 
-def parameters_of(optimizer: torch.optim.Optimizer) -> list[Tensor]:
-    """All that it moves."""
+def optimized_tensors(optimizer: torch.optim.Optimizer) -> list[Tensor]:
+    """All tensors that an optimizer changes."""
     return [p for group in optimizer.param_groups for p in group["params"]]

@@ -1,4 +1,4 @@
-"""Where a value or gradient that is not finite begins: the view, the vertices, the texels."""
+"""Where a value or gradient is not finite: the view, the vertices, the texels."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from torch import Tensor
 
 from hir_core.scene import Mesh
 
-SHOWN = 5
-"""Of more views or vertices only the number is told."""
+MAX_LISTED = 5
+"""More views or vertices are only counted."""
 
 
-def views_at_fault(mesh: Mesh, views: Sequence[int], names: Sequence[str], loss: Callable[[Mesh, int], Tensor]) -> str:
-    """The views whose own loss, or its gradient in the positions, is not finite, and the vertices it breaks at."""
+def nonfinite_views(mesh: Mesh, views: Sequence[int], names: Sequence[str], loss: Callable[[Mesh, int], Tensor]) -> str:
+    """The views whose loss, or its gradient in the positions, is not finite, and the vertices of that gradient."""
     parts = []
     for view in views:
         value, broken = _probe(mesh, partial(_of_view, loss, view))
@@ -23,29 +23,31 @@ def views_at_fault(mesh: Mesh, views: Sequence[int], names: Sequence[str], loss:
             parts.append(f"view {names[view]}")
         elif len(broken):
             parts.append(f"view {names[view]}, {_listed('vertex', 'vertices', broken.tolist())}")
-    return "; ".join(parts[:SHOWN]) + (f" and {len(parts) - SHOWN} more views" if len(parts) > SHOWN else "")
+    return "; ".join(parts[:MAX_LISTED]) + (
+        f" and {len(parts) - MAX_LISTED} more views" if len(parts) > MAX_LISTED else ""
+    )
 
 
 def _of_view(loss: Callable[[Mesh, int], Tensor], view: int, mesh: Mesh) -> Tensor:
     return loss(mesh, view)
 
 
-def vertices_at_fault(mesh: Mesh, term: Callable[[Mesh], Tensor]) -> str:
-    """The vertices at which a term's gradient is not finite; empty where only its value is."""
+def nonfinite_vertices(mesh: Mesh, term: Callable[[Mesh], Tensor]) -> str:
+    """The vertices at which a term's gradient is not finite; "" if only its value is not."""
     _, broken = _probe(mesh, term)
     return _listed("vertex", "vertices", broken.tolist()) if len(broken) else ""
 
 
-def elements_at_fault(named: Mapping[str, Tensor]) -> str:
-    """Of leaves with gradients: their names and the places of what is not finite, texels as row and column."""
+def nonfinite_elements(named: Mapping[str, Tensor]) -> str:
+    """The names of tensors whose values or gradients are not finite, and the indices, of texels row and column."""
     parts = []
     for name, leaf in named.items():
         for what, values in (("", leaf.detach()), ("gradient of ", leaf.grad)):
             if values is None or bool(torch.isfinite(values).all()):
                 continue
             bad = ~torch.isfinite(values)
-            places = (bad.any(dim=-1) if bad.ndim > 1 else bad).nonzero().tolist()
-            parts.append(f"{what}{name}, {_listed('place', 'places', places)}")
+            indices = (bad.any(dim=-1) if bad.ndim > 1 else bad).nonzero().tolist()
+            parts.append(f"{what}{name}, {_listed('index', 'indices', indices)}")
     return "; ".join(parts)
 
 
@@ -62,7 +64,7 @@ def _probe(mesh: Mesh, loss: Callable[[Mesh], Tensor]) -> tuple[bool, Tensor]:
 
 
 def _listed(one: str, many: str, items: Sequence[object]) -> str:
-    shown = ", ".join(str(item) for item in items[:SHOWN])
-    if len(items) <= SHOWN:
+    shown = ", ".join(str(item) for item in items[:MAX_LISTED])
+    if len(items) <= MAX_LISTED:
         return f"{one if len(items) == 1 else many} {shown}"
     return f"{len(items)} {many} ({shown}, …)"

@@ -1,4 +1,4 @@
-"""The regularizers of a stage, ready to be evaluated: built from settings, prepared for a scene, weighted."""
+"""The regularizers of a stage with their weights, created from settings and prepared for a scene."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Energies:
-    """Prepared terms by name, each with its weight."""
+    """Prepared regularizers by name, each with its weight."""
 
     terms: Mapping[str, tuple[float, Energy]]
 
@@ -32,7 +32,7 @@ class Energies:
 def prepare_energies(
     scene: Scene, regularizers: Mapping[str, Mapping[str, Any] | Literal[False]], plugins: PluginManager
 ) -> Energies:
-    """The terms that settings name; `false` and weight 0 leave a term out."""
+    """The terms in the settings; `false` or weight 0 leaves a term out."""
     terms: dict[str, tuple[float, Energy]] = {}
     for name, table in regularizers.items():
         if table is False:

@@ -12,7 +12,8 @@ import torch
 from hir_core.errors import StageError
 from hir_core.mesh.large_steps import LargeSteps, UniformAdam
 from hir_core.optimization.checkpoints import load_checkpoint, save_checkpoint
-from hir_core.optimization.optimization_loop import PATIENCE_NONFINITE, Batches, Keep, Schedule, optimize
+from hir_core.optimization.optimization_loop import MAX_CONSECUTIVE_NONFINITE_STEPS, Checkpointing, optimize
+from hir_core.optimization.schedules import Batches, Schedule
 from hir_core.plugins.progress import Progress
 from tests.fixtures.meshes import bumpy_sphere, mesh_of
 
@@ -83,7 +84,7 @@ def test_nothing_but_bad_steps_is_an_error_that_names_the_term() -> None:
     x, optimizer = _line(1.0)
     with pytest.raises(StageError, match=r"20 steps in a row.*'light'"):
         optimize(lambda _: {"light": x.sum() * float("inf")}, optimizer, Schedule(100), stage="test")
-    assert PATIENCE_NONFINITE == 20 and x.item() == 1.0
+    assert MAX_CONSECUTIVE_NONFINITE_STEPS == 20 and x.item() == 1.0
 
 
 @pytest.mark.parametrize(
@@ -109,8 +110,8 @@ def test_a_resumed_loop_ends_where_an_unbroken_one_does(tmp_path: Path, make) ->
             Schedule(40, end=0.1),
             stage="test",
             report=heard.append,
-            keep=Keep(path, -1.0),
-            beside=seen,
+            checkpointing=Checkpointing(path, -1.0),
+            extra_state=seen,
         )
         assert report.steps == 40 and len(report.curves["far"]) == 40
         assert sum(len(p.scalars["far"]) for p in heard) == 40, "observers hear all steps after a resume, too"
@@ -146,7 +147,13 @@ class Seen:
 
 def test_a_short_loop_leaves_no_checkpoint(tmp_path: Path) -> None:
     x, optimizer = _line(1.0)
-    optimize(lambda _: {"far": x.square().sum()}, optimizer, Schedule(5), stage="test", keep=Keep(tmp_path / "a.npz"))
+    optimize(
+        lambda _: {"far": x.square().sum()},
+        optimizer,
+        Schedule(5),
+        stage="test",
+        checkpointing=Checkpointing(tmp_path / "a.npz"),
+    )
     assert not list(tmp_path.iterdir())
 
 
@@ -219,8 +226,8 @@ def test_of_many_bad_steps_the_first_are_told_and_all_counted() -> None:
         return {"far": (x - 1).square().sum() * (float("nan") if step % 2 else 1.0)}
 
     report = optimize(loss, optimizer, Schedule(100), stage="test", locate=lambda step, term: f"place {step}")
-    assert report.skipped == {"far": 50} and len(report.troubles) == PATIENCE_NONFINITE
-    assert report.troubles[0] == "step 1: far is not finite at place 1"
+    assert report.skipped == {"far": 50} and len(report.diagnostics) == MAX_CONSECUTIVE_NONFINITE_STEPS
+    assert report.diagnostics[0] == "step 1: far is not finite at place 1"
 
 
 def test_no_terms_are_a_loss_of_zero() -> None:
