@@ -9,7 +9,7 @@ import pytest
 from hypothesis import settings
 from parity.browser import chromium_command
 
-pytest_plugins = ["tests.fixtures.runs", "tests.fixtures.spot_pictures"]
+pytest_plugins = ["tests.fixtures.runs", "tests.fixtures.one_pixel_pictures"]
 
 ROOT = Path(__file__).resolve().parent.parent
 

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from hir_core.testing.captures import TinyCapture
 
 
-def mesh_of_the_object(truth: TinyCapture, given: Capture, folder: Path) -> tuple[Capture, dict[str, Any]]:
+def object_mesh_file(truth: TinyCapture, given: Capture, folder: Path) -> tuple[Capture, dict[str, Any]]:
     """The true surface as a file, in the axes of the capture's own files."""
     import trimesh
 

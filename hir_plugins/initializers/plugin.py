@@ -34,7 +34,7 @@ MESH_FILE = Component(
     requires=("torch", "jaxtyping", "open3d"),
     extra="reconstruct",
     traits=frozenset({"makes_surface", "reads_files"}),
-    testing="hir_plugins.initializers.contract_inputs:mesh_of_the_object",
+    testing="hir_plugins.initializers.contract_inputs:object_mesh_file",
 )
 
 COLMAP = Component(

@@ -14,8 +14,8 @@ from hir_core.capture.lens import camera_lens, resample
 from hir_core.errors import CaptureError
 from hir_core.plugins.interfaces import MaskSource
 from hir_plugins.masks.options import FolderOptions
-from hir_plugins.readers.parsing.capture_paths import PHOTO_SUFFIXES, inside
-from hir_plugins.readers.parsing.mask_files import beside, match_mask
+from hir_plugins.readers.parsing.capture_paths import PHOTO_SUFFIXES, contained_path
+from hir_plugins.readers.parsing.mask_files import find_mask, match_mask
 from hir_plugins.readers.parsing.photo_file import read_mask
 
 if TYPE_CHECKING:
@@ -53,8 +53,8 @@ class Folder(MaskSource):
         if view.path is None:
             return None
         if not self._config.path:
-            return beside(view.path, capture)
-        folder = inside(capture, self._config.path, Path("mask_source.folder.path"))
+            return find_mask(view.path, capture)
+        folder = contained_path(capture, self._config.path, Path("mask_source.folder.path"))
         if not folder.is_dir():
             raise CaptureError(f"mask_source.folder.path: {folder} is not a folder")
         files = sorted(f for f in folder.rglob("*") if f.suffix.lower() in PHOTO_SUFFIXES)

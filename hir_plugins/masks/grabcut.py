@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from hir_core.capture import Camera, Capture, Pixels
 from hir_core.plugins.interfaces import MaskSource
-from hir_plugins.masks.object_region import agreed_region, object_points, splat
+from hir_plugins.masks.object_region import consistent_silhouettes, draw_discs, object_points
 from hir_plugins.masks.options import GrabCutOptions
 
 if TYPE_CHECKING:
     from hir_core.scene import Scene
 
-_COLOR_RANGE = 2.0
+_MAX_LINEAR_VALUE = 2.0
 """Linear values are compared up to this."""
 
 
@@ -36,20 +36,20 @@ class GrabCut(MaskSource):
         points, center, radius = object_points(capture)
         factors = [self._factor(camera) for camera in capture.cameras]
         cameras = [camera.downsampled(f) for camera, f in zip(capture.cameras, factors, strict=True)]
-        images = [_picture(v.pixels(f)) for v, f in zip(capture.views, factors, strict=True)]
+        images = [_encoded_picture(v.pixels(f)) for v, f in zip(capture.views, factors, strict=True)]
         spacing = max(_typical_spacing(points), radius / 60)
-        sure = [splat(points, camera, 0.35 * spacing) for camera in cameras]
+        sure = [draw_discs(points, camera, 0.35 * spacing) for camera in cameras]
         # what starts as object teaches its colours: no more than closes the gaps between points
-        likely = [splat(points, camera, min(spacing, 0.5 * self._config.margin * radius)) for camera in cameras]
-        outer = [splat(points, camera, self._config.margin * radius) for camera in cameras]
+        likely = [draw_discs(points, camera, min(spacing, 0.5 * self._config.margin * radius)) for camera in cameras]
+        outer = [draw_discs(points, camera, self._config.margin * radius) for camera in cameras]
         # OpenCV lets go of the interpreter while it cuts, and cuts on one core
         with ThreadPoolExecutor(max_workers=max(1, cv2.getNumThreads())) as pool:
-            masks = list(pool.map(cut, images, sure, likely, outer))
+            masks = list(pool.map(cut_by_colour, images, sure, likely, outer))
             for _ in range(self._config.rounds):
-                body = agreed_region(masks, cameras, center, 1.6 * radius, self._config.agreement)
-                masks = list(pool.map(_again, images, sure, body))
+                body = consistent_silhouettes(masks, cameras, center, 1.6 * radius, self._config.agreement)
+                masks = list(pool.map(_cut_again, images, sure, body))
         return [
-            refine(view.pixels().color_linear, mask, factor)
+            refine_edge(view.pixels().color_linear, mask, factor)
             for view, mask, factor in zip(capture.views, masks, factors, strict=True)
         ]
 
@@ -57,7 +57,7 @@ class GrabCut(MaskSource):
         return max(1, round(max(camera.width, camera.height) / self._config.max_image_size))
 
 
-def cut(
+def cut_by_colour(
     image: NDArray[np.uint8], sure: NDArray[np.bool_], likely: NDArray[np.bool_], outer: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
     """Object pixels (H, W) of an 8-bit picture: all of `sure`, nothing outside of `outer`, colours decide between."""
@@ -76,7 +76,7 @@ def cut(
     return (labels & 1) == 1
 
 
-def _again(image: NDArray[np.uint8], sure: NDArray[np.bool_], region: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _cut_again(image: NDArray[np.uint8], sure: NDArray[np.bool_], region: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Cuts inside of the region that the views agree on, and a little beyond it."""
     import cv2
 
@@ -88,10 +88,10 @@ def _again(image: NDArray[np.uint8], sure: NDArray[np.bool_], region: NDArray[np
     inner, outer = cv2.erode(solid, kernel) > 0, cv2.dilate(solid, kernel) > 0
     # only the reconstructed points are sure: a hull also fills what lies between jaw and neck. Its rim starts as
     # background, or the colours of the background beside the object would be learnt as the object's
-    return _largest(cut(image, sure & inner, inner, outer))
+    return _largest_component(cut_by_colour(image, sure & inner, inner, outer))
 
 
-def refine(color_linear: NDArray[np.float32], mask: NDArray[np.bool_], factor: int) -> NDArray[np.float32]:
+def refine_edge(color_linear: NDArray[np.float32], mask: NDArray[np.bool_], factor: int) -> NDArray[np.float32]:
     """The small mask at the picture's full size, its edge drawn to the picture's (guided filter, He 2010)."""
     import cv2
 
@@ -109,8 +109,8 @@ def refine(color_linear: NDArray[np.float32], mask: NDArray[np.bool_], factor: i
     return np.clip((soft - 0.5) * 2 + 0.5, 0, 1).astype(np.float32)
 
 
-def _picture(pixels: Pixels) -> NDArray[np.uint8]:
-    encoded = linear_to_srgb(np.clip(pixels.color_linear, 0, _COLOR_RANGE))
+def _encoded_picture(pixels: Pixels) -> NDArray[np.uint8]:
+    encoded = linear_to_srgb(np.clip(pixels.color_linear, 0, _MAX_LINEAR_VALUE))
     return np.rint(np.clip(encoded, 0, 1) * 255).astype(np.uint8)
 
 
@@ -121,7 +121,7 @@ def _typical_spacing(points: NDArray[np.floating]) -> float:
     return float(np.median(neighbours[:, -1]))
 
 
-def _largest(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _largest_component(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """The largest piece without its holes smaller than itself by a hundred times."""
     from scipy.ndimage import label
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from hir_core.capture import Array, Camera, Capture
 from hir_core.errors import CaptureError
 
-_GRID = 72
+_GRID_RESOLUTION = 72
 
 
 def object_points(capture: Capture) -> tuple[Array, Array, float]:
@@ -44,7 +44,7 @@ def object_points(capture: Capture) -> tuple[Array, Array, float]:
     return near, center, float(np.quantile(np.linalg.norm(near - center, axis=1), 0.97))
 
 
-def splat(points: Array, camera: Camera, radius: float) -> NDArray[np.bool_]:
+def draw_discs(points: Array, camera: Camera, radius: float) -> NDArray[np.bool_]:
     """Pixels (H, W) within a world `radius` of some point, as seen by the camera."""
     import cv2
 
@@ -58,7 +58,7 @@ def splat(points: Array, camera: Camera, radius: float) -> NDArray[np.bool_]:
     return picture > 0
 
 
-def agreed_region(
+def consistent_silhouettes(
     masks: Sequence[NDArray[np.bool_]], cameras: Sequence[Camera], center: Array, radius: float, agreement: float
 ) -> list[NDArray[np.bool_]]:
     """Each view's silhouette (H, W) of the places that look like the object in a share `agreement` of the views.
@@ -67,7 +67,7 @@ def agreed_region(
     """
     from scipy.ndimage import label
 
-    axis = np.linspace(-radius, radius, _GRID)
+    axis = np.linspace(-radius, radius, _GRID_RESOLUTION)
     grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3) + center
     shown, inside = np.zeros(len(grid)), np.zeros(len(grid))
     for mask, camera in zip(masks, cameras, strict=True):
@@ -77,11 +77,11 @@ def agreed_region(
         shown += seen
         inside[seen] += mask[rows[seen], columns[seen]]
     solid = (inside >= agreement * shown) & (shown >= shown.max() / 2) & (shown > 0)
-    bodies, count = label(solid.reshape([_GRID] * 3))
+    bodies, count = label(solid.reshape([_GRID_RESOLUTION] * 3))
     if count == 0:
         return [np.zeros_like(mask) for mask in masks]
     largest = np.bincount(bodies.reshape(-1))[1:].argmax() + 1
     body = grid[bodies.reshape(-1) == largest]
     # a cell's half diagonal, so that neighbouring cells overlap in the picture
     reach = float(axis[1] - axis[0]) * np.sqrt(3) / 2
-    return [splat(body, camera, reach) for camera in cameras]
+    return [draw_discs(body, camera, reach) for camera in cameras]

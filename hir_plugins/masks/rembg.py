@@ -44,7 +44,7 @@ def _session(options: RembgOptions, capture: Capture) -> Any:
         path = path if path.is_absolute() else capture.path / path
         if not path.is_file():
             raise CaptureError(f"{path}: there are no such weights; mask_source.rembg.weights names an ONNX file")
-        return _opened(path, lambda: _of_file(path))
+        return _open_network(path, lambda: _session_of_file(path))
     known = {kind.name(): kind for kind in sessions_class}
     if options.model not in known:
         raise CaptureError(f"rembg has no model {options.model!r}; it has: {', '.join(sorted(known))}")
@@ -55,10 +55,10 @@ def _session(options: RembgOptions, capture: Capture) -> Any:
             f"the weights of {options.model} are not on this machine, and nothing is downloaded "
             f"unasked; fetch them once with: rembg d {options.model}"
         )
-    return _opened(Path(found), lambda: new_session(options.model))
+    return _open_network(Path(found), lambda: new_session(options.model))
 
 
-def _of_file(weights: Path) -> Any:
+def _session_of_file(weights: Path) -> Any:
     """rembg's U²-Net on weights of any place: rembg itself opens only what lies in its own folder."""
     from onnxruntime import SessionOptions
     from rembg.sessions.u2net import U2netSession
@@ -71,7 +71,7 @@ def _of_file(weights: Path) -> Any:
     return GivenWeights("given", SessionOptions())
 
 
-def _opened(path: Path, make: Callable[[], Any]) -> Any:
+def _open_network(path: Path, make: Callable[[], Any]) -> Any:
     try:
         return make()
     except Exception as error:  # the runtime raises types of its own on a broken file

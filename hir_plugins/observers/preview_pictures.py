@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from hir_core.scene import Scene
 
-LIGHT = np.array([-0.4, 0.7, 0.6])
+LIGHT_DIRECTION = np.array([-0.4, 0.7, 0.6])
 """Where the light is seen from the camera: right, up, towards it."""
 
 
-def strip(scene: Scene, size: int, sides: int) -> NDArray[np.float32]:
+def preview_strip(scene: Scene, size: int, sides: int) -> NDArray[np.float32]:
     """Pictures (size, sides · size, 3) in sRGB from around the object: its colour in a light beside the camera."""
     import open3d as o3d
 
@@ -32,7 +32,7 @@ def strip(scene: Scene, size: int, sides: int) -> NDArray[np.float32]:
         hit = rays.cast_rays(o3d.core.Tensor.from_numpy(_rays(frame, size)))
         seen = np.isfinite(hit["t_hit"].numpy())
         normal = hit["primitive_normals"].numpy()
-        shade = 0.25 + 0.75 * np.clip(normal @ (LIGHT @ frame) / np.linalg.norm(LIGHT), 0, 1)
+        shade = 0.25 + 0.75 * np.clip(normal @ (LIGHT_DIRECTION @ frame) / np.linalg.norm(LIGHT_DIRECTION), 0, 1)
         face, inner = hit["primitive_ids"].numpy().astype(np.int64), hit["primitive_uvs"].numpy()
         color = np.ones((size, size, 3))
         color[seen] = surface_colors(scene, face[seen], inner[seen]) * shade[seen][:, None]

@@ -40,6 +40,6 @@ class PreviewsObserver:
             return
         from hir_exporters.textures.image_files import write_png
 
-        from hir_plugins.observers.preview_pictures import strip
+        from hir_plugins.observers.preview_pictures import preview_strip
 
-        write_png(self._folder / f"{stage}.png", strip(scene, self._options.size, self._options.sides))
+        write_png(self._folder / f"{stage}.png", preview_strip(scene, self._options.size, self._options.sides))

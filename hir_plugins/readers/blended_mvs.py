@@ -11,11 +11,11 @@ from hir_core.capture import Array, Capture
 from hir_core.errors import CaptureError
 from hir_core.plugins import NoOptions
 from hir_core.plugins.interfaces import CaptureReader
-from hir_plugins.readers.parsing.camera_axes import rigid
-from hir_plugins.readers.parsing.capture_paths import existing_photo, inside, unique_names
+from hir_plugins.readers.parsing.camera_axes import rigid_transform
+from hir_plugins.readers.parsing.capture_paths import contained_path, find_photo, unique_names
 from hir_plugins.readers.parsing.lens_camera import LensCamera, make_view
-from hir_plugins.readers.parsing.mask_files import beside
-from hir_plugins.readers.parsing.upright import upright
+from hir_plugins.readers.parsing.mask_files import find_mask
+from hir_plugins.readers.parsing.upright import upright_rotation
 
 _FOLDERS: Final = ("blended_images", "images", "image")
 
@@ -44,17 +44,17 @@ class BlendedMvsReader(CaptureReader):
             raise CaptureError(f"{path} has none of the folders {', '.join(_FOLDERS)}")
         sources = sorted((path / "cams").glob("*_cam.txt"))
         # the masked versions of the same pictures end in _masked
-        photos = [existing_photo(folder, s.name.removesuffix("_cam.txt"), s) for s in sources]
+        photos = [find_photo(folder, s.name.removesuffix("_cam.txt"), s) for s in sources]
         views, poses = [], []
         for source, photo, name in zip(sources, photos, unique_names(photos, folder), strict=True):
-            inside(path, source.relative_to(path).as_posix(), path)
+            contained_path(path, source.relative_to(path).as_posix(), path)
             pose, k = _camera(source)
             # centres at whole numbers there, at .5 here
             lens = LensCamera(k[0, 0], k[1, 1], k[0, 2] + 0.5, k[1, 2] + 0.5)
-            views.append(make_view(name, photo, lens, pose, str(source), beside(photo, path)))
+            views.append(make_view(name, photo, lens, pose, str(source), find_mask(photo, path)))
             poses.append(pose)
         capture = Capture(path=path, views=tuple(views), world_from_source=np.eye(4), reader="blended_mvs")
-        return capture.transformed(upright(poses))
+        return capture.transformed(upright_rotation(poses))
 
 
 def _camera(source: Path) -> tuple[Array, Array]:
@@ -65,4 +65,4 @@ def _camera(source: Path) -> tuple[Array, Array]:
         intrinsic = np.array(words[then + 1 : then + 10], dtype=np.float64).reshape(3, 3)
     except ValueError:
         raise CaptureError(f"{source} needs 'extrinsic' with 16 numbers and 'intrinsic' with 9") from None
-    return rigid(extrinsic, str(source)), intrinsic
+    return rigid_transform(extrinsic, str(source)), intrinsic

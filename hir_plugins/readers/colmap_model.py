@@ -11,11 +11,11 @@ from hir_core.capture import Capture
 from hir_core.errors import CaptureError
 from hir_core.plugins import NoOptions
 from hir_core.plugins.interfaces import CaptureReader
-from hir_plugins.readers.parsing.capture_paths import existing_photo, unique_names
+from hir_plugins.readers.parsing.capture_paths import find_photo, unique_names
 from hir_plugins.readers.parsing.colmap_files import read_cameras, read_images, read_points
 from hir_plugins.readers.parsing.lens_camera import make_view
-from hir_plugins.readers.parsing.mask_files import beside
-from hir_plugins.readers.parsing.upright import upright
+from hir_plugins.readers.parsing.mask_files import find_mask
+from hir_plugins.readers.parsing.upright import upright_rotation
 
 _MODELS: Final = ("sparse/0", "sparse", "colmap/sparse/0", "colmap/sparse", "dense/sparse", "colmap", "model", ".")
 _IMAGES: Final = ("images", "image", "input", "rgb", "photos", ".")
@@ -45,18 +45,18 @@ class ColmapModelReader(CaptureReader):
             raise CaptureError(f"{path} holds no COLMAP model (cameras and images as .bin or .txt)")
         cameras, images = read_cameras(model), read_images(model)
         folder = _image_folder(path, images[0].name)
-        photos = [existing_photo(folder, image.name, model) for image in images]
+        photos = [find_photo(folder, image.name, model) for image in images]
         views = []
         for image, photo, name in zip(images, photos, unique_names(photos, folder), strict=True):
             if image.camera_id not in cameras:
                 raise CaptureError(f"{model}: {image.name!r} names camera {image.camera_id}, which is missing")
             owner = f"{model}, picture {image.name!r}"
-            mask = beside(photo, path)
+            mask = find_mask(photo, path)
             views.append(make_view(name, photo, cameras[image.camera_id], image.world_to_camera, owner, mask))
         capture = Capture(
             path=path, views=tuple(views), points=read_points(model), world_from_source=np.eye(4), reader="colmap_model"
         )
-        return capture.transformed(upright([image.world_to_camera for image in images]))
+        return capture.transformed(upright_rotation([image.world_to_camera for image in images]))
 
 
 def _model_folder(path: Path) -> Path | None:

@@ -12,11 +12,11 @@ from hir_core.capture import Capture, similarity_scale
 from hir_core.errors import CaptureError
 from hir_core.plugins import NoOptions
 from hir_core.plugins.interfaces import CaptureReader
-from hir_plugins.readers.parsing.capture_paths import photos_of_first, unique_names
+from hir_plugins.readers.parsing.capture_paths import photos_in_first_folder, unique_names
 from hir_plugins.readers.parsing.lens_camera import LensCamera, make_view
-from hir_plugins.readers.parsing.mask_files import beside
+from hir_plugins.readers.parsing.mask_files import find_mask
 from hir_plugins.readers.parsing.pose_files import decompose_projection, load_arrays
-from hir_plugins.readers.parsing.upright import upright
+from hir_plugins.readers.parsing.upright import upright_rotation
 
 _FILES: Final = ("cameras.npz", "cameras_sphere.npz", "cameras_large.npz", "cameras_hd.npz")
 _FOLDERS: Final = ("image", "images", "rgb")
@@ -44,7 +44,7 @@ class IdrCamerasReader(CaptureReader):
             raise CaptureError(f"{path} has no split {split!r}; cameras.npz captures have only 'train'")
         arrays = load_arrays(source)
         numbers = sorted(int(m[1]) for name in arrays if (m := re.fullmatch(r"world_mat_(\d+)", name)))
-        photos = photos_of_first(path, _FOLDERS)
+        photos = photos_in_first_folder(path, _FOLDERS)
         if not numbers or len(photos) != len(numbers):
             raise CaptureError(
                 f"{source} has {len(numbers)} cameras (world_mat_<i>), {path} {len(photos)} images; give one each"
@@ -57,11 +57,13 @@ class IdrCamerasReader(CaptureReader):
                 raise CaptureError(f"{owner} has the shape {matrix.shape}; 4×4 is needed")
             k, pose = decompose_projection(matrix[:3], owner)
             views.append(
-                make_view(name, photo, LensCamera(k[0, 0], k[1, 1], k[0, 2], k[1, 2]), pose, owner, beside(photo, path))
+                make_view(
+                    name, photo, LensCamera(k[0, 0], k[1, 1], k[0, 2], k[1, 2]), pose, owner, find_mask(photo, path)
+                )
             )
             poses.append(pose)
         capture = Capture(path=path, views=tuple(views), world_from_source=np.eye(4), reader="idr_cameras")
-        capture = capture.transformed(upright(poses))
+        capture = capture.transformed(upright_rotation(poses))
         scale = arrays.get(f"scale_mat_{numbers[0]}")
         if scale is None or scale.shape != (4, 4) or not similarity_scale(scale) > 1e-12:
             return capture

@@ -11,12 +11,12 @@ from hir_core.capture import Capture
 from hir_core.errors import CaptureError
 from hir_core.plugins import NoOptions
 from hir_core.plugins.interfaces import CaptureReader
-from hir_plugins.readers.parsing.camera_axes import OPENCV_FROM_OPENGL, rigid, rigid_inverse
-from hir_plugins.readers.parsing.capture_paths import photos_of_first, unique_names
+from hir_plugins.readers.parsing.camera_axes import OPENCV_FROM_OPENGL, rigid_inverse, rigid_transform
+from hir_plugins.readers.parsing.capture_paths import photos_in_first_folder, unique_names
 from hir_plugins.readers.parsing.lens_camera import LensCamera, make_view
-from hir_plugins.readers.parsing.mask_files import beside
+from hir_plugins.readers.parsing.mask_files import find_mask
 from hir_plugins.readers.parsing.pose_files import load_arrays
-from hir_plugins.readers.parsing.upright import upright
+from hir_plugins.readers.parsing.upright import upright_rotation
 
 _FOLDERS: Final = ("images", "image", "images_4", "images_8", "images_2")
 
@@ -44,7 +44,7 @@ class LlffReader(CaptureReader):
         table = load_arrays(source).get("array")
         if table is None or table.ndim != 2 or table.shape[1] != 17 or not len(table):
             raise CaptureError(f"{source} does not hold rows of 17 numbers")
-        photos = photos_of_first(path, _FOLDERS)
+        photos = photos_in_first_folder(path, _FOLDERS)
         if len(photos) != len(table):
             raise CaptureError(f"{source} has {len(table)} cameras, {path} {len(photos)} images; give one each")
         views, poses = [], []
@@ -54,9 +54,9 @@ class LlffReader(CaptureReader):
             height, width, focal = matrix[:, 4]
             # columns are down, right, backwards: to right, up, backwards
             axes = np.stack([matrix[:, 1], -matrix[:, 0], matrix[:, 2], matrix[:, 3]], axis=1)
-            pose = rigid_inverse(rigid(axes, owner) @ OPENCV_FROM_OPENGL)
+            pose = rigid_inverse(rigid_transform(axes, owner) @ OPENCV_FROM_OPENGL)
             lens = LensCamera(focal, focal, width / 2, height / 2, width, height)
-            views.append(make_view(name, photo, lens, pose, owner, beside(photo, path)))
+            views.append(make_view(name, photo, lens, pose, owner, find_mask(photo, path)))
             poses.append(pose)
         capture = Capture(path=path, views=tuple(views), world_from_source=np.eye(4), reader="llff")
-        return capture.transformed(upright(poses))
+        return capture.transformed(upright_rotation(poses))

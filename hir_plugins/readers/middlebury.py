@@ -11,11 +11,11 @@ from hir_core.capture import Capture
 from hir_core.errors import CaptureError
 from hir_core.plugins import NoOptions
 from hir_core.plugins.interfaces import CaptureReader
-from hir_plugins.readers.parsing.camera_axes import rigid
-from hir_plugins.readers.parsing.capture_paths import MAX_TEXT_BYTES, existing_photo, unique_names
+from hir_plugins.readers.parsing.camera_axes import rigid_transform
+from hir_plugins.readers.parsing.capture_paths import MAX_TEXT_BYTES, find_photo, unique_names
 from hir_plugins.readers.parsing.lens_camera import LensCamera, make_view
-from hir_plugins.readers.parsing.mask_files import beside
-from hir_plugins.readers.parsing.upright import upright
+from hir_plugins.readers.parsing.mask_files import find_mask
+from hir_plugins.readers.parsing.upright import upright_rotation
 
 
 @final
@@ -44,7 +44,7 @@ class MiddleburyReader(CaptureReader):
         rows = [line.split() for line in text.splitlines() if line.strip()][1:]
         if not rows or any(len(row) != 22 for row in rows):
             raise CaptureError(f"{source} needs a line of a name and 21 numbers for each image")
-        photos = [existing_photo(path, row[0], source) for row in rows]
+        photos = [find_photo(path, row[0], source) for row in rows]
         views, poses = [], []
         for row, photo, name in zip(rows, photos, unique_names(photos, path), strict=True):
             owner = f"{source}, {row[0]!r}"
@@ -53,9 +53,9 @@ class MiddleburyReader(CaptureReader):
             except ValueError:
                 raise CaptureError(f"{owner}: the line holds something that is not a number") from None
             k, rotation, place = numbers[:9].reshape(3, 3), numbers[9:18].reshape(3, 3), numbers[18:]
-            pose = rigid(np.concatenate([rotation, place[:, None]], axis=1), owner)
+            pose = rigid_transform(np.concatenate([rotation, place[:, None]], axis=1), owner)
             lens = LensCamera(k[0, 0], k[1, 1], k[0, 2], k[1, 2])
-            views.append(make_view(name, photo, lens, pose, owner, beside(photo, path)))
+            views.append(make_view(name, photo, lens, pose, owner, find_mask(photo, path)))
             poses.append(pose)
         capture = Capture(path=path, views=tuple(views), world_from_source=np.eye(4), reader="middlebury")
-        return capture.transformed(upright(poses))
+        return capture.transformed(upright_rotation(poses))

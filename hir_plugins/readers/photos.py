@@ -11,9 +11,10 @@ from hir_core.capture import Capture, View
 from hir_core.errors import CaptureError
 from hir_core.plugins import NoOptions
 from hir_core.plugins.interfaces import CaptureReader
-from hir_plugins.readers.parsing.capture_paths import PHOTO_SUFFIXES, inside, unique_names
-from hir_plugins.readers.parsing.mask_files import beside, orphans
-from hir_plugins.readers.parsing.photo_file import PhotoFile, photo_size
+from hir_plugins.readers.parsing.capture_paths import PHOTO_SUFFIXES, contained_path, unique_names
+from hir_plugins.readers.parsing.mask_files import find_mask, unmatched_masks
+from hir_plugins.readers.parsing.photo_file import PhotoFile
+from hir_plugins.readers.parsing.picture_decoding import photo_size
 
 _FOLDERS: Final = (".", "images", "image", "photos", "input", "rgb", "Images", "JPEG", "DCIM")
 _CAMERA_FILES: Final = (
@@ -63,8 +64,8 @@ class PhotosReader(CaptureReader):
                 stacklevel=2,
             )
         names = unique_names(photos, path)
-        masks = [beside(photo, path) for photo in photos]
-        if lost := orphans(photos, path):
+        masks = [find_mask(photo, path) for photo in photos]
+        if lost := unmatched_masks(photos, path):
             warnings.warn(
                 f"{len(lost)} masks belong to no photograph, such as {lost[0]}: masks are named like their photographs",
                 stacklevel=2,
@@ -84,5 +85,5 @@ def _photos(path: Path) -> list[Path]:
             continue
         found = sorted(p for p in folder.iterdir() if p.suffix.lower() in PHOTO_SUFFIXES and p.is_file())
         if len(found) >= 2:
-            return [inside(path, p.relative_to(path).as_posix(), path) for p in found]
+            return [contained_path(path, p.relative_to(path).as_posix(), path) for p in found]
     return []

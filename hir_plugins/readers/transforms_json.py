@@ -14,13 +14,14 @@ from hir_plugins.readers.parsing.camera_axes import (
     BLENDER_FROM_LATLONG,
     OPENCV_FROM_OPENGL,
     WORLD_FROM_Z_UP,
-    rigid,
     rigid_inverse,
+    rigid_transform,
 )
-from hir_plugins.readers.parsing.capture_paths import existing_photo, inside, number, read_json, unique_names
+from hir_plugins.readers.parsing.capture_paths import contained_path, find_photo, unique_names
+from hir_plugins.readers.parsing.json_fields import number_field, read_json
 from hir_plugins.readers.parsing.lens_camera import LensCamera, make_view
-from hir_plugins.readers.parsing.mask_files import beside
-from hir_plugins.readers.parsing.photo_file import photo_size
+from hir_plugins.readers.parsing.mask_files import find_mask
+from hir_plugins.readers.parsing.picture_decoding import photo_size
 
 _RADIAL: Final = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 _FISHEYE: Final = ("k1", "k2", "k3", "k4")
@@ -69,7 +70,7 @@ class TransformsJsonReader(CaptureReader):
         content = read_json(source)
         frames = _frames_of_split(content, split, source, own_file=split in files)
         folder = source.parent
-        photos = [existing_photo(folder, _text(f, "file_path", source, i), source) for i, f in frames]
+        photos = [find_photo(folder, _text(f, "file_path", source, i), source) for i, f in frames]
         views = tuple(
             _view(content, frame, source, index, photo, name)
             for (index, frame), photo, name in zip(frames, photos, unique_names(photos, folder), strict=True)
@@ -118,10 +119,10 @@ def _frames_of_split(
 def _view(content: dict[str, Any], frame: dict[str, Any], source: Path, index: int, photo: Path, name: str) -> View:
     owner = f"{source}, frame {index}"
     merged = {**content, **frame}
-    camera_to_source = rigid(frame.get("transform_matrix"), owner)
+    camera_to_source = rigid_transform(frame.get("transform_matrix"), owner)
     world_from_camera = WORLD_FROM_Z_UP @ camera_to_source @ OPENCV_FROM_OPENGL
     mask_name = frame.get("mask_path")
-    mask = existing_photo(source.parent, str(mask_name), source) if mask_name else beside(photo, source.parent)
+    mask = find_photo(source.parent, str(mask_name), source) if mask_name else find_mask(photo, source.parent)
     return make_view(name, photo, _lens(merged, owner, photo), rigid_inverse(world_from_camera), owner, mask)
 
 
@@ -130,25 +131,25 @@ def _lens(table: dict[str, Any], owner: str, photo: Path) -> LensCamera:
     model = table.get("camera_model", "OPENCV")
     if model not in _MODELS:
         raise CaptureError(f"{owner}: camera model {model!r} is not known; undistort the images to PINHOLE")
-    coefficients = tuple(number(table, key, owner, 0.0) or 0.0 for key in (_FISHEYE if fisheye else _RADIAL))
+    coefficients = tuple(number_field(table, key, owner, 0.0) or 0.0 for key in (_FISHEYE if fisheye else _RADIAL))
     if fisheye:
         coefficients = coefficients[:4]
     elif not any(coefficients[5:]):
         coefficients = coefficients[:5]
-    width, height = number(table, "w", owner), number(table, "h", owner)
+    width, height = number_field(table, "w", owner), number_field(table, "h", owner)
     if not width or not height:
         width, height = photo_size(photo)
-    fx, fy = number(table, "fl_x", owner), number(table, "fl_y", owner)
+    fx, fy = number_field(table, "fl_x", owner), number_field(table, "fl_y", owner)
     if fx is None:
-        angle = number(table, "camera_angle_x", owner)
+        angle = number_field(table, "camera_angle_x", owner)
         if angle is None or not 0 < angle < math.pi:
             raise CaptureError(f"{owner}: neither 'fl_x' nor a 'camera_angle_x' between 0 and π is given")
         fx = 0.5 * width / math.tan(0.5 * angle)
     if fy is None:
-        angle = number(table, "camera_angle_y", owner)
+        angle = number_field(table, "camera_angle_y", owner)
         # one angle alone means square pixels
         fy = 0.5 * height / math.tan(0.5 * angle) if angle and 0 < angle < math.pi else fx
-    cx, cy = number(table, "cx", owner, width / 2), number(table, "cy", owner, height / 2)
+    cx, cy = number_field(table, "cx", owner, width / 2), number_field(table, "cy", owner, height / 2)
     assert cx is not None and cy is not None
     return LensCamera(fx, fy, cx, cy, width, height, coefficients, "fisheye" if fisheye else "radial")
 
@@ -159,13 +160,13 @@ def _environment(content: dict[str, Any], source: Path) -> EnvironmentSource | N
         return None
     if not isinstance(entry, dict) or not isinstance(entry.get("file_path"), str):
         raise CaptureError(f"{source}: 'environment' needs an object with 'file_path' and 'strength'")
-    strength = number(entry, "strength", f"{source}, environment", 1.0)
+    strength = number_field(entry, "strength", f"{source}, environment", 1.0)
     assert strength is not None
     if strength < 0:
         raise CaptureError(f"{source}: the environment's strength {strength:g} is negative")
     # named, not opened: a fit must not depend on it
     return EnvironmentSource(
-        path=inside(source.parent, entry["file_path"], source),
+        path=contained_path(source.parent, entry["file_path"], source),
         strength=strength,
         source_from_environment=BLENDER_FROM_LATLONG.copy(),
     )

@@ -23,7 +23,7 @@ VIDEO_SUFFIXES: Final = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm")
 FRAMES: Final = 80
 """Frames that are taken: one from each of as many equal parts of the video."""
 
-_SIDE = 480
+_COMPARISON_SIDE_PIXELS = 480
 """Longer side at which frames are compared for sharpness."""
 
 
@@ -54,7 +54,7 @@ class VideoReader(CaptureReader):
         sharp = sharpness(video)
         if len(sharp) < 3:
             raise CaptureError(f"{video} has {len(sharp)} frames; walk around the object for half a minute")
-        chosen = spread(np.array([value for _, value in sharp]), FRAMES)
+        chosen = sharpest_in_intervals(np.array([value for _, value in sharp]), FRAMES)
         if len(chosen) < 20:
             advice = f"{video.name} gives only {len(chosen)} frames; 30 to 80 from all sides are better"
             warnings.warn(advice, stacklevel=2)
@@ -73,7 +73,7 @@ class VideoFrame:
     """Presentation time in the stream's own unit."""
 
     def __call__(self) -> Pixels:
-        with _opened(self.path) as container:
+        with _open_video(self.path) as container:
             stream = container.streams.video[0]
             try:
                 container.seek(self.time, stream=stream)
@@ -88,14 +88,14 @@ class VideoFrame:
 def sharpness(video: Path) -> list[tuple[int, float]]:
     """Time and sharpness of every frame: the variance of the Laplacian of its brightness, made small."""
     found = []
-    with _opened(video) as container:
+    with _open_video(video) as container:
         stream = container.streams.video[0]
         stream.thread_type = "AUTO"
         try:
             for frame in container.decode(stream):
                 if frame.pts is None:
                     continue
-                step = max(1, max(frame.width, frame.height) // _SIDE)
+                step = max(1, max(frame.width, frame.height) // _COMPARISON_SIDE_PIXELS)
                 image = frame.to_ndarray(format="gray").astype(np.float32)
                 height, width = image.shape[0] // step * step, image.shape[1] // step * step
                 small = image[:height, :width].reshape(height // step, step, width // step, step).mean(axis=(1, 3))
@@ -108,7 +108,7 @@ def sharpness(video: Path) -> list[tuple[int, float]]:
     return found
 
 
-def spread(sharp: NDArray[np.floating], count: int) -> list[int]:
+def sharpest_in_intervals(sharp: NDArray[np.floating], count: int) -> list[int]:
     """The index of the sharpest of each of `count` equal parts; all where there are no more."""
     if len(sharp) <= count:
         return list(range(len(sharp)))
@@ -125,14 +125,14 @@ def _video(path: Path) -> Path | None:
     return found[0] if found[0].resolve().is_relative_to(path.resolve()) else None
 
 
-_ALONE = {
+_SELF_CONTAINED = {
     "protocol_whitelist": "file",
     "format_whitelist": "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpegts,mpeg,ogg,flv,asf",
 }
 """Containers that hold their pictures: a playlist, whatever its ending, would open other files and addresses."""
 
 
-def _opened(path: Path) -> Any:
+def _open_video(path: Path) -> Any:
     try:
         import av
     except ImportError:
@@ -140,7 +140,7 @@ def _opened(path: Path) -> Any:
             f"{path} is a video; install its reader with: pip install av, or save its frames as photographs"
         ) from None
     try:
-        container = av.open(str(path), options=_ALONE)
+        container = av.open(str(path), options=_SELF_CONTAINED)
     except Exception as error:  # PyAV raises its own types for each way a file can be broken
         raise CaptureError(f"{path} cannot be opened as a video ({' '.join(str(error).split())})") from None
     if not container.streams.video:

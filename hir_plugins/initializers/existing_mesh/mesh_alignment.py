@@ -12,16 +12,16 @@ from hir_core.capture import Array
 from hir_core.errors import CaptureError
 
 _SAMPLES = 20_000
-_COARSE = 1_500
-_CANDIDATES = 4
-_TRIMMED = 0.8
+_COARSE_SAMPLES = 1_500
+_REFINED_CANDIDATES = 4
+_TRIMMED_SHARE = 0.8
 """Share of the points, the nearest ones, that count: the rest may be the table's."""
 
-_GOOD = 0.03
+_MAX_MEAN_DISTANCE = 0.03
 """Largest mean distance, in the mesh's size, of an alignment that is believed."""
 
 
-def aligned(positions: Array, faces: NDArray[np.int64], points: Array) -> tuple[Array, float]:
+def align_mesh(positions: Array, faces: NDArray[np.int64], points: Array) -> tuple[Array, float]:
     """4×4 similarity from the mesh to the points (N, 3), and the mean distance left, in the mesh's longest side.
 
     The 24 turns of a cube about the middle are tried, the best refined by iterated closest points with scale (Besl &
@@ -39,11 +39,13 @@ def aligned(positions: Array, faces: NDArray[np.int64], points: Array) -> tuple[
     rng = np.random.default_rng(0)
     points = points[rng.permutation(len(points))[:_SAMPLES]]
     # both in a frame of their own middle and size: medians, for points have outliers
-    to_unit, from_unit = _unit(surface), np.linalg.inv(_unit(points))
-    mesh_unit = _moved(surface, to_unit)
-    cloud = _moved(points, np.linalg.inv(from_unit))
+    to_unit, from_unit = _unit_from_points(surface), np.linalg.inv(_unit_from_points(points))
+    mesh_unit = _transformed(surface, to_unit)
+    cloud = _transformed(points, np.linalg.inv(from_unit))
     tree = cKDTree(mesh_unit)
-    starts = sorted(_turns(), key=lambda turn: _distance(tree, _moved(cloud[:_COARSE], turn)))[:_CANDIDATES]
+    starts = sorted(
+        _axis_rotations(), key=lambda turn: _trimmed_mean_distance(tree, _transformed(cloud[:_COARSE_SAMPLES], turn))
+    )[:_REFINED_CANDIDATES]
     target, source = (open3d.geometry.PointCloud(open3d.utility.Vector3dVector(x)) for x in (mesh_unit, cloud))
     method = open3d.pipelines.registration.TransformationEstimationPointToPoint(True)
     found: list[tuple[float, Array]] = []
@@ -58,10 +60,10 @@ def aligned(positions: Array, faces: NDArray[np.int64], points: Array) -> tuple[
         scale = np.cbrt(np.linalg.det(transform[:3, :3]))
         if 0.3 < scale < 3:
             # measured at the mesh's size, or shrinking all points into one would fit best
-            found.append((_distance(tree, _moved(cloud, transform)), transform))
+            found.append((_trimmed_mean_distance(tree, _transformed(cloud, transform)), transform))
     size = float(np.ptp(mesh_unit, axis=0).max())
     best = min(found, key=lambda f: f[0]) if found else (np.inf, np.eye(4))
-    if best[0] > _GOOD * size:
+    if best[0] > _MAX_MEAN_DISTANCE * size:
         raise CaptureError(
             "the mesh does not fit the capture's points in any turn "
             f"({best[0] / size:.1%} of its size apart); is it the same object? Else give "
@@ -70,7 +72,7 @@ def aligned(positions: Array, faces: NDArray[np.int64], points: Array) -> tuple[
     return from_unit @ np.linalg.inv(best[1]) @ to_unit, float(best[0] / size)
 
 
-def _unit(points: Array) -> Array:
+def _unit_from_points(points: Array) -> Array:
     """4×4 to the frame of the points' own middle and spread."""
     center = np.median(points, axis=0)
     spread = float(np.median(np.linalg.norm(points - center, axis=1))) or 1.0
@@ -80,7 +82,7 @@ def _unit(points: Array) -> Array:
     return frame
 
 
-def _turns() -> list[Array]:
+def _axis_rotations() -> list[Array]:
     """The 24 rotations that map the axes onto each other."""
     turns: list[Array] = []
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
@@ -91,11 +93,11 @@ def _turns() -> list[Array]:
     return turns
 
 
-def _moved(points: Array, transform: Array) -> Array:
+def _transformed(points: Array, transform: Array) -> Array:
     return points @ transform[:3, :3].T + transform[:3, 3]
 
 
-def _distance(tree: cKDTree, points: Array) -> float:
+def _trimmed_mean_distance(tree: cKDTree, points: Array) -> float:
     """Mean distance of the nearest of the points."""
     distance = np.sort(tree.query(points)[0])
-    return float(distance[: max(1, int(_TRIMMED * len(distance)))].mean())
+    return float(distance[: max(1, int(_TRIMMED_SHARE * len(distance)))].mean())

@@ -16,9 +16,9 @@ from hir_core.capture import Array, Capture, similarity_scale
 from hir_core.errors import CaptureError, ConfigError
 from hir_core.plugins.interfaces import Initializer
 from hir_core.scene import Mesh, Scene, Topology
-from hir_plugins.initializers.existing_mesh.mesh_alignment import aligned
+from hir_plugins.initializers.existing_mesh.mesh_alignment import align_mesh
 from hir_plugins.initializers.options import MeshFileOptions
-from hir_plugins.initializers.surface.object_bounds import object_ball
+from hir_plugins.initializers.surface.object_bounds import object_bounding_sphere
 from hir_plugins.initializers.surface.silhouette_fields import working_downsample
 from hir_plugins.initializers.surface.vertex_colors import vertex_colors
 
@@ -78,9 +78,9 @@ class MeshFile(Initializer):
     def _aligned(self, positions: Array, faces: NDArray[np.int64], capture: Capture) -> Array:
         points = np.zeros((0, 3)) if capture.points is None else capture.points.positions
         if len(points) and capture.views and all(view.camera is not None for view in capture.views):
-            center, radius = object_ball(capture)
+            center, radius = object_bounding_sphere(capture)
             points = points[np.linalg.norm(points - center, axis=1) < 1.5 * radius]
-        transform, distance = aligned(positions, faces, points)
+        transform, distance = align_mesh(positions, faces, points)
         self._report = {"aligned_with_points": len(points), "mean_distance": round(distance, 6)}
         moved: Array = positions @ transform[:3, :3].T + transform[:3, 3]
         return moved

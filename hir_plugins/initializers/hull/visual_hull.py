@@ -9,12 +9,13 @@ from hir_core.capture import Capture
 from hir_core.errors import CaptureError
 from hir_core.plugins.interfaces import Initializer
 from hir_core.scene import Scene
-from hir_plugins.initializers.hull.carving import Carver, carve
+from hir_plugins.initializers.hull.carving import sample_hull
+from hir_plugins.initializers.hull.hull_field import HullField
 from hir_plugins.initializers.options import VisualHullOptions
+from hir_plugins.initializers.surface.initial_scene import make_scene
 from hir_plugins.initializers.surface.isosurface import extract_surface, keep_large_components
-from hir_plugins.initializers.surface.mesh_cleaning import cleaned, edge_length
+from hir_plugins.initializers.surface.mesh_cleaning import clean_mesh, edge_length
 from hir_plugins.initializers.surface.silhouette_fields import silhouette_fields, working_downsample
-from hir_plugins.initializers.surface.start_scene import make_scene
 from hir_plugins.initializers.surface.volume import Volume
 
 
@@ -31,7 +32,7 @@ class VisualHull(Initializer):
         volume = hull_volume(capture, self._config)
         positions, faces = keep_large_components(*extract_surface(volume), self._config.min_component)
         edge = edge_length(capture, positions, self._config.edge_pixels, volume.spacing)
-        positions, faces = cleaned(positions, faces, edge, self._config.min_component)
+        positions, faces = clean_mesh(positions, faces, edge, self._config.min_component)
         return capture, make_scene(positions, faces, capture, self._config.vertex_colors)
 
 
@@ -44,5 +45,5 @@ def hull_volume(capture: Capture, options: VisualHullOptions) -> Volume:
             f"{len(fields)}; give images with alpha or a masks folder, "
             "or name a mask source, such as: --set 'masks=[\"grabcut\"]'"
         )
-    carver = Carver(fields, options.tolerated_views, options.min_views)
-    return carve(carver, options.pixels_per_voxel, options.max_resolution, options.drop_bad_views)
+    carver = HullField(fields, options.tolerated_views, options.min_views)
+    return sample_hull(carver, options.pixels_per_voxel, options.max_resolution, options.drop_bad_views)

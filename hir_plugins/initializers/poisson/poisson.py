@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import final
 
 import numpy as np
-from hir_exporters.files.subprocess_call import ChildError, call_apart
+from hir_exporters.files.subprocess_call import SubprocessCrashError, run_in_subprocess
 from numpy.typing import NDArray
 
 from hir_core.capture import Array, Capture, OrientedPoints
@@ -14,9 +14,9 @@ from hir_core.errors import CaptureError, StageError
 from hir_core.plugins.interfaces import Initializer
 from hir_core.scene import Scene
 from hir_plugins.initializers.options import PoissonOptions
+from hir_plugins.initializers.surface.initial_scene import make_scene
 from hir_plugins.initializers.surface.isosurface import keep_large_components
-from hir_plugins.initializers.surface.mesh_cleaning import cleaned, edge_length
-from hir_plugins.initializers.surface.start_scene import make_scene
+from hir_plugins.initializers.surface.mesh_cleaning import clean_mesh, edge_length
 
 
 @final
@@ -37,7 +37,7 @@ class Poisson(Initializer):
             )
         positions, faces = poisson_surface(points, self._config)
         edge = edge_length(capture, positions, self._config.edge_pixels)
-        positions, faces = cleaned(positions, faces, edge, self._config.min_component)
+        positions, faces = clean_mesh(positions, faces, edge, self._config.min_component)
         return capture, make_scene(positions, faces, capture, self._config.vertex_colors)
 
 
@@ -50,7 +50,9 @@ def poisson_surface(points: OrientedPoints, options: PoissonOptions) -> tuple[Ar
     depth = options.depth or int(np.clip(np.round(np.log(len(points.positions)) / np.log(4)), 6, 9))
     given = {"positions": (points.positions - center) / size, "normals": points.normals, "depth": depth}
     try:  # open3d keeps Python's lock meanwhile: in a process of its own Ctrl-C and progress get through
-        found = call_apart("hir_plugins.initializers.poisson.screened_poisson:surface", given | {"trim": options.trim})
-    except ChildError as error:
+        found = run_in_subprocess(
+            "hir_plugins.initializers.poisson.screened_poisson:surface", given | {"trim": options.trim}
+        )
+    except SubprocessCrashError as error:
         raise StageError(f"poisson ended without a surface ({error}); leave it out of 'initializers'") from error
     return keep_large_components(found["positions"] * size + center, found["faces"], options.min_component)

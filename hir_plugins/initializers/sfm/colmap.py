@@ -21,11 +21,11 @@ from hir_core.scene import Scene
 from hir_plugins.initializers.options import ColmapOptions
 from hir_plugins.initializers.sfm.metric_scale import MetricScale, read_marks, scale_of_bar, scale_of_gps
 from hir_plugins.initializers.sfm.sfm_images import SfmImage, write_images
-from hir_plugins.initializers.sfm.structure_from_motion import best_model
-from hir_plugins.initializers.sfm.triangulation import triangulated
-from hir_plugins.initializers.surface.object_bounds import object_ball
-from hir_plugins.readers.parsing.colmap_files import lens_camera
-from hir_plugins.readers.parsing.upright import upright
+from hir_plugins.initializers.sfm.structure_from_motion import largest_reconstruction
+from hir_plugins.initializers.sfm.triangulation import triangulate
+from hir_plugins.initializers.surface.object_bounds import object_bounding_sphere
+from hir_plugins.readers.parsing.colmap_lenses import lens_camera
+from hir_plugins.readers.parsing.upright import upright_rotation
 
 _MIN_CONTRAST = 2.0 / 255
 
@@ -56,7 +56,7 @@ class Colmap(Initializer):
         given = capture
         capture = replace(capture, views=tuple(replace(v, camera=None, distortion=()) for v in capture.views))
         images, masked = write_images(capture.views, workspace, self._config.max_image_size, known=False)
-        model = best_model(images, masked and self._config.use_masks, workspace, self._config)
+        model = largest_reconstruction(images, masked and self._config.use_masks, workspace, self._config)
         if model is None or model.num_reg_images() < 3:
             raise CaptureError(
                 f"{capture.path}: COLMAP could not place the photographs. Take more of them, with much "
@@ -70,7 +70,7 @@ class Colmap(Initializer):
                 stacklevel=2,
             )
         if posed:
-            solved = replace(solved, world_from_source=_as_given(solved, given))
+            solved = replace(solved, world_from_source=_solved_from_source(solved, given))
         turn, radius = _object_frame(solved)
         scale = self._scale(solved) or MetricScale(self._config.size / (2 * radius), f"size {self._config.size:g} m")
         self._report = {
@@ -96,7 +96,7 @@ class Colmap(Initializer):
 
     def _with_points(self, capture: Capture, workspace: Path) -> Capture:
         images, masked = write_images(capture.views, workspace, self._config.max_image_size, known=True)
-        model = triangulated(images, capture.cameras, masked and self._config.use_masks, workspace, self._config)
+        model = triangulate(images, capture.cameras, masked and self._config.use_masks, workspace, self._config)
         cloud = sparse_points(model)
         if cloud is None:
             warnings.warn(
@@ -116,7 +116,7 @@ def solved_capture(capture: Capture, images: Sequence[SfmImage], model: Any) -> 
     for image in images:
         view = capture.views[image.view]
         placed = by_file.get(image.file)
-        views.append(view if placed is None else _placed(view, image, placed, model.cameras[placed.camera_id]))
+        views.append(view if placed is None else _solved_view(view, image, placed, model.cameras[placed.camera_id]))
     return replace(capture, views=tuple(views), points=sparse_points(model))
 
 
@@ -129,7 +129,7 @@ def sparse_points(model: Any) -> OrientedPoints | None:
     return OrientedPoints(positions=np.array([xyz for xyz, _ in points]), colors=colors)
 
 
-def _placed(view: View, image: SfmImage, placed: Any, solved: Any) -> View:
+def _solved_view(view: View, image: SfmImage, placed: Any, solved: Any) -> View:
     pose = np.eye(4)
     pose[:3] = placed.cam_from_world().matrix()
     lens = lens_camera(solved.model.name, list(solved.params), solved.width, solved.height, view.name)
@@ -166,14 +166,14 @@ def _check_photographs(capture: Capture) -> None:
 def _object_frame(capture: Capture) -> tuple[Array, float]:
     """4×4 motion after which up is up and the object lies at the origin, and the object's radius."""
     poses = [view.camera.world_to_camera for view in capture.views if view.camera is not None]
-    turn = upright(poses)
-    center, radius = object_ball(capture)
+    turn = upright_rotation(poses)
+    center, radius = object_bounding_sphere(capture)
     move = np.eye(4)
     move[:3, 3] = -(turn[:3, :3] @ center)
     return move @ turn, radius
 
 
-def _as_given(solved: Capture, given: Capture) -> Array:
+def _solved_from_source(solved: Capture, given: Capture) -> Array:
     """4×4 from the files' world to the solved one, by the cameras' places: held-out views and a true mesh still fit."""
     pairs = [
         (a.camera.center, b.camera.center)

@@ -14,10 +14,10 @@ from hir_core.capture import Array, Camera, View
 from hir_core.capture.exif import gps_position
 from hir_core.errors import CaptureError
 
-_LEAST_PLACES = 5
-_TRUSTED = 0.05
+_MIN_POSITIONS = 5
+_MAX_RELATIVE_ERROR = 0.05
 """Standard error of a scale from GPS, relative, up to which it is believed."""
-_OUTLIER = 15.0
+_OUTLIER_METRES = 15.0
 """Metres: GPS places further than this from the best fit are errors of the receiver."""
 
 
@@ -32,7 +32,7 @@ class MetricScale:
 
 
 @dataclass(frozen=True)
-class Mark:
+class ScaleBarMark:
     """One end of a scale bar in one photograph."""
 
     view: str
@@ -40,7 +40,7 @@ class Mark:
     pixel: tuple[float, float]
 
 
-def read_marks(path: Path) -> list[Mark]:
+def read_marks(path: Path) -> list[ScaleBarMark]:
     """Marks of a scale bar; a line that is none raises `CaptureError` with its number."""
     try:
         text = path.read_text(encoding="utf-8")
@@ -65,11 +65,11 @@ def read_marks(path: Path) -> list[Mark]:
                 f"{path}, line {number}: {line.strip()[:60]!r} is not `photograph end x y`, with an end "
                 "a or b and pixels"
             )
-        marks.append(Mark(Path(name).stem if Path(name).suffix else name, end, pixel))
+        marks.append(ScaleBarMark(Path(name).stem if Path(name).suffix else name, end, pixel))
     return marks
 
 
-def scale_of_bar(marks: Sequence[Mark], length: float, views: Sequence[View]) -> MetricScale:
+def scale_of_bar(marks: Sequence[ScaleBarMark], length: float, views: Sequence[View]) -> MetricScale:
     """From the distance of the two ends in the world. Marks that do not meet in space raise `CaptureError`."""
     if length <= 0:
         raise CaptureError("initializer.colmap.scale_bar_length is missing: the distance of the bar's ends in metres")
@@ -82,7 +82,7 @@ def scale_of_bar(marks: Sequence[Mark], length: float, views: Sequence[View]) ->
                 f"the scale bar's end {end} is marked in {len(rays)} photographs with a camera; mark it "
                 "in two or more, from different sides"
             )
-        ends.append(_meeting_point(rays, end))
+        ends.append(_closest_point(rays, end))
     distance = float(np.linalg.norm(ends[0] - ends[1]))
     if distance <= 0:
         raise CaptureError("both ends of the scale bar are marked in the same place")
@@ -96,13 +96,13 @@ def scale_of_gps(views: Sequence[View]) -> MetricScale | None:
         for view in views
         if view.camera is not None and view.path is not None and (place := gps_position(view.path)) is not None
     ]
-    if len(found) < _LEAST_PLACES:
+    if len(found) < _MIN_POSITIONS:
         return None
     centers = np.array([center for center, _ in found])
     globe = np.array([place for _, place in found])
     metres = pycolmap.GPSTransform().ellipsoid_to_enu(globe, *np.median(globe, axis=0))
     options = pycolmap.RANSACOptions()
-    options.max_error = _OUTLIER
+    options.max_error = _OUTLIER_METRES
     options.random_seed = 0
     fit: Any = pycolmap.estimate_sim3d_robust(centers, metres, options)
     if fit is None:
@@ -110,13 +110,13 @@ def scale_of_gps(views: Sequence[View]) -> MetricScale | None:
     similarity = fit["tgt_from_src"].matrix()
     moved = centers @ similarity[:, :3].T + similarity[:, 3]
     apart = np.linalg.norm(moved - metres, axis=1)
-    kept = apart < _OUTLIER
-    if kept.sum() < _LEAST_PLACES:
+    kept = apart < _OUTLIER_METRES
+    if kept.sum() < _MIN_POSITIONS:
         return None
     spread = np.sqrt(((moved[kept] - moved[kept].mean(axis=0)) ** 2).sum())
     # a scale is a regression of places upon places: its error is theirs over the root of the summed squares
     error = float(np.sqrt((apart[kept] ** 2).sum() / (3 * kept.sum() - 7)) / max(spread, 1e-12))
-    if not error <= _TRUSTED:
+    if not error <= _MAX_RELATIVE_ERROR:
         return None
     return MetricScale(float(np.linalg.norm(similarity[:, 0])), f"GPS of {int(kept.sum())} photographs, to {error:.1%}")
 
@@ -142,7 +142,7 @@ def _undistorted(pixel: tuple[float, float], camera: Camera, distortion: Sequenc
     return np.asarray(point, dtype=np.float64).reshape(-1)
 
 
-def _meeting_point(rays: Sequence[tuple[Array, Array]], end: str) -> Array:
+def _closest_point(rays: Sequence[tuple[Array, Array]], end: str) -> Array:
     """The place nearest to all rays."""
     across = [np.eye(3) - np.outer(d, d) / (d @ d) for _, d in rays]
     normal = np.sum(across, axis=0)

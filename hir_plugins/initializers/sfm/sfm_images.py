@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from hir_core.capture import Camera, Pixels, View
 from hir_core.capture.exif import CameraRecord, camera_record
 
-_MASK_MARGIN = 0.01
+_MASK_MARGIN_SHARE = 0.01
 """Features may lie this share of the picture's side outside of the mask: outlines are features too."""
-_DEFAULT_FOCAL = 1.2
+_DEFAULT_FOCAL_OVER_SIDE = 1.2
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class SfmImage:
     @property
     def focal(self) -> float:
         """Focal length in pixels of this picture, from its record, or 1.2 longer sides."""
-        return (self.record.focal_over_width or _DEFAULT_FOCAL) * max(self.width, self.height)
+        return (self.record.focal_over_width or _DEFAULT_FOCAL_OVER_SIDE) * max(self.width, self.height)
 
 
 def write_images(views: Sequence[View], folder: Path, max_size: int, known: bool) -> tuple[list[SfmImage], bool]:
@@ -100,7 +100,7 @@ def _write_mask(target: Path, mask: NDArray[np.float32], factor: int) -> None:
 
     height, width = mask.shape[0] // factor, mask.shape[1] // factor
     blocks = mask[: height * factor, : width * factor].reshape(height, factor, width, factor).mean(axis=(1, 3))
-    margin = max(1, round(_MASK_MARGIN * max(height, width)))
+    margin = max(1, round(_MASK_MARGIN_SHARE * max(height, width)))
     kernel = np.ones((2 * margin + 1, 2 * margin + 1), np.uint8)
     grown = cv2.dilate((blocks > 0.5).astype(np.uint8) * 255, kernel)
     with atomic_path(target) as temporary:

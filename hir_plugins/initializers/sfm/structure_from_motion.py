@@ -13,8 +13,8 @@ import pycolmap
 from hir_exporters.files.atomic import write_text_atomic
 
 from hir_plugins.initializers.options import ColmapOptions
+from hir_plugins.initializers.sfm.feature_matching import Attempt, extract_features, match_features, run_cancellable
 from hir_plugins.initializers.sfm.sfm_images import SfmImage
-from hir_plugins.initializers.sfm.sfm_matches import Attempt, cancellable, extract, match
 
 
 def attempts(options: ColmapOptions, masked: bool) -> list[Attempt]:
@@ -29,12 +29,12 @@ def attempts(options: ColmapOptions, masked: bool) -> list[Attempt]:
     return tries if options.retry else tries[:1]
 
 
-def solve(images: Sequence[SfmImage], folder: Path, attempt: Attempt, options: ColmapOptions) -> list[Any]:
+def solve_attempt(images: Sequence[SfmImage], folder: Path, attempt: Attempt, options: ColmapOptions) -> list[Any]:
     """Reconstructions of one attempt, the largest first."""
-    return _map(matched(images, folder, attempt, options), folder, attempt, options)
+    return _map(build_database(images, folder, attempt, options), folder, attempt, options)
 
 
-def matched(images: Sequence[SfmImage], folder: Path, attempt: Attempt, options: ColmapOptions) -> Path:
+def build_database(images: Sequence[SfmImage], folder: Path, attempt: Attempt, options: ColmapOptions) -> Path:
     """The database in `folder` with features and matches; one that a kill left behind is taken up."""
     folder.mkdir(parents=True, exist_ok=True)
     database = folder / "database.db"
@@ -44,15 +44,15 @@ def matched(images: Sequence[SfmImage], folder: Path, attempt: Attempt, options:
         "model": options.camera_model,
         "images": [(i.file, i.width, i.height, i.parameters) for i in images],
     }
-    _same_settings_or_new(folder, settings)
+    _discard_other_settings(folder, settings)
     pycolmap.set_random_seed(options.seed)
     pycolmap.logging.minloglevel = int(pycolmap.logging.ERROR)
-    extract(images, folder, database, attempt, options)
-    match(database, folder, len(images), options)
+    extract_features(images, folder, database, attempt, options)
+    match_features(database, folder, len(images), options)
     return database
 
 
-def _same_settings_or_new(folder: Path, settings: dict[str, Any]) -> None:
+def _discard_other_settings(folder: Path, settings: dict[str, Any]) -> None:
     record = folder / "settings.json"
     text = json.dumps(settings, sort_keys=True)
     if not record.is_file() or record.read_text(encoding="utf-8") != text:
@@ -68,7 +68,7 @@ def _map(database: Path, folder: Path, attempt: Attempt, options: ColmapOptions)
     models.mkdir()
     images = str(folder.parent / "images")
     if options.mapper == "global":
-        found = cancellable(lambda token: pycolmap.global_mapping(str(database), images, str(models)))
+        found = run_cancellable(lambda token: pycolmap.global_mapping(str(database), images, str(models)))
     else:
         pipeline = pycolmap.IncrementalPipelineOptions()
         pipeline.num_threads = options.threads
@@ -78,7 +78,7 @@ def _map(database: Path, folder: Path, attempt: Attempt, options: ColmapOptions)
         pipeline.mapper.abs_pose_min_num_inliers = attempt.min_inliers
         pipeline.mapper.abs_pose_refine_focal_length = options.refine_intrinsics
         pipeline.mapper.abs_pose_refine_extra_params = options.refine_intrinsics
-        found = cancellable(
+        found = run_cancellable(
             lambda token: pycolmap.incremental_mapping(
                 str(database), images, str(models), options=pipeline, cancellation_token=token
             )
@@ -86,7 +86,7 @@ def _map(database: Path, folder: Path, attempt: Attempt, options: ColmapOptions)
     return sorted(found.values(), key=lambda model: -model.num_reg_images())
 
 
-def best_model(images: Sequence[SfmImage], masked: bool, workspace: Path, options: ColmapOptions) -> Any:
+def largest_reconstruction(images: Sequence[SfmImage], masked: bool, workspace: Path, options: ColmapOptions) -> Any:
     """The largest reconstruction of all attempts; they stop once nearly all pictures are in one."""
     best: Any = None
     for number, attempt in enumerate(attempts(options, masked)):
@@ -96,7 +96,7 @@ def best_model(images: Sequence[SfmImage], masked: bool, workspace: Path, option
                 "too, which misleads where the object stands on a turntable",
                 stacklevel=3,
             )
-        models = solve(images, workspace / f"attempt-{number + 1}", attempt, options)
+        models = solve_attempt(images, workspace / f"attempt-{number + 1}", attempt, options)
         if models and (best is None or models[0].num_reg_images() > best.num_reg_images()):
             best = models[0]
         fragments = [m.num_reg_images() for m in models]

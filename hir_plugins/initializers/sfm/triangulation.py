@@ -12,18 +12,18 @@ import pycolmap
 
 from hir_core.capture import Camera
 from hir_plugins.initializers.options import ColmapOptions
+from hir_plugins.initializers.sfm.feature_matching import run_cancellable
 from hir_plugins.initializers.sfm.sfm_images import SfmImage
-from hir_plugins.initializers.sfm.sfm_matches import cancellable
-from hir_plugins.initializers.sfm.structure_from_motion import attempts, matched
+from hir_plugins.initializers.sfm.structure_from_motion import attempts, build_database
 
 
-def triangulated(
+def triangulate(
     images: Sequence[SfmImage], cameras: Sequence[Camera], masked: bool, workspace: Path, options: ColmapOptions
 ) -> Any:
     """A reconstruction with the given cameras, one for each picture, and the points that they see."""
     folder = workspace / "triangulation"
-    database = matched(images, folder, attempts(options, masked)[0], options)
-    posed = _posed({image.file: cameras[image.view] for image in images}, database)
+    database = build_database(images, folder, attempts(options, masked)[0], options)
+    posed = _reconstruction_of_poses({image.file: cameras[image.view] for image in images}, database)
     models = folder / "models"
     shutil.rmtree(models, ignore_errors=True)
     models.mkdir()
@@ -31,14 +31,14 @@ def triangulated(
     pipeline.num_threads = options.threads
     pipeline.random_seed = options.seed
     pictures = str(workspace / "images")
-    return cancellable(
+    return run_cancellable(
         lambda token: pycolmap.triangulate_points(
             posed, str(database), pictures, str(models), options=pipeline, cancellation_token=token
         )
     )
 
 
-def _posed(cameras: dict[str, Camera], database: Path) -> Any:
+def _reconstruction_of_poses(cameras: dict[str, Camera], database: Path) -> Any:
     """COLMAP's pictures with the world's poses, under the database's own numbers."""
     posed = pycolmap.Reconstruction()
     opened = pycolmap.Database.open(str(database))
@@ -49,7 +49,7 @@ def _posed(cameras: dict[str, Camera], database: Path) -> Any:
             posed.add_rig(rig)
         images = {image.image_id: image for image in opened.read_all_images()}
         for frame in opened.read_all_frames():
-            frame.rig_from_world = _rigid(cameras[images[next(iter(frame.image_ids)).id].name])
+            frame.rig_from_world = _rigid3d(cameras[images[next(iter(frame.image_ids)).id].name])
             posed.add_frame(frame)
         for image in images.values():
             posed.add_image(image)
@@ -60,6 +60,6 @@ def _posed(cameras: dict[str, Camera], database: Path) -> Any:
     return posed
 
 
-def _rigid(camera: Camera) -> Any:
+def _rigid3d(camera: Camera) -> Any:
     pose = np.ascontiguousarray(camera.world_to_camera[:3], dtype=np.float64)
     return pycolmap.Rigid3d(pose)

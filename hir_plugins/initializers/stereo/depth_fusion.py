@@ -12,22 +12,22 @@ from scipy.ndimage import binary_dilation, gaussian_filter, label, zoom
 from torch import Tensor
 
 from hir_core.capture import Array
-from hir_plugins.initializers.stereo.depth_agreement import DepthMap
-from hir_plugins.initializers.stereo.surface_sweep import SweptView, content, correlations
-from hir_plugins.initializers.stereo.swept_photographs import Surface
+from hir_plugins.initializers.stereo.depth_consistency import DepthMap
+from hir_plugins.initializers.stereo.stereo_photographs import SweptSurface
+from hir_plugins.initializers.stereo.surface_sweep import SweptView, correlations, texture_confidence
 from hir_plugins.initializers.surface.volume import Volume
 
-_TRUNCATION = 2.0
+_TRUNCATION_VOXELS = 2.0
 """Voxels at which distances are cut off on both sides: far off depths are votes, and few wrong ones weigh little."""
 
-_REACH = 6.0
+_MAX_DEPTH_BEHIND_VOXELS = 6.0
 """Voxels behind a measured surface up to which it says that there is something."""
 
-_BETTER = 0.02
+_MIN_CORRELATION_GAIN = 0.02
 """Gain in correlation at which half of a carving is believed."""
 
 
-def volume_of(surface: Surface, positions: Array, spacing: float) -> Volume:
+def signed_distance_volume(surface: SweptSurface, positions: Array, spacing: float) -> Volume:
     """A closed surface as distances, positive inside, exact within two voxels of it and cut off beyond."""
     low, high = positions.min(axis=0) - 3 * spacing, positions.max(axis=0) + 3 * spacing
     size = np.ceil((high - low) / spacing).astype(int) + 1
@@ -51,7 +51,7 @@ def volume_of(surface: Surface, positions: Array, spacing: float) -> Volume:
     return Volume(np.clip(values, -4 * spacing, 4 * spacing), low, spacing)
 
 
-def carved(volume: Volume, maps: Sequence[DepthMap], min_weight: float) -> Volume:
+def carve_depths(volume: Volume, maps: Sequence[DepthMap], min_weight: float) -> Volume:
     """The volume with what depths carve out of it (Curless & Levoy 1996): nowhere larger than it was.
 
     `volume` is positive inside. Places with less weight of depths, in front of what was measured or a little behind it,
@@ -75,9 +75,9 @@ def carved(volume: Volume, maps: Sequence[DepthMap], min_weight: float) -> Volum
         inverse, trust = depth_map.inverse[at], depth_map.weight[at]
         # positive behind the measured surface: inside the object
         signed = z[shown] - 1 / inverse.clamp_min(1e-12)
-        counted = (inverse > 0) & (signed < _REACH * spacing)
+        counted = (inverse > 0) & (signed < _MAX_DEPTH_BEHIND_VOXELS * spacing)
         shown, signed, trust = shown[counted], signed[counted], trust[counted]
-        total[shown] += signed.clamp(-_TRUNCATION * spacing, _TRUNCATION * spacing) * trust
+        total[shown] += signed.clamp(-_TRUNCATION_VOXELS * spacing, _TRUNCATION_VOXELS * spacing) * trust
         weight[shown] += trust
     known = weight >= min_weight
     values = values.clone()
@@ -86,7 +86,7 @@ def carved(volume: Volume, maps: Sequence[DepthMap], min_weight: float) -> Volum
 
 
 @dataclass(frozen=True)
-class Verdict:
+class VerifiedCarving:
     """Where photographs prefer what was carved."""
 
     volume: Volume
@@ -98,14 +98,14 @@ class Verdict:
     """Median gain in correlation over what was carved."""
 
 
-def judged(
+def verify_carving(
     whole: Volume,
     carving: Volume,
     views: Sequence[SweptView],
     neighbours: Sequence[Sequence[int]],
     window: int,
     steps: Sequence[float],
-) -> Verdict:
+) -> VerifiedCarving:
     """The carving where photographs, compared along its surface, match better than along that of the whole volume.
 
     `views` show the carved surface (`inverse`) and the whole one (`bound`). What the difference of correlations says at
@@ -122,20 +122,20 @@ def judged(
         if not apart.any():
             continue
         both = correlations(view, [views[j] for j in neighbours[i]], torch.stack([view.bound, view.inverse]), window)
-        trust = content(view.image, window)
+        trust = texture_confidence(view.image, window)
         rows, columns = torch.nonzero(apart & (trust > 0.5), as_tuple=True)
         difference = (both[1] - both[0])[rows, columns].cpu().numpy()
         share = trust[rows, columns].cpu().numpy()
-        for cells in _between(view, rows, columns, whole, size):
+        for cells in _cells_between_surfaces(view, rows, columns, whole, size):
             gain += np.bincount(cells, difference * share, minlength=len(gain))
             weight += np.bincount(cells, share, minlength=len(gain))
-    believed = _spread(gain.reshape(size), weight.reshape(size))
+    believed = _smoothed_gain(gain.reshape(size), weight.reshape(size))
     fine = zoom(believed, 2, order=1, grid_mode=True, mode="nearest")[tuple(slice(n) for n in whole.values.shape)]
     # a soft switch, so that its border makes no cliff
-    switch = np.clip(0.5 + (fine - _BETTER) / _BETTER, 0, 1).astype(np.float32)
+    switch = np.clip(0.5 + (fine - _MIN_CORRELATION_GAIN) / _MIN_CORRELATION_GAIN, 0, 1).astype(np.float32)
     values = whole.values + switch * (carving.values - whole.values)
     lost = (whole.values > 0) & (carving.values <= 0)
-    return Verdict(
+    return VerifiedCarving(
         replace(whole, values=values),
         removed=float(lost.sum() / max((whole.values > 0).sum(), 1)),
         kept=float((lost & (values <= 0)).sum() / max(lost.sum(), 1)),
@@ -143,7 +143,7 @@ def judged(
     )
 
 
-def _between(
+def _cells_between_surfaces(
     view: SweptView, rows: Tensor, columns: Tensor, volume: Volume, size: tuple[int, ...]
 ) -> list[NDArray[np.int64]]:
     """Cells of two voxels' side, as flat indices, at eight places between the two surfaces of each pixel."""
@@ -159,7 +159,7 @@ def _between(
     return found
 
 
-def _spread(gain: NDArray[np.float64], weight: NDArray[np.float64]) -> NDArray[np.float64]:
+def _smoothed_gain(gain: NDArray[np.float64], weight: NDArray[np.float64]) -> NDArray[np.float64]:
     """Weighted mean of the gain around each cell; -1 where nothing is said far and wide."""
     result = np.full(gain.shape, -1.0)
     for sigma, least in ((6.0, 1e-6), (2.0, 1e-3)):

@@ -13,21 +13,21 @@ from hir_exporters.conventions import linear_to_srgb
 
 from hir_core.capture import Array, Camera
 from hir_core.errors import StageError
-from hir_plugins.initializers.sfm.sfm_matches import cancellable
-from hir_plugins.initializers.stereo.depth_agreement import DepthMap
-from hir_plugins.initializers.stereo.swept_photographs import Photograph
+from hir_plugins.initializers.sfm.feature_matching import run_cancellable
+from hir_plugins.initializers.stereo.depth_consistency import DepthMap
+from hir_plugins.initializers.stereo.stereo_photographs import StereoPhotograph
 
-NEIGHBOURS = 10
+MAX_NEIGHBOURS = 10
 """Photographs that each one is compared with at most; COLMAP chooses among them at each pixel."""
 
 
-def available() -> bool:
+def patch_match_available() -> bool:
     """Whether this COLMAP can: wheels without CUDA cannot."""
     return bool(pycolmap.has_cuda)
 
 
 def patch_match(
-    photographs: Sequence[Photograph], near: Sequence[Sequence[int]], center: Array, radius: float, folder: Path
+    photographs: Sequence[StereoPhotograph], near: Sequence[Sequence[int]], center: Array, radius: float, folder: Path
 ) -> list[DepthMap]:
     """Depth of each photograph, checked for geometric consistency; `near` names the neighbours of each.
 
@@ -39,11 +39,13 @@ def patch_match(
     options.depth_min = float(max(min(distances) - 1.1 * radius, 1e-3 * min(distances)))
     options.depth_max = float(max(distances) + 1.1 * radius)
     options.geom_consistency = True
-    cancellable(lambda token: pycolmap.patch_match_stereo(str(workspace), options=options, cancellation_token=token))
+    run_cancellable(
+        lambda token: pycolmap.patch_match_stereo(str(workspace), options=options, cancellation_token=token)
+    )
     return [read_depth(workspace, index, photograph) for index, photograph in enumerate(photographs)]
 
 
-def write_workspace(photographs: Sequence[Photograph], near: Sequence[Sequence[int]], workspace: Path) -> Path:
+def write_workspace(photographs: Sequence[StereoPhotograph], near: Sequence[Sequence[int]], workspace: Path) -> Path:
     """A folder as COLMAP's dense stereo reads it: pictures without distortion, a model, and the neighbours of each."""
     from PIL import Image
 
@@ -58,12 +60,12 @@ def write_workspace(photographs: Sequence[Photograph], near: Sequence[Sequence[i
     model.write(str(workspace / "sparse"))
     lines = []
     for index, others in enumerate(near):
-        lines += [_name(index), ", ".join(_name(j) for j in others[:NEIGHBOURS])]
+        lines += [_name(index), ", ".join(_name(j) for j in others[:MAX_NEIGHBOURS])]
     (workspace / "stereo" / "patch-match.cfg").write_text("\n".join(lines) + "\n", encoding="utf-8")
     return workspace
 
 
-def read_depth(workspace: Path, index: int, photograph: Photograph) -> DepthMap:
+def read_depth(workspace: Path, index: int, photograph: StereoPhotograph) -> DepthMap:
     """COLMAP's geometrically consistent depth as ours, nothing outside of the mask; all of it counts alike."""
     path = workspace / "stereo" / "depth_maps" / f"{_name(index)}.geometric.bin"
     if not path.is_file():

@@ -20,22 +20,27 @@ from hir_core.scene import Scene
 from hir_plugins.initializers.hull.visual_hull import hull_volume
 from hir_plugins.initializers.options import PoissonOptions, StereoOptions, VisualHullOptions
 from hir_plugins.initializers.poisson.poisson import poisson_surface
-from hir_plugins.initializers.stereo.depth_agreement import DepthMap, believed, oriented_points
-from hir_plugins.initializers.stereo.depth_fusion import Verdict, carved, judged, volume_of
-from hir_plugins.initializers.stereo.patch_match import available, patch_match
-from hir_plugins.initializers.stereo.surface_sweep import Sweep, SweptView, inverse_depth_step, sweep
-from hir_plugins.initializers.stereo.swept_photographs import Surface, neighbours, photograph
+from hir_plugins.initializers.stereo.depth_consistency import DepthMap, consistent_depths, oriented_points
+from hir_plugins.initializers.stereo.depth_fusion import (
+    VerifiedCarving,
+    carve_depths,
+    signed_distance_volume,
+    verify_carving,
+)
+from hir_plugins.initializers.stereo.patch_match import patch_match, patch_match_available
+from hir_plugins.initializers.stereo.stereo_photographs import SweptSurface, choose_neighbours, crop_to_object
+from hir_plugins.initializers.stereo.surface_sweep import SweepSettings, SweptView, inverse_depth_step, sweep
 from hir_plugins.initializers.stereo.tsdf import tsdf_surface
+from hir_plugins.initializers.surface.initial_scene import make_scene
 from hir_plugins.initializers.surface.isosurface import extract_surface, keep_large_components
-from hir_plugins.initializers.surface.mesh_cleaning import cleaned, edge_length, pixel_size
-from hir_plugins.initializers.surface.object_bounds import object_ball
-from hir_plugins.initializers.surface.start_scene import make_scene
+from hir_plugins.initializers.surface.mesh_cleaning import clean_mesh, edge_length, pixel_size
+from hir_plugins.initializers.surface.object_bounds import object_bounding_sphere
 from hir_plugins.initializers.surface.volume import Volume
 
-_REFINE = (12, 6)
+_REFINEMENT_STEPS = (12, 6)
 """Steps inward and outward that the finer levels try: what a level half as fine may have missed."""
 
-_JUDGES = 4
+_VERIFICATION_NEIGHBOURS = 4
 """Neighbours that judge the result and had no part in it, beside those that had."""
 
 _MIN_COMPONENT = 0.02
@@ -45,14 +50,14 @@ Mesh = tuple[Array, NDArray[np.int64]]
 
 
 @dataclass(frozen=True)
-class Measured:
+class StereoMeasurement:
     """What stereo saw."""
 
     maps: list[DepthMap]
     points: OrientedPoints | None
     mesh: Mesh | None
     """The surface that was carved; None where there was no volume to carve from."""
-    verdict: Verdict | None
+    verdict: VerifiedCarving | None
 
 
 @final
@@ -64,7 +69,7 @@ class Stereo(Initializer):
             raise CaptureError(f"initializer.stereo.window is {config.window}; it must be odd, 3 or more")
         if not 1 <= config.levels <= 6 or config.max_image_size < 32:
             raise CaptureError("initializer.stereo needs 1 to 6 levels and a max_image_size of at least 32")
-        if config.method == "patch_match" and not available():
+        if config.method == "patch_match" and not patch_match_available():
             raise MissingExtraError(
                 "initializer.stereo.method is patch_match, which needs a COLMAP built with CUDA; "
                 "install one with: pip install pycolmap-cuda12, or leave the method at auto"
@@ -83,8 +88,8 @@ class Stereo(Initializer):
             self._config.surface in ("auto", "tsdf") and (masked >= 2 or scene is not None)
         )
         volume = _volume(capture, scene, self._config) if carve else None
-        by_colmap = self._config.method != "sweep" and available()
-        measured = measure(capture, volume, self._config, workspace if by_colmap else None)
+        by_colmap = self._config.method != "sweep" and patch_match_available()
+        measured = measure_depths(capture, volume, self._config, workspace if by_colmap else None)
         sweep_name = f"surface sweep in torch on {_device(self._config)}"
         self._report = {"method": "COLMAP PatchMatch on cuda" if by_colmap else sweep_name}
         if measured.points is None:
@@ -117,7 +122,7 @@ class Stereo(Initializer):
     ) -> Scene:
         self._report["surface"] = surface
         edge = edge_length(capture, positions, self._config.edge_pixels, spacing)
-        positions, faces = cleaned(positions, faces, edge, _MIN_COMPONENT)
+        positions, faces = clean_mesh(positions, faces, edge, _MIN_COMPONENT)
         return make_scene(positions, faces, capture, self._config.vertex_colors)
 
     def report(self) -> Mapping[str, Any]:
@@ -125,7 +130,9 @@ class Stereo(Initializer):
         return self._report
 
 
-def measure(capture: Capture, volume: Volume | None, options: StereoOptions, folder: Path | None = None) -> Measured:
+def measure_depths(
+    capture: Capture, volume: Volume | None, options: StereoOptions, folder: Path | None = None
+) -> StereoMeasurement:
     """Depth maps of all views, confirmed by each other, from coarse to fine; each level starts from the last's surface.
 
     Without a volume the sweep starts at the front of a ball around what the photographs are about. With a `folder` to
@@ -133,18 +140,18 @@ def measure(capture: Capture, volume: Volume | None, options: StereoOptions, fol
     """
     device = _device(options)
     front = keep_large_components(*extract_surface(volume), min_share=_MIN_COMPONENT) if volume is not None else None
-    center, radius = object_ball(capture) if front is None else _ball_of(front[0])
+    center, radius = object_bounding_sphere(capture) if front is None else _bounding_sphere(front[0])
     if front is None:
-        front = _sphere(center, 1.05 * radius)
+        front = _sphere_mesh(center, 1.05 * radius)
     side = max(max(c.width, c.height) for c in capture.cameras)
     shrink = -(-side // options.max_image_size)
     photographs = [
         cut
         for view in capture.views
-        if (cut := photograph(view, shrink, 2 ** (options.levels - 1), center, radius)) is not None
+        if (cut := crop_to_object(view, shrink, 2 ** (options.levels - 1), center, radius)) is not None
     ]
-    near = neighbours([p.camera for p in photographs], center, options.neighbours)
-    bound = Surface(*front)
+    near = choose_neighbours([p.camera for p in photographs], center, options.neighbours)
+    bound = SweptSurface(*front)
     current, verdict, mesh = bound, None, front if volume is not None else None
     dense: list[Tensor] = []
     maps: list[DepthMap] = []
@@ -158,33 +165,35 @@ def measure(capture: Capture, volume: Volume | None, options: StereoOptions, fol
                     views = [replace(v, inverse=_enlarged(d, v)) for v, d in zip(views, dense, strict=True)]
                 steps = _steps(views, near, center)
                 solid = bound if level == options.levels - 1 else None
-                found = [_swept(views, i, near[i], steps[i], solid, options) for i in range(len(views))]
-                maps = believed(views, found, near, steps, options.window, options.min_views)
+                found = [_sweep_view(views, i, near[i], steps[i], solid, options) for i in range(len(views))]
+                maps = consistent_depths(views, found, near, steps, options.window, options.min_views)
                 dense = [inverse for inverse, _ in found] if volume is None else []
             if volume is None:
                 continue
-            result = carved(volume, maps, min_weight=1.0)
+            result = carve_depths(volume, maps, min_weight=1.0)
             mesh = keep_large_components(*extract_surface(result), min_share=_MIN_COMPONENT)
-            current = Surface(*mesh)
+            current = SweptSurface(*mesh)
             if options.judge:
                 seen = [p.at(2**level, current, bound, device) for p in photographs]
-                more = neighbours([p.camera for p in photographs], center, options.neighbours + _JUDGES)
-                verdict = judged(volume, result, seen, more, options.window, _steps(seen, more, center))
+                more = choose_neighbours(
+                    [p.camera for p in photographs], center, options.neighbours + _VERIFICATION_NEIGHBOURS
+                )
+                verdict = verify_carving(volume, result, seen, more, options.window, _steps(seen, more, center))
                 mesh = keep_large_components(*extract_surface(verdict.volume), min_share=_MIN_COMPONENT)
-                current = Surface(*mesh)
+                current = SweptSurface(*mesh)
     apart = 1.5 * pixel_size([p.camera for p in photographs], center)
     points = oriented_points(maps, [p.color_linear for p in photographs], apart)
-    return Measured(maps, points, mesh, verdict)
+    return StereoMeasurement(maps, points, mesh, verdict)
 
 
-def _swept(
-    views: list[SweptView], index: int, near: list[int], step: float, solid: Surface | None, options: StereoOptions
+def _sweep_view(
+    views: list[SweptView], index: int, near: list[int], step: float, solid: SweptSurface | None, options: StereoOptions
 ) -> tuple[Tensor, Tensor]:
     """Inverse depth and correlation of a view; `solid` is what the first level sweeps through."""
     view = views[index]
     if not near or not view.valid.any():
         return torch.zeros_like(view.image), torch.zeros_like(view.image)
-    inward, outward = _REFINE
+    inward, outward = _REFINEMENT_STEPS
     thickness: Tensor | None = None
     if solid is not None:
         thickness = torch.from_numpy(solid.thickness(view.camera, view.bound.cpu().numpy())).to(view.bound.device)
@@ -192,7 +201,7 @@ def _swept(
         # a very thick object, seen from far apart, is swept in longer steps
         step = max(step, reach / options.steps)
         inward, outward = int(np.clip(np.ceil(reach / step), 4, options.steps)), 2
-    return sweep(view, [views[j] for j in near], step, Sweep(options.window, inward, outward), thickness)
+    return sweep(view, [views[j] for j in near], step, SweepSettings(options.window, inward, outward), thickness)
 
 
 def _steps(views: list[SweptView], near: list[list[int]], center: Array) -> list[float]:
@@ -213,15 +222,15 @@ def _volume(capture: Capture, scene: Scene | None, options: StereoOptions) -> Vo
     middle = 0.5 * (positions.min(axis=0) + positions.max(axis=0))
     extent = float(np.ptp(positions, axis=0).max())
     spacing = max(options.pixels_per_voxel * pixel_size(capture.cameras, middle), extent / options.max_resolution)
-    return volume_of(Surface(positions, faces), positions, spacing)
+    return signed_distance_volume(SweptSurface(positions, faces), positions, spacing)
 
 
-def _ball_of(positions: Array) -> tuple[Array, float]:
+def _bounding_sphere(positions: Array) -> tuple[Array, float]:
     center = (positions.min(axis=0) + positions.max(axis=0)) / 2
     return center, float(np.linalg.norm(positions - center, axis=1).max())
 
 
-def _sphere(center: Array, radius: float) -> Mesh:
+def _sphere_mesh(center: Array, radius: float) -> Mesh:
     import open3d
 
     ball = open3d.geometry.TriangleMesh.create_sphere(1.0, resolution=60)

@@ -18,22 +18,22 @@ from torch.nn.functional import grid_sample, pad
 
 from hir_core.capture import Array, Camera
 
-FLAT = 1e-4
+FLAT_VARIANCE = 1e-4
 """Variance of brightness (sRGB, 0…1) at which a window is half trusted."""
 
-_NOISE = 2e-5
+_NOISE_VARIANCE = 2e-5
 """Variance below which correlations fade to 0: half a code of 8 bits."""
 
-_BATCH = 1 << 20
+_BATCH_SAMPLES = 1 << 20
 """Places that are compared at once: tens of megabytes."""
 
-_BEND = 1e-3
+_MIN_CURVATURE = 1e-3
 """Curvature of the correlation below which its summit cannot be told from rounding."""
 
-_IMPOSSIBLE = 2.0
+_IMPOSSIBLE_COST = 2.0
 """Cost of a place where nothing can be."""
 
-_JUMP = 3.0
+_MAX_STEPS_BETWEEN_PIXELS = 3.0
 """Steps of depth between neighbouring pixels above which they lie on different parts of the surface."""
 
 
@@ -55,7 +55,7 @@ class SweptView:
 
 
 @dataclass(frozen=True)
-class Sweep:
+class SweepSettings:
     """What is tried, and the price of what is unlikely. The cost of a place is 1 minus its correlation, in 0…1."""
 
     window: int
@@ -75,7 +75,11 @@ class Sweep:
 
 
 def sweep(
-    reference: SweptView, others: Sequence[SweptView], step: float, tried: Sweep, thickness: Tensor | None = None
+    reference: SweptView,
+    others: Sequence[SweptView],
+    step: float,
+    tried: SweepSettings,
+    thickness: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
     """Inverse depth (H, W), and the correlation there; both 0 where there is none.
 
@@ -85,21 +89,23 @@ def sweep(
     offsets = -step * steps.float()
     base = reference.inverse
     known = reference.valid & (base > 0)
-    batch = max(1, _BATCH // base.numel())
+    batch = max(1, _BATCH_SAMPLES // base.numel())
     hypotheses = (base + part[:, None, None] for part in offsets.split(batch))
     scores = torch.cat([correlations(reference, others, inverse, tried.window) for inverse in hypotheses])
-    price = tried.departure * content(reference.image, tried.window).clamp_min(tried.least_trust)
+    price = tried.departure * texture_confidence(reference.image, tried.window).clamp_min(tried.least_trust)
     departure = ((reference.bound - (base + offsets[:, None, None])) / step).abs().clamp_max(1)
     cost = (1 - scores).clamp(0, 1) + price * departure
     if thickness is not None:
-        cost = torch.where(-offsets[:, None, None] > thickness + 0.5 * step, _IMPOSSIBLE, cost)
+        cost = torch.where(-offsets[:, None, None] > thickness + 0.5 * step, _IMPOSSIBLE_COST, cost)
     total = semi_global(cost.permute(1, 2, 0).contiguous(), base, known, step, tried)
     best = total.argmin(dim=2)
     inside = best.clamp(1, len(steps) - 2)
     # the parabola is the data's own: smoothing draws it to whole steps
     left, middle, right = (scores.gather(0, (inside + k)[None])[0] for k in (-1, 0, 1))
     bend = left - 2 * middle + right
-    shift = torch.where(bend < -_BEND, 0.5 * (left - right) / bend.clamp_max(-_BEND), 0.0).clamp(-0.5, 0.5)
+    shift = torch.where(bend < -_MIN_CURVATURE, 0.5 * (left - right) / bend.clamp_max(-_MIN_CURVATURE), 0.0).clamp(
+        -0.5, 0.5
+    )
     # at the ends of the range there is no parabola
     shift = torch.where(best == inside, shift, (best - inside).float())
     found = base - step * (inside - tried.outward + shift)
@@ -107,7 +113,7 @@ def sweep(
     return torch.where(known & (found > 0), found, zero), torch.where(known, scores.gather(0, best[None])[0], zero)
 
 
-def semi_global(cost: Tensor, base: Tensor, known: Tensor, step: float, tried: Sweep) -> Tensor:
+def semi_global(cost: Tensor, base: Tensor, known: Tensor, step: float, tried: SweepSettings) -> Tensor:
     """Costs (H, W, K), summed along four directions with a price on changes from pixel to pixel.
 
     A path starts anew where nothing is known, and where the surface jumps: offsets are not comparable there.
@@ -115,7 +121,7 @@ def semi_global(cost: Tensor, base: Tensor, known: Tensor, step: float, tried: S
     total = torch.zeros_like(cost)
     for axis in (0, 1):
         costs, inverse, there = (x.movedim(axis, 0) for x in (cost, base, known))
-        joined = ((inverse[1:] - inverse[:-1]).abs() < _JUMP * step) & there[1:] & there[:-1]
+        joined = ((inverse[1:] - inverse[:-1]).abs() < _MAX_STEPS_BETWEEN_PIXELS * step) & there[1:] & there[:-1]
         sums = total.movedim(axis, 0)
         for forward in (True, False):
             before: Tensor | None = None
@@ -143,10 +149,10 @@ def correlations(reference: SweptView, others: Sequence[SweptView], inverse: Ten
     return ranked[: max(1, (len(found) + 1) // 2)].mean(dim=0)
 
 
-def content(image: Tensor, window: int) -> Tensor:
+def texture_confidence(image: Tensor, window: int) -> Tensor:
     """How much (0…1) the window around each pixel (H, W) holds that could be compared."""
     variance = _Windows(image[None], window).variance[0]
-    return variance / (variance + FLAT)
+    return variance / (variance + FLAT_VARIANCE)
 
 
 def inverse_depth_step(camera: Camera, others: Sequence[Camera], point: Array) -> float:
@@ -168,7 +174,7 @@ def _warp(camera: Camera, other: SweptView, inverse: Tensor) -> tuple[Tensor, Te
     # grid_sample's own coordinates: -1 and 1 are the outer borders
     to_grid = np.array([[2 / size_x, 0, -1], [0, 2 / size_y, -1], [0, 0, 1]])
     turn, shift = pixel_to_pixel(camera, other.camera)
-    x, y, z = carried(to_grid @ turn, to_grid @ shift, inverse)
+    x, y, z = reproject(to_grid @ turn, to_grid @ shift, inverse)
     ahead = z > 1e-6
     z = z.clamp_min(1e-6)
     x, y = x / z, y / z
@@ -187,7 +193,7 @@ def pixel_to_pixel(camera: Camera, other: Camera) -> tuple[Array, Array]:
     return other.intrinsics @ pose[:3, :3] @ np.linalg.inv(camera.intrinsics), other.intrinsics @ pose[:3, 3]
 
 
-def carried(turn: Array, shift: Array, inverse: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def reproject(turn: Array, shift: Array, inverse: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """The three coordinates of `turn @ (x, y, 1) + shift · inverse` at all pixel centres of maps (…, H, W)."""
     height, width = inverse.shape[-2:]
     rows = torch.arange(height, device=inverse.device, dtype=torch.float32)[:, None] + 0.5
@@ -206,7 +212,7 @@ class _Windows:
 
     def __init__(self, image: Tensor, window: int) -> None:
         self._image, self._window = image, window
-        self._count = _box(torch.ones_like(image), window)
+        self._count = box_sum(torch.ones_like(image), window)
         self._mean = self._average(image)
         self.variance = (self._average(image * image) - self._mean**2).clamp_min(0)
 
@@ -215,13 +221,13 @@ class _Windows:
         mean = self._average(other)
         variance = (self._average(other * other) - mean * mean).clamp_min_(0)
         covariance = self._average(self._image * other) - self._mean * mean
-        return covariance * ((self.variance + _NOISE) * (variance + _NOISE)).rsqrt()
+        return covariance * ((self.variance + _NOISE_VARIANCE) * (variance + _NOISE_VARIANCE)).rsqrt()
 
     def _average(self, image: Tensor) -> Tensor:
-        return _box(image, self._window) / self._count
+        return box_sum(image, self._window) / self._count
 
 
-def _box(image: Tensor, window: int) -> Tensor:
+def box_sum(image: Tensor, window: int) -> Tensor:
     """Sums over square windows of (S, H, W), zero beyond the border; on a processor ten times as fast as pooling."""
     half = window // 2
     height, width = image.shape[1:]

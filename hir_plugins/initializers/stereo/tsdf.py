@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from hir_core.capture import Array
 from hir_core.errors import StageError
-from hir_plugins.initializers.stereo.depth_agreement import DepthMap
+from hir_plugins.initializers.stereo.depth_consistency import DepthMap
 
-_TRUNCATION = 4.0
+_TRUNCATION_VOXELS = 4.0
 """Voxels at which distances are cut off."""
 
 
@@ -53,6 +53,6 @@ def _fused(maps: Sequence[tuple[Array, Array, Array]]) -> Any:
         picture = open3d.t.geometry.Image(depth[..., None].astype(np.float32))
         lens, place = core.Tensor(intrinsics, core.float64), core.Tensor(pose, core.float64)
         far = float(depth.max()) + 1
-        blocks = grid.compute_unique_block_coordinates(picture, lens, place, 1.0, far, _TRUNCATION)
-        grid.integrate(blocks, picture, lens, place, 1.0, far, _TRUNCATION)
+        blocks = grid.compute_unique_block_coordinates(picture, lens, place, 1.0, far, _TRUNCATION_VOXELS)
+        grid.integrate(blocks, picture, lens, place, 1.0, far, _TRUNCATION_VOXELS)
     return grid.extract_triangle_mesh(weight_threshold=0.5)

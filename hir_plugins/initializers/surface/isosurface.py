@@ -53,10 +53,10 @@ def keep_large_components(positions: Array, faces: Faces, min_share: float) -> t
     if not solid.any():
         raise StageError("the first surface encloses nothing; give it finer voxels or more photographs")
     kept = solid & (areas >= min_share * areas[solid].max())
-    return compact(positions, faces[kept[face_label]])
+    return without_unused_vertices(positions, faces[kept[face_label]])
 
 
-def compact(positions: Array, faces: Faces) -> tuple[Array, Faces]:
+def without_unused_vertices(positions: Array, faces: Faces) -> tuple[Array, Faces]:
     """The mesh without vertices that no triangle uses."""
     used, inverse = np.unique(faces, return_inverse=True)
     return positions[used], inverse.reshape(-1, 3).astype(np.int64)

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from hir_core.capture import Array, Camera, Capture
 from hir_core.errors import StageError
 from hir_core.mesh.remeshing import remesh
-from hir_plugins.initializers.surface.isosurface import compact
+from hir_plugins.initializers.surface.isosurface import without_unused_vertices
 
 Faces = NDArray[np.int64]
 
-_ROUNDS = 2
+_REMESHING_ROUNDS = 2
 """Of remeshing: voxels are even already, so that two rounds do."""
 
 
@@ -32,19 +32,19 @@ def edge_length(capture: Capture, positions: Array, pixels: float, spacing: floa
     return max(pixels * pixel_size(cameras, middle), 1.25 * spacing)
 
 
-def cleaned(positions: Array, faces: Faces, edge_length: float, min_component: float) -> tuple[Array, Faces]:
+def clean_mesh(positions: Array, faces: Faces, edge_length: float, min_component: float) -> tuple[Array, Faces]:
     """The mesh without edges of three faces and small pieces, remeshed to `edge_length`; 0 keeps its triangles.
 
     Pieces with less than a share `min_component` of the largest one's area go. Open meshes stay open. Raises
     `StageError` where nothing is left.
     """
-    positions, faces = _large_pieces(*_manifold(positions, faces), min_component)
+    positions, faces = _large_components(*_without_non_manifold_edges(positions, faces), min_component)
     if edge_length > 0:
-        positions, faces = remesh(positions.astype(np.float64), faces, edge_length, _ROUNDS)
+        positions, faces = remesh(positions.astype(np.float64), faces, edge_length, _REMESHING_ROUNDS)
     return positions, faces
 
 
-def _manifold(positions: Array, faces: Faces) -> tuple[Array, Faces]:
+def _without_non_manifold_edges(positions: Array, faces: Faces) -> tuple[Array, Faces]:
     """Without the smallest of the faces that meet at an edge of more than two, nor faces without area."""
     import open3d
 
@@ -55,10 +55,10 @@ def _manifold(positions: Array, faces: Faces) -> tuple[Array, Faces]:
     mesh.remove_duplicated_triangles()
     if not mesh.is_edge_manifold(allow_boundary_edges=True):
         mesh.remove_non_manifold_edges()
-    return compact(np.asarray(mesh.vertices), np.asarray(mesh.triangles).astype(np.int64))
+    return without_unused_vertices(np.asarray(mesh.vertices), np.asarray(mesh.triangles).astype(np.int64))
 
 
-def _large_pieces(positions: Array, faces: Faces, min_share: float) -> tuple[Array, Faces]:
+def _large_components(positions: Array, faces: Faces, min_share: float) -> tuple[Array, Faces]:
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
@@ -73,4 +73,4 @@ def _large_pieces(positions: Array, faces: Faces, min_share: float) -> tuple[Arr
     areas = np.bincount(piece, np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2)
     if not (areas > 0).any():
         raise empty
-    return compact(positions, faces[areas[piece] >= min_share * areas.max()])
+    return without_unused_vertices(positions, faces[areas[piece] >= min_share * areas.max()])

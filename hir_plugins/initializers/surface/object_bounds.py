@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from hir_core.capture import Array, Camera, Capture
 
 
-def object_ball(capture: Capture) -> tuple[Array, float]:
+def object_bounding_sphere(capture: Capture) -> tuple[Array, float]:
     """Centre and radius of what the photographs are about: the points that lie near where all cameras look."""
     cameras = [view.camera for view in capture.views if view.camera is not None]
     o = np.array([c.center for c in cameras])
@@ -21,7 +21,7 @@ def object_ball(capture: Capture) -> tuple[Array, float]:
     if capture.points is None or len(capture.points.positions) < 20:
         return focus, max(0.25 * distance, 1e-12)
     points = capture.points.positions
-    near = points[_seen_by_most(points, cameras)]
+    near = points[_in_most_photographs(points, cameras)]
     if len(near) < 20:
         near = points
     center = np.median(near, axis=0)
@@ -29,7 +29,7 @@ def object_ball(capture: Capture) -> tuple[Array, float]:
     return center, max(radius, 1e-6 * max(distance, 1e-12))
 
 
-def _seen_by_most(points: Array, cameras: Sequence[Camera]) -> NDArray[np.bool_]:
+def _in_most_photographs(points: Array, cameras: Sequence[Camera]) -> NDArray[np.bool_]:
     """Points that lie inside the pictures of two thirds of all cameras: the object, not the room behind it."""
     inside = np.zeros(len(points))
     for camera in cameras:

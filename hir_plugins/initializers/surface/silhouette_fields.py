@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from hir_core.capture import Array, Camera, Capture, View
 from hir_core.errors import CaptureError
 
-EMPTY_SHARE = 1e-5
+MIN_MASK_SHARE = 1e-5
 """A mask with less coverage than this shows nothing, one with more than 1 - this no background."""
 
-_NARROW = 2.5
+_EXACT_BAND_PIXELS = 2.5
 """Pixels around the outline within which distances are measured to the outline itself."""
 
 
@@ -51,7 +51,7 @@ def signed_distance(mask: NDArray[np.float32]) -> NDArray[np.float32]:
         return distance
     steps = np.linspace(0.0, 1.0, 8, endpoint=False)[None, :, None]
     dense = [(c[:-1, None] * (1 - steps) + c[1:, None] * steps).reshape(-1, 2) for c in contours]
-    near = np.argwhere(np.abs(distance) < _NARROW)
+    near = np.argwhere(np.abs(distance) < _EXACT_BAND_PIXELS)
     exact, _ = cKDTree(np.concatenate(dense)).query(near)
     rows, columns = near.T
     distance[rows, columns] = np.where(inside[rows, columns], exact, -exact)
@@ -68,7 +68,7 @@ def silhouette_fields(views: Sequence[View], downsample: int = 1) -> list[Silhou
         mask = view.pixels(downsample).mask
         if mask is None:
             continue
-        if not EMPTY_SHARE < mask.mean() < 1 - EMPTY_SHARE:
+        if not MIN_MASK_SHARE < mask.mean() < 1 - MIN_MASK_SHARE:
             empty.append(view.name)
             continue
         distance = signed_distance(mask)

@@ -11,7 +11,7 @@ from hir_core.capture import Array, Camera, View
 
 _MIN_COSINE = 0.2
 """Views at a flatter angle do not count: their pixels mix places, and highlights and reflections rule there."""
-_CHUNK = 8192
+_CHUNK_VERTICES = 8192
 
 
 def vertex_colors(
@@ -26,7 +26,7 @@ def vertex_colors(
     placed = [view for view in views if view.camera is not None]
     samples = np.zeros((len(placed), len(positions), 3), dtype=np.float16)
     weights = np.zeros((len(placed), len(positions)), dtype=np.float16)
-    sees = Occlusion(positions, faces, normals)
+    sees = VertexVisibility(positions, faces, normals)
     for i, view in enumerate(placed):
         assert view.camera is not None
         camera = view.camera.downsampled(downsample)
@@ -36,12 +36,12 @@ def vertex_colors(
         weights[i, seen] = cosine[seen]
     colors = np.zeros((len(positions), 3), dtype=np.float32)
     known = np.zeros(len(positions), dtype=bool)
-    for start in range(0, len(positions), _CHUNK):
-        part = slice(start, start + _CHUNK)
+    for start in range(0, len(positions), _CHUNK_VERTICES):
+        part = slice(start, start + _CHUNK_VERTICES)
         colors[part], known[part] = _weighted_median(
             samples[:, part].astype(np.float32), weights[:, part].astype(np.float32)
         )
-    return _fill(colors, known, faces)
+    return _fill_unseen(colors, known, faces)
 
 
 def vertex_normals(positions: Array, faces: NDArray[np.int64]) -> Array:
@@ -59,7 +59,7 @@ def vertex_normals(positions: Array, faces: NDArray[np.int64]) -> Array:
     return np.where(length > 0, normals / np.where(length > 0, length, 1), 0)
 
 
-class Occlusion:
+class VertexVisibility:
     """Which points of a mesh a camera sees; in a frame of the mesh's size, for Embree works in float32."""
 
     def __init__(self, positions: Array, faces: NDArray[np.int64], normals: Array) -> None:
@@ -131,7 +131,9 @@ def _weighted_median(
     return np.where(known[:, None], median, 0).astype(np.float32), known
 
 
-def _fill(colors: NDArray[np.float32], known: NDArray[np.bool_], faces: NDArray[np.int64]) -> NDArray[np.float32]:
+def _fill_unseen(
+    colors: NDArray[np.float32], known: NDArray[np.bool_], faces: NDArray[np.int64]
+) -> NDArray[np.float32]:
     """Spreads known colours over the mesh, ring by ring; pieces without any take the mean of all known ones."""
     from scipy.sparse import coo_matrix
 

@@ -25,7 +25,7 @@ its image centre is +X, a quarter from the left is +Y, the top row is +Z."""
 BLENDER_FROM_LATLONG.setflags(write=False)
 
 
-def rigid(matrix: Any, owner: str, tolerance: float = 1e-2) -> Array:
+def rigid_transform(matrix: Any, owner: str, tolerance: float = 1e-2) -> Array:
     """A 4×4 rigid transform from nested lists 4×4 or 3×4; a uniform scale of its axes is taken out.
 
     Axes that are skewed by more than `tolerance`, mirrored or not finite raise `CaptureError`; small errors (a file in

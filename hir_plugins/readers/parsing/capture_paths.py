@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path, PureWindowsPath
-from typing import Any
 
 from hir_core.errors import CaptureError
 
@@ -38,7 +35,7 @@ MAX_TEXT_BYTES = 256 << 20
 """Text files of a capture larger than this are refused: a thousand cameras are a megabyte."""
 
 
-def inside(folder: Path, name: str, owner: Path) -> Path:
+def contained_path(folder: Path, name: str, owner: Path) -> Path:
     """The path of `name`, as the file `owner` names it, in `folder`; one that leads out of it is a `CaptureError`."""
     if not name or "\0" in name:
         raise CaptureError(f"{owner}: the file name {name!r} is not a file name")
@@ -55,25 +52,25 @@ def inside(folder: Path, name: str, owner: Path) -> Path:
     return path
 
 
-def existing_photo(folder: Path, name: str, owner: Path) -> Path:
+def find_photo(folder: Path, name: str, owner: Path) -> Path:
     """As `inside`, for a photograph that exists; a name without its ending (NeRF-synthetic) is completed."""
-    path = inside(folder, name, owner)
+    path = contained_path(folder, name, owner)
     if path.is_file():
         return path
     for suffix in PHOTO_SUFFIXES:
         for ending in (suffix, suffix.upper()):
             candidate = path.with_name(path.name + ending)
             if candidate.is_file():
-                return inside(folder, name + ending, owner)
+                return contained_path(folder, name + ending, owner)
     raise CaptureError(f"{owner} names the image {name!r}, which is not in {folder}")
 
 
-def photos_of_first(capture: Path, folders: Sequence[str]) -> list[Path]:
+def photos_in_first_folder(capture: Path, folders: Sequence[str]) -> list[Path]:
     """The photographs, by name, of the first of `folders` that the capture has; none of them is a `CaptureError`."""
     for name in folders:
         if (capture / name).is_dir():
             found = sorted(p for p in (capture / name).iterdir() if p.suffix.lower() in PHOTO_SUFFIXES)
-            return [inside(capture, p.relative_to(capture).as_posix(), capture) for p in found]
+            return [contained_path(capture, p.relative_to(capture).as_posix(), capture) for p in found]
     raise CaptureError(f"{capture} has none of the folders {', '.join(folders)}")
 
 
@@ -84,28 +81,3 @@ def unique_names(paths: Iterable[Path], folder: Path) -> list[str]:
     if len(set(stems)) == len(stems):
         return stems
     return [path.relative_to(folder).with_suffix("").as_posix().replace("/", "_") for path in listed]
-
-
-def read_json(path: Path) -> dict[str, Any]:
-    """The object in a JSON file; anything else is a `CaptureError` naming the file."""
-    try:
-        if path.stat().st_size > MAX_TEXT_BYTES:
-            raise CaptureError(f"{path} is larger than {MAX_TEXT_BYTES >> 20} MB; it is not a file of cameras")
-        content = json.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise CaptureError(f"{path} cannot be read ({error.strerror})") from None
-    except (ValueError, RecursionError) as error:
-        raise CaptureError(f"{path} is not valid JSON ({error})") from None
-    if not isinstance(content, dict):
-        raise CaptureError(f"{path} does not hold a JSON object")
-    return content
-
-
-def number(table: dict[str, Any], key: str, owner: str, default: float | None = None) -> float | None:
-    """A finite number of a JSON object, or `default` where the key is absent or null."""
-    value = table.get(key)
-    if value is None:
-        return default
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise CaptureError(f"{owner}: {key!r} is {value!r}, not a number")
-    return float(value)

@@ -23,7 +23,7 @@ def match_mask(photo: Path, masks: Iterable[Path]) -> Path | None:
     for wanted in (
         lambda m: m.stem == photo.stem,
         lambda m: m.stem == photo.name,
-        lambda m: _bare(m.stem) == _bare(photo.stem),
+        lambda m: _name_without_affixes(m.stem) == _name_without_affixes(photo.stem),
     ):
         found = sorted(mask for mask in listed if wanted(mask))
         if found:
@@ -31,7 +31,7 @@ def match_mask(photo: Path, masks: Iterable[Path]) -> Path | None:
     return None
 
 
-def beside(photo: Path, capture: Path) -> Path | None:
+def find_mask(photo: Path, capture: Path) -> Path | None:
     """The mask of `photo` in one of `FOLDERS`, in the capture's folder or beside the folder of the photograph."""
     for parent in dict.fromkeys((capture, photo.parent.parent, photo.parent)):
         if not parent.resolve().is_relative_to(capture.resolve()):
@@ -46,10 +46,10 @@ def beside(photo: Path, capture: Path) -> Path | None:
     return None
 
 
-def orphans(photos: Iterable[Path], capture: Path) -> list[Path]:
+def unmatched_masks(photos: Iterable[Path], capture: Path) -> list[Path]:
     """Files in the capture's folders of masks that belong to none of all its photographs."""
     photos = list(photos)
-    matched = {beside(photo, capture) for photo in photos}
+    matched = {find_mask(photo, capture) for photo in photos}
     listed = [file for name in FOLDERS for file in _listed(capture / name) if file.suffix.lower() in PHOTO_SUFFIXES]
     return [file for file in dict.fromkeys(listed) if file not in matched and file not in photos]
 
@@ -67,7 +67,7 @@ def _listed(folder: Path) -> tuple[Path, ...]:
         return ()
 
 
-def _bare(stem: str) -> str:
+def _name_without_affixes(stem: str) -> str:
     """A name without endings and words that say that it is a mask."""
     name = stem.lower()
     for suffix in PHOTO_SUFFIXES:

@@ -2,32 +2,22 @@
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 import numpy as np
 from hir_exporters.conventions import srgb_to_linear
-from hir_exporters.textures.image_files import MAX_PIXELS, read_hdr
 from numpy.typing import NDArray
 
 from hir_core.capture import Pixels
 from hir_core.capture.lens import Lens, undistort
-from hir_core.errors import CaptureError, InputError, MissingExtraError
+from hir_core.errors import CaptureError
+from hir_plugins.readers.parsing.picture_decoding import read_encoded
 
 SATURATED_LEVEL = 254 / 255
 """Encoded values from here up are taken for clipped, in any channel and at any bit depth."""
-
-_LINEAR_SUFFIXES = (".exr", ".hdr")
-_RAW_SUFFIXES = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".rw2", ".orf")
-_HEIF_SUFFIXES = (".heic", ".heif")
-_ORIENTATION_TAG = 0x0112
-
-
-Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -57,39 +47,9 @@ class PhotoFile:
         if self.mask_path is not None:
             mask = read_mask(self.mask_path, width, height, self.orient)
         elif encoded.shape[2] in (2, 4) and self.alpha == "mask":
-            mask = _unit(encoded[..., -1])
+            mask = _to_unit_range(encoded[..., -1])
         pixels = Pixels(color, mask, saturated)
         return pixels if self.lens is None else undistort(pixels, self.lens)
-
-
-def photo_size(path: Path, orient: bool = False) -> tuple[int, int]:
-    """Width and height of a photograph, from its header; what is no picture is a `CaptureError`."""
-    if path.suffix.lower() in (*_LINEAR_SUFFIXES, *_RAW_SUFFIXES):
-        pixels = read_encoded(path, orient)
-        return pixels.shape[1], pixels.shape[0]
-    with _pillow(path) as image:
-        width, height = image.size
-        turned = orient and _orientation(path, image) in (5, 6, 7, 8)
-    return (height, width) if turned else (width, height)
-
-
-def read_encoded(path: Path, orient: bool = False) -> NDArray[Any]:
-    """Pixels (H, W, C) as stored: uint8 or uint16 in sRGB, or float32 linear (.exr, .hdr, raw); C = 1, 2, 3 or 4."""
-    suffix = path.suffix.lower()
-    if suffix in _LINEAR_SUFFIXES:
-        try:
-            return read_hdr(path)
-        except InputError as error:
-            raise CaptureError(str(error)) from None
-    if suffix in _RAW_SUFFIXES:
-        return _read_raw(path)
-    with _pillow(path) as image:
-        deep = _sixteen_bit_color(path, image)
-        orientation = _orientation(path, image) if orient else 1
-        pixels = None if deep else _guarded(path, lambda: _decoded(image))
-    if pixels is None:
-        pixels = _read_deep(path)
-    return _turned(pixels, orientation)
 
 
 def read_mask(path: Path, width: int, height: int, orient: bool = False) -> NDArray[np.float32]:
@@ -101,126 +61,9 @@ def read_mask(path: Path, width: int, height: int, orient: bool = False) -> NDAr
             "make them the same size"
         )
     if pixels.shape[2] in (2, 4) and pixels[..., -1].min() < pixels[..., -1].max():
-        return np.ascontiguousarray(_unit(pixels[..., -1]))
+        return np.ascontiguousarray(_to_unit_range(pixels[..., -1]))
     colors = pixels[..., : 1 if pixels.shape[2] <= 2 else 3]
-    return np.asarray(_unit(colors).mean(axis=2), dtype=np.float32)
-
-
-def _pillow(path: Path) -> Any:
-    """An opened but not decoded picture, of a size that is allowed."""
-    from PIL import Image, UnidentifiedImageError
-
-    if path.suffix.lower() in _HEIF_SUFFIXES:
-        try:
-            from pillow_heif import register_heif_opener
-        except ImportError:
-            raise CaptureError(
-                f"{path} is a HEIC picture; install its reader with: pip install pillow-heif, "
-                "or save the photographs as JPEG"
-            ) from None
-        register_heif_opener()
-    if not path.is_file():
-        raise CaptureError(f"{path} is {'a folder, not a picture' if path.is_dir() else 'not there'}")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # Pillow warns of large pictures; the limit below decides
-            image = Image.open(path)
-    except UnidentifiedImageError:
-        raise CaptureError(f"{path} is not a picture that can be read (PNG, JPEG, TIFF, WebP, …)") from None
-    except Image.DecompressionBombError:
-        raise CaptureError(f"{path} has far more than {MAX_PIXELS} pixels; make it smaller") from None
-    except Exception as error:  # whatever a broken header makes a decoder raise
-        raise CaptureError(f"{path} is a broken picture ({error}); make it again or leave it out") from None
-    if image.width * image.height > MAX_PIXELS:
-        image.close()
-        raise CaptureError(f"{path} is {image.width}×{image.height}, more than {MAX_PIXELS} pixels; make it smaller")
-    return image
-
-
-def _orientation(path: Path, image: Any) -> int:
-    """EXIF's, 1 where there is none; of a PNG Pillow decodes the pixels to find it, and they may be broken."""
-    return int(_guarded(path, lambda: image.getexif().get(_ORIENTATION_TAG, 1)))
-
-
-def _decoded(image: Any) -> NDArray[Any]:
-    image.load()
-    if image.mode in ("I;16", "I;16L", "I;16B", "I"):
-        return np.clip(np.asarray(image.convert("I")), 0, 65535).astype(np.uint16)[..., None]
-    if image.mode == "F":
-        pixels = np.asarray(image, dtype=np.float32)
-        if not np.isfinite(pixels).all():
-            raise ValueError("it holds NaN or infinite values")
-        return pixels[..., None]
-    if image.mode not in ("L", "LA", "RGB", "RGBA"):
-        transparent = image.mode in ("PA", "RGBa", "La") or "transparency" in image.info
-        image = image.convert("RGBA" if transparent else "RGB")
-    pixels = np.asarray(image)
-    return pixels[..., None] if pixels.ndim == 2 else pixels
-
-
-def _sixteen_bit_color(path: Path, image: Any) -> bool:
-    """Pillow reads 16-bit colour at 8 bits and does not say so: the header knows."""
-    if image.format == "PNG":
-        with path.open("rb") as stream:
-            header = stream.read(26)
-        return len(header) == 26 and header[24] == 16 and header[25] in (2, 4, 6)
-    if image.format == "TIFF":
-        bits = image.tag_v2.get(258, (8,))
-        samples = image.tag_v2.get(277, 1)
-        return samples > 1 and max(bits if isinstance(bits, tuple) else (bits,)) == 16
-    return False
-
-
-def _read_deep(path: Path) -> NDArray[Any]:
-    try:
-        import cv2
-    except ImportError:
-        raise MissingExtraError(
-            f"{path} has 16 bits a channel, which needs opencv; install it with: pip install 'hir[reconstruct]'"
-        ) from None
-    pixels = _guarded(path, lambda: cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED))
-    if pixels is None:
-        raise CaptureError(f"{path} is a broken picture; make it again or leave it out")
-    pixels = pixels[..., None] if pixels.ndim == 2 else pixels
-    if pixels.shape[2] >= 3:  # OpenCV keeps blue first
-        pixels = pixels[..., [2, 1, 0, 3][: pixels.shape[2]]]
-    return np.ascontiguousarray(pixels)
-
-
-def _read_raw(path: Path) -> NDArray[Any]:
-    try:
-        import rawpy
-    except ImportError:
-        raise CaptureError(
-            f"{path} is a camera's raw file; install its reader with: pip install rawpy, "
-            "or develop the photographs to JPEG or 16-bit TIFF, all with the same settings"
-        ) from None
-    with _guarded(path, lambda: rawpy.imread(str(path))) as raw:
-        sizes = raw.sizes
-        if sizes.raw_width * sizes.raw_height > MAX_PIXELS:
-            raise CaptureError(f"{path} is {sizes.raw_width}×{sizes.raw_height}, more than {MAX_PIXELS} pixels")
-        developed = _guarded(
-            path, lambda: raw.postprocess(gamma=(1, 1), no_auto_bright=True, output_bps=16, use_camera_wb=True)
-        )
-    return np.asarray(developed, dtype=np.float32) / np.float32(65535)
-
-
-def _guarded(path: Path, decode: Callable[[], Result]) -> Result:
-    try:
-        return decode()
-    except Exception as error:  # decoders raise many types on broken pictures
-        raise CaptureError(f"{path} is a broken picture ({error}); make it again or leave it out") from None
-
-
-def _turned(pixels: NDArray[Any], orientation: int) -> NDArray[Any]:
-    """Undoes the EXIF orientation 1…8 (JEITA CP-3451, tag 274)."""
-    if orientation in (5, 6, 7, 8):
-        pixels = pixels.swapaxes(0, 1)
-    if orientation in (2, 3, 6, 7):
-        pixels = pixels[:, ::-1]
-    if orientation in (3, 4, 7, 8):
-        pixels = pixels[::-1]
-    return pixels
+    return np.asarray(_to_unit_range(colors).mean(axis=2), dtype=np.float32)
 
 
 def _linear(encoded: NDArray[Any]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
@@ -246,7 +89,7 @@ def _decoding_table(kind: str) -> NDArray[np.float32]:
     return table
 
 
-def _unit(values: NDArray[Any]) -> NDArray[np.float32]:
+def _to_unit_range(values: NDArray[Any]) -> NDArray[np.float32]:
     if values.dtype == np.float32:
         return np.asarray(np.clip(values, 0, 1), dtype=np.float32)
     return values.astype(np.float32) / np.float32(np.iinfo(values.dtype).max)

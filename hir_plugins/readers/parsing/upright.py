@@ -9,7 +9,7 @@ import numpy as np
 from hir_core.capture import Array
 
 
-def upright(world_to_cameras: Sequence[Array]) -> Array:
+def upright_rotation(world_to_cameras: Sequence[Array]) -> Array:
     """Rotation 4×4 that turns the cameras' common up to +Y.
 
     Up is the direction to which the pictures' horizontal axes are most nearly at right angles, where it agrees with the

@@ -11,7 +11,9 @@ import pytest
 import torch
 
 from hir_core.capture import Camera, Capture, OrientedPoints, Pixels, View
-from hir_core.capture.capture_store import (
+from hir_core.capture.pixel_cache import PixelCache
+from hir_core.errors import InputError, StageError
+from hir_core.run.capture_store import (
     camera_document,
     camera_from_document,
     fingerprint,
@@ -20,8 +22,6 @@ from hir_core.capture.capture_store import (
     save_capture,
     write_cameras,
 )
-from hir_core.capture.pixel_cache import PixelCache
-from hir_core.errors import InputError, StageError
 from hir_core.scene import EnvironmentMap, Material, Mesh, Scene, Topology
 from hir_core.scene.frames import move_scene, unit_similarity
 from hir_core.scene.scene_store import load_stage_scene, save_stage_scene

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from hir_core.intake.capture_check import CaptureCheck, ViewCheck, _advice
+from hir_core.intake.capture_advice import advice_for
+from hir_core.intake.check_result import CaptureCheck, ViewCheck
 
 VIEWS = tuple(ViewCheck(f"{i:02}", 64, 48, 0.0, 0.3, 1.0, 0.2, agreement=0.9) for i in range(25))
 GOOD = CaptureCheck(VIEWS, (), len(VIEWS), 0.6, 0, 0.1)
@@ -18,7 +19,7 @@ def with_view(**changes: object) -> CaptureCheck:
 
 
 def test_a_good_capture_needs_no_advice() -> None:
-    assert _advice(GOOD) == []
+    assert advice_for(GOOD) == []
 
 
 @pytest.mark.parametrize(
@@ -40,9 +41,9 @@ def test_a_good_capture_needs_no_advice() -> None:
     ],
 )
 def test_each_fault_has_its_sentence(check: CaptureCheck, said: str) -> None:
-    [sentence] = _advice(check)
+    [sentence] = advice_for(check)
     assert said in sentence
 
 
 def test_a_black_photograph_is_not_only_blurred() -> None:
-    assert any("1 photographs are black, such as 02" in s for s in _advice(with_view(sharpness=0, brightness=0)))
+    assert any("1 photographs are black, such as 02" in s for s in advice_for(with_view(sharpness=0, brightness=0)))

@@ -11,19 +11,17 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 
 from hir_core.capture import Camera, Capture, Pixels
-from hir_core.intake.capture_check import (
-    CaptureCheck,
-    check_capture,
-    contact_sheet,
-    directions_covered,
-    headlight_score,
-    masked,
-)
+from hir_core.intake.automatic_masks import with_automatic_masks
+from hir_core.intake.capture_check import check_capture
+from hir_core.intake.check_result import CaptureCheck
+from hir_core.intake.contact_sheet import contact_sheet
+from hir_core.intake.light_motion import headlight_score
+from hir_core.intake.view_directions import directions_covered
 from hir_core.plugins import Component, NoOptions, hookimpl
 from hir_core.plugins.interfaces import MaskSource
 from hir_core.plugins.manager import PluginManager
 from hir_plugins.readers.transforms_json import TransformsJsonReader
-from tests.fixtures.silhouette_captures import Fixed, coverage, dome, hits_sphere, make_view
+from tests.fixtures.silhouette_captures import StoredPixels, coverage, dome, hits_sphere, make_view
 
 SAMPLE = Path(__file__).resolve().parents[3] / "examples" / "sample_capture"
 
@@ -31,12 +29,12 @@ SAMPLE = Path(__file__).resolve().parents[3] / "examples" / "sample_capture"
 @pytest.fixture(scope="module")
 def sample() -> Capture:
     capture = TransformsJsonReader(NoOptions()).read(SAMPLE)
-    return replace(capture, views=tuple(replace(v, read=Fixed(v.read())) for v in capture.views))
+    return replace(capture, views=tuple(replace(v, read=StoredPixels(v.read())) for v in capture.views))
 
 
 def spoilt(capture: Capture, index: int, **changes: object) -> CaptureCheck:
     views = list(capture.views)
-    views[index] = replace(views[index], read=Fixed(replace(views[index].read(), **changes)))  # type: ignore[arg-type]
+    views[index] = replace(views[index], read=StoredPixels(replace(views[index].read(), **changes)))  # type: ignore[arg-type]
     return check_capture(replace(capture, views=tuple(views)))
 
 
@@ -79,7 +77,7 @@ def test_blur_duplicates_and_clipping(sample: Capture) -> None:
 
 
 def test_a_capture_without_cameras_or_masks(sample: Capture) -> None:
-    views = tuple(replace(v, camera=None, read=Fixed(replace(v.read(), mask=None))) for v in sample.views)
+    views = tuple(replace(v, camera=None, read=StoredPixels(replace(v.read(), mask=None))) for v in sample.views)
     check = check_capture(replace(sample, views=views))
     assert check.with_camera == 0 and check.directions_covered is None
     assert all(v.agreement is None and v.mask_share is None for v in check.views)
@@ -145,13 +143,13 @@ def test_pictures_too_small_or_too_empty_for_a_judgement(sample: Capture) -> Non
     few = check_capture(replace(sample, views=sample.views[:2]))
     assert all(view.agreement is None for view in few.views)
     empty = [
-        replace(v, read=Fixed(replace(v.read(), mask=np.zeros_like(v.read().color_linear[..., 0]))))
+        replace(v, read=StoredPixels(replace(v.read(), mask=np.zeros_like(v.read().color_linear[..., 0]))))
         for v in sample.views
     ]
     found = check_capture(replace(sample, views=tuple(empty)))
     assert all(view.mask_share == 0 for view in found.views)
     assert any("masks of 24 photographs show nothing, such as 003" in sentence for sentence in found.advice)
-    tiny = [replace(v, read=Fixed(v.read().downsampled(64)), camera=None) for v in sample.views]
+    tiny = [replace(v, read=StoredPixels(v.read().downsampled(64)), camera=None) for v in sample.views]
     assert all(np.isfinite(v.sharpness) for v in check_capture(replace(sample, views=tuple(tiny))).views)
     pixels, cameras = [v.read() for v in sample.views], list(sample.cameras)
     assert headlight_score(pixels, cameras, np.zeros((10, 3)), np.ones((10, 3))) is None, "ten points tell nothing"
@@ -178,8 +176,8 @@ def test_masks_that_need_no_camera_are_found_for_views_without(sample: Capture) 
                 return [Component(name, f"{__name__}:Ones", NoOptions, "Everything.", traits=frozenset(traits))]
 
         plugins.register(Plugin(), name, "")
-    bare = [replace(v, read=Fixed(replace(v.read(), mask=None))) for v in sample.views[:3]]
-    found = masked(replace(sample, views=(*bare, sample.views[3])), plugins)
+    bare = [replace(v, read=StoredPixels(replace(v.read(), mask=None))) for v in sample.views[:3]]
+    found = with_automatic_masks(replace(sample, views=(*bare, sample.views[3])), plugins)
     assert found.views[0].pixels().mask is not None and found.views[1].pixels().mask is None
     np.testing.assert_array_equal(found.views[3].pixels().mask, sample.views[3].pixels().mask)
-    assert masked(sample, plugins) is sample
+    assert with_automatic_masks(sample, plugins) is sample

@@ -16,9 +16,9 @@ from hir_core.errors import CaptureError
 from hir_core.plugins import NoOptions
 from hir_plugins.initializers.options import ColmapOptions
 from hir_plugins.initializers.sfm.colmap import Colmap
-from hir_plugins.initializers.sfm.sfm_matches import match
+from hir_plugins.initializers.sfm.feature_matching import match_features
 from hir_plugins.readers.photos import PhotosReader
-from tests.fixtures.silhouette_captures import Fixed, look_at, make_view
+from tests.fixtures.silhouette_captures import StoredPixels, look_at, make_view
 
 
 def room(camera: Camera, seed: int) -> NDArray[np.float32]:
@@ -72,7 +72,7 @@ def arc() -> tuple[Capture, list[Camera]]:
         replace(make_view(f"{i}", c, np.ones((240, 320), np.float32), room(c, 0)), camera=None)
         for i, c in enumerate(cameras)
     ]
-    no_masks = [replace(v, read=Fixed(replace(v.read(), mask=None))) for v in views]
+    no_masks = [replace(v, read=StoredPixels(replace(v.read(), mask=None))) for v in views]
     return Capture(Path("made-in-memory"), tuple(no_masks)), cameras
 
 
@@ -110,7 +110,7 @@ def test_each_pair_draws_its_own_trials(monkeypatch: pytest.MonkeyPatch, tmp_pat
     """What a resumed run finds for a pair may not depend on the pairs that it skips."""
     given: list[pycolmap.TwoViewGeometryOptions] = []
     monkeypatch.setattr(pycolmap, "match_exhaustive", lambda _, **more: given.append(more["verification_options"]))
-    match(tmp_path / "database.db", tmp_path, 3, ColmapOptions(matching="exhaustive"))
+    match_features(tmp_path / "database.db", tmp_path, 3, ColmapOptions(matching="exhaustive"))
     rng = np.random.default_rng(0)
     camera = pycolmap.Camera.create_from_model_name(1, "PINHOLE", 300.0, 320, 240)
     camera.has_prior_focal_length = True
@@ -135,13 +135,13 @@ def test_what_cannot_be_solved_is_one_sentence(arc: tuple[Capture, list[Camera]]
     with pytest.raises(CaptureError, match="has 2 photographs"):
         Colmap(ColmapOptions()).initialize(replace(capture, views=capture.views[:2]), None, tmp_path)
     black = [
-        replace(v, read=Fixed(replace(v.read(), color_linear=np.zeros((240, 320, 3), np.float32))))
+        replace(v, read=StoredPixels(replace(v.read(), color_linear=np.zeros((240, 320, 3), np.float32))))
         for v in capture.views
     ]
     with pytest.raises(CaptureError, match="of one colour"):
         Colmap(ColmapOptions()).initialize(replace(capture, views=tuple(black)), None, tmp_path)
     strangers = [
-        View(f"{i}", None, Fixed(replace(v.read(), color_linear=room(cameras_on_an_arc(3)[1], i))))
+        View(f"{i}", None, StoredPixels(replace(v.read(), color_linear=room(cameras_on_an_arc(3)[1], i))))
         for i, v in enumerate(capture.views[:3])
     ]
     with pytest.raises(CaptureError, match="could not place"), pytest.warns(UserWarning, match="trying more"):

@@ -9,9 +9,9 @@ import trimesh
 
 from hir_core.errors import StageError
 from hir_core.mesh.mesh_validity import self_intersections
-from hir_plugins.initializers.stereo.depth_agreement import DepthMap
+from hir_plugins.initializers.stereo.depth_consistency import DepthMap
 from hir_plugins.initializers.stereo.tsdf import tsdf_surface
-from hir_plugins.initializers.surface.mesh_cleaning import cleaned, edge_length, pixel_size
+from hir_plugins.initializers.surface.mesh_cleaning import clean_mesh, edge_length, pixel_size
 from tests.fixtures.silhouette_captures import hits_sphere, look_at, shape_capture
 
 
@@ -23,7 +23,7 @@ def test_a_fin_and_a_crumb_are_cleaned_off_and_the_surface_stays() -> None:
     positions = np.concatenate([ball.vertices, crumb.vertices, [tip]])
     fin = np.array([[*ball.faces[0, :2], len(positions) - 1]])
     faces = np.concatenate([ball.faces, crumb.faces + len(ball.vertices), fin])
-    x, f = cleaned(positions, faces, 0.1, 0.02)
+    x, f = clean_mesh(positions, faces, 0.1, 0.02)
     result = trimesh.Trimesh(x, f, process=False)
     assert result.is_winding_consistent and result.body_count == 1
     radii = np.linalg.norm(x, axis=1)
@@ -35,7 +35,7 @@ def test_a_fin_and_a_crumb_are_cleaned_off_and_the_surface_stays() -> None:
 
 def test_nothing_but_a_line_is_refused() -> None:
     with pytest.raises(StageError, match="no triangles"):
-        cleaned(np.zeros((3, 3)), np.array([[0, 1, 2]]), 0.1, 0.02)
+        clean_mesh(np.zeros((3, 3)), np.array([[0, 1, 2]]), 0.1, 0.02)
 
 
 def test_edges_are_as_long_as_the_pixels_say() -> None:

@@ -19,20 +19,20 @@ from hir_core.scene import Mesh, Scene, Topology
 from hir_plugins.initializers.hull.visual_hull import VisualHull
 from hir_plugins.initializers.options import PoissonOptions, StereoOptions, VisualHullOptions
 from hir_plugins.initializers.poisson.poisson import Poisson, poisson_surface
-from hir_plugins.initializers.stereo.depth_agreement import DepthMap, oriented_points
-from hir_plugins.initializers.stereo.depth_fusion import carved, volume_of
-from hir_plugins.initializers.stereo.stereo import Stereo, measure
+from hir_plugins.initializers.stereo.depth_consistency import DepthMap, oriented_points
+from hir_plugins.initializers.stereo.depth_fusion import carve_depths, signed_distance_volume
+from hir_plugins.initializers.stereo.stereo import Stereo, measure_depths
+from hir_plugins.initializers.stereo.stereo_photographs import SweptSurface, choose_neighbours
 from hir_plugins.initializers.stereo.surface_sweep import (
-    Sweep,
+    SweepSettings,
     SweptView,
-    _box,
-    content,
+    box_sum,
     correlations,
     inverse_depth_step,
     semi_global,
     sweep,
+    texture_confidence,
 )
-from hir_plugins.initializers.stereo.swept_photographs import Surface, neighbours
 from hir_plugins.initializers.surface.isosurface import extract_surface
 from hir_plugins.initializers.surface.volume import Volume
 from tests.fixtures.silhouette_captures import dome, hits_boxes, look_at, make_view
@@ -68,7 +68,7 @@ def painted_cube() -> Capture:
 
 def test_depth_without_a_hull_is_right_to_a_fraction_of_a_pixel(painted_cube: Capture) -> None:
     options = StereoOptions(max_image_size=192, neighbours=4, window=5, device="cpu")
-    measured = measure(painted_cube, None, options)
+    measured = measure_depths(painted_cube, None, options)
     assert measured.mesh is None and measured.verdict is None
     errors, shares = [], []
     for found in measured.maps:
@@ -110,7 +110,7 @@ def test_a_surface_too_far_in_front_is_found_again(painted_cube: Capture) -> Non
     cameras = painted_cube.cameras
     step = inverse_depth_step(cameras[0], cameras[1:4], np.zeros(3))
     views = [swept(view, pushed(view.camera)) for view in painted_cube.views[:4]]  # type: ignore[arg-type]
-    found, score = sweep(views[0], views[1:], step, Sweep(window=7, inward=8, outward=2))
+    found, score = sweep(views[0], views[1:], step, SweepSettings(window=7, inward=8, outward=2))
     truth = cube_depth(cameras[0])
     inner = torch.from_numpy(truth > 0)
     error = (found - torch.from_numpy(1 / np.maximum(truth, 1e-3)).float())[inner].abs() / step
@@ -124,7 +124,7 @@ def test_nothing_is_moved_where_nothing_can_be_compared(painted_cube: Capture) -
         truth = cube_depth(view.camera)  # type: ignore[arg-type]
         blank = swept(view, np.where(truth > 0, 1 / np.maximum(truth, 1e-3), 0))
         views.append(replace(blank, image=torch.full_like(blank.image, 0.5)))
-    found, _ = sweep(views[0], views[1:], 0.01, Sweep(window=7, inward=8, outward=2))
+    found, _ = sweep(views[0], views[1:], 0.01, SweepSettings(window=7, inward=8, outward=2))
     moved = (found - views[0].inverse)[views[0].inside].abs()
     # all but those whose match leaves the neighbour's picture
     assert float((moved < 1e-6).float().mean()) > 0.999 and float(moved.max()) < 0.01
@@ -137,14 +137,14 @@ def test_correlation_is_that_of_the_definition(painted_cube: Capture) -> None:
     copy = replace(view, image=2.0 * view.image + 0.1)
     found = correlations(view, [copy], view.inverse[None], 7)[0]
     # elsewhere windows are so flat that correlation fades
-    assert float(found[content(view.image, 7) > 0.95].min()) > 0.98
+    assert float(found[texture_confidence(view.image, 7) > 0.95].min()) > 0.98
     rng = np.random.default_rng(0)
     noise = torch.from_numpy(rng.uniform(size=view.image.shape).astype(np.float32))
     found = correlations(replace(view, image=noise), [copy], view.inverse[None], 7)[0]
     window = (slice(70, 77), slice(90, 97))
     expected = np.corrcoef(noise[window].reshape(-1).numpy(), copy.image[window].reshape(-1).numpy())[0, 1]
     assert abs(float(found[73, 93]) - expected) < 2e-3
-    ones = _box(torch.ones(1, 9, 9), 5)[0]
+    ones = box_sum(torch.ones(1, 9, 9), 5)[0]
     assert ones[4, 4] == 25 and ones[0, 0] == 9
 
 
@@ -154,11 +154,11 @@ def test_semi_global_matching_bridges_what_is_flat() -> None:
     cost[0, :5, 3] = cost[0, -5:, 3] = 0
     cost[0, 5:15, 0] = 0.98
     base, known = torch.ones(1, 20), torch.ones(1, 20, dtype=torch.bool)
-    total = semi_global(cost, base, known, 0.1, Sweep(7, 5, 0))
+    total = semi_global(cost, base, known, 0.1, SweepSettings(7, 5, 0))
     assert (total.argmin(dim=2) == 3).all()
     # a jump of the surface in the middle cuts the path
     base[0, 8:12] = 5.0
-    assert (semi_global(cost, base, known, 0.1, Sweep(7, 5, 0)).argmin(dim=2)[0, 8:12] == 0).all()
+    assert (semi_global(cost, base, known, 0.1, SweepSettings(7, 5, 0)).argmin(dim=2)[0, 8:12] == 0).all()
 
 
 def test_neighbours_are_near_but_not_too_near() -> None:
@@ -166,7 +166,7 @@ def test_neighbours_are_near_but_not_too_near() -> None:
         look_at(3 * np.array([np.sin(t), 0, np.cos(t)]), np.zeros(3), 100.0, 64, 64)
         for t in np.radians([0, 0.5, 10, 25, 180])
     ]
-    chosen = neighbours(cameras, np.zeros(3), 4)
+    chosen = choose_neighbours(cameras, np.zeros(3), 4)
     assert chosen[0] == [2, 3] and chosen[4] == []
 
 
@@ -189,7 +189,7 @@ def hollow_volume() -> tuple[Volume, list[DepthMap]]:
 
 def test_fusion_carves_a_dent_and_never_adds() -> None:
     volume, maps = hollow_volume()
-    fused = carved(volume, maps, min_weight=3)
+    fused = carve_depths(volume, maps, min_weight=3)
     assert (fused.values <= volume.values).all()
     middle = fused.values[20, 20]
     z = np.linspace(-0.8, 0.8, 41)
@@ -205,7 +205,7 @@ def test_a_mesh_becomes_a_volume_and_a_mesh_again() -> None:
     positions, faces = extract_surface(volume)
     for scale, place in ((1.0, 0.0), (1e-3, 5.0)):
         moved = positions * scale + place
-        again = volume_of(Surface(moved, faces), moved, 0.03 * scale)
+        again = signed_distance_volume(SweptSurface(moved, faces), moved, 0.03 * scale)
         back, _ = extract_surface(again)
         radii = np.linalg.norm(back - place, axis=1) / scale
         assert abs(radii - 0.5).max() < 0.006
@@ -333,7 +333,7 @@ def test_stereo_leaves_a_convex_thing_as_its_outlines_show_it(painted: bool) -> 
     _, whole = hull.initialize(capture, None, Path("unused"))
     _, scene = Stereo(QUICK).initialize(capture, whole, Path("unused"))
     assert scene is not None and whole is not None
-    shell = Surface(whole.mesh.positions.double().numpy(), whole.mesh.faces.numpy())
+    shell = SweptSurface(whole.mesh.positions.double().numpy(), whole.mesh.faces.numpy())
     moved = np.abs(shell.signed_distance(scene.mesh.positions.double().numpy()))
     assert np.quantile(moved, 0.99) < 0.016
 
@@ -347,8 +347,8 @@ def test_what_colmap_measures_is_carved_like_our_own(tmp_path: Path, monkeypatch
         folder = Path(workspace)
         asked.update(low=options.depth_min, high=options.depth_max)
         model = pycolmap.Reconstruction(str(folder / "sparse"))
-        neighbours = (folder / "stereo" / "patch-match.cfg").read_text().splitlines()
-        assert neighbours[0::2] == [model.images[i].name for i in sorted(model.images)]
+        choose_neighbours = (folder / "stereo" / "patch-match.cfg").read_text().splitlines()
+        assert choose_neighbours[0::2] == [model.images[i].name for i in sorted(model.images)]
         for image in model.images.values():
             lens = model.cameras[image.camera_id]
             intrinsics, pose = np.eye(3), np.eye(4)
@@ -391,6 +391,6 @@ def test_a_given_surface_stays_where_photographs_agree_on_nothing() -> None:
     given = Scene(Mesh(whole.mesh.positions, Topology(whole.mesh.faces)))
     _, scene = Stereo(QUICK).initialize(replace(capture, views=tuple(views)), given, Path("unused"))
     assert scene is not None
-    shell = Surface(whole.mesh.positions.double().numpy(), whole.mesh.faces.numpy())
+    shell = SweptSurface(whole.mesh.positions.double().numpy(), whole.mesh.faces.numpy())
     moved = np.abs(shell.signed_distance(scene.mesh.positions.double().numpy()))
     assert np.quantile(moved, 0.95) < 0.04

@@ -21,9 +21,9 @@ from hir_plugins.masks.color_key import ColorKey
 from hir_plugins.masks.folder import Folder
 from hir_plugins.masks.grabcut import GrabCut
 from hir_plugins.masks.options import ColorKeyOptions, FolderOptions, GrabCutOptions
-from hir_plugins.readers.parsing.mask_files import beside, match_mask
+from hir_plugins.readers.parsing.mask_files import find_mask, match_mask
 from hir_plugins.readers.parsing.photo_file import PhotoFile
-from tests.fixtures.silhouette_captures import Fixed, coverage, dome, hits_sphere, look_at, make_view
+from tests.fixtures.silhouette_captures import StoredPixels, coverage, dome, hits_sphere, look_at, make_view
 
 
 @pytest.mark.parametrize(
@@ -106,9 +106,9 @@ def test_masks_of_distorted_photographs_are_straightened_with_them(tmp_path: Pat
     camera = look_at(np.array([0, 0, 3.0]), np.zeros(3), 20.0, 32, 24)
     views = tuple(replace(v, camera=camera, distortion=(-0.2, 0.0, 0.0, 0.0)) for v in capture.views)
     mask = Folder(FolderOptions()).masks(replace(capture, views=views), None)[0]
-    beside = replace(views[0], read=PhotoFile(views[0].path, tmp_path / "masks" / "a.png")).pixels().mask  # type: ignore[arg-type]
-    assert mask is not None and beside is not None
-    np.testing.assert_allclose(mask, beside, atol=1e-6)
+    find_mask = replace(views[0], read=PhotoFile(views[0].path, tmp_path / "masks" / "a.png")).pixels().mask  # type: ignore[arg-type]
+    assert mask is not None and find_mask is not None
+    np.testing.assert_allclose(mask, find_mask, atol=1e-6)
     assert np.abs(mask - block / 255).max() > 0.3
 
 
@@ -150,7 +150,7 @@ def test_stanford_orb_keeps_masks_beside_each_split(tmp_path: Path) -> None:
     Image.new("RGB", (8, 8)).save(tmp_path / "train" / "0001.png")
     Image.new("L", (8, 8), 255).save(tmp_path / "train_mask" / "0001.png")
     Image.new("L", (8, 8), 0).save(tmp_path / "test_mask" / "0001.png")
-    assert beside(tmp_path / "train" / "0001.png", tmp_path) == tmp_path / "train_mask" / "0001.png"
+    assert find_mask(tmp_path / "train" / "0001.png", tmp_path) == tmp_path / "train_mask" / "0001.png"
 
 
 def test_grabcut_finds_a_ball_before_a_room() -> None:
@@ -164,7 +164,7 @@ def test_grabcut_finds_a_ball_before_a_room() -> None:
         back = np.array([0.03, 0.05, 0.09]) * rng.uniform(0.2, 1.5, (96, 96, 1))
         color = (front * mask + back * (1 - mask)).astype(np.float32)
         view = make_view(f"{i}", camera, mask[..., 0], color)
-        views.append(replace(view, read=Fixed(replace(view.read(), mask=None))))
+        views.append(replace(view, read=StoredPixels(replace(view.read(), mask=None))))
     normals = rng.normal(size=(400, 3))
     points = 0.5 * normals / np.linalg.norm(normals, axis=1, keepdims=True)
     room = rng.uniform(-9, 9, (60, 3))

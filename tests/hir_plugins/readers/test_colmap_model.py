@@ -14,8 +14,9 @@ from PIL import Image
 from hir_core.errors import CaptureError
 from hir_core.plugins import NoOptions
 from hir_plugins.readers.colmap_model import ColmapModelReader
-from hir_plugins.readers.parsing.colmap_files import lens_camera, read_points
-from hir_plugins.readers.parsing.upright import upright
+from hir_plugins.readers.parsing.colmap_files import read_points
+from hir_plugins.readers.parsing.colmap_lenses import lens_camera
+from hir_plugins.readers.parsing.upright import upright_rotation
 from tests.fixtures.silhouette_captures import dome, look_at
 
 READER = ColmapModelReader(NoOptions())
@@ -150,14 +151,14 @@ def test_up_is_what_the_cameras_agree_on() -> None:
     # all from above: the mean of their own ups is far from the vertical, their horizons are not
     high = [c for c in dome(40, 3.0, np.zeros(3), 100.0, 64) if c.center[1] > 1 and c.center[0] > -1]
     poses = [c.world_to_camera @ np.linalg.inv(source_from_world) for c in high]
-    up = upright(poses)[:3, :3] @ turn @ [0, 1, 0]
+    up = upright_rotation(poses)[:3, :3] @ turn @ [0, 1, 0]
     np.testing.assert_allclose(up, [0, 1, 0], atol=1e-6)
 
 
 def test_level_cameras_in_a_row_keep_their_up() -> None:
     poses = [look_at(np.array([x, 0, 5.0]), np.array([x, 0, 0]), 100.0, 64, 64).world_to_camera for x in (-1.0, 0, 1)]
-    np.testing.assert_allclose(upright(poses)[:3, :3] @ [0, 1, 0], [0, 1, 0], atol=1e-9)
-    np.testing.assert_allclose(upright(poses)[:3, :3] @ [0, 0, 1], [0, 0, 1], atol=1e-9)
+    np.testing.assert_allclose(upright_rotation(poses)[:3, :3] @ [0, 1, 0], [0, 1, 0], atol=1e-9)
+    np.testing.assert_allclose(upright_rotation(poses)[:3, :3] @ [0, 0, 1], [0, 0, 1], atol=1e-9)
 
 
 def test_the_real_points(shared: Path) -> None:

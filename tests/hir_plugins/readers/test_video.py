@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter
 
 from hir_core.errors import CaptureError
 from hir_core.plugins import NoOptions
-from hir_plugins.readers.video import FRAMES, VideoReader, spread
+from hir_plugins.readers.video import FRAMES, VideoReader, sharpest_in_intervals
 
 av = pytest.importorskip("av", reason="videos are read by PyAV: pip install av")
 
@@ -57,8 +57,8 @@ def test_a_frame_is_the_one_of_its_time(video: Path) -> None:
 
 
 def test_parts_give_their_best() -> None:
-    assert spread(np.array([0.0, 3, 1, 1, 5, 2]), 3) == [1, 2, 4]
-    assert spread(np.array([1.0, 2]), 5) == [0, 1]
+    assert sharpest_in_intervals(np.array([0.0, 3, 1, 1, 5, 2]), 3) == [1, 2, 4]
+    assert sharpest_in_intervals(np.array([1.0, 2]), 5) == [0, 1]
 
 
 def test_broken_videos_are_named(tmp_path: Path) -> None:

@@ -17,12 +17,12 @@ from hir_plugins.initializers.stereo.surface_sweep import SweptView
 if TYPE_CHECKING:
     import open3d
 
-_MARGIN = 16
+_CROP_MARGIN_PIXELS = 16
 """Pixels around the object that are kept: windows reach over its outline."""
 
 
 @dataclass(frozen=True)
-class Photograph:
+class StereoPhotograph:
     """The part of a photograph that may show the object; sides are multiples of the largest factor asked for."""
 
     camera: Camera
@@ -35,7 +35,7 @@ class Photograph:
     clipped: NDArray[np.float32]
     """H W."""
 
-    def at(self, factor: int, front: Surface, bound: Surface, device: str) -> SweptView:
+    def at(self, factor: int, front: SweptSurface, bound: SweptSurface, device: str) -> SweptView:
         """The photograph made `factor` times smaller, with the depth of both surfaces."""
         camera = self.camera.downsampled(factor)
         inside, clipped = _reduced(self.inside, factor), _reduced(self.clipped, factor)
@@ -50,13 +50,13 @@ class Photograph:
         )
 
 
-def photograph(view: View, shrink: int, multiple: int, center: Array, radius: float) -> Photograph | None:
+def crop_to_object(view: View, shrink: int, multiple: int, center: Array, radius: float) -> StereoPhotograph | None:
     """A view made `shrink` times smaller and cut to its mask, else to a ball; None where it shows nothing of it."""
     assert view.camera is not None
     pixels = view.pixels(shrink)
     camera = view.camera.downsampled(shrink)
     brightness = linear_to_srgb(np.clip(pixels.color_linear.mean(axis=2), 0, 1)).astype(np.float32)
-    inside = _ball(camera, center, radius) if pixels.mask is None else pixels.mask
+    inside = _sphere_mask(camera, center, radius) if pixels.mask is None else pixels.mask
     if pixels.mask is not None:
         # the background moves with a turntable, and is black in renders: it must not be compared
         brightness = brightness * pixels.mask
@@ -64,17 +64,17 @@ def photograph(view: View, shrink: int, multiple: int, center: Array, radius: fl
     if not len(rows):
         return None
     (top, bottom), (left, right) = (
-        _span(int(used[0]), int(used[-1]) + 1, size, multiple)
+        _crop_range(int(used[0]), int(used[-1]) + 1, size, multiple)
         for used, size in ((rows, camera.height), (columns, camera.width))
     )
     part = (slice(top, bottom), slice(left, right))
     intrinsics = np.array([[1, 0, -left], [0, 1, -top], [0, 0, 1.0]]) @ camera.intrinsics
     camera = replace(camera, intrinsics=intrinsics, width=right - left, height=bottom - top)
     clipped = pixels.saturated.astype(np.float32)
-    return Photograph(camera, brightness[part], pixels.color_linear[part], inside[part], clipped[part])
+    return StereoPhotograph(camera, brightness[part], pixels.color_linear[part], inside[part], clipped[part])
 
 
-class Surface:
+class SweptSurface:
     """A mesh that rays are cast at, in a frame of its own size: Embree works in float32."""
 
     def __init__(self, positions: Array, faces: NDArray[np.int64]) -> None:
@@ -119,7 +119,7 @@ class Surface:
         return open3d.core.Tensor.from_numpy(np.ascontiguousarray(values, dtype=np.float32))
 
 
-def neighbours(cameras: Sequence[Camera], center: Array, count: int) -> list[list[int]]:
+def choose_neighbours(cameras: Sequence[Camera], center: Array, count: int) -> list[list[int]]:
     """For each camera those whose direction to the object differs by about 10°, the nearest to that first."""
     toward = np.array([c.center - center for c in cameras])
     toward /= np.linalg.norm(toward, axis=1, keepdims=True)
@@ -132,17 +132,17 @@ def neighbours(cameras: Sequence[Camera], center: Array, count: int) -> list[lis
     return [[int(j) for j in np.argsort(row, kind="stable")[:count] if np.isfinite(row[j])] for row in cost]
 
 
-def _ball(camera: Camera, center: Array, radius: float) -> NDArray[np.float32]:
+def _sphere_mask(camera: Camera, center: Array, radius: float) -> NDArray[np.float32]:
     pixel, depth = camera.project(center[None])
     reach = radius * camera.intrinsics[0, 0] / max(float(depth[0]), 1e-9)
     rows, columns = np.mgrid[0 : camera.height, 0 : camera.width] + 0.5
     return (np.hypot(columns - pixel[0, 0], rows - pixel[0, 1]) < reach).astype(np.float32)
 
 
-def _span(first: int, last: int, size: int, multiple: int) -> tuple[int, int]:
+def _crop_range(first: int, last: int, size: int, multiple: int) -> tuple[int, int]:
     """`first`…`last` with a margin, its length a multiple; where the picture is too small, what fits of it."""
-    low = max(first - _MARGIN, 0)
-    length = -(-(min(last + _MARGIN, size) - low) // multiple) * multiple
+    low = max(first - _CROP_MARGIN_PIXELS, 0)
+    length = -(-(min(last + _CROP_MARGIN_PIXELS, size) - low) // multiple) * multiple
     if low + length > size:
         low = max(size - length, 0)
         length = (size - low) // multiple * multiple

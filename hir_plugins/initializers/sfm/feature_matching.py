@@ -16,10 +16,10 @@ from hir_core.errors import StageError
 from hir_plugins.initializers.options import ColmapOptions
 from hir_plugins.initializers.sfm.sfm_images import SfmImage, camera_groups
 
-_MANY_IMAGES = 150
+_MAX_EXHAUSTIVE_IMAGES = 150
 """Above this many pictures, pairs are found by a vocabulary tree instead of trying all."""
 
-_EMBEDDING = 64
+_EMBEDDING_DIMENSIONS = 64
 """Numbers that the tree keeps of a descriptor's 128: what COLMAP's own vocabularies use."""
 
 
@@ -33,7 +33,9 @@ class Attempt:
     masked: bool
 
 
-def extract(images: Sequence[SfmImage], folder: Path, database: Path, attempt: Attempt, options: ColmapOptions) -> None:
+def extract_features(
+    images: Sequence[SfmImage], folder: Path, database: Path, attempt: Attempt, options: ColmapOptions
+) -> None:
     """Fills the database with each picture's features; pictures of one camera share it."""
     extraction = pycolmap.FeatureExtractionOptions()
     extraction.use_gpu = False
@@ -43,13 +45,13 @@ def extract(images: Sequence[SfmImage], folder: Path, database: Path, attempt: A
     for group in camera_groups(images, options.camera):
         reader = pycolmap.ImageReaderOptions()
         reader.camera_model = "PINHOLE" if group[0].parameters else options.camera_model
-        reader.camera_params = _start_parameters(group, options)
+        reader.camera_params = _initial_parameters(group, options)
         if attempt.masked:
             reader.mask_path = str(folder.parent / "masks")
-        known = _known_camera(database, {image.file for image in group})
+        known = _stored_camera(database, {image.file for image in group})
         if known is not None:
             reader.existing_camera_id = known
-        cancellable(
+        run_cancellable(
             lambda token, group=group, reader=reader: pycolmap.extract_features(  # type: ignore[misc]
                 str(database),
                 str(folder.parent / "images"),
@@ -63,7 +65,7 @@ def extract(images: Sequence[SfmImage], folder: Path, database: Path, attempt: A
         )
 
 
-def _known_camera(database: Path, files: set[str]) -> int | None:
+def _stored_camera(database: Path, files: set[str]) -> int | None:
     """The camera that an interrupted run gave to this group."""
     if not database.is_file():
         return None
@@ -74,7 +76,7 @@ def _known_camera(database: Path, files: set[str]) -> int | None:
         opened.close()
 
 
-def _start_parameters(group: Sequence[SfmImage], options: ColmapOptions) -> str:
+def _initial_parameters(group: Sequence[SfmImage], options: ColmapOptions) -> str:
     image = group[0]
     if image.parameters:
         return ", ".join(map(repr, image.parameters))
@@ -83,14 +85,14 @@ def _start_parameters(group: Sequence[SfmImage], options: ColmapOptions) -> str:
     return ", ".join(repr(float(p)) for p in camera.params)
 
 
-def match(database: Path, folder: Path, count: int, options: ColmapOptions) -> None:
+def match_features(database: Path, folder: Path, count: int, options: ColmapOptions) -> None:
     """Compares features of pairs of pictures and keeps what one geometry explains."""
     matching = pycolmap.FeatureMatchingOptions()
     matching.use_gpu = False
     matching.num_threads = options.threads
     chosen = options.matching
     if chosen == "auto":
-        chosen = "exhaustive" if count <= _MANY_IMAGES else "vocabulary"
+        chosen = "exhaustive" if count <= _MAX_EXHAUSTIVE_IMAGES else "vocabulary"
     verification = pycolmap.TwoViewGeometryOptions()
     # drawn anew for each pair: what a pair gives depends neither on the pairs before it, which a resumed run skips, nor
     # on the thread
@@ -113,7 +115,7 @@ def match(database: Path, folder: Path, count: int, options: ColmapOptions) -> N
         run = lambda token: pycolmap.match_vocabtree(  # noqa: E731
             str(database), pairing_options=pairing, cancellation_token=token, **common
         )
-    cancellable(run)
+    run_cancellable(run)
 
 
 def _vocabulary(database: Path, folder: Path, options: ColmapOptions) -> Path:
@@ -133,7 +135,7 @@ def _vocabulary(database: Path, folder: Path, options: ColmapOptions) -> Path:
     finally:
         opened.close()
     stacked = np.concatenate(parts)
-    index = pycolmap.VisualIndex.create(stacked.shape[1], _EMBEDDING)
+    index = pycolmap.VisualIndex.create(stacked.shape[1], _EMBEDDING_DIMENSIONS)
     build = pycolmap.VisualIndex.BuildOptions()
     build.num_visual_words = int(min(16384, max(256, len(stacked) // 20)))
     index.build(build, pycolmap.FeatureDescriptorsFloat(kind, stacked.astype(np.float32)))
@@ -142,7 +144,7 @@ def _vocabulary(database: Path, folder: Path, options: ColmapOptions) -> Path:
     return path
 
 
-def cancellable(call: Callable[[Any], Any]) -> Any:
+def run_cancellable(call: Callable[[Any], Any]) -> Any:
     """Runs COLMAP in a thread, so that Ctrl-C reaches it and its database stays whole."""
     token = pycolmap.CancellationToken()
     outcome: list[Any] = []

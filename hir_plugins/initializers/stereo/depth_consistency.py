@@ -12,12 +12,12 @@ from torch import Tensor
 from torch.nn.functional import max_pool2d
 
 from hir_core.capture import Array, Camera, OrientedPoints
-from hir_plugins.initializers.stereo.surface_sweep import SweptView, carried, content, pixel_to_pixel
+from hir_plugins.initializers.stereo.surface_sweep import SweptView, pixel_to_pixel, reproject, texture_confidence
 
-_FLAT_WEIGHT = 0.3
+_FLAT_WINDOW_WEIGHT = 0.3
 """Weight of depths that only their surroundings tell."""
 
-_LEAST = 0.05
+_MIN_WEIGHT = 0.05
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class DepthMap:
         return origins + directions / (along * inverse[rows, columns])[:, None], rows, columns
 
 
-def believed(
+def consistent_depths(
     views: Sequence[SweptView],
     found: Sequence[tuple[Tensor, Tensor]],
     neighbours: Sequence[Sequence[int]],
@@ -62,10 +62,10 @@ def believed(
         agreeing = torch.zeros_like(inverse)
         for j in neighbours[i]:
             agreeing += _confirms(view.camera, inverse, views[j].camera, found[j][0], tolerance)
-        flat = content(view.image, window) < 0.5
-        weight = torch.where(flat, torch.full_like(score, _FLAT_WEIGHT), ((score - 0.2) / 0.6).clamp(0, 1))
-        weight = weight / (1 + _slope(view.inverse, view.camera) ** 2)
-        trusted = (agreeing >= min_views) & (weight > _LEAST) & ~_over_edge(view, window, 3 * steps[i])
+        flat = texture_confidence(view.image, window) < 0.5
+        weight = torch.where(flat, torch.full_like(score, _FLAT_WINDOW_WEIGHT), ((score - 0.2) / 0.6).clamp(0, 1))
+        weight = weight / (1 + _tangent_to_ray(view.inverse, view.camera) ** 2)
+        trusted = (agreeing >= min_views) & (weight > _MIN_WEIGHT) & ~_crosses_depth_edge(view, window, 3 * steps[i])
         zero = torch.zeros_like(inverse)
         maps.append(DepthMap(view.camera, torch.where(trusted, inverse, zero), torch.where(trusted, weight, zero)))
     return maps
@@ -115,7 +115,7 @@ def oriented_points(
 
 def _confirms(camera: Camera, inverse: Tensor, other: Camera, theirs: Tensor, tolerance: float) -> Tensor:
     """1 where the other's depth map holds the same place (H, W), else 0."""
-    x, y, z = carried(*pixel_to_pixel(camera, other), inverse)
+    x, y, z = reproject(*pixel_to_pixel(camera, other), inverse)
     ahead = (inverse > 0) & (z > 1e-9)
     z = torch.where(ahead, z, torch.ones_like(z))
     column, row = (x / z).floor(), (y / z).floor()
@@ -126,7 +126,7 @@ def _confirms(camera: Camera, inverse: Tensor, other: Camera, theirs: Tensor, to
     return (seen & (at > 0) & ((at - inverse / z).abs() < tolerance)).float()
 
 
-def _slope(inverse: Tensor, camera: Camera) -> Tensor:
+def _tangent_to_ray(inverse: Tensor, camera: Camera) -> Tensor:
     """Tangent (H, W) of the angle between the surface's normal and the ray, from the slopes of depth."""
     depth = torch.where(inverse > 0, 1 / inverse.clamp_min(1e-9), torch.zeros_like(inverse))
     along_x, along_y = torch.zeros_like(depth), torch.zeros_like(depth)
@@ -136,7 +136,7 @@ def _slope(inverse: Tensor, camera: Camera) -> Tensor:
     return torch.hypot(along_x, along_y) * focal / depth.clamp_min(1e-6)
 
 
-def _over_edge(view: SweptView, window: int, jump: float) -> Tensor:
+def _crosses_depth_edge(view: SweptView, window: int, jump: float) -> Tensor:
     """Where (H, W) a window reaches to what lies far behind its middle, or beside the object."""
     shown = torch.where(view.inside, view.inverse, torch.zeros_like(view.inverse))
     farthest = -max_pool2d(-shown[None, None], window, 1, window // 2)[0, 0]

@@ -1,0 +1,83 @@
+"""Whether masks and cameras agree: each mask against the re-projected hull of all masks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hir_core.capture import Array, Camera
+from hir_core.intake.view_directions import camera_focus
+
+if TYPE_CHECKING:
+    pass
+
+
+_GRID_RESOLUTION = 56
+
+
+def mask_agreement(cameras: Sequence[Camera | None], masks: Sequence[NDArray[np.float32] | None]) -> list[float | None]:
+    """Per view the IoU of its mask and the re-projected hull of all masks; None for views without mask or camera.
+
+    The hull is carved on a coarse grid with a vote of nine in ten views, so that a wrong mask shows in its own figure.
+    """
+    result: list[float | None] = [None] * len(cameras)
+    pairs = {
+        i: (camera, mask)
+        for i, (camera, mask) in enumerate(zip(cameras, masks, strict=True))
+        if camera is not None and mask is not None and mask.any()
+    }
+    if len(pairs) < 3:
+        return result
+    hull = _consensus_hull(list(pairs.values()))
+    for index, (camera, mask) in pairs.items():
+        if hull is None:
+            result[index] = 0.0
+            continue
+        points, cell = hull
+        shown = _project_cells(points, cell, camera)
+        solid = mask > 0.5
+        result[index] = float((shown & solid).sum() / max((shown | solid).sum(), 1))
+    return result
+
+
+def _consensus_hull(pairs: Sequence[tuple[Camera, NDArray[np.float32]]]) -> tuple[Array, float] | None:
+    """Grid points (N, 3) that nine in ten of the masks that show them call object, and the grid's spacing."""
+    focus, distance = camera_focus([c for c, _ in pairs])
+    low, high = focus - 0.8 * distance, focus + 0.8 * distance
+    points, cell = np.zeros((0, 3)), 0.0
+    for _ in range(3):  # zoom onto what is left
+        axes = [np.linspace(low[i], high[i], _GRID_RESOLUTION) for i in range(3)]
+        cell = float(max(a[1] - a[0] for a in axes))
+        grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        shown, inside = np.zeros(len(grid)), np.zeros(len(grid))
+        for camera, mask in pairs:
+            at, depth = camera.project(grid)
+            x, y = np.floor(np.clip(at, -1, 1e6)).astype(int).T
+            seen = (depth > 0) & (x >= 0) & (y >= 0) & (x < camera.width) & (y < camera.height)
+            shown += seen
+            inside[seen] += mask[y[seen], x[seen]] > 0.5
+        points = grid[(inside >= 0.9 * shown) & (shown >= max(2.0, shown.max() / 2))]
+        if len(points) < 2:
+            return None
+        low, high = points.min(axis=0) - 1.5 * cell, points.max(axis=0) + 1.5 * cell
+    return points, cell
+
+
+def _project_cells(points: Array, cell: float, camera: Camera) -> NDArray[np.bool_]:
+    """Pixels (H, W) whose centre lies within half a cell of a point, as seen by the camera."""
+    shown = np.zeros((camera.height, camera.width), dtype=bool)
+    at, depth = camera.project(points)
+    ahead = depth > 0
+    at, half = at[ahead], 0.5 * cell * camera.intrinsics[0, 0] / depth[ahead]
+    reach = int(np.ceil(half.max(initial=0.0)))
+    x0, y0 = np.floor(at).astype(int).T
+    for dy in range(-reach, reach + 1):
+        for dx in range(-reach, reach + 1):
+            x, y = x0 + dx, y0 + dy
+            near = (np.abs(x + 0.5 - at[:, 0]) <= half + 0.5) & (np.abs(y + 0.5 - at[:, 1]) <= half + 0.5)
+            near &= (x >= 0) & (y >= 0) & (x < camera.width) & (y < camera.height)
+            shown[y[near], x[near]] = True
+    return shown

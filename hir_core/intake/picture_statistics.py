@@ -1,0 +1,45 @@
+"""Sharpness of a photograph, and photographs that are the same."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from hir_exporters.conventions import linear_to_srgb
+
+from hir_core.capture import Pixels
+
+if TYPE_CHECKING:
+    pass
+
+
+def sharpness(pixels: Pixels) -> float:
+    """Energy of the finest detail over the energy of coarser detail, inside the mask: blind to contrast."""
+    image = linear_to_srgb(np.clip(pixels.color_linear.mean(axis=2), 0, 1))
+    inner = np.ones_like(image, dtype=bool) if pixels.mask is None else pixels.mask > 0.99
+    if min(image.shape) < 8 or inner.sum() < 64:
+        return 0.0
+
+    def detail(step: int) -> float:
+        change = (image[:-step, :-step] - image[step:, step:]) ** 2
+        both = inner[:-step, :-step] & inner[step:, step:]
+        return float(change[both].mean()) if both.any() else 0.0
+
+    return detail(1) / max(detail(4), 1e-12)
+
+
+def find_duplicates(pixels: Sequence[Pixels]) -> list[tuple[int, int]]:
+    """Pairs of pictures that are the same but for noise."""
+    prints = []
+    for picture in pixels:
+        image = linear_to_srgb(np.clip(picture.color_linear.mean(axis=2), 0, 1))
+        rows = np.linspace(0, image.shape[0] - 1, 24).astype(int)
+        columns = np.linspace(0, image.shape[1] - 1, 24).astype(int)
+        prints.append(image[np.ix_(rows, columns)].reshape(-1))
+    if len(prints) < 2:
+        return []
+    table = np.array(prints)
+    squares = (table**2).mean(axis=1)
+    gap = squares[:, None] + squares[None, :] - 2 * table @ table.T / table.shape[1]
+    return [(int(i), int(j)) for i, j in np.argwhere(np.triu(gap < 2e-5, 1))]

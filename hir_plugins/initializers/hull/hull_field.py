@@ -1,0 +1,150 @@
+"""The visual hull as a field: at each point the least of the masks' signed distances (Laurentini 1994)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from hir_core.capture import Array
+from hir_plugins.initializers.surface.silhouette_fields import SilhouetteField, focus_and_radius
+
+_CHUNK_POINTS = 1 << 17
+
+
+_UNSEEN_DISTANCE = -1e6
+
+
+_VIEW_BATCH = 8
+"""Views that are sampled before places far outside are let go."""
+
+
+class HullField:
+    """Evaluates the hull's field; works in a frame of the object's size, so that any scale of the world will do."""
+
+    def __init__(self, fields: Sequence[SilhouetteField], tolerated: int, min_views: int) -> None:
+        self.fields = list(fields)
+        self.center, self.radius = focus_and_radius(self.fields)
+        self.tolerated = tolerated
+        world_from_unit = np.diag([self.radius] * 3 + [1.0])
+        world_from_unit[:3, 3] = self.center
+        self._views = [_view_tensors(f, world_from_unit) for f in self.fields]
+        self.min_views = min_views or self._enough_views()
+
+    def _enough_views(self) -> int:
+        """Half of the photographs that show the best seen place of the hull.
+
+        Behind the object, where few cameras look, cones of neighbours overlap and no mask says otherwise.
+        """
+        self.min_views = 2
+        axis = torch.linspace(-1.0, 1.0, 32)
+        points = torch.cartesian_prod(axis, axis, axis)
+        inside = self.field(points) > -float(axis[1] - axis[0])
+        if not inside.any():
+            return 2
+        shown = torch.isfinite(self.per_view(points[inside])).sum(dim=0)
+        return max(2, (int(shown.max()) + 1) // 2)
+
+    def without(self, bad: NDArray[np.bool_]) -> HullField:
+        """The same frame with some views left out."""
+        left = HullField.__new__(HullField)
+        left.__dict__.update(self.__dict__)
+        left.fields = [f for f, b in zip(self.fields, bad, strict=True) if not b]
+        left._views = [v for v, b in zip(self._views, bad, strict=True) if not b]
+        left.min_views = min(self.min_views, len(left.fields))
+        return left
+
+    @property
+    def pixel(self) -> float:
+        """Side of a pixel at the focus, median over the views, in units of the radius."""
+        sizes = []
+        for field in self.fields:
+            depth = float(np.linalg.norm(field.camera.center - self.center))
+            sizes.append(depth / float(np.sqrt(abs(np.linalg.det(field.camera.intrinsics[:2, :2])))))
+        return float(np.median(sizes)) / self.radius
+
+    def per_view(self, points: Tensor) -> Tensor:
+        """Each view's signed distance (V, N) at unit-frame points (N, 3); +inf where the view does not show it."""
+        return torch.stack([_sample(view, points) for view in self._views])
+
+    def unexplained(self, view: int, points: Tensor, spacing: float) -> float:
+        """Share of a view's mask that no ball of radius `spacing` around unit-frame points (N, 3) covers."""
+        from scipy.spatial import cKDTree
+
+        local = points @ self._views[view].projection[:, :3].T + self._views[view].projection[:, 3]
+        local = local[local[:, 2] > 1e-6]
+        mask = np.argwhere(self.fields[view].distance > 1)
+        if not len(local) or not len(mask):
+            return 1.0
+        mask = mask[:: max(1, len(mask) // 2000)]
+        nearest, which = cKDTree((local[:, :2] / local[:, 2:]).numpy()).query(mask[:, ::-1] + 0.5)
+        reach = spacing * self._views[view].focal / local[:, 2].numpy()[which]
+        return float((nearest > reach).mean())
+
+    def field(self, points: Tensor, cut: float = np.inf) -> Tensor:
+        """The hull's field (N,) at unit-frame points (N, 3); exact above -cut, below it only surely negative."""
+        return torch.cat([self._field(chunk, cut) for chunk in points.split(_CHUNK_POINTS)])
+
+    def _field(self, points: Tensor, cut: float) -> Tensor:
+        keep = self.tolerated + 1
+        # as many views at a time as are kept: one by one, thirty that are kept would make it quadratic in the views
+        together = max(_VIEW_BATCH, keep)
+        result = points.new_full((len(points),), _UNSEEN_DISTANCE)
+        index = torch.arange(len(points))
+        lowest = points.new_full((len(points), keep), torch.inf)
+        seen = torch.zeros(len(points), dtype=torch.int64)
+        for start in range(0, len(self._views), together):
+            values = torch.stack([_sample(view, points) for view in self._views[start : start + together]], dim=1)
+            seen += torch.isfinite(values).sum(dim=1)
+            lowest = _lowest(torch.cat([lowest, values], dim=1), keep)
+            if np.isfinite(cut):
+                alive = lowest[:, -1] > -cut
+                if alive.float().mean() < 0.8:
+                    result[index[~alive]] = lowest[~alive, -1]
+                    points, index, lowest, seen = points[alive], index[alive], lowest[alive], seen[alive]
+        known = seen >= self.min_views
+        result[index[known]] = lowest[known, -1].clamp_max(-_UNSEEN_DISTANCE)
+        return result
+
+
+def _lowest(values: Tensor, keep: int) -> Tensor:
+    """The `keep` lowest of each row (N, M), the highest of them last."""
+    if keep == 1:
+        return values.amin(dim=1, keepdim=True)
+    return torch.from_numpy(np.partition(values.numpy(), keep - 1, axis=1)[:, :keep].copy())
+
+
+@dataclass(frozen=True)
+class _ViewTensors:
+    projection: Tensor
+    """3×4, from the unit frame to pixels times depth; depth in units of the radius."""
+    distance: Tensor
+    """1 1 H W, float16."""
+    focal: float
+
+
+def _view_tensors(field: SilhouetteField, world_from_unit: Array) -> _ViewTensors:
+    # composed in float64 and freed of the world's place and scale before it becomes float32
+    pose = field.camera.world_to_camera @ world_from_unit
+    projection = field.camera.intrinsics @ pose[:3] / world_from_unit[0, 0]
+    focal = float(np.sqrt(abs(np.linalg.det(field.camera.intrinsics[:2, :2]))))
+    return _ViewTensors(torch.from_numpy(projection).float(), torch.from_numpy(field.distance)[None, None], focal)
+
+
+def _sample(view: _ViewTensors, points: Tensor) -> Tensor:
+    """Signed distance (N,) across the viewing ray in units of the radius; +inf where the picture does not reach."""
+    height, width = view.distance.shape[2:]
+    local = points @ view.projection[:, :3].T + view.projection[:, 3]
+    depth = local[:, 2]
+    pixels = local[:, :2] / depth.clamp_min(1e-6)[:, None]
+    scale = torch.tensor([2 / width, 2 / height])
+    grid = pixels * scale - 1
+    shown = (depth > 1e-6) & (grid.abs() <= 1).all(dim=1)
+    sampled = torch.nn.functional.grid_sample(
+        view.distance.float(), grid[None, None].clamp(-2, 2), padding_mode="border", align_corners=False
+    )[0, 0, 0]
+    return torch.where(shown, sampled * depth / view.focal, torch.inf)

@@ -1,0 +1,36 @@
+"""JSON documents of a capture, and their numbers."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+from hir_core.errors import CaptureError
+from hir_plugins.readers.parsing.capture_paths import MAX_TEXT_BYTES
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """The object in a JSON file; anything else is a `CaptureError` naming the file."""
+    try:
+        if path.stat().st_size > MAX_TEXT_BYTES:
+            raise CaptureError(f"{path} is larger than {MAX_TEXT_BYTES >> 20} MB; it is not a file of cameras")
+        content = json.loads(path.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise CaptureError(f"{path} cannot be read ({error.strerror})") from None
+    except (ValueError, RecursionError) as error:
+        raise CaptureError(f"{path} is not valid JSON ({error})") from None
+    if not isinstance(content, dict):
+        raise CaptureError(f"{path} does not hold a JSON object")
+    return content
+
+
+def number_field(table: dict[str, Any], key: str, owner: str, default: float | None = None) -> float | None:
+    """A finite number of a JSON object, or `default` where the key is absent or null."""
+    value = table.get(key)
+    if value is None:
+        return default
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise CaptureError(f"{owner}: {key!r} is {value!r}, not a number")
+    return float(value)
