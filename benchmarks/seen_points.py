@@ -114,7 +114,7 @@ def photographed(
 
     covered = np.ones(len(points)) if mask is None else read(mask[..., None])[:, 0]
     seen = inside & (covered >= INSIDE) & ((flat * toward).sum(axis=1) > GRAZING)
-    seen &= ~rays.hidden(above.astype(np.float32), toward.astype(np.float32))
+    seen &= ~rays.occluded(above.astype(np.float32), toward.astype(np.float32))
     return read(color), toward, seen
 
 

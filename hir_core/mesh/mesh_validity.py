@@ -1,9 +1,9 @@
-"""What a fit must not spoil: closedness, components, orientation, and surfaces that do not pass through themselves."""
+"""Validity of a mesh: watertightness, components, orientation, degenerate triangles and self-intersections."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +14,13 @@ Faces = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class MeshState:
-    """Counts that tell a sound mesh from a spoilt one."""
+    """Counts of a mesh and of its defects."""
 
     vertices: int
     triangles: int
     components: int
     watertight: bool
-    """Every edge has two triangles that run opposite ways along it."""
+    """Every edge has two triangles, in consistent orientation."""
     genus: int
     """Handles of all components together; 0 where the mesh is not watertight."""
     degenerate: int
@@ -28,25 +28,21 @@ class MeshState:
     folded: int
     """Pairs of neighbouring triangles that fold back onto each other (more than 150°)."""
     self_intersecting: int
-    """Triangles that another one passes through."""
-
-    def as_dict(self) -> dict[str, Any]:
-        """For a report."""
-        return asdict(self)
+    """Triangles that intersect another one."""
 
 
 def inspect_mesh(positions: Positions, faces: Faces) -> MeshState:
-    """Counts of a mesh of any quality; an empty one is all zeros."""
+    """The counts of any mesh; those of an empty one are zeros."""
     positions, faces = np.asarray(positions, dtype=np.float64), np.asarray(faces, dtype=np.int64)
     if len(faces) == 0:
         return MeshState(len(positions), 0, 0, False, 0, 0, 0, 0)
     p = positions[faces]
     sides = np.linalg.norm(p - np.roll(p, 1, axis=1), axis=2).max(axis=1)
     normals = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
-    doubled = np.linalg.norm(normals, axis=1)
-    degenerate = doubled <= 1e-4 * sides**2
-    closed, pairs, edges = _pairs(faces)
-    unit = normals / np.maximum(doubled, np.finfo(float).tiny)[:, None]
+    doubled_area = np.linalg.norm(normals, axis=1)
+    degenerate = doubled_area <= 1e-4 * sides**2
+    closed, pairs, edges = _face_pairs(faces)
+    unit = normals / np.maximum(doubled_area, np.finfo(float).tiny)[:, None]
     folded = ((unit[pairs[:, 0]] * unit[pairs[:, 1]]).sum(axis=1) < np.cos(np.deg2rad(150))) & (
         ~degenerate[pairs].any(axis=1)
     )
@@ -71,7 +67,7 @@ def count_components(faces: Faces) -> int:
 
 
 def component_of_vertices(faces: Faces) -> tuple[int, NDArray[np.int64]]:
-    """How many components, and the number of each vertex's own; unused vertices get −1."""
+    """The number of components, and the component of each vertex; −1 for unused vertices."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
@@ -80,12 +76,13 @@ def component_of_vertices(faces: Faces) -> tuple[int, NDArray[np.int64]]:
     rows, columns = np.concatenate([f[:, 0], f[:, 1]]), np.concatenate([f[:, 1], f[:, 2]])
     graph = coo_matrix((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(len(used), len(used)))
     count, label = connected_components(graph, directed=False)
-    owner = np.full(int(used.max()) + 1, -1, dtype=np.int64)
-    owner[used] = label
-    return int(count), owner
+    component = np.full(int(used.max()) + 1, -1, dtype=np.int64)
+    component[used] = label
+    return int(count), component
 
 
-def _pairs(faces: Faces) -> tuple[bool, NDArray[np.int64], int]:
+def _face_pairs(faces: Faces) -> tuple[bool, NDArray[np.int64], int]:
+    """Whether the mesh is watertight, pairs of faces (P, 2) at edges of two faces, and the number of edges."""
     start, end = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
     base = int(faces.max()) + 1
     key = np.minimum(start, end) * base + np.maximum(start, end)
@@ -98,10 +95,10 @@ def _pairs(faces: Faces) -> tuple[bool, NDArray[np.int64], int]:
 
 
 def self_intersections(positions: Positions, faces: Faces, batch: int = 400_000) -> NDArray[np.int64]:
-    """Indices of triangles pierced by an edge of a triangle that shares no vertex with them, or that pierce one so.
+    """Indices of triangles that intersect a triangle with which they share no vertex: an edge of one pierces the other.
 
-    Exactly touching and coplanar triangles do not count. Candidates come from a grid whose cell is the largest
-    triangle, so one giant among many small ones costs time, not truth.
+    Triangles that only touch or are coplanar do not count. Candidates come from a grid with cells of the size of the
+    large triangles (the 98th percentile); a single larger triangle is slower and still exact.
     """
     p = np.asarray(positions, dtype=np.float64)[faces]
     if len(p) < 2 or not np.isfinite(p).all():
@@ -119,8 +116,8 @@ def self_intersections(positions: Positions, faces: Faces, batch: int = 400_000)
     return np.flatnonzero(hit)
 
 
-def _candidates(low: Positions, high: Positions, batch: int):  # type: ignore[no-untyped-def]
-    """Pairs (i < j) of boxes in the same cell of a grid, in batches; a pair may come more than once."""
+def _candidates(low: Positions, high: Positions, batch: int) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """Pairs of boxes in the same cell of a grid, in batches of about `batch`; a pair may appear more than once."""
     size = float(np.quantile((high - low).max(axis=1), 0.98)) * 1.01
     if size <= 0:
         return
@@ -151,7 +148,7 @@ def _candidates(low: Positions, high: Positions, batch: int):  # type: ignore[no
 
 
 def _pierces(edges_of: Positions, triangle: Positions) -> NDArray[np.bool_]:
-    """Whether an edge of each first triangle passes through the inside of the second (signs of volumes)."""
+    """Whether an edge of each first triangle passes through the interior of the second (signs of volumes)."""
     a, b, c = triangle[:, 0], triangle[:, 1], triangle[:, 2]
     normal = np.cross(b - a, c - a)
     height = ((edges_of - a[:, None]) * normal[:, None]).sum(axis=2)

@@ -34,7 +34,7 @@ class SurfaceRays:
         weights = np.concatenate([1 - second.sum(axis=1, keepdims=True), second], axis=1)
         return np.where(face < self._faces, face, -1), weights.astype(np.float32)
 
-    def hidden(self, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> NDArray[np.bool_]:
+    def occluded(self, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> NDArray[np.bool_]:
         """Whether each ray (N, 3), (N, 3) meets the mesh at all."""
         return np.asarray(self._scene.test_occlusions(self._rays(origins, directions)).numpy(), dtype=bool)
 

@@ -1,4 +1,4 @@
-"""Mends places where a fitted surface passes through itself."""
+"""Repairs self-intersections of a fitted surface."""
 
 from __future__ import annotations
 
@@ -10,24 +10,25 @@ from hir_core.mesh.mesh_validity import self_intersections
 Positions = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
-_PATIENCE = 4
-"""Rounds after which the patch that gives way is widened by a ring."""
-_WIDEST = 5
-_REACH = 3.0
-"""Longest edges of a patch around it within which other triangles are looked at again."""
-_PUSH = 0.1
-"""What triangles that graze each other are pushed apart by in a round, in edges."""
-_RINGS = 2
+_ROUNDS_PER_RING = 4
+"""After this many rounds the smoothed patch grows by one ring of vertices."""
+_RINGS_MAX = 5
+_SEARCH_DISTANCE = 3.0
+"""Around a patch, in its longest edges: triangles within it are tested again."""
+_PUSH_DISTANCE = 0.1
+"""Of intersecting triangles in one round, in mean edges."""
+_FADE_RINGS = 2
+"""Rings of neighbours over which a push fades out."""
 
 
-def separate(positions: Positions, faces: Faces, allowed: int, rounds: int = 10) -> Positions:
-    """Pushes triangles that pass through each other apart, by a tenth of an edge a round, until at most `allowed` do.
+def push_apart(positions: Positions, faces: Faces, allowed: int, rounds: int = 10) -> Positions:
+    """Pushes intersecting triangles apart, by a tenth of an edge a round, until at most `allowed` intersect.
 
-    For sheets that graze each other, where smoothing would only draw a thin part together. Returns the best state seen,
-    which may be the one given.
+    This is for sheets that graze each other, where smoothing would only shrink a thin part. Returns the positions with
+    the fewest intersecting triangles of all rounds, which may be the initial ones.
     """
     x = positions.astype(np.float64)
-    ends = _ends(faces)
+    ends = _directed_edges(faces)
     hit = self_intersections(x, faces)
     best, fewest = x, len(hit)
     for _ in range(rounds):
@@ -35,24 +36,24 @@ def separate(positions: Positions, faces: Faces, allowed: int, rounds: int = 10)
             break
         corners = x[faces[hit]]
         edge = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean()
-        x = x + _PUSH * edge * _apart(x, faces[hit], ends)
+        x = x + _PUSH_DISTANCE * edge * _separating_directions(x, faces[hit], ends)
         hit = self_intersections(x, faces)
         if len(hit) < fewest:
             best, fewest = x, len(hit)
     return best
 
 
-def untangle(
+def smooth_intersections(
     positions: Positions, faces: Faces, allowed: int, toward: Positions | None = None, rounds: int = 60
 ) -> Positions:
-    """Smooths the vertices of self-intersecting triangles and their neighbours until at most `allowed` are left.
+    """Smooths the vertices of intersecting triangles and their neighbours until at most `allowed` triangles intersect.
 
-    With `toward`, an earlier state of the same mesh, they go back to where they were instead. Returns the best state
-    seen, which may be the one given: nothing is made worse. A round looks again only at what lies near the places that
-    moved.
+    With `toward`, an earlier state of the same mesh, the vertices move back to it instead. Returns the positions with
+    the fewest intersecting triangles of all rounds, which may be the initial ones. After the first round only triangles
+    near the moved vertices are tested.
     """
     x = positions.astype(np.float64)
-    ends = _ends(faces)
+    ends = _directed_edges(faces)
     hit = self_intersections(x, faces)
     best, fewest = x, len(hit)
     for round_ in range(rounds):
@@ -60,39 +61,38 @@ def untangle(
             break
         touched = np.zeros(len(x), dtype=bool)
         touched[faces[hit].reshape(-1)] = True
-        # the longer it resists, the wider the patch that gives way
-        for _ in range(min(1 + round_ // _PATIENCE, _WIDEST)):
+        for _ in range(min(1 + round_ // _ROUNDS_PER_RING, _RINGS_MAX)):
             touched[ends[touched[ends[:, 0]], 1]] = True
-        aim = _neighbours_mean(x, ends, touched) if toward is None else toward
-        x = np.where(touched[:, None], 0.5 * x + 0.5 * aim, x)
-        patch = _around(x, faces, touched)
-        # elsewhere nothing moved: what was free there still is
-        elsewhere = hit[~np.isin(hit, patch)]
-        hit = np.concatenate([elsewhere, patch[self_intersections(x, faces[patch])]])
+        target = _neighbours_mean(x, ends, touched) if toward is None else toward
+        x = np.where(touched[:, None], 0.5 * x + 0.5 * target, x)
+        patch = _faces_near(x, faces, touched)
+        # no vertex outside the patch moved, so the other triangles keep their state
+        outside = hit[~np.isin(hit, patch)]
+        hit = np.concatenate([outside, patch[self_intersections(x, faces[patch])]])
         if len(hit) < fewest:
             best, fewest = x, len(hit)
     return best
 
 
-def _ends(faces: Faces) -> NDArray[np.int64]:
+def _directed_edges(faces: Faces) -> NDArray[np.int64]:
     """Both directions of every edge of every face (6F, 2)."""
     ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     return np.concatenate([ends, ends[:, ::-1]])
 
 
-def _apart(x: Positions, hit: Faces, ends: NDArray[np.int64]) -> Positions:
-    """For each vertex the direction away from the nearest triangle that is hit, too, fading out over two rings."""
+def _separating_directions(x: Positions, hit: Faces, ends: NDArray[np.int64]) -> Positions:
+    """For each vertex of the triangles `hit` the direction away from the nearest other one; fades out over two rings."""
     from scipy.spatial import cKDTree
 
-    middles = x[hit].mean(axis=1)
-    _, nearest = cKDTree(middles).query(middles, k=2)
-    away = middles - middles[nearest[:, 1]]
+    centroids = x[hit].mean(axis=1)
+    _, nearest = cKDTree(centroids).query(centroids, k=2)
+    away = centroids - centroids[nearest[:, 1]]
     away /= np.maximum(np.linalg.norm(away, axis=1), 1e-300)[:, None]
     push, count = np.zeros_like(x), np.zeros(len(x))
     np.add.at(push, hit, away[:, None])
     np.add.at(count, hit, 1)
     push /= np.maximum(count, 1)[:, None]
-    for _ in range(_RINGS):
+    for _ in range(_FADE_RINGS):
         push = np.where(count[:, None] > 0, push, _neighbours_mean(push, ends, np.ones(len(x), dtype=bool)))
     return push
 
@@ -105,13 +105,13 @@ def _neighbours_mean(x: Positions, ends: NDArray[np.int64], touched: NDArray[np.
     return total / np.maximum(degree, 1)[:, None]
 
 
-def _around(x: Positions, faces: Faces, touched: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Faces of the touched vertices, and all that lie near enough to meet them."""
+def _faces_near(x: Positions, faces: Faces, touched: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Faces of the touched vertices, and all faces that are near enough to intersect them."""
     from scipy.spatial import cKDTree
 
     own = touched[faces].any(axis=1)
     corners = x[faces[own]]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(initial=0.0)
-    middles = x[faces].mean(axis=1)
-    distance, _ = cKDTree(middles[own]).query(middles, distance_upper_bound=max(_REACH * longest, 1e-300))
+    centroids = x[faces].mean(axis=1)
+    distance, _ = cKDTree(centroids[own]).query(centroids, distance_upper_bound=max(_SEARCH_DISTANCE * longest, 1e-300))
     return np.nonzero(own | np.isfinite(distance))[0]

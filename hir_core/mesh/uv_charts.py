@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, Final
 
 import numpy as np
-from hir_exporters.files.subprocess_call import Arrays, ChildError, call_apart
+from hir_exporters.files.subprocess_call import Arrays, SubprocessCrashError, run_in_subprocess
 from numpy.typing import NDArray
 
 from hir_core.errors import StageError
@@ -29,8 +29,12 @@ def cut_and_pack(
         "padding": padding,
     }
     try:
-        found = run_xatlas(**given) if len(faces) <= SMALL else call_apart("hir_core.mesh.uv_charts:run_xatlas", given)
-    except ChildError as error:
+        found = (
+            run_xatlas(**given)
+            if len(faces) <= SMALL
+            else run_in_subprocess("hir_core.mesh.uv_charts:run_xatlas", given)
+        )
+    except SubprocessCrashError as error:
         raise StageError(
             f"xatlas ended without an atlas ({error}); repair the mesh, or give one that has UVs"
         ) from error

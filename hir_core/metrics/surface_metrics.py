@@ -133,8 +133,8 @@ def visible(
         toward = camera.center - lifted
         asked = np.flatnonzero(inside & ~seen & ((toward * normals).sum(axis=1) > 0))
         # rays go on beyond the camera, where nothing of an object that it looks at can be
-        hidden = rays.hidden(lifted[asked].astype(np.float32), toward[asked].astype(np.float32))
-        seen[asked[~hidden]] = True
+        occluded = rays.occluded(lifted[asked].astype(np.float32), toward[asked].astype(np.float32))
+        seen[asked[~occluded]] = True
     return seen
 
 

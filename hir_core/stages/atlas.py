@@ -1,11 +1,11 @@
-"""Stage: a UV atlas for the mesh, as fine as the photographs, with the vertex colours baked into it."""
+"""The atlas stage: unwraps the mesh at the resolution of the photographs and bakes its vertex colours."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -26,70 +26,86 @@ if TYPE_CHECKING:
 
 __all__ = ["TexelSurface", "dilate", "fill_unobserved", "texel_surface", "texture_size", "unwrap", "unwrap_mesh"]
 
-SMALLEST, LARGEST = 64, 4096
-"""Sides of a derived texture."""
-_PACK_LIMIT = 1024
+SIDE_MIN, SIDE_MAX = 64, 4096
+"""Sides in texels of a derived texture."""
+_PACKING_SIDE_MAX = 1024
 """Charts are packed on at most this many texels: finer packing takes minutes and gains nothing."""
-_USED = 0.6
-"""Part of an atlas that charts fill, measured on spot, bumpy spheres and marching-cubes meshes (0.58 to 0.79)."""
-_SLACK = 0.07
-"""A power of two that is 5 % too small is taken: twice of it costs four times the memory."""
-_OVERLAP_LIMIT = 0.002
-"""Part of texels that may be claimed twice in coordinates that a mesh brings along."""
+_FILL = 0.6
+"""Share of an atlas that charts fill, measured on spot, bumpy spheres and marching-cubes meshes (0.58 to 0.79)."""
+_ROUNDING_LOG2 = 0.07
+"""A power of two that is 5 % too small is accepted: twice the side takes four times the memory."""
+_OVERLAP_MAX = 0.002
+"""Share of texels that may be claimed twice by texture coordinates that a mesh already has."""
+_OVERLAP_TEST_SIDE = 512
+_SETTING_MAX = 16384
 
 
-def unwrap(
-    scene: Scene, capture: Capture, settings: AtlasSettings, context: StageContext
-) -> tuple[Scene, dict[str, Any]]:
-    """The scene with texture coordinates and a diffuse texture of its vertex colours; coordinates it has are kept."""
+@dataclass(frozen=True)
+class AtlasReport:
+    """What the stage reports; the fields are the keys of its report in run.json."""
+
+    texture_size: int
+    """Side of the textures in texels."""
+    used: float
+    """Share of the texels that charts cover."""
+    charts: int | None
+    """Of a new atlas; None where the mesh's own texture coordinates were kept."""
+
+
+def unwrap(scene: Scene, capture: Capture, settings: AtlasSettings, context: StageContext) -> tuple[Scene, AtlasReport]:
+    """The scene with texture coordinates and a diffuse texture of its vertex colours.
+
+    Texture coordinates that the mesh already has are kept where they lie in 0…1 and do not overlap.
+    """
     size = settings.texture_size or texture_size(scene.mesh, capture.cameras)
-    if size < 1 or size > 16384:
-        raise ConfigError(f"atlas.texture_size is {size}; it must lie between 1 and 16384 (0 derives it)")
-    mesh, report = scene.mesh, dict[str, Any](texture_size=size)
+    if size < 1 or size > _SETTING_MAX:
+        raise ConfigError(f"atlas.texture_size is {size}; it must lie between 1 and {_SETTING_MAX} (0 derives it)")
+    mesh, charts = scene.mesh, None
     if mesh.uvs is None or not _usable(mesh):
         if mesh.uvs is not None:
-            context.warn("the mesh's own texture coordinates overlap or leave 0…1, so it is unwrapped anew")
+            context.warn("the mesh's own texture coordinates overlap or leave 0…1; new ones replace them")
         mesh, charts = unwrap_mesh(mesh, size, settings.padding)
-        report |= charts
     surface = texel_surface(mesh, size)
-    report["used"] = round(float(surface.covered.float().mean()), 4)
+    used = round(float(surface.covered.float().mean()), 4)
     material = scene.material or _baked_colors(mesh, surface, settings.padding)
-    return replace(scene, mesh=mesh, material=material), report
+    return replace(scene, mesh=mesh, material=material), AtlasReport(size, used, charts)
 
 
-def unwrap_mesh(mesh: Mesh, size: int, padding: int = 4) -> tuple[Mesh, dict[str, Any]]:
-    """Cuts the mesh into charts and packs them (xatlas), at least `padding` texels of a `size`² texture apart.
+def unwrap_mesh(mesh: Mesh, size: int, padding: int = 4) -> tuple[Mesh, int]:
+    """The mesh cut into charts that are packed (xatlas) at least `padding` texels of a `size`² texture apart, and how
+    many charts.
 
-    Every face gets coordinates; faces without area get a point. Origin top-left, square, in 0…1.
+    Every face gets coordinates; those of a face without area are one point. Origin top-left, in 0…1.
     """
-    packed = min(size, _PACK_LIMIT)
+    packed = min(size, _PACKING_SIDE_MAX)
     positions = np.ascontiguousarray(mesh.positions.detach().cpu().numpy(), dtype=np.float32)
     faces = mesh.faces.cpu().numpy()
     if not len(faces):
-        raise StageError("the mesh has no triangles to unwrap; look at the geometry stage")
-    # the box may come out a quarter wider than asked for and is then scaled down
+        raise StageError("the mesh has no triangles to unwrap; check the geometry stage")
+    # xatlas may return a box that is a quarter wider than requested, which is then scaled down
     gap = max(1, math.ceil(1.25 * padding * packed / size)) if padding else 0
     uv_faces, uvs, charts = cut_and_pack(positions, faces, packed, gap)
     device = mesh.positions.device
     topology = Topology(mesh.faces, torch.from_numpy(uv_faces).to(device))
     coordinates = torch.from_numpy(uvs.astype(np.float32)).to(device)
-    return replace(mesh, topology=topology, uvs=coordinates), {"charts": charts}
+    return replace(mesh, topology=topology, uvs=coordinates), charts
 
 
 def texture_size(mesh: Mesh, cameras: Sequence[Camera]) -> int:
-    """Side of a square texture, a power of two, with at least one texel for each pixel of the views that see best.
+    """Side of a square texture, a power of two, with at least one texel for each pixel of the closest view.
 
-    Fewer blur: captures/spot asks for 641, and its unseen views have 0.35 dB more (object) with 1024 than with 512.
-    Counts, for each face that looks at a camera and lies in its image, the pixels it fills; occlusion is ignored.
+    With fewer texels textures blur: captures/spot needs 641, and with 1024 its unseen views have 0.35 dB more (object)
+    than with 512. For each face the largest number of pixels is counted that it fills in the image of a camera that it
+    faces; occlusion is ignored.
     """
     positions = mesh.positions.detach().cpu().numpy().astype(np.float64)
     faces = mesh.faces.cpu().numpy()
-    most = np.zeros(len(faces))
+    pixels = np.zeros(len(faces))
     for camera in cameras:
-        most = np.maximum(most, _face_pixels(positions, faces, camera))
-    side = math.sqrt(float(most.sum()) / _USED)
-    power = math.ceil(math.log2(max(side, 1.0)) - _SLACK)
-    return int(min(max(2**power, SMALLEST), LARGEST))
+        pixels = np.maximum(pixels, _face_pixels(positions, faces, camera))
+    side = math.sqrt(float(pixels.sum()) / _FILL)
+    power = math.ceil(math.log2(max(side, 1.0)) - _ROUNDING_LOG2)
+    return int(min(max(2**power, SIDE_MIN), SIDE_MAX))
 
 
 def _face_pixels(positions: NDArray[np.float64], faces: NDArray[np.int64], camera: Camera) -> NDArray[np.float64]:
@@ -104,27 +120,27 @@ def _face_pixels(positions: NDArray[np.float64], faces: NDArray[np.int64], camer
 
 
 def _usable(mesh: Mesh) -> bool:
-    """Do the mesh's own coordinates lie in 0…1, each texel belonging to one place?"""
+    """Whether the mesh's own coordinates lie in 0…1 and cover no texel twice."""
     if mesh.uvs is None or mesh.topology.uv_faces is None or not bool(torch.isfinite(mesh.uvs).all()):
         return False
     if float(mesh.uvs.min()) < 0 or float(mesh.uvs.max()) > 1:
         return False
     a, b, c = mesh.uvs[mesh.topology.uv_faces].double().unbind(1)
-    doubled = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
-    if float(doubled.abs().sum()) / 2 > 1:
+    doubled_area = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    if float(doubled_area.abs().sum()) / 2 > 1:
         return False
-    surface = texel_surface(mesh, 512)
-    return surface.overlaps <= _OVERLAP_LIMIT * max(len(surface.face), 1) and len(surface.face) > 0
+    surface = texel_surface(mesh, _OVERLAP_TEST_SIDE)
+    return surface.overlaps <= _OVERLAP_MAX * max(len(surface.face), 1) and len(surface.face) > 0
 
 
 def _baked_colors(mesh: Mesh, surface: TexelSurface, padding: int) -> Material:
-    """Lambert's material of the vertex colours, mid-grey where there are none."""
+    """A Lambert material of the vertex colours; mid-grey for a mesh without them."""
     like = mesh.positions
-    black, rough = like.new_zeros(3), like.new_ones(1)
+    black, fully_rough = like.new_zeros(3), like.new_ones(1)
     if mesh.vertex_colors is None:
-        return Material("paper", like.new_full((3,), 0.5), black, rough)
+        return Material("paper", like.new_full((3,), 0.5), black, fully_rough)
     texture = texture_of_vertices(mesh, mesh.vertex_colors.clamp(0, 1), surface)
-    return Material("paper", dilate(texture, surface.covered, 2 * padding), black, rough)
+    return Material("paper", dilate(texture, surface.covered, 2 * padding), black, fully_rough)
 
 
 def texture_of_vertices(mesh: Mesh, values: Float[Tensor, "V C"], surface: TexelSurface) -> Float[Tensor, "H W C"]:

@@ -15,19 +15,21 @@ from hir_core.capture import Capture, Pixels, View
 from hir_core.config import GeometrySettings, ReflectanceSettings
 from hir_core.errors import HirError, StageError
 from hir_core.optimization.checkpoints import load_checkpoint
-from hir_core.optimization.optimization_loop import MAX_CONSECUTIVE_NONFINITE_STEPS, Keep, Schedule, optimize
+from hir_core.optimization.optimization_loop import MAX_CONSECUTIVE_NONFINITE_STEPS, Checkpointing, optimize
+from hir_core.optimization.schedules import Schedule
 from hir_core.plugins.manager import PluginManager
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import Material, Scene
 from hir_core.scene.frames import unit_similarity
 from hir_core.stages.geometry.geometry_fit import fit_geometry
 from hir_core.stages.reflectance.gradient_fit import fit_by_gradient, object_pixels
-from hir_core.stages.reflectance.reflectance_fit import starting_scene
+from hir_core.stages.reflectance.initial_scene import initial_scene
 from hir_core.testing.captures import tiny_capture
 from hir_core.testing.scenes import sphere
 from hir_plugins.geometry_renderers.contour import Contour
 
 SETTINGS = GeometrySettings(
+    renderer="contour",
     iterations=30,
     levels=1,
     triangles=600,
@@ -172,12 +174,12 @@ class Lamp:
         return torch.where(bad[:, None], torch.nan, color)
 
 
-def _fit(capture: Capture, context: StageContext, lamp: Lamp, poison: str = "") -> tuple[Scene, dict[str, Any]]:
+def _fit(capture: Capture, context: StageContext, lamp: Lamp, poison: str = "") -> tuple[Scene, GradientReport]:
     settings = ReflectanceSettings(
-        method="gradient", model="specular", iterations=40, batch_pixels=256, environment_height=4, environment_width=8
+        method="gradient", model="specular", environment_height=4, environment_width=8
     )
     scene = _scene_with_texture()
-    scene = starting_scene(scene, capture, settings)
+    scene = initial_scene(scene, capture, settings)
     if poison:
         assert scene.material is not None
         texture = scene.material.diffuse_albedo.clone()
@@ -187,7 +189,7 @@ def _fit(capture: Capture, context: StageContext, lamp: Lamp, poison: str = "") 
     from hir_core.optimization.weighted_energies import prepare_energies
 
     energies = prepare_energies(scene, {}, context.plugins)
-    return fit_by_gradient(scene, lamp, pixels, settings, energies, context, steps=40)  # type: ignore[arg-type]
+    return fit_by_gradient(scene, lamp, pixels, GradientSettings(batch_pixels=256), energies, context, steps=40)  # type: ignore[arg-type]
 
 
 def _scene_with_texture() -> Scene:
@@ -201,7 +203,7 @@ def _scene_with_texture() -> Scene:
 def test_a_view_of_the_reflectance_fit_is_named(capture: Capture, context: tuple[StageContext, list[str]]) -> None:
     lamp = Lamp(lambda call: call in (10, 11), views=(5,))
     fitted, report = _fit(capture, context[0], lamp)
-    assert report["skipped"] == {"rgb": 1}
+    assert report.skipped == {"rgb": 1}
     assert any("step 9: rgb is not finite" in w and "of view 5" in w for w in context[1]), context[1]
     assert fitted.material is not None and bool(torch.isfinite(fitted.material.diffuse_albedo).all())
 
@@ -224,7 +226,7 @@ def test_persistent_trouble_keeps_the_last_good_state(tmp_path: Path) -> None:
         return {"far": (x - 1).square().sum() * (1.0 if step < 15 else torch.nan)}
 
     with pytest.raises(StageError, match="because of 'far'"):
-        optimize(loss, optimizer, Schedule(100), stage="test", keep=Keep(tmp_path / "a.npz", 1e9))
+        optimize(loss, optimizer, Schedule(100), stage="test", checkpointing=Checkpointing(tmp_path / "a.npz", 1e9))
     y = torch.tensor([0.0], requires_grad=True)
     found = load_checkpoint(tmp_path / "a.npz", torch.optim.Adam([y], 0.1))
     assert found is not None and found[0] == 15

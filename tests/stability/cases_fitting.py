@@ -9,12 +9,12 @@ from hir_exporters.materials.brdf_slice import brdf_slice, relative_error
 from hir_core.capture import Camera, Pixels, View
 from hir_core.mesh.large_steps import UniformAdam
 from hir_core.metrics import ChannelScale
-from hir_core.optimization.optimization_loop import Schedule
+from hir_core.optimization.schedules import Schedule
 from hir_core.plugins.progress import Progress
 from hir_core.scene import Mesh, Topology
 from hir_core.scene.frames import unit_similarity
-from hir_core.stages.geometry.photo_consistency import _detail
-from hir_core.stages.geometry.photo_refinement import _gain
+from hir_core.stages.geometry.detail_images import detail_image
+from hir_core.stages.geometry.photo_evaluation import relative_gain
 from hir_core.stages.reflectance.model_selection import compare, decibels
 from hir_plugins.regularizers.total_variation import environment_variation
 from tests.stability.case import Case
@@ -45,20 +45,20 @@ def _votes() -> list[Case]:
         ),
         Case(
             "geometry",
-            "hir_core.stages.geometry.photo_refinement._gain",
+            "hir_core.stages.geometry.photo_evaluation.relative_gain",
             "views that could compare nothing",
             "no gain, no noise",
-            lambda: _gain(np.array([np.nan, 0.2]), np.array([0.1, np.nan])),
+            lambda: relative_gain(np.array([np.nan, 0.2]), np.array([0.1, np.nan])),
             lambda: [np.mean([np.nan, 1 - np.nan]), np.nan],
             lambda: [0.0, 0.0],
             formula="mean(1 − after/before)",
         ),
         Case(
             "geometry",
-            "hir_core.stages.geometry.photo_refinement._gain",
-            "views without any disagreement before",
+            "hir_core.stages.geometry.photo_evaluation.relative_gain",
+            "views without any error before",
             "no gain, no noise",
-            lambda: _gain(np.zeros(3), np.zeros(3)),
+            lambda: relative_gain(np.zeros(3), np.zeros(3)),
             lambda: [np.mean(1 - zero / zero), np.std(1 - zero / zero)],
             lambda: [0.0, 0.0],
             formula="mean(1 − after/before)",
@@ -107,10 +107,10 @@ def _pictures() -> list[Case]:
     cases = [
         Case(
             "geometry",
-            "hir_core.stages.geometry.photo_consistency._detail",
+            "hir_core.stages.geometry.detail_images.detail_image",
             f"a photograph {name}",
             "0 values that are not finite",
-            lambda v=view: float((~torch.isfinite(_detail(v, 1)[0])).sum()),
+            lambda v=view: float((~torch.isfinite(detail_image(v, 1)[0])).sum()),
             lambda v=view: float((~np.isfinite(_plain_contrast(v))).sum()),
             0.0,
             formula="(c − mean) / std",

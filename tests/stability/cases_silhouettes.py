@@ -10,7 +10,7 @@ import torch
 from hir_core.capture import Camera
 from hir_core.scene import Mesh, Topology
 from hir_core.scene.silhouette_targets import SilhouetteTargets, intersection_over_union
-from hir_core.stages.geometry.robust_view_weights import ViewTrust
+from hir_core.stages.geometry.robust_view_weights import RobustViewWeights
 from hir_plugins.geometry_renderers.contour import Contour
 from hir_plugins.geometry_renderers.options import ContourOptions
 from tests.stability.case import Case
@@ -118,8 +118,8 @@ def _ratios() -> list[Case]:
     def plain(area: torch.Tensor, inner: torch.Tensor, mask: torch.Tensor) -> torch.Tensor:
         return inner / (area + mask - inner)
 
-    trust = ViewTrust(6)
-    trust.update(list(range(6)), np.zeros(6), settled=True)
+    view_weights = RobustViewWeights(6)
+    view_weights.update(list(range(6)), np.zeros(6), with_closed_form_albedo=True)
     return [
         Case(
             "geometry",
@@ -143,10 +143,10 @@ def _ratios() -> list[Case]:
         ),
         Case(
             "geometry",
-            "hir_core.stages.geometry.robust_view_weights.ViewTrust.update",
+            "hir_core.stages.geometry.robust_view_weights.RobustViewWeights.update",
             "views that all fit perfectly",
             "weights of 1",
-            lambda: trust.update([0, 1], np.zeros(2), settled=True),
+            lambda: view_weights.update([0, 1], np.zeros(2), with_closed_form_albedo=True),
             lambda: (3 * np.zeros(2) / np.zeros(2)) ** 2,
             lambda: np.ones(2),
             formula="(3 · median / error)²",

@@ -7,14 +7,15 @@ import torch
 from hir_exporters.asset import AssetMaterial
 from hir_exporters.materials.material_conversion import to_gltf
 from hir_exporters.materials.target_brdfs import f0_to_ior, ior_to_f0
+from hir_exporters.textures.uv_rasterization import rasterize_triangles
 
-from hir_core.mesh.texel_rasterization import dilate, rasterize
+from hir_core.mesh.texel_rasterization import dilate
 from hir_core.scene.asset_conversion import _unit
-from hir_plugins.initializers.surface.vertex_colors import _fill, _weighted_median
+from hir_core.scene.bilinear import texture_texels
+from hir_plugins.initializers.surface.vertex_colors import _fill_unseen, _weighted_median
 from hir_plugins.reflectance_renderers.transport_ggx.operator import light_pyramid
 from hir_plugins.reflectance_renderers.transport_ggx.textures.texel_equations import (
     TexelEquations,
-    bilinear_texels,
     solve_texels,
 )
 from tests.stability.case import Case
@@ -32,11 +33,12 @@ def _charts() -> list[Case]:
         cases.append(
             Case(
                 "export",
-                "hir_core.mesh.texel_rasterization.rasterize",
+                "hir_exporters.textures.uv_rasterization.rasterize_triangles",
                 f"a chart {name}",
                 "all 64 texels keep an owner and weights of sum 1",
                 lambda c=corners: float(
-                    (rasterize(c, 8, 8)[0] >= 0).sum() + np.abs(rasterize(c, 8, 8)[1].sum(-1) - 1).max().round(6)
+                    (rasterize_triangles(c, 8, 8)[0] >= 0).sum()
+                    + np.abs(rasterize_triangles(c, 8, 8)[1].sum(-1) - 1).max().round(6)
                 ),
                 lambda c=extra: _plain_barycentrics(c),
                 64.0,
@@ -75,10 +77,10 @@ def _charts() -> list[Case]:
         cases.append(
             Case(
                 "reflectance",
-                "hir_plugins.reflectance_renderers.transport_ggx.textures.texel_equations.bilinear_texels",
+                "hir_core.scene.bilinear.texture_texels",
                 f"u = {u:g} of an 8×8 texture",
                 "texels inside, weights of sum 1",
-                lambda u=u: _in_range(*bilinear_texels(torch.tensor([[u, 0.5]]), 8, 8)),
+                lambda u=u: _in_range(*texture_texels(torch.tensor([[u, 0.5]]), 8, 8)),
                 lambda u=u: float(np.floor(u * 8 - 0.5) >= 0 and np.floor(u * 8 - 0.5) + 1 <= 7),
                 1.0,
                 formula="⌊8u − ½⌋ and the next",
@@ -145,10 +147,10 @@ def _solves() -> list[Case]:
         ),
         Case(
             "initialization",
-            "hir_plugins.initializers.surface.vertex_colors._fill",
+            "hir_plugins.initializers.surface.vertex_colors._fill_unseen",
             "a mesh that no view sees",
             "grey",
-            lambda: _fill(np.zeros((3, 3), np.float32), np.zeros(3, bool), np.array([[0, 1, 2]]))[0],
+            lambda: _fill_unseen(np.zeros((3, 3), np.float32), np.zeros(3, bool), np.array([[0, 1, 2]]))[0],
             lambda: np.zeros((0, 3)).mean(axis=0),
             lambda: np.full(3, 0.5),
             formula="mean of the known colours",

@@ -1,54 +1,61 @@
-"""Which masks to believe: a view that disagrees far more than the rest is heard less."""
+"""Robust weights of views: a view whose mask contradicts the others counts less."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-TOLERANCE = 3.0
-"""A view's error may be this multiple of the median before it loses weight."""
+from hir_core.optimization.checkpoints import Arrays
 
-FLOOR = 0.01
-"""An error of one hundredth of the silhouette is never suspicious."""
+OUTLIER_MEDIANS = 3.0
+"""A view's error may be this multiple of the median error before it loses weight."""
+
+LEAST_MEDIAN_ERROR = 0.01
+"""The median counts as at least this 1 − IoU: an error of one hundredth of the silhouette is never an outlier."""
+
+LEAST_VIEWS = 5
+"""Fewer views do not tell which of them is the outlier."""
 
 
-class ViewTrust:
-    """Weights from each view's latest error (1 − IoU): 1 up to `TOLERANCE` medians, then falling with the square."""
+class RobustViewWeights:
+    """Weights from each view's latest error (1 − IoU).
+
+    The weight is 1 up to `OUTLIER_MEDIANS` medians and falls with the square of the error beyond.
+    """
 
     def __init__(self, views: int) -> None:
         self._errors = np.full(views, np.nan)
-        self._settled = False
+        self._active = False
 
-    def update(self, views: list[int], errors: NDArray[np.float64], settled: bool) -> NDArray[np.float64]:
-        """Notes the errors of a batch and returns its weights; all 1 until the fit has `settled`, when misfits mean
-        something.
+    def update(self, views: list[int], errors: NDArray[np.float64], active: bool) -> NDArray[np.float64]:
+        """Stores the errors of a batch of views and returns their weights.
+
+        All weights are 1 until `active`: early in a fit a large error means that the mesh is wrong, not the mask.
         """
         self._errors[views] = errors
-        self._settled = settled
+        self._active = active
         return self._weights()[views]
 
-    def distrusted(self) -> dict[int, float]:
-        """Views whose weight is below a half."""
+    def down_weighted(self) -> dict[int, float]:
+        """Views whose weight is below one half, with their weight."""
         weights = self._weights()
         return {int(i): float(weights[i]) for i in np.flatnonzero(weights < 0.5)}
 
-    def state(self) -> dict[str, NDArray[Any]]:
+    def state(self) -> Arrays:
         """For a checkpoint."""
-        return {"errors": self._errors.copy(), "settled": np.asarray(self._settled)}
+        return {"errors": self._errors.copy(), "active": np.asarray(self._active)}
 
-    def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
+    def restore(self, state: Mapping[str, NDArray[np.generic]]) -> None:
         """From a checkpoint."""
-        self._errors, self._settled = np.array(state["errors"]), bool(state["settled"])
+        self._errors, self._active = np.array(state["errors"], dtype=np.float64), bool(state["active"])
 
     def _weights(self) -> NDArray[np.float64]:
         known = self._errors[np.isfinite(self._errors)]
         weights = np.ones(len(self._errors))
-        # of fewer than five views none can be said to be the odd one out
-        if not self._settled or len(known) < 5:
+        if not self._active or len(known) < LEAST_VIEWS:
             return weights
-        limit = TOLERANCE * max(float(np.median(known)), FLOOR)
+        limit = OUTLIER_MEDIANS * max(float(np.median(known)), LEAST_MEDIAN_ERROR)
         error = np.where(np.isfinite(self._errors), self._errors, 0.0)
         return np.where(error > limit, (limit / np.maximum(error, limit)) ** 2, 1.0)

@@ -1,4 +1,4 @@
-"""What a fitted mesh could not explain of the masks: parts that are missing, and gaps that are filled."""
+"""The part of the masks that a fitted mesh does not explain: missing parts and filled gaps."""
 
 from __future__ import annotations
 
@@ -13,45 +13,48 @@ from hir_core.plugins.interfaces import GeometryRenderer
 from hir_core.scene import Mesh
 from hir_core.scene.silhouette_targets import SilhouetteTargets
 
-MARGIN = 2
-"""Pixels about the outline that are none of this check's business: there the outline is merely inexact."""
+OUTLINE_MARGIN_PIXELS = 2
+"""Pixels on both sides of the outline that do not count: there the outline is only inexact."""
 
-VIEWS = 40
-"""At most this many views are rendered for the check."""
-
-NOTABLE = 1e-3
-"""Share of a mask from which a missing part is worth a sentence."""
+VIEWS_MAX = 40
+"""At most this many views are rendered, evenly spaced."""
 
 
 @dataclass(frozen=True)
-class Residue:
-    """Means over views, as shares of the mask's area, and the view that is worst in each."""
+class SilhouetteResidual:
+    """Means over the views, as shares of the mask's area, and the worst view of each kind."""
 
     missing: float
-    """Inside the mask, farther than `MARGIN` from the silhouette: thin parts that the mesh has lost."""
+    """Inside the mask, more than `OUTLINE_MARGIN_PIXELS` from the silhouette: thin parts that the mesh has lost."""
     filled: float
-    """Inside the silhouette, farther than `MARGIN` from the mask: gaps that the mesh has closed."""
+    """Inside the silhouette, more than `OUTLINE_MARGIN_PIXELS` from the mask: gaps that the mesh has closed."""
     worst_missing: tuple[int, float]
+    """View and its share; (−1, 0) without views."""
     worst_filled: tuple[int, float]
 
 
 @torch.no_grad()
-def mask_residue(renderer: GeometryRenderer, mesh: Mesh, targets: SilhouetteTargets, views: Sequence[int]) -> Residue:
-    """Compares rendered coverage with the masks of (an even choice of) the views named."""
-    step = max(1, -(-len(views) // VIEWS))
+def silhouette_residual(
+    renderer: GeometryRenderer, mesh: Mesh, targets: SilhouetteTargets, views: Sequence[int]
+) -> SilhouetteResidual:
+    """Compares rendered coverage with the masks of the named views, of an even choice where there are many."""
+    step = max(1, -(-len(views) // VIEWS_MAX))
     missing: dict[int, float] = {}
     filled: dict[int, float] = {}
     for view in views[::step]:
         mask = targets.masks[view].to(mesh.positions.device) > 0.5
         silhouette = renderer.render(mesh, [targets.cameras[view]])[0, : mask.shape[0], : mask.shape[1]] > 0.5
         area = max(1.0, float(mask.sum()))
-        missing[view] = float((mask & ~_grown(silhouette)).sum()) / area
-        filled[view] = float((silhouette & ~_grown(mask)).sum()) / area
+        missing[view] = float((mask & ~_dilated(silhouette)).sum()) / area
+        filled[view] = float((silhouette & ~_dilated(mask)).sum()) / area
     if not missing:
-        return Residue(0.0, 0.0, (-1, 0.0), (-1, 0.0))
-    worst = [max(found.items(), key=lambda item: item[1]) for found in (missing, filled)]
-    return Residue(sum(missing.values()) / len(missing), sum(filled.values()) / len(filled), worst[0], worst[1])
+        return SilhouetteResidual(0.0, 0.0, (-1, 0.0), (-1, 0.0))
+    worst = [max(shares.items(), key=lambda item: item[1]) for shares in (missing, filled)]
+    return SilhouetteResidual(
+        sum(missing.values()) / len(missing), sum(filled.values()) / len(filled), worst[0], worst[1]
+    )
 
 
-def _grown(mask: Tensor) -> Tensor:
-    return max_pool2d(mask[None, None].float(), 2 * MARGIN + 1, 1, MARGIN)[0, 0] > 0
+def _dilated(mask: Tensor) -> Tensor:
+    side = 2 * OUTLINE_MARGIN_PIXELS + 1
+    return max_pool2d(mask[None, None].float(), side, 1, OUTLINE_MARGIN_PIXELS)[0, 0] > 0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 import numpy as np
 import pytest
 import torch
@@ -92,7 +94,7 @@ def test_vertex_colors_come_along() -> None:
 
 def test_counts_of_known_meshes() -> None:
     ball = icosphere(2)
-    assert inspect_mesh(*ball).as_dict() == {
+    assert asdict(inspect_mesh(*ball)) == {
         "vertices": 162,
         "triangles": 320,
         "components": 1,

@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hir_exporters.files.subprocess_call import ChildError, call_apart
+from hir_exporters.files.subprocess_call import SubprocessCrashError, run_in_subprocess
 
 from hir_core.errors import StageError
+from hir_core.mesh import uv_charts
 from hir_core.mesh.uv_charts import SMALL, cut_and_pack, run_xatlas
 from tests.fixtures.scenes import bumpy_sphere
 
@@ -46,7 +47,7 @@ def test_native_code_that_keeps_pythons_lock_does_not_hold_up_other_threads() ->
     small = bumpy_sphere(3)
     given = {"faces": small.faces.numpy().astype(np.uint32), "resolution": 128, "padding": 2}
     here = run_xatlas(positions=small.positions.numpy(), **given)
-    there = call_apart("hir_core.mesh.uv_charts:run_xatlas", {"positions": small.positions.numpy(), **given})
+    there = run_in_subprocess("hir_core.mesh.uv_charts:run_xatlas", {"positions": small.positions.numpy(), **given})
     for name in here:
         np.testing.assert_array_equal(here[name], there[name])
     assert uv_faces.shape == faces.shape
@@ -54,9 +55,9 @@ def test_native_code_that_keeps_pythons_lock_does_not_hold_up_other_threads() ->
 
 def test_an_end_without_an_atlas_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
     def ended(target: str, given: object) -> None:
-        raise ChildError("exit code -11")
+        raise SubprocessCrashError("exit code -11")
 
-    monkeypatch.setattr(uv_charts, "call_apart", ended)
+    monkeypatch.setattr(uv_charts, "run_in_subprocess", ended)
     mesh = bumpy_sphere(5)
     with pytest.raises(StageError, match=r"xatlas ended without an atlas \(exit code -11\); repair the mesh"):
         cut_and_pack(mesh.positions.numpy(), mesh.faces.numpy(), 64, 1)

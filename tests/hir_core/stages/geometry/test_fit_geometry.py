@@ -1,10 +1,9 @@
-"""The stage on captures made by formula: it finds shapes, whatever the scale, and survives wrong masks."""
+"""The geometry stage on analytic captures: it finds shapes at any scale and tolerates wrong masks."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,12 +13,13 @@ from hir_core.capture import Capture
 from hir_core.config import GeometrySettings
 from hir_core.errors import CaptureError, StageError
 from hir_core.mesh.mesh_validity import inspect_mesh
-from hir_core.mesh.self_intersection_repair import separate, untangle
+from hir_core.mesh.self_intersection_repair import push_apart, smooth_intersections
 from hir_core.plugins.manager import PluginManager
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import Mesh, Scene
 from hir_core.stages.geometry.geometry_fit import fit_geometry
-from hir_core.stages.geometry.robust_view_weights import ViewTrust
+from hir_core.stages.geometry.geometry_report import GeometryReport
+from hir_core.stages.geometry.robust_view_weights import RobustViewWeights
 from hir_plugins.geometry_renderers import plugin as renderers
 from hir_plugins.geometry_renderers.contour import Contour
 from hir_plugins.geometry_renderers.options import ContourOptions
@@ -31,6 +31,7 @@ pytest.importorskip("cholespy")
 
 PEANUT = icosphere(4)[0] * (1 + 0.35 * icosphere(4)[0][:, :1] ** 2) * [0.9, 0.55, 0.6], icosphere(4)[1]
 SETTINGS = GeometrySettings(
+    renderer="contour",
     photographs="off",
     iterations=100,
     triangles=2000,
@@ -43,11 +44,11 @@ def capture() -> Capture:
     return capture_of(*PEANUT, around(24, 96))
 
 
-def _context(tmp_path: Path, said: list[str] | None = None, seed: int = 0) -> StageContext:
+def _context(tmp_path: Path, warnings: list[str] | None = None, seed: int = 0) -> StageContext:
     manager = PluginManager()
     manager.register(renderers, "hir", "0")
     manager.register(regularizers, "hir", "0")
-    return StageContext(manager, tmp_path, seed=seed, warn=(said if said is not None else []).append)
+    return StageContext(manager, tmp_path, seed=seed, warn=(warnings if warnings is not None else []).append)
 
 
 def _ball(radius: float = 0.7) -> Scene:
@@ -60,10 +61,10 @@ def _fit(
     capture: Capture,
     settings: GeometrySettings,
     tmp_path: Path,
-    said: list[str] | None = None,
+    warnings: list[str] | None = None,
     seed: int = 0,
-) -> tuple[Mesh, dict[str, Any]]:
-    fitted, report = fit_geometry(scene, capture, settings, _context(tmp_path, said, seed))
+) -> tuple[Mesh, GeometryReport]:
+    fitted, report = fit_geometry(scene, capture, settings, _context(tmp_path, warnings, seed))
     return fitted.mesh, report
 
 
@@ -81,21 +82,22 @@ def _unseen_offset(mesh: Mesh, shape: tuple[np.ndarray, np.ndarray]) -> tuple[fl
 
 
 def test_a_ball_becomes_the_shape_in_the_masks(capture: Capture, tmp_path: Path) -> None:
-    said: list[str] = []
-    mesh, report = _fit(_ball(), capture, SETTINGS, tmp_path, said)
+    warnings: list[str] = []
+    mesh, report = _fit(_ball(), capture, SETTINGS, tmp_path, warnings)
     iou, offset = _unseen_offset(mesh, PEANUT)
     assert iou > 0.985
     # a tenth of a pixel of a 96-pixel mask: the masks' antialiasing is made use of
     assert abs(offset) < 0.1
     state = inspect_mesh(mesh.positions.double().numpy(), mesh.faces.numpy())
     assert state.watertight and state.components == 1 and state.self_intersecting == state.folded == 0
-    assert not said and not report["views"]["down_weighted"]
-    assert report["iou_held_out"]["after"] > report["iou_held_out"]["before"]
-    assert len(report["views"]["held_out"]) == 2
+    assert not warnings and not report.views.down_weighted
+    before, after = report.iou_held_out.before, report.iou_held_out.after
+    assert before is not None and after is not None and after > before
+    assert len(report.views.held_out) == 2
 
 
 @pytest.mark.parametrize(("scale", "shift"), [(1e-3, 0.0), (1e4, 0.0), (1.0, 1e4)])
-def test_scale_and_place_of_the_world_do_not_matter(
+def test_scale_and_position_of_the_world_do_not_matter(
     capture: Capture, tmp_path: Path, scale: float, shift: float
 ) -> None:
     settings = replace(SETTINGS, iterations=25)
@@ -107,12 +109,13 @@ def test_scale_and_place_of_the_world_do_not_matter(
     moved, report = _fit(there, capture.transformed(move), settings, tmp_path / "b")
     back = (moved.positions.double().numpy() - move[:3, 3]) / scale
     # float32 positions ten thousand radii away are known to a thousandth; remeshing may then choose other triangles
-    assert report["iou_held_out"]["after"] > report["iou_held_out"]["before"]
+    before, after = report.iou_held_out.before, report.iou_held_out.after
+    assert before is not None and after is not None and after > before
     iou, _ = _unseen_offset(mesh_of(back, moved.faces.numpy()), (plain.positions.double().numpy(), plain.faces.numpy()))
     assert iou > 0.98
 
 
-def test_wrong_masks_are_named_and_do_not_dent_the_mesh(capture: Capture, tmp_path: Path) -> None:
+def test_wrong_masks_are_named_and_do_not_change_the_mesh(capture: Capture, tmp_path: Path) -> None:
     wrong = {3: "empty", 9: "shifted", 16: "half"}
     views = list(capture.views)
     for i, fault in wrong.items():
@@ -124,15 +127,15 @@ def test_wrong_masks_are_named_and_do_not_dent_the_mesh(capture: Capture, tmp_pa
         else:
             mask[:, :48] = 0
         views[i] = replace(views[i], mask=mask)
-    said: list[str] = []
+    warnings: list[str] = []
     broken = replace(capture, views=tuple(views))
-    mesh, report = _fit(_ball(), broken, SETTINGS, tmp_path / "robust", said)
-    assert set(report["views"]["down_weighted"]) == {views[i].name for i in wrong}
-    assert all(any(views[i].name in sentence for sentence in said) for i in wrong)
-    trusting, _ = _fit(_ball(), broken, replace(SETTINGS, robust=False), tmp_path / "trusting")
-    (iou, offset), (dented, _) = _unseen_offset(mesh, PEANUT), _unseen_offset(trusting, PEANUT)
+    mesh, report = _fit(_ball(), broken, SETTINGS, tmp_path / "robust", warnings)
+    assert set(report.views.down_weighted) == {views[i].name for i in wrong}
+    assert all(any(views[i].name in sentence for sentence in warnings) for i in wrong)
+    uniform, _ = _fit(_ball(), broken, replace(SETTINGS, robust=False), tmp_path / "uniform")
+    (iou, offset), (uniform_iou, _) = _unseen_offset(mesh, PEANUT), _unseen_offset(uniform, PEANUT)
     assert iou > 0.98 and abs(offset) < 0.15
-    assert iou > dented
+    assert iou > uniform_iou
 
 
 def test_a_handle_stays_a_handle(tmp_path: Path) -> None:
@@ -143,38 +146,39 @@ def test_a_handle_stays_a_handle(tmp_path: Path) -> None:
     assert _unseen_offset(mesh, ring)[0] > 0.97
 
 
-def test_lost_thin_parts_are_said_aloud(tmp_path: Path) -> None:
+def test_lost_thin_parts_cause_a_warning(tmp_path: Path) -> None:
     body, faces = icosphere(3)
     rod = body * [0.012, 0.5, 0.012] + [0.0, 0.9, 0.0]
     both = np.concatenate([body * 0.6, rod]), np.concatenate([faces, faces + len(body)])
-    said: list[str] = []
+    warnings: list[str] = []
     _, report = _fit(
         Scene(mesh_of(body * 0.6, faces)),
         capture_of(*both, around(16, 128)),
         replace(SETTINGS, iterations=10, triangles=800),
         tmp_path,
-        said,
+        warnings,
     )
-    assert report["residue"]["missing"] > 0.001
-    assert any("thin parts" in sentence for sentence in said)
+    assert report.silhouette_residual.missing > 0.001
+    assert any("thin parts" in sentence for sentence in warnings)
 
 
-def test_a_mesh_too_coarse_for_its_outlines_is_said_aloud(tmp_path: Path) -> None:
+def test_a_mesh_too_coarse_for_its_silhouettes_causes_a_warning(tmp_path: Path) -> None:
     body, faces = icosphere(4)
     spiky = body * (0.5 + 0.5 * np.abs(np.sin(7 * body[:, :1])) ** 8)
-    said: list[str] = []
+    warnings: list[str] = []
     _, report = _fit(
         Scene(mesh_of(spiky, faces)),
         capture_of(spiky, faces, around(16, 128)),
         replace(SETTINGS, iterations=5, triangles=500, photographs="off"),
         tmp_path,
-        said,
+        warnings,
     )
-    assert report["iou_held_out"]["before"] - report["iou_held_out"]["after"] > 0.005
-    assert any("held-out views fit worse" in sentence for sentence in said)
+    before, after = report.iou_held_out.before, report.iou_held_out.after
+    assert before is not None and after is not None and before - after > 0.005
+    assert any("held-out views fit worse" in sentence for sentence in warnings)
 
 
-def test_loose_pieces_that_no_mask_needs_are_dropped_and_needed_ones_stay(tmp_path: Path) -> None:
+def test_floating_components_that_no_mask_needs_are_removed(tmp_path: Path) -> None:
     body, faces = icosphere(3)
     inner, needed = body * 0.2 + [0.1, 0.0, 0.0], body * 0.15 + [0.0, 0.95, 0.0]
     count = len(body)
@@ -183,7 +187,7 @@ def test_loose_pieces_that_no_mask_needs_are_dropped_and_needed_ones_stay(tmp_pa
     mesh, report = _fit(
         Scene(mesh_of(*start)), capture_of(*shape, around(12, 96)), replace(SETTINGS, iterations=5), tmp_path
     )
-    assert report["loose_pieces_removed"] == 1
+    assert report.floating_components_removed == 1
     assert inspect_mesh(mesh.positions.double().numpy(), mesh.faces.numpy()).components == 2
 
 
@@ -210,7 +214,7 @@ def test_the_paper_path_moves_vertices_at_radius_a_tenth(capture: Capture, tmp_p
     start = _ball()
     mesh, report = _fit(start, few, settings, tmp_path)
     assert mesh.topology.faces.equal(start.mesh.faces)
-    assert report["levels"][0]["steps"] == 12
+    assert report.levels[0].steps == 12
     # Adam's step of 0.001 in a world of radius 0.1, twelve times
     moved = float((mesh.positions - start.mesh.positions).abs().max()) / 0.7
     assert 0.05 < moved <= 0.12 * 1.01
@@ -240,65 +244,65 @@ def test_it_asks_for_what_it_needs(capture: Capture, tmp_path: Path) -> None:
 def test_one_view_and_empty_masks_end_finite(capture: Capture, tmp_path: Path) -> None:
     one = replace(capture, views=capture.views[:1])
     mesh, report = _fit(_ball(), one, replace(SETTINGS, iterations=15), tmp_path / "one")
-    assert bool(torch.isfinite(mesh.positions).all()) and report["iou_held_out"]["after"] is None
+    assert bool(torch.isfinite(mesh.positions).all()) and report.iou_held_out.after is None
     empty = replace(capture, views=tuple(replace(v, mask=np.zeros((96, 96), np.float32)) for v in capture.views[:3]))
     mesh, _ = _fit(_ball(), empty, replace(SETTINGS, iterations=15), tmp_path / "empty")
     assert bool(torch.isfinite(mesh.positions).all())
 
 
-def test_trust_needs_a_crowd_and_a_clear_case() -> None:
-    trust = ViewTrust(6)
+def test_down_weighting_needs_five_views_and_a_clear_outlier() -> None:
+    view_weights = RobustViewWeights(6)
     errors = np.array([0.01, 0.012, 0.011, 0.013, 0.2, 0.02])
-    assert trust.update(list(range(6)), errors, settled=False).tolist() == [1.0] * 6
-    weights = trust.update(list(range(6)), errors, settled=True)
+    assert view_weights.update(list(range(6)), errors, active=False).tolist() == [1.0] * 6
+    weights = view_weights.update(list(range(6)), errors, active=True)
     assert weights[4] < 0.05 and (np.delete(weights, 4) == 1).all()
-    assert set(trust.distrusted()) == {4}
-    pair = ViewTrust(2)
-    assert pair.update([0, 1], np.array([0.01, 0.9]), settled=True).tolist() == [1.0, 1.0]
+    assert set(view_weights.down_weighted()) == {4}
+    pair = RobustViewWeights(2)
+    assert pair.update([0, 1], np.array([0.01, 0.9]), active=True).tolist() == [1.0, 1.0]
 
 
-def test_untangling_goes_back_to_an_earlier_state_where_the_surface_folded() -> None:
+def test_repair_moves_back_to_an_earlier_state_where_the_surface_folded() -> None:
     before, faces = icosphere(4)
     generator = np.random.default_rng(0)
-    # a bump all over, which is right, and three places turned inside out, which are not
+    # a bump all over, which is right, and three patches turned inside out, which are not
     bumped = before * (1 + 0.02 * np.cos(7 * before[:, :1]))
     folded = bumped.copy()
     for centre in generator.normal(size=(3, 3)):
-        place = before @ (centre / np.linalg.norm(centre)) > 0.97
-        folded[place] += generator.normal(scale=0.08, size=(int(place.sum()), 3))
+        patch = before @ (centre / np.linalg.norm(centre)) > 0.97
+        folded[patch] += generator.normal(scale=0.08, size=(int(patch.sum()), 3))
     assert inspect_mesh(folded, faces).self_intersecting > 20
-    mended = untangle(folded, faces, allowed=0, toward=before)
-    assert inspect_mesh(mended, faces).self_intersecting == 0
-    moved = np.linalg.norm(mended - folded, axis=1) > 0
+    repaired = smooth_intersections(folded, faces, allowed=0, toward=before)
+    assert inspect_mesh(repaired, faces).self_intersecting == 0
+    moved = np.linalg.norm(repaired - folded, axis=1) > 0
     assert 0.02 < moved.mean() < 0.3
     # each vertex lies between where it was then and where it had gone
-    back, away = (np.linalg.norm(state[moved] - before[moved], axis=1) for state in (mended, folded))
+    back, away = (np.linalg.norm(state[moved] - before[moved], axis=1) for state in (repaired, folded))
     assert (back < away).all()
 
 
-def test_sheets_that_graze_are_pushed_apart() -> None:
+def test_grazing_sheets_are_pushed_apart() -> None:
     lower, faces = icosphere(4)
     upper = lower + np.array([0.0, 1.999, 0.0])
     positions, both = np.concatenate([lower, upper]), np.concatenate([faces, faces + len(lower)])
     assert inspect_mesh(positions, both).self_intersecting > 0
-    mended = separate(positions, both, allowed=0)
-    assert inspect_mesh(mended, both).self_intersecting == 0
+    repaired = push_apart(positions, both, allowed=0)
+    assert inspect_mesh(repaired, both).self_intersecting == 0
     edge = np.linalg.norm(lower[faces[:, 0]] - lower[faces[:, 1]], axis=1).mean()
-    moved = np.linalg.norm(mended - positions, axis=1)
+    moved = np.linalg.norm(repaired - positions, axis=1)
     assert moved.max() < edge
     assert (moved > 0).mean() < 0.05
     # each sphere gives way to its own side
-    assert (mended[: len(lower), 1] <= lower[:, 1] + 1e-12).all()
-    assert (mended[len(lower) :, 1] >= upper[:, 1] - 1e-12).all()
+    assert (repaired[: len(lower), 1] <= lower[:, 1] + 1e-12).all()
+    assert (repaired[len(lower) :, 1] >= upper[:, 1] - 1e-12).all()
 
 
-def test_untangling_takes_out_a_spike_and_leaves_the_rest() -> None:
+def test_repair_removes_a_spike_and_leaves_the_rest() -> None:
     positions, faces = icosphere(3)
     spoilt = positions.copy()
     spoilt[5] *= -1.4
     assert inspect_mesh(spoilt, faces).self_intersecting > 0
-    mended = untangle(spoilt, faces, allowed=0)
-    assert inspect_mesh(mended, faces).self_intersecting == 0
+    repaired = smooth_intersections(spoilt, faces, allowed=0)
+    assert inspect_mesh(repaired, faces).self_intersecting == 0
     # the spike pierced the far side too
     far = np.abs(positions @ positions[5]) < 0.3
-    assert np.array_equal(mended[far], positions[far])
+    assert np.array_equal(repaired[far], positions[far])

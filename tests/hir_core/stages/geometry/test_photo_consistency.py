@@ -1,4 +1,4 @@
-"""What outlines cannot show: hollows are found in the photographs, and nothing is made up where they show no detail."""
+"""Photo-consistency finds hollows that silhouettes do not show; without detail it leaves the mesh as it is."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from hir_core.mesh.ray_casting import SurfaceRays
 from hir_core.plugins.manager import PluginManager
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import Mesh, Scene
-from hir_core.stages.geometry import photo_refinement
+from hir_core.stages.geometry.detail_images import WINDOW_PIXELS, DetailImages, box_blur
 from hir_core.stages.geometry.geometry_fit import fit_geometry
 from hir_core.stages.geometry.photo_consistency import (
-    WINDOW,
-    Details,
     PixelPairs,
-    _blurred,
-    disagreement,
-    draw_pairs,
-    neighbours,
+    neighbouring_views,
+    photo_consistency_residuals,
+    sample_pairs,
 )
+from hir_core.stages.geometry.photo_consistency_report import PhotoConsistencyReport
+from hir_core.stages.geometry.photo_evaluation import mean_known, relative_gain
+from hir_core.stages.geometry.photo_pass import plan_passes
 from hir_plugins.geometry_renderers import plugin as renderers
 from hir_plugins.regularizers import plugin as regularizers
 from tests.fixtures.meshes import Faces, Positions, around, capture_of, icosphere, mesh_of
@@ -34,6 +34,7 @@ pytest.importorskip("open3d")
 pytest.importorskip("cholespy")
 
 SETTINGS = GeometrySettings(
+    renderer="contour",
     iterations=80,
     triangles=5000,
     held_out=0.15,
@@ -43,7 +44,7 @@ SETTINGS = GeometrySettings(
 
 
 def _hollow(subdivisions: int = 5) -> tuple[Positions, Faces]:
-    """A ball with a bowl in its side, whose floor no outline reaches."""
+    """A ball with a bowl in its side, whose floor no silhouette shows."""
     positions, faces = icosphere(subdivisions)
     angle = np.arccos(np.clip(positions[:, 2], -1, 1))
     return positions * (1 - 0.45 * np.exp(-((angle / 0.7) ** 4)))[:, None], faces
@@ -123,39 +124,43 @@ def test_photographs_find_the_floor_of_a_bowl(hollow: tuple[Positions, Faces], c
     both, report = fit_geometry(start, capture, SETTINGS, _context(tmp_path / "b"))
     truth = _floor_height(mesh_of(*hollow))
     missed, found = _floor_height(outlines.mesh) - truth, _floor_height(both.mesh) - truth
-    assert missed > 0.05, "outlines alone must not know of the bowl, or this test shows nothing"
+    assert missed > 0.05, "silhouettes alone must not find the bowl, or this test shows nothing"
     assert abs(found) < missed / 5
-    assert report["photographs"]["kept"]
-    assert report["iou_held_out"]["after"] > 0.985
+    assert report.photographs.accepted
+    assert (report.iou_held_out.after or 0) > 0.985
 
 
 @pytest.mark.parametrize("carved", [True, False], ids=["carved", "smooth"])
-def test_the_finer_attempt_stays_where_there_is_something_to_carve(carved: bool, tmp_path) -> None:  # type: ignore[no-untyped-def]
-    """Grooves a few triangles wide, which a stiffer surface bridges; without them a softer one only roughens."""
+def test_the_fine_candidate_is_selected_where_there_is_something_to_carve(carved: bool, tmp_path) -> None:  # type: ignore[no-untyped-def]
+    """Grooves a few triangles wide, which a smooth surface bridges; without them a less smooth one only gets rough."""
     positions, faces = icosphere(5)
     depth = 0.03 * np.sin(14 * positions[:, 0]) * np.sin(14 * positions[:, 1]) if carved else 0 * positions[:, 0]
     truth = _photographed(positions * (1 + depth)[:, None], faces, around(24, 96))
     settings = replace(SETTINGS, iterations=20, photograph_iterations=30)
     _, report = fit_geometry(Scene(mesh_of(*icosphere(4))), truth, settings, _context(tmp_path))
-    assert report["photographs"]["fine"]["kept"] == carved, report["photographs"]
+    assert isinstance(report.photographs, PhotoConsistencyReport)
+    assert report.photographs.fine.accepted == carved, report.photographs
 
 
-def test_without_detail_the_mesh_stays_as_outlines_left_it(hollow: tuple[Positions, Faces], tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_without_detail_the_mesh_stays_as_the_silhouette_fit_left_it(hollow: tuple[Positions, Faces], tmp_path) -> None:  # type: ignore[no-untyped-def]
     plain = _photographed(*hollow, around(24, 64), plain=True)
     settings = replace(SETTINGS, iterations=20, triangles=1500, photograph_iterations=10)
     start = Scene(mesh_of(*icosphere(3)))
     outlines, _ = fit_geometry(start, plain, replace(settings, photographs="off"), _context(tmp_path / "a"))
     both, report = fit_geometry(start, plain, settings, _context(tmp_path / "b"))
-    assert not report["photographs"]["kept"]
+    assert not report.photographs.accepted
     assert torch.equal(both.mesh.positions, outlines.mesh.positions)
 
 
 def test_photographs_agree_best_about_the_true_surface(hollow: tuple[Positions, Faces], capture: Capture) -> None:
-    details = Details.of(capture.views, 1)
-    near = neighbours(capture.cameras, range(len(capture.views)))
-    pairs = draw_pairs(details, near, range(len(capture.views)), 300, np.random.default_rng(0))
+    details = DetailImages.of(capture.views, 1)
+    near = neighbouring_views(capture.cameras, range(len(capture.views)))
+    pairs = sample_pairs(details, near, range(len(capture.views)), 300, np.random.default_rng(0))
     sizes = [0.94, 0.97, 1.0, 1.03, 1.06]
-    found = [float(disagreement(mesh_of(hollow[0] * s, hollow[1]), details, pairs)[0].abs().mean()) for s in sizes]
+    found = [
+        float(photo_consistency_residuals(mesh_of(hollow[0] * s, hollow[1]), details, pairs)[0].abs().mean())
+        for s in sizes
+    ]
     assert int(np.argmin(found)) == sizes.index(1.0), found
 
 
@@ -163,18 +168,18 @@ def test_gradient_is_that_of_finite_differences(hollow: tuple[Positions, Faces])
     positions, faces = _hollow(3)
     capture = _photographed(positions, faces, around(30, 64))
     # interpolation of the detail has kinks at pixel centres; smooth images, few of them
-    details = Details.of(capture.views, 1)
-    near = neighbours(capture.cameras, range(30))
-    pairs = draw_pairs(details, near, range(30), 200, np.random.default_rng(1))
+    details = DetailImages.of(capture.views, 1)
+    near = neighbouring_views(capture.cameras, range(30))
+    pairs = sample_pairs(details, near, range(30), 200, np.random.default_rng(1))
     swelling = torch.as_tensor(positions)
 
     def loss(amount: float, rows: np.ndarray | None) -> tuple[torch.Tensor, np.ndarray]:
         mesh = mesh_of(positions, faces, torch.float64).with_positions(torch.as_tensor(positions) + amount * swelling)
-        difference, seen = disagreement(mesh, details, pairs)
+        difference, seen = photo_consistency_residuals(mesh, details, pairs)
         return difference, seen
 
     mesh = mesh_of(positions, faces, torch.float64, grad=True)
-    difference, seen = disagreement(mesh, details, pairs)
+    difference, seen = photo_consistency_residuals(mesh, details, pairs)
     step = 1e-5
     (plus, seen_plus), (minus, seen_minus) = loss(step, None), loss(-step, None)
     both, here, ahead, behind = _common(seen, seen_plus, seen_minus)
@@ -184,22 +189,22 @@ def test_gradient_is_that_of_finite_differences(hollow: tuple[Positions, Faces])
     assert float((gradient * swelling).sum()) == pytest.approx(float(expected), rel=0.02)
 
 
-def test_views_that_compare_nothing_do_not_blur_the_verdict() -> None:
+def test_views_without_comparable_pixels_do_not_change_the_gain() -> None:
     nothing, some = np.array([np.nan, np.nan]), np.array([0.2, np.nan, 0.1])
-    assert photo_refinement._mean(nothing) is None
-    assert photo_refinement._mean(some) == pytest.approx(0.15)
-    assert photo_refinement._gain(nothing, nothing) == (0.0, 0.0)
-    assert photo_refinement._gain(some, 0.5 * some)[0] == pytest.approx(0.5)
+    assert mean_known(nothing) is None
+    assert mean_known(some) == pytest.approx(0.15)
+    assert relative_gain(nothing, nothing) == (0.0, 0.0)
+    assert relative_gain(some, 0.5 * some)[0] == pytest.approx(0.5)
 
 
-def test_attempts_part_after_the_coarsest_of_several_levels() -> None:
-    def course(factors: list[int]) -> list[tuple[int, float]]:
-        return [(place.downsample, place.smoothness) for place in photo_refinement._passes(factors)]
+def test_candidates_separate_after_the_coarsest_of_several_levels() -> None:
+    def order(factors: list[int]) -> list[tuple[int, float]]:
+        return [(plan.downsample, plan.smoothness) for plan in plan_passes(factors)]
 
-    assert course([1]) == [(1, 20), (1, 2)], "one level is both attempts'"
-    assert course([8, 4, 2]) == [(8, 20), (4, 20), (4, 2), (2, 20), (2, 2)]
-    shared, *apart = photo_refinement._passes([8, 4, 2])
-    assert shared.shared and shared.coarseness == 4 and not any(place.shared for place in apart)
+    assert order([1]) == [(1, 20), (1, 2)], "one level belongs to both candidates"
+    assert order([8, 4, 2]) == [(8, 20), (4, 20), (4, 2), (2, 20), (2, 2)]
+    shared, *separate = plan_passes([8, 4, 2])
+    assert shared.shared and shared.coarseness == 4 and not any(plan.shared for plan in separate)
 
 
 @pytest.mark.parametrize("size", [(40, 61), (5, 3)], ids=["usual", "smaller than the box"])
@@ -207,8 +212,8 @@ def test_boxes_are_cut_at_the_border(size: tuple[int, int]) -> None:
     image = torch.rand(3, *size, generator=torch.Generator().manual_seed(0)).double()
     wanted = image
     for _ in range(2):
-        wanted = avg_pool2d(wanted[None], WINDOW, 1, WINDOW // 2, count_include_pad=False)[0]
-    assert torch.allclose(_blurred(image.float()).double(), wanted, atol=1e-6)
+        wanted = avg_pool2d(wanted[None], WINDOW_PIXELS, 1, WINDOW_PIXELS // 2, count_include_pad=False)[0]
+    assert torch.allclose(box_blur(image.float()).double(), wanted, atol=1e-6)
 
 
 def _common(*rows: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -218,22 +223,22 @@ def _common(*rows: np.ndarray) -> tuple[np.ndarray, ...]:
     return both, *(np.searchsorted(r, both) for r in rows)
 
 
-def test_a_mesh_that_no_view_sees_and_broken_triangles_say_nothing(capture: Capture) -> None:
-    details = Details.of(capture.views, 1)
-    near = neighbours(capture.cameras, range(len(capture.views)))
-    pairs = draw_pairs(details, near, [0, 1, 2], 100, np.random.default_rng(0))
+def test_an_unseen_mesh_and_degenerate_triangles_give_no_residuals(capture: Capture) -> None:
+    details = DetailImages.of(capture.views, 1)
+    near = neighbouring_views(capture.cameras, range(len(capture.views)))
+    pairs = sample_pairs(details, near, [0, 1, 2], 100, np.random.default_rng(0))
     positions, faces = icosphere(2)
     away = mesh_of(positions + 100, faces, grad=True)
-    difference, rows = disagreement(away, details, pairs)
+    difference, rows = photo_consistency_residuals(away, details, pairs)
     assert difference.shape == (0, 3)
     assert len(rows) == 0
     flat = positions.copy()
     flat[faces[:40].ravel()] = flat[faces[0, 0]]
     needles = mesh_of(flat, faces, grad=True)
-    difference, _ = disagreement(needles, details, pairs)
+    difference, _ = photo_consistency_residuals(needles, details, pairs)
     difference.square().sum().backward()
     assert torch.isfinite(difference).all()
     assert needles.positions.grad is not None
     assert torch.isfinite(needles.positions.grad).all()
     nobody = PixelPairs(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 2), np.int64))
-    assert disagreement(needles, details, nobody)[0].shape == (0, 3)
+    assert photo_consistency_residuals(needles, details, nobody)[0].shape == (0, 3)

@@ -1,0 +1,137 @@
+"""Fits one mesh of fixed topology to the masks; held-out views choose the result and end the level."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from hir_core.config import GeometrySettings
+from hir_core.mesh.large_steps import LargeSteps, UniformAdam
+from hir_core.optimization.checkpoints import CombinedState
+from hir_core.optimization.nonfinite_diagnostics import nonfinite_vertices, nonfinite_views
+from hir_core.optimization.optimization_loop import Checkpointing, optimize, sum_of, warn_of_skipped_steps
+from hir_core.optimization.optimization_report import OptimizationReport, Terms
+from hir_core.optimization.schedules import Batches, Schedule
+from hir_core.optimization.weighted_energies import prepare_energies
+from hir_core.plugins.interfaces import GeometryRenderer
+from hir_core.plugins.progress import Progress
+from hir_core.run.stage_context import StageContext
+from hir_core.scene import Mesh, Scene
+from hir_core.scene.silhouette_targets import SilhouetteTargets, intersection_over_union
+from hir_core.stages.geometry.best_state import BestState
+from hir_core.stages.geometry.robust_view_weights import RobustViewWeights
+
+HELD_OUT_INTERVAL_STEPS = 25
+"""Held-out views are evaluated this often."""
+
+EARLIEST_STOP = 0.7
+"""Share of a level's steps before which it does not end: at the full learning rate the error only oscillates."""
+
+VIEWS_PER_BATCH = 8
+"""Of evaluations without gradient."""
+
+
+@dataclass
+class SilhouetteFit:
+    """What all levels of the fit share."""
+
+    renderer: GeometryRenderer
+    targets: SilhouetteTargets
+    settings: GeometrySettings
+    context: StageContext
+    held_out: list[int]
+    names: list[str]
+    """Of all views, for messages."""
+
+    def __post_init__(self) -> None:
+        self.areas = self.targets.areas
+        self.train = [i for i in range(len(self.targets)) if i not in set(self.held_out)]
+        self.view_weights = RobustViewWeights(len(self.targets))
+
+    def iou(self, mesh: Mesh, views: list[int]) -> Float[Tensor, " B"]:
+        """IoU of each of the named views; differentiable."""
+        area, intersection = self.renderer.overlap(mesh, self.targets[views])
+        return intersection_over_union(area, intersection, self.areas[views].to(area.device))
+
+    def errors(self, mesh: Mesh, views: list[int]) -> dict[int, float]:
+        """1 − IoU of each of the named views."""
+        errors: dict[int, float] = {}
+        with torch.no_grad():
+            for i in range(0, len(views), VIEWS_PER_BATCH):
+                batch = views[i : i + VIEWS_PER_BATCH]
+                errors.update(zip(batch, (1 - self.iou(mesh, batch)).tolist(), strict=True))
+        return errors
+
+
+def fit_level(mesh: Mesh, fit: SilhouetteFit, level: int, levels: int) -> tuple[Mesh, OptimizationReport, float | None]:
+    """The mesh of the lowest held-out error (without held-out views the last one), the loop's report, and that error."""
+    settings, context = fit.settings, fit.context
+    scene = Scene(mesh)
+    energies = prepare_energies(scene, settings.regularizers, context.plugins)
+    batches = Batches(len(fit.train), max(1, settings.views_per_step), context.seed + level)
+    steps = settings.iterations_per_view * len(fit.train) if settings.iterations_per_view else settings.iterations
+    radius = settings.start_radius or 1.0
+    rate = settings.learning_rate * radius
+    optimizer: torch.optim.Optimizer
+    if settings.parameterization == "large_steps":
+        large = LargeSteps(mesh.topology, len(mesh.positions), settings.smoothness)
+        parameter = large.encode(mesh.positions.detach()).requires_grad_(True)
+        decode: Callable[[Tensor], Tensor] = large.decode
+        optimizer = UniformAdam([parameter], rate)
+    else:
+        parameter = mesh.positions.detach().clone().requires_grad_(True)
+        decode = lambda positions: positions  # noqa: E731
+        optimizer = torch.optim.Adam([parameter], rate)
+
+    def loss(step: int) -> Terms:
+        current = mesh.with_positions(decode(parameter))
+        views = [fit.train[i] for i in batches(step)]
+        error = 1 - fit.iou(current, views)
+        weight = torch.ones_like(error)
+        if settings.robust:
+            active = level > 0 or step > steps // 2
+            weights = fit.view_weights.update(views, error.detach().cpu().numpy(), active)
+            weight = torch.as_tensor(weights, dtype=error.dtype, device=error.device)
+        return {"silhouette": (weight * error).sum() / len(views)} | energies(replace(scene, mesh=current))
+
+    best = BestState(parameter)
+
+    def locate(step: int, term: str) -> str:
+        current = mesh.with_positions(decode(parameter).detach())
+        if term == "silhouette":
+            views = [fit.train[i] for i in batches(step)]
+            return nonfinite_views(current, views, fit.names, lambda moved, view: 1 - fit.iou(moved, [view]))
+        return nonfinite_vertices(current, lambda moved: sum_of(energies(replace(scene, mesh=moved))))
+
+    def after_step(step: int) -> bool:
+        if not fit.held_out or (step + 1) % HELD_OUT_INTERVAL_STEPS:
+            return False
+        with torch.no_grad():
+            errors = fit.errors(mesh.with_positions(decode(parameter)), fit.held_out)
+        error = float(np.median(list(errors.values())))
+        done = level * steps + step + 1
+        context.report(Progress("geometry", done, levels * steps, 0.0, {"held_out": np.array([error])}))
+        return best.update(parameter, error) and step > EARLIEST_STOP * steps
+
+    report = optimize(
+        loss,
+        optimizer,
+        Schedule(steps, end=settings.learning_rate_end),
+        stage="geometry",
+        report=context.report,
+        after_step=after_step,
+        checkpointing=Checkpointing(context.checkpoints / f"level_{level}.npz", context.checkpoint_seconds),
+        extra_state=CombinedState(best=best, view_weights=fit.view_weights),
+        locate=locate,
+        first_step=level * steps,
+        total_steps=levels * steps,
+    )
+    warn_of_skipped_steps(report, context.warn)
+    with torch.no_grad():
+        chosen = best.tensor if fit.held_out and best.error is not None else parameter
+        return mesh.with_positions(decode(chosen).detach()), report, best.error
