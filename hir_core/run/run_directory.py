@@ -10,10 +10,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+from filelock import FileLock, Timeout
 from hir_exporters.files.atomic import is_partial, remove_partials
 
 from hir_core.errors import ConfigError, HirError, InputError, StageError
-from hir_core.files.file_lock import try_lock
 from hir_core.files.json_documents import read_json, write_json
 
 STAGE_NAMES: Final = ("initializer", "geometry", "atlas", "reflectance", "bake", "export")
@@ -190,13 +190,16 @@ def claimed_run(path: str | os.PathLike[str], resume: bool) -> Iterator[RunDirec
             raise InputError(f"{folder} holds {sorted(entries)[0]!r} and is not a run; choose an empty or new folder")
         if entries and not resume:
             raise InputError(f"{folder} already holds a run; continue it with --resume, or choose another folder")
+    lock = FileLock(folder / ".lock")  # the operating system releases it when the process ends, however it ends
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        stream = open(folder / ".lock", "a+b")  # noqa: SIM115 - open for as long as its owner
+        lock.acquire(blocking=False)
+    except Timeout:
+        raise StageError(f"another process works on {folder}; wait for it to end, or choose another folder") from None
     except OSError as error:
         raise InputError(f"cannot write into {folder}: {error.strerror}; choose another folder") from error
-    with stream:
-        if not try_lock(stream):
-            raise StageError(f"another process works on {folder}; wait for it to end, or choose another folder")
+    try:
         remove_partials(folder)  # of a run that was killed
         yield RunDirectory(folder)
+    finally:
+        lock.release()

@@ -14,8 +14,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from filelock import FileLock, Timeout
+
 from hir_core.errors import CaptureError, InputError
-from hir_core.files.file_lock import try_lock
 from hir_plugins.commands.batch.retries import StoreError
 from hir_plugins.commands.batch.storage import object_store
 from hir_plugins.commands.batch.storage.content_hash import content_mark
@@ -93,15 +94,17 @@ def desk(cache: Path, destination: str, name: str) -> Iterator[Desk]:
     sweep(cache, time.time())
     folder = cache / mark
     folder.mkdir(exist_ok=True)
-    with open(folder / "lock", "a+b") as stream:
-        until = time.monotonic() + LOCK_SECONDS
-        while not try_lock(stream):
-            if time.monotonic() > until:
-                raise StoreError(f"another worker of this node still works on {name}")
-            time.sleep(0.2)
+    lock = FileLock(folder / "lock", timeout=LOCK_SECONDS)
+    try:
+        lock.acquire(poll_interval=0.2)
+    except Timeout:
+        raise StoreError(f"another worker of this node still works on {name}") from None
+    try:
         os.utime(folder)
         yield Desk(folder)
         os.utime(folder)
+    finally:
+        lock.release()
 
 
 def sweep(cache: Path, now: float) -> None:
@@ -111,6 +114,5 @@ def sweep(cache: Path, now: float) -> None:
     for folder in cache.iterdir():
         with contextlib.suppress(OSError):  # another worker was faster
             if now - folder.stat().st_mtime > keep:
-                with open(folder / "lock", "a+b") as stream:
-                    if try_lock(stream):
-                        shutil.rmtree(folder)
+                with FileLock(folder / "lock").acquire(blocking=False):  # Timeout, an OSError, while in use
+                    shutil.rmtree(folder)
