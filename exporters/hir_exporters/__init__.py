@@ -1,12 +1,12 @@
-"""Asset SDK of `hir`: physical assets in, glTF, USD and environment files out. Needs neither torch nor mitsuba.
+"""Asset SDK of `hir`: writes physical assets as glTF, USD, OBJ and environment files. Needs neither torch nor mitsuba.
 
-The public names below are loaded when they are first used: importing the package alone imports nothing.
+The public names are imported when they are first used: importing the package alone imports nothing else.
 """
 
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from hir_exporters.asset import Asset, AssetEnvironment, AssetMaterial, AssetMesh, describe, validate_asset
@@ -35,7 +35,7 @@ __all__ = [
     "verify_file",
 ]
 
-_HOMES = {
+_PUBLIC_NAMES: Final = {
     "asset": ("Asset", "AssetEnvironment", "AssetMaterial", "AssetMesh", "describe", "validate_asset"),
     "errors": ("ExportError", "HirError", "InputError"),
     "exporter": ("Exporter", "ExportReport"),
@@ -45,8 +45,8 @@ _HOMES = {
 }
 
 
-def __getattr__(name: str) -> Any:
-    for module, names in _HOMES.items():
+def __getattr__(name: str) -> object:
+    for module, names in _PUBLIC_NAMES.items():
         if name in names:
             return getattr(import_module(f"{__name__}.{module}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

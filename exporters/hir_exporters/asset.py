@@ -1,6 +1,7 @@
-"""The asset that exporters see: a mesh, its physical material, the light it was seen under. numpy only.
+"""The asset that exporters write: a mesh, its physical material and the environment light. numpy only.
 
-Lists and arrays of any real type are taken and kept as contiguous float32 / int32; `validate_asset` checks the rest.
+Constructors accept lists and arrays of any real type and store contiguous float32 / int32 arrays. `validate_asset`
+checks shapes and values.
 """
 
 from __future__ import annotations
@@ -17,18 +18,18 @@ from hir_exporters.conventions import ALPHA_MIN
 from hir_exporters.errors import InputError
 
 BRDF_MODELS: Final = ("paper", "dielectric")
-"""BRDF models of a material; `hir_exporters.materials.brdf_numpy` holds their formulas."""
+"""BRDF models of a material; their formulas are in `hir_exporters.materials.brdf_numpy`."""
 
 PAPER_SPECULAR_MAX: Final = 4 / np.pi
-"""Largest specular albedo of the `paper` model: its authors divide the lobe by pi where we divide by 4."""
+"""Largest specular albedo of the `paper` model: Zhu et al. divide the lobe by pi, this project divides it by 4."""
 
-_UNIT_TOLERANCE = 1e-2
-_VECTORS = 1 << 16  # checked at a time: what is computed of them stays in a processor's cache
+_UNIT_LENGTH_TOLERANCE = 1e-2
+_VECTORS_PER_CHUNK = 1 << 16  # temporary arrays of a chunk fit into a processor's cache
 
 
 @dataclass(frozen=True, eq=False)
 class AssetMesh:
-    """Triangles with one vertex for each pair of position and UV; counter-clockwise is outside."""
+    """Triangles with one vertex for each pair of position and UV; counter-clockwise triangles face outwards."""
 
     positions: NDArray[np.float32]
     """(V, 3), world, +Y up."""
@@ -39,7 +40,7 @@ class AssetMesh:
     faces: NDArray[np.int32]
     """(F, 3) vertex indices."""
     tangents: NDArray[np.float32] | None = None
-    """(V, 4) MikkTSpace tangent and sign of the bitangent, or None: exporters compute them where they are needed."""
+    """(V, 4) MikkTSpace tangent and sign of the bitangent. None: exporters compute them where a format needs them."""
 
     def __post_init__(self) -> None:
         _set(self, "positions", _array("mesh.positions", self.positions, np.float32))
@@ -52,7 +53,7 @@ class AssetMesh:
 
 @dataclass(frozen=True, eq=False)
 class AssetMaterial:
-    """Parameters of a BRDF, all linear; each a texture (row 0 at v = 0, the top) or one value for the whole surface."""
+    """BRDF parameters, all linear. Each is a texture (row 0 at v = 0, the top) or one value for the whole surface."""
 
     model: Literal["paper", "dielectric"]
     diffuse_albedo: NDArray[np.float32]
@@ -64,7 +65,7 @@ class AssetMaterial:
     normal: NDArray[np.float32] | None = None
     """(H, W, 3) unit vectors in tangent space, +Y up, or None."""
     observed: NDArray[np.bool_] | None = None
-    """(H, W) texels that some view saw, or None where that is not known."""
+    """(H, W) True for texels that at least one view observed; None where that is not known."""
 
     def __post_init__(self) -> None:
         for name in ("diffuse_albedo", "specular_albedo", "roughness", "normal"):
@@ -84,7 +85,7 @@ class AssetEnvironment:
     to_world: NDArray[np.float64] = field(default_factory=lambda: np.eye(3))
     """(3, 3) rotation from the map's axes to those of `frame`."""
     frame: Literal["world", "camera"] = "world"
-    """Whether the light stands in the world or travels with the camera."""
+    """`world`: the light is fixed in the world; `camera`: it moves with the camera."""
 
     def __post_init__(self) -> None:
         _set(self, "radiance", _array("environment.radiance", self.radiance, np.float32))
@@ -93,34 +94,34 @@ class AssetEnvironment:
 
 @dataclass(frozen=True, eq=False)
 class Asset:
-    """All that exporters see."""
+    """Everything that an exporter needs."""
 
     mesh: AssetMesh
     material: AssetMaterial
     environment: AssetEnvironment | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
-    """JSON-able facts of where the asset comes from; written into the exported files."""
+    """Where the asset comes from, as JSON values; written into the exported files."""
     name: str = "asset"
 
 
 def validate_asset(asset: Asset) -> None:
-    """Raise `InputError` naming the first field that no exporter could write and what it should be."""
+    """Raises `InputError` for the first invalid field; the message names the field and what it must be."""
     _validate_mesh(asset.mesh)
     _validate_material(asset.material)
     if asset.environment is not None:
         _validate_environment(asset.environment)
     if not isinstance(asset.name, str) or not asset.name.strip() or len(asset.name) > 200:
-        raise InputError("name is not a text of 1 to 200 characters")
+        raise InputError("name is not a string of 1 to 200 characters")
     try:
         json.dumps(dict(asset.provenance), allow_nan=False)
     except (TypeError, ValueError) as error:
         raise InputError(
-            f"provenance cannot be written as JSON ({error}); keep to text, finite numbers, lists"
+            f"provenance cannot be written as JSON ({error}); use strings, finite numbers, lists and dictionaries"
         ) from error
 
 
 def textures(material: AssetMaterial) -> Iterator[tuple[str, NDArray[np.float32]]]:
-    """Name and value of each parameter that is a texture rather than a constant or absent."""
+    """Name and pixels of each parameter that is a texture."""
     for name in ("diffuse_albedo", "specular_albedo", "roughness", "normal"):
         value = getattr(material, name)
         if value is not None and value.ndim >= 2:
@@ -128,7 +129,7 @@ def textures(material: AssetMaterial) -> Iterator[tuple[str, NDArray[np.float32]
 
 
 def describe(asset: Asset) -> dict[str, Any]:
-    """JSON-able summary: counts, bounds, which parameters are textures and how large, the light's size."""
+    """Summary as JSON values: counts, bounds, constants, sizes of textures and of the environment."""
     mesh, material, environment = asset.mesh, asset.material, asset.environment
     sizes = {name: f"{value.shape[1]} x {value.shape[0]}" for name, value in textures(material)}
     parameters = {}
@@ -156,7 +157,7 @@ def describe(asset: Asset) -> dict[str, Any]:
 def _validate_mesh(mesh: AssetMesh) -> None:
     count = len(mesh.positions)
     if mesh.positions.size == 0 or mesh.faces.size == 0:
-        raise InputError("mesh.faces holds no triangles; an asset needs at least one")
+        raise InputError("mesh.faces contains no triangles; an asset needs at least one")
     _check_shape("mesh.positions", mesh.positions, (None, 3))
     _check_shape("mesh.faces", mesh.faces, (None, 3))
     _check_shape("mesh.normals", mesh.normals, (count, 3))
@@ -165,7 +166,7 @@ def _validate_mesh(mesh: AssetMesh) -> None:
         _check_finite(f"mesh.{name}", getattr(mesh, name))
     low, high = int(mesh.faces.min()), int(mesh.faces.max())
     if low < 0 or high >= count:
-        raise InputError(f"mesh.faces has the index {low if low < 0 else high}, outside of the {count} vertices")
+        raise InputError(f"mesh.faces has the index {low if low < 0 else high}, but the mesh has {count} vertices")
     _check_unit("mesh.normals", mesh.normals)
     if mesh.tangents is not None:
         _check_shape("mesh.tangents", mesh.tangents, (count, 4))
@@ -204,7 +205,7 @@ def _validate_environment(environment: AssetEnvironment) -> None:
     _check_finite("environment.to_world", environment.to_world)
     off = np.abs(environment.to_world @ environment.to_world.T - np.eye(3)).max()
     if off > 1e-4 or np.linalg.det(environment.to_world) < 0:
-        raise InputError("environment.to_world is not a rotation: its rows must be orthonormal, its determinant 1")
+        raise InputError("environment.to_world is not a rotation: rows must be orthonormal and the determinant 1")
     if environment.frame not in ("world", "camera"):
         raise InputError(f"environment.frame is {environment.frame!r}; it is 'world' or 'camera'")
 
@@ -221,41 +222,41 @@ def _check_shape(name: str, value: NDArray[Any], shape: tuple[int | None, ...], 
 
 
 def _check_finite(name: str, value: NDArray[Any]) -> None:
-    if value.size and np.isfinite(value.min()) and np.isfinite(value.max()):  # NaN is the least and the largest of all
+    if value.size and np.isfinite(value.min()) and np.isfinite(value.max()):  # numpy's min and max propagate NaN
         return
     bad = value.size - int(np.isfinite(value).sum())
     if bad:
-        raise InputError(f"{name} holds {bad} NaN or infinite values; remove or replace them")
+        raise InputError(f"{name} contains {bad} NaN or infinite values; remove or replace them")
 
 
 def _check_range(name: str, value: NDArray[Any], low: float, high: float) -> None:
     least, most = value.min(), value.max()
     if not (np.isfinite(least) and np.isfinite(most)):
         _check_finite(name, value)
-    slack = 1e-6  # one float32 rounding of a value at the border
+    slack = 1e-6  # allows for the float32 rounding of a value at the limit
     if least < low * (1 - slack) - slack * (low == 0) or most > high * (1 + slack):
-        raise InputError(f"{name} goes from {least:.6g} to {most:.6g}; it must be from {low:.4g} to {high:.4g}")
+        raise InputError(f"{name} ranges from {least:.6g} to {most:.6g}; it must be from {low:.4g} to {high:.4g}")
 
 
 def _check_unit(name: str, vectors: NDArray[np.float32]) -> None:
     bad = 0
-    for first in range(0, len(vectors), _VECTORS):
-        part = vectors[first : first + _VECTORS]
-        squared = np.einsum("ij,ij->i", part, part)  # float32: the tolerance is a hundredth
-        bad += int((np.abs(np.sqrt(squared, out=squared) - 1) > _UNIT_TOLERANCE).sum())
+    for first in range(0, len(vectors), _VECTORS_PER_CHUNK):
+        part = vectors[first : first + _VECTORS_PER_CHUNK]
+        squared = np.einsum("ij,ij->i", part, part)  # float32 is precise enough for a tolerance of 1 %
+        bad += int((np.abs(np.sqrt(squared, out=squared) - 1) > _UNIT_LENGTH_TOLERANCE).sum())
     if bad:
         raise InputError(f"{name} has {bad} vectors that are not of length 1; normalise them")
 
 
-def _plain(value: ArrayLike, dtype: DTypeLike) -> NDArray[Any]:
-    # a view into a file's records may be contiguous and yet not aligned, which USD's arrays refuse
+def _contiguous(value: ArrayLike, dtype: DTypeLike) -> NDArray[Any]:
+    # A view into a file's records may be contiguous without being aligned, which USD's arrays refuse.
     return np.require(np.asarray(value), dtype, ["C", "A"])
 
 
 def _array(name: str, value: ArrayLike, dtype: DTypeLike) -> NDArray[Any]:
     try:
         with np.errstate(over="ignore"):  # a float64 beyond float32 becomes infinite, which validate_asset reports
-            return _plain(value, dtype)
+            return _contiguous(value, dtype)
     except (TypeError, ValueError) as error:
         raise InputError(f"{name} is not an array of numbers ({error})") from error
 
@@ -265,11 +266,11 @@ def _indices(name: str, value: ArrayLike) -> NDArray[np.int32]:
     if array.size == 0:
         return np.zeros((0, 3), dtype=np.int32) if array.ndim != 2 else array.astype(np.int32)
     if not np.issubdtype(array.dtype, np.integer):
-        raise InputError(f"{name} holds {array.dtype}; vertex indices are integers")
+        raise InputError(f"{name} has the type {array.dtype}; vertex indices are integers")
     if int(array.max()) > np.iinfo(np.int32).max or int(array.min()) < np.iinfo(np.int32).min:
         raise InputError(f"{name} has an index that does not fit into 32 bits")
-    return _plain(array, np.int32)
+    return _contiguous(array, np.int32)
 
 
 def _set(instance: object, name: str, value: object) -> None:
-    object.__setattr__(instance, name, value)  # the one way to fill in a frozen dataclass
+    object.__setattr__(instance, name, value)  # a frozen dataclass cannot be assigned to in another way

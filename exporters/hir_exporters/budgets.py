@@ -1,4 +1,4 @@
-"""Upper bounds of what a target shows well, and bringing an asset below them."""
+"""Limits on triangles and texture size for a class of devices, and reducing an asset to them."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ BudgetName = Literal["none", "quicklook", "web", "desktop"]
 
 @dataclass(frozen=True)
 class Budget:
-    """Most triangles, and most pixels on a texture's side."""
+    """Largest number of triangles and largest texture side."""
 
     triangles: int
     texture_size: int
+    """Pixels."""
 
 
 BUDGETS: Final[dict[str, Budget]] = {
@@ -25,11 +26,12 @@ BUDGETS: Final[dict[str, Budget]] = {
     "web": Budget(100_000, 2048),
     "desktop": Budget(1_000_000, 4096),
 }
-"""`quicklook`: AR Quick Look's advice, 100k triangles and one set of 2048² textures; `web`: the same for phones."""
+"""`quicklook`: Apple's advice for AR Quick Look, 100k triangles and one set of 2048² textures. `web`: the same, for
+phones. `desktop`: 1M triangles and 4096² textures."""
 
 
 def apply_budget(asset: Asset, name: BudgetName) -> tuple[Asset, tuple[str, ...]]:
-    """The asset within a budget, and a sentence for each thing that was reduced or could not be."""
+    """The asset reduced to a budget, and one warning for each reduction."""
     if name == "none":
         return asset, ()
     budget = BUDGETS[name]

@@ -1,15 +1,15 @@
-"""Errors a user sees: one sentence that names the file or field and how to mend it."""
+"""Errors that a user sees: one sentence that names the file or field and the remedy."""
 
 from __future__ import annotations
 
 
 class HirError(Exception):
-    """Base of every error shown to a user without a traceback."""
+    """Base class of errors that are shown to a user without a traceback."""
 
 
 class InputError(HirError):
-    """Something that was read (a file, an array, an option) is missing, malformed or out of range."""
+    """An input (a file, an array, an option) is missing, malformed or out of range."""
 
 
 class ExportError(HirError):
-    """Something could not be written, or an asset cannot be expressed in the format asked for."""
+    """A file could not be written, or the asset cannot be expressed in the requested format."""

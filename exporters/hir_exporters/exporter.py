@@ -1,4 +1,4 @@
-"""The base class of file formats, and what an export reports."""
+"""The base class of exporters, and the report of an export."""
 
 from __future__ import annotations
 
@@ -11,30 +11,33 @@ from typing import Any, TypeAlias
 from hir_exporters.asset import Asset
 
 Edit: TypeAlias = Callable[[Any, Asset], None]
-"""Changes a finished document in place before it becomes bytes: a `pygltflib.GLTF2` or a `pxr.Usd.Stage`."""
+"""Changes a finished document (a `pygltflib.GLTF2` or a `pxr.Usd.Stage`) in place before it is serialised.
+
+`Any`: the type of the document depends on the format, and neither library has type information.
+"""
 
 
 @dataclass(frozen=True)
 class ExportReport:
-    """What an export wrote and what it could not express."""
+    """The files that an export wrote, its warnings and the error of its material conversion."""
 
     files: tuple[Path, ...]
-    """The file asked for first, then its siblings."""
+    """The destination first, then the files beside it."""
     warnings: tuple[str, ...] = ()
     """One sentence each."""
     residuals: Mapping[str, float] = field(default_factory=dict)
-    """Errors of the material conversion, computed from the values written
+    """Relative error of the material conversion by profile, computed from the converted values
     (`hir_exporters.materials.material_conversion`)."""
     seconds: float = 0.0
 
 
 class Exporter(ABC):
-    """Writes assets in one format; built from the format's frozen dataclass config."""
+    """Writes assets in one format. Constructed from the format's options, a frozen dataclass."""
 
     @abstractmethod
     def write(self, asset: Asset, destination: Path, edit: Edit | None = None) -> ExportReport:
-        """Write `destination` (and siblings beside it), completely or not at all.
+        """Writes `destination`, and further files beside it. Each file is written completely or not at all.
 
-        The bytes are a pure function of the asset, the config and `edit`. Raises `InputError` for an asset that cannot
-        be written and `ExportError` for a destination that cannot.
+        The bytes depend on the asset, the options and `edit` only. Raises `InputError` for an invalid asset and
+        `ExportError` where the asset cannot be expressed in the format or the destination cannot be written.
         """

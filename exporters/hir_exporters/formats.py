@@ -1,4 +1,4 @@
-"""The file formats by the name they have on the command line."""
+"""The file formats by their name on the command line."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from hir_exporters.configs import (
-    CubeConfig,
+    CubemapConfig,
     EnvironmentConfig,
     GltfConfig,
     HarmonicsConfig,
@@ -25,14 +25,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Format:
-    """Where the exporter of a format is found and what it is configured with."""
+    """The exporter of a format and the type of its options."""
 
     target: str
-    """`module:Class`, imported when it is used."""
+    """`module:Class`, imported when it is first used."""
     config: type
     summary: str
     libraries: tuple[str, ...] = ()
-    """Modules of others that writing it needs, imported when something is written."""
+    """Third-party modules that the exporter imports when it writes."""
 
 
 _GLTF, _USD = ("pygltflib",), ("pxr.Usd", "pxr.UsdGeom", "pxr.UsdShade")
@@ -61,10 +61,7 @@ FORMATS: Final[dict[str, Format]] = {
         "hir_exporters.light.environment_exporters:ExrExporter", EnvironmentConfig, "The light, OpenEXR float32."
     ),
     "ktx": Format(
-        "hir_exporters.light.environment_exporters:KtxExporter", CubeConfig, "The light, prefiltered, for Filament."
-    ),
-    "dds": Format(
-        "hir_exporters.light.environment_exporters:DdsExporter", CubeConfig, "The light, prefiltered, as a cubemap."
+        "hir_exporters.light.environment_exporters:KtxExporter", CubemapConfig, "The light, prefiltered, for Filament."
     ),
     "sh.json": Format(
         "hir_exporters.light.environment_exporters:HarmonicsExporter",
@@ -74,14 +71,14 @@ FORMATS: Final[dict[str, Format]] = {
 }
 
 
-def create_exporter(name: str, config: Any = None) -> Exporter:
-    """The exporter of a format, with its default options where `config` is None.
+def create_exporter(name: str, config: object = None) -> Exporter:
+    """The exporter of a format. `config` is an instance of the format's options; None: its defaults.
 
-    Raises `ExportError` for a format that is not known and names those that are.
+    Raises `ExportError` for an unknown format.
     """
     if name not in FORMATS:
-        raise ExportError(f"no format is called {name!r}; known are {', '.join(FORMATS)}")
-    from hir_exporters.exporter import Exporter  # numpy comes with it: not before something is written
+        raise ExportError(f"unknown format {name!r}; known formats are {', '.join(FORMATS)}")
+    from hir_exporters.exporter import Exporter  # imports numpy, which listing the formats does not need
 
     module, _, attribute = FORMATS[name].target.partition(":")
     exporter = getattr(import_module(module), attribute)(FORMATS[name].config() if config is None else config)
@@ -90,9 +87,9 @@ def create_exporter(name: str, config: Any = None) -> Exporter:
 
 
 def preload_exporters(names: Iterable[str]) -> None:
-    """Imports now what writing these formats will need; what is not installed, or no format of ours, is passed over.
+    """Imports the modules that writing these formats needs; unknown formats and missing modules are skipped.
 
-    For programs that read their asset in another thread meanwhile: decoders leave the interpreter to this one.
+    A program can call this while another thread reads the asset: image decoders release the interpreter lock.
     """
     for name in names:
         if name in FORMATS:

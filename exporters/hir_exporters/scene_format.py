@@ -21,39 +21,44 @@ FORMAT: Final = "hir-scene"
 VERSION: Final = 1
 """Version of scene.json; readers refuse newer ones."""
 
-_MAPS = {"diffuse_albedo": 3, "specular_albedo": 3, "roughness": 1, "normal": 3, "observed": 1}
-_OWN_FILES = frozenset({"scene.json", "mesh.ply", "environment.exr", *(f"{name}.exr" for name in _MAPS)})
-_MAX_JSON_BYTES = 16 << 20
+_MAP_CHANNELS: Final = {"diffuse_albedo": 3, "specular_albedo": 3, "roughness": 1, "normal": 3, "observed": 1}
+_SCENE_FILES: Final = frozenset(
+    {"scene.json", "mesh.ply", "environment.exr", *(f"{name}.exr" for name in _MAP_CHANNELS)}
+)
+_MAX_JSON_BYTES: Final = 16 << 20
 
 
 def save_scene(asset: Asset, folder: str | os.PathLike[str]) -> None:
-    """Write a checked asset into `folder`, replacing a scene that is there as a whole or leaving it as it was.
+    """Validates an asset and writes it into `folder`. An older scene there is replaced as a whole or not at all.
 
-    Raises `ExportError` where the folder holds anything that is not part of a scene: nothing foreign is ever deleted.
+    Raises `ExportError` where the folder contains a file that is not part of a scene: such files are never deleted.
     """
     validate_asset(asset)
     folder = Path(folder)
     if folder.is_dir():
-        foreign = sorted(entry.name for entry in folder.iterdir() if entry.name not in _OWN_FILES)
-        if foreign:
-            raise ExportError(f"{folder} holds {foreign[0]!r}, which is not part of a scene; choose another folder")
-    with atomic_directory(folder) as place:
-        write_bytes_atomic(place / "mesh.ply", encode_ply(asset.mesh))
+        other_files = sorted(entry.name for entry in folder.iterdir() if entry.name not in _SCENE_FILES)
+        if other_files:
+            raise ExportError(
+                f"{folder} contains {other_files[0]!r}, which is not part of a scene; choose another folder"
+            )
+    with atomic_directory(folder) as temporary:
+        write_bytes_atomic(temporary / "mesh.ply", encode_ply(asset.mesh))
         document = {
             "format": FORMAT,
             "version": VERSION,
             "name": asset.name,
             "mesh": "mesh.ply",
             "material": {"model": asset.material.model}
-            | {name: _save_map(place, name, getattr(asset.material, name)) for name in _MAPS},
-            "environment": _save_environment(place, asset.environment),
+            | {name: _save_map(temporary, name, getattr(asset.material, name)) for name in _MAP_CHANNELS},
+            "environment": _save_environment(temporary, asset.environment),
             "provenance": dict(asset.provenance),
         }
-        write_text_atomic(place / "scene.json", json.dumps(document, indent=2, sort_keys=True, allow_nan=False) + "\n")
+        text = json.dumps(document, indent=2, sort_keys=True, allow_nan=False) + "\n"
+        write_text_atomic(temporary / "scene.json", text)
 
 
 def load_scene(folder: str | os.PathLike[str]) -> Asset:
-    """The asset in a scene folder, checked. Raises `InputError` naming the file or the entry of scene.json at fault."""
+    """The validated asset of a scene folder. Raises `InputError` with the file or the entry of scene.json at fault."""
     folder = Path(folder)
     source = folder / "scene.json"
     document = _read_json(source)
@@ -61,7 +66,7 @@ def load_scene(folder: str | os.PathLike[str]) -> Asset:
         raise InputError(f"{source} is not a scene: its format is {document.get('format')!r}, not {FORMAT!r}")
     version = document.get("version")
     if not isinstance(version, int) or isinstance(version, bool) or not 1 <= version <= VERSION:
-        raise InputError(f"{source} has the version {version!r}; this program reads 1 to {VERSION}, so update it")
+        raise InputError(f"{source} has the version {version!r}; this program reads 1 to {VERSION}: update it")
     mesh_path = _inside(folder, document.get("mesh"), "mesh")
     asset = Asset(
         mesh=decode_ply(_read_bytes(mesh_path), str(mesh_path)),
@@ -77,19 +82,20 @@ def load_scene(folder: str | os.PathLike[str]) -> Asset:
     return asset
 
 
-def _save_map(place: Path, name: str, value: NDArray[Any] | None) -> Any:
+def _save_map(folder: Path, name: str, value: NDArray[Any] | None) -> str | float | list[float] | None:
     if value is None:
         return None
     if value.ndim < 2:
-        return value.astype(np.float64).tolist()
-    write_exr(place / f"{name}.exr", value.astype(np.float32))
+        constant: float | list[float] = value.astype(np.float64).tolist()
+        return constant
+    write_exr(folder / f"{name}.exr", value.astype(np.float32))
     return f"{name}.exr"
 
 
-def _save_environment(place: Path, environment: AssetEnvironment | None) -> dict[str, Any] | None:
+def _save_environment(folder: Path, environment: AssetEnvironment | None) -> dict[str, object] | None:
     if environment is None:
         return None
-    write_exr(place / "environment.exr", environment.radiance)
+    write_exr(folder / "environment.exr", environment.radiance)
     return {"radiance": "environment.exr", "to_world": environment.to_world.tolist(), "frame": environment.frame}
 
 
@@ -101,16 +107,15 @@ def _load_material(folder: Path, table: dict[str, Any]) -> AssetMaterial:
     for name in ("diffuse_albedo", "specular_albedo", "roughness"):
         if table.get(name) is None:
             raise InputError(f"{source}: material.{name} is missing; give a file or a constant")
-    with ThreadPoolExecutor(max_workers=4) as pool:  # the OpenEXR binding decodes without the interpreter's lock
-        maps: dict[str, Any] = dict(
-            zip(_MAPS, pool.map(lambda name: _load_map(folder, name, table.get(name)), _MAPS), strict=True)
-        )
+    with ThreadPoolExecutor(max_workers=4) as pool:  # the OpenEXR binding releases the interpreter lock
+        values = pool.map(lambda name: _load_map(folder, name, table.get(name)), _MAP_CHANNELS)
+        maps: dict[str, Any] = dict(zip(_MAP_CHANNELS, values, strict=True))
     observed = maps.pop("observed")
     return AssetMaterial(model=model, observed=None if observed is None else observed > 0.5, **maps)
 
 
 def _load_map(folder: Path, name: str, value: object) -> NDArray[Any] | None:
-    channels = _MAPS[name]
+    channels = _MAP_CHANNELS[name]
     if value is None:
         return None
     if isinstance(value, str):
@@ -119,7 +124,7 @@ def _load_map(folder: Path, name: str, value: object) -> NDArray[Any] | None:
     numbers = value if isinstance(value, list) else [value]
     constant = name in ("diffuse_albedo", "specular_albedo", "roughness")
     if not constant or len(numbers) != channels or isinstance(value, list) is not (channels == 3):
-        raise InputError(f"{folder / 'scene.json'}: material.{name} is neither a file nor a fitting constant")
+        raise InputError(f"{folder / 'scene.json'}: material.{name} is neither a file nor a constant of its size")
     _check_numbers(folder / "scene.json", f"material.{name}", numbers)
     return np.array(value, dtype=np.float32)
 
@@ -140,16 +145,16 @@ def _load_environment(folder: Path, source: Path, document: dict[str, Any]) -> A
 
 
 def _inside(folder: Path, name: object, entry: str) -> Path:
-    """The file an entry names, which must lie in the scene's folder also after links are followed."""
+    """The file that an entry names. It must be inside the scene's folder, also after links are resolved."""
     source = folder / "scene.json"
     if not isinstance(name, str) or not name:
         raise InputError(f"{source}: {entry} does not name a file")
-    plain = PurePosixPath(name)
-    if plain.is_absolute() or ".." in plain.parts or "\\" in name or ":" in name or "\0" in name:
-        raise InputError(f"{source}: {entry} is {name!r}, which leaves the scene's folder")
-    path = folder / plain
+    relative = PurePosixPath(name)
+    if relative.is_absolute() or ".." in relative.parts or "\\" in name or ":" in name or "\0" in name:
+        raise InputError(f"{source}: {entry} is {name!r}, which is outside the scene's folder")
+    path = folder / relative
     if not path.resolve().is_relative_to(folder.resolve()):
-        raise InputError(f"{source}: {entry} is {name!r}, a link that leaves the scene's folder")
+        raise InputError(f"{source}: {entry} is {name!r}, a link to outside the scene's folder")
     return path
 
 
@@ -182,4 +187,4 @@ def _table(source: Path, document: dict[str, Any], name: str, optional: bool = F
 
 def _check_numbers(source: Path, entry: str, numbers: list[Any]) -> None:
     if not all(isinstance(number, int | float) and not isinstance(number, bool) for number in numbers):
-        raise InputError(f"{source}: {entry} holds something that is not a number")
+        raise InputError(f"{source}: {entry} contains a value that is not a number")

@@ -15,7 +15,8 @@ from hir_exporters.conventions import linear_to_srgb
 from hir_exporters.engines.engine_shaders import MaterialSamples, three
 from hir_exporters.engines.surface_points import surface_points
 from hir_exporters.materials.brdf_slice import model_brdf
-from hir_exporters.materials.material_conversion import MetallicSurface, to_gltf
+from hir_exporters.materials.material_conversion import to_gltf
+from hir_exporters.materials.surfaces import MetallicSurface
 from hir_exporters.textures.texture_maps import sample_texels
 from numpy.typing import NDArray
 

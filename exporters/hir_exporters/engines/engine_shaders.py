@@ -26,7 +26,8 @@ from hir_exporters.conventions import linear_to_srgb
 from hir_exporters.engines.surface_points import SurfacePoints, surface_points
 from hir_exporters.materials import target_brdfs as models
 from hir_exporters.materials.brdf_slice import model_brdf
-from hir_exporters.materials.material_conversion import NO_FRESNEL_IOR, MetallicSurface, SpecularSurface
+from hir_exporters.materials.material_conversion import NO_FRESNEL_IOR
+from hir_exporters.materials.surfaces import MetallicSurface, SpecularSurface
 from hir_exporters.textures.texture_maps import sample_texels
 
 Array = NDArray[np.float64]

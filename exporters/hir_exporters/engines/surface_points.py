@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from hir_exporters.asset import Asset, AssetMesh
 from hir_exporters.conventions import ALPHA_MIN, direction_to_latlong_uv
-from hir_exporters.light.environment_map import resample_latlong, sample_latlong, world_radiance
+from hir_exporters.light.environment_map import latlong_pyramid, resample_latlong, sample_latlong, world_radiance
 from hir_exporters.materials import brdf_numpy
 from hir_exporters.materials.brdf_slice import BrdfSlice
+from hir_exporters.mesh.tangent_frames import tangent_frames
 from hir_exporters.textures.texture_maps import sample_texels
 
 Array = NDArray[np.float64]
@@ -75,7 +76,7 @@ class SurfacePoints:
         local = np.stack([sin_l * np.cos(phi), sin_l * np.sin(phi), cos_l], axis=-1)
         cos_h2 = (1 + cos_l) / 2
         density = a2 / (np.pi * (cos_h2 * (a2 - 1) + 1) ** 2) / 4  # D (n.h) / (4 (v.h)) with v = n
-        seen = _lookup(self.light, np.einsum("nij,ndj->ndi", _frames(toward), local), 1 / (_COUNT * density))
+        seen = _lookup(self.light, np.einsum("nij,ndj->ndi", tangent_frames(toward), local), 1 / (_COUNT * density))
         weight = np.maximum(cos_l, 0)[..., None]
         return np.asarray((seen * weight).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-9))
 
@@ -135,7 +136,7 @@ def _mapped(asset: Asset, mesh: AssetMesh, chosen: NDArray[np.int32], normals: A
 def _lit(normals: Array, views: Array, places: Array, alpha: Array, light: Array) -> SurfacePoints:
     cos_o = (normals * views).sum(-1)
     tangent = _unit(views - normals * cos_o[:, None])
-    tangent = np.where(np.linalg.norm(tangent, axis=-1, keepdims=True) > 0.5, tangent, _frames(normals)[..., 0])
+    tangent = np.where(np.linalg.norm(tangent, axis=-1, keepdims=True) > 0.5, tangent, tangent_frames(normals)[..., 0])
     frame = np.stack([tangent, np.cross(normals, tangent), normals], axis=-1)
     o, a = cos_o[:, None], alpha[:, None]
     height = (np.arange(_COUNT) + 0.5) / _COUNT
@@ -159,9 +160,7 @@ def _lit(normals: Array, views: Array, places: Array, alpha: Array, light: Array
     up = np.maximum(cos_i, 0)
     joint = up * np.sqrt(a * a + (1 - a * a) * o * o) + o * np.sqrt(a * a + (1 - a * a) * up * up)
     correlated = np.where(cos_i > 0, distribution * 0.5 / np.maximum(joint, 1e-12), 0.0)
-    pyramid = [light]
-    while pyramid[-1].shape[0] > 4:
-        pyramid.append(resample_latlong(pyramid[-1], pyramid[-1].shape[0] // 2, pyramid[-1].shape[0]))
+    pyramid = latlong_pyramid(light)
     solid_angle = 1 / (2 * _COUNT * np.maximum(density, 1e-12))
     seen = _lookup(pyramid, np.einsum("nij,ndj->ndi", frame, local), solid_angle)
     reflected = 2 * cos_o[:, None] * normals - views
@@ -184,13 +183,6 @@ def _cosine_directions(height: Array, azimuth: Array) -> Array:
     sine = np.sqrt(height)
     up = np.broadcast_to(np.sqrt(1 - height), azimuth.shape)
     return np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), up], axis=-1)
-
-
-def _frames(normals: Array) -> Array:
-    """(N, 3, 3) whose columns are two tangents and the normal."""
-    up = np.where(np.abs(normals[:, 1:2]) < 0.9, [[0.0, 1.0, 0.0]], [[1.0, 0.0, 0.0]])
-    tangent = _unit(np.cross(up, normals))
-    return np.stack([tangent, np.cross(normals, tangent), normals], axis=-1)
 
 
 def _lookup(pyramid: list[Array], directions: Array, solid_angle: Array) -> Array:

@@ -1,1 +1,1 @@
-"""Files that appear complete or not at all; calls in processes of their own."""
+"""Atomic file writes, function calls in subprocesses, and suppressed output of native libraries."""

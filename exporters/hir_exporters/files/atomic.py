@@ -1,7 +1,7 @@
-"""Files and folders that appear complete or not at all.
+"""Atomic writes: files and folders appear complete or not at all.
 
-Everything is written to a temporary neighbour, flushed to the disk and renamed into place. Operating system errors
-(a full disk, a read-only folder, a folder where a file should go) become `ExportError` naming the destination.
+Data is written to a temporary file in the same folder, flushed to disk and renamed. Operating system errors (a full
+disk, a read-only folder, a folder of the same name) become `ExportError` with the destination in the message.
 """
 
 from __future__ import annotations
@@ -21,15 +21,16 @@ _TEMPORARY_PREFIX = ".hir-partial-"
 
 @contextlib.contextmanager
 def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Yield a temporary path beside `path`, with its suffix, for a library to write to; rename it when the block ends.
+    """Yields a temporary path beside `path`, with the same suffix; renames it to `path` when the block ends.
 
-    Missing parent folders are made. When the block raises, nothing is left behind and an older file stays as it was.
+    Missing parent folders are created. When the block raises, the temporary file is deleted and an older file of that
+    name is not changed.
     """
     destination = Path(path)
     temporary = destination.with_name(f"{_TEMPORARY_PREFIX}{secrets.token_hex(8)}{destination.suffix}")
     with _named_errors(destination):
         if destination.is_dir():
-            raise ExportError(f"cannot write {destination}: a folder of that name is in the way; choose another name")
+            raise ExportError(f"cannot write {destination}: a folder of that name exists; choose another name")
         destination.parent.mkdir(parents=True, exist_ok=True)
         try:
             yield temporary
@@ -42,27 +43,27 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def atomic_write(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
-    """Yield a binary file that becomes `path` when the block ends without an error."""
+    """Yields a binary file that becomes `path` when the block ends without an error."""
     with atomic_path(path) as temporary, open(temporary, "xb") as stream:
         yield stream
 
 
 def write_bytes_atomic(path: str | os.PathLike[str], data: bytes | bytearray | memoryview) -> None:
-    """Make `path` hold exactly `data`, or raise `ExportError` and leave it as it was."""
+    """Replaces the content of `path` by `data`, or raises `ExportError` and changes nothing."""
     with atomic_write(path) as stream:
         stream.write(data)
 
 
 def write_text_atomic(path: str | os.PathLike[str], text: str) -> None:
-    """UTF-8 with `\\n` line ends on every system, so that the bytes do not depend on where they are written."""
+    """Writes UTF-8 with `\\n` line ends on every operating system."""
     write_bytes_atomic(path, text.encode("utf-8"))
 
 
 @contextlib.contextmanager
 def atomic_directory(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Yield an empty folder beside `path` that takes its place when the block ends without an error.
+    """Yields an empty folder beside `path` that replaces it when the block ends without an error.
 
-    An older folder of that name is replaced as a whole. A file of that name is an `ExportError`.
+    An older folder of that name is replaced as a whole. A file of that name raises `ExportError`.
     """
     destination = Path(path)
     token = secrets.token_hex(8)
@@ -70,7 +71,7 @@ def atomic_directory(path: str | os.PathLike[str]) -> Iterator[Path]:
     replaced = destination.with_name(f"{_TEMPORARY_PREFIX}{token}-old")
     with _named_errors(destination):
         if destination.exists() and not destination.is_dir():
-            raise ExportError(f"cannot make the folder {destination}: a file of that name is in the way")
+            raise ExportError(f"cannot create the folder {destination}: a file of that name exists")
         destination.parent.mkdir(parents=True, exist_ok=True)
         temporary.mkdir()
         try:
@@ -79,7 +80,7 @@ def atomic_directory(path: str | os.PathLike[str]) -> Iterator[Path]:
                 if file.is_file():
                     _flush_file(file)
             if destination.is_dir():
-                # A folder cannot be renamed onto one that has entries: step the old one aside first.
+                # A folder cannot be renamed onto a folder that has entries: rename the old one first.
                 os.replace(destination, replaced)
                 try:
                     os.replace(temporary, destination)
@@ -95,13 +96,14 @@ def atomic_directory(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def is_partial(path: Path) -> bool:
-    """Is it something that was being written when its process ended?"""
+    """Whether the file or folder is the temporary one of a write that did not finish."""
     return path.name.startswith(_TEMPORARY_PREFIX)
 
 
 def remove_partials(folder: Path) -> int:
-    """Removes what a process that was killed left below a folder; only for a folder that nobody writes to. Returns how
-    many.
+    """Deletes the temporary files of killed processes below a folder and returns their number.
+
+    Call it only for a folder that no process writes to.
     """
     partials = sorted(folder.rglob(f"{_TEMPORARY_PREFIX}*"))
     for partial in partials:
@@ -119,7 +121,7 @@ def _named_errors(destination: Path) -> Iterator[None]:
     except OSError as error:
         reason = error.strerror or str(error) or type(error).__name__
         raise ExportError(
-            f"cannot write {destination}: {reason}; check the folder, its rights and free space"
+            f"cannot write {destination}: {reason}; check that the folder exists, its permissions and free space"
         ) from error
 
 
@@ -129,9 +131,9 @@ def _flush_file(path: Path) -> None:
 
 
 def _flush_folder(folder: Path) -> None:
-    if os.name != "posix":  # only POSIX systems let a folder be opened, and need it for the rename to be durable
+    if os.name != "posix":  # only POSIX systems can open a folder, and only they need it for a durable rename
         return
-    with contextlib.suppress(OSError):  # some network file systems refuse; the file itself is already safe
+    with contextlib.suppress(OSError):  # some network file systems refuse; the file itself is already on disk
         descriptor = os.open(folder, os.O_RDONLY)
         try:
             os.fsync(descriptor)

@@ -16,7 +16,8 @@ from hir_exporters.gltf.gltf_images import add_textures
 from hir_exporters.gltf.mesh_primitives import add_primitive
 from hir_exporters.gltf.quantization import add_quantized_primitive
 from hir_exporters.light.environment_map import world_radiance
-from hir_exporters.materials.material_conversion import MetallicSurface, SpecularSurface, to_gltf
+from hir_exporters.materials.material_conversion import to_gltf
+from hir_exporters.materials.surfaces import MetallicSurface, SpecularSurface
 from hir_exporters.materials.texture_packing import EncodedImage, PackedSurface, encode_images, pack_surface
 from hir_exporters.mesh.tangents import with_tangents
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hir_exporters.conventions import linear_to_srgb
 from hir_exporters.gltf.binary import BinaryWriter
 from hir_exporters.light.environment_map import irradiance_harmonics
-from hir_exporters.light.prefilter import even_roughness, level_sizes, prefiltered_cube
+from hir_exporters.light.prefilter import level_sizes, linear_roughness, prefiltered_cubemap
 from hir_exporters.materials.texture_packing import EncodedImage
 from hir_exporters.textures.image_files import encode_png
 
@@ -39,7 +39,7 @@ def light_images(radiance: NDArray[np.floating]) -> tuple[list[EncodedImage], di
     # the cubemap is a left-handed world's: seen from the file's, z is mirrored
     scaled = np.roll(np.asarray(radiance, np.float64)[:, ::-1], radiance.shape[1] // 2, axis=1)
     levels = len(level_sizes(SIZE))
-    cube = prefiltered_cube(scaled, [even_roughness(k, levels) for k in range(levels)], SIZE)
+    cube = prefiltered_cubemap(scaled, [linear_roughness(k, levels) for k in range(levels)], SIZE)
     images = [
         EncodedImage(f"light_{k}_{face}.png", encode_png(rgbd(pixels[::-1])), "image/png")
         for k, level in enumerate(cube)

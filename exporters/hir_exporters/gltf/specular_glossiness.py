@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hir_exporters.materials.material_conversion import SpecularSurface
+from hir_exporters.materials.surfaces import SpecularSurface
 from hir_exporters.materials.texture_packing import pack_color, resize_codes
 from hir_exporters.textures.texture_maps import unorm8
 

@@ -1,1 +1,1 @@
-"""Environment light and its file formats."""
+"""Environment light: lat-long images, spherical harmonics, prefiltered cubemaps, and their file formats."""

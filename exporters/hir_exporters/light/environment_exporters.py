@@ -1,4 +1,4 @@
-"""The environment as files of its own, in world axes: lat-long .hdr and .exr, prefiltered cubemaps, harmonics."""
+"""Exporters of the environment alone, in world axes: lat-long .hdr and .exr, prefiltered cubemap, harmonics."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hir_exporters.asset import Asset, validate_asset
-from hir_exporters.configs import CubeConfig, EnvironmentConfig, HarmonicsConfig
+from hir_exporters.configs import CubemapConfig, EnvironmentConfig, HarmonicsConfig
 from hir_exporters.errors import ExportError
 from hir_exporters.exporter import Edit, Exporter, ExportReport
 from hir_exporters.files.atomic import write_bytes_atomic, write_text_atomic
-from hir_exporters.light.cube_containers import dds_bytes, ktx_bytes
 from hir_exporters.light.environment_map import irradiance_harmonics, spherical_harmonics, world_radiance
-from hir_exporters.light.prefilter import SMALLEST, filament_roughness, level_sizes, prefiltered_cube
+from hir_exporters.light.ktx1_container import ktx1_bytes
+from hir_exporters.light.prefilter import LAST_LEVEL_SIZE, filament_roughness, level_sizes, prefiltered_cubemap
 from hir_exporters.textures.image_files import write_exr, write_hdr
 
 Array = NDArray[np.float64]
@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 @final
 class HdrExporter(Exporter):
-    """Radiance RGBE: 1/256 of a pixel's brightest channel is lost."""
+    """Radiance RGBE: the error is at most 1/256 of a pixel's brightest channel."""
 
     def __init__(self, config: EnvironmentConfig) -> None:
         self._config = config
@@ -37,7 +37,7 @@ class HdrExporter(Exporter):
 
 @final
 class ExrExporter(Exporter):
-    """OpenEXR, float32: nothing is lost."""
+    """OpenEXR in float32, without loss."""
 
     def __init__(self, config: EnvironmentConfig) -> None:
         self._config = config
@@ -48,32 +48,26 @@ class ExrExporter(Exporter):
 
 @final
 class KtxExporter(Exporter):
-    """Cubemap in KTX 1 with irradiance harmonics in its metadata `sh`: what Filament loads as an indirect light."""
+    """Prefiltered cubemap in KTX 1 with irradiance harmonics in its metadata `sh`: Filament's indirect light."""
 
-    def __init__(self, config: CubeConfig) -> None:
+    def __init__(self, config: CubemapConfig) -> None:
         self._config = config
 
     def write(self, asset: Asset, destination: Path, edit: Edit | None = None) -> ExportReport:
-        def encoded(levels: list[Array], radiance: NDArray[np.float32]) -> bytes:
-            return ktx_bytes(levels, {"sh": filament_harmonics(radiance)})
-
-        return _write_cube(asset, destination, self._config, encoded)
-
-
-@final
-class DdsExporter(Exporter):
-    """Cubemap in DDS with OpenGL's and Direct3D's faces: a texture to sample with a world direction."""
-
-    def __init__(self, config: CubeConfig) -> None:
-        self._config = config
-
-    def write(self, asset: Asset, destination: Path, edit: Edit | None = None) -> ExportReport:
-        return _write_cube(asset, destination, self._config, lambda levels, _: dds_bytes(levels))
+        start, size = time.perf_counter(), self._config.size
+        validate_asset(asset)
+        if size < LAST_LEVEL_SIZE or size & (size - 1) or size > 4096:
+            raise ExportError(f"a cubemap of {size} pixels a side is not a power of two from {LAST_LEVEL_SIZE} to 4096")
+        radiance, warnings = world_radiance(asset)
+        levels = len(level_sizes(size))
+        cubemap = prefiltered_cubemap(radiance, [filament_roughness(k, levels) for k in range(levels)], size)
+        write_bytes_atomic(destination, ktx1_bytes(cubemap, {"sh": filament_harmonics(radiance)}))
+        return ExportReport((Path(destination),), warnings, seconds=time.perf_counter() - start)
 
 
 @final
 class HarmonicsExporter(Exporter):
-    """Nine coefficients of radiance and of irradiance for each channel, as JSON that says its basis."""
+    """Nine coefficients of radiance and of irradiance for each channel, as JSON that names its basis."""
 
     def __init__(self, config: HarmonicsConfig) -> None:
         self._config = config
@@ -93,7 +87,7 @@ class HarmonicsExporter(Exporter):
 
 
 def filament_harmonics(radiance: NDArray[np.floating]) -> str:
-    """Irradiance over pi with the basis functions' constants multiplied in, as cmgen prints it and Filament sums it."""
+    """Irradiance / pi times the constants of the basis functions: the format of Filament's cmgen and of its shaders."""
     y00, y1, y2, y20, y22 = 0.282095, 0.488603, 1.092548, 0.315392, 0.546274
     constants = np.array([y00, y1, y1, y1, y2, y2, y20, y2, y22])
     rows = irradiance_harmonics(radiance) / np.pi * constants[:, None]

@@ -1,4 +1,4 @@
-"""Distant light: rotating and resampling lat-long images with their energy kept, spherical harmonics."""
+"""Lat-long environment maps: energy-preserving rotation and resampling, and spherical harmonics."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from hir_exporters.textures.bilinear import sample_bilinear
 Array = NDArray[np.float64]
 
 FIRST_VIEW_KEY = "first_view_to_world"
-"""Entry of an asset's provenance: rotation (3, 3) from the first view's camera axes to the world's."""
+"""Key of an asset's provenance: rotation (3, 3) from the first view's camera axes to the world's."""
 
 
 def world_radiance(asset: Asset, height: int = 0) -> tuple[NDArray[np.float32], tuple[str, ...]]:
-    """The asset's light in world axes as a 2:1 lat-long image (H, 2H, 3), and warnings.
+    """The asset's environment in world axes as a 2:1 lat-long image (H, 2H, 3), and warnings.
 
-    A light that travels with the camera is given as the first view saw it. `height` 0 keeps the resolution of the finer
-    axis. Raises `ExportError` where the asset has no light.
+    A light that moves with the camera is placed as it was for the first view. `height` 0 keeps the resolution of the
+    finer axis. Raises `ExportError` where the asset has no environment.
     """
     environment = asset.environment
     no_warnings: tuple[str, ...] = ()
     if environment is None:
-        raise ExportError(f"asset {asset.name!r} has no environment; its light cannot be written")
+        raise ExportError(f"asset {asset.name!r} has no environment; there is no light to write")
     rotation, warnings = environment.to_world, no_warnings
     if environment.frame == "camera":
         rotation, warnings = _camera_rotation(environment, asset.provenance)
@@ -39,7 +39,7 @@ def world_radiance(asset: Asset, height: int = 0) -> tuple[NDArray[np.float32], 
 
 
 def resample_latlong(radiance: NDArray[np.floating], height: int, width: int) -> Array:
-    """The image at another size: the mean over each new pixel's solid angle, so the light's energy stays exactly."""
+    """The image at another size: each new pixel is the mean over its solid angle, which preserves the total energy."""
     values = np.asarray(radiance, np.float64)
     if values.shape[:2] == (height, width):
         return values
@@ -49,28 +49,28 @@ def resample_latlong(radiance: NDArray[np.floating], height: int, width: int) ->
 
 
 def rotate_latlong(radiance: NDArray[np.floating], to_world: NDArray[np.floating]) -> Array:
-    """The image of the light turned by `to_world` (3, 3): what came from d now comes from `to_world @ d`.
+    """The light rotated by `to_world` (3, 3): radiance from direction d comes from `to_world @ d` afterwards.
 
-    Four bilinear samples a pixel; each channel is then scaled to the energy it had. No rotation changes nothing, and
-    turns about +Y by whole pixels move pixels without blurring them.
+    Four bilinear samples a pixel; then each channel is scaled to its former energy. The identity changes nothing, and
+    rotations about +Y by whole pixels move pixels without blur.
     """
     values, rotation = np.asarray(radiance, np.float64), np.asarray(to_world, np.float64)
     height, width, _ = values.shape
     if np.allclose(rotation @ [0, 1, 0], [0, 1, 0], atol=1e-12):
-        # About +Y the azimuth atan2(x, z) grows by the angle and u falls with it.
+        # A rotation about +Y increases the azimuth atan2(x, z) by its angle, and u decreases with the azimuth.
         shift = -np.arctan2(rotation[0, 2], rotation[2, 2]) / (2 * np.pi) * width
         if abs(shift - round(shift)) < 1e-9 * width:
             return np.roll(values, round(shift), axis=1)
     fine = latlong_directions(2 * height, 2 * width) @ rotation  # rows are directions: d @ R is R^T d
-    turned = sample_latlong(values, direction_to_latlong_uv(fine)).reshape(height, 2, width, 2, -1)
+    rotated = sample_latlong(values, direction_to_latlong_uv(fine)).reshape(height, 2, width, 2, -1)
     weight = latlong_solid_angles(2 * height, 2 * width).reshape(height, 2, 1, 1, 1)
-    turned = (turned * weight).sum((1, 3)) / (2 * weight.sum(1)[:, :, 0])
-    before, after = mean_radiance(values), mean_radiance(turned)
-    return turned * np.where(after > 0, before / np.maximum(after, 1e-300), 1.0)
+    rotated = (rotated * weight).sum((1, 3)) / (2 * weight.sum(1)[:, :, 0])
+    before, after = mean_radiance(values), mean_radiance(rotated)
+    return rotated * np.where(after > 0, before / np.maximum(after, 1e-300), 1.0)
 
 
 def mean_radiance(radiance: NDArray[np.floating]) -> Array:
-    """Mean over the sphere of each channel (C,)."""
+    """Mean of each channel (C,) over the sphere."""
     weight = latlong_solid_angles(*radiance.shape[:2])
     return np.asarray((radiance * weight[..., None]).sum((0, 1)) / (weight.sum() * radiance.shape[1]), np.float64)
 
@@ -111,15 +111,15 @@ def _camera_rotation(environment: AssetEnvironment, provenance: Mapping[str, Any
     except (TypeError, ValueError):
         view = np.zeros(0)
     if view.shape == (3, 3) and np.abs(view @ view.T - np.eye(3)).max() < 1e-4:
-        warning = "the light travelled with the camera; it is written as the first view saw it"
+        warning = "the light moved with the camera; it is written as it was for the first view"
         return view @ environment.to_world, (warning,)
     return environment.to_world, (
-        f"the light travelled with the camera; provenance has no {FIRST_VIEW_KEY!r}, so it is written in camera axes",
+        f"the light moved with the camera; provenance has no {FIRST_VIEW_KEY!r}, so it is written in camera axes",
     )
 
 
 def _overlap(old: Array, new: Array) -> Array:
-    """Share (new, old) of each old interval in each new one, rows summing to 1, both given by rising edges."""
+    """Fraction (new, old) of each old interval in each new one; rows sum to 1. Both are given by increasing edges."""
     low = np.maximum(old[None, :-1], new[:-1, None])
     high = np.minimum(old[None, 1:], new[1:, None])
     return np.maximum(high - low, 0.0) / (new[1:] - new[:-1])[:, None]
@@ -131,3 +131,12 @@ def sample_latlong(values: Array, uv: NDArray[np.floating]) -> Array:
     return np.asarray(
         sample_bilinear(values, uv[..., 0] * width - 0.5, uv[..., 1] * height - 0.5, "wrap_columns"), np.float64
     )
+
+
+def latlong_pyramid(radiance: Array) -> list[Array]:
+    """Mipmap levels of a lat-long image (H, 2H, 3), each half as large as the one before, down to four rows."""
+    levels = [radiance]
+    while levels[-1].shape[0] > 4:
+        height = levels[-1].shape[0] // 2
+        levels.append(resample_latlong(levels[-1], height, 2 * height))
+    return levels

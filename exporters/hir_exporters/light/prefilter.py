@@ -1,7 +1,7 @@
-"""The environment as real-time engines look it up: a cubemap whose smaller levels are blurred by wider GGX lobes.
+"""The environment prefiltered for real-time engines: a cubemap whose smaller levels are blurred by wider GGX lobes.
 
-Level 0 is the light itself. At level k a texel holds the mean of the light seen by a lobe about its direction with
-n = v = r (Karis 2013, the first half of his split sum), each light direction weighed by n.l.
+Level 0 is the light itself. A texel of level k is the mean radiance over a GGX lobe around its direction with
+n = v = r, weighted by n.l: the first factor of the split-sum approximation (Karis 2013).
 """
 
 from __future__ import annotations
@@ -12,43 +12,44 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hir_exporters.conventions import direction_to_latlong_uv, latlong_directions, latlong_solid_angles
-from hir_exporters.light.environment_map import resample_latlong, sample_latlong
+from hir_exporters.light.environment_map import latlong_pyramid, sample_latlong
+from hir_exporters.mesh.tangent_frames import tangent_frames
 
 Array = NDArray[np.float64]
 
 FACES: Final = ("+X", "-X", "+Y", "-Y", "+Z", "-Z")
 """Order of the faces in every container."""
 
-SMALLEST: Final = 16
-"""Side of the last level, which stands for roughness 1: smaller ones could not hold its gradients."""
+LAST_LEVEL_SIZE: Final = 16
+"""Side of the last level in pixels, which is for roughness 1; smaller levels could not represent its gradients."""
 
-_LATTICES: Final = ((0.05, 34, 21), (0.2, 89, 55))
-"""Up to a width alpha: half vectors a texel, a Fibonacci number, and the one before it."""
+_FIBONACCI_LATTICES: Final = ((0.05, 34, 21), (0.2, 89, 55))
+"""(largest alpha, half vectors for each texel, lattice step): the last two are consecutive Fibonacci numbers."""
 
-_WIDE_ROWS: Final = 64
-"""Rows that the light is reduced to under wider lobes, which are summed over every pixel."""
+_WIDE_LOBE_ROWS: Final = 64
+"""Rows of the reduced light for lobes wider than those of `_FIBONACCI_LATTICES`, which sum over all its pixels."""
 
 
 def level_sizes(size: int) -> list[int]:
-    """Sides of the levels from `size`, a power of two, down to `SMALLEST`."""
+    """Sides of the levels from `size`, a power of two, down to `LAST_LEVEL_SIZE`."""
     sizes = [size]
-    while sizes[-1] > SMALLEST:
+    while sizes[-1] > LAST_LEVEL_SIZE:
         sizes.append(sizes[-1] // 2)
     return sizes
 
 
-def even_roughness(level: int, levels: int) -> float:
-    """Perceptual roughness of a level where levels are even in it: EXT_lights_image_based."""
+def linear_roughness(level: int, levels: int) -> float:
+    """Perceptual roughness of a level as EXT_lights_image_based has it: linear in the level."""
     return level / (levels - 1) if levels > 1 else 0.0
 
 
 def filament_roughness(level: int, levels: int) -> float:
-    """Perceptual roughness r of a level where level / (levels - 1) = r (2 - r): Filament and its cmgen."""
-    return 1 - float(np.sqrt(1 - even_roughness(level, levels)))
+    """Perceptual roughness r of a level as Filament's cmgen has it: level / (levels - 1) = r (2 - r)."""
+    return 1 - float(np.sqrt(1 - linear_roughness(level, levels)))
 
 
 def face_directions(size: int) -> Array:
-    """Unit directions (6, size, size, 3) of texel centres: OpenGL's faces, in world axes, row 0 first in memory."""
+    """Unit directions (6, size, size, 3) of texel centres in world axes: OpenGL's faces, row 0 first in memory."""
     edge = (np.arange(size) + 0.5) / size * 2 - 1
     s, t = np.meshgrid(edge, edge)
     one = np.ones_like(s)
@@ -65,12 +66,12 @@ def face_directions(size: int) -> Array:
     return np.asarray(faces / np.linalg.norm(faces, axis=-1, keepdims=True))
 
 
-def prefiltered_cube(radiance: NDArray[np.floating], roughness: list[float], size: int) -> list[Array]:
+def prefiltered_cubemap(radiance: NDArray[np.floating], roughness: list[float], size: int) -> list[Array]:
     """Levels (6, S, S, 3) of a lat-long image (H, 2H, 3) in world axes, one for each perceptual roughness.
 
-    Narrow lobes are sampled from the image reduced to their samples' solid angle, so that no sample is missed.
+    Narrow lobes are sampled from a mipmap level that fits the solid angle of a sample, so that no small lamp is missed.
     """
-    pyramid = _pyramid(np.asarray(radiance, np.float64))
+    pyramid = latlong_pyramid(np.asarray(radiance, np.float64))
     return [
         _filtered(pyramid, face_directions(side), rough**2)
         for side, rough in zip(level_sizes(size), roughness, strict=True)
@@ -81,40 +82,40 @@ def _filtered(pyramid: list[Array], directions: Array, alpha: float) -> Array:
     texel = 4 * np.pi / (6 * directions.shape[1] ** 2)
     if alpha < 1e-3:
         return _lookup(pyramid, directions, texel)
-    for widest, samples, step in _LATTICES:
-        if alpha <= widest:
-            return _sampled(pyramid, directions, alpha, samples, step)
-    return _summed(next(level for level in pyramid if level.shape[0] <= _WIDE_ROWS), directions, alpha)
+    for largest_alpha, samples, step in _FIBONACCI_LATTICES:
+        if alpha <= largest_alpha:
+            return _importance_sampled(pyramid, directions, alpha, samples, step)
+    return _integrated(next(level for level in pyramid if level.shape[0] <= _WIDE_LOBE_ROWS), directions, alpha)
 
 
-def _sampled(pyramid: list[Array], directions: Array, alpha: float, samples: int, step: int) -> Array:
-    """A lattice of half vectors distributed as D (n.h), each looked up over the solid angle it stands for."""
+def _importance_sampled(pyramid: list[Array], directions: Array, alpha: float, samples: int, step: int) -> Array:
+    """A lattice of half vectors with the density D (n.h); each lookup averages over the solid angle of its sample."""
     texel = 4 * np.pi / (6 * directions.shape[1] ** 2)
     u = (np.arange(samples) + 0.5) / samples
     phi = 2 * np.pi * (np.arange(samples) * step / samples % 1.0)
     cos_h = np.sqrt((1 - u) / (1 + (alpha * alpha - 1) * u))
     cos_l = 2 * cos_h * cos_h - 1
-    kept = cos_l > 0
-    cos_h, cos_l, phi = cos_h[kept], cos_l[kept], phi[kept]
+    above = cos_l > 0
+    cos_h, cos_l, phi = cos_h[above], cos_l[above], phi[above]
     density = _distribution(cos_h, alpha) / 4  # of light directions: D (n.h) / (4 (v.h)) with v = n
     sin_l = np.sqrt(1 - cos_l**2)
     local = np.stack([sin_l * np.cos(phi), sin_l * np.sin(phi), cos_l], -1)
-    frame = _frames(directions.reshape(-1, 3))
+    frame = tangent_frames(directions.reshape(-1, 3))
     result = np.zeros((len(frame), 3))
     for direction, weight, solid in zip(local, cos_l, 1 / (samples * density), strict=True):
         result += weight * _lookup(pyramid, frame @ direction, max(float(solid), texel))
     return np.asarray((result / cos_l.sum()).reshape(directions.shape))
 
 
-def _summed(radiance: Array, directions: Array, alpha: float) -> Array:
-    """The integral as a sum over the pixels of a small image."""
+def _integrated(radiance: Array, directions: Array, alpha: float) -> Array:
+    """The integral as a sum over all pixels of a small image."""
     height, width = radiance.shape[:2]
     lights = latlong_directions(height, width).reshape(-1, 3)
     values = np.concatenate([radiance.reshape(-1, 3), np.ones((height * width, 1))], axis=1)
     values *= np.repeat(latlong_solid_angles(height, width)[:, 0], width)[:, None]
     flat, result = directions.reshape(-1, 3), []
     for part in np.array_split(flat, max(1, len(flat) // 512)):
-        cos_l = np.clip(part @ lights.T, 0, 1).astype(np.float32)  # (texels, pixels); the rest is a weight
+        cos_l = np.clip(part @ lights.T, 0, 1).astype(np.float32)  # (texels, pixels)
         weight = cos_l * _distribution(np.sqrt((1 + cos_l) / 2), alpha)
         total = weight @ values.astype(np.float32)
         result.append(total[:, :3] / total[:, 3:])
@@ -125,24 +126,8 @@ def _distribution(cos_h: NDArray[np.floating], alpha: float) -> NDArray[np.float
     return alpha**2 / (np.pi * (cos_h * cos_h * (alpha**2 - 1) + 1) ** 2)
 
 
-def _frames(normals: Array) -> Array:
-    """(N, 3, 3) whose columns are two tangents and the normal."""
-    up = np.where(np.abs(normals[:, 1:2]) < 0.9, [[0.0, 1.0, 0.0]], [[1.0, 0.0, 0.0]])
-    tangent = np.cross(up, normals)
-    tangent /= np.linalg.norm(tangent, axis=-1, keepdims=True)
-    return np.stack([tangent, np.cross(normals, tangent), normals], axis=-1)
-
-
-def _pyramid(radiance: Array) -> list[Array]:
-    levels = [radiance]
-    while levels[-1].shape[0] > 4:
-        height = levels[-1].shape[0] // 2
-        levels.append(resample_latlong(levels[-1], height, 2 * height))
-    return levels
-
-
 def _lookup(pyramid: list[Array], directions: Array, solid_angle: float) -> Array:
-    """Radiance (..., 3) about directions, averaged over about `solid_angle`: linear between two levels."""
+    """Radiance (..., 3) around directions, averaged over about `solid_angle`: linear between two mipmap levels."""
     pixel = (np.pi / pyramid[0].shape[0]) ** 2
     level = float(np.clip(0.5 * np.log2(max(solid_angle / pixel, 1e-12)), 0, len(pyramid) - 1))
     lower = min(int(level), len(pyramid) - 1)

@@ -1,1 +1,1 @@
-"""BRDF models, and their conversion to what each format can say."""
+"""BRDF models, their conversion to the material parameters of each format, and the error of each conversion."""

@@ -1,10 +1,10 @@
-"""The two BRDF models of an asset in numpy float64, and the directional albedo of the GGX lobe that both fits share.
+"""The two BRDF models of an asset in numpy float64, and the directional albedo of the GGX lobe.
 
 `paper`:       f = rho_d / pi + rho_s D G / (4 (n.i)(n.o))                       Zhu et al. 2023, without Fresnel
 `dielectric`:  f = (1 - E) rho_d / pi + F D G / (4 (n.i)(n.o)),  F = rho_s + (1 - rho_s)(1 - h.o)^5  (Schlick 1994)
 
-D is GGX (Walter et al. 2007), G Smith's separable form, E the lobe's directional albedo at n.o. Cosines are those of
-unit vectors; values are 0 where a direction lies below the surface. Everything is finite for alpha from ALPHA_MIN to 1.
+D is GGX (Walter et al. 2007), G is Smith's separable form, E is the lobe's directional albedo at n.o. All directions
+are unit vectors; values are 0 where a direction is below the surface, and finite for alpha from ALPHA_MIN to 1.
 """
 
 from __future__ import annotations
@@ -24,19 +24,22 @@ Array = NDArray[np.float64]
 TABLE_SIZE: Final = 128
 """Rows and columns of `albedo_table`."""
 
-_NODES: Final = (64, 48)
+_QUADRATURE_NODES: Final = (64, 48)
+"""Rows and columns at which the integrals of `albedo_table` are computed; the rest is interpolated."""
 
 
 def ggx_distribution(cos_h: ArrayLike, alpha: ArrayLike) -> Array:
     """D, in 1/sr, at the cosine between normal and half vector (Walter et al. 2007, eq. 33)."""
     cos_h, squared = np.asarray(cos_h, np.float64), _squared(alpha)
-    # 1 - c^2 + c^2 a^2 rather than c^2 (a^2 - 1) + 1: no cancellation where the lobe is sharp.
-    spread = (1 - cos_h) * (1 + cos_h) + cos_h * cos_h * squared
-    return np.where(cos_h > 0, squared / (np.pi * spread * spread), 0.0)
+    # 1 - c^2 + c^2 a^2 instead of c^2 (a^2 - 1) + 1 avoids cancellation for narrow lobes.
+    root = (1 - cos_h) * (1 + cos_h) + cos_h * cos_h * squared
+    return np.where(cos_h > 0, squared / (np.pi * root * root), 0.0)
 
 
 def smith_visibility(cos_i: ArrayLike, cos_o: ArrayLike, alpha: ArrayLike) -> Array:
-    """G / (4 (n.i)(n.o)) with Smith's separable G (glTF 2.0, appendix B.3.2); finite at grazing angles, 0 below."""
+    """G / (4 (n.i)(n.o)) with Smith's separable G (glTF 2.0, appendix B.3.2); finite at grazing angles, 0 below the
+    surface.
+    """
     cos_i, cos_o, squared = np.asarray(cos_i, np.float64), np.asarray(cos_o, np.float64), _squared(alpha)
     up_i, up_o = np.maximum(cos_i, 0.0), np.maximum(cos_o, 0.0)
     term_i = up_i + np.sqrt(squared + (1 - squared) * up_i * up_i)
@@ -45,7 +48,7 @@ def smith_visibility(cos_i: ArrayLike, cos_o: ArrayLike, alpha: ArrayLike) -> Ar
 
 
 def schlick_weight(cos_d: ArrayLike) -> Array:
-    """(1 - h.o)^5 for the cosine between half vector and either direction."""
+    """(1 - h.o)^5 for the cosine between the half vector and one of the two directions."""
     return (1 - np.clip(np.asarray(cos_d, np.float64), 0.0, 1.0)) ** 5
 
 
@@ -64,8 +67,8 @@ def dielectric_brdf(wi: ArrayLike, wo: ArrayLike, diffuse: ArrayLike, specular: 
     fresnel = f0 + (1 - f0) * schlick_weight(cos_d)[..., None]
     lobe = (ggx_distribution(cos_h, alpha) * smith_visibility(cos_i, cos_o, alpha))[..., None]
     alpha = np.broadcast_to(alpha, np.shape(cos_o))
-    kept = np.maximum(1 - directional_albedo(cos_o[..., None], alpha[..., None], f0), 0.0)
-    value = kept * np.asarray(diffuse, np.float64) / np.pi + fresnel * lobe
+    transmitted = np.maximum(1 - directional_albedo(cos_o[..., None], alpha[..., None], f0), 0.0)
+    value = transmitted * np.asarray(diffuse, np.float64) / np.pi + fresnel * lobe
     return np.where(((cos_i > 0) & (cos_o > 0))[..., None], value, 0.0)
 
 
@@ -79,8 +82,7 @@ def half_vector_cosines(wi: ArrayLike, wo: ArrayLike) -> tuple[Array, Array, Arr
 
 
 def directional_albedo(cos_theta: ArrayLike, alpha: ArrayLike, f0: ArrayLike) -> Array:
-    """E = f0 A + B: the part of the light from (or to) n.o that the Schlick lobe reflects, by interpolation in the
-    table.
+    """E = f0 A + B: the fraction of light from (or to) n.o that the lobe with Schlick's Fresnel term reflects.
 
     All arguments broadcast; the accuracy is that of `albedo_terms`.
     """
@@ -89,11 +91,11 @@ def directional_albedo(cos_theta: ArrayLike, alpha: ArrayLike, f0: ArrayLike) ->
 
 
 def albedo_terms(cos_theta: ArrayLike, alpha: ArrayLike) -> tuple[Array, Array]:
-    """A and B of E = f0 A + B, bilinear in the coordinates of `albedo_table`; A + B is the lobe's albedo without
-    Fresnel.
+    """A and B of E = f0 A + B by bilinear lookup in `albedo_table`; A + B is the lobe's albedo without Fresnel.
 
-    Against converged integration: within 0.0004 (A) and 0.0013 (B) for n.o > 0.01, root mean square 7e-5 and 9e-4 over
-    everything; up to 0.03 closer to the horizon, where a sharp lobe's B falls from 1 within n.o of about alpha.
+    Error against converged integration: at most 0.0004 (A) and 0.0013 (B) for n.o > 0.01, root mean square 7e-5 and
+    9e-4 over the whole table; up to 0.03 nearer to the horizon, where B of a narrow lobe falls from 1 within n.o of
+    about alpha.
     """
     table = albedo_table()
     row, column = table_coordinates(cos_theta, alpha)
@@ -102,7 +104,7 @@ def albedo_terms(cos_theta: ArrayLike, alpha: ArrayLike) -> tuple[Array, Array]:
 
 
 def table_coordinates(cos_theta: ArrayLike, alpha: ArrayLike) -> tuple[Array, Array]:
-    """Fractional row and column in `albedo_table`, broadcast together: both grow with a square root."""
+    """Fractional row and column in `albedo_table`, broadcast together: linear in sqrt(n.o) and in sqrt(alpha)."""
     cos_theta, alpha = np.broadcast_arrays(np.asarray(cos_theta, np.float64), np.asarray(alpha, np.float64))
     lowest = np.sqrt(ALPHA_MIN)
     roughness = (np.sqrt(np.clip(alpha, ALPHA_MIN, 1.0)) - lowest) / (1 - lowest)
@@ -111,9 +113,9 @@ def table_coordinates(cos_theta: ArrayLike, alpha: ArrayLike) -> tuple[Array, Ar
 
 @cache
 def albedo_table() -> Array:
-    """A and B (TABLE_SIZE, TABLE_SIZE, 2), read-only, as `integrated_table` gives them: kept in albedo_table.npy.
+    """A and B (TABLE_SIZE, TABLE_SIZE, 2), read-only: the result of `integrated_table`, stored in albedo_table.npy.
 
-    Rows are even in sqrt(n.o) from 0 to 1, columns even in sqrt(alpha) from sqrt(ALPHA_MIN) to 1, ends included.
+    Rows are evenly spaced in sqrt(n.o) from 0 to 1, columns in sqrt(alpha) from sqrt(ALPHA_MIN) to 1, ends included.
     """
     with (files("hir_exporters.materials") / "albedo_table.npy").open("rb") as stream:
         table: Array = np.load(stream, allow_pickle=False)
@@ -122,29 +124,29 @@ def albedo_table() -> Array:
 
 
 def integrated_table() -> Array:
-    """What `albedo_table` holds, made anew in a quarter of a second."""
-    rows, columns = (np.linspace(0.0, 1.0, count) for count in _NODES)
+    """Computes the content of `albedo_table` by integration, in a quarter of a second."""
+    rows, columns = (np.linspace(0.0, 1.0, count) for count in _QUADRATURE_NODES)
     lowest = np.sqrt(ALPHA_MIN)
     nodes = integrate_albedo(rows[:, None] ** 2, (lowest + (1 - lowest) * columns[None, :]) ** 2)
-    # The integrals are smooth in these coordinates: cubics through few nodes are as good as integrating everywhere.
-    down, along = (_cubic_weights(count, TABLE_SIZE) for count in _NODES)
+    # The integrals are smooth in these coordinates: cubic interpolation between few nodes is accurate enough.
+    down, along = (_cubic_weights(count, TABLE_SIZE) for count in _QUADRATURE_NODES)
     scale, bias = (np.clip(down @ term @ along.T, 0.0, 1.0) for term in nodes)
-    return np.stack([np.minimum(scale, 1 - bias), bias], axis=-1)  # no overshoot of a cubic may reflect more than all
+    return np.stack([np.minimum(scale, 1 - bias), bias], axis=-1)  # A + B <= 1 also where a cubic overshoots
 
 
 def integrate_albedo(cos_theta: ArrayLike, alpha: ArrayLike, index: int = 15) -> tuple[Array, Array]:
-    """A and B by quadrature over visible half vectors: the mean of G1(i) F, an integrand without a peak.
+    """A and B by quadrature over visible half vectors: the mean of G1(i) F, which has no peak.
 
-    The default of 987 lattice points is within 4e-4 of 28657 points; the error falls with about the number's 1.5th
-    power.
+    `index` is that of the Fibonacci number of lattice points. The default, 987 points, is within 4e-4 of 28657 points;
+    the error decreases with about the 1.5th power of the number.
     """
     cos_o, a = np.broadcast_arrays(np.asarray(cos_theta, np.float64), np.asarray(alpha, np.float64))
     a = np.maximum(a, ALPHA_MIN)
     scale, bias = np.zeros(cos_o.shape), np.zeros(cos_o.shape)
-    for share, height, azimuth in _cap_lattice(index):
+    for weight, height, azimuth in _cap_lattice(index):
         cos_h, cos_d = visible_half_vector(cos_o, a, height, azimuth)
         cos_i = np.maximum(2 * cos_d * cos_h - cos_o, 0.0)
-        masking = share * 2 * cos_i / (cos_i + np.sqrt(a * a + (1 - a * a) * cos_i * cos_i))
+        masking = weight * 2 * cos_i / (cos_i + np.sqrt(a * a + (1 - a * a) * cos_i * cos_i))
         fresnel = schlick_weight(cos_d)
         scale += masking * (1 - fresnel)
         bias += masking * fresnel
@@ -152,9 +154,9 @@ def integrate_albedo(cos_theta: ArrayLike, alpha: ArrayLike, index: int = 15) ->
 
 
 def visible_half_vector(cos_o: Array, alpha: Array, height: ArrayLike, azimuth: ArrayLike) -> tuple[Array, Array]:
-    """n.h and h.o of the half vector that (height in 0..1, azimuth) picks among those visible from n.o.
+    """n.h and h.o of the half vector that the sample (height in 0..1, azimuth) selects among those visible from n.o.
 
-    Uniform heights and azimuths give the density of visible normals (Dupuy and Benyoub 2023, spherical caps).
+    Uniform heights and azimuths give the density of visible normals (spherical caps, Dupuy and Benyoub 2023).
     """
     sin_o = np.sqrt(np.maximum(1 - cos_o * cos_o, 0.0))
     length = np.hypot(alpha * sin_o, cos_o)
@@ -167,7 +169,7 @@ def visible_half_vector(cos_o: Array, alpha: Array, height: ArrayLike, azimuth: 
 
 
 def _cubic_weights(nodes: int, points: int) -> Array:
-    """(points, nodes): values at even points of [0, 1] from those at even nodes: cubics through the nearest four."""
+    """(points, nodes) interpolation matrix between evenly spaced positions in [0, 1]: cubics through four nodes."""
     position = np.linspace(0.0, nodes - 1, points)
     start = np.clip(position.astype(np.int64) - 1, 0, nodes - 4)
     t = position - start
@@ -179,7 +181,7 @@ def _cubic_weights(nodes: int, points: int) -> Array:
 
 
 def _cap_lattice(index: int) -> list[tuple[float, float, float]]:
-    """Weight, height in 0..1 and azimuth of a Fibonacci lattice, smoothed at both ends of the height."""
+    """Weight, height in 0..1 and azimuth of a Fibonacci lattice; heights are mapped smoothly at both ends."""
     step, count = 1, 1
     for _ in range(index - 1):
         step, count = count, step + count

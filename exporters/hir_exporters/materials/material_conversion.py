@@ -1,6 +1,6 @@
-"""From the physical material to what each target can say, and what that costs.
+"""Converts an asset's material to the parameters of each target format, with the error of the conversion.
 
-| profile        | written                                                           | exact for                    |
+| profile        | parameters                                                        | exact for                    |
 |----------------|-------------------------------------------------------------------|------------------------------|
 | `khr`          | KHR_materials_specular and _ior, as ratified                      | `paper`, grey rho_s          |
 | `blender`      | the same as Blender reads them (ior 1000, tint rho_s)             | `paper`, any rho_s           |
@@ -9,25 +9,29 @@
 | `usd-metallic` | UsdPreviewSurface, metallic; its ior where rho_s is one grey value| the lobe of grey `dielectric`|
 | `usd-specular` | UsdPreviewSurface, specular workflow                              | the lobe of `dielectric`     |
 
-Every conversion carries `residual`: the relative error on `hir_exporters.materials.brdf_slice` of the target's
-published formula
-(`hir_exporters.materials.target_brdfs`) with the converted values, over up to 144 texels. Nothing here is rounded to
-8 bits yet.
+Every conversion has a `residual` (`hir_exporters.materials.conversion_residuals`). Values are not rounded to 8 bits
+here.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hir_exporters.asset import AssetMaterial
-from hir_exporters.materials import brdf_slice as slices
-from hir_exporters.materials import target_brdfs as engines
+from hir_exporters.materials import target_brdfs
+from hir_exporters.materials.conversion_residuals import (
+    material_parameters,
+    metallic_residual,
+    sample_uvs,
+    specular_residual,
+)
 from hir_exporters.materials.metallic_fit import core_base_color, fit_metallic, fit_specular_workflow
+from hir_exporters.materials.surfaces import MetallicSurface, SpecularSurface
 from hir_exporters.textures.texture_maps import common_size, constant_if_uniform, map_in_strips, resize, sample_texels
 
 Array = NDArray[np.floating]
@@ -35,41 +39,13 @@ Array = NDArray[np.floating]
 GltfProfile = Literal["khr", "blender", "metalrough", "unity-legacy"]
 
 NO_FRESNEL_IOR: Final = 1000.0
-"""Stands for infinity: the extension's F0 is 0.996, which a colour of 1 / 0.996 makes 1. (0 breaks Blender.)"""
+"""Written in place of infinity: the extension's F0 is 0.996, and a colour of 1 / 0.996 makes it 1. Blender renders
+the extension's own code for no Fresnel, ior 0, wrongly."""
 
 METAL_F0: Final = 0.16
-"""Texels that reflect more than this at normal incidence count as part metal; diamond reflects 0.17, glass 0.04."""
+"""Texels with a larger reflectance at normal incidence are treated as partly metal. Diamond has 0.17, glass 0.04."""
 
-_CORE_TOLERANCE: Final = 0.02  # of 0.04: a rho_s of 0.0392 to 0.0408 is written as core glTF's 0.04
-
-
-@dataclass(frozen=True)
-class MetallicSurface:
-    """Parameters of glTF 2.0 with KHR_materials_specular and _ior; with weight and colour 1 and ior 1.5 the core alone.
-
-    Colours are (H, W, 3) or (3,), the others (H, W) or (), all linear float32; `roughness` is sqrt(alpha).
-    """
-
-    base_color: Array
-    metallic: Array
-    roughness: Array
-    specular_weight: Array
-    specular_color: Array
-    """Factor of the reflectance that `ior` gives; may exceed 1."""
-    ior: float
-    residual: float
-    warnings: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class SpecularSurface:
-    """Diffuse and specular colour and sqrt(alpha): specular-glossiness and UsdPreviewSurface's specular workflow."""
-
-    diffuse: Array
-    specular: Array
-    roughness: Array
-    residual: float
-    warnings: tuple[str, ...] = ()
+_CORE_TOLERANCE: Final = 0.02  # relative: a rho_s from 0.0392 to 0.0408 is written as core glTF's 0.04
 
 
 def to_gltf(material: AssetMaterial, profile: GltfProfile) -> MetallicSurface | SpecularSurface:
@@ -85,23 +61,23 @@ def to_gltf(material: AssetMaterial, profile: GltfProfile) -> MetallicSurface | 
 
 
 def to_usd_metallic(material: AssetMaterial) -> MetallicSurface:
-    """UsdPreviewSurface's metallic workflow: its ior where rho_s is one grey value, a fit where it is not."""
+    """UsdPreviewSurface's metallic workflow: with its ior where rho_s is one grey value, else a least-squares fit."""
     material = collapse_uniform_textures(material)
     specular = material.specular_albedo
     grey = specular.shape == (3,) and float(np.ptp(specular)) <= 1e-3 * float(specular.max())
     if material.model == "dielectric" and grey and 0 < specular[0] <= METAL_F0:
-        ior = engines.f0_to_ior(float(specular[0]))
-        return _measured(material, _surface(material.diffuse_albedo, _ZERO, _roughness(material), ior=ior))
+        ior = target_brdfs.f0_to_ior(float(specular[0]))
+        return _with_residual(material, _surface(material.diffuse_albedo, _ZERO, _roughness(material), ior=ior))
     return _core(material)
 
 
 def to_specular_workflow(material: AssetMaterial) -> SpecularSurface:
-    """Diffuse and specular colours: as they are for `dielectric`, a least-squares fit for `paper`."""
+    """Diffuse and specular colours: the model's own for `dielectric`, a least-squares fit for `paper`."""
     material = collapse_uniform_textures(material)
     if material.model == "dielectric":
         diffuse, specular = material.diffuse_albedo, material.specular_albedo
     else:
-        diffuse, specular = fit_specular_workflow(*_together(material))
+        diffuse, specular = fit_specular_workflow(*_at_common_size(material))
     surface = SpecularSurface(
         constant_if_uniform(_clipped(diffuse), 1), constant_if_uniform(_clipped(specular), 1), _roughness(material), 0.0
     )
@@ -109,7 +85,7 @@ def to_specular_workflow(material: AssetMaterial) -> SpecularSurface:
 
 
 def collapse_uniform_textures(material: AssetMaterial) -> AssetMaterial:
-    """The same material with textures that hold one value only turned into constants."""
+    """The same material with constants in place of textures whose texels are all equal."""
     return replace(
         material,
         diffuse_albedo=constant_if_uniform(material.diffuse_albedo, 1),
@@ -125,11 +101,11 @@ _WHITE = np.ones(3, np.float32)
 
 def _core(material: AssetMaterial) -> MetallicSurface:
     if _is_core(material):
-        return _measured(material, _surface(material.diffuse_albedo, _ZERO, _roughness(material)))
-    diffuse, specular, alpha = _together(material)[1:]
+        return _with_residual(material, _surface(material.diffuse_albedo, _ZERO, _roughness(material)))
+    diffuse, specular, alpha = _at_common_size(material)[1:]
     metallic = fit_metallic(material.model, diffuse, specular, alpha)
     base = core_base_color(material.model, diffuse, specular, alpha, metallic)
-    return _measured(material, _surface(base, metallic, _roughness(material)))
+    return _with_residual(material, _surface(base, metallic, _roughness(material)))
 
 
 def _dielectric_with_extensions(material: AssetMaterial) -> MetallicSurface:
@@ -137,17 +113,17 @@ def _dielectric_with_extensions(material: AssetMaterial) -> MetallicSurface:
         return _core(material)
     specular = material.specular_albedo
     if specular.max() <= METAL_F0:
-        color = specular / np.float32(engines.CORE_F0)
-        return _measured(material, _surface(material.diffuse_albedo, _ZERO, _roughness(material), color=color))
-    # Colours that no metal has (one channel a mirror, another a plastic) are beyond the mixture: what is nearer is
-    # kept. A few texels tell which.
-    few = _thinned(material)
-    return (_mixture if _mixture(few).residual <= _core(few).residual else _core)(material)
+        color = specular / np.float32(target_brdfs.CORE_F0)
+        return _with_residual(material, _surface(material.diffuse_albedo, _ZERO, _roughness(material), color=color))
+    # The mixture cannot represent colours that no metal has (one channel as of a mirror, another as of a plastic).
+    # A subset of texels decides which conversion has the smaller residual.
+    subset = _subsampled(material)
+    return (_mixture if _mixture(subset).residual <= _core(subset).residual else _core)(material)
 
 
 def _mixture(material: AssetMaterial) -> MetallicSurface:
-    """Metal where there is metal, over a non-metal whose reflectance is what metal leaves of rho_s."""
-    model, diffuse, specular, alpha = _together(material)
+    """A metalness map where rho_s is that of a metal; the non-metal part reflects the remainder of rho_s."""
+    model, diffuse, specular, alpha = _at_common_size(material)
     metal = map_in_strips(
         lambda s: (s[..., 0] > METAL_F0) | (s[..., 1] > METAL_F0) | (s[..., 2] > METAL_F0), (specular, 1)
     )
@@ -156,8 +132,8 @@ def _mixture(material: AssetMaterial) -> MetallicSurface:
     def texels(diffuse: Array, specular: Array, alpha: Array, metallic: Array) -> Array:
         fitted = _metal_base(model, diffuse, specular, alpha, metallic)
         m = metallic[..., None]
-        # The mixture reflects (1 - m) F0 + m base at normal incidence, which shall be rho_s, and (1 - m) base (1 - F0)
-        # from below, which shall be rho_d (1 - rho_s): eliminating F0 leaves
+        # At normal incidence the mixture reflects (1 - m) F0 + m base, which must equal rho_s; its diffuse part is
+        # (1 - m) base (1 - F0), which must equal rho_d (1 - rho_s). Eliminating F0 gives
         # m base^2 + (1 - m - rho_s) base = rho_d (1 - rho_s).
         half = (1 - m - specular) / 2
         root = np.sqrt(half * half + m * diffuse * (1 - specular))
@@ -165,40 +141,40 @@ def _mixture(material: AssetMaterial) -> MetallicSurface:
             half > 0, diffuse * (1 - specular) / np.maximum(half + root, 1e-6), (root - half) / np.maximum(m, 1e-6)
         )
         base = np.where(m == 0, diffuse, np.where(m == 1, fitted, _clipped(base)))
-        color = np.clip((specular - m * base) / np.maximum(1 - m, 1e-3), 0.0, 1.0) / engines.CORE_F0
+        color = np.clip((specular - m * base) / np.maximum(1 - m, 1e-3), 0.0, 1.0) / target_brdfs.CORE_F0
         return np.concatenate(np.broadcast_arrays(base, np.where(m == 1, 1.0, color)), axis=-1, dtype=np.float32)
 
-    both = map_in_strips(texels, (diffuse, 1), (specular, 1), (alpha, 0), (metallic, 0))
-    surface = _surface(both[..., :3], metallic, _roughness(material), color=both[..., 3:])
-    return _measured(material, surface)
+    base_and_color = map_in_strips(texels, (diffuse, 1), (specular, 1), (alpha, 0), (metallic, 0))
+    surface = _surface(base_and_color[..., :3], metallic, _roughness(material), color=base_and_color[..., 3:])
+    return _with_residual(material, surface)
 
 
 def _metal_base(model: str, diffuse: Array, specular: Array, alpha: Array, metallic: Array) -> Array:
-    """`core_base_color` where there is metal, 0 elsewhere."""
+    """`core_base_color` where metalness is above 0, else 0."""
     if metallic.ndim == 0:
         return core_base_color(model, diffuse, specular, alpha, metallic)
-    place = metallic > 0
+    metal = metallic > 0
     color = (*metallic.shape, 3)
     base = np.zeros(color, np.float32)
-    base[place] = core_base_color(
+    base[metal] = core_base_color(
         model,
-        np.broadcast_to(diffuse, color)[place],
-        np.broadcast_to(specular, color)[place],
-        np.broadcast_to(alpha, metallic.shape)[place],
-        metallic[place],
+        np.broadcast_to(diffuse, color)[metal],
+        np.broadcast_to(specular, color)[metal],
+        np.broadcast_to(alpha, metallic.shape)[metal],
+        metallic[metal],
     )
     return base
 
 
-def _thinned(material: AssetMaterial) -> AssetMaterial:
-    """The material at the texels that residuals are measured on."""
-    places = _places(material)
-    side = math.isqrt(len(places))
+def _subsampled(material: AssetMaterial) -> AssetMaterial:
+    """The material at the texels at which residuals are measured."""
+    uvs = sample_uvs(material)
+    side = math.isqrt(len(uvs))
 
     def at(value: Array, color: int) -> Array:
         if value.ndim == color:
             return value
-        return sample_texels(value, bool(color), places).reshape(side, side, *value.shape[2:])
+        return sample_texels(value, bool(color), uvs).reshape(side, side, *value.shape[2:])
 
     return replace(
         material,
@@ -210,32 +186,32 @@ def _thinned(material: AssetMaterial) -> AssetMaterial:
 
 def _paper_as_ratified(material: AssetMaterial) -> MetallicSurface:
     specular = material.specular_albedo
-    base, warnings = _under_lobe(material)
+    base, warnings = _diffuse_under_lobe(material)
     if specular.max() <= 0:
-        return _measured(material, _surface(base, _ZERO, _roughness(material), weight=_ZERO), warnings)
+        return _with_residual(material, _surface(base, _ZERO, _roughness(material), weight=_ZERO), warnings)
     weight = np.minimum(specular.max(axis=-1), 1.0).astype(np.float32)
     color = specular / np.maximum(specular.max(axis=-1, keepdims=True), 1e-8)
-    color = np.where(weight[..., None] > 0, color, 1.0) / np.float32(engines.ior_to_f0(NO_FRESNEL_IOR))
+    color = np.where(weight[..., None] > 0, color, 1.0) / np.float32(target_brdfs.ior_to_f0(NO_FRESNEL_IOR))
     surface = _surface(base, _ZERO, _roughness(material), weight, color.astype(np.float32), NO_FRESNEL_IOR)
-    return _measured(material, surface, warnings)
+    return _with_residual(material, surface, warnings)
 
 
 def _paper_as_blender(material: AssetMaterial) -> MetallicSurface:
-    base, warnings = _under_lobe(material)
+    base, warnings = _diffuse_under_lobe(material)
     tint = _clipped(material.specular_albedo)
     surface = _surface(base, _ZERO, _roughness(material), color=tint, ior=NO_FRESNEL_IOR)
-    return _measured(material, surface, warnings, as_blender=True)
+    return _with_residual(material, surface, warnings, as_blender=True)
 
 
-def _under_lobe(material: AssetMaterial) -> tuple[Array, tuple[str, ...]]:
-    """rho_d / (1 - max rho_s), the colour under a lobe that lets 1 - max rho_s through, at most 1; and a warning."""
-    _, diffuse, specular, _ = _together(material, with_roughness=False)
+def _diffuse_under_lobe(material: AssetMaterial) -> tuple[Array, tuple[str, ...]]:
+    """rho_d / (1 - max rho_s), clipped to 1, and a warning: formats multiply the diffuse colour by 1 - max rho_s."""
+    _, diffuse, specular, _ = _at_common_size(material, with_roughness=False)
     base = diffuse / np.maximum(1 - specular.max(axis=-1, keepdims=True), 1e-3)
     return _clipped(base), _clip_warning(base, "base")
 
 
 def _is_core(material: AssetMaterial) -> bool:
-    low, high = (engines.CORE_F0 * (1 + sign * _CORE_TOLERANCE) for sign in (-1, 1))
+    low, high = (target_brdfs.CORE_F0 * (1 + sign * _CORE_TOLERANCE) for sign in (-1, 1))
     specular = material.specular_albedo
     return material.model == "dielectric" and bool(specular.max() <= high) and bool(specular.min() >= low)
 
@@ -254,55 +230,15 @@ def _surface(
     )
 
 
-def metallic_residual(material: AssetMaterial, surface: MetallicSurface, as_blender: bool = False) -> float:
-    """Relative error on the BRDF slice of a surface, by glTF's ratified formula or as Blender reads ior 1000."""
-    places, tested, wanted = _tested(material)
-    base = sample_texels(surface.base_color, True, places)
-    color = sample_texels(surface.specular_color, True, places)
-    if as_blender:
-        written = engines.blender_brdf(tested, base, color)
-    else:
-        metallic = sample_texels(surface.metallic, False, places)
-        weight = sample_texels(surface.specular_weight, False, places)
-        written = engines.gltf_brdf(tested, base, metallic, weight, color, surface.ior)
-    return slices.relative_error(tested, written, wanted)
-
-
-def specular_residual(material: AssetMaterial, surface: SpecularSurface) -> float:
-    """Relative error on the BRDF slice of a surface in the specular workflow."""
-    places, tested, wanted = _tested(material)
-    diffuse, specular = (sample_texels(value, True, places) for value in (surface.diffuse, surface.specular))
-    return slices.relative_error(tested, engines.specular_workflow_brdf(tested, diffuse, specular), wanted)
-
-
-def _measured(
+def _with_residual(
     material: AssetMaterial, surface: MetallicSurface, warnings: tuple[str, ...] = (), as_blender: bool = False
 ) -> MetallicSurface:
     return replace(surface, residual=metallic_residual(material, surface, as_blender), warnings=warnings)
 
 
-def _tested(material: AssetMaterial) -> tuple[NDArray[np.float64], slices.BrdfSlice, NDArray[np.float64]]:
-    """Places on the texture, their slices and the model's values on them."""
-    places = _places(material)
-    tested = slices.brdf_slice(sample_texels(material.roughness, False, places))
-    diffuse = sample_texels(material.diffuse_albedo, True, places)
-    specular = sample_texels(material.specular_albedo, True, places)
-    return places, tested, slices.model_brdf(tested, material.model, diffuse, specular)
-
-
-def _places(material: AssetMaterial) -> NDArray[np.float64]:
-    side = 12 if any(v.ndim > c for v, c in _fields(material)) else 1
-    y, x = np.mgrid[:side, :side]
-    return np.asarray((np.stack([x.ravel(), y.ravel()], axis=-1) + 0.5) / side)
-
-
-def _fields(material: AssetMaterial) -> list[tuple[Array, int]]:
-    return [(material.diffuse_albedo, 1), (material.specular_albedo, 1), (material.roughness, 0)]
-
-
-def _together(material: AssetMaterial, with_roughness: bool = True) -> tuple[str, Array, Array, Array]:
-    """Model, diffuse, specular and alpha, textures brought to one size so that they combine texel by texel."""
-    values, channels = zip(*_fields(material)[: 3 if with_roughness else 2], strict=True)
+def _at_common_size(material: AssetMaterial, with_roughness: bool = True) -> tuple[str, Array, Array, Array]:
+    """Model, diffuse, specular and alpha; textures are resized to one size."""
+    values, channels = zip(*material_parameters(material)[: 3 if with_roughness else 2], strict=True)
     size = common_size(*values, channels=channels)
     resized = [resize(v, *size) if size and v.ndim - c == 2 else v for v, c in zip(values, channels, strict=True)]
     diffuse, specular, alpha = (*resized, material.roughness)[:3]
@@ -321,4 +257,4 @@ def _clip_warning(value: Array, what: str) -> tuple[str, ...]:
     over = float(np.mean(value.max(axis=-1) > 1.005))
     if over == 0:
         return ()
-    return (f"{over:.1%} of the texels reflect more light than falls on them; their {what} colour was cut to 1",)
+    return (f"{over:.1%} of the texels would reflect more light than they receive; their {what} colour was set to 1",)

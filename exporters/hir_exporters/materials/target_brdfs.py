@@ -1,7 +1,7 @@
-"""What a written material means to its reader: the published formula of each target, on a BRDF slice.
+"""The published BRDF of each target format, evaluated on a BRDF slice.
 
-These measure what a conversion costs; no exporter shades with them. Albedos are (T, 3), scalars (T,), results f
-(T, 7, 68, 3) for the directions of `hir_exporters.materials.brdf_slice`.
+Conversions measure their error with these formulas. Albedos are (T, 3), scalars (T,); results are f (T, 7, 68, 3) for
+the directions of `hir_exporters.materials.brdf_slice`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ CORE_F0 = 0.04
 
 
 def ior_to_f0(ior: float) -> float:
-    """Reflectance at normal incidence of an index of refraction against air."""
+    """Reflectance at normal incidence for an index of refraction against air."""
     return ((ior - 1) / (ior + 1)) ** 2
 
 
@@ -36,7 +36,10 @@ def gltf_brdf(
     specular_color: Array,
     ior: float,
 ) -> Array:
-    """glTF 2.0 appendix B with KHR_materials_specular and KHR_materials_ior as ratified; weight, colour 1: the core."""
+    """glTF 2.0 appendix B with KHR_materials_specular and KHR_materials_ior as ratified.
+
+    With weight 1, colour 1 and ior 1.5 it is core glTF.
+    """
     base = base_color[:, None, None, :]
     m, weight = metallic[:, None, None, None], specular_weight[:, None, None, None]
     s, lobe = slices.schlick[..., None], slices.lobe[..., None]
@@ -48,16 +51,17 @@ def gltf_brdf(
 
 
 def blender_brdf(slices: BrdfSlice, base_color: Array, specular_color: Array) -> Array:
-    """Blender's Principled BSDF at ior 1000: measured to reflect the specular tint at all angles (no Schlick rise)."""
-    kept = 1 - specular_color.max(axis=-1)[:, None, None, None]
-    return kept * base_color[:, None, None, :] / np.pi + specular_color[:, None, None, :] * slices.lobe[..., None]
+    """Blender's Principled BSDF at ior 1000: measured to reflect the specular tint at all angles, without Fresnel."""
+    transmitted = 1 - specular_color.max(axis=-1)[:, None, None, None]
+    diffuse = transmitted * base_color[:, None, None, :] / np.pi
+    return diffuse + specular_color[:, None, None, :] * slices.lobe[..., None]
 
 
 def specular_workflow_brdf(slices: BrdfSlice, diffuse: Array, specular: Array) -> Array:
     """UsdPreviewSurface's specular workflow and KHR_materials_pbrSpecularGlossiness.
 
-    Both reflect F = specular + (1 - specular) s; what is left of the light, 1 - max F, reaches the diffuse part.
+    Both reflect F = specular + (1 - specular) s; the remainder of the light, 1 - max F, reaches the diffuse layer.
     """
     f0, s = specular[:, None, None, :], slices.schlick[..., None]
-    kept = 1 - f0.max(axis=-1, keepdims=True)  # 1 - max F = (1 - max F0)(1 - s)
-    return kept * (1 - s) * diffuse[:, None, None, :] / np.pi + (f0 + (1 - f0) * s) * slices.lobe[..., None]
+    transmitted = 1 - f0.max(axis=-1, keepdims=True)  # 1 - max F = (1 - max F0)(1 - s)
+    return transmitted * (1 - s) * diffuse[:, None, None, :] / np.pi + (f0 + (1 - f0) * s) * slices.lobe[..., None]

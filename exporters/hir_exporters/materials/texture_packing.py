@@ -1,4 +1,4 @@
-"""A surface's parameters as factors and 8-bit images, in the packing that glTF and USD share."""
+"""Packs a surface's parameters into factors and 8-bit images, in the channel layout that glTF and USD share."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hir_exporters.asset import AssetMaterial, textures
-from hir_exporters.materials.material_conversion import MetallicSurface
+from hir_exporters.materials.surfaces import MetallicSurface
 from hir_exporters.textures.image_files import encode_png
 from hir_exporters.textures.texture_maps import limit_size, normal_to_unorm8, resize, srgb8, unorm8
 
@@ -24,7 +24,7 @@ Image8 = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class PackedSurface:
-    """Factors (linear) times images (H, W, C); an image is None where the factor says all."""
+    """Linear factors that multiply images (H, W, C); an image is None where the parameter is constant."""
 
     base_color: tuple[float, float, float]
     base_color_image: Image8 | None
@@ -36,9 +36,9 @@ class PackedSurface:
     specular_weight: float
     specular_color: tuple[float, float, float]
     specular_weight_image: Image8 | None
-    """RGBA; alpha is the weight, linear. The same array as the colour's where they share one image."""
+    """RGBA; alpha is the weight, linear. The same array as the colour's where both use one image."""
     specular_color_image: Image8 | None
-    """sRGB, and the weight in alpha where it shares the image."""
+    """sRGB, with the weight in alpha where both use one image."""
     ior: float
     normal_image: Image8 | None
     """Tangent space, green up; linear."""
@@ -46,7 +46,7 @@ class PackedSurface:
 
 @dataclass(frozen=True)
 class EncodedImage:
-    """The bytes of an image file and the name it may have on disk."""
+    """The bytes of an image file and its file name."""
 
     name: str
     data: bytes
@@ -54,7 +54,7 @@ class EncodedImage:
 
 
 def limit_texture_sizes(material: AssetMaterial, largest: int) -> AssetMaterial:
-    """The material with textures of at most `largest` pixels a side, averaged down; normals stay unit vectors."""
+    """The material with textures reduced to at most `largest` pixels a side; normals are normalised again."""
 
     def reduced(value: NDArray[np.float32], ends: int) -> NDArray[np.float32]:
         return value if value.ndim - ends != 2 else limit_size(value, largest).astype(np.float32, copy=False)
@@ -74,7 +74,7 @@ def limit_texture_sizes(material: AssetMaterial, largest: int) -> AssetMaterial:
 
 
 def texture_size_warnings(material: AssetMaterial, largest: int) -> tuple[str, ...]:
-    """A sentence where `limited` will reduce a texture of the material."""
+    """A warning where `limited` will reduce a texture of the material."""
     found = max((max(value.shape[:2]) for _, value in textures(material)), default=0)
     if found <= largest:
         return ()
@@ -82,7 +82,7 @@ def texture_size_warnings(material: AssetMaterial, largest: int) -> tuple[str, .
 
 
 def pack_surface(surface: MetallicSurface, normal: NDArray[np.float32] | None) -> PackedSurface:
-    """Images of the parameters that vary; the others become factors."""
+    """Images of the parameters that vary; constant parameters become factors."""
     base, base_image = _color(surface.base_color, normalise=False)
     metallic, roughness, orm = _orm(surface.metallic, surface.roughness)
     weight, weight_plane = _scalar(surface.specular_weight)
@@ -125,41 +125,41 @@ def pack_color(value: NDArray[np.floating]) -> tuple[tuple[float, float, float],
 def encode_images(
     images: Sequence[tuple[str, Image8]], image_format: Literal["png", "jpeg"] = "png", quality: int = 92
 ) -> list[EncodedImage]:
-    """Files of named images, encoded side by side; JPEG only for colour without alpha, never for normal maps."""
+    """Files of named images, encoded in four threads; JPEG only for colour without alpha, never for normal maps."""
 
     def encode(item: tuple[str, Image8]) -> EncodedImage:
         name, pixels = item
         if image_format == "jpeg" and pixels.shape[2] == 3 and "normal" not in name:
             return EncodedImage(f"{name}.jpg", _encode_jpeg(pixels, quality), "image/jpeg")
-        return EncodedImage(f"{name}.png", _RECENT.png(pixels), "image/png")
+        return EncodedImage(f"{name}.png", _PNG_CACHE.png(pixels), "image/png")
 
     with ThreadPoolExecutor(max_workers=4) as pool:
         return list(pool.map(encode, images))
 
 
-class RecentImages:
-    """Encodes PNG, and keeps the last few files: formats written one after the other mostly share their images."""
+class PngCache:
+    """Encodes PNG and caches the last few files: formats exported one after the other mostly share their images."""
 
-    def __init__(self, most: int) -> None:
-        self._most = most
+    def __init__(self, capacity: int) -> None:
+        self._capacity = capacity
         self._files: OrderedDict[tuple[bytes, tuple[int, ...]], bytes] = OrderedDict()
         self._lock = Lock()
 
     def png(self, pixels: Image8) -> bytes:
-        """The file of 8-bit pixels (H, W, C), found by what they are (SHA-256), not by where they lie."""
+        """The file of 8-bit pixels (H, W, C); the key is their SHA-256."""
         key = hashlib.sha256(np.ascontiguousarray(pixels).data).digest(), pixels.shape
         with self._lock:
-            found = self._files.get(key)
-        data = encode_png(pixels) if found is None else found
+            cached = self._files.get(key)
+        data = encode_png(pixels) if cached is None else cached
         with self._lock:
             self._files[key] = data
             self._files.move_to_end(key)
-            while len(self._files) > self._most:
+            while len(self._files) > self._capacity:
                 self._files.popitem(last=False)
         return data
 
 
-_RECENT = RecentImages(8)
+_PNG_CACHE = PngCache(8)
 
 
 def _encode_jpeg(pixels: Image8, quality: int) -> bytes:
@@ -173,7 +173,7 @@ def _encode_jpeg(pixels: Image8, quality: int) -> bytes:
 def _color(value: NDArray[np.floating], normalise: bool) -> tuple[tuple[float, float, float], Image8 | None]:
     if value.ndim == 1:
         return (float(value[0]), float(value[1]), float(value[2])), None
-    # A factor of the largest value lets 8 bits resolve what is left, whatever the reflectance is.
+    # Dividing by the largest value uses all 8 bits, also for small reflectances.
     largest = float(value.max()) if normalise and value.max() > 0 else 1.0
     return (largest, largest, largest), srgb8(value / np.float32(largest) if largest != 1.0 else value)
 
@@ -196,5 +196,5 @@ def _orm(metallic: NDArray[np.floating], roughness: NDArray[np.floating]) -> tup
     if metallic.ndim == 2:
         image[..., 2] = unorm8(resize(metallic, height, width))
     elif float(metallic) == 0:
-        image[..., 2] = 0  # readers that forget the factor see no metal either
+        image[..., 2] = 0  # readers that ignore the factor see no metal either
     return float(metallic) if metallic.ndim == 0 else 1.0, float(roughness) if roughness.ndim == 0 else 1.0, image

@@ -1,1 +1,1 @@
-"""Meshes: files, simplification, tangents."""
+"""Meshes: PLY, simplification, tangents, normal baking, welding."""

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from hir_exporters.asset import PAPER_SPECULAR_MAX, AssetEnvironment, AssetMaterial, AssetMesh
 from hir_exporters.conventions import ALPHA_MIN
-from hir_exporters.materials.material_conversion import NO_FRESNEL_IOR, MetallicSurface, SpecularSurface
+from hir_exporters.materials.material_conversion import NO_FRESNEL_IOR
+from hir_exporters.materials.surfaces import MetallicSurface, SpecularSurface
 from hir_exporters.materials.target_brdfs import ior_to_f0
 from hir_exporters.reading.readback import ReadBack
 from hir_exporters.textures.image_files import read_exr, read_hdr

@@ -11,7 +11,7 @@ import numpy as np
 
 from hir_exporters.asset import Asset, AssetMesh
 from hir_exporters.errors import ExportError
-from hir_exporters.materials.material_conversion import metallic_residual, specular_residual
+from hir_exporters.materials.conversion_residuals import metallic_residual, specular_residual
 from hir_exporters.reading.readback import ReadBack, read_gltf, read_usd
 from hir_exporters.reading.usd_import import read_untrusted_usd
 

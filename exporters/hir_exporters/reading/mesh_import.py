@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from hir_exporters.asset import Asset, AssetEnvironment, AssetMaterial, AssetMesh, validate_asset
 from hir_exporters.conventions import srgb_to_linear
 from hir_exporters.errors import HirError, InputError
-from hir_exporters.materials.material_conversion import MetallicSurface, collapse_uniform_textures
+from hir_exporters.materials.material_conversion import collapse_uniform_textures
+from hir_exporters.materials.surfaces import MetallicSurface
 from hir_exporters.reading.asset_decoding import decode_asset, decode_surface
 from hir_exporters.reading.readback import gltf_scene, read_gltf_surface
 from hir_exporters.reading.usd_import import read_untrusted_usd

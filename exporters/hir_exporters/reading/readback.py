@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from hir_exporters.conventions import srgb_to_linear
 from hir_exporters.errors import HirError, InputError
-from hir_exporters.materials.material_conversion import MetallicSurface, SpecularSurface
+from hir_exporters.materials.surfaces import MetallicSurface, SpecularSurface
 from hir_exporters.reading.gltf_decompression import EXPANDED, plain_glb
 from hir_exporters.reading.usd_containment import check_inside, check_layers
 

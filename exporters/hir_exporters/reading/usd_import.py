@@ -13,7 +13,7 @@ from typing import Any
 
 from hir_exporters.errors import InputError
 from hir_exporters.files.subprocess_call import Arrays, SubprocessCrashError, run_in_subprocess
-from hir_exporters.materials.material_conversion import MetallicSurface, SpecularSurface
+from hir_exporters.materials.surfaces import MetallicSurface, SpecularSurface
 from hir_exporters.reading.readback import ReadBack, read_usd
 
 

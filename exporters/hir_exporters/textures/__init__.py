@@ -1,1 +1,1 @@
-"""Images and texture maps."""
+"""Image files, texture resizing and lookup, and texture-space rasterisation."""

@@ -1,7 +1,7 @@
-"""Image files in and out: 8 and 16 bit (PNG, JPEG, …) in their own encoding, Radiance and OpenEXR as linear float32.
+"""Reads and writes image files: PNG, JPEG and others in their own encoding; Radiance and OpenEXR as linear float32.
 
-Readers look at the header before they decode, refuse pictures of more than `max_pixels`, and name the file in every
-error. Writers give the same bytes for the same pixels, and no file at all when they fail.
+Readers check the size in the header before they decode, refuse images of more than `max_pixels`, and name the file in
+every error. Writers give the same bytes for the same pixels; when they fail, no file is written.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from hir_exporters.textures.png_encoding import png_bytes
 from hir_exporters.textures.rgbe import RgbeError, decode_rgbe, encode_rgbe, read_size
 
 MAX_PIXELS: Final = 100_000_000
-"""Pictures larger than this are refused unless the caller allows more."""
+"""Larger images are refused unless the caller sets another limit."""
 
 _EXR_LAYOUTS: Final = {1: "Y", 3: "RGB", 4: "RGBA"}
 
@@ -31,15 +31,15 @@ _EXR_LAYOUTS: Final = {1: "Y", 3: "RGB", 4: "RGBA"}
 def read_ldr(path: str | os.PathLike[str], max_pixels: int = MAX_PIXELS) -> NDArray[np.float32]:
     """Pixels (H, W, C) in [0, 1], in the file's own encoding (nearly always sRGB); C is 1 grey, 2 grey+alpha, 3 or 4.
 
-    Rows come as stored: an EXIF orientation is not applied. Palettes and CMYK become RGB. 16-bit grey keeps its
-    16 bits; Pillow reads 16-bit colour at 8 bits. Raises `InputError` naming the file.
+    The EXIF orientation is not applied. Palettes and CMYK become RGB. 16-bit grey keeps 16 bits; Pillow reads 16-bit
+    colour as 8 bits. Raises `InputError` naming the file.
     """
     from PIL import Image, UnidentifiedImageError
 
     source = _existing_file(path)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # Pillow warns of large pictures; the limit below decides
+            warnings.simplefilter("ignore")  # Pillow warns about large images; `max_pixels` decides instead
             with Image.open(source) as image:
                 _check_size(source, image.height, image.width, max_pixels)
                 image.load()
@@ -51,13 +51,13 @@ def read_ldr(path: str | os.PathLike[str], max_pixels: int = MAX_PIXELS) -> NDAr
     except Image.DecompressionBombError as error:
         raise InputError(f"{source} has more than {max_pixels} pixels; make it smaller") from error
     except Exception as error:  # Pillow's decoders raise many types on broken data
-        raise InputError(f"{source} is a broken image ({error}); make it again") from error
+        raise InputError(f"{source} is a broken image ({error}); write it again") from error
 
 
 def read_hdr(path: str | os.PathLike[str], max_pixels: int = MAX_PIXELS) -> NDArray[np.float32]:
-    """Linear pixels (H, W, 3), row 0 at the top, of a .hdr or .exr file, told apart by its first bytes.
+    """Linear pixels (H, W, 3), row 0 at the top, of a .hdr or .exr file; its first bytes decide which it is.
 
-    One channel (Y) is repeated three times; alpha and further layers are left out. Raises `InputError` naming the file,
+    One channel (Y) is repeated three times; alpha and further layers are ignored. Raises `InputError` naming the file,
     also where a pixel is NaN or infinite.
     """
     source = _existing_file(path)
@@ -73,9 +73,9 @@ def read_hdr(path: str | os.PathLike[str], max_pixels: int = MAX_PIXELS) -> NDAr
 def read_exr(
     path: str | os.PathLike[str], max_pixels: int = MAX_PIXELS, channels: int | None = None
 ) -> NDArray[np.float32]:
-    """Pixels (H, W, C) of an OpenEXR file's first part, C = 1, 3 or 4 as stored, or `channels` = 1 or 3 exactly.
+    """Pixels (H, W, C) of an OpenEXR file's first part: C = 1, 3 or 4 as stored, or exactly `channels` = 1 or 3.
 
-    Grey is repeated where 3 channels are asked for. Raises `InputError` naming the file.
+    Grey is repeated where 3 channels are required. Raises `InputError` naming the file.
     """
     import OpenEXR
 
@@ -87,12 +87,12 @@ def read_exr(
         _check_size(source, height, width, max_pixels)
         if any((c.xSampling, c.ySampling) != (1, 1) for c in header["channels"] if c.name in "RGBAY"):
             raise InputError(f"{source} has subsampled channels; save it with full-size channels")
-        with suppress_native_output():  # OpenEXR prints a line for each row that a cut-off file lacks
+        with suppress_native_output():  # OpenEXR prints a line for each missing row of a truncated file
             planes = _exr_planes(str(source))
     except InputError:
         raise
     except Exception as error:  # the binding raises RuntimeError, ValueError and KeyError on broken files
-        raise InputError(f"{source} is a broken OpenEXR file ({error}); make it again") from error
+        raise InputError(f"{source} is a broken OpenEXR file ({error}); write it again") from error
     layout = next((layout for layout in ("RGBA", "RGB", "Y") if layout in planes), None)
     if layout is None:
         raise InputError(f"{source} has the channels {', '.join(sorted(planes)) or 'none'}; R, G, B or Y are needed")
@@ -105,9 +105,10 @@ def read_exr(
 
 
 def encode_png(image: NDArray[np.generic], bits: int = 8) -> bytes:
-    """PNG bytes of (H, W) or (H, W, C), C = 1..4: uint8 and uint16 as they are, floats in [0, 1] rounded to `bits`.
+    """PNG bytes of (H, W) or (H, W, C), C = 1..4: uint8 and uint16 unchanged, floats in [0, 1] rounded to `bits`.
 
-    Values are written as given: encode sRGB first. Raises `ExportError` on other shapes, types and non-finite values.
+    No transfer function is applied: encode sRGB first. Raises `ExportError` for other shapes and types and for
+    non-finite values.
     """
     pixels = quantize(image, bits) if np.issubdtype(image.dtype, np.floating) else image
     pixels = pixels[..., None] if pixels.ndim == 2 else pixels
@@ -124,18 +125,18 @@ def encode_png(image: NDArray[np.generic], bits: int = 8) -> bytes:
 
 
 def quantize(image: NDArray[np.generic], bits: int = 8) -> NDArray[np.uint8] | NDArray[np.uint16]:
-    """Floats in [0, 1] rounded to the nearest of 2^bits codes, bits 8 or 16; others are clipped, NaN is an error."""
+    """Floats clipped to [0, 1] and rounded to the nearest of 2^bits codes, bits 8 or 16; NaN raises `ExportError`."""
     if bits not in (8, 16):
         raise ExportError(f"images are written with 8 or 16 bits, not {bits}")
     if not np.isfinite(image).all():
-        raise ExportError("an image to be written holds NaN or infinite values")
+        raise ExportError("an image to be written contains NaN or infinite values")
     largest = (1 << bits) - 1
     scaled = np.clip(image, 0.0, 1.0) * np.asarray(largest, image.dtype) + np.asarray(0.5, image.dtype)
     return scaled.astype(np.uint8 if bits == 8 else np.uint16)
 
 
 def write_png(path: str | os.PathLike[str], image: NDArray[np.generic], bits: int = 8) -> None:
-    """`encode_png` into a file."""
+    """Writes `encode_png` into a file."""
     write_bytes_atomic(path, encode_png(image, bits))
 
 
@@ -148,7 +149,7 @@ def write_exr(path: str | os.PathLike[str], image: NDArray[np.generic]) -> None:
     if pixels.ndim != 3 or pixels.shape[2] not in _EXR_LAYOUTS or pixels.size == 0:
         raise ExportError(f"{path}: an EXR needs (H, W) or (H, W, 1, 3 or 4), not {image.shape}")
     if not np.isfinite(pixels).all():
-        raise ExportError(f"{path}: the image holds NaN or infinite values")
+        raise ExportError(f"{path}: the image contains NaN or infinite values")
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     layout = _EXR_LAYOUTS[pixels.shape[2]]
     channels = {name: np.ascontiguousarray(pixels[..., index]) for index, name in enumerate(layout)}
@@ -165,7 +166,7 @@ def write_hdr(path: str | os.PathLike[str], radiance: NDArray[np.generic]) -> No
     if pixels.ndim != 3 or pixels.shape[2] != 3 or pixels.size == 0:
         raise ExportError(f"{path}: a .hdr needs radiance (H, W, 3), not {pixels.shape}")
     if not np.isfinite(pixels).all():
-        raise ExportError(f"{path}: the radiance holds NaN or infinite values")
+        raise ExportError(f"{path}: the radiance contains NaN or infinite values")
     write_bytes_atomic(path, encode_rgbe(pixels))
 
 
@@ -173,8 +174,8 @@ def _existing_file(path: str | os.PathLike[str]) -> Path:
     source = Path(path)
     try:
         if not source.is_file():
-            raise InputError(f"{source} is {'a folder, not a file' if source.is_dir() else 'not there'}")
-    except OSError as error:  # a name longer than the system takes
+            raise InputError(f"{source} {'is a folder, not a file' if source.is_dir() else 'does not exist'}")
+    except OSError as error:  # the name is longer than the operating system allows
         raise InputError(f"{str(source)[:200]} cannot be opened: {error.strerror}") from error
     return source
 
@@ -198,12 +199,12 @@ def _exr_planes(source: str) -> dict[str, NDArray[np.generic]]:
     import OpenEXR
 
     try:
-        together = {name: channel.pixels for name, channel in OpenEXR.File(source).channels().items()}
-    except ValueError:  # the binding does not join channels of different types
-        together = {}
-    # Before 3.5 it joined them wrongly, but only where the result is not float32.
-    if together and all(pixels.dtype == np.float32 for pixels in together.values()):
-        return together
+        joined = {name: channel.pixels for name, channel in OpenEXR.File(source).channels().items()}
+    except ValueError:  # the binding cannot join channels of different types
+        joined = {}
+    # Before version 3.5 the binding joined them wrongly, but only where the result is not float32.
+    if joined and all(pixels.dtype == np.float32 for pixels in joined.values()):
+        return joined
     channels = OpenEXR.File(source, separate_channels=True).channels()
     planes = {name: channel.pixels for name, channel in channels.items()}
     for layout in ("RGBA", "RGB"):
@@ -213,11 +214,11 @@ def _exr_planes(source: str) -> dict[str, NDArray[np.generic]]:
 
 
 def _finite(source: Path, pixels: NDArray[np.float32]) -> NDArray[np.float32]:
-    if np.isfinite(pixels.min()) and np.isfinite(pixels.max()):  # NaN is the least and the largest of all
+    if np.isfinite(pixels.min()) and np.isfinite(pixels.max()):  # numpy's min and max propagate NaN
         return pixels
     bad = pixels.size - int(np.isfinite(pixels).sum())
     if bad:
-        raise InputError(f"{source} holds {bad} NaN or infinite values; replace them and save it again")
+        raise InputError(f"{source} contains {bad} NaN or infinite values; replace them and write it again")
     return pixels
 
 

@@ -1,7 +1,7 @@
-"""Radiance RGBE (.hdr) bytes: three mantissas and one shared exponent a pixel (Ward, Real Pixels, Graphics Gems II).
+"""Encodes and decodes Radiance RGBE (.hdr), three mantissas and a shared exponent (Ward, Graphics Gems II).
 
-A value is `mantissa * 2^(exponent - 136)`, as stb_image, three.js, Mitsuba and Blender read it; mantissas are rounded,
-so the relative error of a pixel's largest channel is at most 1/256.
+A value is `mantissa * 2^(exponent - 136)`, as stb_image, three.js, Mitsuba and Blender read it. Mantissas are rounded:
+the error is at most 1/256 of a pixel's largest channel. Why not a library: docs/adr/own_implementations.md.
 """
 
 from __future__ import annotations
@@ -11,50 +11,51 @@ import re
 import numpy as np
 from numpy.typing import NDArray
 
-_LARGEST = 255.0 * 2.0 ** (255 - 136)
+_LARGEST_VALUE = 255.0 * 2.0 ** (255 - 136)
 _RESOLUTION = re.compile(rb"^([-+])Y (\d{1,9}) ([-+])X (\d{1,9})$")
-_HEADER_LIMIT = 1 << 16
+_MAX_HEADER_BYTES = 1 << 16
 
 
 class RgbeError(ValueError):
-    """The bytes are not a Radiance picture that can be read; the message says what is wrong."""
+    """The bytes are not a readable Radiance file; the message says why."""
 
 
 def encode_rgbe(radiance: NDArray[np.floating]) -> bytes:
-    """The bytes of a .hdr file for finite radiance (H, W, 3); negative values become 0, huge ones the largest."""
+    """The bytes of a .hdr file of finite radiance (H, W, 3), clipped to the range from 0 to the largest RGBE value."""
     height, width, _ = radiance.shape
     pixels = _to_rgbe(np.asarray(radiance, dtype=np.float64))
     header = f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n".encode("ascii")
     if 8 <= width <= 0x7FFF:
         return header + _literal_scanlines(pixels)
-    # Flat pixels cannot be mistaken for run codes: in (1, 1, 1, e) and (2, 2, b < 128, e) no mantissa reaches 128.
+    # Uncompressed pixels are no run codes: (1, 1, 1, e) and (2, 2, b < 128, e) have no mantissa of 128 or more.
     return header + pixels.tobytes()
 
 
 def read_size(data: bytes) -> tuple[int, int]:
-    """(height, width) from the header alone."""
+    """(height, width) in the header."""
     header = _parse_header(data)
     return header[0], header[1]
 
 
 def decode_rgbe(data: bytes) -> NDArray[np.float32]:
-    """Radiance (H, W, 3), row 0 at the top, of the bytes of a .hdr file; flat, old and new run lengths.
+    """Radiance (H, W, 3), row 0 at the top, of the bytes of a .hdr file: uncompressed, old or new run lengths.
 
-    `EXPOSURE` and `COLORCORR` are undone as the format asks. XYZE pictures and files with swapped axes are refused.
+    `EXPOSURE` and `COLORCORR` are divided out, as the format requires. XYZE files and transposed images raise
+    `RgbeError`.
     """
     height, width, offset, flips, scale = _parse_header(data)
     pixels = _read_scanlines(memoryview(data)[offset:], height, width)[tuple(flips)]
     exponent = pixels[..., 3:].astype(np.int32)
     value = np.ldexp(pixels[..., :3].astype(np.float64), np.where(exponent > 0, exponent - 136, -1100)) / scale
     if not np.isfinite(value).all() or value.max(initial=0.0) > np.finfo(np.float32).max:
-        raise RgbeError("its EXPOSURE makes values that float32 cannot hold")
+        raise RgbeError("its EXPOSURE gives values beyond float32")
     return value.astype(np.float32)
 
 
 def _to_rgbe(radiance: NDArray[np.float64]) -> NDArray[np.uint8]:
-    clipped = np.clip(radiance, 0.0, _LARGEST)
+    clipped = np.clip(radiance, 0.0, _LARGEST_VALUE)
     _, exponent = np.frexp(clipped.max(axis=-1))
-    # A mantissa of 255.5 or more rounds to 256, which needs the next exponent.
+    # A mantissa of 255.5 or more rounds to 256 and needs the next exponent.
     exponent += np.rint(np.ldexp(clipped.max(axis=-1), 8 - exponent)) > 255
     visible = (exponent > -128) & (clipped.max(axis=-1) > 0)
     pixels = np.zeros((*radiance.shape[:2], 4), dtype=np.uint8)
@@ -65,7 +66,7 @@ def _to_rgbe(radiance: NDArray[np.float64]) -> NDArray[np.uint8]:
 
 
 def _literal_scanlines(pixels: NDArray[np.uint8]) -> bytes:
-    """New-style scanlines that hold only literal blocks: radiance with noise hardly compresses."""
+    """New-style scanlines of literal blocks only: noisy radiance hardly compresses."""
     height, width, _ = pixels.shape
     planar = np.ascontiguousarray(pixels.transpose(0, 2, 1))
     parts = [np.broadcast_to(np.array([2, 2, width >> 8, width & 255], np.uint8), (height, 4))]
@@ -81,7 +82,7 @@ def _parse_header(data: bytes) -> tuple[int, int, int, list[slice], NDArray[np.f
         raise RgbeError("it does not begin with #?RADIANCE")
     offset, scale = data.index(b"\n") + 1 if b"\n" in data[:256] else len(data), np.ones(3)
     while True:
-        end = data.find(b"\n", offset, offset + _HEADER_LIMIT)
+        end = data.find(b"\n", offset, offset + _MAX_HEADER_BYTES)
         if end < 0:
             raise RgbeError("its header has no end")
         line, offset = data[offset:end].strip(), end + 1
@@ -137,7 +138,7 @@ def _read_scanlines(body: memoryview, height: int, width: int) -> NDArray[np.uin
                 line += body[position + 1 : position + 1 + count]
                 position += 1 + count
             else:
-                raise RgbeError(f"row {row} holds an empty run")
+                raise RgbeError(f"row {row} contains an empty run")
         if len(line) != 4 * width or position > len(body):
             raise RgbeError(f"row {row} has too many values")
         pixels[row] = np.frombuffer(line, np.uint8).reshape(4, width)
@@ -162,10 +163,10 @@ def _expand_old_runs(raw: NDArray[np.uint8], repeats: NDArray[np.bool_], count: 
     for index, is_code in enumerate(repeats.tolist()):
         shift = shift + 8 if is_code and index and repeats[index - 1] else 0
         if shift > 24:
-            raise RgbeError("it holds a run longer than any picture")
+            raise RgbeError("a run is longer than any image")
         times[index] = int(raw[index, 3]) << shift if is_code else 1
     if repeats[0]:
-        raise RgbeError("it starts with a repetition of nothing")
+        raise RgbeError("it starts with a run that repeats no pixel")
     last = np.maximum.accumulate(np.where(repeats, 0, np.arange(len(raw))))
     stop = int(np.searchsorted(np.cumsum(times), count)) + 1
     expanded = np.repeat(raw[last[:stop]], np.minimum(times[:stop], count), axis=0)

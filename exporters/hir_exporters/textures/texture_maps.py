@@ -1,4 +1,4 @@
-"""Textures and constants side by side: resizing, matching sizes, taking samples, encoding to 8 bits."""
+"""Textures and constants: resizing, common sizes, nearest-texel samples, and 8-bit codes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _Number = TypeVar("_Number", bound=np.generic)
 
 
 def resize(texture: Array, height: int, width: int) -> Array:
-    """(H, W) or (H, W, C) at another size: area average where it shrinks, linear interpolation where it grows."""
+    """(H, W) or (H, W, C) at another size: area average where a side shrinks, else bilinear interpolation."""
     from PIL import Image
 
     if texture.shape[:2] == (height, width):
@@ -38,7 +38,7 @@ def resize(texture: Array, height: int, width: int) -> Array:
 
 
 def limit_size(texture: Array, largest: int) -> Array:
-    """The texture with neither side above `largest`, its proportions kept."""
+    """The texture reduced so that neither side exceeds `largest`; its aspect ratio is kept."""
     height, width = texture.shape[:2]
     scale = largest / max(height, width)
     if scale >= 1:
@@ -47,34 +47,34 @@ def limit_size(texture: Array, largest: int) -> Array:
 
 
 def common_size(*values: Array, channels: tuple[int, ...]) -> tuple[int, int] | None:
-    """Largest height and width among the values that are textures; `channels[i]` is 1 where a colour ends the shape."""
+    """Largest height and width of the values that are textures, else None; `channels[i]` is 1 for colours, else 0."""
     sizes = [value.shape[:2] for value, c in zip(values, channels, strict=True) if value.ndim - c == 2]
     return (max(h for h, _ in sizes), max(w for _, w in sizes)) if sizes else None
 
 
 def constant_if_uniform(value: Array, channels: int) -> Array:
-    """A texture all of whose texels are equal as one value; others, and constants, as they are."""
+    """One value for a texture whose texels are all equal; other textures and constants are returned unchanged."""
     if value.ndim - channels != 2:
         return value
     first = value[0, 0]
-    if not (value[::64] == first).all():  # nearly always enough
+    if not (value[::64] == first).all():  # decides most textures without reading all texels
         return value
     return np.asarray(first) if (value == first).all() else value
 
 
-_STRIP = 1 << 16
-"""Texels of a strip: its values stay near a processor's cache, and textures of any size need little memory."""
+_TEXELS_PER_STRIP = 1 << 16
+"""Temporary arrays of a strip fit into a processor's cache and bound the memory for textures of any size."""
 
 
 def map_in_strips(compute: Callable[..., NDArray[_Number]], *values: tuple[Array, int]) -> NDArray[_Number]:
-    """What a function of texels makes of textures of one size and constants, strip by strip and side by side.
+    """Applies a per-texel function to textures of one size and constants, strip by strip in four threads.
 
-    `values` are (texture or constant, number of channel axes); the result has the textures' height and width.
+    `values` are pairs (texture or constant, number of channel axes). The result has the textures' height and width.
     """
     height, width = next((value.shape[:2] for value, c in values if value.ndim - c == 2), (0, 0))
-    if height * width <= _STRIP:
+    if height * width <= _TEXELS_PER_STRIP:
         return compute(*(value for value, _ in values))
-    rows = max(1, _STRIP // width)
+    rows = max(1, _TEXELS_PER_STRIP // width)
 
     def strip(top: int) -> NDArray[_Number]:
         return compute(*(v[top : top + rows] if v.ndim - c == 2 else v for v, c in values))
@@ -91,17 +91,17 @@ def map_in_strips(compute: Callable[..., NDArray[_Number]], *values: tuple[Array
     return result
 
 
-def sample_texels(value: Array, color: bool, places: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Nearest texels (T, 3) or (T,) at `places` (T, 2) in [0, 1), x then y; constants repeat."""
+def sample_texels(value: Array, color: bool, uvs: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Nearest texels (T, 3) of a colour or (T,) of a scalar at `uvs` (T, 2) in [0, 1); constants are repeated."""
     if value.ndim - color != 2:
-        return np.broadcast_to(value.astype(np.float64), (len(places), *value.shape)).copy()
-    column = (places[:, 0] * value.shape[1]).astype(np.int64)
-    row = (places[:, 1] * value.shape[0]).astype(np.int64)
+        return np.broadcast_to(value.astype(np.float64), (len(uvs), *value.shape)).copy()
+    column = (uvs[:, 0] * value.shape[1]).astype(np.int64)
+    row = (uvs[:, 1] * value.shape[0]).astype(np.int64)
     return value[row, column].astype(np.float64)
 
 
 def srgb8(linear: Array) -> NDArray[np.uint8]:
-    """8-bit sRGB codes of linear values, clipped to [0, 1]: through a table of 65536 steps, at most 0.06 codes off."""
+    """8-bit sRGB codes of linear values clipped to [0, 1]; a table of 65536 steps is at most 0.06 codes off."""
     table = _srgb_codes()
     return _codes(lambda rows: table[unorm(rows, 65535).astype(np.uint16)], linear)
 
@@ -112,7 +112,7 @@ def unorm8(values: Array) -> NDArray[np.uint8]:
 
 
 def unorm(values: Array, largest: int) -> Array:
-    """Values in [0, 1] as floats in 0..largest + 0.5, ready to be cut off to whole codes."""
+    """Values clipped to [0, 1], times `largest`, plus 0.5: truncation gives the nearest integer codes."""
     clipped = np.clip(values, 0.0, 1.0)
     clipped *= clipped.dtype.type(largest)
     clipped += clipped.dtype.type(0.5)
@@ -120,7 +120,7 @@ def unorm(values: Array, largest: int) -> Array:
 
 
 def normal_to_unorm8(normal: Array) -> NDArray[np.uint8]:
-    """Unit vectors (H, W, 3) as 8-bit codes, 127.5 being 0."""
+    """Unit vectors (H, W, 3) as 8-bit codes; 0 is at 127.5."""
     half = np.float32(0.5)
     return _codes(lambda rows: unorm(rows * half + half, 255).astype(np.uint8), normal)
 

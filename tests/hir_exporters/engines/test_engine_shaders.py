@@ -9,13 +9,8 @@ from hir_exporters.conventions import latlong_directions
 from hir_exporters.engines.engine_shaders import GLTF_ENGINES, MaterialSamples, engine_psnr
 from hir_exporters.engines.surface_points import surface_points
 from hir_exporters.materials.brdf_numpy import albedo_terms
-from hir_exporters.materials.material_conversion import (
-    MetallicSurface,
-    SpecularSurface,
-    to_gltf,
-    to_specular_workflow,
-    to_usd_metallic,
-)
+from hir_exporters.materials.material_conversion import to_gltf, to_specular_workflow, to_usd_metallic
+from hir_exporters.materials.surfaces import MetallicSurface, SpecularSurface
 
 
 def under_sky(asset: Asset, material: AssetMaterial, even: bool = False) -> Asset:

@@ -15,7 +15,7 @@ from hir_exporters.formats import create_exporter
 from hir_exporters.gltf.image_based_light import rgbd
 from hir_exporters.light.environment_exporters import filament_harmonics
 from hir_exporters.light.environment_map import world_radiance
-from hir_exporters.light.prefilter import face_directions, filament_roughness, level_sizes, prefiltered_cube
+from hir_exporters.light.prefilter import face_directions, filament_roughness, level_sizes, prefiltered_cubemap
 
 AXES = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]
 
@@ -43,7 +43,7 @@ def test_every_level_is_the_integral() -> None:
     count = len(level_sizes(size))
     roughness = [0.0, 0.25, 1.0]
     assert count == 3
-    cube = prefiltered_cube(radiance, roughness, size)
+    cube = prefiltered_cubemap(radiance, roughness, size)
     rng = np.random.default_rng(0)
     for level, rough in zip(cube[1:], roughness[1:], strict=True):
         directions, side = face_directions(level.shape[1]), level.shape[1]
@@ -55,7 +55,7 @@ def test_every_level_is_the_integral() -> None:
 
 
 def test_faces_are_those_of_opengl(six_colors: np.ndarray) -> None:
-    [level] = prefiltered_cube(six_colors, [0.0], 16)
+    [level] = prefiltered_cubemap(six_colors, [0.0], 16)
     for face, axis in enumerate(AXES):
         np.testing.assert_allclose(face_directions(16)[face].mean((0, 1)) / 0.8, axis, atol=0.1)
         color = np.maximum(axis, 0) if max(axis) > 0 else 1 - np.abs(axis)
@@ -87,7 +87,7 @@ def test_containers_hold_the_levels(textured_asset: Asset, tmp_path: Path) -> No
     for suffix in ("ktx", "dds"):
         create_exporter(suffix, CubeConfig(size=32)).write(textured_asset, tmp_path / f"x.{suffix}")
     radiance = world_radiance(textured_asset)[0]
-    first, second = prefiltered_cube(radiance, [filament_roughness(k, 2) for k in range(2)], 32)
+    first, second = prefiltered_cubemap(radiance, [filament_roughness(k, 2) for k in range(2)], 32)
     data = (tmp_path / "x.ktx").read_bytes()
     fields = struct.unpack("<13I", data[12:64])
     assert data[:12] == b"\xabKTX 11\xbb\r\n\x1a\n" and fields[4] == 0x881B and fields[6:8] == (32, 32)

@@ -6,6 +6,7 @@ import pytest
 from hir_exporters.asset import AssetMaterial
 from hir_exporters.materials import brdf_numpy, brdf_slice, material_conversion
 from hir_exporters.materials import target_brdfs as engine_models
+from hir_exporters.materials.surfaces import MetallicSurface, SpecularSurface
 
 Texture = Callable[..., np.ndarray]
 
@@ -185,9 +186,7 @@ def test_corners_of_the_parameters_stay_finite(model: str, specular: float, alph
 PROFILES = ("khr", "blender", "metalrough", "unity-legacy", "usd")
 
 
-def converted(
-    material: AssetMaterial, profile: str
-) -> material_conversion.MetallicSurface | material_conversion.SpecularSurface:
+def converted(material: AssetMaterial, profile: str) -> MetallicSurface | SpecularSurface:
     return (
         material_conversion.to_usd_metallic(material)
         if profile == "usd"
@@ -205,7 +204,7 @@ def test_what_a_conversion_says_of_its_error_is_its_error(material: AssetMateria
     colors = [np.asarray(c, np.float64)[None] for c in (material.diffuse_albedo, material.specular_albedo)]
     wanted = brdf_slice.model_brdf(tested, material.model, *colors)
     one = np.ones(1)
-    if isinstance(surface, material_conversion.SpecularSurface):
+    if isinstance(surface, SpecularSurface):
         written = engine_models.specular_workflow_brdf(tested, surface.diffuse[None], surface.specular[None])
     elif profile == "blender" and material.model == "paper":
         written = engine_models.blender_brdf(tested, surface.base_color[None], surface.specular_color[None])
@@ -329,7 +328,7 @@ def test_maps_of_different_size_combine_at_the_larger(make_texture: Texture) -> 
             material_conversion.to_gltf(material, "metalrough"),
             material_conversion.to_specular_workflow(material),
         ):
-            color = surface.base_color if isinstance(surface, material_conversion.MetallicSurface) else surface.diffuse
+            color = surface.base_color if isinstance(surface, MetallicSurface) else surface.diffuse
             assert color.shape == (8, 8, 3)
             assert surface.roughness.shape == (c, c)
 

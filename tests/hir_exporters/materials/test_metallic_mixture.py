@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hir_exporters.asset import AssetMaterial
 from hir_exporters.materials import material_conversion
+from hir_exporters.materials.surfaces import MetallicSurface
 from hir_exporters.materials.target_brdfs import CORE_F0
 from hir_exporters.textures.texture_maps import sample_texels
 
@@ -13,7 +14,7 @@ GREYS = [(0.2, 0.2, 0.2), (0.1, 0.3, 0.3), (0.05, 0.5, 0.15), (0.6, 0.18, 0.5), 
 """Diffuse, specular and alpha of mixtures in which no channel has to be cut."""
 
 
-def reflected(surface: material_conversion.MetallicSurface) -> tuple[np.ndarray, np.ndarray]:
+def reflected(surface: MetallicSurface) -> tuple[np.ndarray, np.ndarray]:
     """At normal incidence by glTF's text: from the lobe, and from below through what the lobe leaves."""
     m = np.asarray(surface.metallic, np.float64)[..., None]
     f0 = np.minimum(CORE_F0 * surface.specular_color.astype(np.float64), 1)
@@ -104,7 +105,7 @@ def _at(value: np.ndarray, column: int) -> np.ndarray:
 class _alike:  # reads as a word in a comparison  # noqa: N801 - reads as a word in a comparison
     """Equal to a surface of the same numbers; arrays have no equality of their own."""
 
-    def __init__(self, surface: material_conversion.MetallicSurface) -> None:
+    def __init__(self, surface: MetallicSurface) -> None:
         self.surface = surface
 
     def __eq__(self, other: object) -> bool:
