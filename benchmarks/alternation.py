@@ -18,11 +18,15 @@ from benchmarks.reflectance_task import asked_task
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene.srgb import srgb_slope, srgb_to_linear
 from hir_plugins.commands.bench.suites.reflectance_fits import DOWNSAMPLE, FITTED
-from hir_plugins.reflectance_renderers.transport_ggx.fit.final_albedo import DARKEST, with_solved_albedo
-from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Unknowns
-from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import Block, predict, refresh, specular_blocks
+from hir_plugins.reflectance_renderers.transport_ggx.fit.final_albedo import SRGB_SLOPE_FLOOR_LINEAR, solve_final_albedo
+from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
+from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import (
+    PixelBatch,
+    predict,
+    specular_matrices,
+)
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
-from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_radiance import SpecularBlock
+from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_radiance import SpecularMatrices
 from hir_plugins.reflectance_renderers.transport_ggx.solver import Fit, TransportSolver
 
 ROUNDS = (1, 3, 10)
@@ -43,7 +47,7 @@ def main() -> None:
     def row(name: str, fitted: Callable[[TransportSolver], Fit]) -> None:
         began = time.perf_counter()
         solver = renderer.prepare(task.start, task.train, DOWNSAMPLE)
-        found, _ = solver.scene(fitted(solver), every, lambda _: None)
+        found = solver.scene(fitted(solver), every, lambda _: None).scene
         task.row(name, time.perf_counter() - began, found)
 
     for effort in EFFORTS:
@@ -56,20 +60,22 @@ def _silent(share: float) -> None:
     """Progress that nobody watches."""
 
 
-def alternated(solver: TransportSolver, views: Sequence[int], rounds: int) -> Unknowns:
+def alternated(solver: TransportSolver, views: Sequence[int], rounds: int) -> Parameters:
     """Light, then albedos, so often, from what gradient steps begin with."""
     photographs = solver._photographs(views)
-    unknowns = solver._begin(FITTED, Fit(ModelSpec(), solver._begin(ModelSpec(), None, photographs)), photographs)
-    stream = solver._stream(photographs, FITTED)
-    blocks = [stream.make(unknowns, number) for number in range(stream.count)]
-    specular = specular_blocks(blocks, FITTED.brdf)
-    refresh(blocks, specular, unknowns)
+    parameters = solver._initial_parameters(
+        FITTED, Fit(ModelSpec(), solver._initial_parameters(ModelSpec(), None, photographs)), photographs
+    )
+    stream = solver._mini_batches(photographs, FITTED)
+    blocks = [stream.make(parameters, number) for number in range(stream.count)]
+    specular = specular_matrices(blocks, FITTED.brdf)
+    refresh_matrices(blocks, specular, parameters)
     for _ in range(rounds):
-        problem = LightProblem(solver._transport, blocks, specular, unknowns, FITTED.bounces)
-        unknowns = replace(unknowns, light=problem.solution().log())
-        found = with_solved_albedo(solver._transport, zip(blocks, specular, strict=True), unknowns, FITTED.bounces)
-        unknowns = replace(unknowns, diffuse=found.settled.diffuse)
-    return unknowns
+        problem = LightProblem(solver._transport, blocks, specular, parameters, FITTED.bounces)
+        parameters = replace(parameters, light=problem.solution().log())
+        found = solve_final_albedo(solver._transport, zip(blocks, specular, strict=True), parameters, FITTED.bounces)
+        parameters = replace(parameters, diffuse=found.with_closed_form_albedo.diffuse)
+    return parameters
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,17 +85,17 @@ class LightProblem:
     """
 
     transport: Transport
-    blocks: Sequence[Block]
-    specular: Sequence[SpecularBlock | None]
-    unknowns: Unknowns
+    blocks: Sequence[PixelBatch]
+    specular: Sequence[SpecularMatrices | None]
+    parameters: Parameters
     bounces: int
 
     def solution(self) -> Tensor:
         """Radiance (H, W, 3)."""
-        light = self.unknowns.radiance
+        light = self.parameters.radiance
         colors = [srgb_to_linear(block.color_srgb) for block in self.blocks]
         pairs = zip(colors, self.blocks, strict=True)
-        weights = [srgb_slope(c.clamp(DARKEST, 1)).square() * ~block.saturated for c, block in pairs]
+        weights = [srgb_slope(c.clamp(SRGB_SLOPE_FLOOR_LINEAR, 1)).square() * ~block.saturated for c, block in pairs]
         right = self._transposed([w * c for w, c in zip(weights, colors, strict=True)])
         ones = [w * shown for w, shown in zip(weights, self._shown(torch.ones_like(light)), strict=True)]
         smooth = SMOOTHNESS * self._transposed(ones).mean()
@@ -111,16 +117,16 @@ class LightProblem:
 
     def _shown(self, radiance: Tensor) -> list[Tensor]:
         """What each block shows under a light."""
-        lit = replace(self.unknowns, light=radiance.clamp_min(1e-20).log())
+        lit = replace(self.parameters, light=radiance.clamp_min(1e-20).log())
         with torch.no_grad():
             pairs = zip(self.blocks, self.specular, strict=True)
             return [predict(self.transport, block, matrices, lit, self.bounces) for block, matrices in pairs]
 
     def _transposed(self, rows: Sequence[Tensor]) -> Tensor:
-        radiance = torch.ones_like(self.unknowns.light, requires_grad=True)
+        radiance = torch.ones_like(self.parameters.light, requires_grad=True)
         total = torch.zeros_like(radiance)
         for block, matrices, values in zip(self.blocks, self.specular, rows, strict=True):
-            lit = replace(self.unknowns, light=radiance.log())
+            lit = replace(self.parameters, light=radiance.log())
             shown = predict(self.transport, block, matrices, lit, self.bounces)
             total = total + torch.autograd.grad(shown, radiance, values)[0]
         return total

@@ -27,7 +27,7 @@ from hir_core.capture import Array, Capture
 from hir_core.intake.reader_lookup import read_capture
 from hir_core.plugins.manager import PluginManager
 from hir_core.scene import Scene
-from hir_plugins.initializers.stereo.swept_photographs import Surface
+from hir_plugins.initializers.stereo.stereo_photographs import SweptSurface
 
 Mesh = tuple[Array, NDArray[np.int64]]
 
@@ -60,7 +60,7 @@ def figures(mesh: Mesh, truth: Mesh, test: Capture) -> Figures:
     radius = 0.5 * float(np.linalg.norm(np.ptp(truth[0], axis=0)))
     a = trimesh.Trimesh(*mesh, process=False).sample(100_000, seed=1)
     b = trimesh.Trimesh(*truth, process=False).sample(100_000, seed=2)
-    found, true = Surface(*mesh), Surface(*truth)
+    found, true = SweptSurface(*mesh), SweptSurface(*truth)
     filled = total = 0
     for camera in test.cameras[::2]:
         ours, theirs = (surface.inverse_depth(camera).astype(np.float64) for surface in (found, true))

@@ -26,8 +26,9 @@ from hir_core.capture import Camera
 from hir_core.evaluation.truth_evaluation import in_world
 from hir_core.metrics.light_metrics import compare_lights
 from hir_core.plugins.manager import PluginManager
-from hir_core.rendering.reference_renderer import light_of, open_for_rendering
-from hir_core.rendering.unlit import UnlitView
+from hir_core.rendering.light_files import load_light
+from hir_core.rendering.unlit_renderer import UnlitRenderer
+from hir_core.run.finished_run import open_finished_run
 from hir_core.run.run_directory import RunDirectory
 from hir_core.scene import Material, Scene
 
@@ -53,9 +54,9 @@ def main() -> None:
 
 def rows_of(folder: Path, plugins: PluginManager) -> list[list[Tile]]:
     """The tiles of one run: the fit, and below it what is known."""
-    run = open_for_rendering(RunDirectory(folder))
+    run = open_finished_run(RunDirectory(folder))
     path = run.capture_path
-    test = run.read(path, "test", plugins)
+    test = run.read_split(path, "test", plugins)
     camera, name = test.cameras[VIEW], test.views[VIEW].name
     pictures = folder / "evaluation" / "test"
     assert run.scene.environment is not None
@@ -65,12 +66,12 @@ def rows_of(folder: Path, plugins: PluginManager) -> list[list[Tile]]:
         (_unlit(run.scene, camera), "albedo"),
         *_lobe_tiles(run.scene, camera),
     ]
-    source = run.read(path, "train", plugins).environment
+    source = run.read_split(path, "train", plugins).environment
     if source is None:
         return [[*fit, (_toned(light, 1 / light.mean()), "light")]]
-    known = in_world(light_of(source, test.world_from_source))
+    known = in_world(load_light(source, test.world_from_source))
     bright = 0.5 / float(known.mean())
-    albedo = run.read(path, "albedo_test", plugins).views[VIEW].pixels()
+    albedo = run.read_split(path, "albedo_test", plugins).views[VIEW].pixels()
     assert albedo.mask is not None
     rendered = true_scene(path, test)
     truth = [
@@ -96,7 +97,7 @@ def _lobe_tiles(scene: Scene, camera: Camera) -> list[Tile]:
 
 
 def _unlit(scene: Scene, camera: Camera, linear: bool = False) -> Array:
-    found = UnlitView(scene).render(camera)
+    found = UnlitRenderer(scene).render(camera)
     color = found[..., :3] / np.maximum(found[..., 3:], 1e-6)
     return _over_paper(color, found[..., 3], linear)
 

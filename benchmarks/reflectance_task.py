@@ -11,7 +11,7 @@ from hir_core.config import ReflectanceSettings
 from hir_core.intake.reader_lookup import read_capture
 from hir_core.plugins.manager import PluginManager
 from hir_core.scene import Scene
-from hir_core.stages.reflectance.reflectance_fit import starting_scene
+from hir_core.stages.reflectance.initial_scene import initial_scene
 from hir_plugins.commands.bench.inputs.bench_captures import decoded, true_scene
 from hir_plugins.commands.bench.inputs.scene_judge import Judge
 from hir_plugins.commands.bench.suites.reflectance_fits import DOWNSAMPLE, FITTED
@@ -45,6 +45,6 @@ def asked_task(description: str | None) -> Task:
     scene = true_scene(path, train)
     if scene is None:
         raise SystemExit(f"{path} has no true mesh")
-    start = starting_scene(scene, train, ReflectanceSettings())
+    start = initial_scene(scene, train, ReflectanceSettings())
     print("| | seconds | unseen, object / frame | relit, frame, scaled |\n|---|---|---|---|")
     return Task(path, plugins, train, start, Judge(path, plugins, DOWNSAMPLE))

@@ -20,7 +20,7 @@ import torch
 
 from hir_core.capture import Capture
 from hir_core.capture.pixel_cache import PixelCache
-from hir_core.config import ReflectanceSettings
+from hir_core.config import GradientSettings
 from hir_core.intake.reader_lookup import read_capture
 from hir_core.optimization.weighted_energies import prepare_energies
 from hir_core.plugins.interfaces import PreparedReflectance
@@ -50,7 +50,7 @@ PIXELS = 40_000
 
 def study(
     run: Path,
-    settings: ReflectanceSettings,
+    settings: GradientSettings,
     options: TransportGGXOptions,
     downsample: int,
     names: list[str],
@@ -61,26 +61,26 @@ def study(
     fitted = load_stage_scene(run / "stages" / "4-reflectance" / "scene")
     solver = TransportGGX(options).prepare(fitted, capture, downsample)
     report = json.loads((run / "run.json").read_text())["stages"]["reflectance"]["report"]
-    if report["bounces"]:
-        solver._indirect = indirect_light(solver, fitted, report["bounces"])
+    indirect = indirect_light(solver, fitted, report["bounces"]) if report["bounces"] else None
+    prepared = TransportShading(solver._transport, capture, downsample, options, indirect)
     if specular_map:
         fitted = with_specular_map(fitted)
     pixels, train_part, test_part = (object_pixels(capture, v, downsample, "cpu") for v in (train, train, test))
-    model = "a specular map" if specular_map else report["rung"]
+    model = "a specular map" if specular_map else report["model"]
     print(
         f"\n{run.name}, {model}, {settings.iterations} steps of {settings.batch_pixels} pixels, rate "
         f"{settings.learning_rate}\n"
     )
     print("| terms | unseen dB | gain | train dB | mean ρd | seconds |\n|---|---|---|---|---|---|")
-    base = decibels(solver, fitted, test_part)
-    row("no gradient steps", base, base, decibels(solver, fitted, train_part), fitted, 0.0)
+    base = decibels(prepared, fitted, test_part)
+    row("no gradient steps", base, base, decibels(prepared, fitted, train_part), fitted, 0.0)
     context = StageContext(PluginManager.discover(), Path(), checkpoint_seconds=1e9)
     for name in names:
         began = time.process_time()
-        energies = prepare_energies(fitted, TERMS[name], context)
-        scene, _ = fit_by_gradient(fitted, solver, pixels, settings, energies, context, steps=settings.iterations)
+        energies = prepare_energies(fitted, TERMS[name], context.plugins)
+        scene, _ = fit_by_gradient(fitted, prepared, pixels, settings, energies, context, steps=settings.iterations)
         seconds = time.process_time() - began
-        row(name, decibels(solver, scene, test_part), base, decibels(solver, scene, train_part), scene, seconds)
+        row(name, decibels(prepared, scene, test_part), base, decibels(prepared, scene, train_part), scene, seconds)
 
 
 def indirect_light(solver: TransportSolver, scene: Scene, bounces: int) -> Indirect:
@@ -160,10 +160,10 @@ def main() -> None:
     parser.add_argument("--downsample", type=int, default=1)
     parser.add_argument("--terms", nargs="+", default=list(TERMS))
     given = parser.parse_args()
-    settings = ReflectanceSettings(
+    settings = GradientSettings(
         iterations=given.iterations, learning_rate=given.rate, learning_rate_end=0.05, batch_pixels=given.pixels
     )
-    options = TransportGGXOptions(cells=given.cells, vertices=given.vertices)
+    options = TransportGGXOptions(cache_cells=given.cells, vertices=given.vertices)
     for run in given.runs:
         study(run, settings, options, given.downsample, given.terms, given.specular_map)
 

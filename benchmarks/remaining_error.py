@@ -18,7 +18,7 @@ from torch.nn.functional import interpolate
 from benchmarks.reflectance_task import Task, asked_task
 from benchmarks.true_materials import true_scene
 from hir_core.plugins.interfaces import ReflectanceSolver
-from hir_core.rendering.reference_renderer import light_of
+from hir_core.rendering.light_files import load_light
 from hir_core.scene import EnvironmentMap, Scene
 from hir_plugins.commands.bench.suites.reflectance_fits import DOWNSAMPLE, FITTED
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import latlong, texel_directions
@@ -33,6 +33,7 @@ class Variant:
     options: dict[str, Any] = field(default_factory=dict)
     effort: float = 1.0
     normals: bool = False
+    known_light: bool = False
 
 
 def main() -> None:
@@ -53,16 +54,16 @@ def variants(task: Task) -> Iterator[Variant]:
     """The changes; all start from the same scene."""
     yield Variant("as it is")
     yield Variant("textures of twice the side", finer_textures)
-    yield Variant("a light of 128×256", lambda scene: lit_by(scene, finer(_light(scene).radiance)))
+    yield Variant("a light of 128×256", lambda scene: with_light(scene, finer(_light(scene).radiance)))
     yield Variant("32 directions of a lobe", options={"samples": 32, "texture_samples": 16})
-    yield Variant("24,000 cells", options={"cells": 24_000})
+    yield Variant("24,000 cells", options={"cache_cells": 24_000})
     yield Variant("a million pixels", options={"pixels": 1_000_000})
     yield Variant("four times the steps", effort=4.0)
     yield Variant("a normal map", normals=True)
     source = task.judge.captures["test"].environment
     if source is not None:
-        known = light_of(source, task.train.world_from_source)
-        yield Variant("the true light", lambda scene: lit_by(scene, seen_from(known, 64)), {"known_light": True})
+        known = load_light(source, task.train.world_from_source)
+        yield Variant("the true light", lambda scene: with_light(scene, seen_from(known, 64)), known_light=True)
 
 
 def fitted(task: Task, variant: Variant) -> Scene:
@@ -71,10 +72,11 @@ def fitted(task: Task, variant: Variant) -> Scene:
     solver = renderer.prepare(variant.change(task.start), task.train, DOWNSAMPLE)
     assert isinstance(solver, ReflectanceSolver)
     every = range(len(task.train.views))
-    fit = solver.fit(FITTED, None, every, variant.effort, lambda _: None)
+    spec = replace(FITTED, light_is_known=variant.known_light)
+    fit = solver.fit(spec, None, every, variant.effort, lambda _: None)
     if variant.normals:
-        fit = solver.fit(replace(FITTED, normals="map"), fit, every, variant.effort, lambda _: None)
-    return solver.scene(fit, every, lambda _: None)[0]
+        fit = solver.fit(replace(spec, normals="map"), fit, every, variant.effort, lambda _: None)
+    return solver.scene(fit, every, lambda _: None).scene
 
 
 def finer_textures(scene: Scene) -> Scene:
@@ -88,7 +90,7 @@ def finer(image: Tensor) -> Tensor:
     return interpolate(image.permute(2, 0, 1)[None], scale_factor=2)[0].permute(1, 2, 0).contiguous()
 
 
-def lit_by(scene: Scene, radiance: Tensor) -> Scene:
+def with_light(scene: Scene, radiance: Tensor) -> Scene:
     """The same under another light in the world's axes."""
     return replace(scene, environment=replace(_light(scene), radiance=radiance))
 

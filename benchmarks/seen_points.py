@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from hir_core.capture import Camera
 from hir_core.intake.reader_lookup import read_capture
-from hir_core.mesh.ray_casting import SurfaceRays
+from hir_core.mesh.ray_casting import MeshQueries
 from hir_core.plugins.manager import PluginManager
 
 Array = NDArray[np.floating]
@@ -56,7 +56,7 @@ def seen_points(capture: Path, run: Path, plugins: PluginManager, seed: int = 0)
     """Some points of each test view, drawn with `seed`."""
     train, test = (read_capture(capture, split, plugins) for split in ("train", "test"))
     mesh = load_scene(run / "scene").mesh
-    rays, size = SurfaceRays(mesh.positions, mesh.faces), float(np.ptp(mesh.positions, axis=0).max())
+    rays, size = MeshQueries(mesh.positions, mesh.faces), float(np.ptp(mesh.positions, axis=0).max())
     photographs = [view.pixels() for view in train.views]
     random = np.random.default_rng(seed)
     parts = []
@@ -79,7 +79,7 @@ def seen_points(capture: Path, run: Path, plugins: PluginManager, seed: int = 0)
 
 
 def on_mesh(
-    camera: Camera, rows: NDArray[np.intp], columns: NDArray[np.intp], mesh: AssetMesh, rays: SurfaceRays
+    camera: Camera, rows: NDArray[np.intp], columns: NDArray[np.intp], mesh: AssetMesh, rays: MeshQueries
 ) -> tuple[NDArray[np.bool_], Array, Array, Array, Array]:
     """Which of P pixels show the mesh (P,); of those that do: the ray's direction, the point, its normal interpolated
     and its triangle's, each (N, 3).
@@ -96,7 +96,7 @@ def on_mesh(
 
 
 def photographed(
-    points: Array, above: Array, flat: Array, camera: Camera, color: Array, mask: Array | None, rays: SurfaceRays
+    points: Array, above: Array, flat: Array, camera: Camera, color: Array, mask: Array | None, rays: MeshQueries
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Colours (N, 3) of points in one photograph, directions to it, and whether it shows them."""
     toward = camera.center - points

@@ -23,7 +23,7 @@ from skimage.registration import optical_flow_ilk
 
 from benchmarks.seen_points import INSIDE, OFFSET, on_mesh, photographed
 from hir_core.intake.reader_lookup import read_capture
-from hir_core.mesh.ray_casting import SurfaceRays
+from hir_core.mesh.ray_casting import MeshQueries
 from hir_core.plugins.manager import PluginManager
 
 Array = NDArray[np.floating]
@@ -42,7 +42,7 @@ def main() -> None:
     plugins = PluginManager.discover()
     train, test = (read_capture(capture, split, plugins) for split in ("train", "test"))
     mesh = load_scene(run / "scene").mesh
-    rays, size = SurfaceRays(mesh.positions, mesh.faces), float(np.ptp(mesh.positions, axis=0).max())
+    rays, size = MeshQueries(mesh.positions, mesh.faces), float(np.ptp(mesh.positions, axis=0).max())
     photographs = [view.pixels() for view in train.views]
     centers = np.stack([camera.center for camera in train.cameras])
     errors: list[Array] = []

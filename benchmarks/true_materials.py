@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from benchmarks.experiments.cells import ROOT
 from hir_core.capture import Array, Capture
 from hir_core.evaluation.truth_evaluation import TRUE_MESH
-from hir_core.rendering.reference_renderer import light_of
+from hir_core.rendering.light_files import load_light
 from hir_core.scene import Material, Mesh, Scene, Topology
 
 MODELS = Path(os.environ.get("HIR_SHARED", ROOT.parent / "shared")) / "models"
@@ -26,7 +26,7 @@ def true_scene(path: Path, capture: Capture) -> Scene:
     """The rendered scene in the world of `capture`, under the light of its split."""
     material = avocado() if path.name == "avocado" else spot()
     assert capture.environment is not None
-    light = light_of(capture.environment, capture.world_from_source)
+    light = load_light(capture.environment, capture.world_from_source)
     return Scene(textured_mesh(path, capture.world_from_source), material, light)
 
 

@@ -26,7 +26,7 @@ MOST_DEPTH = 32
 class GeometrySettings:
     """How the mesh is fitted to the masks."""
 
-    renderer: str = "contour"
+    renderer: str = ""
     """Geometry renderer."""
     regularizers: dict[str, dict[str, Any] | Literal[False]] = field(default_factory=dict)
     """Weight and options of each term, `false` to leave one out."""
@@ -80,60 +80,79 @@ class AtlasSettings:
 
 
 ModelName: TypeAlias = Literal[
-    "auto", "diffuse", "specular", "specular_map", "roughness_map", "normal_map", "texel_lobes"
+    "auto", "diffuse", "specular", "specular_map", "roughness_map", "normal_map", "per_texel_brdf"
 ]
-"""How much of the model is fitted: a rung of the ladder, or `auto`."""
+"""The reflectance model that is fitted; `auto` selects it on held-out views."""
 
 
 @dataclass(frozen=True)
-class ReflectanceSettings:
-    """How material and light are fitted."""
+class GradientSettings:
+    """Gradient steps on textures and light: `reflectance.method = "gradient"`, and regularizers after a solver."""
 
-    renderer: str = "transport_ggx"
-    """Reflectance renderer of the fit."""
-    method: Literal["solver", "gradient"] = "solver"
-    """The renderer's own solver where it has one, or gradient steps on textures and light through any renderer."""
-    model: ModelName = "auto"
-    """`auto` lets held-out views decide; any other is fitted without a vote."""
-    brdf: Literal["auto", "paper", "dielectric"] = "auto"
-    regularizers: dict[str, dict[str, Any] | Literal[False]] = field(default_factory=dict)
-    """Weight and options of each term, `false` to leave one out."""
-    downsample: int = 1
     iterations: int = 300
+    """Steps. After a solver they run only where `reflectance.regularizers` names a term."""
     iterations_per_view: int = 0
     """When set, replaces `iterations` by this many for each view (the paper: 400)."""
     learning_rate: float = 0.02
     learning_rate_end: float = 1.0
     """Factor by which the rate has fallen at the end (cosine)."""
     batch: Literal["pixels", "views"] = "pixels"
-    """A step sees random pixels of all views, or one whole view."""
+    """Pixels of a step: random ones of all views, or one whole view."""
     batch_pixels: int = 16384
     rgb_weight: float = 1.0
     """Weight of the photometric term."""
     loss_space: Literal["linear", "srgb"] = "srgb"
-    """Space in which gradient steps compare fit and photograph; a solver has its own (transport_ggx: sRGB)."""
+    """Space in which fit and photograph are compared."""
+    initial_diffuse_albedo: float = 0.5
+    """Of every texel, with `reflectance.method = "gradient"`."""
+
+
+@dataclass(frozen=True)
+class PathTracingSettings:
+    """Path-traced refinement after the renderer's solver, accepted only where held-out views gain."""
+
+    renderer: str = ""
+    """Reflectance renderer of the refinement."""
+    refine_albedo: bool = True
+    """Solve the diffuse albedo once more, in closed form, under path-traced radiance."""
+    iterations: int = 0
+    """Gradient steps through the path tracer; 0 for none."""
+    learning_rate: float = 0.003
+    """Of these steps; it falls to a tenth."""
+
+
+@dataclass(frozen=True)
+class ReflectanceSettings:
+    """How material and light are fitted."""
+
+    renderer: str = ""
+    """Reflectance renderer of the fit."""
+    method: Literal["auto", "solver", "gradient"] = "auto"
+    """`solver`: the renderer's own solver. `gradient`: gradient steps through any renderer. `auto`: the solver where
+    the renderer has one."""
+    model: ModelName = "auto"
+    """`auto` selects the model on held-out views; any other is fitted without a comparison."""
+    brdf: Literal["auto", "paper", "dielectric"] = "auto"
+    regularizers: dict[str, dict[str, Any] | Literal[False]] = field(default_factory=dict)
+    """Weight and options of each term, `false` to leave one out."""
+    downsample: int = 1
+    """Photographs are used at 1/`downsample` of their resolution."""
     environment_height: int = 64
     """Rows of the light's lat-long image; it has twice (paper: four times) as many columns."""
     environment_width: int = 128
-    environment_start: float = 0.5
-    """Radiance of every texel at first."""
-    roughness_start: float = 0.07
-    diffuse_start: float = 0.5
-    specular_start: float = 0.04
+    initial_radiance: float = 0.5
+    """Of every texel of the light."""
+    initial_roughness: float = 0.07
+    """GGX width α."""
+    initial_specular_albedo: float = 0.04
     light_frame: Literal["auto", "world", "camera"] = "auto"
-    """Whether the light stands in the world or is carried by the camera (turntable, flash)."""
+    """Whether the light is fixed in the world or moves with the camera (turntable, flash)."""
     conserve_energy: bool = True
-    """No texel gives back more light than it gets: ρd + ρs ≤ 1 in the `paper` model, each ≤ 1 in `dielectric`."""
-    settle: bool = True
-    """End with the albedo solved once more for what `polish_renderer` shows of it; kept where held-out views gain."""
-    polish_iterations: int = 0
-    """Steps of path tracing that end the stage, kept where held-out views gain; 0 for none."""
-    polish_renderer: str = "mitsuba_ggx"
-    """Renderer of these steps, and of `settle`."""
-    polish_rate: float = 0.003
-    """Learning rate of these steps, falling to a tenth."""
+    """No texel reflects more light than it receives: ρd + ρs ≤ 1 in the `paper` model, each ≤ 1 in `dielectric`."""
     known_environment: str = ""
     """A lat-long file that is the light, in the capture's axes, `FILE` or `FILE*STRENGTH`; it is then not fitted."""
+    gradient: GradientSettings = field(default_factory=GradientSettings)
+    path_tracing: PathTracingSettings = field(default_factory=PathTracingSettings)
     enabled: bool = True
 
 
@@ -160,7 +179,7 @@ class RunConfig:
     geometry: GeometrySettings = field(default_factory=GeometrySettings)
     atlas: AtlasSettings = field(default_factory=AtlasSettings)
     reflectance: ReflectanceSettings = field(default_factory=ReflectanceSettings)
-    export: tuple[str, ...] = ("glb", "usdz", "usda", "hdr", "exr")
+    export: tuple[str, ...] = ()
     """Formats written at the end of a run."""
     device: str = "auto"
     """`cpu`, `cuda`, or `auto`: cuda where there is one."""
@@ -200,6 +219,8 @@ def load_config(
     for layer in (from_file, assigned, {k: v for k, v in overrides.items() if v is not None}):
         settings = merge(settings, layer)
     settings["preset"] = preset
+    if "export" not in settings:
+        raise ConfigError(f"the preset {preset!r} does not set export; set it to a list of formats, [] for none")
     config = build_options(RunConfig, settings, "settings")
     for name in config.plugins:
         plugins.register_named(name)
@@ -277,10 +298,25 @@ def _check_components(config: RunConfig, plugins: PluginManager) -> None:
                 build_options(
                     found.component.config, {k: v for k, v in options.items() if k != "weight"}, f"regularizer {name!r}"
                 )
-    plugins.find("geometry_renderer", config.geometry.renderer)
-    plugins.find("reflectance_renderer", config.reflectance.renderer)
-    plugins.find("reflectance_renderer", config.reflectance.polish_renderer)
+    _check_renderers(config, plugins)
     chains = (("initializer", config.initializers), ("mask_source", config.masks), ("exporter", config.export))
     for kind, names in chains:
         for name in () if names == "auto" else names:
             plugins.find(kind, name)
+
+
+def _check_renderers(config: RunConfig, plugins: PluginManager) -> None:
+    """The renderers that a run needs are set and exist."""
+    reflectance, tracing = config.reflectance, config.reflectance.path_tracing
+    traced = reflectance.enabled and reflectance.method != "gradient"
+    traced = traced and bool(tracing.refine_albedo or tracing.iterations)
+    for kind, setting, name, needed in (
+        ("geometry_renderer", "geometry.renderer", config.geometry.renderer, config.geometry.enabled),
+        ("reflectance_renderer", "reflectance.renderer", reflectance.renderer, reflectance.enabled),
+        ("reflectance_renderer", "reflectance.path_tracing.renderer", tracing.renderer, traced),
+    ):
+        if name:
+            plugins.find(kind, name)
+        elif needed:
+            names = ", ".join(registered.component.name for registered in plugins.components(kind))
+            raise ConfigError(f"the preset {config.preset!r} does not set {setting}; set it to one of: {names}")

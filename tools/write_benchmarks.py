@@ -64,7 +64,7 @@ def run_figures(run: Path) -> dict[str, Any]:
         "threads": timings["machine"].get("threads"),
         "processor": timings["machine"]["processor"],
         "date": timings["finished"][:10],
-        "rung": document["stages"]["reflectance"]["report"].get("rung"),
+        "model": document["stages"]["reflectance"]["report"].get("model"),
         "metrics": {split: {k: m[k] for k in stored_metrics if k in m} for split, m in document["metrics"].items()},
     }
 
@@ -100,7 +100,7 @@ def stages_table(runs: list[dict[str, Any]]) -> str:
     for run in runs:
         cells = [f"{run['stages'].get(name, 0.0):.1f} s" for name in order]
         memory = f"{run['peak_memory_bytes'] / 2**30:.1f} GiB"
-        lines.append(f"| {run['capture']} | " + " | ".join([*cells, memory, str(run["rung"])]) + " |")
+        lines.append(f"| {run['capture']} | " + " | ".join([*cells, memory, str(run["model"])]) + " |")
     return "\n".join(lines)
 
 

@@ -191,21 +191,21 @@ def _events(process: subprocess.Popen[str], events: list[Event]) -> Iterator[Eve
 
 def _fill(shelf: Sequence[Path]) -> None:
     from hir_plugins.commands.batch.storage import object_store
-    from hir_plugins.commands.batch.storage.object_store import Place
+    from hir_plugins.commands.batch.storage.storage_path import StoragePath
 
-    filesystem, _ = Place("s3://shelf").opened()
+    filesystem, _ = StoragePath("s3://shelf").open()
     for bucket in ("shelf", "results"):
         filesystem.mkdir(bucket)
     for capture in shelf:
         files = {file.relative_to(capture).as_posix(): file for file in capture.rglob("*") if file.is_file()}
-        object_store.upload(files, Place("s3://shelf") / capture.name)
+        object_store.upload(files, StoragePath("s3://shelf") / capture.name)
 
 
 def _fetch(name: str) -> bytes:
     from hir_plugins.commands.batch.storage import object_store
-    from hir_plugins.commands.batch.storage.object_store import Place
+    from hir_plugins.commands.batch.storage.storage_path import StoragePath
 
-    content = object_store.read(Place("s3://results") / name)
+    content = object_store.read(StoragePath("s3://results") / name)
     assert content is not None, name
     return content
 
@@ -215,11 +215,11 @@ def _compare(shelf: Sequence[Path], folder: Path, story: Story) -> None:
     from benchmarks.batch.shelf import SETTINGS
     from hir_core.pipeline import reconstruct
     from hir_plugins.commands.batch.storage import object_store
-    from hir_plugins.commands.batch.storage.object_store import Place
+    from hir_plugins.commands.batch.storage.storage_path import StoragePath
 
     for capture in shelf:
-        result = Place("s3://results/tonight") / capture.name
-        listed = object_store.files(result)
+        result = StoragePath("s3://results/tonight") / capture.name
+        listed = object_store.list_files(result)
         single = reconstruct(capture, folder / "single" / capture.name, assignments=SETTINGS, deterministic=True)
         same = bool(listed) and all(
             object_store.read(result / name) == (single.path / name).read_bytes()

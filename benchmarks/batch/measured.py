@@ -22,7 +22,8 @@ from typing import Any
 
 from benchmarks.batch.model import Fleet, Load, Overhead, play
 from benchmarks.batch.shelf import WORDS, small_captures
-from hir_plugins.commands.batch.stage_groups import GROUPS, build_requests
+from hir_plugins.commands.batch.resource_requests import build_requests
+from hir_plugins.commands.batch.stage_groups import STAGE_GROUPS
 
 HIR = [sys.executable, "-m", "hir_core.cli"]
 
@@ -79,7 +80,7 @@ def run_batch(captures: Sequence[Path], out: Path, cores: int) -> Measured:
                 clock[seen[-1]["event"]] = (seen[-1]["time"], times.user + times.system)
     assert process.returncode == 0, process.returncode
     first, last = clock["batch_started"], clock["capture_finished"]
-    fresh: dict[str, set[str]] = {group.name: set() for group in GROUPS}
+    fresh: dict[str, set[str]] = {group.name: set() for group in STAGE_GROUPS}
     workers = set()
     for event in seen:
         if event["event"] == "group_started" and event["pid"] not in workers:
@@ -106,21 +107,21 @@ def on(cores: int) -> list[str]:
 
 def calibrate(measured: Measured) -> tuple[Load, Overhead]:
     """Seconds of the groups, of a worker's start and of what lies between, from one batch."""
-    warm: dict[str, list[float]] = {group.name: [] for group in GROUPS}
+    warm: dict[str, list[float]] = {group.name: [] for group in STAGE_GROUPS}
     between, start = [], []
-    for group in GROUPS:
+    for group in STAGE_GROUPS:
         for name, entry in measured.entries.items():
             seconds = entry["seconds"][group.name]
             inside = sum(value for key, value in seconds.items() if key != "wall")
             if name not in measured.fresh[group.name]:
                 warm[group.name].append(inside)
                 between.append(seconds["wall"] - inside)
-    for group in GROUPS:
+    for group in STAGE_GROUPS:
         for name in measured.fresh[group.name]:
             usual = median(warm[group.name] or [0.0]) + median(between)
             start.append(measured.entries[name]["seconds"][group.name]["wall"] - usual)
-    tasks = len(GROUPS) * len(measured.entries)
-    load = Load(tuple(mean(warm[group.name]) for group in GROUPS), spread=0.0)
+    tasks = len(STAGE_GROUPS) * len(measured.entries)
+    load = Load(tuple(mean(warm[group.name]) for group in STAGE_GROUPS), spread=0.0)
     return load, Overhead(worker_start=mean(start), task=median(between), handling=measured.driver / tasks)
 
 

@@ -18,8 +18,10 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from hir_plugins.commands.batch.retries import Patience
-from hir_plugins.commands.batch.stage_groups import GROUPS, Requests, build_requests, window
+from hir_plugins.commands.batch.cluster_capacity import max_captures_in_progress
+from hir_plugins.commands.batch.resource_requests import ResourceRequests, build_requests
+from hir_plugins.commands.batch.retries import RetryPolicy
+from hir_plugins.commands.batch.stage_groups import STAGE_GROUPS
 
 GIB = 2.0**30
 
@@ -89,22 +91,22 @@ def play(
     captures: int,
     load: Load,
     fleet: Fleet,
-    requests: Requests,
+    requests: ResourceRequests,
     overhead: Overhead = Overhead(),
     seed: int = 0,
     listed: int = 0,
 ) -> Played:
     """Plays a batch through; `listed` captures are in the manifest, by default those that are played."""
     chance = random.Random(seed)
-    asked = [requests.of(group) for group in GROUPS]
+    asked = [requests.of(group) for group in STAGE_GROUPS]
     needs = [{name: amount for name, amount in request.resources().items() if amount > 0} for request in asked]
     free = {name: sum(node[name] for node in fleet.resources) for name in ("CPU", "GPU", "memory")}
     total = dict(free)
-    room = window(fleet.resources, requests)
+    room = max_captures_in_progress(fleet.resources, requests)
     unopened = room  # workers that have not begun yet
-    patience = Patience(3, first_seconds=2.0, factor=4.0)
+    patience = RetryPolicy(3, initial_wait_s=2.0, factor=4.0)
     played = Played(busy={"CPU": 0.0, "GPU": 0.0})
-    waiting: list[deque[float]] = [deque() for _ in GROUPS]
+    waiting: list[deque[float]] = [deque() for _ in STAGE_GROUPS]
     """Speeds of the captures that wait for their next group."""
     events: list[tuple[float, int, str, int, float]] = []  # time, order, what, group, speed
     driver_free = manifest_due = now = 0.0
@@ -136,7 +138,7 @@ def play(
     def hand_out(time: float) -> None:
         """Whatever fits, the furthest first; as in Ray, a task that waits for a GPU is in no other's way."""
         nonlocal begun
-        for group in reversed(range(len(GROUPS))):
+        for group in reversed(range(len(STAGE_GROUPS))):
             while waiting[group] and all(free[k] + 1e-9 >= v for k, v in needs[group].items()):
                 start(time, group, waiting[group].popleft())
         while begun < captures and running + sum(map(len, waiting)) < room:
@@ -168,8 +170,8 @@ def play(
         driver_free = handled
         if what == "lost":
             played.lost += 1
-            later(handled + patience.delay(1), "again", group, factor)
-        elif group + 1 < len(GROUPS):
+            later(handled + policy.wait_s(1), "again", group, factor)
+        elif group + 1 < len(STAGE_GROUPS):
             waiting[group + 1].append(factor)
         else:
             done += 1

@@ -99,7 +99,7 @@ def facts(folder: Path) -> dict[str, Any]:
         "seconds": sum(stage["seconds"] for stage in stages.values()),
         "processor_seconds": sum(stage["processor_seconds"] for stage in stages.values()),
         "peak_memory_bytes": max(stage["peak_memory_bytes"] for stage in stages.values()),
-        "rung": run["stages"]["reflectance"]["report"].get("rung"),
+        "model": run["stages"]["reflectance"]["report"].get("model"),
         "triangles": run["stages"]["bake"]["report"].get("triangles"),
         "machine": timings["machine"],
         "versions": run["versions"],

@@ -91,7 +91,7 @@ def cells_of(result: Result | None) -> list[str]:
         number(surface.get("normal_error_deg"), 1, "°"),
         f"{number(albedo.get('psnr'), 1)} ({number(albedo.get('psnr_scaled'), 1)})" if albedo else "–",
         f"{result['seconds']:.0f}",
-        str(result["rung"]),
+        str(result["model"]),
     ]
 
 

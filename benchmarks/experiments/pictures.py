@@ -17,7 +17,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from benchmarks.experiments.cells import ROOT
 from hir_core.plugins.manager import PluginManager
-from hir_core.rendering.asset_edit import Edit, edited, portrait
+from hir_core.rendering.asset_edit import AssetEdit, apply_edit, render_asset
 
 IMAGES = ROOT / "docs" / "images"
 SIDE = 320
@@ -34,16 +34,16 @@ def main() -> None:
     options = parser.parse_args()
     lights = Path(os.environ.get("HIR_SHARED", ROOT.parent / "shared")) / "envmaps"
     edits = {
-        "as fitted": Edit(),
-        "roughness x 2.2": Edit(roughness=2.2),
-        "roughness x 0.35": Edit(roughness=0.35),
-        "albedo x 1 0.45 0.4": Edit(tint=(1.0, 0.45, 0.4)),
-        "in a studio": Edit(light=f"{lights / 'studio.hdr'}*0.3"),
-        "at sunrise": Edit(light=f"{lights / 'sunrise.hdr'}*0.6"),
+        "as fitted": AssetEdit(),
+        "roughness x 2.2": AssetEdit(roughness=2.2),
+        "roughness x 0.35": AssetEdit(roughness=0.35),
+        "albedo x 1 0.45 0.4": AssetEdit(tint=(1.0, 0.45, 0.4)),
+        "in a studio": AssetEdit(light=f"{lights / 'studio.hdr'}*0.3"),
+        "at sunrise": AssetEdit(light=f"{lights / 'sunrise.hdr'}*0.6"),
     }
     plugins = PluginManager.discover()
     asset = load_scene(options.run / "scene")
-    tiles = {name: on_paper(portrait(edited(asset, edit), plugins, SIDE, TURN_DEG)) for name, edit in edits.items()}
+    tiles = {name: on_paper(render_asset(apply_edit(asset, edit), plugins, SIDE, TURN_DEG)) for name, edit in edits.items()}
     sheet([list(tiles.values())], [list(tiles)], IMAGES / "experiments_edit.jpg")
     rows, captions = [], []
     for split, light in (("relight_0", "city"), ("relight_1", "studio")):

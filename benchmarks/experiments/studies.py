@@ -11,7 +11,7 @@ LIGHTER = (
     "geometry.iterations=150",
     "geometry.photograph_iterations=50",
     "reflectance_renderer.transport_ggx.steps=100",
-    "reflectance_renderer.transport_ggx.cells=3000",
+    "reflectance_renderer.transport_ggx.cache_cells=3000",
     "reflectance_renderer.transport_ggx.vertices=15000",
     "reflectance_renderer.transport_ggx.pixels=40000",
     "reflectance_renderer.transport_ggx.texture_pixels=400000",
@@ -68,7 +68,7 @@ TERMS = Study(
         ),
         (
             "albedo begun from the photographs, shading included",
-            studied("albedo_start", "reflectance_renderer.transport_ggx.start='photographs'"),
+            studied("albedo_start", "reflectance_renderer.transport_ggx.initial_albedo='photographs'"),
         ),
         ("diffuse alone: no lobe", studied("diffuse", "reflectance.model='diffuse'")),
         ("a specular map", studied("specular_map", "reflectance.model='specular_map'")),
@@ -115,8 +115,8 @@ PAPER_STEPS = Cell(
     (
         "geometry.iterations_per_view=0",
         "geometry.iterations=4",
-        "reflectance.iterations_per_view=0",
-        "reflectance.iterations=12",
+        "reflectance.gradient.iterations_per_view=0",
+        "reflectance.gradient.iterations=12",
     ),
     (),
 )

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,10 @@ if TYPE_CHECKING:
     Energy: TypeAlias = Callable[[Scene], Float[Tensor, ""]]
 
 
+FitT = TypeVar("FitT")
+RefinementT = TypeVar("RefinementT")
+
+
 class CaptureReader(ABC):
     """Reads one format of capture and converts its axes to ours."""
 
@@ -33,7 +38,7 @@ class CaptureReader(ABC):
 
     @abstractmethod
     def splits(self, path: Path) -> list[str]:
-        """Names of the splits that the capture holds; a format without splits has only "train"."""
+        """Names of the capture's splits; a format without splits has only "train"."""
 
     @abstractmethod
     def read(self, path: Path, split: str = "train") -> Capture:
@@ -45,10 +50,10 @@ class MaskSource(ABC):
 
     @abstractmethod
     def masks(self, capture: Capture, scene: Scene | None) -> list[NDArray[np.float32] | None]:
-        """One soft mask (H W, 0…1) for each view, None where it has none to offer."""
+        """One soft mask (H, W) in 0…1 for each view; None for a view without one."""
 
     def files(self, capture: Capture) -> Sequence[Path]:
-        """Files beyond the photographs that masks come from; asked where the trait `reads_files` is declared."""
+        """Files beyond the photographs that masks come from; called where the trait `reads_files` is declared."""
         return ()
 
 
@@ -57,14 +62,14 @@ class Initializer(ABC):
 
     @abstractmethod
     def initialize(self, capture: Capture, scene: Scene | None, workspace: Path) -> tuple[Capture, Scene | None]:
-        """What it was given, with what it found; `workspace` is a folder of its own that survives a resume."""
+        """Both with what this initializer adds; `workspace` is a folder of its own that survives a resume."""
 
     def files(self, capture: Capture) -> Sequence[Path]:
-        """Files beyond the photographs that it reads; asked where the trait `reads_files` is declared."""
+        """Files beyond the photographs that it reads; called where the trait `reads_files` is declared."""
         return ()
 
     def report(self) -> Mapping[str, Any]:
-        """What run.json should say of the last `initialize`: which method ran, what it found; JSON, reproducible."""
+        """Entries for run.json about the last `initialize`: method, results; JSON-compatible and reproducible."""
         return {}
 
 
@@ -84,12 +89,12 @@ class GeometryRenderer(ABC):
         """For each target: area of the silhouette and of its intersection with the mask, in pixels; differentiable."""
 
     def memory(self, size: CaptureSize, views_per_step: int) -> int:
-        """Bytes that the targets of a capture and a step of some views take, about; by default masks in float32."""
+        """Estimate in bytes of a capture's targets and a step of some views; by default masks in float32."""
         return 4 * size.pixels + 40 * views_per_step * size.width * size.height
 
 
 class PreparedReflectance(ABC):
-    """A scene's fixed geometry and a capture's cameras, with all that can be computed once."""
+    """A scene's fixed geometry and a capture's cameras, with everything that is computed once."""
 
     @abstractmethod
     def radiance(
@@ -98,42 +103,75 @@ class PreparedReflectance(ABC):
         """Linear radiance through pixels (view, x, y), differentiable in what the renderer's traits name."""
 
 
-class ReflectanceSolver(PreparedReflectance):
+@dataclass(frozen=True)
+class CheckpointLocation:
+    """Where one fit stores its result, and its state while it runs."""
+
+    stem: Path
+    """Path without suffix, unique to this fit; the solver appends suffixes of its own."""
+    seconds: float
+    """Interval at which the state should be stored."""
+
+    def part(self, name: str) -> CheckpointLocation:
+        """The checkpoint of a fit that this fit runs first."""
+        return replace(self, stem=self.stem.with_name(f"{self.stem.name}_{name}"))
+
+
+@dataclass(frozen=True, eq=False)
+class Solved(Generic[RefinementT]):
+    """The scene of a fit, and what the steps after the fit need."""
+
+    scene: Scene
+    prepared: PreparedReflectance
+    """Shades `scene` with all that the fit modelled, its indirect light included, for gradient steps."""
+    refinement: RefinementT
+    """What `ReflectanceSolver.refine` needs; opaque to the core."""
+    report: Mapping[str, Any]
+    """JSON-compatible figures for run.json, where they stand under `solver`."""
+
+
+class ReflectanceSolver(PreparedReflectance, Generic[FitT, RefinementT]):
     """A prepared renderer that also fits by a method of its own, which knows more than gradients of `radiance`.
 
-    The core climbs the ladder of models with it; a fit is opaque to the core.
+    The core selects the model with it. `FitT` and `RefinementT` are opaque to the core. A result depends on the
+    arguments of its call alone, never on which call came before; a solver may cache what it would compute again.
     """
-
-    def keep(self, folder: Path, seconds: float) -> None:
-        """Told before the first fit: where, and how often, fits may keep their state, so that a resume repeats none.
-
-        The core asks for the same fits in the same order again; without this they are computed again.
-        """
 
     @abstractmethod
     def fit(
-        self, spec: ModelSpec, start: Any, views: Sequence[int], effort: float, report: Callable[[float], None]
-    ) -> Any:
-        """Fits light and material of a rung to some views, from an earlier fit or None; `effort` 1 is a full fit,
-        0 (for rungs that give texels values of their own) leaves the earlier fit as it is.
+        self,
+        spec: ModelSpec,
+        initial: FitT | None,
+        views: Sequence[int],
+        effort: float,
+        report: Callable[[float], None],
+        checkpoint: CheckpointLocation | None = None,
+    ) -> FitT:
+        """Fits light and material of a model to some views, from an earlier fit or from the prepared scene.
 
-        `report` is told the share that is done, 0…1. The result never depends on views that are not named.
+        `effort` 1 is a full fit; 0 (for models with `per_texel` values) leaves the parameters at vertices as they are.
+        `report` receives the share that is done, 0…1. With a `checkpoint` a finished fit is read again instead of
+        computed, and an interrupted one continues from its last state. The result does not depend on other views.
         """
 
     @abstractmethod
-    def errors(self, fit: Any, views: Sequence[int]) -> NDArray[np.float64]:
+    def errors(self, fit: FitT, views: Sequence[int]) -> NDArray[np.float64]:
         """Mean squared sRGB error over object pixels of each view."""
 
     @abstractmethod
-    def scene(self, fit: Any, views: Sequence[int], report: Callable[[float], None]) -> tuple[Scene, dict[str, Any]]:
+    def scene(self, fit: FitT, views: Sequence[int], report: Callable[[float], None]) -> Solved[RefinementT]:
         """The scene of a fit with textures at full resolution, solved from the pixels of `views`."""
 
-    def settle(
-        self, scene: Scene, traced: PreparedReflectance | None, views: Sequence[int], report: Callable[[float], None]
-    ) -> Scene | None:
-        """The last `scene` that was made with its albedo solved once more, so that what `traced`, a reference renderer,
-        shows of it comes nearest to the pixels of `views`; without one, what this solver shows of it. `report` is told
-        the share done. None where a solver cannot, as by default.
+    def refine(
+        self,
+        solved: Solved[RefinementT],
+        traced: PreparedReflectance | None,
+        views: Sequence[int],
+        report: Callable[[float], None],
+    ) -> Solved[RefinementT] | None:
+        """The scene with its diffuse albedo solved again, so that the radiance of `traced`, a reference renderer, comes
+        nearest to the pixels of `views`; without `traced`, the radiance of this solver. None where a solver cannot, as
+        by default.
         """
         return None
 
@@ -150,11 +188,11 @@ class ReflectanceRenderer(ABC):
         """Linear premultiplied colour and antialiased coverage."""
 
     def memory(self, size: CaptureSize) -> int:
-        """Bytes that a fit to a capture takes, about; by default the float32 colours and places of all pixels."""
+        """Estimate in bytes of a fit to a capture; by default the float32 colours and positions of all pixels."""
         return 40 * size.pixels
 
     def smaller(self) -> Mapping[str, Any]:
-        """Options under which a fit takes less memory; empty where there are none."""
+        """Options with which a fit takes less memory; empty where there are none."""
         return {}
 
 

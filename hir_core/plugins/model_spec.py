@@ -3,38 +3,37 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
-
-if TYPE_CHECKING:
-    pass
+from typing import Literal
 
 
 @dataclass(frozen=True)
 class ModelSpec:
-    """One model of the ladder."""
+    """The terms of a reflectance model: its BRDF, which parameters vary over the surface, and the kind of light."""
 
     brdf: Literal["diffuse", "paper", "dielectric"] = "diffuse"
     specular: Literal["none", "uniform", "map"] = "none"
     roughness: Literal["uniform", "map"] = "uniform"
     colored: bool = False
-    """Is ρs a colour, as metals need, or one number?"""
+    """Is the specular albedo ρs an RGB colour, as metals need, or one number?"""
     normals: Literal["mesh", "map"] = "mesh"
-    """Are normals bent from the mesh's, by dents that are finer than its triangles?"""
+    """`map`: shading normals differ from the mesh's, for relief that is finer than its triangles."""
     bounces: int = 0
-    """Indirect light: times that light is reflected between parts of the surface."""
+    """Indirect light: number of reflections between parts of the surface."""
     light_frame: Literal["world", "camera"] = "world"
-    texels: Literal["none", "albedo", "lobes"] = "none"
-    """What every texel is given of its own, from its photographs, when the rest is fitted: its albedo alone, or albedo,
-    lobe and normal."""
+    light_is_known: bool = False
+    """The light of the prepared scene is given and is not fitted."""
+    per_texel: Literal["none", "albedo", "brdf"] = "none"
+    """What is solved for each texel, from the pixels that observe it, after the fit at vertices: nothing, its albedo
+    alone, or its albedo, specular lobe and normal."""
 
     @property
     def mapped(self) -> bool:
-        """Does anything but the albedo vary between vertices?"""
+        """Does any parameter other than the diffuse albedo vary between vertices?"""
         return "map" in (self.specular, self.roughness, self.normals)
 
     @property
     def name(self) -> str:
-        """What reports call it."""
+        """The name in reports and in run.json."""
         if self.brdf == "diffuse":
             parts = ["diffuse"]
         else:
@@ -49,6 +48,6 @@ class ModelSpec:
             parts.append("light on camera")
         if self.bounces:
             parts.append(f"{self.bounces} bounce" + "s" * (self.bounces > 1))
-        if self.texels != "none":
-            parts.append(f"{self.texels} in texels")
+        if self.per_texel != "none":
+            parts.append("per-texel BRDF" if self.per_texel == "brdf" else "per-texel albedo")
         return ", ".join(parts)

@@ -4,13 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import field
 from difflib import get_close_matches
 from functools import cache
-from typing import Any, TypeVar, get_type_hints
+from typing import Any, Literal, TypeVar, get_type_hints
 
 from hir_core.errors import ConfigError
 
 Options = TypeVar("Options")
+
+
+Default = TypeVar("Default")
+Condition = Literal["solver", "fitted light"]
+"""What an option of a reflectance renderer needs to take effect: the fit by its solver, or a light that is fitted."""
+
+
+def takes_effect_with(default: Default, *conditions: Condition) -> Default:
+    """A dataclass field with a default, for an option that has no effect unless all `conditions` are met.
+
+    A run in which a user sets such an option without effect ends with an error that names the condition.
+    """
+    return field(default=default, metadata={"takes_effect_with": conditions})
 
 
 def build_options(kind: type[Options], values: Mapping[str, Any], owner: str) -> Options:
@@ -40,9 +54,9 @@ def options_schema(kind: type) -> dict[str, Any]:
     for written in reversed(kind.__mro__[:-1]):
         holder = create_model("Holder", __config__=ConfigDict(use_attribute_docstrings=True), held=(written, ...))
         described = holder.model_json_schema()["$defs"][written.__name__]
-        for name, field in described.get("properties", {}).items():
-            if "description" in field:
-                schema["properties"][name]["description"] = field["description"]
+        for name, described_option in described.get("properties", {}).items():
+            if "description" in described_option:
+                schema["properties"][name]["description"] = described_option["description"]
     return schema
 
 

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import torch
 from hir_exporters.textures.image_files import read_hdr
 
 from hir_core.capture import Array, EnvironmentSource
-from hir_core.errors import InputError
 from hir_core.scene import EnvironmentMap
 
 
@@ -37,18 +34,3 @@ def is_same_light(a: EnvironmentSource | None, b: EnvironmentSource | None) -> b
     )
 
 
-def parse_light_file(text: str) -> tuple[Path, float]:
-    """Path and strength of `FILE` or `FILE*STRENGTH`; the strength is 1 where none is given.
-
-    `InputError` where the strength is not a finite number of at least 0.
-    """
-    name, star, strength = text.rpartition("*")
-    if not star:
-        return Path(text), 1.0
-    try:
-        value = float(strength)
-    except ValueError:
-        raise InputError(f"{text!r}: the strength after * must be a number, such as studio.hdr*0.5") from None
-    if not (np.isfinite(value) and value >= 0):
-        raise InputError(f"{text!r}: the light's strength must be a finite number of at least 0")
-    return Path(name), value

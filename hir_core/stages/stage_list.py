@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hir_core.capture import Capture, CoordinateFrames
-from hir_core.capture.capture_store import file_hash, restore_capture, save_capture, write_cameras
 from hir_core.files.json_documents import read_json, write_json
+from hir_core.files.light_setting import parse_light_file
+from hir_core.run.capture_store import file_hash, restore_capture, save_capture, write_cameras
 from hir_core.run.stage import SkippedStageReport, Stage, StageResult
 from hir_core.run.stage_context import StageContext
 from hir_core.stages.run_state import RunState
@@ -103,8 +104,7 @@ def _reflectance_settings(state: RunState) -> Any:
     settings = state.config.reflectance
     if not settings.enabled:
         return SWITCHED_OFF
-    light = Path(settings.known_environment.rpartition("*")[0] or settings.known_environment)
-    light_hash = file_hash(light) if settings.known_environment else ""
+    light_hash = file_hash(parse_light_file(settings.known_environment)[0]) if settings.known_environment else ""
     return [asdict(settings), light_hash, state.config.reflectance_renderer]
 
 

@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 
 from hir_core.capture import Capture, Pixels, View
-from hir_core.capture.capture_store import read_cameras, restore_capture
 from hir_core.config import assign, load_config, read_toml
 from hir_core.errors import CaptureError, ConfigError, HirError, InputError, PluginError
 from hir_core.files.array_files import read_arrays
 from hir_core.files.json_documents import read_json
+from hir_core.files.light_setting import parse_light_file
 from hir_core.plugins import Component, NoOptions, hookimpl
 from hir_core.plugins.manager import PluginManager
-from hir_core.rendering.light_files import parse_light_file
 from hir_core.rendering.reference_renderer import reference_renderer
+from hir_core.run.capture_store import read_cameras, restore_capture
 from hir_core.run.device import resolve_device
 from hir_core.run.progress_listener import read_curves
 from hir_core.run.run_directory import RunDirectory, check_stage_name
@@ -119,7 +119,10 @@ def test_names_of_stages_devices_and_lights() -> None:
     assert resolve_device("cpu") == "cpu" and resolve_device("auto") in ("cpu", "cuda")
     with pytest.raises(ConfigError, match="device 'tpu' is not known; it is auto, cpu or cuda"):
         resolve_device("tpu")
-    assert parse_light_file("a*b.hdr*0.5") == (Path("a*b.hdr"), 0.5) and parse_light_file("a.hdr") == (Path("a.hdr"), 1.0)
+    assert parse_light_file("a*b.hdr*0.5") == (Path("a*b.hdr"), 0.5) and parse_light_file("a.hdr") == (
+        Path("a.hdr"),
+        1.0,
+    )
     for text, said in (
         ("a.hdr*x", "after [*] comes the light's strength"),
         ("a.hdr*-1", "finite number of at least 0"),
@@ -243,4 +246,4 @@ def test_curves_without_steps_are_refused(arrays: dict[str, np.ndarray], tmp_pat
 
 def test_the_renderer_that_ends_a_fit_is_looked_for_before_it_begins() -> None:
     with pytest.raises(PluginError, match="no reflectance renderer named 'mitsubi'"):
-        load_config(PLUGINS, assignments=["reflectance.polish_renderer=mitsubi"])
+        load_config(PLUGINS, assignments=["reflectance.path_tracing.renderer=mitsubi"])

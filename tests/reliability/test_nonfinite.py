@@ -175,9 +175,7 @@ class Lamp:
 
 
 def _fit(capture: Capture, context: StageContext, lamp: Lamp, poison: str = "") -> tuple[Scene, GradientReport]:
-    settings = ReflectanceSettings(
-        method="gradient", model="specular", environment_height=4, environment_width=8
-    )
+    settings = ReflectanceSettings(method="gradient", model="specular", environment_height=4, environment_width=8)
     scene = _scene_with_texture()
     scene = initial_scene(scene, capture, settings)
     if poison:

@@ -1,10 +1,10 @@
-"""Material and light fitted by gradient steps through any reflectance renderer, textures and all."""
+"""Gradient steps on textures and light through any reflectance renderer."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -12,48 +12,53 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from hir_core.capture import Capture
-from hir_core.config import ReflectanceSettings
+from hir_core.config import GradientSettings
 from hir_core.errors import StageError
-from hir_core.optimization.nonfinite_diagnostics import elements_at_fault
-from hir_core.optimization.optimization_loop import Batches, Keep, Schedule, optimize, tell_troubles
+from hir_core.optimization.nonfinite_diagnostics import nonfinite_elements
+from hir_core.optimization.optimization_loop import Checkpointing, optimize, warn_of_skipped_steps
+from hir_core.optimization.schedules import Batches, Schedule
 from hir_core.optimization.weighted_energies import Energies
 from hir_core.plugins.interfaces import PreparedReflectance
 from hir_core.scene import Scene
 from hir_core.scene.energy_conservation import specular_like
 from hir_core.scene.srgb import linear_to_srgb
+from hir_core.stages.reflectance.reflectance_report import GradientReport
 
 if TYPE_CHECKING:
     from hir_core.run.stage_context import StageContext
 
-INSIDE = 0.99
-"""Mask from which a pixel shows the object alone."""
+MIN_OBJECT_COVERAGE = 0.99
+"""Mask value from which a pixel shows the object alone."""
+MIN_ALPHA, MAX_RADIANCE = 0.01, 1e5
+"""Limits of the GGX width α and of the light's radiance; albedos stay in 0…1."""
+MAX_NAMED_VIEWS = 5
 
 
 @dataclass(frozen=True, eq=False)
 class ObjectPixels:
-    """All pixels that show the object, as (view, x, y), with their colours."""
+    """All pixels that show the object, as (view, x, y), with their linear colours at exposure 1."""
 
     index: Int[Tensor, "N 3"]
     color: Float[Tensor, "N 3"]
     saturated: Bool[Tensor, "N 1"]
     first: Sequence[int]
-    """Where each view begins; one more than views."""
+    """Row of each view's first pixel, and the number of rows."""
 
 
 def object_pixels(capture: Capture, views: Sequence[int], downsample: int, device: str) -> ObjectPixels:
-    """Gathers the pixels of some views; an error where the masks leave none."""
+    """Gathers the object pixels of some views; `StageError` where the masks leave none."""
     index, color, saturated, first = [], [], [], [0]
     for view in views:
         pixels = capture.views[view].pixels(downsample)
         mask = pixels.mask if pixels.mask is not None else np.ones(pixels.color_linear.shape[:2], np.float32)
-        rows, columns = np.nonzero(mask >= INSIDE)
+        rows, columns = np.nonzero(mask >= MIN_OBJECT_COVERAGE)
         index.append(np.stack([np.full(len(rows), view), columns, rows], axis=1))
         _check(pixels.color_linear[rows, columns], capture.views[view].name)
         color.append(pixels.color_linear[rows, columns] / capture.views[view].exposure)
         saturated.append(pixels.saturated[rows, columns])
         first.append(first[-1] + len(rows))
     if first[-1] == 0:
-        raise StageError(f"{capture.path}: the masks leave no pixel of the object; look at them with: hir check")
+        raise StageError(f"{capture.path}: the masks leave no pixel of the object; inspect them with: hir check")
     return ObjectPixels(
         torch.from_numpy(np.concatenate(index)).to(device),
         torch.from_numpy(np.concatenate(color).astype(np.float32)).to(device),
@@ -66,29 +71,32 @@ def fit_by_gradient(
     scene: Scene,
     prepared: PreparedReflectance,
     pixels: ObjectPixels,
-    settings: ReflectanceSettings,
+    settings: GradientSettings,
     energies: Energies,
     context: StageContext,
     *,
     steps: int,
+    conserve_energy: bool = True,
     fit_light: bool = True,
     fit_specular: bool = True,
-) -> tuple[Scene, dict[str, Any]]:
-    """Adam on textures and light, held in their physical range after each step.
+    checkpoint: str = "gradient",
+) -> tuple[Scene, GradientReport]:
+    """Adam on textures and light, clamped to their physical range after each step.
 
     The photometric term is `rgb_weight · ‖fit − photograph‖₁`, summed over the pixels of a step (Zhu et al. 2023).
+    The state is stored under the name `checkpoint`, unique to this fit within its stage.
     """
     assert scene.material is not None and scene.environment is not None
     material, environment = scene.material, scene.environment
     leaves = [material.diffuse_albedo, material.specular_albedo, material.roughness, environment.radiance]
-    wanted = [True, fit_specular, fit_specular, fit_light]
+    fitted_leaves = [True, fit_specular, fit_specular, fit_light]
     diffuse, specular, roughness, radiance = (
-        leaf.detach().clone().requires_grad_(want) for leaf, want in zip(leaves, wanted, strict=True)
+        leaf.detach().clone().requires_grad_(fit) for leaf, fit in zip(leaves, fitted_leaves, strict=True)
     )
     parameters = [p for p in (diffuse, specular, roughness, radiance) if p.requires_grad]
     optimizer = torch.optim.Adam(parameters, lr=settings.learning_rate)
-    limits = [(diffuse, 0.0, 1.0), (specular, 0.0, 1.0), (roughness, 0.01, 1.0), (radiance, 0.0, 1e5)]
-    draw = _Draw(pixels, settings, context.seed)
+    limits = [(diffuse, 0.0, 1.0), (specular, 0.0, 1.0), (roughness, MIN_ALPHA, 1.0), (radiance, 0.0, MAX_RADIANCE)]
+    draw = PixelSampler(pixels, settings, context.seed)
 
     def current() -> Scene:
         fitted = replace(material, diffuse_albedo=diffuse, specular_albedo=specular, roughness=roughness)
@@ -99,8 +107,8 @@ def fit_by_gradient(
         state = current()
         assert state.material is not None and state.environment is not None
         shown = prepared.radiance(state.material, state.environment, pixels.index[rows])
-        difference = _compared(shown, settings) - _compared(pixels.color[rows], settings)
-        # a clipped pixel says only that the truth is at least this bright
+        difference = _in_loss_space(shown, settings) - _in_loss_space(pixels.color[rows], settings)
+        # the true value of a clipped pixel is at least its colour
         difference = torch.where(pixels.saturated[rows] & (difference > 0), torch.zeros_like(difference), difference)
         return {"rgb": settings.rgb_weight * difference.abs().sum(), **energies(state)}
 
@@ -109,19 +117,19 @@ def fit_by_gradient(
             state, rows = current(), draw(step)
             assert state.material is not None and state.environment is not None
             shown = prepared.radiance(state.material, state.environment, pixels.index[rows])
-            broken = ~torch.isfinite(shown - pixels.color[rows]).all(dim=1)
-        views = pixels.index[rows][broken, 0].unique().tolist()
+            nonfinite = ~torch.isfinite(shown - pixels.color[rows]).all(dim=1)
+        views = pixels.index[rows][nonfinite, 0].unique().tolist()
         if term == "rgb" and views:
-            return f"{int(broken.sum())} pixels of view {', '.join(map(str, views[:5]))}"
+            return f"{int(nonfinite.sum())} pixels of view {', '.join(map(str, views[:MAX_NAMED_VIEWS]))}"
         named = {"diffuse albedo": diffuse, "specular albedo": specular, "roughness": roughness, "light": radiance}
-        return elements_at_fault(named)
+        return nonfinite_elements(named)
 
-    def hold(_: int) -> bool:
+    def clamp(_: int) -> bool:
         with torch.no_grad():
             for value, low, high in limits:
                 value.clamp_(low, high)
-            if settings.conserve_energy and material.model == "paper":
-                # NaN stays NaN here: it is for the guards of the optimisation to catch
+            if conserve_energy and material.model == "paper":
+                # NaN stays NaN here: the optimisation loop diagnoses it
                 diffuse.copy_(torch.minimum(diffuse, 1 - specular_like(specular, diffuse)))
         return False
 
@@ -131,30 +139,38 @@ def fit_by_gradient(
         Schedule(steps, end=settings.learning_rate_end),
         stage="reflectance",
         report=context.report,
-        after_step=hold,
+        after_step=clamp,
         locate=locate,
-        keep=Keep(context.checkpoints / "gradient.npz", context.checkpoint_seconds),
+        checkpointing=Checkpointing(context.checkpoints / f"{checkpoint}.npz", context.checkpoint_seconds),
     )
-    tell_troubles(result, context.warn)
-    done = current()
-    assert done.material is not None and done.environment is not None
-    finished = replace(
-        done.material, diffuse_albedo=diffuse.detach(), specular_albedo=specular.detach(), roughness=roughness.detach()
+    warn_of_skipped_steps(result, context.warn)
+    fitted = current()
+    assert fitted.material is not None and fitted.environment is not None
+    fitted_material = replace(
+        fitted.material,
+        diffuse_albedo=diffuse.detach(),
+        specular_albedo=specular.detach(),
+        roughness=roughness.detach(),
     )
-    light = replace(done.environment, radiance=radiance.detach())
-    return replace(scene, material=finished, environment=light), {"steps": result.steps, "skipped": result.skipped}
+    light = replace(fitted.environment, radiance=radiance.detach())
+    return replace(scene, material=fitted_material, environment=light), GradientReport(result.steps, result.skipped)
+
+
+def gradient_steps(settings: GradientSettings, views: int) -> int:
+    """Number of steps for so many views."""
+    return settings.iterations_per_view * views or settings.iterations
 
 
 def _check(color: np.ndarray, view: str) -> None:
     if not np.isfinite(color).all():
         bad = int((~np.isfinite(color).all(axis=1)).sum())
-        raise StageError(f"view {view} has {bad} pixels of the object that are NaN or infinite; mend or leave it out")
+        raise StageError(f"view {view} has {bad} pixels of the object that are NaN or infinite; repair or remove it")
 
 
-class _Draw:
-    """The pixels of each step: one whole view, or some pixels of all views."""
+class PixelSampler:
+    """The rows of each step's pixels: one whole view, or random pixels of all views."""
 
-    def __init__(self, pixels: ObjectPixels, settings: ReflectanceSettings, seed: int) -> None:
+    def __init__(self, pixels: ObjectPixels, settings: GradientSettings, seed: int) -> None:
         self._pixels = pixels
         self._by_view = settings.batch == "views"
         count = len(pixels.first) - 1 if self._by_view else 1
@@ -174,5 +190,5 @@ class _Draw:
         return torch.from_numpy(generator.integers(0, total, self._size)).to(device)
 
 
-def _compared(linear: Tensor, settings: ReflectanceSettings) -> Tensor:
+def _in_loss_space(linear: Tensor, settings: GradientSettings) -> Tensor:
     return linear if settings.loss_space == "linear" else linear_to_srgb(linear)

@@ -1,6 +1,7 @@
-"""Path tracing after a fast fit, kept only where held-out views gain (DESIGN section 7).
+"""Path-traced refinement after a fast fit, accepted only where held-out views gain (DESIGN section 7).
 
-Either the albedo in closed form under what it shows, or a short run of gradient steps.
+Either the diffuse albedo is solved in closed form under path-traced radiance, or gradient steps run through the path
+tracer.
 """
 
 from __future__ import annotations
@@ -8,7 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -18,143 +19,155 @@ from torch import Tensor
 from hir_core.capture import Capture
 from hir_core.config import ReflectanceSettings
 from hir_core.optimization.weighted_energies import Energies
+from hir_core.plugins.interfaces import FitT, RefinementT, Solved
 from hir_core.rendering.reference_renderer import reference_renderer
 from hir_core.scene import Scene
 from hir_core.scene.srgb import linear_to_srgb
 from hir_core.stages.reflectance.gradient_fit import ObjectPixels, fit_by_gradient, object_pixels
-from hir_core.stages.reflectance.model_selection import SIGNIFICANCE, compare, decibels, split_views
+from hir_core.stages.reflectance.held_out_comparison import (
+    REQUIRED_STANDARD_ERRORS,
+    mean_decibels,
+    paired_gain,
+    split_views,
+)
+from hir_core.stages.reflectance.reflectance_report import RefinementReport
 
 if TYPE_CHECKING:
     from hir_core.plugins.interfaces import PreparedReflectance, ReflectanceRenderer, ReflectanceSolver
     from hir_core.run.stage_context import StageContext
 
-JUDGED_PIXELS = 4096
+MAX_COMPARED_PIXELS = 4096
 """Pixels of each held-out view that are compared, the same before and after."""
-PASSES = 8
-"""Independent renderings that are averaged for that: the tracer's noise would weigh on both sides."""
-PATHS = 32
-"""Through each pixel that an albedo is solved from in closed form: some five pixels a texel average their noise."""
+COMPARED_RENDERINGS = 8
+"""Independent renderings whose mean is compared, so that the noise of the path tracer matters little."""
+PATHS_PER_PIXEL = 32
+"""For the closed form: a texel averages the noise of some five pixels."""
+FINAL_LEARNING_RATE = 0.1
+"""Of the gradient steps, as a share of the first."""
 
 
-def polished(
+def refine_by_path_tracing(
     scene: Scene, capture: Capture, settings: ReflectanceSettings, energies: Energies, context: StageContext
-) -> tuple[Scene, dict[str, Any]]:
-    """The scene after `polish_iterations` steps through `polish_renderer`, or as it was where views do not gain.
+) -> tuple[Scene, RefinementReport]:
+    """The scene after `path_tracing.iterations` gradient steps, or unchanged where held-out views do not gain.
 
-    The steps see the training part of the views alone. The report holds the mean held-out PSNR before and after, the
-    gain and its standard error. Too few views to judge by leave the scene as it was, with a warning.
+    The steps use the training views alone. With too few views for a comparison the scene is unchanged, with a warning.
     """
+    options = settings.path_tracing
     training, held_out = split_views(len(capture.views))
     if not held_out:
-        context.warn("too few views to judge a polish by: it was left out")
-        return scene, {"kept": False, "held_out_views": 0}
+        context.warn("too few views to hold some out: path-traced refinement was skipped")
+        return scene, RefinementReport(False, 0, "too few views")
     began = time.perf_counter()
-    options = context.options.get("reflectance_renderer", {}).get(settings.polish_renderer, {})
-    renderer: ReflectanceRenderer = context.plugins.create("reflectance_renderer", settings.polish_renderer, options)
+    given = context.options.get("reflectance_renderer", {}).get(options.renderer, {})
+    renderer: ReflectanceRenderer = context.plugins.create("reflectance_renderer", options.renderer, given)
     prepared = renderer.prepare(scene, capture, settings.downsample)
     device = str(scene.mesh.positions.device)
-    judged = [object_pixels(capture, [view], settings.downsample, device) for view in held_out]
-    before = view_errors(scene, prepared, judged, context.seed)
-    steps = replace(settings, learning_rate=settings.polish_rate, learning_rate_end=0.1, batch="pixels")
+    compared = [object_pixels(capture, [view], settings.downsample, device) for view in held_out]
+    before = view_errors(scene, prepared, compared, context.seed)
     assert scene.material is not None
     fitted, _ = fit_by_gradient(
         scene,
         prepared,
         object_pixels(capture, training, settings.downsample, device),
-        steps,
+        replace(
+            settings.gradient,
+            learning_rate=options.learning_rate,
+            learning_rate_end=FINAL_LEARNING_RATE,
+            batch="pixels",
+        ),
         energies,
         context,
-        steps=settings.polish_iterations,
+        steps=options.iterations,
+        conserve_energy=settings.conserve_energy,
         fit_light=not settings.known_environment,
         fit_specular=bool((scene.material.specular_albedo > 0).any()),
+        checkpoint="path_tracing",
     )
-    after = view_errors(fitted, prepared, judged, context.seed)
-    gain, noise = compare(before, after)
-    kept = bool(gain > SIGNIFICANCE * noise)
-    report = {
-        "renderer": settings.polish_renderer,
-        "steps": settings.polish_iterations,
-        "held_out_views": len(held_out),
-        "before_db": round(float(np.mean(decibels(before))), 3),
-        "after_db": round(float(np.mean(decibels(after))), 3),
-        "gain_db": round(gain, 3),
-        "noise_db": round(noise, 3),
-        "kept": kept,
-    }
-    if not kept:
+    after = view_errors(fitted, prepared, compared, context.seed)
+    report = _compared(before, after, options.renderer, options.iterations)
+    if not report.accepted:
         context.warn(
-            f"path tracing for {time.perf_counter() - began:.0f} s brought held-out views {gain:+.2f} ± "
-            f"{noise:.2f} dB: the result without it is kept"
+            f"path tracing for {time.perf_counter() - began:.0f} s changed held-out views by {report.gain_db:+.2f} ± "
+            f"{report.standard_error_db:.2f} dB: the result without it was kept"
         )
-    return fitted if kept else scene, report
+    return fitted if report.accepted else scene, report
 
 
-def settled(
-    scene: Scene,
-    solver: ReflectanceSolver,
+def refine_albedo(
+    solved: Solved[RefinementT],
+    solver: ReflectanceSolver[FitT, RefinementT],
     capture: Capture,
     settings: ReflectanceSettings,
     bounces: int,
     context: StageContext,
     report: Callable[[float], None] = lambda share: None,
-) -> tuple[Scene, dict[str, Any]]:
-    """The scene with the albedo that path tracing asks for, or as it was where held-out views do not gain.
+) -> tuple[Solved[RefinementT], RefinementReport]:
+    """The scene with its albedo solved under path-traced radiance, or unchanged where held-out views do not gain.
 
-    They judge two albedos that are solved for the other views, with path tracing and without; the one that is kept is
-    solved for all. The report holds the mean held-out PSNR of both, the gain and its standard error.
+    They compare two albedos that are solved from the other views, with path tracing and without; an accepted one is
+    solved from all views. `report` receives the share that is done.
     """
     report(0.0)
     training, held_out = split_views(len(capture.views))
     if not held_out:
-        return scene, {"kept": False, "held_out_views": 0}
-    options = dict(context.options.get("reflectance_renderer", {}).get(settings.polish_renderer, {}))
-    config = context.plugins.find("reflectance_renderer", settings.polish_renderer).component.config
+        return solved, RefinementReport(False, 0, "too few views")
+    name = settings.path_tracing.renderer
+    options = dict(context.options.get("reflectance_renderer", {}).get(name, {}))
+    config = context.plugins.find("reflectance_renderer", name).component.config
     if "samples" in getattr(config, "__dataclass_fields__", {}):
-        options.setdefault("samples", PATHS)
-    _, renderer = reference_renderer(context.plugins, settings.polish_renderer, options, bounces)
-    traced = renderer.prepare(scene, capture, settings.downsample)
-    without = solver.settle(scene, None, training, lambda share: None)
-    tried = solver.settle(scene, traced, training, lambda share: report(0.75 * share))
-    if without is None or tried is None:
-        return scene, {"kept": False, "reason": "the solver has no closed form for it"}
-    device = str(scene.mesh.positions.device)
-    judged = [object_pixels(capture, [view], settings.downsample, device) for view in held_out]
-    before, after = (view_errors(state, traced, judged, context.seed) for state in (without, tried))
-    gain, noise = compare(before, after)
-    kept = bool(gain > SIGNIFICANCE * noise)
-    if kept:
-        whole = solver.settle(scene, traced, range(len(capture.views)), lambda share: report(0.85 + 0.15 * share))
-        assert whole is not None  # it could for fewer views
-        scene = whole
-    return scene, {
-        "renderer": settings.polish_renderer,
-        "held_out_views": len(held_out),
-        "before_db": round(float(np.mean(decibels(before))), 3),
-        "after_db": round(float(np.mean(decibels(after))), 3),
-        "gain_db": round(gain, 3),
-        "noise_db": round(noise, 3),
-        "kept": kept,
-    }
+        options.setdefault("samples", PATHS_PER_PIXEL)
+    _, renderer = reference_renderer(context.plugins, name, options, bounces)
+    traced = renderer.prepare(solved.scene, capture, settings.downsample)
+    without = solver.refine(solved, None, training, lambda share: None)
+    refined = solver.refine(solved, traced, training, lambda share: report(0.75 * share))
+    if without is None or refined is None:
+        return solved, RefinementReport(False, len(held_out), "the solver has no closed form for the albedo")
+    device = str(solved.scene.mesh.positions.device)
+    compared = [object_pixels(capture, [view], settings.downsample, device) for view in held_out]
+    before, after = (view_errors(each.scene, traced, compared, context.seed) for each in (without, refined))
+    result = _compared(before, after, name)
+    if result.accepted:
+        whole = solver.refine(solved, traced, range(len(capture.views)), lambda share: report(0.85 + 0.15 * share))
+        assert whole is not None, "the solver could for fewer views"
+        solved = whole
+    return solved, result
+
+
+def _compared(
+    before: NDArray[np.float64], after: NDArray[np.float64], renderer: str, steps: int | None = None
+) -> RefinementReport:
+    gain, standard_error = paired_gain(before, after)
+    return RefinementReport(
+        accepted=bool(gain > REQUIRED_STANDARD_ERRORS * standard_error),
+        held_out_views=len(before),
+        renderer=renderer,
+        steps=steps,
+        before_db=round(mean_decibels(before), 3),
+        after_db=round(mean_decibels(after), 3),
+        gain_db=round(gain, 3),
+        standard_error_db=round(standard_error, 3),
+    )
 
 
 def view_errors(
     scene: Scene, prepared: PreparedReflectance, views: Sequence[ObjectPixels], seed: int
 ) -> NDArray[np.float64]:
-    """Mean squared sRGB error of each view, over pixels drawn from `seed`; a clipped pixel may be brighter."""
+    """Mean squared sRGB error of each view, over pixels drawn from `seed`; 0 where a clipped pixel is brighter."""
     assert scene.material is not None and scene.environment is not None
-    chosen = [_judged_pixels(pixels, (seed, number)) for number, pixels in enumerate(views)]
-    index, color, saturated = (torch.cat([part[k] for part in chosen]) for k in range(3))
+    samples = [_sample(pixels, (seed, number)) for number, pixels in enumerate(views)]
+    index, color, saturated = (torch.cat([part[k] for part in samples]) for k in range(3))
     with torch.no_grad():
         torch.manual_seed(seed)
-        passes = [prepared.radiance(scene.material, scene.environment, index) for _ in range(PASSES)]
-    difference = linear_to_srgb(torch.stack(passes).mean(dim=0).clamp(0, 1)) - linear_to_srgb(color.clamp(0, 1))
+        renderings = [prepared.radiance(scene.material, scene.environment, index) for _ in range(COMPARED_RENDERINGS)]
+    difference = linear_to_srgb(torch.stack(renderings).mean(dim=0).clamp(0, 1)) - linear_to_srgb(color.clamp(0, 1))
     difference = torch.where(saturated & (difference > 0), torch.zeros_like(difference), difference)
     squares = difference.double().square().mean(dim=1)
-    return np.array([float(part.mean()) for part in squares.split([len(part[0]) for part in chosen])])
+    return np.array([float(part.mean()) for part in squares.split([len(part[0]) for part in samples])])
 
 
-def _judged_pixels(pixels: ObjectPixels, seed: tuple[int, int]) -> tuple[Tensor, Tensor, Tensor]:
-    """Index (N, 3), colour (N, 3) and saturation (N, 1) of at most `JUDGED_PIXELS`, drawn from `seed`."""
-    drawn = np.random.default_rng(seed).permutation(len(pixels.index))[:JUDGED_PIXELS]
+def _sample(pixels: ObjectPixels, seed: tuple[int, int]) -> tuple[Tensor, Tensor, Tensor]:
+    """Index (N, 3), colour (N, 3) and saturation (N, 1) of at most `MAX_COMPARED_PIXELS`, drawn from `seed`."""
+    drawn = np.random.default_rng(seed).permutation(len(pixels.index))[:MAX_COMPARED_PIXELS]
     rows = torch.from_numpy(np.sort(drawn)).to(pixels.index.device)
     return pixels.index[rows], pixels.color[rows], pixels.saturated[rows]

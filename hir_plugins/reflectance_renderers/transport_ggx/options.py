@@ -5,47 +5,47 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from hir_core.plugins.options import takes_effect_with
+
 
 @dataclass(frozen=True)
 class TransportGGXOptions:
-    """Where speed is bought with error; docs/reflectance.md has the measured exchange."""
+    """Options that trade speed for error; docs/reflectance.md has measurements."""
 
-    steps: int = 200
-    """Steps of a full fit of one model; a rung of the ladder takes half."""
-    pixels: int = 240_000
+    steps: int = takes_effect_with(200, "solver")
+    """Steps of a full fit of one model; a candidate of model selection takes half."""
+    pixels: int = takes_effect_with(240_000, "solver")
     """Pixels of all views together that light and model are fitted to."""
     samples: int = 16
     """Directions of each pixel's specular lobe."""
     diffuse_samples: int = 48
     """Directions of each pixel's hemisphere, where the light moves with the camera."""
-    cells: int = 6_000
-    """At most about this many places store irradiance."""
+    cache_cells: int = 6_000
+    """Cells of the irradiance cache, about, at most."""
     vertices: int = 40_000
-    """Coarser meshes are split until they have about this many vertices to hold albedo while the light is fitted."""
+    """Coarser meshes are subdivided to about this many vertices; each has an albedo while the light is fitted."""
     diffuse_rows: int = 32
-    """Rows of the light that the diffuse part sees; the specular part sees all."""
-    texture_pixels: int = 2_500_000
+    """Rows of the light that the diffuse part uses; the specular part uses all."""
+    texture_pixels: int = takes_effect_with(2_500_000, "solver")
     """Pixels of all views together that textures are solved from."""
-    texture_samples: int = 8
+    texture_samples: int = takes_effect_with(8, "solver")
     """Directions of each pixel's lobe while textures are solved: errors average out over the pixels of a texel."""
-    light_smoothness: float = 1e-4
+    light_smoothness: float = takes_effect_with(1e-4, "solver", "fitted light")
     """Weight of differences between neighbouring texels of the light's logarithm."""
-    light_whiteness: float = 1e-3
-    """Weight of the light's chroma: of two explanations of a tint, the surface's wins."""
-    start: Literal["uniform", "photographs"] = "uniform"
-    """Albedo that a fit begins with: one for all, or each vertex's colour over its irradiance, shading included; always
-    the second under a known light."""
-    albedo_smoothness: float = 1e-3
-    """Weight of differences of log albedo between neighbouring vertices while light is sought; edges cost little."""
-    known_light: bool = False
-    """Hold the light as it is given."""
-    view_gain: bool = False
-    """Fit a brightness of each photograph, where exposures drifted or a cloud passed."""
-    block_pixels: int = 65_536
+    light_whiteness: float = takes_effect_with(1e-3, "solver", "fitted light")
+    """Weight of the light's chroma: a tint is attributed to the surface rather than to the light."""
+    initial_albedo: Literal["uniform", "photographs"] = takes_effect_with("uniform", "solver", "fitted light")
+    """Initial albedo of a fit: one for all vertices, or each vertex's colour divided by its irradiance, which contains
+    shading. A known light always uses the second."""
+    albedo_smoothness: float = takes_effect_with(1e-3, "solver")
+    """Weight of differences of log albedo between neighbouring vertices while the light is fitted; robust to edges."""
+    view_gain: bool = takes_effect_with(False, "solver")
+    """Fit a brightness factor for each photograph, where exposures drifted or a cloud passed."""
+    block_pixels: int = takes_effect_with(65_536, "solver")
     """Pixels of a gradient step."""
-    resident_pixels: int = 262_144
-    """Pixels whose lobes are in memory at once, some 3 kB each. Of more `pixels` than that, shares take turns and are
-    drawn anew, which costs time instead of memory."""
+    resident_pixels: int = takes_effect_with(262_144, "solver")
+    """Pixels whose lobes are in memory at once, about 3 kB each. If `pixels` is larger, mini-batches take turns and
+    their lobes are drawn again, which costs time instead of memory."""
     render_samples: int = 32
     """Directions of each pixel's lobe in `render`."""
     supersampling: int = 2

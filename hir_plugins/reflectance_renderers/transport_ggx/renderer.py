@@ -14,12 +14,16 @@ from hir_core.errors import StageError
 from hir_core.plugins.interfaces import ReflectanceRenderer
 from hir_core.scene import Scene
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport, build_transport
-from hir_plugins.reflectance_renderers.transport_ggx.operator.radiance_probes import COLUMNS, LEVELS, ROWS
-from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import see
+from hir_plugins.reflectance_renderers.transport_ggx.operator.radiance_probes import (
+    ALPHA_LEVELS,
+    PROBE_COLUMNS,
+    PROBE_ROWS,
+)
+from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import visible_points
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.solver import TransportSolver
-from hir_plugins.reflectance_renderers.transport_ggx.textures.observations import MOST_BYTES
-from hir_plugins.reflectance_renderers.transport_ggx.textures.per_texel_brdf import SIGHTINGS_AT_ONCE
+from hir_plugins.reflectance_renderers.transport_ggx.textures.observations import MAX_CACHE_BYTES
+from hir_plugins.reflectance_renderers.transport_ggx.textures.per_texel_brdf import OBSERVATIONS_PER_CHUNK
 from hir_plugins.reflectance_renderers.transport_ggx.textures.texture_shading import shade_points
 
 LOBE_BYTES = 150
@@ -29,9 +33,9 @@ HEMISPHERE_BYTES = 64
 PIXEL_BYTES = 400
 EQUATION_BYTES = 340
 """Of one pixel that textures are solved from: its row, the row's transpose, and the vectors of the solver."""
-PROBE_BYTES = LEVELS * ROWS * COLUMNS * 6
+PROBE_BYTES = ALPHA_LEVELS * PROBE_ROWS * PROBE_COLUMNS * 6
 """Of one cell, twice: for torch and for Dr.Jit."""
-SIGHTING_BYTES, PICTURE_BYTES = 16, 13
+OBSERVATION_BYTES, PICTURE_BYTES = 16, 13
 
 
 @final
@@ -52,9 +56,9 @@ class TransportGGX(ReflectanceRenderer):
         resident = min(fitted, max(options.resident_pixels, options.block_pixels))
         fit = resident * lobes + fitted * PIXEL_BYTES
         textures = min(options.texture_pixels, size.pixels) * EQUATION_BYTES
-        lobes_of_texels = 2 * PROBE_BYTES * options.cells + 2 * SIGHTING_BYTES * SIGHTINGS_AT_ONCE
-        lobes_of_texels += min(MOST_BYTES, PICTURE_BYTES * size.pixels)
-        return max(fit, textures, lobes_of_texels) + options.cells * 4 * options.diffuse_rows**2 * 4
+        lobes_of_texels = 2 * PROBE_BYTES * options.cache_cells + 2 * OBSERVATION_BYTES * OBSERVATIONS_PER_CHUNK
+        lobes_of_texels += min(MAX_CACHE_BYTES, PICTURE_BYTES * size.pixels)
+        return max(fit, textures, lobes_of_texels) + options.cache_cells * 4 * options.diffuse_rows**2 * 4
 
     def smaller(self) -> dict[str, int]:
         """Half the pixels of the fit and of the textures, down to an eighth."""
@@ -78,7 +82,7 @@ class TransportGGX(ReflectanceRenderer):
         fine = Camera(scaled, camera.world_to_camera, camera.width * side, camera.height * side)
         y, x = torch.meshgrid(torch.arange(fine.height), torch.arange(fine.width), indexing="ij")
         pixels = torch.stack([torch.zeros_like(x), x, y], dim=-1).reshape(-1, 3)
-        points, found = see(transport.tracer, transport.surface, {0: fine}, pixels)
+        points, found = visible_points(transport.tracer, transport.surface, {0: fine}, pixels)
         seen = found.nonzero()[:, 0]
         options = TransportGGXOptions(**{**self._options.__dict__, "samples": self._options.render_samples})
         image = torch.zeros(len(pixels), 4, device=scene.mesh.positions.device)
@@ -95,4 +99,4 @@ class TransportGGX(ReflectanceRenderer):
         options = self._options
         device = str(scene.mesh.positions.device)
         size = (height, width)
-        return build_transport(scene.mesh, options.vertices, options.cells, size, options.diffuse_rows, device)
+        return build_transport(scene.mesh, options.vertices, options.cache_cells, size, options.diffuse_rows, device)

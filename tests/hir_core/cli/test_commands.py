@@ -146,9 +146,17 @@ def test_paper_preset_is_what_the_paper_prints() -> None:
     }
     assert (geometry.renderer, geometry.iterations_per_view, geometry.views_per_step) == ("soft_silhouette", 200, 1)
     assert geometry.learning_rate * geometry.start_radius == pytest.approx(0.001), "Adam's rate in its scene"
-    assert (reflectance.rgb_weight, reflectance.learning_rate, reflectance.learning_rate_end) == (0.1, 1e-4, 1.0)
+    assert (
+        reflectance.gradient.rgb_weight,
+        reflectance.gradient.learning_rate,
+        reflectance.gradient.learning_rate_end,
+    ) == (0.1, 1e-4, 1.0)
     assert (reflectance.environment_width, reflectance.environment_height) == (512, 128)
-    assert (reflectance.environment_start, reflectance.downsample, reflectance.iterations_per_view) == (0.5, 4, 400)
+    assert (reflectance.initial_radiance, reflectance.downsample, reflectance.gradient.iterations_per_view) == (
+        0.5,
+        4,
+        400,
+    )
     assert config.reflectance_renderer["mitsuba_ggx"] == {"samples": 4, "max_depth": 3}
     assert reflectance.brdf == "paper"
 

@@ -14,7 +14,6 @@ import torch
 from torch import Tensor
 
 from hir_core.capture import Capture, Pixels, View
-from hir_core.config import ReflectanceSettings
 from hir_core.plugins.manager import PluginManager
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import EnvironmentMap, Material, Mesh, Scene, Topology
@@ -24,6 +23,7 @@ from hir_plugins.regularizers.albedo_scale import AlbedoScale
 from hir_plugins.regularizers.material_options import AlbedoScaleOptions, TotalVariationOptions
 from hir_plugins.regularizers.mesh_variation import mesh_variation
 from hir_plugins.regularizers.total_variation import TotalVariation, environment_variation, texture_variation
+from tests.fixtures.made_captures import reflectance_settings
 from tests.fixtures.scenes import icosphere, looking_at, square
 
 
@@ -197,14 +197,15 @@ def small_fit(tmp_path: Path, warnings: list[str], **settings: Any) -> Scene:
     noise = torch.rand(32, 32, 3, generator=torch.Generator().manual_seed(1))
     start = Scene(mesh, Material("paper", 0.3 + 0.3 * noise, torch.zeros(3), torch.ones(1)))
     options = {
-        "transport_ggx": {"steps": 4, "cells": 200, "vertices": 500, "pixels": 600, "texture_pixels": 1000},
+        "transport_ggx": {"steps": 4, "cache_cells": 200, "vertices": 500, "pixels": 600, "texture_pixels": 1000},
         "mitsuba_ggx": {"samples": 4},
     }
     context = StageContext(PLUGINS, tmp_path, {"reflectance_renderer": options}, warn=warnings.append)
-    given = {"environment_height": 8, "environment_width": 16, "iterations": 20, "learning_rate_end": 0.02, **settings}
+    gradient = {"iterations": 20, "learning_rate_end": 0.02} | settings.pop("gradient", {})
+    given = {"environment_height": 8, "environment_width": 16, "gradient": gradient, **settings}
     torch.manual_seed(0)
     capture = Capture(Path("made"), tuple(view(eye) for eye in eyes))
-    fitted, _ = fit_reflectance(start, capture, ReflectanceSettings(**given), context)
+    fitted, _ = fit_reflectance(start, capture, reflectance_settings(**given), context)
     return fitted
 
 
@@ -238,5 +239,5 @@ def test_a_term_that_cannot_act_is_said(tmp_path: Path) -> None:
     small_fit(tmp_path / "constant", told, model="specular", regularizers=terms)
     assert any("bilateral_specular has no effect" in text for text in told)
     told.clear()
-    small_fit(tmp_path / "steps", told, model="specular_map", iterations=0, regularizers=terms)
-    assert any("reflectance.iterations is 0" in text for text in told)
+    small_fit(tmp_path / "steps", told, model="specular_map", gradient={"iterations": 0}, regularizers=terms)
+    assert any("reflectance.gradient.iterations is 0" in text for text in told)

@@ -1,4 +1,4 @@
-"""Marks that decide whether work is done: of a capture's listing, of its bytes, and of the settings."""
+"""Hashes that decide whether a capture has to be processed: of its listing, its content, and the settings."""
 
 from __future__ import annotations
 
@@ -7,50 +7,53 @@ import json
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from hir_core.capture.capture_store import file_hash
+
 from hir_core.config import RunConfig
+from hir_core.errors import InputError
 from hir_core.files.json_documents import jsonable
-from hir_plugins.commands.batch.storage.object_store import Stamp
+from hir_core.files.light_setting import parse_light_file
+from hir_plugins.commands.batch.storage.storage_path import FileStat
 
-WITHOUT_EFFECT: Final = ("checkpoint_seconds", "observers")
-"""Settings that change how a run is watched or kept, not what it makes."""
-
-
-def listing_mark(listed: Mapping[str, Stamp]) -> str:
-    """Of names, sizes and the store's own checksums or times: cheap, and new whenever the content may be."""
-    return _digest([[name, stamp.size, stamp.mark] for name, stamp in sorted(listed.items())])
+SETTINGS_WITHOUT_EFFECT: Final = ("checkpoint_seconds", "observers")
+"""Settings that do not change the result of a run."""
 
 
-def content_mark(path: Path) -> str:
-    """Of the names and bytes of all files of a capture, a folder or one file: the same wherever it lies."""
+def listing_hash(listing: Mapping[str, FileStat]) -> str:
+    """Hash of names, sizes and versions: cheap, and different whenever the content may have changed."""
+    return _hash([[name, stat.size, stat.version] for name, stat in sorted(listing.items())])
+
+
+def content_hash(path: Path) -> str:
+    """Hash of the names and bytes of all files of a capture (a folder or one file), independent of its location."""
     if path.is_file():
-        return _digest([["", file_hash(path)]])
-    found = sorted(file for file in path.rglob("*") if file.is_file())
-    return _digest([[file.relative_to(path).as_posix(), file_hash(file)] for file in found])
+        return _hash([["", file_hash(path)]])
+    files = sorted(file for file in path.rglob("*") if file.is_file())
+    return _hash([[file.relative_to(path).as_posix(), file_hash(file)] for file in files])
 
 
-def settings_mark(config: RunConfig) -> str:
-    """Of all settings that a result depends on; one that names a file counts with the file's bytes."""
+def settings_hash(config: RunConfig) -> str:
+    """Hash of all settings that change the result; for a setting that names a file, also of the file's bytes."""
     table = asdict(config)
-    for name in WITHOUT_EFFECT:
+    for name in SETTINGS_WITHOUT_EFFECT:
         del table[name]
-    named = [[text, file_hash(path)] for text in sorted(set(_strings(table))) for path in _named_file(text)]
-    return _digest([table, named])
+    named_files = [[text, file_hash(path)] for text in sorted(set(_strings(table))) for path in _named_file(text)]
+    return _hash([table, named_files])
 
 
-def work_mark(content: str, settings: str) -> str:
-    """Of input and settings together: what a result is the result of."""
-    return _digest([content, settings])
+def result_key(content: str, settings: str) -> str:
+    """Hash of all that a result depends on: the content hash of the capture and the settings hash."""
+    return _hash([content, settings])
 
 
-def _digest(plain: Any) -> str:
-    text = json.dumps(jsonable(plain), sort_keys=True)
+def _hash(document: object) -> str:
+    text = json.dumps(jsonable(document), sort_keys=True)
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
-def _strings(value: Any) -> Iterator[str]:
+def _strings(value: object) -> Iterator[str]:
     if isinstance(value, str):
         yield value
     elif isinstance(value, Mapping):
@@ -62,7 +65,10 @@ def _strings(value: Any) -> Iterator[str]:
 
 
 def _named_file(text: str) -> Iterator[Path]:
-    """The file that a setting names, `FILE` or `FILE*STRENGTH`; words such as `fast` name none."""
-    path = Path(text.rpartition("*")[0] or text)
+    """The file that a setting names as `FILE` or `FILE*STRENGTH`; words such as `fast` name none."""
+    try:
+        path, _ = parse_light_file(text)
+    except InputError:
+        return
     if path.suffix and len(text) < 1024 and path.is_file():
         yield path

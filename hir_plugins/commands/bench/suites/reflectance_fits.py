@@ -1,6 +1,6 @@
 """Material and light on a capture's true mesh: error on unseen views and under other lights against seconds.
 
-The fast solvers, the same with a polish by path tracing, the path tracer alone (tuned, and with the paper's settings)
+The fast solvers, the same with path-traced refinement, the path tracer alone (tuned, and with the paper's settings)
 and other programs. Each of our scenes is path traced where no fit has looked, by the same renderer; a peer's is shown
 by the peer.
 """
@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from hir_core.capture import Capture
-from hir_core.config import ReflectanceSettings, load_config
+from hir_core.config import GradientSettings, PathTracingSettings, ReflectanceSettings, load_config
 from hir_core.errors import HirError
 from hir_core.intake.reader_lookup import read_capture
 from hir_core.optimization.weighted_energies import Energies
@@ -24,8 +24,9 @@ from hir_core.plugins.interfaces import ReflectanceSolver
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import Scene
-from hir_core.stages.reflectance.path_traced_refinement import polished
-from hir_core.stages.reflectance.reflectance_fit import fit_reflectance, starting_scene
+from hir_core.stages.reflectance.initial_scene import initial_scene
+from hir_core.stages.reflectance.path_traced_refinement import refine_by_path_tracing
+from hir_core.stages.reflectance.reflectance_fit import fit_reflectance
 from hir_plugins.commands.bench.bench_plan import Plan
 from hir_plugins.commands.bench.inputs.bench_captures import decoded, true_scene
 from hir_plugins.commands.bench.inputs.scene_judge import Judge
@@ -33,7 +34,7 @@ from hir_plugins.commands.bench.measurement import peak_bytes, reset_peak
 from hir_plugins.commands.bench.results.bench_result import Case, Row, Timing
 
 EFFORTS = (0.0625, 0.125, 0.25, 0.5, 1.0)
-POLISHED_EFFORT, POLISH_STEPS = 0.5, 20
+REFINED_EFFORT, PATH_TRACED_STEPS = 0.5, 20
 TUNED_STEPS = (50, 150)
 PAPER_STEPS = (100,)
 """Of 32,000 that the paper takes with 80 photographs."""
@@ -45,8 +46,7 @@ TUNED = ReflectanceSettings(
     brdf="dielectric",
     model="specular",
     downsample=DOWNSAMPLE,
-    learning_rate=0.02,
-    learning_rate_end=0.1,
+    gradient=GradientSettings(learning_rate=0.02, learning_rate_end=0.1),
 )
 
 
@@ -86,29 +86,31 @@ class _Bench:
     case: Case
 
     def solver(self, name: str, efforts: tuple[float, ...]) -> Iterator[Row]:
-        """A renderer with a solver of its own, textures included, and one of its fits polished by path tracing."""
+        """A renderer with a solver of its own, textures included, and one of its fits with path-traced refinement."""
         renderer = self.plan.plugins.create("reflectance_renderer", name, {})
-        start = starting_scene(self.scene, self.train, ReflectanceSettings())
+        start = initial_scene(self.scene, self.train, ReflectanceSettings())
         every = range(len(self.train.views))
 
         def fitted(effort: float) -> tuple[Scene, str]:
             solver = renderer.prepare(start, self.train, DOWNSAMPLE)
             assert isinstance(solver, ReflectanceSolver)
             fit = solver.fit(FITTED, None, every, effort, lambda share: None)
-            return solver.scene(fit, every, lambda share: None)[0], ""
+            return solver.scene(fit, every, lambda share: None).scene, ""
 
         for effort in efforts:
             yield self._row(name, f"effort {effort:g}", partial(fitted, effort))
 
-        def polish() -> tuple[Scene, str]:
-            settings = replace(TUNED, polish_iterations=POLISH_STEPS)
-            scene, _ = fitted(POLISHED_EFFORT)
-            scene, report = polished(scene, self.train, settings, Energies({}), self._context({}))
-            gain = f"held-out views {report['gain_db']:+.2f} ± {report['noise_db']:.2f} dB"
-            return scene, f"{gain}: {'kept' if report['kept'] else 'not kept'}"
+        def path_traced() -> tuple[Scene, str]:
+            settings = replace(TUNED, path_tracing=PathTracingSettings("mitsuba_ggx", iterations=PATH_TRACED_STEPS))
+            scene, _ = fitted(REFINED_EFFORT)
+            scene, report = refine_by_path_tracing(scene, self.train, settings, Energies({}), self._context({}))
+            gain = f"held-out views {report.gain_db:+.2f} ± {report.standard_error_db:.2f} dB"
+            return scene, f"{gain}: {'accepted' if report.accepted else 'rejected'}"
 
         if len(efforts) > 1:
-            yield self._row(f"{name} + polish", f"effort {POLISHED_EFFORT:g}, {POLISH_STEPS} steps", polish)
+            yield self._row(
+                f"{name} + path tracing", f"effort {REFINED_EFFORT:g}, {PATH_TRACED_STEPS} steps", path_traced
+            )
 
     def path_tracer(
         self, name: str, settings: ReflectanceSettings, options: Mapping[str, Any], budgets: tuple[int, ...]
@@ -116,7 +118,8 @@ class _Bench:
         """Gradient steps through the path tracer from constant textures and a constant light."""
         context = self._context({"reflectance_renderer": options})
         for steps in budgets:
-            asked = replace(settings, iterations=steps, iterations_per_view=0)
+            gradient = replace(settings.gradient, iterations=steps, iterations_per_view=0)
+            asked = replace(settings, gradient=gradient)
 
             def run(asked: ReflectanceSettings = asked) -> tuple[Scene, str]:
                 scene, _ = fit_reflectance(self.scene, self.train, asked, context)
@@ -143,7 +146,7 @@ def _peers(scene: Scene, train: Capture, case: Case, path: Path, plan: Plan, jud
     from hir_plugins.commands.bench.peers.color_map import color_map_rows
     from hir_plugins.commands.bench.peers.stock_mitsuba import stock_rows
 
-    start = starting_scene(scene, train, ReflectanceSettings())
+    start = initial_scene(scene, train, ReflectanceSettings())
     lit = replace(scene, environment=start.environment)
     for rows in (stock_rows, color_map_rows):
         try:

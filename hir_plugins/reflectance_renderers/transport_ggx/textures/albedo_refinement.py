@@ -1,7 +1,7 @@
-"""The last albedo, under what path tracing shows: cells, split sums and few directions leave no trace in it.
+"""Path-traced albedo refinement: removes the approximations of the cached transport from the diffuse albedo.
 
-A path tracer is exact but slow and noisy. So it is asked once, for the pixels that the textures were solved from; how
-a pixel changes with its albedo is taken from the cache, and the noise enters where the photographs' does.
+A path tracer is unbiased but slow and noisy. It renders the pixels that the textures were solved from once. How a pixel
+changes with its albedo is taken from the cached transport. The noise enters the equations where the photographs' does.
 """
 
 from __future__ import annotations
@@ -18,31 +18,35 @@ from hir_core.stages.atlas import dilate, fill_unobserved, texel_surface
 from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import Surface
 from hir_plugins.reflectance_renderers.transport_ggx.textures.texel_equations import TexelEquations, solve_texels
 from hir_plugins.reflectance_renderers.transport_ggx.textures.texture_solve import (
-    HUBER_SRGB,
-    PADDING,
-    PRIOR,
-    SMOOTH,
+    PADDING_TEXELS,
+    TEXEL_HUBER_SRGB,
+    TEXEL_PRIOR_WEIGHT,
+    TEXEL_SMOOTHNESS_WEIGHT,
     refined_mesh,
 )
 
 
 @dataclass(eq=False)
 class AlbedoRefinement:
-    """A scene and the equations that its albedo was solved from, view by view."""
+    """The equations that the albedo of a scene was solved from, view by view, with a cache of path-traced radiance."""
 
-    scene: Scene
     equations: list[TexelEquations]
-    _shown: dict[int, Tensor] = field(default_factory=dict)
+    _cache: dict[int, Tensor] = field(default_factory=dict)
+    """Path-traced radiance of each view's pixels, of `_cached`."""
+    _cached: tuple[PreparedReflectance, Scene] | None = None
 
-    def solved(
+    def refined(
         self,
+        scene: Scene,
         surface: Surface,
         traced: PreparedReflectance | None,
         views: Sequence[int],
         report: Callable[[float], None],
     ) -> Scene | None:
-        """With the albedo that pixels of `views` ask for, under what `traced` shows; None if there are none."""
-        material, allowed = self.scene.material, set(views)
+        """The scene with the albedo that fits the pixels of `views` under the radiance of `traced`; None where there
+        are no such pixels, or no albedo texture.
+        """
+        material, allowed = scene.material, set(views)
         parts = [e for e in self.equations if len(e.pixel) and int(e.pixel[0, 0]) in allowed]
         if material is None or material.diffuse_albedo.ndim != 3 or material.observed is None or not parts:
             return None
@@ -50,24 +54,28 @@ class AlbedoRefinement:
         with torch.no_grad():
             rows = []
             for done, part in enumerate(parts):
-                rows.append(part if traced is None else self._corrected(part, traced, albedo))
+                rows.append(part if traced is None else self._corrected(part, scene, traced, albedo))
                 report(0.9 * (done + 1) / len(parts))
-            found, _ = solve_texels(rows, albedo, HUBER_SRGB, PRIOR, SMOOTH)
+            found, _ = solve_texels(rows, albedo, TEXEL_HUBER_SRGB, TEXEL_PRIOR_WEIGHT, TEXEL_SMOOTHNESS_WEIGHT)
             mesh = refined_mesh(surface)
             texels = texel_surface(mesh, (albedo.shape[0], albedo.shape[1]))
             filled = fill_unobserved(found, mesh, material.observed, texels)
-            albedo = dilate(filled, texels.covered, PADDING)
+            albedo = dilate(filled, texels.covered, PADDING_TEXELS)
         report(1.0)
-        return replace(self.scene, material=replace(material, diffuse_albedo=albedo))
+        return replace(scene, material=replace(material, diffuse_albedo=albedo))
 
-    def _corrected(self, rows: TexelEquations, traced: PreparedReflectance, albedo: Tensor) -> TexelEquations:
-        """The same rows; what pixels show besides their albedo is what is left of the traced radiance."""
+    def _corrected(
+        self, rows: TexelEquations, scene: Scene, traced: PreparedReflectance, albedo: Tensor
+    ) -> TexelEquations:
+        """The same rows, whose constant part is what remains of the path-traced radiance without the albedo's part."""
         view = int(rows.pixel[0, 0])
-        if view not in self._shown:
-            assert self.scene.material is not None and self.scene.environment is not None
+        if self._cached is None or self._cached[0] is not traced or self._cached[1] is not scene:
+            self._cached, self._cache = (traced, scene), {}
+        if view not in self._cache:
+            assert scene.material is not None and scene.environment is not None
             torch.manual_seed(view)
-            shown = traced.radiance(self.scene.material, self.scene.environment, rows.pixel)
-            # one broken pixel would reach every texel through conjugate gradients; this one asks for no change
-            self._shown[view] = torch.where(torch.isfinite(shown), shown, rows.color)
+            radiance = traced.radiance(scene.material, scene.environment, rows.pixel)
+            # one non-finite pixel would reach every texel through conjugate gradients; this one asks for no change
+            self._cache[view] = torch.where(torch.isfinite(radiance), radiance, rows.color)
         looked_up = (albedo.reshape(-1, 3)[rows.index] * rows.weight[..., None]).sum(dim=1)
-        return replace(rows, rest=self._shown[view] - rows.gain * looked_up)
+        return replace(rows, rest=self._cache[view] - rows.gain * looked_up)

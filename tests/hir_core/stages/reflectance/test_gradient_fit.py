@@ -13,7 +13,7 @@ import torch
 from hir_exporters.conventions import linear_to_srgb
 
 from hir_core.capture import Capture, Pixels, View
-from hir_core.config import ReflectanceSettings
+from hir_core.config import GradientSettings
 from hir_core.errors import StageError
 from hir_core.optimization.weighted_energies import Energies, prepare_energies
 from hir_core.plugins.interfaces import PreparedReflectance
@@ -21,7 +21,8 @@ from hir_core.plugins.manager import PluginManager
 from hir_core.plugins.progress import Progress
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import EnvironmentMap, Material, Scene
-from hir_core.stages.reflectance.gradient_fit import ObjectPixels, _Draw, fit_by_gradient, object_pixels
+from hir_core.stages.reflectance.gradient_fit import ObjectPixels, PixelSampler, fit_by_gradient, object_pixels
+from hir_core.stages.reflectance.reflectance_report import GradientReport
 from hir_core.testing.scenes import sphere
 
 RNG = np.random.default_rng(0)
@@ -76,11 +77,11 @@ def run(
     start: Scene,
     pixels: ObjectPixels,
     folder: Path,
-    settings: ReflectanceSettings,
+    settings: GradientSettings,
     energies: Energies | None = None,
     prepared: PreparedReflectance | None = None,
     **more: Any,
-) -> tuple[Material, torch.Tensor, dict[str, Any], dict[str, np.ndarray], list[str]]:
+) -> tuple[Material, torch.Tensor, GradientReport, dict[str, np.ndarray], list[str]]:
     """Material, light, report, curves and warnings of a fit."""
     blocks: list[Progress] = []
     warnings: list[str] = []
@@ -111,7 +112,7 @@ def test_pixels_of_the_object_with_their_colours_at_exposure_one(capture: Captur
 
 
 def test_masks_that_leave_nothing_are_one_sentence(capture: Capture) -> None:
-    with pytest.raises(StageError, match=r"^made: the masks leave no pixel of the object; look at them with: hir ch"):
+    with pytest.raises(StageError, match=r"^made: the masks leave no pixel of the object; inspect them with: hir ch"):
         object_pixels(capture.__class__(capture.path, (_empty(capture.views[0]),)), [0], 1, "cpu")
 
 
@@ -121,7 +122,9 @@ def test_pixels_that_are_no_colours_are_counted_by_view(capture: Capture) -> Non
     color[1, 2, 0], color[1, 2, 1], color[2, 0, 2] = np.nan, np.inf, -np.inf
     color[0, 0] = np.nan  # outside of the mask
     sick = replace(capture.views[0], read=lambda: replace(pixels, color_linear=color))
-    with pytest.raises(StageError, match=r"^view a has 2 pixels of the object that are NaN or infinite; mend or leave"):
+    with pytest.raises(
+        StageError, match=r"^view a has 2 pixels of the object that are NaN or infinite; repair or remo"
+    ):
         object_pixels(replace(capture, views=(sick,)), [0], 1, "cpu")
     color[1, 2], color[2, 0] = 0.5, 0.5
     assert len(object_pixels(replace(capture, views=(sick,)), [0], 1, "cpu").index) == 2
@@ -135,7 +138,7 @@ def _empty(view: View) -> View:
 @pytest.mark.parametrize("space", ["linear", "srgb"])
 def test_the_loss_is_the_weighted_sum_of_absolute_differences(capture: Capture, tmp_path: Path, space: str) -> None:
     pixels = object_pixels(capture, [0, 1], 1, "cpu")
-    settings = ReflectanceSettings(rgb_weight=3.0, loss_space=space)  # type: ignore[arg-type]
+    settings = GradientSettings(rgb_weight=3.0, loss_space=space)  # type: ignore[arg-type]
     _, _, report, curves, warnings = run(scene(), pixels, tmp_path, settings, steps=1)
     shown = np.full((14, 3), (0.3 + 0.2 * 0.5) * 0.5)
     curve = (lambda x: x) if space == "linear" else linear_to_srgb
@@ -144,7 +147,7 @@ def test_the_loss_is_the_weighted_sum_of_absolute_differences(capture: Capture, 
     assert (pixels.color[0].numpy() < shown[0]).any() and (pixels.color[0].numpy() > shown[0]).any()
     np.testing.assert_allclose(curves["rgb"][0], 3 * np.abs(difference).sum(), rtol=1e-5)
     np.testing.assert_allclose(curves["loss"], curves["rgb"])
-    assert report == {"steps": 1, "skipped": {}} and warnings == []
+    assert report == GradientReport(1, {}) and warnings == []
 
 
 def test_terms_join_the_loss_and_pull(capture: Capture, tmp_path: Path) -> None:
@@ -156,7 +159,7 @@ def test_terms_join_the_loss_and_pull(capture: Capture, tmp_path: Path) -> None:
 
     pull = Energies({"far": (1e4, energy)})
     assert pull and not Energies({})
-    material, _, _, curves, _ = run(scene(), pixels, tmp_path, ReflectanceSettings(learning_rate=0.1), pull, steps=80)
+    material, _, _, curves, _ = run(scene(), pixels, tmp_path, GradientSettings(learning_rate=0.1), pull, steps=80)
     np.testing.assert_allclose(curves["far"][0], 1e4 * 3 * 0.36, rtol=1e-5)
     np.testing.assert_allclose(curves["loss"], curves["rgb"] + curves["far"], rtol=1e-5)
     np.testing.assert_allclose(material.diffuse_albedo, 0.9, atol=0.02)
@@ -169,7 +172,7 @@ def test_only_what_is_wanted_moves(capture: Capture, tmp_path: Path) -> None:
     for light in (False, True):
         for specular in (False, True):
             material, radiance, *_ = run(
-                start, pixels, tmp_path, ReflectanceSettings(), fit_light=light, fit_specular=specular
+                start, pixels, tmp_path, GradientSettings(), fit_light=light, fit_specular=specular
             )
             assert bool((radiance == 0.5).all()) is not light
             assert torch.equal(material.specular_albedo, start.material.specular_albedo) is not specular
@@ -177,7 +180,7 @@ def test_only_what_is_wanted_moves(capture: Capture, tmp_path: Path) -> None:
             assert not torch.equal(material.diffuse_albedo, start.material.diffuse_albedo)
             values = material.diffuse_albedo, material.specular_albedo, material.roughness, radiance
             assert not any(t.requires_grad for t in values)
-    material, radiance, *_ = run(start, pixels, tmp_path, ReflectanceSettings())
+    material, radiance, *_ = run(start, pixels, tmp_path, GradientSettings())
     assert not bool((radiance == 0.5).all()) and not torch.equal(material.roughness, start.material.roughness)
     assert start.material.diffuse_albedo.tolist() == pytest.approx([0.3] * 3), "the start stays as it was"
 
@@ -192,8 +195,8 @@ def _bright(target: float) -> ObjectPixels:
 @pytest.mark.parametrize("model", ["paper", "dielectric"])
 @pytest.mark.parametrize("conserve", [True, False])
 def test_values_stay_in_their_range(tmp_path: Path, model: str, conserve: bool) -> None:
-    settings = ReflectanceSettings(learning_rate=0.5, conserve_energy=conserve)
-    up, light, *_ = run(scene(model), _bright(1e6), tmp_path, settings, steps=40)
+    settings = GradientSettings(learning_rate=0.5)
+    up, light, *_ = run(scene(model), _bright(1e6), tmp_path, settings, steps=40, conserve_energy=conserve)
     torch.testing.assert_close(up.specular_albedo, torch.ones(3), rtol=0, atol=0)
     torch.testing.assert_close(up.roughness, torch.ones(1), rtol=0, atol=0)
     expected = 0.0 if model == "paper" and conserve else 1.0
@@ -207,7 +210,7 @@ def test_values_stay_in_their_range(tmp_path: Path, model: str, conserve: bool) 
 
 
 def test_the_light_has_an_upper_end(tmp_path: Path) -> None:
-    _, light, *_ = run(scene(light=99_000.0), _bright(1e9), tmp_path, ReflectanceSettings(learning_rate=900.0), steps=4)
+    _, light, *_ = run(scene(light=99_000.0), _bright(1e9), tmp_path, GradientSettings(learning_rate=900.0), steps=4)
     torch.testing.assert_close(light, torch.full((2, 4, 3), 1e5), rtol=0, atol=0)
 
 
@@ -215,7 +218,7 @@ def test_the_rate_falls_to_its_end(tmp_path: Path) -> None:
     """Adam's first steps are as long as its rate: with an end of 0 the second of two is half as long."""
     moved = []
     for end in (1.0, 0.0):
-        settings = ReflectanceSettings(learning_rate=0.01, learning_rate_end=end, loss_space="linear")
+        settings = GradientSettings(learning_rate=0.01, learning_rate_end=end, loss_space="linear")
         material, *_ = run(scene(), _bright(10.0), tmp_path, settings, steps=2, fit_light=False, fit_specular=False)
         moved.append(float(material.diffuse_albedo[0]) - 0.3)
     assert moved == pytest.approx([0.02, 0.015], abs=1e-5)
@@ -224,28 +227,30 @@ def test_the_rate_falls_to_its_end(tmp_path: Path) -> None:
 def test_a_step_sees_one_view_or_some_pixels_of_all(capture: Capture, tmp_path: Path) -> None:
     pixels = object_pixels(capture, [0, 1], 1, "cpu")
     shown = Product()
-    run(scene(), pixels, tmp_path, ReflectanceSettings(batch="views"), prepared=shown, steps=6)
+    run(scene(), pixels, tmp_path, GradientSettings(batch="views"), prepared=shown, steps=6)
     views = [sorted(set(asked[:, 0].tolist())) for asked in shown.asked]
     assert all(sorted(views[i] + views[i + 1]) == [0, 1] for i in (0, 2, 4)), "each once an epoch"
     assert {len(asked) for asked in shown.asked} == {2, 12}
-    whole = _Draw(pixels, ReflectanceSettings(batch_pixels=14), 0)
+    whole = PixelSampler(pixels, GradientSettings(batch_pixels=14), 0)
     assert whole(3).tolist() == list(range(14))
-    some = _Draw(pixels, ReflectanceSettings(batch_pixels=13), 0)
+    some = PixelSampler(pixels, GradientSettings(batch_pixels=13), 0)
     assert len(some(0)) == 13 and some(0).tolist() == some(0).tolist() != some(1).tolist()
-    assert some(0).tolist() != _Draw(pixels, ReflectanceSettings(batch_pixels=13), 1)(0).tolist()
+    assert some(0).tolist() != PixelSampler(pixels, GradientSettings(batch_pixels=13), 1)(0).tolist()
     drawn = torch.cat([some(i) for i in range(20)])
     assert int(drawn.min()) == 0 and int(drawn.max()) == 13
     many = replace(pixels, index=torch.zeros(30, 3, dtype=torch.long), first=list(range(31)))
-    orders = [[int(_Draw(many, ReflectanceSettings(batch="views"), seed)(i)[0]) for i in range(30)] for seed in (0, 1)]
+    orders = [
+        [int(PixelSampler(many, GradientSettings(batch="views"), seed)(i)[0]) for i in range(30)] for seed in (0, 1)
+    ]
     assert orders[0] != orders[1] and sorted(orders[0]) == sorted(orders[1]) == list(range(30))
 
 
 def test_trouble_names_pixels_and_views_and_is_warned_of(capture: Capture, tmp_path: Path) -> None:
     pixels = object_pixels(capture, [0, 1], 1, "cpu")
     sick = Product(lambda call: call in (3, 4))
-    material, _, report, _, warnings = run(scene(), pixels, tmp_path, ReflectanceSettings(), prepared=sick)
-    assert report == {"steps": 5, "skipped": {"rgb": 1}}
-    assert warnings == ["1 of 5 steps were left out: step 2: rgb is not finite at 12 pixels of view 1"]
+    material, _, report, _, warnings = run(scene(), pixels, tmp_path, GradientSettings(), prepared=sick)
+    assert report == GradientReport(5, {"rgb": 1})
+    assert warnings == ["1 of 5 steps were skipped: step 2: rgb is not finite at 12 pixels of view 1"]
     assert bool(torch.isfinite(material.diffuse_albedo).all())
 
 
@@ -259,7 +264,7 @@ def test_views_in_trouble_are_named_one_by_one(tmp_path: Path) -> None:
             return super().radiance(material, environment, pixels) * torch.nan
 
     with pytest.raises(StageError, match=r"rgb is not finite at 8 pixels of view 0, 1, 2, 3, 4(?!,)"):
-        run(scene(), pixels, tmp_path, ReflectanceSettings(), prepared=Dark(), steps=30)
+        run(scene(), pixels, tmp_path, GradientSettings(), prepared=Dark(), steps=30)
 
 
 @pytest.mark.parametrize(
@@ -297,7 +302,7 @@ def test_trouble_of_a_term_names_the_values_it_was_given(tmp_path: Path, field: 
             start,
             _bright(1.0),
             tmp_path,
-            ReflectanceSettings(),
+            GradientSettings(),
             Energies({"r": (1.0, energy)}),
             Constant(),
             steps=30,
@@ -306,7 +311,7 @@ def test_trouble_of_a_term_names_the_values_it_was_given(tmp_path: Path, field: 
 
 
 def test_the_state_is_kept_as_often_as_asked(tmp_path: Path) -> None:
-    run(scene(), _bright(1.0), tmp_path, ReflectanceSettings(), checkpoint_seconds=0.0)
+    run(scene(), _bright(1.0), tmp_path, GradientSettings(), checkpoint_seconds=0.0)
     assert [p.name for p in (tmp_path / "checkpoints").iterdir()] == ["gradient.npz"]
 
 
@@ -315,10 +320,10 @@ def test_terms_are_weighted_and_left_out_by_settings() -> None:
     context = StageContext(plugins, Path())
     bumpy = scene()
     table = {"edge_length": False, "laplacian": {"weight": 2.0}, "normal_consistency": {"weight": 0}}
-    terms = prepare_energies(bumpy, table, context)  # type: ignore[arg-type]
+    terms = prepare_energies(bumpy, table, context.plugins)  # type: ignore[arg-type]
     assert set(terms.terms) == {"laplacian"} and terms.terms["laplacian"][0] == 2.0
-    plain = prepare_energies(bumpy, {"laplacian": {}}, context)
+    plain = prepare_energies(bumpy, {"laplacian": {}}, context.plugins)
     assert float(terms(bumpy)["laplacian"]) == pytest.approx(2 * float(plain(bumpy)["laplacian"]), rel=1e-6)
     assert float(plain(bumpy)["laplacian"]) > 0
-    other = prepare_energies(bumpy, {"laplacian": {"weight": 1.0, "cotangent": True}}, context)
+    other = prepare_energies(bumpy, {"laplacian": {"weight": 1.0, "cotangent": True}}, context.plugins)
     assert float(other(bumpy)["laplacian"]) != pytest.approx(float(plain(bumpy)["laplacian"]), rel=1e-3)

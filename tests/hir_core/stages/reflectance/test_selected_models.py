@@ -49,7 +49,7 @@ def test_the_ladder_ends_where_the_truth_is(name: str, tmp_path: Path) -> None:
     mesh = ball()
     truth = Scene(mesh, MATERIALS[name](mesh), lamps())
     scene, report = fitted(mesh, photographs(truth, around(16)), tmp_path)
-    assert report["rung"] == name
+    assert report.model == name
     assert unseen_db(scene, truth) > 30
 
 
@@ -58,7 +58,7 @@ def test_the_ladder_finds_that_the_width_varies(tmp_path: Path) -> None:
     mesh = ball()
     truth = Scene(mesh, look((0.3, 0.2, 0.1), 0.3, checked(mesh, 0.1, 0.6)), lamps())
     scene, report = fitted(mesh, photographs(truth, around(16)), tmp_path, light=lamps(), brdf="paper")
-    assert "roughness map" in report["rung"]
+    assert "roughness map" in report.model
     assert unseen_db(scene, truth) > 30
 
 
@@ -69,9 +69,9 @@ def test_the_ladder_finds_indirect_light(tmp_path: Path) -> None:
     truth = Scene(mesh, look(color), sky())
     capture = photographs(truth, above(12, 0.9), depth=3, size=48)
     scene, report = fitted(
-        mesh, capture, tmp_path, texels=128, light=sky(), options={"steps": 150, "cells": 4000, "vertices": 8000}
+        mesh, capture, tmp_path, texels=128, light=sky(), options={"steps": 150, "cache_cells": 4000, "vertices": 8000}
     )
-    assert report["rung"] == "diffuse, 1 bounce"
+    assert report.model == "diffuse, 1 bounce"
     values, _ = observed(scene)
     assert float((values.mean(dim=0) - color).abs().max()) < 0.03
 
@@ -83,8 +83,8 @@ def test_light_between_walls_is_found_where_more_of_it_is_than_the_model_has(tmp
     truth = Scene(mesh, look(color), sky())
     capture = photographs(truth, above(12, 0.9), depth=8, size=48)
     scene, report = fitted(mesh, capture, tmp_path, texels=128, light=sky(), options={"steps": 150})
-    assert "1 bounce" in report["rung"]
-    gains = {row["name"]: row["gain_db"] for row in report["ladder"]}
+    assert "1 bounce" in report.model
+    gains = {row.model: row.gain_db for row in report.comparisons}
     assert gains["paper, specular, 1 bounce"] > 1
     values, _ = observed(scene)
     assert float((values.mean(dim=0) - color).abs().max()) < 0.1
@@ -95,7 +95,7 @@ def test_without_a_specular_part_the_answer_is_diffuse(tmp_path: Path) -> None:
     truth = Scene(ball(), look(BROWN), lamps())
     capture = photographs(truth, around(16))
     scene, report = fitted(truth.mesh, capture, tmp_path, light_frame="auto", options={"steps": 100})
-    assert report["rung"] == "diffuse" and not any(row["kept"] for row in report["ladder"][1:])
+    assert report.model == "diffuse" and not any(row.accepted for row in report.comparisons[1:])
     assert scene.material is not None and float(scene.material.specular_albedo.max()) == 0
     values, _ = observed(scene)
     hue = values.mean(dim=0) / values.mean()
@@ -109,7 +109,7 @@ def test_whether_the_light_goes_with_the_camera(frame: str, tmp_path: Path) -> N
     scene, report = fitted(
         truth.mesh, photographs(truth, around(12)), tmp_path, light_frame="auto", brdf="paper", options={"steps": 100}
     )
-    assert report["light_frame"] == frame and report["rung"].startswith("diffuse")
+    assert report.light_frame == frame and report.model.startswith("diffuse")
     assert scene.environment is not None and scene.environment.frame == frame
     values, _ = observed(scene)
     assert float(values.log().std(dim=0).max()) < 0.05, "no shading in the albedo"

@@ -1,7 +1,8 @@
-"""The last albedo: what path tracing asks for stays where held-out views gain by it, and goes where they do not."""
+"""Path-traced albedo refinement is accepted where held-out views gain, and rejected where they do not."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,12 +12,10 @@ import pytest
 import torch
 
 from hir_core.capture import Capture
-from hir_core.config import ReflectanceSettings
-from hir_core.plugins.interfaces import ReflectanceSolver
+from hir_core.plugins.interfaces import PreparedReflectance, ReflectanceSolver, Solved
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import Scene
 from hir_core.stages.atlas import unwrap_mesh
-from hir_core.stages.reflectance.path_traced_refinement import settled
 from tests.fixtures.made_captures import (
     BROWN,
     PLUGINS,
@@ -27,23 +26,25 @@ from tests.fixtures.made_captures import (
     lamps,
     look,
     photographs,
+    reflectance_settings,
     unseen_db,
 )
 
 
-def scripted(factor: float | None) -> ReflectanceSolver:
-    """A solver whose answer is the albedo times a factor."""
+def scripted(factor: float | None) -> ReflectanceSolver[Any, Any]:
+    """A solver whose refinement multiplies the albedo by a factor."""
 
-    def settle(scene: Scene, traced: Any, views: Any, report: Any) -> Scene | None:
+    def refine(solved: Solved[Any], traced: Any, views: Any, report: Callable[[float], None]) -> Solved[Any] | None:
         report(1.0)
-        material = scene.material
+        material = solved.scene.material
         if factor is None or material is None:
             return None
         if traced is None:
-            return scene
-        return replace(scene, material=replace(material, diffuse_albedo=factor * material.diffuse_albedo))
+            return solved
+        brighter = replace(material, diffuse_albedo=factor * material.diffuse_albedo)
+        return replace(solved, scene=replace(solved.scene, material=brighter))
 
-    return cast(ReflectanceSolver, SimpleNamespace(settle=settle))
+    return cast(ReflectanceSolver[Any, Any], SimpleNamespace(refine=refine))
 
 
 @pytest.fixture(scope="module")
@@ -53,52 +54,60 @@ def shadowed() -> tuple[Scene, Capture]:
     return truth, photographs(truth, around(16))
 
 
-def judged(scene: Scene, solver: ReflectanceSolver, capture: Capture, folder: Path) -> tuple[Scene, dict[str, Any]]:
-    """Of direct light alone, as the photographs were made."""
+def compared(
+    scene: Scene, solver: ReflectanceSolver[Any, Any], capture: Capture, folder: Path
+) -> tuple[Scene, RefinementReport]:
+    """With direct light alone, as the photographs were rendered."""
     shares: list[float] = []
-    found = settled(scene, solver, capture, ReflectanceSettings(), 0, StageContext(PLUGINS, folder, {}), shares.append)
+    solved: Solved[Any] = Solved(scene, cast(PreparedReflectance, None), None, {})
+    context, settings = StageContext(PLUGINS, folder, {}), reflectance_settings()
+    refined, report = refine_albedo(solved, solver, capture, settings, 0, context, shares.append)
     assert shares == sorted(shares) and shares[0] >= 0 and shares[-1] <= 1
-    assert shares[-1] == 1 or not found[1]["kept"]
-    return found
+    assert shares[-1] == 1 or not report.accepted
+    return refined.scene, report
 
 
-def test_a_better_albedo_is_kept_and_a_worse_one_is_not(shadowed: tuple[Scene, Capture], tmp_path: Path) -> None:
+def test_a_better_albedo_is_accepted_and_a_worse_one_is_rejected(
+    shadowed: tuple[Scene, Capture], tmp_path: Path
+) -> None:
     truth, capture = shadowed
     assert truth.material is not None
     dark = replace(truth, material=replace(truth.material, diffuse_albedo=0.8 * truth.material.diffuse_albedo))
-    better, report = judged(dark, scripted(1.25), capture, tmp_path)
-    assert report["kept"] and report["gain_db"] > 5 and report["after_db"] > report["before_db"] and better is not dark
-    same, report = judged(truth, scripted(0.8), capture, tmp_path)
-    assert not report["kept"] and report["gain_db"] < -5 and same is truth
+    better, report = compared(dark, scripted(1.25), capture, tmp_path)
+    assert report.accepted and report.gain_db is not None and report.gain_db > 5 and better is not dark
+    assert report.before_db is not None and report.after_db is not None and report.after_db > report.before_db
+    same, report = compared(truth, scripted(0.8), capture, tmp_path)
+    assert not report.accepted and report.gain_db is not None and report.gain_db < -5 and same is truth
 
 
-def test_nothing_to_judge_by_and_nothing_to_judge(shadowed: tuple[Scene, Capture], tmp_path: Path) -> None:
+def test_too_few_views_and_a_solver_without_refinement(shadowed: tuple[Scene, Capture], tmp_path: Path) -> None:
     truth, capture = shadowed
     few = Capture(capture.path, capture.views[:3])
-    same, report = judged(truth, scripted(1.25), few, tmp_path)
-    assert same is truth and report == {"kept": False, "held_out_views": 0}
-    same, report = judged(truth, scripted(None), capture, tmp_path)
-    assert same is truth and not report["kept"] and "closed form" in report["reason"]
+    same, report = compared(truth, scripted(1.25), few, tmp_path)
+    assert same is truth and report == RefinementReport(False, 0, "too few views")
+    same, report = compared(truth, scripted(None), capture, tmp_path)
+    assert same is truth and not report.accepted and "closed form" in str(report.not_compared)
 
 
-@pytest.mark.parametrize(("cells", "kept"), [(30, True), (800, False)])
-def test_path_tracing_mends_what_few_cells_blur(
-    shadowed: tuple[Scene, Capture], tmp_path: Path, cells: int, kept: bool
+@pytest.mark.parametrize(("cells", "accepted"), [(30, True), (800, False)])
+def test_path_tracing_corrects_a_coarse_irradiance_cache(
+    shadowed: tuple[Scene, Capture], tmp_path: Path, cells: int, accepted: bool
 ) -> None:
-    """With thirty cells a bowl's shade is coarse, and its albedo takes that up until path tracing shows it."""
+    """With thirty cells the irradiance in a bowl is coarse; the albedo compensates it until it is refined."""
     truth, capture = shadowed
     found = {}
-    for settle in (False, True):
+    for refine in (False, True):
         scene, report = fitted(
             truth.mesh,
             capture,
-            tmp_path / str(settle),
+            tmp_path / str(refine),
             light=lamps(),
             model="diffuse",
-            settle=settle,
-            options={"cells": cells},
+            path_tracing={"refine_albedo": refine},
+            options={"cache_cells": cells},
         )
-        found[settle] = unseen_db(scene, truth)
+        found[refine] = unseen_db(scene, truth)
         assert scene.material is not None and bool(torch.isfinite(scene.material.diffuse_albedo).all())
-        assert report.get("settled", {}).get("kept", False) == (settle and kept)
-    assert found[True] > found[False] + 4 if kept else found[True] == found[False]
+        found_gain = report.albedo_refinement is not None and report.albedo_refinement.accepted
+        assert found_gain == (refine and accepted)
+    assert found[True] > found[False] + 4 if accepted else found[True] == found[False]

@@ -14,28 +14,36 @@ from torch.nn.functional import grid_sample, huber_loss, normalize
 from hir_core.scene.srgb import linear_to_srgb
 from hir_plugins.reflectance_renderers.brdf_torch import directional_albedo_terms
 from hir_plugins.reflectance_renderers.mitsuba_variant import mitsuba_on
-from hir_plugins.reflectance_renderers.transport_ggx.fit.shading_normals import bent, bent_irradiance
+from hir_plugins.reflectance_renderers.transport_ggx.fit.shading_normals import (
+    offset_normals,
+    shading_normal_irradiance,
+)
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import texel_directions
 from hir_plugins.reflectance_renderers.transport_ggx.operator.probe_lookup import (
     Lobe,
     Patch,
     ProbeTable,
-    gathered,
     lobe_of,
     patch_around,
+    patch_radiance,
 )
 from hir_plugins.reflectance_renderers.transport_ggx.operator.radiance_probes import (
-    COLUMNS,
-    LEVELS,
-    NARROWEST,
-    ROWS,
-    Probes,
+    ALPHA_LEVELS,
+    MIN_LEVEL_ALPHA,
+    PROBE_COLUMNS,
+    PROBE_ROWS,
+    RadianceProbes,
     alpha_of,
     level_of,
 )
-from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit import Holds, PointFit, Points, PointValues
-from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit_steps import LEAST_RHO, equations
-from hir_plugins.reflectance_renderers.transport_ggx.textures.observations import Sightings
+from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit import (
+    PointBrdfFit,
+    PointBrdfs,
+    Priors,
+    ShadingPoints,
+)
+from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit_steps import MIN_SPECULAR_ALBEDO, equations
+from hir_plugins.reflectance_renderers.transport_ggx.textures.observations import Observations
 
 COUNT, VIEWS = 64, 24
 
@@ -45,32 +53,32 @@ def _on_the_processor() -> None:
     mitsuba_on("cpu")
 
 
-def probes() -> Probes:
+def probes() -> RadianceProbes:
     """Two cells: a window ahead and a lamp to the side, wider and dimmer in each level."""
-    d = texel_directions(ROWS, COLUMNS)
+    d = texel_directions(PROBE_ROWS, PROBE_COLUMNS)
     ahead, aside = normalize(torch.tensor([[0.3, 0.4, 1.0], [-1.0, 0.5, 0.2]]), dim=1)
     levels = []
-    for level in range(LEVELS):
+    for level in range(ALPHA_LEVELS):
         sharp = 40.0 / (1 + 2 * level)
         window, lamp = torch.exp(sharp * (d @ ahead - 1)), torch.exp(sharp * (d @ aside - 1))
         levels.append(torch.stack([0.3 + 3 * window + 0.5 * lamp, 0.3 + 2.5 * window + lamp, 0.4 + 2 * window], dim=1))
     one = torch.stack(levels)
-    return Probes(torch.stack([one, 0.5 * one + 0.2]).half())
+    return RadianceProbes(torch.stack([one, 0.5 * one + 0.2]).half())
 
 
-def points(generator: torch.Generator) -> Points:
+def points(generator: torch.Generator) -> ShadingPoints:
     normal = normalize(torch.randn(COUNT, 3, generator=generator) + torch.tensor([0.0, 0.0, 2.0]), dim=1)
     cell = torch.arange(COUNT) % 2
     irradiance = 2 + torch.rand(COUNT, 3, generator=generator)
     vectors = 0.8 * torch.randn(COUNT, 3, 3, generator=generator)
-    return Points(normal.clone(), normal, cell, irradiance, vectors)
+    return ShadingPoints(normal.clone(), normal, cell, irradiance, vectors)
 
 
-def truth(generator: torch.Generator) -> PointValues:
+def truth(generator: torch.Generator) -> PointBrdfs:
     def draw(low: float, high: float, channels: int) -> Tensor:
         return low + (high - low) * torch.rand(COUNT, channels, generator=generator)
 
-    return PointValues(draw(0.1, 0.6, 3), draw(0.1, 0.5, 3), draw(0.15, 0.5, 1), draw(-0.3, 0.3, 3))
+    return PointBrdfs(draw(0.1, 0.6, 3), draw(0.1, 0.5, 3), draw(0.15, 0.5, 1), draw(-0.3, 0.3, 3))
 
 
 def vectors(values: Tensor) -> mi.Vector3f:
@@ -81,25 +89,25 @@ def eyes(generator: torch.Generator) -> Tensor:
     return 4 * normalize(torch.randn(VIEWS, 3, generator=generator) + torch.tensor([0.0, 0.0, 2.5]), dim=1)
 
 
-def reference(at: Points, values: PointValues, toward: Tensor, light: Probes, model: str) -> Tensor:
+def reference(at: ShadingPoints, values: PointBrdfs, toward: Tensor, light: RadianceProbes, model: str) -> Tensor:
     """Radiance (P, 3) in float64, differentiable."""
     n = at.normal.double()
-    turned = bent(n, values.tilt)
-    arriving = bent_irradiance(n, turned, at.irradiance.double(), at.vectors.double()) / math.pi
+    turned = offset_normals(n, values.normal_offset)
+    arriving = shading_normal_irradiance(n, turned, at.irradiance.double(), at.vectors.double()) / math.pi
     cosine = (turned * toward).sum(1, keepdim=True).clamp_min(1e-3)
     mirrored = normalize(2 * cosine * turned - toward, dim=1)
     smooth = 1 - values.alpha
     main = normalize(turned + (mirrored - turned) * smooth * (smooth.clamp_min(0).sqrt() + values.alpha), dim=1)
-    level = (values.alpha / NARROWEST).log() / -math.log(NARROWEST) * (LEVELS - 1)
+    level = (values.alpha / MIN_LEVEL_ALPHA).log() / -math.log(MIN_LEVEL_ALPHA) * (ALPHA_LEVELS - 1)
     u = 0.5 - torch.atan2(main[:, 0], main[:, 2]) / (2 * math.pi)
     v = torch.atan2((main[:, 0].square() + main[:, 2].square()).sqrt(), main[:, 1]) / math.pi
-    table = light.radiance.double().reshape(len(light.radiance), LEVELS, ROWS, COLUMNS, 3)
+    table = light.radiance.double().reshape(len(light.radiance), ALPHA_LEVELS, PROBE_ROWS, PROBE_COLUMNS, 3)
     table = torch.cat([table[:, :, :, -1:], table, table[:, :, :, :1]], dim=3)[at.cell].permute(0, 4, 1, 2, 3)
     place = torch.stack(
         [
-            2 * (u * COLUMNS + 0.5) / (COLUMNS + 1) - 1,
-            2 * (v * ROWS - 0.5) / (ROWS - 1) - 1,
-            2 * level[:, 0].clamp(0, LEVELS - 1) / (LEVELS - 1) - 1,
+            2 * (u * PROBE_COLUMNS + 0.5) / (PROBE_COLUMNS + 1) - 1,
+            2 * (v * PROBE_ROWS - 0.5) / (PROBE_ROWS - 1) - 1,
+            2 * level[:, 0].clamp(0, ALPHA_LEVELS - 1) / (ALPHA_LEVELS - 1) - 1,
         ],
         dim=1,
     )[:, None, None, None]
@@ -111,21 +119,23 @@ def reference(at: Points, values: PointValues, toward: Tensor, light: Probes, mo
     return values.albedo * (1 - reflected).clamp_min(0) * arriving + lobe * reflected
 
 
-def double(values: PointValues) -> PointValues:
-    return PointValues(*(getattr(values, n).double() for n in ("albedo", "specular", "alpha", "tilt")))
+def double(values: PointBrdfs) -> PointBrdfs:
+    return PointBrdfs(*(getattr(values, n).double() for n in ("albedo", "specular", "alpha", "tilt")))
 
 
-def photographs(at: Points, values: PointValues, light: Probes, stand: Tensor, model: str) -> Sightings:
+def photographs(
+    at: ShadingPoints, values: PointBrdfs, light: RadianceProbes, stand: Tensor, model: str
+) -> Observations:
     color, weight = torch.zeros(VIEWS, COUNT, 3), torch.zeros(VIEWS, COUNT)
     for row, eye in enumerate(stand):
         toward = normalize(eye - at.position, dim=1)
         color[row] = reference(at, double(values), toward.double(), light, model).float()
         weight[row] = (at.normal * toward).sum(1).clamp_min(0) * ((at.normal * toward).sum(1) > 0.15)
-    return Sightings(color, weight, stand, torch.full((VIEWS,), torch.inf))
+    return Observations(color, weight, stand, torch.full((VIEWS,), torch.inf))
 
 
-def grey() -> PointValues:
-    return PointValues(
+def grey() -> PointBrdfs:
+    return PointBrdfs(
         torch.full((COUNT, 3), 0.3), torch.full((COUNT, 3), 0.1), torch.full((COUNT, 1), 0.3), torch.zeros(COUNT, 3)
     )
 
@@ -135,7 +145,7 @@ def test_radiance_is_the_references(model: str) -> None:
     generator = torch.Generator().manual_seed(1)
     at, values, light, stand = points(generator), truth(generator), probes(), eyes(generator)
     seen = photographs(at, values, light, stand, model)
-    fit = PointFit(at, seen, ProbeTable(light), model, Holds())  # type: ignore[arg-type]
+    fit = PointBrdfFit(at, seen, ProbeTable(light), model, Priors())  # type: ignore[arg-type]
     toward = normalize(stand[0] - at.position, dim=1)
     shown, wanted = fit.shown(values, toward), reference(at, double(values), toward.double(), light, model)
     assert torch.allclose(shown.double(), wanted, rtol=1e-5, atol=1e-6)
@@ -146,45 +156,47 @@ def test_what_was_photographed_is_shown_again_from_elsewhere(model: str) -> None
     generator = torch.Generator().manual_seed(2)
     at, values, light = points(generator), truth(generator), probes()
     seen = photographs(at, values, light, eyes(generator), model)
-    fit = PointFit(at, seen, ProbeTable(light), model, Holds(iterations=40))  # type: ignore[arg-type]
+    fit = PointBrdfFit(at, seen, ProbeTable(light), model, Priors(iterations=40))  # type: ignore[arg-type]
     found, _ = fit.solve(grey())
     elsewhere = normalize(eyes(generator)[0] - at.position, dim=1)
     off = linear_to_srgb(fit.shown(found, elsewhere)) - linear_to_srgb(fit.shown(values, elsewhere))
     assert off.abs().median() < 0.003
-    plain, _ = PointFit(at, seen, ProbeTable(light), model, Holds.of_albedo()).solve(grey())  # type: ignore[arg-type]
+    plain, _ = PointBrdfFit(at, seen, ProbeTable(light), model, Priors.of_albedo()).solve(grey())  # type: ignore[arg-type]
     without = linear_to_srgb(fit.shown(plain, elsewhere)) - linear_to_srgb(fit.shown(values, elsewhere))
     assert off.square().mean() < 0.05 * without.square().mean()
-    assert torch.allclose(plain.specular, grey().specular) and torch.allclose(plain.tilt, grey().tilt, atol=1e-6)
+    assert torch.allclose(plain.specular, grey().specular) and torch.allclose(
+        plain.normal_offset, grey().normal_offset, atol=1e-6
+    )
 
 
 def test_least_squares_end_as_low_as_descent() -> None:
     """Adam in float64 on the same energy: a slow reference that shares no code."""
     generator = torch.Generator().manual_seed(3)
-    at, light, holds = points(generator), probes(), Holds(iterations=40)
+    at, light, priors = points(generator), probes(), Priors(iterations=40)
     seen = photographs(at, truth(generator), light, eyes(generator), "dielectric")
     color = (seen.color * (1 + 0.2 * torch.randn(seen.color.shape, generator=generator))).clamp_min(0)
-    noisy = Sightings(color, seen.weight, seen.eyes, seen.ceiling)
-    _, cost = PointFit(at, noisy, ProbeTable(light), "dielectric", holds).solve(grey())
+    noisy = Observations(color, seen.weight, seen.eyes, seen.ceiling)
+    _, cost = PointBrdfFit(at, noisy, ProbeTable(light), "dielectric", priors).solve(grey())
     start, few = double(grey()), 12
     row = torch.arange(few).repeat(VIEWS)  # each of the first points in each view
-    many = Points(*(getattr(at, name)[row] for name in Points.__dataclass_fields__))
+    many = ShadingPoints(*(getattr(at, name)[row] for name in ShadingPoints.__dataclass_fields__))
     toward = normalize(noisy.eyes.repeat_interleave(few, 0).double() - many.position.double(), dim=1)
     wanted = linear_to_srgb(noisy.color[:, :few].reshape(-1, 3).double())
     weight, normal = noisy.weight[:, :few].reshape(-1).double(), at.normal[:few].double()
-    free = [torch.logit(start.albedo), torch.logit(start.specular), level_of(start.alpha), start.tilt]
+    free = [torch.logit(start.albedo), torch.logit(start.specular), level_of(start.alpha), start.normal_offset]
     free = [value[:few].detach().clone().requires_grad_() for value in free]
     optimizer = torch.optim.Adam(free, lr=0.05)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, 300)
     for _ in range(300):
-        values = PointValues(torch.sigmoid(free[0]), torch.sigmoid(free[1]), alpha_of(free[2]), free[3])
-        spread = PointValues(*(getattr(values, name)[row] for name in PointValues.__dataclass_fields__))
+        values = PointBrdfs(torch.sigmoid(free[0]), torch.sigmoid(free[1]), alpha_of(free[2]), free[3])
+        spread = PointBrdfs(*(getattr(values, name)[row] for name in PointBrdfs.__dataclass_fields__))
         off = linear_to_srgb(reference(many, spread, toward, light, "dielectric").clamp_min(0)) - wanted
-        part = weight * huber_loss(off, torch.zeros_like(off), delta=holds.huber, reduction="none").sum(1)
-        along = values.tilt - (values.tilt * normal).sum(1, keepdim=True) * normal
-        held = holds.albedo * (values.albedo - start.albedo[:few]).square().sum(1)
-        held = held + holds.specular * (values.specular - start.specular[:few]).square().sum(1)
-        held = held + holds.level * (free[2] - level_of(start.alpha[:few])).square()[:, 0]
-        total = part.sum() + 0.5 * (held + holds.tilt * along.square().sum(1)).sum()
+        part = weight * huber_loss(off, torch.zeros_like(off), delta=priors.huber, reduction="none").sum(1)
+        along = values.normal_offset - (values.normal_offset * normal).sum(1, keepdim=True) * normal
+        held = priors.albedo * (values.albedo - start.albedo[:few]).square().sum(1)
+        held = held + priors.specular * (values.specular - start.specular[:few]).square().sum(1)
+        held = held + priors.level * (free[2] - level_of(start.alpha[:few])).square()[:, 0]
+        total = part.sum() + 0.5 * (held + priors.normal_offset * along.square().sum(1)).sum()
         optimizer.zero_grad()
         total.backward()
         optimizer.step()
@@ -204,7 +216,7 @@ def test_a_patch_is_the_probe_between_its_texels_and_goes_on_beside_them() -> No
         return lobe_of(vectors(normalize(normal, dim=1)), vectors(normalize(eye, dim=1)), level, 1.0)
 
     def read(patch: Patch, lobe: Lobe) -> Tensor:
-        return torch.from_numpy(np.array(gathered(patch, lobe))).T
+        return torch.from_numpy(np.array(patch_radiance(patch, lobe))).T
 
     here, aside = looking(0.0), looking(0.01)
     patch, other = (patch_around(light.values, mi.UInt32(0), lobe) for lobe in (here, aside))
@@ -224,24 +236,24 @@ def test_equations_hold_the_gradient_of_the_cost(model: str) -> None:
     generator = torch.Generator().manual_seed(5)
     at, light, values, stand = points(generator), probes(), truth(generator), eyes(generator)
     seen = photographs(at, truth(generator), light, stand, model)
-    fit = PointFit(at, seen, ProbeTable(light), model, Holds(0, 0, 0, 0))  # type: ignore[arg-type]
+    fit = PointBrdfFit(at, seen, ProbeTable(light), model, Priors(0, 0, 0, 0))  # type: ignore[arg-type]
     state = fit._state(values)
     said = equations(fit, state, state)
     de, fe, ae, e1, e2 = (torch.from_numpy(np.array(value)).double() for value in said.errors)
     free = double(values)
     level = level_of(free.alpha).requires_grad_()
-    for value in (free.albedo, free.specular, free.tilt):
+    for value in (free.albedo, free.specular, free.normal_offset):
         value.requires_grad_()
     cost = torch.zeros((), dtype=torch.float64)
     for row in range(VIEWS):
         toward = normalize(stand[row].double() - at.position.double(), dim=1)
-        now = PointValues(free.albedo, free.specular, alpha_of(level), free.tilt)
+        now = PointBrdfs(free.albedo, free.specular, alpha_of(level), free.normal_offset)
         off = linear_to_srgb(reference(at, now, toward, light, model)) - linear_to_srgb(seen.color[row].double())
-        part = huber_loss(off, torch.zeros_like(off), delta=fit.holds.huber, reduction="none").sum(dim=1)
+        part = huber_loss(off, torch.zeros_like(off), delta=fit.priors.huber, reduction="none").sum(dim=1)
         cost = cost + (seen.weight[row].double() * part).sum()
     assert float(np.array(said.cost).sum()) == pytest.approx(float(cost.detach()), rel=1e-4)
     by_albedo, by_specular, by_level, by_tilt = torch.autograd.grad(
-        cost, (free.albedo, free.specular, level, free.tilt)
+        cost, (free.albedo, free.specular, level, free.normal_offset)
     )
     assert torch.allclose(de.T, by_albedo, rtol=1e-3, atol=1e-4)
     assert torch.allclose(fe.T, by_specular, rtol=1e-3, atol=1e-4)
@@ -266,26 +278,26 @@ def test_hard_cases_stay_finite_and_physical(case: str, model: str) -> None:
     elif case == "white":
         color, ceiling = torch.ones_like(color), torch.full_like(ceiling, 0.97)
     elif case == "sun":
-        light = Probes((light.radiance.float() * 1e4).clamp(max=65504).half())
-        at = Points(at.position, at.normal, at.cell, at.irradiance * 1e4, at.vectors * 1e4)
+        light = RadianceProbes((light.radiance.float() * 1e4).clamp(max=65504).half())
+        at = ShadingPoints(at.position, at.normal, at.cell, at.irradiance * 1e4, at.vectors * 1e4)
     elif case == "nonsense":
         color = torch.rand(color.shape, generator=generator) * 5
     elif case == "one view":
         weight = weight * (torch.arange(VIEWS) == 0)[:, None]
     elif case == "dark light":
-        light = Probes(torch.zeros_like(light.radiance))
-        at = Points(at.position, at.normal, at.cell, at.irradiance * 0, at.vectors * 0)
+        light = RadianceProbes(torch.zeros_like(light.radiance))
+        at = ShadingPoints(at.position, at.normal, at.cell, at.irradiance * 0, at.vectors * 0)
     elif case == "far away":
-        at = Points(at.position + 1e6, at.normal, at.cell, at.irradiance, at.vectors)
-    fit = PointFit(at, Sightings(color, weight, seen.eyes, ceiling), ProbeTable(light), model, Holds())  # type: ignore[arg-type]
+        at = ShadingPoints(at.position + 1e6, at.normal, at.cell, at.irradiance, at.vectors)
+    fit = PointBrdfFit(at, Observations(color, weight, seen.eyes, ceiling), ProbeTable(light), model, Priors())  # type: ignore[arg-type]
     found, cost = fit.solve(grey())
-    for value in (found.albedo, found.specular, found.alpha, found.tilt, cost):
+    for value in (found.albedo, found.specular, found.alpha, found.normal_offset, cost):
         assert torch.isfinite(value).all()
     assert (found.albedo >= 0).all() and (found.albedo <= 1).all()
-    assert (found.specular >= LEAST_RHO).all() and (found.specular <= 1).all()
+    assert (found.specular >= MIN_SPECULAR_ALBEDO).all() and (found.specular <= 1).all()
     assert (found.alpha > 0).all() and (found.alpha <= 1 + 1e-6).all()
     if model == "paper":
-        assert (found.albedo + found.specular <= 1 + 2 * LEAST_RHO).all()
+        assert (found.albedo + found.specular <= 1 + 2 * MIN_SPECULAR_ALBEDO).all()
     assert torch.isfinite(fit.shown(found, at.normal)).all()
     if case == "unseen":
         assert torch.allclose(found.albedo, grey().albedo, atol=1e-5) and torch.allclose(found.alpha, grey().alpha)

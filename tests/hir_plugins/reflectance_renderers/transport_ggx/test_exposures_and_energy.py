@@ -31,7 +31,7 @@ def photographs(factors: np.ndarray) -> tuple[Capture, Scene]:
     empty = Pixels(np.zeros((SIZE, SIZE, 3), np.float32), np.ones((SIZE, SIZE), np.float32), nothing)
     cameras = [looking_at(eye, SIZE, SIZE) for eye in eyes]
     blank = Capture(Path("made"), tuple(View(str(i), c, lambda: empty) for i, c in enumerate(cameras)))
-    prepared = TransportGGX(TransportGGXOptions(vertices=0, cells=800)).prepare(scene, blank)
+    prepared = TransportGGX(TransportGGXOptions(vertices=0, cache_cells=800)).prepare(scene, blank)
     grid = torch.tensor([(v, x, y) for v in range(6) for y in range(SIZE) for x in range(SIZE)])
     shown = prepared.radiance(grey, sky, grid).reshape(6, SIZE, SIZE, 3).numpy()
     views = []
@@ -47,12 +47,12 @@ def test_drifting_exposures_are_found_and_cost_nothing() -> None:
     capture, scene = photographs(FACTORS)
     errors = {}
     for gain in (False, True):
-        options = TransportGGXOptions(vertices=0, cells=800, steps=150, view_gain=gain)
+        options = TransportGGXOptions(vertices=0, cache_cells=800, steps=150, view_gain=gain)
         solver = TransportGGX(options).prepare(scene, capture)
         fit = solver.fit(ModelSpec(), None, range(6), 1.0, lambda _: None)  # type: ignore[attr-defined]
         errors[gain] = solver.errors(fit, range(6)).mean()  # type: ignore[attr-defined]
         if gain:
-            found = fit.unknowns.exposure.numpy()
+            found = fit.parameters.exposure.numpy()
             true = FACTORS / np.exp(np.log(FACTORS).mean())
             np.testing.assert_allclose(found, true, rtol=0.03)
     assert errors[True] < 0.05 * errors[False]
@@ -60,10 +60,10 @@ def test_drifting_exposures_are_found_and_cost_nothing() -> None:
 
 def test_a_photograph_that_was_not_fitted_is_judged_at_its_own_exposure() -> None:
     capture, scene = photographs(FACTORS)
-    options = TransportGGXOptions(vertices=0, cells=800, steps=150, view_gain=True)
+    options = TransportGGXOptions(vertices=0, cache_cells=800, steps=150, view_gain=True)
     solver = TransportGGX(options).prepare(scene, capture)
     fit = solver.fit(ModelSpec(), None, range(5), 1.0, lambda _: None)  # type: ignore[attr-defined]
     found = -10 * np.log10(solver.errors(fit, [5])[0])  # type: ignore[attr-defined]
-    as_others = replace(fit, unknowns=replace(fit.unknowns, gain=None))
+    as_others = replace(fit, parameters=replace(fit.parameters, gain=None))
     # what is left is the rim that no other photograph shows
     assert found > 28 and found > 6 - 10 * np.log10(solver.errors(as_others, [5])[0])  # type: ignore[attr-defined]

@@ -9,7 +9,7 @@ import torch
 from hir_core.scene import Mesh, Scene, Topology
 from hir_plugins.reflectance_renderers.mitsuba_ggx.options import MitsubaGGXOptions
 from hir_plugins.reflectance_renderers.mitsuba_ggx.renderer import MitsubaGGX
-from hir_plugins.reflectance_renderers.transport_ggx.operator.irradiance_cache import make_cells
+from hir_plugins.reflectance_renderers.transport_ggx.operator.irradiance_cache import build_irradiance_cache
 from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import refine
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from tests.fixtures.scenes import bumpy_sphere, icosphere
@@ -34,7 +34,7 @@ def drum() -> Mesh:
 def turned_degrees(mesh: Mesh, most: int) -> torch.Tensor:
     """Angle between each vertex's normal and its cell's."""
     surface = refine(mesh, 12_000)
-    cells = make_cells(surface, most)
+    cells = build_irradiance_cache(surface, most)
     assert 0.8 * most < len(cells) <= most and bool((torch.bincount(cells.of_vertex, minlength=len(cells)) > 0).all())
     return torch.rad2deg(torch.acos((cells.normals[cells.of_vertex] * surface.normals).sum(1).clamp(-1, 1)))
 
@@ -53,19 +53,19 @@ def test_never_more_than_asked_for(most: int) -> None:
 @pytest.mark.parametrize("scale", [1e-6, 1e6])
 def test_cells_do_not_depend_on_the_unit(scale: float) -> None:
     surface, scaled = (refine(bumpy_sphere(4).with_positions(bumpy_sphere(4).positions * s), 0) for s in (1.0, scale))
-    assert abs(len(make_cells(surface, 600)) - len(make_cells(scaled, 600))) < 10
+    assert abs(len(build_irradiance_cache(surface, 600)) - len(build_irradiance_cache(scaled, 600))) < 10
 
 
 def test_a_mesh_without_extent_has_a_cell() -> None:
     sphere = icosphere(3)
-    cells = make_cells(refine(sphere.with_positions(torch.zeros_like(sphere.positions)), 0), 20)
+    cells = build_irradiance_cache(refine(sphere.with_positions(torch.zeros_like(sphere.positions)), 0), 20)
     assert len(cells) >= 1 and bool(torch.isfinite(cells.positions).all())
 
 
 def test_a_coarse_rim_shades_as_the_path_tracer_shades_it() -> None:
     """Cells that are alike in place alone leave a root mean square of 7.0 %."""
     mesh, light, material = drum(), smooth_light(), gloss("paper", 0.5, 0.0, 0.5)
-    shown = radiance(mesh, material, light, TransportGGXOptions(vertices=40_000, cells=3000))
+    shown = radiance(mesh, material, light, TransportGGXOptions(vertices=40_000, cache_cells=3000))
     torch.manual_seed(0)
     tracer = MitsubaGGX(MitsubaGGXOptions(samples=1024, max_depth=2)).prepare(Scene(mesh, material, light), capture())
     reference = tracer.radiance(material, light, pixels_of())

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from hir_core.plugins.model_spec import ModelSpec
-from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Unknowns
+from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGGX
 from tests.hir_plugins.reflectance_renderers.transport_ggx.test_exposures_and_energy import photographs
@@ -18,29 +18,34 @@ from tests.hir_plugins.reflectance_renderers.transport_ggx.test_exposures_and_en
 def solver_of(**options: Any) -> tuple[Any, torch.Tensor]:
     """A solver, and which vertices lie in the ball's middle, which all photographs show well."""
     capture, scene = photographs(np.ones(6))
-    solver = TransportGGX(TransportGGXOptions(vertices=0, cells=800, steps=150, **options)).prepare(scene, capture)
+    solver = TransportGGX(TransportGGXOptions(vertices=0, cache_cells=800, steps=150, **options)).prepare(
+        scene, capture
+    )
     return solver, scene.mesh.positions[:, 1].abs() < 0.6
 
 
-def spread(unknowns: Unknowns, middle: torch.Tensor) -> float:
+def spread(parameters: Parameters, middle: torch.Tensor) -> float:
     """Standard deviation of log albedo."""
-    return float(unknowns.diffuse_albedo[middle].log().std(dim=0).mean())
+    return float(parameters.diffuse_albedo[middle].log().std(dim=0).mean())
 
 
 @pytest.mark.parametrize(
-    ("options", "alike"), [({}, True), ({"start": "photographs"}, False), ({"known_light": True}, False)]
+    ("options", "known", "uniform"),
+    [({}, False, True), ({"initial_albedo": "photographs"}, False, False), ({}, True, False)],
 )
 def test_a_fit_begins_with_one_albedo_unless_it_is_told_or_knows_the_light(
-    options: dict[str, Any], alike: bool
+    options: dict[str, Any], known: bool, uniform: bool
 ) -> None:
     solver, middle = solver_of(**options)
-    begun = spread(solver._begin(ModelSpec(), None, solver._photographs(range(6))), middle)
-    assert begun < 1e-6 if alike else begun > 0.1
+    begun = spread(
+        solver._initial_parameters(ModelSpec(light_is_known=known), None, solver._photographs(range(6))), middle
+    )
+    assert begun < 1e-6 if uniform else begun > 0.1
 
 
 def test_few_edges_in_the_albedo_are_preferred() -> None:
     spreads = []
     for weight in (1e-3, 0.0):
         solver, middle = solver_of(albedo_smoothness=weight)
-        spreads.append(spread(solver.fit(ModelSpec(), None, range(6), 1.0, lambda _: None).unknowns, middle))
+        spreads.append(spread(solver.fit(ModelSpec(), None, range(6), 1.0, lambda _: None).parameters, middle))
     assert spreads[0] < 0.85 * spreads[1]

@@ -12,9 +12,9 @@ from hir_core.plugins.model_spec import ModelSpec
 from hir_plugins.reflectance_renderers.transport_ggx import solver
 from hir_plugins.reflectance_renderers.transport_ggx.fit import joint_optimization
 from hir_plugins.reflectance_renderers.transport_ggx.fit.joint_optimization import FitSettings
-from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import Photographed
-from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Unknowns
-from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import Block
+from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import ObservedPixels
+from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
+from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import PixelBatch
 from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_light import irradiance_of, pixel_irradiance
 from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes import Lobes
 from tests.hir_plugins.reflectance_renderers.transport_ggx.test_light_and_albedo import solver_of
@@ -23,7 +23,7 @@ from tests.hir_plugins.reflectance_renderers.transport_ggx.test_light_and_albedo
 def test_irradiance_of_many_points_is_that_of_their_matrix(monkeypatch: pytest.MonkeyPatch) -> None:
     fit, _ = solver_of()
     points = fit._photographs(range(2)).points
-    sources = torch.rand(fit._transport.pyramid.texels + len(fit._transport.cells), 3)
+    sources = torch.rand(fit._transport.pyramid.texels + len(fit._transport.irradiance_cache), 3)
     monkeypatch.setattr(camera_light, "PIXELS_AT_ONCE", len(points) // 3)
     given = (fit._transport, points, 4, fit._rotation)
     assert torch.equal(irradiance_of(*given, sources), pixel_irradiance(*given).matrix @ sources)
@@ -45,7 +45,7 @@ def test_lobes_are_let_go_before_new_ones_are_drawn(monkeypatch: pytest.MonkeyPa
 
     whole = fit._stream(photographs, spec)
 
-    def make(state: Unknowns, number: int) -> Block:
+    def make(state: Parameters, number: int) -> PixelBatch:
         assert all(lobes() is None for lobes in earlier), "the lobes of both widths at once"
         block = whole.make(state, number)
         assert block.lobes is not None
@@ -66,9 +66,9 @@ def test_a_stream_shows_every_pixel_and_holds_no_more_blocks_than_it_may(monkeyp
     most = 0
     block_of = fit._block
 
-    def counted(part: Photographed, spec: ModelSpec, state: Unknowns, number: int) -> Block:
+    def counted(part: ObservedPixels, spec: ModelSpec, state: Parameters, number: int) -> PixelBatch:
         nonlocal most
-        block: Block = block_of(part, spec, state, number)
+        block: PixelBatch = block_of(part, spec, state, number)
         assert block.lobes is not None
         alive.append(weakref.ref(block.lobes))
         shown.add(number)
@@ -78,11 +78,11 @@ def test_a_stream_shows_every_pixel_and_holds_no_more_blocks_than_it_may(monkeyp
     monkeypatch.setattr(fit, "_block", counted)
     spec = ModelSpec("dielectric", "uniform")
     stream = fit._stream(photographs, spec)
-    settings = FitSettings(15 * stream.turns, "dielectric", 0)
+    settings = FitSettings(15 * stream.shards, "dielectric", 0)
     joint_optimization.fit(
         fit._transport, stream, fit._begin(spec, None, photographs), settings, fit._edges, lambda *_: None
     )
-    assert stream.turns > 2 and shown == set(range(stream.count))
+    assert stream.shards > 2 and shown == set(range(stream.count))
     assert most <= 2, "blocks of two turns at once"
 
 

@@ -18,10 +18,14 @@ from hir_core.scene import EnvironmentMap, Mesh, Scene
 from hir_core.stages.atlas import dilate, texel_surface
 from hir_plugins.reflectance_renderers.mitsuba_ggx.options import MitsubaGGXOptions
 from hir_plugins.reflectance_renderers.mitsuba_ggx.renderer import MitsubaGGX
-from hir_plugins.reflectance_renderers.transport_ggx.fit.shading_normals import STEEPEST, bent, bent_irradiance
+from hir_plugins.reflectance_renderers.transport_ggx.fit.shading_normals import (
+    MAX_NORMAL_OFFSET,
+    offset_normals,
+    shading_normal_irradiance,
+)
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import texel_directions
-from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_radiance import SpecularBlock
-from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import see
+from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_radiance import SpecularMatrices
+from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import visible_points
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGGX
 from hir_plugins.reflectance_renderers.transport_ggx.solver import TransportSolver
@@ -38,13 +42,13 @@ def waves(place: Tensor) -> Tensor:
 def dented(mesh: Mesh, texels: int = TEXELS) -> Tensor:
     """The normal map of `waves`."""
     surface = texel_surface(mesh, texels)
-    tilt = torch.zeros(texels, texels, 3)
-    tilt[surface.covered] = waves(surface.position)
-    return normal_map(mesh, dilate(tilt, surface.covered, 8), 8)
+    normal_offset = torch.zeros(texels, texels, 3)
+    normal_offset[surface.covered] = waves(surface.position)
+    return normal_map(mesh, dilate(normal_offset, surface.covered, 8), 8)
 
 
 def prepared(scene: Scene, capture: Capture, **options: int) -> TransportSolver:
-    solver = TransportGGX(TransportGGXOptions(vertices=0, cells=3000, **options)).prepare(scene, capture)  # type: ignore[arg-type]
+    solver = TransportGGX(TransportGGXOptions(vertices=0, cache_cells=3000, **options)).prepare(scene, capture)  # type: ignore[arg-type]
     assert isinstance(solver, TransportSolver)
     return solver
 
@@ -52,27 +56,27 @@ def prepared(scene: Scene, capture: Capture, **options: int) -> TransportSolver:
 def test_no_tilt_bends_nothing_and_a_huge_one_stays_above_the_horizon() -> None:
     torch.manual_seed(0)
     normal = normalize(torch.randn(50, 3), dim=1)
-    torch.testing.assert_close(bent(normal, torch.zeros(50, 3)), normal)
-    torch.testing.assert_close(bent(normal, 3 * normal), normal, atol=1e-6, rtol=0)
+    torch.testing.assert_close(offset_normals(normal, torch.zeros(50, 3)), normal)
+    torch.testing.assert_close(offset_normals(normal, 3 * normal), normal, atol=1e-6, rtol=0)
     for size in (1e-20, 1.0, 1e15):
-        tilt = (size * torch.randn(50, 3)).requires_grad_()
-        turned = bent(normal, tilt)
+        normal_offset = (size * torch.randn(50, 3)).requires_grad_()
+        turned = offset_normals(normal, normal_offset)
         turned.sum().backward()
-        assert tilt.grad is not None and bool(torch.isfinite(tilt.grad).all())
+        assert normal_offset.grad is not None and bool(torch.isfinite(normal_offset.grad).all())
         cosine = (turned * normal).sum(dim=1)
-        assert float(cosine.detach().min()) > 1 / (1 + STEEPEST**2) ** 0.5 - 1e-5
+        assert float(cosine.detach().min()) > 1 / (1 + MAX_NORMAL_OFFSET**2) ** 0.5 - 1e-5
         torch.testing.assert_close(turned.detach().norm(dim=1), torch.ones(50))
 
 
 def test_bending_has_the_gradient_of_its_formula() -> None:
     torch.manual_seed(1)
     normal = normalize(torch.randn(6, 3, dtype=torch.float64), dim=1)
-    tilt = torch.randn(6, 3, dtype=torch.float64, requires_grad=True)
+    normal_offset = torch.randn(6, 3, dtype=torch.float64, requires_grad=True)
     light = torch.rand(6, 3, dtype=torch.float64, requires_grad=True)
     vectors = torch.rand(6, 3, 3, dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradcheck(lambda t: bent(normal, t), (tilt,))
+    assert torch.autograd.gradcheck(lambda t: offset_normals(normal, t), (normal_offset,))
     assert torch.autograd.gradcheck(
-        lambda t, e, f: bent_irradiance(normal, bent(normal, t), e, f), (tilt, light, vectors)
+        lambda t, e, f: shading_normal_irradiance(normal, offset_normals(normal, t), e, f), (normal_offset, light, vectors)
     )
 
 
@@ -83,11 +87,11 @@ def test_vector_irradiance_is_the_irradiance_of_other_normals() -> None:
     radiance = light.reshape(32, 64, 3).contiguous()
     truth = Scene(ball(), look(BROWN), EnvironmentMap(radiance))
     transport = prepared(truth, photographs(truth, around(1)))._transport
-    normal = transport.cells.normals
+    normal = transport.irradiance_cache.normals
     _, irradiance = transport.sources(radiance, torch.zeros(len(transport.surface.positions), 3), 0)
     # the next cell's normal, some 7° away
     other = (normal @ normal.T - torch.eye(len(normal)) * 2).argmax(dim=1)
-    found = bent_irradiance(normal, normal[other], irradiance, transport.vector_irradiance(radiance))
+    found = shading_normal_irradiance(normal, normal[other], irradiance, transport.vector_irradiance(radiance))
     error, moved = ((value - irradiance[other]).abs().mean() for value in (found, irradiance))
     assert float(moved) > 0.02 * float(irradiance.mean()) and float(error) < 0.15 * float(moved)
 
@@ -98,12 +102,12 @@ def test_a_normal_map_holds_the_normals_it_was_made_of() -> None:
     capture = photographs(truth, around(1))
     transport = prepared(truth, capture)._transport
     grid = torch.tensor([(0, x, y) for y in range(32) for x in range(32)])
-    points, found = see(transport.tracer, transport.surface, {0: capture.cameras[0]}, grid)
+    points, found = visible_points(transport.tracer, transport.surface, {0: capture.cameras[0]}, grid)
     points = points.take(found.nonzero()[:, 0])
     values = sample(dented(mesh, 256), points.uvs(transport.surface))
     assert float((dented(mesh, 256).norm(dim=2) - 1).abs().max()) < 1e-5
     turned = mapped_normals(transport.surface, points, values)
-    expected = bent(points.normal, waves(points.position))
+    expected = offset_normals(points.normal, waves(points.position))
     angle = torch.rad2deg(torch.acos((turned * expected).sum(dim=1).clamp(-1, 1)))
     assert float(angle.mean()) < 0.5 and float(angle.quantile(0.99)) < 3
     assert float(torch.rad2deg(torch.acos((turned * points.normal).sum(dim=1))).mean()) > 10
@@ -145,14 +149,14 @@ def test_a_lobes_derivative_in_the_normal(model: str) -> None:
     capture = photographs(truth, around(1))
     transport = prepared(truth, capture)._transport
     grid = torch.tensor([(0, x, y) for y in range(8, 24) for x in range(8, 24)])
-    points, found = see(transport.tracer, transport.surface, {0: capture.cameras[0]}, grid)
+    points, found = visible_points(transport.tracer, transport.surface, {0: capture.cameras[0]}, grid)
     lobes = transport.lobes(points.take(found.nonzero()[:, 0]), torch.tensor([[0.3]]), 64)
     sources = transport.sky_only(lamps().radiance)
     alpha, rho_s = torch.tensor([[0.3]]), torch.tensor([[0.2]])
     up = torch.tensor([0.0, 0.0, 1.0]).expand(len(lobes), 3)
     step = 0.02 * torch.tensor([0.6, -0.8, 0.0])
     moved = normalize(up + step, dim=1)
-    block = SpecularBlock(lobes, model)  # type: ignore[arg-type]
+    block = SpecularMatrices(lobes, model)  # type: ignore[arg-type]
     block.refresh(alpha, rho_s, up)
     normal = up.clone().requires_grad_()
     straight = block.radiance(sources, rho_s, alpha, normal)
@@ -200,7 +204,7 @@ def test_the_ladder_finds_dents(tmp_path: Path) -> None:
     scene, report = fitted(
         mesh, photographs(truth, around(16), size=64), tmp_path, brdf="paper", options={"vertices": 2000}
     )
-    assert "normal map" in report["rung"]
+    assert "normal map" in report.model
     assert scene.material is not None and scene.material.normal is not None
     assert unseen_db(scene, truth) > 30
 

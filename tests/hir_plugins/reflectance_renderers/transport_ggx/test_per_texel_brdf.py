@@ -43,12 +43,12 @@ def test_threads_are_told_apart(tmp_path: Path) -> None:
             model=model,
             options={"vertices": 2000},
         )
-        for model in ("specular", "texel_lobes")
+        for model in ("specular", "per_texel_brdf")
     )
     material, report = own[0].material, own[1]
     assert material is not None and material.normal is not None and material.observed is not None
     assert material.specular_albedo.shape == (TEXELS, TEXELS, 3) and material.roughness.shape == (TEXELS, TEXELS, 1)
-    assert report["rung"] == "dielectric, specular, lobes in texels" and report["observed"] > 0.8
+    assert report.model == "dielectric, specular, per-texel BRDF" and report.solver["observed"] > 0.8
     assert torch.isfinite(material.normal).all()
     assert unseen_db(own[0], truth) > unseen_db(one[0], truth) + 2
     known = material.observed
@@ -62,7 +62,7 @@ def test_the_ladder_finds_threads_that_are_finer_than_vertices(tmp_path: Path) -
     """Under a light that is not known; maps at vertices .15 apart gain nothing from columns of .22."""
     truth = brocade(14.0, 128)
     scene, report = fitted(truth.mesh, photographs(truth, around(32), size=96), tmp_path, texels=128, brdf="dielectric")
-    assert report["rung"] == "dielectric, specular, lobes in texels"
+    assert report.model == "dielectric, specular, per-texel BRDF"
     assert scene.material is not None and scene.material.normal is not None
     assert unseen_db(scene, truth) > 39  # 41.0 measured
 
@@ -75,7 +75,9 @@ def test_few_photographs_and_dark_ones_make_no_nonsense(tmp_path: Path) -> None:
     pixels = black.pixels()
     dark = type(pixels)(np.zeros_like(pixels.color_linear), pixels.mask, pixels.saturated)
     views = (seen.views[0], type(black)(black.name, black.camera, lambda: dark), seen.views[2])
-    scene, report = fitted(truth.mesh, Capture(Path("made"), views), tmp_path, brdf="dielectric", model="texel_lobes")
-    assert report["observed"] < 0.5
+    scene, report = fitted(
+        truth.mesh, Capture(Path("made"), views), tmp_path, brdf="dielectric", model="per_texel_brdf"
+    )
+    assert report.solver["observed"] < 0.5
     assert scene.material is not None and scene.material.normal is not None
     assert torch.isfinite(scene.material.normal).all()

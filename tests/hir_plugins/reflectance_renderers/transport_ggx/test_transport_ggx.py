@@ -13,6 +13,7 @@ from torch import Tensor
 from hir_core.capture import Capture, Pixels, View
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene import EnvironmentMap, Material, Mesh, Scene, Topology
+from hir_core.scene.bilinear import texture_texels
 from hir_plugins.reflectance_renderers.brdf_torch import directional_albedo_terms
 from hir_plugins.reflectance_renderers.mitsuba_ggx.options import MitsubaGGXOptions
 from hir_plugins.reflectance_renderers.mitsuba_ggx.renderer import MitsubaGGX
@@ -22,13 +23,12 @@ from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGG
 from hir_plugins.reflectance_renderers.transport_ggx.solver import TransportSolver
 from hir_plugins.reflectance_renderers.transport_ggx.textures.texel_equations import (
     TexelEquations,
-    bilinear_texels,
     solve_texels,
 )
 from tests.fixtures.scenes import icosphere, looking_at
 
 SIZE = 24
-OPTIONS = TransportGGXOptions(vertices=0, cells=3000, samples=64)
+OPTIONS = TransportGGXOptions(vertices=0, cache_cells=3000, samples=64)
 
 
 def pixels_of(camera_count: int = 1) -> Tensor:
@@ -202,7 +202,7 @@ def test_texels_are_recovered_from_their_own_photographs() -> None:
     truth = torch.rand(24, 24, 3, generator=generator) * 0.8 + 0.1
     uv = torch.rand(20000, 2, generator=generator)
     gain = torch.rand(20000, 3, generator=generator) + 0.2
-    index, weight = bilinear_texels(uv, 24, 24)
+    index, weight = texture_texels(uv, 24, 24)
     target = gain * (truth.reshape(-1, 3)[index] * weight[..., None]).sum(1)
     nowhere = torch.zeros(20000, 3, dtype=torch.long)
     equations = TexelEquations(index, weight, gain, target, 0 * gain, torch.ones_like(gain), gain < 0, nowhere)
@@ -220,7 +220,7 @@ def test_texels_are_recovered_from_their_own_photographs() -> None:
 def test_clipped_pixels_never_darken_a_texel() -> None:
     """Half of the pixels are clipped at 0.3 of what they should be: the texture comes from the other half."""
     generator = torch.Generator().manual_seed(0)
-    index, weight = bilinear_texels(torch.rand(4000, 2, generator=generator), 8, 8)
+    index, weight = texture_texels(torch.rand(4000, 2, generator=generator), 8, 8)
     gain = torch.ones(4000, 3)
     clipped = (torch.rand(4000, 1, generator=generator) < 0.5).expand(-1, 3)
     target = torch.where(clipped, 0.3, 0.8)
@@ -238,7 +238,7 @@ def test_a_specular_map_can_grow_where_one_value_for_all_went_to_zero() -> None:
     assert isinstance(solver, TransportSolver)
     uniform = ModelSpec("dielectric", "uniform")
     vanished = solver.fit(uniform, None, [0], 1.0, lambda _: None)
-    vanished = replace(vanished, unknowns=replace(vanished.unknowns, specular=torch.full((1, 1), -12.0)))
+    vanished = replace(vanished, parameters=replace(vanished.parameters, specular=torch.full((1, 1), -12.0)))
     for grown in (replace(uniform, specular="map"), replace(uniform, colored=True)):
         fitted = solver.fit(grown, vanished, [0], 1.0, lambda _: None)
-        assert float(fitted.unknowns.specular_albedo.min()) > 0.02
+        assert float(fitted.parameters.specular_albedo.min()) > 0.02

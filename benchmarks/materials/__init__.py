@@ -1,0 +1,1 @@
+"""Small made captures with known truth: shapes × materials × lights (docs/benchmarks.md)."""

@@ -1,0 +1,72 @@
+"""The scene that a reflectance fit starts from: constant light and lobe, or the light that the settings name."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+import torch
+from hir_exporters.light.environment_map import resample_latlong, rotate_latlong
+from hir_exporters.textures.image_files import read_hdr
+from torch import Tensor
+
+from hir_core.capture import Capture
+from hir_core.config import ReflectanceSettings
+from hir_core.errors import ConfigError, InputError, StageError
+from hir_core.files.light_setting import parse_light_file
+from hir_core.scene import EnvironmentMap, Material, Scene
+from hir_core.stages.reflectance.requested_model import default_spec, forced_spec
+
+
+def initial_scene(scene: Scene, capture: Capture, settings: ReflectanceSettings, by_solver: bool = True) -> Scene:
+    """The scene with a constant lobe and a constant light, or the known light.
+
+    The diffuse albedo is the texture of the atlas stage, or constant where `reflectance.method` is `gradient`. Gradient
+    steps get maps where the model has them; a solver makes its own.
+    """
+    if scene.material is None or scene.mesh.uvs is None:
+        raise StageError("the reflectance stage needs texture coordinates and a base colour; run the atlas stage first")
+    device = scene.mesh.positions.device
+    spec = forced_spec(settings) or default_spec(settings)
+    diffuse = scene.material.diffuse_albedo
+    specular: Tensor = torch.full((3,), settings.initial_specular_albedo, device=device)
+    roughness = torch.full((1,), settings.initial_roughness, device=device)
+    if not by_solver:
+        if spec.specular == "map" and diffuse.ndim == 3:
+            specular = specular.expand(diffuse.shape[0], diffuse.shape[1], 3).contiguous()
+        if spec.roughness == "map" and diffuse.ndim == 3:
+            roughness = roughness.expand(diffuse.shape[0], diffuse.shape[1], 1).contiguous()
+    if settings.method == "gradient":
+        diffuse = torch.full_like(diffuse, settings.gradient.initial_diffuse_albedo)
+    material = Material(
+        model="dielectric" if spec.brdf == "diffuse" else spec.brdf,
+        diffuse_albedo=diffuse,
+        specular_albedo=specular,
+        roughness=roughness,
+    )
+    size = (settings.environment_height, settings.environment_width)
+    if settings.known_environment:
+        environment = known_light(settings.known_environment, capture, size, str(device))
+    else:
+        radiance = torch.full((*size, 3), settings.initial_radiance, device=device)
+        frame: Literal["world", "camera"] = "camera" if settings.light_frame == "camera" else "world"
+        environment = EnvironmentMap(radiance, None, frame)
+    return replace(scene, material=material, environment=environment)
+
+
+def known_light(text: str, capture: Capture, size: tuple[int, int], device: str) -> EnvironmentMap:
+    """The light in `FILE` or `FILE*STRENGTH`, rotated from the capture's axes to the world, resampled to `size`.
+
+    Raises `ConfigError` where the strength is no number.
+    """
+    try:
+        path, strength = parse_light_file(text)
+    except InputError as error:
+        raise ConfigError(f"reflectance.known_environment: {error}") from None
+    radiance = read_hdr(path) * np.float32(strength)
+    rotation = capture.world_from_source[:3, :3]
+    rotation = rotation / np.cbrt(np.linalg.det(rotation))
+    source = capture.environment.source_from_environment if capture.environment is not None else np.eye(3)
+    rotated = resample_latlong(rotate_latlong(radiance, rotation @ source), *size)
+    return EnvironmentMap(torch.from_numpy(rotated.astype(np.float32)).to(device))
