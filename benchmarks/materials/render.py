@@ -18,7 +18,7 @@ from benchmarks.materials.materials import MATERIALS, Surface
 from benchmarks.materials.recipes import Recipe
 from benchmarks.materials.shapes import Shape, make_shape
 
-SIDE = 160
+SIDE = 144
 SAMPLES = 192
 DEPTH = 6
 FIELD_OF_VIEW = 0.62
