@@ -14,7 +14,7 @@ from hir_core.terminal.command_options import FOLDER, plugin_option, verbosity_o
 
 if TYPE_CHECKING:
     from hir_core.capture import Array, Capture
-    from hir_core.intake.capture_check import CaptureCheck
+    from hir_core.intake.check_result import CaptureCheck
 
 ROWS = 12
 """Maximum number of photographs in the table without -v."""
@@ -54,14 +54,16 @@ def check_command(
     Uses the mask sources of `hir reconstruct` that need no cameras. -v lists every photograph.
     """
     from hir_core.files.json_documents import jsonable
-    from hir_core.intake.capture_check import check_capture, contact_sheet, masked
+    from hir_core.intake.automatic_masks import with_automatic_masks
+    from hir_core.intake.capture_check import check_capture
+    from hir_core.intake.contact_sheet import contact_sheet
     from hir_core.intake.reader_lookup import read_capture
     from hir_core.plugins.manager import PluginManager
 
     if sheet is not None and sheet.suffix.lower() != ".png":
         raise InputError(f"--sheet {sheet}: the contact sheet is a PNG; give a name that ends in .png")
     plugins = PluginManager.discover(plugin_files)
-    found = masked(read_capture(capture, split, plugins, reader), plugins)
+    found = with_automatic_masks(read_capture(capture, split, plugins, reader), plugins)
     if not found.views:
         raise InputError(f"{capture} has no photographs in the split {split}; give the folder of a capture")
     check = check_capture(found, None if mesh is None else surface_of(mesh, found))

@@ -13,7 +13,13 @@ from hir_core.terminal.command_options import plugin_option
 if TYPE_CHECKING:
     from hir_core.testing import Result
 
-OUTCOME_LABELS = {"passed": "ok", "failed": "FAILED", "skipped": "skipped", "expected": "expected", "mended": "FAILED"}
+OUTCOME_LABELS = {
+    "passed": "ok",
+    "failed": "FAILED",
+    "skipped": "skipped",
+    "expected": "expected",
+    "unexpected_pass": "FAILED",
+}
 
 
 @click.command("check-plugin")
@@ -65,9 +71,9 @@ def check_plugin_command(
             click.echo(f"{registered.kind.replace('_', ' ')} {registered.component.name} ({registered.distribution})")
         for result in check_component(registered, only=only, options=options, plugins=plugins, raises=False):
             results.append(result)
-            if not as_json and not (quiet and result.sound):
+            if not as_json and not (quiet and result.is_ok):
                 _print_result(result)
-    failed = [result for result in results if not result.sound]
+    failed = [result for result in results if not result.is_ok]
     if as_json:
         click.echo(json.dumps({"results": [asdict(r) for r in results], "problems": problems}, indent=1))
     else:
@@ -86,8 +92,8 @@ def _print_result(result: Result) -> None:
     label = click.style(
         f"{OUTCOME_LABELS[result.outcome]:>8}", fg={"passed": "green", "failed": "red"}.get(result.outcome)
     )
-    reason = f"  {result.detail}" if result.sound and result.detail else ""
+    reason = f"  {result.detail}" if result.is_ok and result.detail else ""
     click.echo(f"{label}  {result.check:<36} {result.seconds:6.1f} s{reason}")
-    if not result.sound:
+    if not result.is_ok:
         for line in result.detail.splitlines()[1:]:
             click.echo(f"{'':>8}  {line}")

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from hir_core.files.file_names import file_stem
-from hir_core.rendering.light_files import parse_light_file
+from hir_core.files.light_setting import parse_light_file
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,9 @@ import numpy as np
 
 from hir_core.capture import Array, Capture, EnvironmentSource
 from hir_core.errors import InputError
+from hir_core.files.light_setting import parse_light_file
 from hir_core.intake.reader_lookup import find_reader
-from hir_core.rendering.light_files import is_same_light, load_light, parse_light_file
+from hir_core.rendering.light_files import is_same_light, load_light
 from hir_core.run.finished_run import FinishedRun
 
 if TYPE_CHECKING:

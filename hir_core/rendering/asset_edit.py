@@ -16,7 +16,7 @@ from hir_exporters.textures.image_files import write_png
 from numpy.typing import NDArray
 
 from hir_core.errors import InputError
-from hir_core.rendering.light_files import parse_light_file
+from hir_core.files.light_setting import parse_light_file
 
 if TYPE_CHECKING:
     from hir_core.plugins.manager import PluginManager

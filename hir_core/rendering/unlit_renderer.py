@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from hir_exporters.textures.bilinear import sample_bilinear
 from numpy.typing import NDArray
 
 from hir_core.capture import Camera
-from hir_core.mesh.ray_casting import SurfaceRays
+from hir_core.mesh.ray_casting import MeshQueries
 
 if TYPE_CHECKING:
     from hir_core.scene import Scene
@@ -25,7 +26,7 @@ class UnlitRenderer:
     def __init__(self, scene: Scene) -> None:
         mesh = scene.mesh
         self._faces = mesh.faces.detach().cpu().numpy().astype(np.int64)
-        self._rays = SurfaceRays(mesh.positions.detach().cpu().numpy().astype(np.float32), self._faces)
+        self._rays = MeshQueries(mesh.positions.detach().cpu().numpy().astype(np.float32), self._faces)
         albedo = None if scene.material is None else scene.material.diffuse_albedo.detach().cpu().numpy()
         self._texture: Array | None = None
         self._colors = np.full((1, 3), 0.5, np.float32)
@@ -57,16 +58,6 @@ class UnlitRenderer:
                 return np.broadcast_to(self._colors, (len(face), 3))
             return np.asarray((self._colors[self._faces[face]] * weights[..., None]).sum(axis=1), np.float32)
         uv = (self._uvs[self._uv_faces[face]] * weights[..., None]).sum(axis=1)
-        return sampled(self._texture, uv)
-
-
-def sampled(texture: Array, uv: NDArray[np.floating]) -> Array:
-    """Bilinear samples (N, C) of a texture (H, W, C) at (N, 2), origin top-left; the border's texels go on outside."""
-    height, width = texture.shape[:2]
-    x = np.clip(uv[:, 0] * width - 0.5, 0, width - 1)
-    y = np.clip(uv[:, 1] * height - 0.5, 0, height - 1)
-    x0, y0 = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
-    x1, y1 = np.minimum(x0 + 1, width - 1), np.minimum(y0 + 1, height - 1)
-    fx, fy = (x - x0)[:, None], (y - y0)[:, None]
-    top = texture[y0, x0] * (1 - fx) + texture[y0, x1] * fx
-    return np.asarray(top * (1 - fy) + (texture[y1, x0] * (1 - fx) + texture[y1, x1] * fx) * fy, np.float32)
+        height, width = self._texture.shape[:2]
+        colors = sample_bilinear(self._texture, uv[:, 0] * width - 0.5, uv[:, 1] * height - 0.5)
+        return colors.astype(np.float32)

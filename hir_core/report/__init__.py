@@ -1,4 +1,4 @@
-"""The report of a run: `report/*.png` and `report.html`, one file that needs nothing beside it."""
+"""The report of a run: `report/*.png`, and the page `report.html`, which needs no other file."""
 
 from __future__ import annotations
 

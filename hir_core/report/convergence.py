@@ -1,23 +1,26 @@
-"""What a run's stages came to, and when: the data of the report's plots."""
+"""Quality of a run against time: the data of the report's charts."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import NDArray
 
 from hir_core.files.json_documents import read_json
 from hir_core.plugins.progress import MODEL_FITTED
 from hir_core.report.curve_svg import curve_svg
+from hir_core.report.page_values import Document
+from hir_core.report.tables import notice
 from hir_core.run.progress_listener import read_curves
 from hir_core.run.run_directory import STAGE_NAMES, RunDirectory
 
-SHOWN_CURVES = 8
+MAX_CURVES = 8
+"""Curves per stage."""
 
-NAMES = {
+TITLES = {
     "held_out": "held-out views, 1 − IoU",
     "gradient_norm": "gradient norm",
     "silhouette": "silhouettes, 1 − IoU",
@@ -25,84 +28,84 @@ NAMES = {
     "training_psnr": "fitted views, dB",
     "loss": "loss",
 }
-"""Words for scalars whose names do not speak for themselves."""
+"""Titles of scalars; the name of another scalar is its title."""
 
 
 @dataclass(frozen=True)
 class Series:
-    """Points of one line of the plot of PSNR against seconds."""
+    """One line of the chart of PSNR against seconds."""
 
     label: str
     kind: str
-    """`stages`, `held-out`, `fitted` or `unseen`: how it is drawn."""
+    """`stages`, `held-out`, `fitted` or `unseen`: the style of the line."""
     seconds: tuple[float, ...]
     psnr: tuple[float, ...]
 
 
 @dataclass(frozen=True)
 class History:
-    """PSNR over object pixels against seconds since the run began, and when each stage ended."""
+    """PSNR over object pixels against seconds since the start of the run, and the end of each stage in seconds."""
 
     series: tuple[Series, ...]
     ends: tuple[tuple[str, float], ...]
 
 
-def history(directory: RunDirectory, document: Mapping[str, Any], timings: Mapping[str, Any]) -> History:
-    """All that the folder knows of quality over time."""
-    starts, ends, clock = {}, [], 0.0
+def history(directory: RunDirectory, document: Document, timings: Document) -> History:
+    """Every PSNR of the run that has a time."""
+    start_of, ends, clock = {}, [], 0.0
     for stage in STAGE_NAMES:
         if stage in timings.get("stages", {}):
-            starts[stage] = clock
+            start_of[stage] = clock
             clock += float(timings["stages"][stage]["seconds"])
             ends.append((stage, clock))
     end_of = dict(ends)
-    found = []
+    lines = []
     path = directory.report / "views.json"
     shown = read_json(path).get("stages", {}) if path.exists() else {}
     points = [(end_of[stage], psnr) for stage, psnr in shown.items() if stage in end_of and psnr is not None]
     if points:
         points.sort()
-        found.append(_series("the photographs shown, after each stage", "stages", points))
+        lines.append(_series("the photographs above, after each stage", "stages", points))
     seconds = milestones(timings, MODEL_FITTED)
     curves = read_curves(directory.stage("reflectance") / "curves.npz")
     for name, kind, label in (
-        ("held_out_psnr", "held-out", "views held out while models are chosen"),
-        ("training_psnr", "fitted", "views that they were fitted to"),
+        ("held_out_psnr", "held-out", "held-out views during model selection"),
+        ("training_psnr", "fitted", "fitted views"),
     ):
         if name in curves and len(curves[name][1]) == len(seconds):
-            began = starts.get("reflectance", 0.0)
-            found.append(
-                _series(label, kind, [(began + s, float(v)) for s, v in zip(seconds, curves[name][1], strict=True)])
+            start = start_of.get("reflectance", 0.0)
+            lines.append(
+                _series(label, kind, [(start + s, float(v)) for s, v in zip(seconds, curves[name][1], strict=True)])
             )
     unseen = document.get("metrics", {}).get("test", {}).get("psnr", {}).get("object")
     if unseen is not None and "reflectance" in end_of:
-        found.append(_series("unseen views", "unseen", [(end_of["reflectance"], float(unseen))]))
-    return History(tuple(found), tuple(ends))
+        lines.append(_series("unseen views", "unseen", [(end_of["reflectance"], float(unseen))]))
+    return History(tuple(lines), tuple(ends))
 
 
-def milestones(timings: Mapping[str, Any], kind: str) -> list[float]:
-    """Seconds since the reflectance stage began at which each thing of this kind ended; empty where none did."""
-    told = timings.get("stages", {}).get("reflectance", {}).get("milestones", [])
-    return [float(seconds) for name, seconds in told if name == kind]
+def milestones(timings: Document, kind: str) -> list[float]:
+    """Seconds since the start of the reflectance stage at which the steps of this kind ended."""
+    entries = timings.get("stages", {}).get("reflectance", {}).get("milestones", [])
+    return [float(seconds) for name, seconds in entries if name == kind]
 
 
-def curves(directory: RunDirectory) -> str:
-    """Small plots of each stage's scalars."""
-    shown = []
+def curves(directory: RunDirectory) -> Markup:
+    """Small charts of the scalars of each stage."""
+    charts = []
     for stage in STAGE_NAMES:
         found = read_curves(directory.stage(stage) / "curves.npz")
-        for name in sorted(found)[:SHOWN_CURVES]:
-            steps, values = going_on(found[name][0]), found[name][1]
+        for name in sorted(found)[:MAX_CURVES]:
+            steps, values = cumulative_steps(found[name][0]), found[name][1]
             if len(values) > 1:
-                shown.append(curve_svg(f"{stage}: {NAMES.get(name, name.replace('_', ' '))}", steps, values))
-    return "".join(shown) or "<p class=quiet>No stage reported a curve.</p>"
+                charts.append(curve_svg(f"{stage}: {TITLES.get(name, name.replace('_', ' '))}", steps, values))
+    return Markup("").join(charts) or notice("No stage reported a curve.")
 
 
-def going_on(steps: NDArray[np.generic]) -> NDArray[np.float64]:
-    """Steps of loops that ran one after the other, each counted from the end of the one before."""
+def cumulative_steps(steps: NDArray[np.generic]) -> NDArray[np.float64]:
+    """Steps of successive loops, where each loop continues the count of the loop before."""
     counted = np.asarray(steps, np.float64)
-    back = np.diff(counted, prepend=counted[:1])
-    return counted - np.cumsum(np.where(back < 0, back - 1, 0.0))
+    change = np.diff(counted, prepend=counted[:1])
+    return counted - np.cumsum(np.where(change < 0, change - 1, 0.0))
 
 
 def _series(label: str, kind: str, points: Sequence[tuple[float, float]]) -> Series:

@@ -2,43 +2,52 @@
 
 from __future__ import annotations
 
-import html
-
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import NDArray
 
-WIDTH, HEIGHT, LEFT, BOTTOM, TOP = 420, 170, 54, 22, 26
+from hir_core.report.page_templates import render
+
+WIDTH, HEIGHT, LEFT, RIGHT, BOTTOM, TOP = 420, 170, 54, 12, 22, 26
+"""Size and margins in SVG units."""
 MAX_POINTS = 400
+LOG_SCALE_RATIO = 100
+"""Largest over smallest value above which the scale is logarithmic."""
 
 
-def curve_svg(title: str, steps: NDArray[np.generic], values: NDArray[np.generic]) -> str:
-    """One curve with its first, least and last value marked; logarithmic where it spans more than two decades."""
-    x, y = thinned(np.asarray(steps, np.float64), np.asarray(values, np.float64))
+def curve_svg(title: str, steps: NDArray[np.generic], values: NDArray[np.generic]) -> Markup:
+    """One curve with its last, smallest and largest value; empty where there are fewer than two finite points."""
+    x, y = block_means(np.asarray(steps, np.float64), np.asarray(values, np.float64))
     if len(x) < 2:
-        return ""
-    logarithmic = bool(y.min() > 0 and y.max() / y.min() > 100)
+        return Markup("")
+    logarithmic = bool(y.min() > 0 and y.max() / y.min() > LOG_SCALE_RATIO)
     heights = np.log10(y) if logarithmic else y
     low, high = float(heights.min()), float(heights.max())
     span = high - low or 1.0
-    across = LEFT + (x - x[0]) / max(x[-1] - x[0], 1e-12) * (WIDTH - LEFT - 12)
+    across = LEFT + (x - x[0]) / max(x[-1] - x[0], 1e-12) * (WIDTH - LEFT - RIGHT)
     down = HEIGHT - BOTTOM - (heights - low) / span * (HEIGHT - BOTTOM - TOP)
-    points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(across, down, strict=True))
-    scale = " (log)" if logarithmic else ""
-    label = html.escape(f"{title}{scale}")
-    return (
-        f'<svg class=curve viewBox="0 0 {WIDTH} {HEIGHT}" role=img aria-label="{label}">'
-        f"<text x={LEFT} y=15 class=name>{label}</text><text x={WIDTH - 12} y=15 class=last>{y[-1]:.4g}</text>"
-        f"<text x={LEFT - 6} y={TOP + 4} class=axis>{y.max():.3g}</text>"
-        f"<text x={LEFT - 6} y={HEIGHT - BOTTOM} class=axis>{y.min():.3g}</text>"
-        f"<text x={LEFT} y={HEIGHT - 6} class=step>{x[0]:.0f}</text>"
-        f"<text x={WIDTH - 12} y={HEIGHT - 6} class=last>step {x[-1]:.0f}</text>"
-        f"<path class=grid d='M{LEFT} {TOP}H{WIDTH - 12}M{LEFT} {HEIGHT - BOTTOM}H{WIDTH - 12}'/>"
-        f'<polyline points="{points}"/></svg>'
+    return render(
+        "curve.svg",
+        width=WIDTH,
+        height=HEIGHT,
+        left=LEFT,
+        right=WIDTH - RIGHT,
+        top=TOP,
+        bottom=HEIGHT - BOTTOM,
+        label=f"{title}{' (log)' if logarithmic else ''}",
+        last=f"{y[-1]:.4g}",
+        highest=f"{y.max():.3g}",
+        lowest=f"{y.min():.3g}",
+        first_step=f"{x[0]:.0f}",
+        last_step=f"{x[-1]:.0f}",
+        points=" ".join(f"{a:.1f},{b:.1f}" for a, b in zip(across, down, strict=True)),
     )
 
 
-def thinned(steps: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """At most `MAX_POINTS` of the finite values: means of equal blocks."""
+def block_means(
+    steps: NDArray[np.float64], values: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The finite values, as means of equal blocks where there are more than `MAX_POINTS`."""
     finite = np.isfinite(steps) & np.isfinite(values)
     steps, values = steps[finite], values[finite]
     if len(values) <= MAX_POINTS:

@@ -1,47 +1,34 @@
-"""PSNR against seconds as inline SVG, the stages as bands behind it."""
+"""PSNR against seconds as inline SVG, with the stages as bands behind it."""
 
 from __future__ import annotations
 
-import html
-from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
+from markupsafe import Markup
 
 from hir_core.report.convergence import History, Series
+from hir_core.report.page_templates import render
+from hir_core.report.tables import notice
 
 WIDTH, HEIGHT = 1032, 360
 LEFT, RIGHT, TOP, BOTTOM = 52, 16, 34, 58
+"""Size and margins in SVG units."""
 
-LETTER, LEGEND_GAP = 6.0, 44.0
-"""Width of a letter of the legend, and what a series' mark and margin take."""
+LETTER_WIDTH, LEGEND_GAP = 6.0, 44.0
+"""Width of a letter in the legend, and of a mark with its margin."""
 
-LEAST_BAND = 34.0
-"""A narrower stage is not labelled: its name would not fit."""
-
-
-def history_chart(history: History) -> str:
-    """The plot; a sentence where there is nothing to draw."""
-    values = [v for series in history.series for v in series.psnr]
-    if not values or not history.ends:
-        return "<p class=quiet>No stage was measured.</p>"
-    end = history.ends[-1][1] or 1.0
-    low, high = np.floor(min(values) - 0.5), np.ceil(max(values) + 0.5)
-    frame = _Frame(end, float(low), float(high))
-    parts = [*_bands(history, frame), *_axes(frame)]
-    place = float(LEFT)
-    for series in history.series:
-        parts += _line(series, frame)
-        parts.append(_legend(series, place))
-        place += LEGEND_GAP + LETTER * len(series.label)
-    label = "PSNR over object pixels against seconds"
-    return f'<svg class=history viewBox="0 0 {WIDTH} {HEIGHT}" role=img aria-label="{label}">{"".join(parts)}</svg>'
+MIN_LABELLED_BAND = 34.0
+"""Width of a band below which a stage is not labelled."""
 
 
-class _Frame:
-    """From seconds and dB to the picture."""
+@dataclass(frozen=True)
+class _Axes:
+    """From seconds and dB to SVG units."""
 
-    def __init__(self, end: float, low: float, high: float) -> None:
-        self.end, self.low, self.high = end, low, high
+    end: float
+    low: float
+    high: float
 
     def x(self, seconds: float) -> float:
         return LEFT + seconds / self.end * (WIDTH - LEFT - RIGHT)
@@ -50,55 +37,67 @@ class _Frame:
         return HEIGHT - BOTTOM - (psnr - self.low) / (self.high - self.low) * (HEIGHT - BOTTOM - TOP)
 
 
-def _bands(history: History, frame: _Frame) -> Iterator[str]:
-    start = 0.0
-    for i, (stage, end) in enumerate(history.ends):
-        left, right = frame.x(start), frame.x(end)
-        shade = "odd" if i % 2 else "even"
-        yield (
-            f'<rect class="band {shade}" x={left:.1f} y={TOP} width={max(right - left, 0):.1f} '
-            f"height={HEIGHT - BOTTOM - TOP}><title>{stage}: {end - start:.1f} s</title></rect>"
-        )
-        if right - left > LEAST_BAND + 3 * len(stage):
-            yield f"<text class=stage x={(left + right) / 2:.1f} y={TOP - 10}>{stage} · {end - start:.0f} s</text>"
-        start = end
-
-
-def _axes(frame: _Frame) -> Iterator[str]:
-    for value in ticks(frame.low, frame.high, 6):
-        y = frame.y(value)
-        yield f"<path class=grid d='M{LEFT} {y:.1f}H{WIDTH - RIGHT}'/>"
-        yield f"<text class=axis x={LEFT - 8} y={y + 4:.1f}>{value:g}</text>"
-    for value in ticks(0, frame.end, 8):
-        x = frame.x(value)
-        yield f"<text class=second x={x:.1f} y={HEIGHT - BOTTOM + 18}>{value:g} s</text>"
-    yield f"<text class=unit x={LEFT - 8} y={TOP - 10}>dB</text>"
-
-
-def _line(series: Series, frame: _Frame) -> Iterator[str]:
-    points = [(frame.x(s), frame.y(v)) for s, v in zip(series.seconds, series.psnr, strict=True)]
-    kind = series.kind
-    if len(points) > 1:
-        yield f'<polyline class="line {kind}" points="{" ".join(f"{x:.1f},{y:.1f}" for x, y in points)}"/>'
-    for (x, y), second, value in zip(points, series.seconds, series.psnr, strict=True):
-        title = f"<title>{html.escape(series.label)}: {value:.2f} dB at {second:.0f} s</title>"
-        if kind == "unseen":
-            yield f'<path class="mark {kind}" d="M{x:.1f} {y - 8:.1f}l7 8l-7 8l-7 -8z">{title}</path>'
-        else:
-            radius = 5 if kind == "stages" else 3.4
-            yield f'<circle class="mark {kind}" cx={x:.1f} cy={y:.1f} r={radius}>{title}</circle>'
-
-
-def _legend(series: Series, x: float) -> str:
-    y = HEIGHT - 12
-    return (
-        f'<circle class="mark {series.kind}" cx={x + 6:.0f} cy={y - 4} r=4.5></circle>'
-        f"<text class=legend x={x + 18:.0f} y={y}>{html.escape(series.label)}</text>"
+def history_chart(history: History) -> Markup:
+    """The chart; a sentence where nothing was measured."""
+    values = [v for series in history.series for v in series.psnr]
+    if not values or not history.ends:
+        return notice("No stage was measured.")
+    low, high = np.floor(min(values) - 0.5), np.ceil(max(values) + 0.5)
+    axes = _Axes(history.ends[-1][1] or 1.0, float(low), float(high))
+    lines, legend_x = [], float(LEFT)
+    for series in history.series:
+        lines.append(_line(series, axes) | {"legend_x": round(legend_x + 6)})
+        legend_x += LEGEND_GAP + LETTER_WIDTH * len(series.label)
+    return render(
+        "history.svg",
+        width=WIDTH,
+        height=HEIGHT,
+        left=LEFT,
+        right=WIDTH - RIGHT,
+        top=TOP,
+        bottom=HEIGHT - BOTTOM,
+        bands=_bands(history, axes),
+        psnr_ticks=[
+            {"at": f"{axes.y(v):.1f}", "text_at": f"{axes.y(v) + 4:.1f}", "text": f"{v:g}"}
+            for v in ticks(axes.low, axes.high, 6)
+        ],
+        second_ticks=[{"at": f"{axes.x(v):.1f}", "text": f"{v:g} s"} for v in ticks(0, axes.end, 8)],
+        lines=lines,
     )
 
 
+def _bands(history: History, axes: _Axes) -> list[dict[str, str]]:
+    bands, start = [], 0.0
+    for stage, end in history.ends:
+        left, right = axes.x(start), axes.x(end)
+        is_wide = right - left > MIN_LABELLED_BAND + 3 * len(stage)
+        bands.append(
+            {
+                "x": f"{left:.1f}",
+                "width": f"{max(right - left, 0):.1f}",
+                "middle": f"{(left + right) / 2:.1f}",
+                "title": f"{stage}: {end - start:.1f} s",
+                "label": f"{stage} · {end - start:.0f} s" if is_wide else "",
+            }
+        )
+        start = end
+    return bands
+
+
+def _line(series: Series, axes: _Axes) -> dict[str, object]:
+    points = [
+        {
+            "x": f"{axes.x(second):.1f}",
+            "y": f"{axes.y(value):.1f}",
+            "title": f"{series.label}: {value:.2f} dB at {second:.0f} s",
+        }
+        for second, value in zip(series.seconds, series.psnr, strict=True)
+    ]
+    return {"kind": series.kind, "label": series.label, "points": points}
+
+
 def ticks(low: float, high: float, wanted: int) -> list[float]:
-    """Round numbers from `low` to `high`, about as many as wanted: steps of 1, 2 or 5 times a power of ten."""
+    """Round numbers from `low` to `high`, about `wanted` of them: steps of 1, 2 or 5 times a power of ten."""
     if not high > low:
         return [low]
     raw = (high - low) / wanted

@@ -28,67 +28,72 @@ if TYPE_CHECKING:
     from hir_core.plugins.manager import PluginManager
 
 VIEWS = 4
-"""Photographs that a report shows, spread over the capture."""
+"""Number of photographs in a report, evenly spaced over the capture."""
 
-SHOWN_SIDE = 1024
-"""Photographs of twice this and more are shown and measured reduced, to no less; `hir evaluate` renders whole ones."""
+REDUCED_SIDE = 1024
+"""Photographs with at least twice as many pixels per side are reduced, to no less than this."""
 
 FEW_SAMPLES = 64
-"""Through a pixel of each of two renders, which are enough where the fit is farther from the photograph than noise."""
-MOST_NOISE = 0.15
-"""Share of the squared error up to which they are."""
+"""Paths per pixel of each of two renders. They suffice where their noise is small against the error of the fit."""
+MAX_NOISE_SHARE = 0.15
+"""Share of noise in the squared error up to which `FEW_SAMPLES` suffice."""
 
 SMALL_SIDE = 192
-"""Pictures of a run's stages, which are only measured, are at most about as large."""
+"""Approximate maximum side of the renders of intermediate stages, which are measured and not shown."""
 
 UNLIT_STAGE = "initializer"
-"""It knows colours and no light: its scene is shown as what is baked into it, as plain photogrammetry has it. Stages
-after it carry these colours along for a start and are judged by their outlines."""
+"""The stage whose scene has colours baked from the photographs and no light; it is rendered unlit, as a result of
+photogrammetry is. Later stages keep these colours as an initial guess and are measured by their silhouettes."""
 
 
 def write_pictures(
-    directory: RunDirectory, plugins: PluginManager, on_message: Callable[[str], None] | None = None
+    directory: RunDirectory,
+    plugins: PluginManager,
+    on_message: Callable[[str], None] | None = None,
+    *,
+    reduced_side: int = REDUCED_SIDE,
+    max_noise_share: float = MAX_NOISE_SHARE,
 ) -> dict[str, Any]:
-    """Fills `report/` as a whole with PNGs and returns what they show.
+    """Replaces the PNG files of `report/` and returns their description for views.json.
 
-    `views`: name, figures and file names of each, `measured_at` where photographs are larger; `stages`: mean PSNR of
-    the same views after each stage, small.
+    `views`: name, figures and file names of each view, and `measured_at` where the photograph was reduced. `stages`:
+    mean PSNR of the same views after each stage, at `SMALL_SIDE`.
     """
     run = open_finished_run(directory)
     capture = run.views_of_split(run.capture_path, "train", plugins)
-    tracer = _Tracer(run, plugins)
-    shown: list[dict[str, Any]] = []
-    seen: list[tuple[MaskedPhotograph, Camera, Image]] = []
-    with atomic_directory(directory.report) as place:
+    tracer = _PathTracer(run, plugins, max_noise_share)
+    views: list[dict[str, Any]] = []
+    measured: list[tuple[MaskedPhotograph, Camera, Image]] = []
+    with atomic_directory(directory.report) as folder:
         for i in evenly_spaced_indices(len(capture.views), VIEWS):
             view = capture.views[i]
             if view.pixels().mask is None:
                 if on_message is not None:
-                    on_message(f"report: {view.name} has no mask and is not shown")
+                    on_message(f"report: {view.name} is left out because it has no mask")
                 continue
-            factor = max(1, max(capture.cameras[i].width, capture.cameras[i].height) // SHOWN_SIDE)
+            factor = max(1, max(capture.cameras[i].width, capture.cameras[i].height) // reduced_side)
             camera, truth = capture.cameras[i].downsampled(factor), masked_photograph(view).downsampled(factor)
             pair = tracer.pair(camera, view, truth)
-            seen.append((truth, camera, _middle(pair)))
+            measured.append((truth, camera, _middle(pair)))
             size = {"measured_at": [camera.width, camera.height]} if factor > 1 else {}
-            shown.append({"name": view.name} | _view_pictures(place, file_stem(view.name), pair, truth) | size)
+            views.append({"name": view.name} | _view_pictures(folder, file_stem(view.name), pair, truth) | size)
         for name, picture in asset_pictures(directory.scene).items():
-            write_png(place / f"{name}.png", picture)
-    return {"views": shown, "stages": stage_psnr(directory, seen)}
+            write_png(folder / f"{name}.png", picture)
+    return {"views": views, "stages": stage_psnr(directory, measured)}
 
 
-class _Tracer:
-    """Renders a run's scene with as many samples as its figures need."""
+class _PathTracer:
+    """Renders the scene of a run with as many samples as its figures need."""
 
-    def __init__(self, run: FinishedRun, plugins: PluginManager) -> None:
-        self._scene = run.scene
+    def __init__(self, run: FinishedRun, plugins: PluginManager, max_noise_share: float) -> None:
+        self._scene, self._max_noise_share = run.scene, max_noise_share
         _, self._quick = reference_renderer(plugins, bounces=run.bounces, max_samples=FEW_SAMPLES)
         _, self._thorough = reference_renderer(plugins, bounces=run.bounces)
 
     def pair(self, camera: Camera, view: View, truth: MaskedPhotograph) -> tuple[Image, Image]:
-        """Two renders (H, W, 4) of independent noise, or one of many samples, twice, where that noise is too much."""
+        """Two renders (H, W, 4) with independent noise; where that is too large, one render of many samples, twice."""
         first, second = (self._rendered(self._quick, camera, view, half) for half in (", first", ", second"))
-        if noise_share(first, second, truth) <= MOST_NOISE:
+        if noise_share(first, second, truth) <= self._max_noise_share:
             return first, second
         whole = self._rendered(self._thorough, camera, view, "")
         return whole, whole
@@ -100,30 +105,32 @@ class _Tracer:
 
 
 def noise_share(first: Image, second: Image, truth: MaskedPhotograph) -> float:
-    """Part that noise has in the squared error of two renders' mean (H, W, 4); 1 where there is no error."""
+    """Share of noise in the squared error of the mean of two renders (H, W, 4); 1 where the error is 0."""
     one, other = (composite(*unassociate(half)) for half in (first, second))
     noise, error = float(np.square(one - other).mean()) / 4, float(np.square((one + other) / 2 - truth.picture).mean())
     return noise / error if error > 0 else 1.0
 
 
-def stage_psnr(directory: RunDirectory, seen: list[tuple[MaskedPhotograph, Camera, Image]]) -> dict[str, float | None]:
-    """Mean PSNR over object pixels, first mesh and finished asset, of the views shown, all reduced alike.
+def stage_psnr(
+    directory: RunDirectory, measured: list[tuple[MaskedPhotograph, Camera, Image]]
+) -> dict[str, float | None]:
+    """Mean PSNR over object pixels after the first stage and of the finished asset, at `SMALL_SIDE`.
 
-    `seen`: photographs, their cameras in the working frame, and the finished asset's renders (H, W, 4).
+    `measured`: photographs, their cameras in the working frame, and renders (H, W, 4) of the finished asset.
     """
     from hir_core.scene.scene_store import load_stage_scene
 
-    factors = [max(1, -(-max(camera.width, camera.height) // SMALL_SIDE)) for _, camera, _ in seen]
-    truths = [truth.downsampled(factor) for (truth, *_), factor in zip(seen, factors, strict=True)]
+    factors = [max(1, -(-max(camera.width, camera.height) // SMALL_SIDE)) for _, camera, _ in measured]
+    truths = [truth.downsampled(factor) for (truth, *_), factor in zip(measured, factors, strict=True)]
     found: dict[str, float | None] = {}
     record = directory.record(UNLIT_STAGE)
     if record is not None and record.finished:
         scene = load_stage_scene(directory.stage(UNLIT_STAGE) / "scene", "cpu")
         if scene.mesh.vertex_colors is not None:
             unlit = UnlitRenderer(scene)
-            small = [unlit.render(camera.downsampled(f)) for (_, camera, _), f in zip(seen, factors, strict=True)]
+            small = [unlit.render(camera.downsampled(f)) for (_, camera, _), f in zip(measured, factors, strict=True)]
             found[UNLIT_STAGE] = mean([_object_psnr(fit, truth) for fit, truth in zip(small, truths, strict=True)])
-    small = [block_mean(fit, factor) for (*_, fit), factor in zip(seen, factors, strict=True)]
+    small = [block_mean(fit, factor) for (*_, fit), factor in zip(measured, factors, strict=True)]
     found["reflectance"] = mean([_object_psnr(fit, truth) for fit, truth in zip(small, truths, strict=True)])
     return found
 
@@ -133,7 +140,7 @@ def _object_psnr(fit: Image, truth: MaskedPhotograph) -> float | None:
 
 
 def asset_pictures(scene: Path) -> dict[str, Image]:
-    """Light and textures of a scene folder, as sRGB pictures; a constant becomes a small square of its value."""
+    """Light and textures of a scene folder as sRGB pictures; a constant as a small square."""
     asset = load_scene(scene)
     pictures: dict[str, Image] = {}
     if asset.environment is not None:
@@ -141,7 +148,7 @@ def asset_pictures(scene: Path) -> dict[str, Image]:
     material = asset.material
     pictures["albedo"] = np.asarray(linear_to_srgb(as_map(material.diffuse_albedo, 3)), dtype=np.float32)
     specular = as_map(material.specular_albedo, 3)
-    # a reflectance of a few hundredths is black to the eye: brightest to white
+    # a reflectance of a few hundredths would look black, so the largest value is scaled to white
     pictures["specular"] = np.asarray(linear_to_srgb(specular / max(float(specular.max()), 1e-6)), dtype=np.float32)
     pictures["roughness"] = as_map(np.sqrt(material.roughness), 1)
     if material.normal is not None:
@@ -158,7 +165,7 @@ def as_map(value: Image, channels: int) -> Image:
 
 
 def light_picture(radiance: Image) -> Image:
-    """A lat-long light as a picture: the exposure puts its 95th percentile at 0.8, so suns saturate."""
+    """A lat-long light as a picture; the exposure maps the 95th percentile to 0.8, so the sun is clipped."""
     level = float(np.quantile(radiance.mean(axis=2), 0.95))
     picture = np.asarray(linear_to_srgb(np.clip(radiance * (0.8 / max(level, 1e-6)), 0, 1)), dtype=np.float32)
     enlarge = max(1, 512 // picture.shape[1])
@@ -169,13 +176,13 @@ def _middle(pair: tuple[Image, Image]) -> Image:
     return np.mean(pair, axis=0, dtype=np.float32)
 
 
-def _view_pictures(place: Path, name: str, pair: tuple[Image, Image], truth: MaskedPhotograph) -> dict[str, Any]:
+def _view_pictures(folder: Path, name: str, pair: tuple[Image, Image], truth: MaskedPhotograph) -> dict[str, Any]:
     first, second = (composite(*unassociate(fit)) for fit in pair)
     picture, true = composite(*unassociate(_middle(pair))), truth.picture
     files = {kind: f"{name}_{kind}.png" for kind in ("true", "fit", "difference")}
-    write_png(place / files["true"], true)
-    write_png(place / files["fit"], picture)
-    write_png(place / files["difference"], difference_picture(picture, true))
+    write_png(folder / files["true"], true)
+    write_png(folder / files["fit"], picture)
+    write_png(folder / files["difference"], difference_picture(picture, true))
     on_object = truth.mask > OBJECT_COVERAGE
     return files | {
         "frame": psnr_without_noise(first, second, true),

@@ -13,8 +13,9 @@ from hir_exporters.textures.image_files import write_exr, write_png
 from hir_core.capture import EnvironmentSource
 from hir_core.errors import InputError
 from hir_core.files.file_names import file_stem
+from hir_core.files.light_setting import parse_light_file
 from hir_core.metrics import unassociate
-from hir_core.rendering.light_files import load_light, parse_light_file
+from hir_core.rendering.light_files import load_light
 from hir_core.rendering.orbit_cameras import orbit_cameras
 from hir_core.rendering.reference_renderer import reference_renderer, render_view
 from hir_core.run.finished_run import open_finished_run

@@ -77,13 +77,13 @@ def distance_to_surface(points: Array) -> Array:
 def surface_points(count: int = 3000) -> OrientedPoints:
     """Points of the true surface, with normals and colours."""
     random = np.random.default_rng(0)
-    places, normals = [], []
+    positions, normals = [], []
     for centre, radius in BALLS:
         direction = random.normal(size=(count, 3))
         direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-        places.append(centre + radius * direction)
+        positions.append(centre + radius * direction)
         normals.append(direction)
-    place, normal = np.concatenate(places), np.concatenate(normals)
+    place, normal = np.concatenate(positions), np.concatenate(normals)
     outside = distance_to_surface(place) > -1e-9
     return OrientedPoints(place[outside], normal[outside], _color(place[outside], 3.0))
 

@@ -1,4 +1,4 @@
-"""What a contract check is, what it is given, and how it says that a contract is broken."""
+"""Contract checks: what a check is, the component that it tests, and how it reports a broken contract."""
 
 from __future__ import annotations
 
@@ -30,47 +30,47 @@ INTERFACES: Final[Mapping[str, type]] = {
 """The base class of each kind."""
 
 PAGE: Final = "docs/writing_plugins/contracts.md"
-"""Where every contract has a section of its check's name."""
+"""The page with one section per check, named as the check."""
 
 
-class Broken(AssertionError):  # noqa: N818 - the outcome of a check, not a failure of the program
-    """A contract is broken; the message says what was seen."""
+class BrokenContract(AssertionError):  # noqa: N818 - the outcome of a check, not a failure of the program
+    """A contract is broken; the message is the observation."""
 
 
 class NotApplicable(Exception):  # noqa: N818 - the outcome of a check, not a failure of the program
-    """A check has nothing to say about this component here; the message says why."""
+    """A check cannot test this component on this machine; the message is the reason."""
 
 
 class ContractError(AssertionError):
-    """One or more contracts of a component are broken: each with its contract, what was seen, and the doc section."""
+    """One or more checks of a component failed. The message has contract, observation and page of the docs for each."""
 
 
-def require(condition: object, seen: str) -> None:
-    """Raises `Broken` with what was seen unless `condition` holds."""
+def require(condition: object, observation: str) -> None:
+    """Raises `BrokenContract` with the observation unless `condition` is true."""
     if not bool(condition):
-        raise Broken(seen)
+        raise BrokenContract(observation)
 
 
 @dataclass
 class Subject:
-    """One component under test, and a place to try it in."""
+    """One component under test, and folders for its files."""
 
     registered: Registered
     plugins: PluginManager
     options: Mapping[str, Any] = field(default_factory=dict)
-    """Options that it is tested with beyond its defaults."""
+    """Options of the test that replace defaults."""
     _folders: list[tempfile.TemporaryDirectory[str]] = field(default_factory=list)
     memory: dict[str, Any] = field(default_factory=dict)
-    """What checks of one component share, so that nothing slow is done twice."""
+    """Results that the checks of one component share, so that nothing slow runs twice."""
 
     @property
     def kind(self) -> str:
-        """Its kind, such as `regularizer`."""
+        """The kind, such as `regularizer`."""
         return self.registered.kind
 
     @property
     def component(self) -> Component:
-        """Its descriptor."""
+        """The descriptor."""
         return self.registered.component
 
     @property
@@ -80,7 +80,7 @@ class Subject:
 
     @cached_property
     def implementation(self) -> Any:
-        """What `target` names."""
+        """The class that `Component.target` names."""
         module, _, attribute = self.component.target.partition(":")
         return getattr(import_module(module), attribute)
 
@@ -97,11 +97,11 @@ class Subject:
         return found
 
     def create(self, **options: Any) -> Any:
-        """The component, built as the core builds it."""
+        """An instance, built as hir_core builds it."""
         return self.plugins.create(self.kind, self.component.name, {**self.options, **options})
 
     def folder(self) -> Path:
-        """A new empty folder that lives as long as the test."""
+        """A new empty folder; `close` removes it."""
         self._folders.append(tempfile.TemporaryDirectory(prefix="hir-contract-", ignore_cleanup_errors=True))
         return Path(self._folders[-1].name).resolve()
 
@@ -119,39 +119,39 @@ class Subject:
 
 @dataclass(frozen=True)
 class Check:
-    """A plain function that raises `Broken` when a contract of its kinds is broken."""
+    """A function that raises `BrokenContract` where a component breaks a contract of its kind."""
 
     name: str
     function: Callable[[Subject], None]
     kinds: frozenset[str]
     traits: frozenset[str] = frozenset()
-    """Only components with all of these are checked."""
+    """The check tests components with all of these."""
     unless: frozenset[str] = frozenset()
-    """Components with one of these are not."""
+    """The check does not test components with one of these."""
     first: bool = False
-    """The other checks make no sense where this one fails."""
+    """The other checks are not run where this one fails."""
     slow: bool = False
     """Takes seconds for some components."""
 
     @property
     def contract(self) -> str:
-        """The contract in words: the function's docstring."""
+        """The contract as text: the docstring of the function."""
         return inspect.cleandoc(self.function.__doc__ or "")
 
     @property
     def section(self) -> str:
-        """Where the documentation says more."""
+        """The section of the documentation."""
         return f"{PAGE}#{self.name}"
 
     def applies(self, registered: Registered) -> bool:
-        """Chosen by kind and traits alone, so that nothing heavy is imported."""
+        """Whether the check tests this component. Depends on kind and traits alone, so nothing heavy is imported."""
         traits = registered.component.traits
         return registered.kind in self.kinds and self.traits <= traits and not self.unless & traits
 
     def __call__(self, subject: Subject) -> None:
         """Raises `ContractError`, or `NotApplicable` with the reason.
 
-        Warnings break no contract, also where a test suite makes errors of them: a term may say that it has no effect.
+        Warnings break no contract, even where pytest turns them into errors: a term may warn that it has no effect.
         """
         try:
             with warnings.catch_warnings():
@@ -160,17 +160,19 @@ class Check:
         except NotApplicable:
             raise
         except Exception as error:
-            seen = str(error) if isinstance(error, Broken) else f"it raised {type(error).__name__}: {error}"
+            observation = (
+                str(error) if isinstance(error, BrokenContract) else f"it raised {type(error).__name__}: {error}"
+            )
             raise ContractError(
                 f"{subject.label} breaks the contract {self.name!r}\n"
                 f"  contract: {' '.join(self.contract.split())}\n"
-                f"  seen:     {' '.join(seen.split())}\n"
+                f"  seen:     {' '.join(observation.split())}\n"
                 f"  see:      {self.section}"
             ) from error
 
 
 CHECKS: dict[str, Check] = {}
-"""Every check by its name, in the order in which they run."""
+"""Every check by its name."""
 
 Function = TypeVar("Function", bound=Callable[[Subject], None])
 
@@ -182,7 +184,7 @@ def contract(
     first: bool = False,
     slow: bool = False,
 ) -> Callable[[Function], Function]:
-    """Registers a check for some kinds, all where none is named; its docstring is the contract in words."""
+    """Registers a check for the named kinds, or for all; the docstring is the text of the contract."""
 
     def register(function: Function) -> Function:
         name = function.__name__

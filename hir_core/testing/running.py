@@ -1,4 +1,4 @@
-"""Chooses the checks of a component and runs them, without pytest."""
+"""Selects the checks of a component and runs them, without pytest."""
 
 from __future__ import annotations
 
@@ -14,49 +14,49 @@ from hir_core.plugins import Component
 from hir_core.plugins.manager import PluginManager, Registered
 from hir_core.testing.contract import CHECKS, INTERFACES, Check, ContractError, NotApplicable, Subject
 
-Outcome = Literal["passed", "failed", "expected", "mended", "skipped"]
+Outcome = Literal["passed", "failed", "expected", "unexpected_pass", "skipped"]
 
 _MODULES = (
     "every_kind",
     "requirements",
     "probing",
-    "regularizers",
-    "geometry_renderers",
-    "reflectance_renderers",
-    "initializers",
-    "capture_readers",
-    "mask_sources",
-    "exporters",
+    "regularizer_checks",
+    "geometry_renderer_checks",
+    "reflectance_renderer_checks",
+    "initializer_checks",
+    "capture_reader_checks",
+    "mask_source_checks",
+    "exporter_checks",
 )
 
 
 @dataclass(frozen=True)
 class Result:
-    """How one check ended."""
+    """The result of one check."""
 
     component: str
     kind: str
     check: str
     outcome: Outcome
-    """`expected`: failed, as its given reason says. `mended`: passed although a failure was expected."""
+    """`expected`: a failure listed in `expected_failures`. `unexpected_pass`: it is listed there, but passed."""
     detail: str = ""
-    """The whole message of a failure; the reason of what was skipped or expected."""
+    """The message of a failure; the reason of a skipped or expected one."""
     seconds: float = 0.0
 
     @property
-    def sound(self) -> bool:
-        """Whether nothing has to be done about it."""
-        return self.outcome not in ("failed", "mended")
+    def is_ok(self) -> bool:
+        """Whether the component needs no change."""
+        return self.outcome not in ("failed", "unexpected_pass")
 
 
 def all_checks() -> dict[str, Check]:
-    """Every check by its name, in the order in which they run: those that others build on first."""
+    """Every check by name, in the order in which they run: a check runs after those that it depends on."""
     order = {import_module(f"hir_core.testing.checks.{name}").__name__: i for i, name in enumerate(_MODULES)}
     return dict(sorted(CHECKS.items(), key=lambda item: order.get(item[1].function.__module__, len(order))))
 
 
 def checks_for(registered: Registered) -> list[Check]:
-    """The checks of a component, chosen by its kind and traits; loads nothing heavy."""
+    """The checks for the kind and traits of a component; imports no heavy package."""
     return [check for check in all_checks().values() if check.applies(registered)]
 
 
@@ -71,8 +71,8 @@ def check_component(
 ) -> list[Result]:
     """Runs the checks of one component: a name (`laplacian` or `regularizer:laplacian`), or its descriptor.
 
-    `expected_failures` maps checks to reasons; `only` keeps some checks; `options` are tried instead of the defaults.
-    Raises `ContractError` that lists every broken contract, unless `raises` is False.
+    `expected_failures` maps names of checks to reasons; `only` selects checks; `options` replace the defaults.
+    Raises `ContractError` with every failure, unless `raises` is False.
     """
     subject = subject_of(component, plugins, options)
     results: list[Result] = []
@@ -89,31 +89,31 @@ def check_component(
                 results.append(run_check(check, subject, expected_failures or {}))
                 if check.first and results[-1].outcome == "failed":
                     break
-    broken = [result.detail for result in results if not result.sound]
-    if broken and raises:
-        raise ContractError("\n".join(broken))
+    failures = [result.detail for result in results if not result.is_ok]
+    if failures and raises:
+        raise ContractError("\n".join(failures))
     return results
 
 
 def run_check(check: Check, subject: Subject, expected_failures: Mapping[str, str]) -> Result:
-    """One check of one component, timed."""
-    began = time.perf_counter()
+    """Runs and times one check of one component."""
+    start = time.perf_counter()
     outcome: Outcome = "passed"
     detail = ""
     reason = expected_failures.get(check.name)
     try:
         check(subject)
         if reason is not None:
-            outcome = "mended"
+            outcome = "unexpected_pass"
             detail = (
-                f"{subject.label}: the check {check.name!r} passes, though it is expected to fail "
-                f"({reason}); take it from expected_failures"
+                f"{subject.label}: the check {check.name!r} passes, but is expected to fail "
+                f"({reason}); remove it from expected_failures"
             )
-    except NotApplicable as why:
-        outcome, detail = "skipped", str(why)
+    except NotApplicable as reason_to_skip:
+        outcome, detail = "skipped", str(reason_to_skip)
     except ContractError as error:
         outcome, detail = ("failed", str(error)) if reason is None else ("expected", reason)
-    seconds = time.perf_counter() - began
+    seconds = time.perf_counter() - start
     return Result(subject.component.name, subject.kind, check.name, outcome, detail, seconds)
 
 
@@ -122,26 +122,26 @@ def subject_of(
     plugins: PluginManager | None = None,
     options: Mapping[str, Any] | None = None,
 ) -> Subject:
-    """A component by its name or descriptor, ready to be checked; unknown names are a `PluginError`."""
+    """The component of a name or descriptor, ready for checks; `PluginError` where the name is unknown or ambiguous."""
     manager = plugins or PluginManager.discover()
     if isinstance(component, str):
         found = named(component, manager)
         if len(found) != 1:
             kinds = ", ".join(f"{r.kind}:{component}" for r in found)
-            raise PluginError(f"{component!r} is the name of several components; say which: {kinds}")
+            raise PluginError(f"{component!r} is the name of several components; choose one of: {kinds}")
         return Subject(found[0], manager, dict(options or {}))
     if isinstance(component, Registered):
-        manager = _holding(component, manager)
+        manager = _manager_with(component, manager)
         return Subject(component, manager, dict(options or {}))
     for registered in manager.components():
         if registered.component == component:
             return Subject(registered, manager, dict(options or {}))
     alone = as_registered(_kind_of(component), component)
-    return Subject(alone, _holding(alone, manager), dict(options or {}))
+    return Subject(alone, _manager_with(alone, manager), dict(options or {}))
 
 
 def named(name: str, plugins: PluginManager) -> list[Registered]:
-    """Components called `name` (or `kind:name`), else all of the distribution or plugin file of that name."""
+    """Components named `name` or `kind:name`; otherwise all of the distribution or plugin file of that name."""
     kind, colon, plain = name.partition(":")
     if colon and kind in INTERFACES:
         return [plugins.find(kind, plain)]
@@ -152,7 +152,7 @@ def named(name: str, plugins: PluginManager) -> list[Registered]:
         distributions = ", ".join(sorted({r.distribution for r in every}))
         problems = "".join(f"; {problem}" for problem in plugins.problems)
         raise PluginError(
-            f"no component and no distribution is called {name!r}; `hir plugins` lists the components, "
+            f"no component or distribution has the name {name!r}; `hir plugins` lists the components, "
             f"the distributions are: {distributions}{problems}"
         )
     return found
@@ -160,15 +160,15 @@ def named(name: str, plugins: PluginManager) -> list[Registered]:
 
 @contextlib.contextmanager
 def opened(subject: Subject) -> Iterator[Subject]:
-    """The subject, whose folders are removed at the end."""
+    """A context that removes the folders of the subject at its end."""
     try:
         yield subject
     finally:
         subject.close()
 
 
-def _holding(registered: Registered, plugins: PluginManager) -> PluginManager:
-    """A manager that creates this component under its name, whatever else is installed."""
+def _manager_with(registered: Registered, plugins: PluginManager) -> PluginManager:
+    """A plugin manager in which the name of this component means this component."""
     try:
         if plugins.find(registered.kind, registered.component.name) == registered:
             return plugins
@@ -189,7 +189,7 @@ def _kind_of(component: Component) -> str:
         if isinstance(found, type) and issubclass(found, interface):
             return kind
     raise PluginError(
-        f"{component.target!r} is of no kind: it must be a subclass of "
+        f"{component.target!r} has no known kind: it must be a subclass of one of "
         f"{', '.join(interface.__name__ for interface in INTERFACES.values())}"
     )
 

@@ -22,13 +22,13 @@ def sphere(rings: int = 8, segments: int = 12, radius: float = 1.0, dtype: torch
     """A closed sphere about the origin, outward, with texture coordinates that have a seam and two poles."""
     v, u = np.meshgrid(np.linspace(0, 1, rings + 1), np.linspace(0, 1, segments + 1), indexing="ij")
     polar, azimuth = v * np.pi, u * 2 * np.pi
-    places = np.stack([np.sin(polar) * np.sin(azimuth), np.cos(polar), np.sin(polar) * np.cos(azimuth)], -1)
+    points = np.stack([np.sin(polar) * np.sin(azimuth), np.cos(polar), np.sin(polar) * np.cos(azimuth)], -1)
     uv_index = np.arange((rings + 1) * (segments + 1)).reshape(rings + 1, segments + 1)
     # one vertex at each pole, and none twice where u wraps
     index = 1 + (np.arange(rings + 1)[:, None] - 1) * segments + np.arange(segments + 1)[None] % segments
     index[0], index[-1] = 0, 1 + (rings - 1) * segments
     positions = np.zeros((int(index.max()) + 1, 3))
-    positions[index] = places
+    positions[index] = points
     corners = [(0, 0), (1, 0), (1, 1), (0, 1)]
     rows, columns = np.arange(rings), np.arange(segments)
     a, b, c, d = ((rows[:, None] + i, columns[None] + j) for i, j in corners)

@@ -1,7 +1,7 @@
 "use strict";
-// after the #: still (nothing turns), theme=dark or theme=light
-const asked = new URLSearchParams(location.hash.slice(1));
-if (asked.has("theme")) document.documentElement.dataset.theme = asked.get("theme");
+// options after the #: still (the asset does not rotate), theme=dark, theme=light
+const options = new URLSearchParams(location.hash.slice(1));
+if (options.has("theme")) document.documentElement.dataset.theme = options.get("theme");
 const slides = [...document.querySelectorAll(".slide")];
 let current = 0;
 function show(index) {
@@ -29,25 +29,25 @@ document.getElementById("theme").onclick = () => {
 
 for (const thumb of document.querySelectorAll(".thumb")) thumb.onclick = () => show(Number(thumb.dataset.at));
 
-// the asset, in a frame of its own: unpacked once the rest of the page is there
+// the page of the asset is unpacked into its own frame after the rest of the page is loaded
 const frame = document.getElementById("model");
 async function openModel() {
   const packed = Uint8Array.from(atob(document.getElementById("packed-model").textContent), (c) => c.charCodeAt(0));
   const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("gzip"));
   const page = new Blob([await new Response(stream).arrayBuffer()], { type: "text/html" });
-  const still = matchMedia("(prefers-reduced-motion: reduce)").matches || asked.has("still");
+  const still = matchMedia("(prefers-reduced-motion: reduce)").matches || options.has("still");
   frame.src = `${URL.createObjectURL(page)}#bare${still ? "" : "&spin=1"}`;
 }
 if (frame) {
   openModel();
   const buttons = [...document.querySelectorAll(".channels [data-channel]")], wires = document.getElementById("wires");
-  const tell = () => frame.contentWindow.postMessage({
+  const postState = () => frame.contentWindow.postMessage({
     sender: "hir report",
     channel: buttons.find((button) => button.classList.contains("chosen")).dataset.channel,
     wireframe: wires.classList.contains("chosen"),
   }, "*");
   for (const button of buttons) {
-    button.onclick = () => { buttons.forEach((other) => other.classList.toggle("chosen", other === button)); tell(); };
+    button.onclick = () => { buttons.forEach((other) => other.classList.toggle("chosen", other === button)); postState(); };
   }
-  wires.onclick = () => { wires.classList.toggle("chosen"); tell(); };
+  wires.onclick = () => { wires.classList.toggle("chosen"); postState(); };
 }

@@ -145,8 +145,8 @@ def pixels_are_linear(subject: Subject) -> None:
             f"colours of view {view.name} are off by {255 * float(off.max()):.1f} steps of 8-bit sRGB",
         )
         if pixels.mask is not None:
-            apart = float(np.abs(pixels.mask - true.mask).max())
-            require(apart < 0.6 / 255 + 1e-6, f"the mask of view {view.name} is off by {apart:.3g}")
+            difference = float(np.abs(pixels.mask - true.mask).max())
+            require(difference < 0.6 / 255 + 1e-6, f"the mask of view {view.name} is off by {difference:.3g}")
         pickle.dumps(view.read)
 
 

@@ -111,8 +111,8 @@ def _read_by_ending(path: Path, asset: Asset) -> None:
         assert asset.environment is not None
         truth, found = asset.environment.radiance, read_hdr(path)
         require(found.shape == truth.shape, f"the light is {found.shape}, not {truth.shape}")
-        apart = float((np.abs(found - truth).max(axis=-1) / truth.max(axis=-1)).max())
-        require(apart < 0.01, f"a texel of the light is {100 * apart:.1f} % from its radiance")
+        difference = float((np.abs(found - truth).max(axis=-1) / truth.max(axis=-1)).max())
+        require(difference < 0.01, f"a texel of the light is {100 * difference:.1f} % from its radiance")
     else:
         require(
             False,
@@ -126,8 +126,8 @@ def _same_surface(asset: Asset, positions: np.ndarray, faces: np.ndarray) -> Non
         len(faces) == len(asset.mesh.faces), f"{len(asset.mesh.faces)} triangles were written, {len(faces)} are read"
     )
     truth, found = (_triangles(p, f) for p, f in ((asset.mesh.positions, asset.mesh.faces), (positions, faces)))
-    apart = float(np.abs(truth - found).max())
-    require(apart < 1e-4, f"a corner is {apart:.3g} from where it was")
+    difference = float(np.abs(truth - found).max())
+    require(difference < 1e-4, f"a corner is {difference:.3g} from where it was")
 
 
 def _triangles(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:

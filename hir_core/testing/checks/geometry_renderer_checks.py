@@ -183,8 +183,11 @@ def batch_is_its_singles(subject: Subject) -> None:
             )
         alone = renderer.render(mesh, [camera])[0]
         part = together[i, : camera.height, : camera.width]
-        apart = float((part - alone[: camera.height, : camera.width]).abs().max())
-        require(apart <= 1e-3, f"coverage of view {i} differs by {apart:.3g} between three views at once and it alone")
+        difference = float((part - alone[: camera.height, : camera.width]).abs().max())
+        require(
+            difference <= 1e-3,
+            f"coverage of view {i} differs by {difference:.3g} between three views at once and it alone",
+        )
         outside = together[i].clone()
         outside[: camera.height, : camera.width] = 0
         require(

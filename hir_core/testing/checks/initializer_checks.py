@@ -80,15 +80,15 @@ def surface_is_the_true_one(subject: Subject) -> None:
     require(int(faces.min()) >= 0 and int(faces.max()) < len(mesh.positions), "faces name vertices that are not there")
     # the files' axes are those of the truth, so that the surface is known in any world
     truth_from_world = given.world_from_source @ np.linalg.inv(capture.world_from_source)
-    places = mesh.positions.double().cpu().numpy() @ truth_from_world[:3, :3].T + truth_from_world[:3, 3]
-    away = np.abs(distance_to_surface(places))
+    vertices = mesh.positions.double().cpu().numpy() @ truth_from_world[:3, :3].T + truth_from_world[:3, 3]
+    away = np.abs(distance_to_surface(vertices))
     half, most = np.quantile(away, [0.5, 0.95])
     require(
         half < 0.03 and most < 0.12,
         f"half of the vertices lie within {half:.3f}, 95 % within {most:.3f} of the true surface of radius 1",
     )
     normal = mesh.face_areas_normals.cpu().numpy() @ truth_from_world[:3, :3].T
-    centre = places[faces.cpu().numpy()].mean(axis=1)
+    centre = vertices[faces.cpu().numpy()].mean(axis=1)
     outer = distance_to_surface(
         centre + 0.05 * normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
     )

@@ -122,8 +122,8 @@ def radiance_is_finite_and_in_place(subject: Subject) -> None:
         f"coverage is {float(coverage[1, 1]):.3g} beside the object, {float(coverage[SIZE // 2, SIZE // 2]):.3g} on it",
     )
     inside = coverage > 0.99
-    apart = float((picture[..., :3][inside].double() - image[inside].double()).abs().mean() / image[inside].mean())
-    require(apart < 0.06, f"inside the object render and radiance differ by {100 * apart:.1f} % on average")
+    difference = float((picture[..., :3][inside].double() - image[inside].double()).abs().mean() / image[inside].mean())
+    require(difference < 0.06, f"inside the object render and radiance differ by {100 * difference:.1f} % on average")
 
 
 @contract("reflectance_renderer", slow=True)
@@ -224,17 +224,19 @@ def linear_in_light(subject: Subject) -> None:
     once, thrice = shown(light.radiance)[0], shown(3 * light.radiance)[0]
     size = float(once.mean())
     require(size > 0, "a lit sphere is black")
-    apart = float((thrice - 3 * once).abs().mean()) / (3 * size)
-    require(apart < 1e-4, f"three times the light differs from three times the radiance by {100 * apart:.3g} %")
+    difference = float((thrice - 3 * once).abs().mean()) / (3 * size)
+    require(
+        difference < 1e-4, f"three times the light differs from three times the radiance by {100 * difference:.3g} %"
+    )
     other = light.radiance.flip(1) * light.radiance.new_tensor([0.5, 1.0, 2.0])
     second, error = shown(other, MANY)
     both, error_both = shown(light.radiance + other, MANY)
     first, error_first = shown(light.radiance, MANY)
     noise = float((error**2 + error_both**2 + error_first**2).sqrt().mean())
-    apart = abs(float((both - first - second).mean())) / float(both.mean())
+    difference = abs(float((both - first - second).mean())) / float(both.mean())
     require(
-        apart < 1e-4 + 4 * noise / float(both.mean()) / np.sqrt(len(pixels)),
-        f"two lights together differ from their sum by {100 * apart:.3g} %",
+        difference < 1e-4 + 4 * noise / float(both.mean()) / np.sqrt(len(pixels)),
+        f"two lights together differ from their sum by {100 * difference:.3g} %",
     )
 
 
@@ -360,8 +362,8 @@ def agrees_with_the_reference(subject: Subject) -> None:
         (_blocks(v.reshape(SIZE, SIZE, 3).double() * keep) / part[..., None].clamp_min(1e-9))[whole]
         for v in (shown, truth)
     ]
-    spread = (error**2 + shown_error.double() ** 2).reshape(SIZE, SIZE, 3) * keep
-    noise = (_blocks(spread) / (16 * part[..., None].clamp_min(1e-9) ** 2))[whole].sqrt().clamp_min(1e-12)
+    variance = (error**2 + shown_error.double() ** 2).reshape(SIZE, SIZE, 3) * keep
+    noise = (_blocks(variance) / (16 * part[..., None].clamp_min(1e-9) ** 2))[whole].sqrt().clamp_min(1e-12)
     beyond = ((means[0] - means[1]).abs() - 0.1 * means[1]) / noise
     # Šidák: of n independent tests at 1 - (1 - p)^(1/n) none rejects by chance with probability 1 - p
     limit = float(student.ppf(0.99 ** (1 / beyond.numel()), MANY - 1))

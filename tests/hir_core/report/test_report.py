@@ -1,4 +1,4 @@
-"""report.html in a browser: its script runs, its pictures are there, its asset turns, it asks the network nothing."""
+"""report.html: its script runs in a browser, its pictures are embedded, its values are escaped."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from hir_core.files.json_documents import read_json, write_json
 from hir_core.pipeline import Run
 from hir_core.plugins.manager import PluginManager
 from hir_core.rendering.view_selection import evenly_spaced_indices
-from hir_core.report import convergence, history_chart, refresh_page, rendered_pictures, tables
-from hir_core.report.curve_svg import curve_svg, thinned
+from hir_core.report import convergence, history_chart, model_selection_table, refresh_page, rendered_pictures
+from hir_core.report.curve_svg import block_means, curve_svg
 from hir_core.report.rendered_pictures import light_picture
 from hir_core.run.run_directory import STAGE_NAMES, RunDirectory
 
@@ -26,22 +26,22 @@ SHOOT = Path(__file__).resolve().parents[3] / "tools" / "shoot_report.py"
 
 def test_page_works_in_a_browser(finished: Run, chromium: list[str], tmp_path: Path) -> None:
     page = finished.path / "report.html"
-    words = [
+    arguments = [
         *chromium,
         f"--user-data-dir={tmp_path}",
         "--dump-dom",
         "--virtual-time-budget=3000",
         page.as_uri(),
     ]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=90, check=True)
+    done = subprocess.run(arguments, capture_output=True, text=True, timeout=90, check=True)
     document = done.stdout
     slides = len(re.findall(r'class="slide', document))
-    assert len(re.findall(r'class="slide shown"', document)) == 1, "the script chose the first view"
+    assert len(re.findall(r'class="slide shown"', document)) == 1, "the script selected the first view"
     assert f"1 of {slides}" in document and len(re.findall(r'class="thumb', document)) == slides
     sources = re.findall(r'<img[^>]* src="([^"]{20})', document)
     assert len(sources) >= 4 * 4 + 2 and all(source.startswith("data:image/jpeg;") for source in sources)
-    assert not re.findall(r"<!--[\w-]+-->", document), "every place of the template is filled"
-    assert re.search(r'<iframe id="model"[^>]* src="blob:', document), "the asset's page was unpacked"
+    assert "{{" not in re.sub(r"<(script|style).*?</\1>", "", document, flags=re.S), "every expression is rendered"
+    assert re.search(r'<iframe id="model"[^>]* src="blob:', document), "the page of the asset was unpacked"
 
 
 @pytest.mark.parametrize(
@@ -61,19 +61,16 @@ def test_asset_is_drawn_in_either_theme(
     tool.shoot(finished.path / "report.html", tmp_path / "page.png", 1280, 700, theme)
     picture = read_ldr(tmp_path / "page.png")[..., :3] * 255
     assert np.abs(picture[5, 5] - background).max() < 1.5
-    # the frame with the asset: right half, below the button; its own background is near black
+    # the frame with the asset: right half, below the button; its background is near black
     frame = picture[120:500, 700:1180]
     drawn = np.abs(frame - [0x17, 0x18, 0x1B]).max(axis=2) > 8
-    assert 0.05 < drawn.mean() < 0.9, "the cow, and darkness around it"
+    assert 0.05 < drawn.mean() < 0.9, "the asset and the background around it"
 
 
-def test_large_photographs_are_shown_and_measured_reduced(
-    finished: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_large_photographs_are_shown_and_measured_reduced(finished: Run, tmp_path: Path) -> None:
     shutil.copytree(finished.path, tmp_path / "run")
     directory = RunDirectory(tmp_path / "run")
-    monkeypatch.setattr(rendered_pictures, "SHOWN_SIDE", 20)
-    shown = rendered_pictures.write_pictures(directory, PluginManager.discover())
+    shown = rendered_pictures.write_pictures(directory, PluginManager.discover(), reduced_side=20)
     for view in shown["views"]:
         picture = read_ldr(directory.report / view["fit"])
         assert 20 <= max(picture.shape[:2]) < 40 and view["measured_at"] == list(picture.shape[1::-1])
@@ -84,20 +81,20 @@ def test_large_photographs_are_shown_and_measured_reduced(
     assert f"measured at {width}×{height}" in (directory.path / "report.html").read_text(encoding="utf-8")
 
 
-def test_few_samples_give_the_figures_of_many(finished: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_few_samples_give_the_figures_of_many(finished: Run, tmp_path: Path) -> None:
     shutil.copytree(finished.path, tmp_path / "run")
     directory, plugins = RunDirectory(tmp_path / "run"), PluginManager.discover()
     found = {}
-    for name, most in (("few", 1.0), ("many", -1.0)):
-        monkeypatch.setattr(rendered_pictures, "MOST_NOISE", most)
-        found[name] = rendered_pictures.write_pictures(directory, plugins)["views"]
+    for name, max_noise_share in (("few", 1.0), ("many", -1.0)):
+        pictures = rendered_pictures.write_pictures(directory, plugins, max_noise_share=max_noise_share)
+        found[name] = pictures["views"]
     for few, many in zip(found["few"], found["many"], strict=True):
         assert few["object"] != many["object"], "both are the same renders"
         assert few["object"] == pytest.approx(many["object"], abs=0.15)
         assert few["frame"] == pytest.approx(many["frame"], abs=0.15)
 
 
-def test_page_says_what_the_run_knows(finished: Run, tmp_path: Path) -> None:
+def test_history_has_the_figures_of_the_run(finished: Run, tmp_path: Path) -> None:
     shutil.copytree(finished.path, tmp_path / "run")
     directory = RunDirectory(tmp_path / "run")
     document, timings = directory.read_run(), directory.read_timings()
@@ -113,7 +110,7 @@ def test_page_says_what_the_run_knows(finished: Run, tmp_path: Path) -> None:
     (directory.report / "views.json").unlink()
     (directory.path / "timings.json").write_text("{}")
     text = refresh_page(directory, PluginManager.discover()).read_text(encoding="utf-8")
-    assert "No stage was measured" in text and "No view with a mask" in text
+    assert "No stage was measured" in text and "There is no view with a mask" in text
 
 
 def test_history_marks_stages_and_every_point() -> None:
@@ -126,7 +123,7 @@ def test_history_marks_stages_and_every_point() -> None:
     assert drawn.count('class="band') == 2 and "reflectance · 9 s" in drawn and "nan" not in drawn
     points = re.findall(r'points="([^"]+)"', drawn)[0].split()
     heights = [float(point.split(",")[1]) for point in points]
-    assert heights == sorted(heights, reverse=True), "more dB stands higher"
+    assert heights == sorted(heights, reverse=True), "a larger value is drawn higher"
 
 
 @pytest.mark.parametrize(("low", "high"), [(0, 1), (0.013, 0.9), (20, 36), (-5, 1e4)])
@@ -137,41 +134,94 @@ def test_ticks_are_round_and_inside(low: float, high: float) -> None:
     assert np.allclose(steps, steps[0]) and f"{steps[0]:e}"[0] in "125"
 
 
-def test_the_ladder_shows_what_votes_took_and_what_settling_brought() -> None:
-    rows = [{"name": name, "held_out_db": 20.0, "gain_db": 0.1, "noise_db": None, "kept": True} for name in "abc"]
-    settled = {
-        "renderer": "mitsuba_ggx",
-        "before_db": 30.0,
-        "after_db": 31.5,
-        "gain_db": 1.5,
-        "noise_db": 0.1,
-        "kept": True,
-    }
-    report = {"ladder": rows, "settled": settled}
-    page = tables.ladder({"stages": {"reflectance": {"report": report}}}, [2.0, 4.0, 10.0])
+def comparison_entry(name: str) -> dict[str, object]:
+    return {"model": name, "held_out_db": 20.0, "gain_db": 0.1, "standard_error_db": None, "accepted": True}
+
+
+REFINEMENT = {
+    "renderer": "mitsuba_ggx",
+    "before_db": 30.0,
+    "after_db": 31.5,
+    "gain_db": 1.5,
+    "standard_error_db": 0.1,
+    "accepted": True,
+}
+
+
+def test_model_selection_shows_times_and_refinements() -> None:
+    def section(seconds: list[float], **report: object) -> str:
+        return model_selection_table.model_selection({"stages": {"reflectance": {"report": report}}}, seconds)
+
+    entries = [comparison_entry(name) for name in "abc"]
+    page = section([2.0, 4.0, 10.0], comparisons=entries, albedo_refinement=REFINEMENT)
     assert re.findall(r">(\d+) s<", page) == ["2", "2", "6"]
     assert "±" in page and page.count("<tr") == 4
-    assert "30.00 → 31.50 dB (1.50 ± 0.10 dB): kept" in page
-    untimed = tables.ladder({"stages": {"reflectance": {"report": {"ladder": rows}}}}, [])
-    assert untimed.count("<td class=number>–</td>") == 3 and "solved once more" not in untimed
-    forced = {"ladder": [], "rung": "diffuse", "settled": settled}
-    assert "1.50 ± 0.10 dB" in tables.ladder({"stages": {"reflectance": {"report": forced}}}, [])
+    assert "30.00 → 31.50 dB (1.50 ± 0.10 dB): accepted" in page
+    untimed = section([], comparisons=entries)
+    assert untimed.count('<td class="number">–</td>') == 3 and "solved again" not in untimed
+    assert "1.50 ± 0.10 dB" in section([], comparisons=[], model="diffuse", albedo_refinement=REFINEMENT)
 
 
-def test_loops_one_after_the_other_are_counted_on() -> None:
-    np.testing.assert_array_equal(convergence.going_on(np.array([1, 2, 3, 1, 2])), [1, 2, 3, 4, 5])
-    np.testing.assert_array_equal(convergence.going_on(np.array([5, 10, 15])), [5, 10, 15])
+HOSTILE = "<script>alert(1)</script>\"'onload='x"
 
 
-def test_curve_of_many_steps_is_thinned_and_finite() -> None:
-    steps, values = thinned(np.arange(10_000.0), np.where(np.arange(10_000) % 7, 1.0, np.nan))
+def with_hostile_strings(value: object) -> object:
+    """The document with every string replaced, and a hostile key added to every table of figures."""
+    if isinstance(value, dict):
+        return {key: with_hostile_strings(inner) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [with_hostile_strings(inner) for inner in value]
+    return HOSTILE if isinstance(value, str) else value
+
+
+def test_hostile_strings_of_all_documents_are_escaped(finished: Run, tmp_path: Path) -> None:
+    shutil.copytree(finished.path, tmp_path / "run")
+    directory = RunDirectory(tmp_path / "run")
+    document = directory.read_run()
+    fixed = {key: document[key] for key in ("format", "version")}
+    figures = {"frame": 30.0, "object": 20.0}
+    document["metrics"] = {HOSTILE: {"psnr": figures, "psnr_scaled": figures, "light": {"file": HOSTILE}}}
+    document["stages"]["reflectance"]["report"] |= {
+        "comparisons": [comparison_entry(HOSTILE)],
+        "albedo_refinement": REFINEMENT | {"renderer": HOSTILE},
+    }
+    document["stages"]["bake"]["report"] |= {"diffuse_albedo": HOSTILE, "model": HOSTILE}
+    document["stages"]["export"]["report"] = {HOSTILE: {"verified": {"not_read": HOSTILE, "rendered": HOSTILE}}}
+    document["stages"]["atlas"]["warnings"] = [HOSTILE]
+    document["plugin_problems"] = [HOSTILE]
+    write_json(directory.path / "run.json", with_hostile_strings(document) | fixed)  # type: ignore[operator]
+    timings = with_hostile_strings(directory.read_timings())
+    assert isinstance(timings, dict)
+    timings["stages"]["reflectance"]["milestones"] = []
+    write_json(directory.path / "timings.json", timings)
+    views = read_json(directory.report / "views.json")
+    for view in views["views"]:
+        view |= {"name": HOSTILE, "measured_at": [HOSTILE, HOSTILE]}
+    write_json(directory.report / "views.json", views)
+    evaluation = directory.evaluation("test")
+    evaluation.mkdir(parents=True)
+    for kind in ("true", "fit", "difference"):
+        shutil.copy(directory.report / views["views"][0][kind], evaluation / f"0_{kind}.png")
+    write_json(evaluation / "metrics.json", {"views": [{"name": HOSTILE, "file": "0.exr", "psnr": figures}]})
+    page = refresh_page(directory, PluginManager()).read_text(encoding="utf-8")
+    assert page.count("&lt;script&gt;alert(1)") > 20, "the strings are on the page"
+    assert "<script>alert" not in page and "'onload='" not in page
+
+
+def test_steps_of_successive_loops_are_cumulative() -> None:
+    np.testing.assert_array_equal(convergence.cumulative_steps(np.array([1, 2, 3, 1, 2])), [1, 2, 3, 4, 5])
+    np.testing.assert_array_equal(convergence.cumulative_steps(np.array([5, 10, 15])), [5, 10, 15])
+
+
+def test_curve_of_many_steps_is_reduced_and_finite() -> None:
+    steps, values = block_means(np.arange(10_000.0), np.where(np.arange(10_000) % 7, 1.0, np.nan))
     assert len(steps) == len(values) == 400 and (values == 1).all()
     assert "nan" not in curve_svg("flat <loss>", np.arange(5), np.zeros(5))
     assert "&lt;loss&gt;" in curve_svg("flat <loss>", np.arange(5), np.zeros(5))
     assert curve_svg("one", np.arange(1), np.zeros(1)) == ""
 
 
-def test_views_are_spread_from_first_to_last() -> None:
+def test_views_are_evenly_spaced_from_first_to_last() -> None:
     assert evenly_spaced_indices(24, 4) == [0, 8, 15, 23]
     assert (
         evenly_spaced_indices(2, 4) == [0, 1]

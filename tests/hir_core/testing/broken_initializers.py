@@ -108,7 +108,7 @@ def surface(implementation: type = FromFile) -> Component:
         ("torch", "jaxtyping"),
         "reconstruct",
         frozenset({"makes_surface"}),
-        testing="hir_plugins.initializers.contract_inputs:mesh_of_the_object",
+        testing="hir_plugins.initializers.contract_inputs:object_mesh_file",
     )
 
 

@@ -138,7 +138,7 @@ class Root(Spread):
 
 def made(implementation: type = Spread, **changes: Any) -> Component:
     """A descriptor of the sound one, with changes."""
-    sound: dict[str, Any] = {
+    is_ok: dict[str, Any] = {
         "name": "spread",
         "target": f"{HERE}:{implementation.__name__}",
         "config": Options,
@@ -148,7 +148,7 @@ def made(implementation: type = Spread, **changes: Any) -> Component:
         "traits": frozenset({"differentiable"}),
         "testing": f"{HERE}:in_one_place",
     }
-    return Component(**{**sound, **changes})
+    return Component(**{**is_ok, **changes})
 
 
 SOUND = made(traits=frozenset({"differentiable", "rigid_invariant"}))
