@@ -23,6 +23,7 @@ from hir_core.run.stage_context import StageContext
 from hir_core.run.stage_runner import StageRunner
 from hir_core.stages.initialization import resolve_initializers
 from hir_core.stages.memory_plan import MemoryPlan, gigabytes, plan_memory
+from hir_core.stages.reflectance.settings_without_effect import check_settings_take_effect
 from hir_core.stages.run_state import CaptureSource, RunState
 from hir_core.stages.stage_list import STAGES
 
@@ -79,6 +80,7 @@ def reconstruct(
     if not isinstance(config, RunConfig):
         file = None if config is None else Path(config)
         config = load_config(plugins, preset, file, assignments, device=device, **overrides)
+    check_settings_take_effect(config, plugins)
     resolved_device = resolve_device(config.device)
     find_reader(Path(capture), plugins, config.reader)  # before a folder is made for a capture that nobody can read
     with claimed_run(run, resume) as directory, determinism(config.deterministic):

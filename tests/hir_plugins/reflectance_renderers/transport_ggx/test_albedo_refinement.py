@@ -16,6 +16,8 @@ from hir_core.plugins.interfaces import PreparedReflectance, ReflectanceSolver, 
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import Scene
 from hir_core.stages.atlas import unwrap_mesh
+from hir_core.stages.reflectance.path_traced_refinement import refine_albedo
+from hir_core.stages.reflectance.reflectance_report import RefinementReport
 from tests.fixtures.made_captures import (
     BROWN,
     PLUGINS,

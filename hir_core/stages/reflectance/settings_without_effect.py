@@ -1,0 +1,157 @@
+"""Refuses settings of the reflectance stage that would have no effect in a run, before the run starts.
+
+A setting counts as set by the user where it differs from the preset's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+from hir_core.config import ReflectanceSettings, RunConfig, load_config
+from hir_core.errors import ConfigError
+from hir_core.plugins.manager import PluginManager
+
+
+def check_settings_take_effect(config: RunConfig, plugins: PluginManager) -> None:
+    """Raises `ConfigError` with each setting that has no effect, and what would make it take effect."""
+    found = settings_without_effect(config, plugins)
+    if found:
+        raise ConfigError("; ".join(f"{setting} has no effect: {reason}" for setting, reason in found.items()))
+
+
+def settings_without_effect(config: RunConfig, plugins: PluginManager) -> dict[str, str]:
+    """Settings that differ from the preset's and have no effect, each with the reason and the remedy."""
+    settings = config.reflectance
+    if not settings.enabled or not settings.renderer:
+        return {}
+    preset = load_config(plugins, config.preset) if config.preset in plugins.presets() else RunConfig()
+    offers_solver = "solver" in plugins.find("reflectance_renderer", settings.renderer).component.traits
+    by_solver = offers_solver and settings.method != "gradient"
+    changed = set(_changed(asdict(settings), asdict(preset.reflectance)))
+    found: dict[str, str] = {}
+    for rule in _rules(settings, by_solver):
+        for name in rule.names:
+            if rule.applies and name in changed:
+                found.setdefault(f"reflectance.{name}", rule.reason)
+    for renderer, options in config.reflectance_renderer.items():
+        known = preset.reflectance_renderer.get(renderer, {})
+        for name in (name for name, value in options.items() if name not in known or known[name] != value):
+            reason = _option_reason(renderer, name, settings, by_solver, plugins)
+            if reason:
+                found[f"reflectance_renderer.{renderer}.{name}"] = reason
+    return found
+
+
+@dataclass(frozen=True)
+class _Rule:
+    names: tuple[str, ...]
+    applies: bool
+    """The settings have no effect."""
+    reason: str
+
+
+def _rules(settings: ReflectanceSettings, by_solver: bool) -> list[_Rule]:
+    gradient, tracing = settings.gradient, settings.path_tracing
+    terms = [options for options in settings.regularizers.values() if options is not False]
+    regularized = any(options.get("weight", 1) != 0 for options in terms)
+    known, matt = bool(settings.known_environment), settings.model == "diffuse"
+    solver_only = by_solver and not regularized
+    gradient_remedy = "set reflectance.method to 'gradient' or name a term in reflectance.regularizers"
+    return [
+        _Rule(
+            (
+                "gradient.iterations",
+                "gradient.iterations_per_view",
+                "gradient.learning_rate",
+                "gradient.learning_rate_end",
+                "gradient.batch",
+            ),
+            solver_only,
+            f"the renderer's solver fits without gradient steps; {gradient_remedy}",
+        ),
+        _Rule(
+            ("gradient.batch_pixels", "gradient.rgb_weight", "gradient.loss_space"),
+            solver_only and not tracing.iterations,
+            f"the renderer's solver fits without gradient steps; {gradient_remedy}, or set "
+            "reflectance.path_tracing.iterations",
+        ),
+        _Rule(
+            ("gradient.initial_diffuse_albedo",),
+            settings.method != "gradient",
+            "the fit starts from the texture of the atlas stage; set reflectance.method to 'gradient'",
+        ),
+        _Rule(
+            ("gradient.iterations",),
+            bool(gradient.iterations_per_view),
+            "reflectance.gradient.iterations_per_view replaces it; set that to 0",
+        ),
+        _Rule(
+            ("gradient.batch_pixels",),
+            gradient.batch == "views" and not (by_solver and tracing.iterations),
+            "a step uses one whole view; set reflectance.gradient.batch to 'pixels'",
+        ),
+        _Rule(
+            tuple(f"path_tracing.{field.name}" for field in fields(tracing)),
+            not by_solver,
+            "path-traced refinement follows a renderer's solver, and this fit takes gradient steps; set "
+            "reflectance.method to 'auto' and choose a reflectance.renderer with a solver",
+        ),
+        _Rule(
+            ("path_tracing.learning_rate",),
+            not tracing.iterations,
+            "no gradient steps run through the path tracer; set reflectance.path_tracing.iterations",
+        ),
+        _Rule(
+            ("path_tracing.renderer",),
+            not (tracing.refine_albedo or tracing.iterations),
+            "no refinement is switched on; set reflectance.path_tracing.refine_albedo or .iterations",
+        ),
+        _Rule(
+            ("regularizers",),
+            by_solver
+            and regularized
+            and not (gradient.iterations or gradient.iterations_per_view or tracing.iterations),
+            "regularizers act in gradient steps after the solver; set reflectance.gradient.iterations",
+        ),
+        _Rule(("initial_radiance",), known, "the light is known; remove reflectance.known_environment"),
+        _Rule(
+            ("light_frame",),
+            known and not by_solver,
+            "a known light is fixed in the world; remove reflectance.known_environment",
+        ),
+        _Rule(("brdf",), matt, "the model 'diffuse' has no specular lobe; choose another reflectance.model"),
+        _Rule(
+            ("initial_roughness", "initial_specular_albedo"),
+            matt and by_solver,
+            "the model 'diffuse' has no specular lobe; choose another reflectance.model",
+        ),
+    ]
+
+
+def _option_reason(
+    renderer: str, option: str, settings: ReflectanceSettings, by_solver: bool, plugins: PluginManager
+) -> str:
+    """Why an option of a renderer has no effect; empty where it has one."""
+    tracing = settings.path_tracing
+    traces = by_solver and renderer == tracing.renderer and bool(tracing.refine_albedo or tracing.iterations)
+    if renderer != settings.renderer and not traces:
+        return f"the renderer {renderer!r} is not used; set reflectance.renderer to it"
+    config = plugins.find("reflectance_renderer", renderer).component.config
+    metadata = {field.name: field.metadata for field in fields(config)}.get(option, {})
+    conditions = metadata.get("takes_effect_with", ())
+    if "solver" in conditions and not (by_solver and renderer == settings.renderer):
+        return "only the renderer's solver uses it, and this fit takes gradient steps; set reflectance.method to 'auto'"
+    if "fitted light" in conditions and settings.known_environment:
+        return "the light is known; remove reflectance.known_environment"
+    return ""
+
+
+def _changed(settings: Mapping[str, Any], preset: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
+    """Dotted names of the settings that differ; the table of regularizers is one setting."""
+    for name, value in settings.items():
+        if isinstance(value, Mapping) and name != "regularizers":
+            yield from _changed(value, preset[name], f"{prefix}{name}.")
+        elif value != preset[name]:
+            yield f"{prefix}{name}"

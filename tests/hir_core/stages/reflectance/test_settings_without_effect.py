@@ -1,0 +1,131 @@
+"""A setting that the user sets and that has no effect in the run is an error that names it and the remedy."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import get_type_hints
+
+import pytest
+
+from hir_core.config import GradientSettings, PathTracingSettings, load_config
+from hir_core.errors import ConfigError
+from hir_core.pipeline import reconstruct
+from hir_core.stages.reflectance.settings_without_effect import check_settings_take_effect, settings_without_effect
+from tests.fixtures.made_captures import PLUGINS
+
+GRADIENT = "reflectance.method=gradient"
+MITSUBA = "reflectance.renderer=mitsuba_ggx"
+TERM = "reflectance.regularizers.total_variation.weight=1"
+KNOWN = "reflectance.known_environment=studio.hdr"
+TRACED = "reflectance.path_tracing.iterations=5"
+BY_VIEW = "reflectance.gradient.iterations_per_view=3"
+VIEWS = "reflectance.gradient.batch=views"
+DIFFUSE = "reflectance.model=diffuse"
+NO_STEPS = "reflectance.gradient.iterations=0"
+NO_REFINEMENT = "reflectance.path_tracing.refine_albedo=false"
+T = "reflectance_renderer.transport_ggx."
+
+WITHOUT_EFFECT = [
+    ("reflectance.gradient.iterations=7", [], "regularizers"),
+    ("reflectance.gradient.iterations_per_view=7", [], "regularizers"),
+    ("reflectance.gradient.learning_rate=0.5", [], "regularizers"),
+    ("reflectance.gradient.learning_rate=0.5", [TRACED], "regularizers"),
+    ("reflectance.gradient.learning_rate_end=0.5", [], "regularizers"),
+    ("reflectance.gradient.batch=views", [], "regularizers"),
+    ("reflectance.gradient.batch_pixels=7", [], "path_tracing.iterations"),
+    ("reflectance.gradient.rgb_weight=0.5", [], "path_tracing.iterations"),
+    ("reflectance.gradient.loss_space=linear", [], "path_tracing.iterations"),
+    ("reflectance.gradient.loss_space=linear", ["reflectance.regularizers.total_variation.weight=0"], "regularizers"),
+    ("reflectance.gradient.initial_diffuse_albedo=0.2", [], "'gradient'"),
+    ("reflectance.gradient.initial_diffuse_albedo=0.2", [TERM], "'gradient'"),
+    ("reflectance.gradient.iterations=7", [GRADIENT, BY_VIEW], "iterations_per_view"),
+    ("reflectance.gradient.batch_pixels=7", [GRADIENT, VIEWS], "'pixels'"),
+    ("reflectance.path_tracing.refine_albedo=false", [GRADIENT], "'auto'"),
+    ("reflectance.path_tracing.iterations=7", [MITSUBA], "with a solver"),
+    ("reflectance.path_tracing.learning_rate=0.5", [], "path_tracing.iterations"),
+    ("reflectance.path_tracing.renderer=transport_ggx", [GRADIENT], "'auto'"),
+    ("reflectance.path_tracing.renderer=transport_ggx", [NO_REFINEMENT], "refine_albedo"),
+    (TERM, [NO_STEPS], "gradient.iterations"),
+    ("reflectance.initial_radiance=0.2", [KNOWN], "known_environment"),
+    ("reflectance.light_frame=camera", [KNOWN, GRADIENT], "known_environment"),
+    ("reflectance.brdf=paper", [DIFFUSE], "reflectance.model"),
+    ("reflectance.initial_roughness=0.2", [DIFFUSE], "reflectance.model"),
+    ("reflectance.initial_specular_albedo=0.2", [DIFFUSE], "reflectance.model"),
+    (f"{T}steps=7", [GRADIENT], "'auto'"),
+    (f"{T}steps=7", [MITSUBA], "reflectance.renderer"),
+    (f"{T}light_smoothness=1", [KNOWN], "known_environment"),
+    (f"{T}initial_albedo=photographs", [KNOWN], "known_environment"),
+    ("reflectance_renderer.mitsuba_ggx.samples=7", [NO_REFINEMENT], "reflectance.renderer"),
+]
+
+WITH_EFFECT = [
+    ("reflectance.gradient.iterations=7", [GRADIENT]),
+    ("reflectance.gradient.iterations=7", [MITSUBA]),
+    ("reflectance.gradient.iterations=7", [TERM]),
+    ("reflectance.gradient.iterations_per_view=7", [TERM]),
+    ("reflectance.gradient.learning_rate=0.5", [TERM]),
+    ("reflectance.gradient.learning_rate_end=0.5", [GRADIENT]),
+    ("reflectance.gradient.batch=views", [TERM]),
+    ("reflectance.gradient.batch_pixels=7", [TRACED]),
+    ("reflectance.gradient.batch_pixels=7", [TRACED, TERM, VIEWS]),
+    ("reflectance.gradient.rgb_weight=0.5", [TRACED]),
+    ("reflectance.gradient.loss_space=linear", [GRADIENT]),
+    ("reflectance.gradient.initial_diffuse_albedo=0.2", [GRADIENT]),
+    ("reflectance.path_tracing.refine_albedo=false", []),
+    ("reflectance.path_tracing.iterations=7", []),
+    ("reflectance.path_tracing.learning_rate=0.5", [TRACED]),
+    ("reflectance.path_tracing.renderer=transport_ggx", []),
+    (TERM, [NO_STEPS, TRACED]),
+    ("reflectance.initial_radiance=0.2", []),
+    ("reflectance.light_frame=camera", []),
+    ("reflectance.brdf=paper", []),
+    ("reflectance.initial_roughness=0.2", [DIFFUSE, GRADIENT]),
+    (f"{T}steps=7", []),
+    (f"{T}samples=7", [GRADIENT]),
+    (f"{T}light_smoothness=1", []),
+    ("reflectance_renderer.mitsuba_ggx.samples=7", []),
+    ("reflectance_renderer.mitsuba_ggx.samples=7", [MITSUBA]),
+]
+
+
+@pytest.mark.parametrize(("setting", "others", "remedy"), WITHOUT_EFFECT, ids=str)
+def test_a_setting_without_effect_is_an_error_with_its_remedy(setting: str, others: list[str], remedy: str) -> None:
+    config = load_config(PLUGINS, "fast", assignments=[*others, setting])
+    name = "reflectance.regularizers" if setting == TERM else setting.partition("=")[0]
+    found = settings_without_effect(config, PLUGINS)
+    assert list(found) == [name] and remedy in found[name]
+    with pytest.raises(ConfigError, match=rf"{name} has no effect: "):
+        check_settings_take_effect(config, PLUGINS)
+
+
+@pytest.mark.parametrize(("setting", "others"), WITH_EFFECT, ids=str)
+def test_a_setting_with_an_effect_is_accepted(setting: str, others: list[str]) -> None:
+    config = load_config(PLUGINS, "fast", assignments=[*others, setting])
+    assert setting.partition("=")[0] not in settings_without_effect(config, PLUGINS)
+
+
+@pytest.mark.parametrize("preset", sorted(PLUGINS.presets()))
+def test_presets_and_values_equal_to_the_presets_are_accepted(preset: str) -> None:
+    config = load_config(PLUGINS, preset)
+    assert settings_without_effect(config, PLUGINS) == {}
+    rate = config.reflectance.gradient.learning_rate
+    same = load_config(PLUGINS, preset, assignments=[f"reflectance.gradient.learning_rate={rate}"])
+    assert settings_without_effect(same, PLUGINS) == {}
+
+
+def test_every_setting_of_the_nested_tables_has_a_case() -> None:
+    tables = {"gradient": GradientSettings, "path_tracing": PathTracingSettings}
+    names = {f"reflectance.{table}.{name}" for table, kind in tables.items() for name in get_type_hints(kind)}
+    assert names <= {setting.partition("=")[0] for setting, *_ in WITHOUT_EFFECT}
+    assert names <= {setting.partition("=")[0] for setting, *_ in WITH_EFFECT}
+
+
+def test_a_run_ends_before_its_folder_is_made(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"reflectance\.gradient\.batch_pixels has no effect"):
+        reconstruct(
+            "examples/sample_capture",
+            tmp_path / "run",
+            assignments=["reflectance.gradient.batch_pixels=7"],
+            plugins=PLUGINS,
+        )
+    assert not (tmp_path / "run").exists()
