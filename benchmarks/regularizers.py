@@ -32,7 +32,7 @@ from hir_core.scene.srgb import srgb_to_linear
 from hir_plugins.regularizers.bilateral.bilateral_grid import bilateral_deviation, cells_of, cubes_of
 from hir_plugins.regularizers.bilateral.bilateral_pairs import deviation_of_pairs, weight_error
 from hir_plugins.regularizers.material_options import BilateralSpecularOptions
-from hir_plugins.regularizers.surface_samples import Places, places_of
+from hir_plugins.regularizers.surface_samples import SurfaceSamples, sample_surface
 
 DEFAULTS = BilateralSpecularOptions()
 MOST_PAIRS = 10_000
@@ -44,8 +44,8 @@ def inputs(run: Path, places: int, white: bool = False) -> tuple[Tensor, Tensor,
     scene = load_stage_scene(run / "stages" / "4-reflectance" / "scene")
     assert scene.material is not None
     side = 256
-    side = round(side * (places / len(places_of(scene.mesh, "texels", (side, side)).positions)) ** 0.5)
-    spots = places_of(scene.mesh, "texels", (side, side))
+    side = round(side * (places / len(sample_surface(scene.mesh, "texels", (side, side)).positions)) ** 0.5)
+    spots = sample_surface(scene.mesh, "texels", (side, side))
     generator = torch.Generator().manual_seed(0)
     diffuse = spots.values(scene.material.diffuse_albedo)
     if white:
@@ -69,9 +69,9 @@ def measured(method: str, run: Path, places: int, white: bool) -> dict[str, floa
 def _evaluated(method: str, positions: Tensor, diffuse: Tensor, specular: Tensor) -> tuple[float, float]:
     """Processor seconds of preparation, and of value with gradients."""
     began = time.process_time()
-    if method == "cells":
-        cubes = cubes_of(positions, DEFAULTS.cutoff, DEFAULTS.cell)
-        deviation = partial(bilateral_deviation, cubes, edge=DEFAULTS.cell)
+    if method == "grid":
+        cubes = cubes_of(positions, DEFAULTS.cutoff, DEFAULTS.cell_size)
+        deviation = partial(bilateral_deviation, cubes, edge=DEFAULTS.cell_size)
     else:
         deviation = partial(deviation_of_pairs, positions)
     prepared = time.process_time()
@@ -87,9 +87,9 @@ def speed(run: Path, counts: list[int]) -> None:
     for white in (False, True):
         for count in counts[:3] if white else counts:
             arguments = [str(run), str(count), str(white)]
-            fast = _in_process("cells", *arguments)
+            fast = _in_process("grid", *arguments)
             slow = _in_process("pairs", *arguments) if count <= MOST_PAIRS else None
-            found = compared(run, count, white, DEFAULTS.cutoff, DEFAULTS.cell) if slow else None
+            found = compared(run, count, white, DEFAULTS.cutoff, DEFAULTS.cell_size) if slow else None
             errors = (
                 "– | – | –"
                 if found is None
@@ -201,7 +201,7 @@ def _true_spot(path: Path, count: int) -> tuple[Tensor, Tensor, Tensor]:
     return places.positions, diffuse, 0.04 + 0.08 * dark.expand(-1, 3)
 
 
-def _texels(mesh: Any, count: int) -> Places:
+def _texels(mesh: Any, count: int) -> SurfaceSamples:
     faces = torch.from_numpy(np.asarray(mesh.faces, dtype=np.int64))
     uv = np.asarray(mesh.visual.uv, dtype=np.float32) * [1, -1] + [0, 1]
     ours = Mesh(
@@ -209,8 +209,8 @@ def _texels(mesh: Any, count: int) -> Places:
         Topology(faces, faces),
         torch.from_numpy(uv.astype(np.float32)),
     )
-    side = round(256 * (count / len(places_of(ours, "texels", (256, 256)).positions)) ** 0.5)
-    return places_of(ours, "texels", (side, side))
+    side = round(256 * (count / len(sample_surface(ours, "texels", (256, 256)).positions)) ** 0.5)
+    return sample_surface(ours, "texels", (side, side))
 
 
 def main() -> None:

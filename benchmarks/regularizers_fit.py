@@ -42,7 +42,7 @@ TERMS: Mapping[str, Terms] = {
     "total_variation, 10": {"total_variation": {"weight": 10.0}},
     "joint_bilateral, 1e3": {"joint_bilateral": {"weight": 1e3}},
     "joint_bilateral, 1e4": {"joint_bilateral": {"weight": 1e4}},
-    "bilateral_specular, 0.02": {"bilateral_specular": {"weight": 0.02, "places": "texels"}},
+    "bilateral_specular, 0.02": {"bilateral_specular": {"weight": 0.02, "samples": "texels"}},
     "albedo_scale, 1e5": {"albedo_scale": {"weight": 1e5}},
 }
 PIXELS = 40_000

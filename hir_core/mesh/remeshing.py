@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hir_core.mesh.ray_casting import MeshQueries
+
 Positions = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
@@ -61,19 +63,12 @@ class _Surface:
     """Nearest points on the surface that a remeshing started from."""
 
     def __init__(self, positions: Positions, faces: Faces) -> None:
-        import open3d
-
-        # open3d works in float32: about the centre nothing is lost
+        # queries run in float32: about the centre no digits are lost
         self._center = 0.5 * (positions.min(axis=0) + positions.max(axis=0))
-        self._tensor = open3d.core.Tensor.from_numpy
-        self._scene = open3d.t.geometry.RaycastingScene(nthreads=0)
-        self._scene.add_triangles(
-            self._tensor((positions - self._center).astype(np.float32)), self._tensor(faces.astype(np.uint32))
-        )
+        self._queries = MeshQueries(positions - self._center, faces)
 
     def nearest(self, points: Positions) -> Positions:
-        found = self._scene.compute_closest_points(self._tensor((points - self._center).astype(np.float32)))
-        moved = found["points"].numpy().astype(np.float64) + self._center
+        moved = self._queries.nearest_points(points - self._center) + self._center
         return np.where(np.isfinite(moved), moved, points)
 
 

@@ -81,7 +81,7 @@ def _directed_edges(faces: Faces) -> NDArray[np.int64]:
 
 
 def _separating_directions(x: Positions, hit: Faces, ends: NDArray[np.int64]) -> Positions:
-    """For each vertex of the triangles `hit` the direction away from the nearest other one; fades out over two rings."""
+    """For each vertex of the triangles `hit` the direction away from the nearest other one, faded over two rings."""
     from scipy.spatial import cKDTree
 
     centroids = x[hit].mean(axis=1)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hir_core.capture import Camera
-from hir_core.mesh.ray_casting import NearestPoints, SurfaceRays
+from hir_core.mesh.ray_casting import MeshQueries
 
 Positions = NDArray[np.floating]
 Faces = NDArray[np.integer]
@@ -72,8 +72,8 @@ def compare_surfaces(
         moved = [camera.transformed(_similarity(center, radius)) for camera in cameras]
         seen = visible(theirs, their_normals, truth, moved)
         theirs, their_normals = theirs[seen], their_normals[seen]
-    to_truth, truth_faces = NearestPoints(*truth)(ours)
-    to_fit, fit_faces = NearestPoints(*fit)(theirs)
+    to_truth, truth_faces = MeshQueries(*truth).nearest(ours)
+    to_fit, fit_faces = MeshQueries(*fit).nearest(theirs)
     angles = np.concatenate(
         [
             angles_deg(our_normals, face_normals(*truth)[truth_faces]),
@@ -124,7 +124,7 @@ def visible(
     points: NDArray[np.float64], normals: NDArray[np.float64], mesh: tuple[Positions, Faces], cameras: Sequence[Camera]
 ) -> NDArray[np.bool_]:
     """Points (N,) of a surface that some camera sees: in its frame, from the front, with nothing before them."""
-    rays = SurfaceRays(np.asarray(mesh[0], np.float32), np.asarray(mesh[1], np.int64))
+    rays = MeshQueries(np.asarray(mesh[0], np.float32), np.asarray(mesh[1], np.int64))
     lifted = points + 1e-3 * normals
     seen = np.zeros(len(points), dtype=bool)
     for camera in cameras:

@@ -8,6 +8,8 @@ import numpy as np
 from hir_exporters.conventions import linear_to_srgb
 from numpy.typing import NDArray
 
+from hir_core.mesh.ray_casting import MeshQueries
+
 if TYPE_CHECKING:
     from hir_core.scene import Scene
 
@@ -17,32 +19,31 @@ LIGHT_DIRECTION = np.array([-0.4, 0.7, 0.6])
 
 def preview_strip(scene: Scene, size: int, sides: int) -> NDArray[np.float32]:
     """Pictures (size, sides · size, 3) in sRGB from around the object: its colour in a light beside the camera."""
-    import open3d as o3d
-
     positions = scene.mesh.positions.detach().cpu().numpy().astype(np.float32)
     faces = scene.mesh.faces.detach().cpu().numpy()
     center = (positions.min(axis=0) + positions.max(axis=0)) / 2
     radius = max(float(np.linalg.norm(positions - center, axis=1).max()), 1e-12)
-    rays = o3d.t.geometry.RaycastingScene()
-    corners = o3d.core.Tensor.from_numpy(np.ascontiguousarray((positions - center) / radius))
-    rays.add_triangles(corners, o3d.core.Tensor.from_numpy(faces.astype(np.uint32)))
+    unit = (positions - center) / radius
+    queries = MeshQueries(unit, faces)
     pictures = []
     for i in range(sides):
         frame = _frame(2 * np.pi * i / sides)
-        hit = rays.cast_rays(o3d.core.Tensor.from_numpy(_rays(frame, size)))
-        seen = np.isfinite(hit["t_hit"].numpy())
-        normal = hit["primitive_normals"].numpy()
+        face, weights = queries.first_hits(*_rays(frame, size))
+        face, weights = face.reshape(size, size), weights.reshape(size, size, 3)
+        seen = face >= 0
+        a, b, c = (unit[faces[face, k]] for k in range(3))
+        normal = np.cross(b - a, c - a)
+        normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-30)
         shade = 0.25 + 0.75 * np.clip(normal @ (LIGHT_DIRECTION @ frame) / np.linalg.norm(LIGHT_DIRECTION), 0, 1)
-        face, inner = hit["primitive_ids"].numpy().astype(np.int64), hit["primitive_uvs"].numpy()
         color = np.ones((size, size, 3))
-        color[seen] = surface_colors(scene, face[seen], inner[seen]) * shade[seen][:, None]
+        color[seen] = surface_colors(scene, face[seen], weights[seen]) * shade[seen][:, None]
         pictures.append(linear_to_srgb(np.clip(color, 0, 1)))
     return np.concatenate(pictures, axis=1).astype(np.float32)
 
 
-def surface_colors(scene: Scene, face: NDArray[np.int64], inner: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Linear colour (N, 3) at points of triangles, `inner` the weights (N, 2) of their second and third corner."""
-    weights = np.stack([1 - inner.sum(axis=1), inner[:, 0], inner[:, 1]], axis=1)[..., None]
+def surface_colors(scene: Scene, face: NDArray[np.int64], barycentric: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Linear colour (N, 3) at points of triangles, given by their barycentric weights (N, 3)."""
+    weights = barycentric[..., None]
     mesh, material = scene.mesh, scene.material
     if material is not None and material.diffuse_albedo.ndim == 3 and mesh.uvs is not None:
         uv_faces = mesh.faces if mesh.topology.uv_faces is None else mesh.topology.uv_faces
@@ -69,9 +70,9 @@ def _frame(angle: float) -> NDArray[np.float64]:
     return np.stack([right, np.cross(back, right), back])
 
 
-def _rays(frame: NDArray[np.float64], size: int) -> NDArray[np.float32]:
-    """Parallel rays (size, size, 6) onto the unit ball."""
+def _rays(frame: NDArray[np.float64], size: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Origins and directions (size², 3) of parallel rays onto the unit ball."""
     ticks = ((np.arange(size) + 0.5) / size * 2 - 1) * 1.05
     x, y = np.meshgrid(ticks, -ticks)
     origin = x[..., None] * frame[0] + y[..., None] * frame[1] + 3 * frame[2]
-    return np.concatenate([origin, np.broadcast_to(-frame[2], origin.shape)], axis=2).astype(np.float32)
+    return origin.reshape(-1, 3), np.broadcast_to(-frame[2], (size * size, 3))

@@ -1,4 +1,4 @@
-"""Holds the mean diffuse albedo where it was: no photograph tells a dark surface in much light from the opposite."""
+"""Keeps the mean diffuse albedo: photographs cannot distinguish a dark surface in bright light from the opposite."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from hir_plugins.regularizers.material_options import AlbedoScaleOptions
 if TYPE_CHECKING:
     from hir_core.plugins.interfaces import Energy
 
-DARKEST = 1e-4
-"""Added to albedos before their logarithm: black has a finite slope."""
+LOG_OFFSET_ALBEDO = 1e-4
+"""Added to the mean albedo before its logarithm, so that black has a finite slope."""
 
 
 @final
 class AlbedoScale(Regularizer):
-    """`(ln m − ln m₀)²`, m the mean of ρd over the covered texels, m₀ what it was at the start of the stage.
+    """`(ln m − ln m₀)²` with m the mean of ρd over the covered texels and m₀ its initial value.
 
-    Nothing but the common factor of all albedos (with `per_channel` their common tint) is held: differences between
-    places cost nothing.
+    Only the common factor of all albedos is constrained (with `per_channel` the common factor of each channel), not
+    their differences.
     """
 
     def __init__(self, config: AlbedoScaleOptions) -> None:
@@ -40,14 +40,14 @@ class AlbedoScale(Regularizer):
         if texture.ndim == 3:
             covered = texel_surface(scene.mesh, (texture.shape[0], texture.shape[1])).covered
             covered = covered if bool(covered.any()) else torch.ones_like(covered)
-        start = self._level(texture.detach(), covered)
+        initial = self._log_mean(texture.detach(), covered)
 
         def energy(scene: Scene) -> Float[Tensor, ""]:
             assert scene.material is not None
-            return (self._level(scene.material.diffuse_albedo, covered) - start).square().mean()
+            return (self._log_mean(scene.material.diffuse_albedo, covered) - initial).square().mean()
 
         return energy
 
-    def _level(self, texture: Tensor, covered: Tensor | None) -> Tensor:
+    def _log_mean(self, texture: Tensor, covered: Tensor | None) -> Tensor:
         mean = texture if covered is None else texture[covered].mean(dim=0)
-        return ((mean if self._config.per_channel else mean.mean()) + DARKEST).log()
+        return ((mean if self._config.per_channel else mean.mean()) + LOG_OFFSET_ALBEDO).log()

@@ -1,4 +1,4 @@
-"""The scene that each regularizer likes best, for the contract tests (`Component.testing`)."""
+"""A scene of zero energy for each regularizer, for the contract tests (`Component.testing`)."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import torch
 from hir_core.scene import Scene
 
 
-def one_place(scene: Scene) -> Scene:
-    """All vertices in one place: no edge has a length, each vertex is the mean of its neighbours."""
+def single_point(scene: Scene) -> Scene:
+    """All vertices at one point: no edge has a length, each vertex is the mean of its neighbours."""
     return replace(scene, mesh=scene.mesh.with_positions(torch.zeros_like(scene.mesh.positions)))
 
 
@@ -23,7 +23,7 @@ def flat_sheet(scene: Scene) -> Scene:
 
 
 def constant_specular(scene: Scene) -> Scene:
-    """One specular albedo everywhere, as a texture."""
+    """A specular albedo texture of one value."""
     assert scene.material is not None
     flat = torch.full_like(scene.material.specular_albedo, 0.04)
     return replace(scene, material=replace(scene.material, specular_albedo=flat))

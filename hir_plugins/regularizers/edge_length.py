@@ -24,8 +24,8 @@ class EdgeLength(Regularizer):
         self._config = config
 
     def prepare(self, scene: Scene) -> Energy:
-        start = float(_root_of_squares(scene.mesh).detach()) if self._config.scale_free else 1.0
-        unit = start if start > 0 else 1.0
+        initial = float(_root_of_squares(scene.mesh).detach()) if self._config.scale_free else 1.0
+        unit = initial if initial > 0 else 1.0
 
         def energy(scene: Scene) -> Float[Tensor, ""]:
             return _root_of_squares(scene.mesh) / unit
@@ -36,5 +36,5 @@ class EdgeLength(Regularizer):
 def _root_of_squares(mesh: Mesh) -> Float[Tensor, ""]:
     a, b = mesh.positions[mesh.topology.edges].unbind(1)
     total = (b - a).square().sum()
-    # the root's gradient at 0 is 0/0: a mesh of points stays where it is
+    # the root's gradient at 0 is 0/0; here a mesh of points has no gradient
     return torch.where(total > 0, total, 1.0).sqrt() * (total > 0)

@@ -30,7 +30,7 @@ class Laplacian(Regularizer):
 
         def energy(scene: Scene) -> Float[Tensor, ""]:
             positions = scene.mesh.positions
-            # L annihilates constants: about the centre, float32 keeps the digits of a scene far from the origin
+            # L annihilates constants; relative to the centre, float32 keeps the digits of a scene far from the origin
             offsets = laplacian @ (positions - positions.detach().mean(dim=0))
             return (weights * offsets.square().sum(dim=1)).sum()
 
@@ -67,14 +67,14 @@ def mesh_laplacian(mesh: Mesh, cotangent: bool = False, scale_free: bool = False
     if not bool(mean > 0):
         return matrix, torch.zeros(count, dtype=dtype, device=device)
     # Δx = (Σ w_ij (x_j − x_i)) / A with w the half sums of cotangents; on a regular triangulation the umbrella of equal
-    # weights is A/(2√3)·Δx. A needle's small area may not outweigh the rest of the mesh.
+    # weights is A/(2√3)·Δx. The area of a needle triangle is bounded below, so that its weight stays bounded.
     scale = (total.square() if cotangent else 12.0) / area.clamp_min(0.05 * mean)
     largest = torch.finfo(dtype).max / 1e6
     return matrix, scale.clamp_max(largest).to(dtype)
 
 
 def _cotangents(mesh: Mesh) -> Float[Tensor, " E"]:
-    """Half the sum of the cotangents opposite each edge, at least 0, so that no needle pushes neighbours apart."""
+    """Half the sum of the cotangents opposite each edge; clamped to 0, so that no obtuse triangle repels neighbours."""
     topology = mesh.topology
     p = mesh.positions.double()[topology.faces]
     corner = []

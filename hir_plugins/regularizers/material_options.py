@@ -8,18 +8,18 @@ from typing import Literal
 
 @dataclass(frozen=True)
 class BilateralOptions:
-    """What the bilateral terms share."""
+    """Options of both bilateral terms."""
 
     sigma_position: float = 0.04
     """σ1 as a fraction of the diagonal of the mesh's bounds."""
-    places: Literal["vertices", "texels"] = "vertices"
-    """Where the sum is taken: vertices, or texels of the texture (of several, the finest)."""
-    method: Literal["cells", "all_pairs"] = "cells"
-    """What is near and alike taken together, linear in the places; or all pairs, quadratic: the reference."""
+    samples: Literal["vertices", "texels"] = "vertices"
+    """Samples of the sum: vertices, or texels of the finest texture."""
+    method: Literal["grid", "all_pairs"] = "grid"
+    """`grid`: an adaptive bilateral grid, linear in the number of samples. `all_pairs`: the definition, quadratic."""
     cutoff: float = 3.0
-    """What is farther than this many σ1 is left out."""
-    cell: float = 0.75
-    """Edge of the cells in σ, of places and of what guides them; docs/regularizers.md has error against time."""
+    """Samples at a greater distance, in σ1, are left out."""
+    cell_size: float = 0.75
+    """Edge of the grid's cells, in σ of positions and of guiding values; docs/regularizers.md has error and time."""
 
 
 @dataclass(frozen=True)
@@ -29,15 +29,15 @@ class BilateralSpecularOptions(BilateralOptions):
     sigma_albedo: float = 0.1
     """σ2: difference of linear diffuse albedo, as the length of its RGB vector."""
     average: bool = False
-    """Divide by the number of places, so that the weight does not depend on the resolution (the paper: the sum)."""
+    """Divide by the number of samples, so that the weight does not depend on the resolution (the paper: the sum)."""
 
 
 @dataclass(frozen=True)
 class JointBilateralOptions(BilateralOptions):
     """Widths of the maps, and relative weights of what is smoothed; a map of weight 0 still guides the others."""
 
-    places: Literal["vertices", "texels"] = "texels"
-    """Where the mean is taken: vertices, or texels of the finest texture."""
+    samples: Literal["vertices", "texels"] = "texels"
+    """Samples of the mean: vertices, or texels of the finest texture."""
     sigma_diffuse: float = 0.1
     """Difference of linear diffuse albedo, as the length of its RGB vector."""
     sigma_specular: float = 0.05
@@ -54,10 +54,10 @@ class JointBilateralOptions(BilateralOptions):
 
 @dataclass(frozen=True)
 class AlbedoScaleOptions:
-    """The factor between albedo and light, which no photograph tells."""
+    """Fixes the factor between albedo and light, which photographs do not determine."""
 
     per_channel: bool = False
-    """Hold the tint too, not only the brightness."""
+    """Fix the mean of each channel, not only the mean of all."""
 
 
 @dataclass(frozen=True)
@@ -72,5 +72,6 @@ class TotalVariationOptions:
     """Of the roughness texture (GGX α)."""
     environment: float = 0.0
     """Of the light."""
-    places: Literal["texels", "vertices"] = "texels"
-    """Between neighbouring texels of a chart; or of the texture at the vertices, over the triangles and their seams."""
+    samples: Literal["texels", "vertices"] = "texels"
+    """`texels`: between neighbouring texels of a chart. `vertices`: of the values at the vertices, over the triangles
+    and across seams."""

@@ -1,4 +1,4 @@
-"""Options of the regularizers that look at the shape of the mesh alone."""
+"""Options of the regularizers that use only the shape of the mesh."""
 
 from __future__ import annotations
 

@@ -20,10 +20,10 @@ def mesh_variation(
     area = 0.5 * torch.linalg.cross(edges[:, 0], edges[:, 1]).norm(dim=1).sum()
     if not bool(area > 0):
         return values.sum() * 0
-    # about the first corner: equal values have a slope of exactly 0
+    # relative to the first corner: equal values have a slope of exactly 0
     f = values[faces] - values[faces[:, :1]]
     slope = (f[:, :, :, None] * edges[:, :, None]).sum(dim=1)
     square = slope.square().sum(dim=-1)
-    # the root's gradient at 0 is 0/0: a flat triangle stays flat
+    # the root's gradient at 0 is 0/0; here a constant triangle has no gradient
     length = torch.where(square > 0, square, 1.0).sqrt() * (square > 0)
     return 0.5 * length.sum() / area.sqrt()

@@ -29,16 +29,16 @@ class NormalConsistency(Regularizer):
         def energy(scene: Scene) -> Float[Tensor, ""]:
             p = scene.mesh.positions[scene.mesh.faces]
             first, second = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
-            # triangles of a millimetre in metres: their areas' squares underflow, their edges' ratios do not
+            # in a scene of millimetres the squares of areas underflow in float32; ratios of edges do not
             size = torch.maximum(first.detach().norm(dim=1), second.detach().norm(dim=1))[:, None]
             scale = size.clamp_min(torch.finfo(p.dtype).tiny)
             normals = torch.linalg.cross(first / scale, second / scale)
             length2 = normals.square().sum(dim=1)
-            # a needle's normal is noise, and its gradient grows without bound: it has no say
-            sound = length2 > 1e-10
-            unit = normals * torch.where(sound, length2, 1.0).rsqrt()[:, None]
+            # the normal of a needle triangle is noise with an unbounded gradient: it is left out
+            valid = length2 > 1e-10
+            unit = normals * torch.where(valid, length2, 1.0).rsqrt()[:, None]
             cosine = (unit[pairs[:, 0]] * unit[pairs[:, 1]]).sum(dim=1)
-            both = sound[pairs[:, 0]] & sound[pairs[:, 1]]
+            both = valid[pairs[:, 0]] & valid[pairs[:, 1]]
             return torch.where(both, 1 - cosine, 0.0).square().sum()
 
         return energy

@@ -1,4 +1,4 @@
-"""Places on the surface at which textures are compared: vertices or texels."""
+"""Samples of the surface at which textures are compared: vertices or texels."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from hir_core.scene import Mesh, Texture
 
 
 @dataclass(frozen=True, eq=False)
-class Places:
+class SurfaceSamples:
     """Fixed points of the surface."""
 
     positions: Float[Tensor, "N 3"]
     uvs: Float[Tensor, "N 2"]
 
     def values(self, texture: Texture) -> Float[Tensor, "N C"]:
-        """The texture there, bilinear and wrapping; a constant is the same everywhere. Differentiable."""
+        """The texture at the samples, bilinear and wrapping; a constant is repeated. Differentiable."""
         if texture.ndim == 1:
             return texture.expand(len(self.positions), -1)
         height, width = texture.shape[:2]
@@ -32,13 +32,13 @@ class Places:
         s, t = (x - left)[:, None], (y - top)[:, None]
         columns = left.long() % width, (left.long() + 1) % width
         rows = top.long() % height, (top.long() + 1) % height
-        # differences, so that a flat texture is flat to the last bit
+        # interpolation by differences: a constant texture gives exactly equal values
         upper = texture[rows[0], columns[0]] + (texture[rows[0], columns[1]] - texture[rows[0], columns[0]]) * s
         lower = texture[rows[1], columns[0]] + (texture[rows[1], columns[1]] - texture[rows[1], columns[0]]) * s
         return upper + (lower - upper) * t
 
 
-def places_of(mesh: Mesh, kind: Literal["vertices", "texels"], size: tuple[int, int]) -> Places:
+def sample_surface(mesh: Mesh, kind: Literal["vertices", "texels"], size: tuple[int, int]) -> SurfaceSamples:
     """The vertices that faces use, or the covered texels of a texture of `size` (height, width)."""
     uvs, uv_faces = mesh.uvs, mesh.topology.uv_faces
     if uvs is None or uv_faces is None:
@@ -48,9 +48,9 @@ def places_of(mesh: Mesh, kind: Literal["vertices", "texels"], size: tuple[int, 
         surface = texel_surface(mesh, size)
         row, column = surface.covered.nonzero(as_tuple=True)
         centres = torch.stack([(column + 0.5) / size[1], (row + 0.5) / size[0]], dim=1)
-        return Places(surface.position.detach(), centres.to(positions))
-    # at a seam a vertex has several coordinates: any of them
+        return SurfaceSamples(surface.position.detach(), centres.to(positions))
+    # at a seam a vertex has several texture coordinates; any of them serves
     corner = torch.zeros(len(positions), dtype=torch.long, device=positions.device)
     corner[mesh.faces.reshape(-1)] = uv_faces.reshape(-1)
     used = torch.unique(mesh.faces)
-    return Places(positions[used], uvs.detach()[corner[used]])
+    return SurfaceSamples(positions[used], uvs.detach()[corner[used]])

@@ -1,4 +1,4 @@
-"""Total variation of textures and of the light: flat where nothing speaks for change, edges stay edges."""
+"""Total variation of textures and of the light: smooths noise and keeps edges."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from hir_core.plugins.interfaces import Regularizer
 from hir_core.scene import Mesh, Scene, Texture
 from hir_plugins.regularizers.material_options import TotalVariationOptions
 from hir_plugins.regularizers.mesh_variation import mesh_variation
-from hir_plugins.regularizers.surface_samples import places_of
+from hir_plugins.regularizers.surface_samples import sample_surface
 
 if TYPE_CHECKING:
     from hir_core.plugins.interfaces import Energy
@@ -29,10 +29,10 @@ _MAPS = ("diffuse_albedo", "specular_albedo", "roughness")
 class TotalVariation(Regularizer):
     """Anisotropic total variation (Rudin, Osher, Fatemi 1992), summed over channels, of piecewise constant maps.
 
-    Textures: length in the unit square of the borders between covered texels times the step across; charts do not
-    touch each other. Light: the same with lengths on the unit sphere. Refining a map without changing it changes
-    nothing. Constants cost nothing. With `places = "vertices"` a texture is taken as its values at the vertices, linear
-    between them: `mesh_variation`.
+    Textures: length in the unit square of the borders between covered texels times the step across; different
+    charts are not compared. Light: the same with lengths on the unit sphere. The energy does not depend on the
+    resolution of a map, and constants have none. With `samples = "vertices"` a texture is replaced by its values at the
+    vertices, linear between them: `mesh_variation`.
     """
 
     def __init__(self, config: TotalVariationOptions) -> None:
@@ -49,9 +49,9 @@ class TotalVariation(Regularizer):
                 size = (texture.shape[0], texture.shape[1])
                 covered[size] = texel_surface(scene.mesh, size).covered
         if not covered and not self._config.environment:
-            warnings.warn("regularizer total_variation has no effect: no map that it weighs is a texture", stacklevel=2)
-        at_vertices = self._at_vertices(scene.mesh, bool(covered)) if self._config.places == "vertices" else None
-        sky = self._config.environment
+            warnings.warn("regularizer total_variation has no effect: no map with a weight is a texture", stacklevel=2)
+        at_vertices = self._at_vertices(scene.mesh, bool(covered)) if self._config.samples == "vertices" else None
+        light_weight = self._config.environment
 
         def energy(scene: Scene) -> Float[Tensor, ""]:
             assert scene.material is not None
@@ -60,10 +60,10 @@ class TotalVariation(Regularizer):
                 texture = getattr(scene.material, name)
                 if weight and texture.ndim == 3:
                     known = covered[tuple(texture.shape[:2])]
-                    found = at_vertices(texture) if at_vertices else texture_variation(texture, known)
-                    total = total + weight * found
-            if sky and scene.environment is not None:
-                total = total + sky * environment_variation(scene.environment.radiance)
+                    variation = at_vertices(texture) if at_vertices else texture_variation(texture, known)
+                    total = total + weight * variation
+            if light_weight and scene.environment is not None:
+                total = total + light_weight * environment_variation(scene.environment.radiance)
             return total
 
         return energy
@@ -72,10 +72,10 @@ class TotalVariation(Regularizer):
     def _at_vertices(mesh: Mesh, textured: bool) -> Callable[[Texture], Float[Tensor, ""]] | None:
         if not textured:
             return None
-        places = places_of(mesh, "vertices", (1, 1))
+        samples = sample_surface(mesh, "vertices", (1, 1))
         used, faces = torch.unique(mesh.faces, return_inverse=True)
         positions = mesh.positions.detach()[used]
-        return lambda texture: mesh_variation(positions, faces, places.values(texture))
+        return lambda texture: mesh_variation(positions, faces, samples.values(texture))
 
 
 def texture_variation(texture: Float[Tensor, "H W C"], covered: Bool[Tensor, "H W"]) -> Float[Tensor, ""]:

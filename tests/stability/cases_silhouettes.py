@@ -119,7 +119,7 @@ def _ratios() -> list[Case]:
         return inner / (area + mask - inner)
 
     view_weights = RobustViewWeights(6)
-    view_weights.update(list(range(6)), np.zeros(6), with_closed_form_albedo=True)
+    view_weights.update(list(range(6)), np.zeros(6), active=True)
     return [
         Case(
             "geometry",
@@ -146,7 +146,7 @@ def _ratios() -> list[Case]:
             "hir_core.stages.geometry.robust_view_weights.RobustViewWeights.update",
             "views that all fit perfectly",
             "weights of 1",
-            lambda: view_weights.update([0, 1], np.zeros(2), with_closed_form_albedo=True),
+            lambda: view_weights.update([0, 1], np.zeros(2), active=True),
             lambda: (3 * np.zeros(2) / np.zeros(2)) ** 2,
             lambda: np.ones(2),
             formula="(3 · median / error)²",

@@ -16,7 +16,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from hir_core.capture import Camera
-from hir_core.mesh.ray_casting import SurfaceRays
+from hir_core.mesh.ray_casting import MeshQueries
 from hir_core.scene import Mesh
 from hir_core.stages.geometry.detail_images import DetailImages
 
@@ -85,7 +85,7 @@ def photo_consistency_residuals(
     moves.
     """
     positions = mesh.positions
-    tracer = SurfaceRays(positions.detach().cpu().numpy(), mesh.faces.cpu().numpy())
+    tracer = MeshQueries(positions.detach().cpu().numpy(), mesh.faces.cpu().numpy())
     origins, directions = _rays(details.cameras, pairs)
     face = tracer.first_faces(origins, directions)
     rows = np.flatnonzero(face >= 0)

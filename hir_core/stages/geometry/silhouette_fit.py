@@ -69,7 +69,7 @@ class SilhouetteFit:
 
 
 def fit_level(mesh: Mesh, fit: SilhouetteFit, level: int, levels: int) -> tuple[Mesh, OptimizationReport, float | None]:
-    """The mesh of the lowest held-out error (without held-out views the last one), the loop's report, and that error."""
+    """The mesh of the lowest held-out error (the last one without held-out views), the report, and that error."""
     settings, context = fit.settings, fit.context
     scene = Scene(mesh)
     energies = prepare_energies(scene, settings.regularizers, context.plugins)

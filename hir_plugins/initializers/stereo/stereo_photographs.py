@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -12,10 +11,8 @@ from hir_exporters.conventions import linear_to_srgb
 from numpy.typing import NDArray
 
 from hir_core.capture import Array, Camera, View
+from hir_core.mesh.ray_casting import MeshQueries
 from hir_plugins.initializers.stereo.surface_sweep import SweptView
-
-if TYPE_CHECKING:
-    import open3d
 
 _CROP_MARGIN_PIXELS = 16
 """Pixels around the object that are kept: windows reach over its outline."""
@@ -78,13 +75,9 @@ class SweptSurface:
     """A mesh that rays are cast at, in a frame of its own size: Embree works in float32."""
 
     def __init__(self, positions: Array, faces: NDArray[np.int64]) -> None:
-        import open3d
-
         self._center = 0.5 * (positions.min(axis=0) + positions.max(axis=0))
         self._size = float(np.ptp(positions, axis=0).max()) or 1.0
-        self._scene = open3d.t.geometry.RaycastingScene(nthreads=0)
-        triangles = open3d.core.Tensor.from_numpy(faces.astype(np.uint32))
-        self._scene.add_triangles(self._tensor((positions - self._center) / self._size), triangles)
+        self._queries = MeshQueries((positions - self._center) / self._size, faces)
 
     def inverse_depth(self, camera: Camera) -> NDArray[np.float32]:
         """H W, of what the camera sees first; 0 where it sees nothing."""
@@ -97,8 +90,8 @@ class SweptSurface:
 
     def signed_distance(self, points: Array) -> NDArray[np.float32]:
         """(N,), positive inside, in the unit of the world."""
-        found = self._scene.compute_signed_distance(self._tensor((points - self._center) / self._size))
-        return np.asarray(-found.numpy() * self._size, dtype=np.float32)
+        outside = self._queries.signed_distance((points - self._center) / self._size)
+        return np.asarray(-outside * self._size, dtype=np.float32)
 
     def _inverse(self, camera: Camera, last: bool) -> NDArray[np.float32]:
         rows, columns = np.mgrid[0 : camera.height, 0 : camera.width] + 0.5
@@ -106,17 +99,12 @@ class SweptSurface:
         along = directions @ camera.world_to_camera[2, :3]
         start = (origins - self._center) / self._size
         beyond = 2 * float(np.linalg.norm(start[0])) + 4
-        rays = [start + directions * beyond, -directions] if last else [start, directions]
-        hit = self._scene.cast_rays(self._tensor(np.concatenate(rays, axis=1)))["t_hit"].numpy().astype(np.float64)
+        rays = (start + directions * beyond, -directions) if last else (start, directions)
+        hit = self._queries.first_distances(*rays).astype(np.float64)
         depth = (beyond - hit if last else hit) * self._size * along
         seen = np.isfinite(depth) & (depth > 0)
         inverse = np.where(seen, 1 / np.where(seen, depth, 1), 0)
         return inverse.reshape(camera.height, camera.width).astype(np.float32)
-
-    def _tensor(self, values: Array) -> open3d.core.Tensor:
-        import open3d
-
-        return open3d.core.Tensor.from_numpy(np.ascontiguousarray(values, dtype=np.float32))
 
 
 def choose_neighbours(cameras: Sequence[Camera], center: Array, count: int) -> list[list[int]]:

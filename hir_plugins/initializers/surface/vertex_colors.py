@@ -1,39 +1,43 @@
-"""Colours of a mesh's vertices: what the photographs that see a vertex agree on."""
+"""Colours of a mesh's vertices: a weighted median over the photographs in which a vertex is visible."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
+from hir_exporters.textures.bilinear import sample_bilinear
 from numpy.typing import NDArray
 
 from hir_core.capture import Array, Camera, View
+from hir_core.mesh.ray_casting import MeshQueries
 
 _MIN_COSINE = 0.2
-"""Views at a flatter angle do not count: their pixels mix places, and highlights and reflections rule there."""
+"""Smallest cosine between normal and view direction that is used: at grazing angles pixels cover large areas, and
+reflections dominate."""
 _CHUNK_VERTICES = 8192
 
 
 def vertex_colors(
     positions: Array, faces: NDArray[np.int64], views: Sequence[View], downsample: int = 1
 ) -> NDArray[np.float32]:
-    """Linear colours (V, 3): weighted median over the views that see each vertex, weights the cosine of the view.
+    """Linear colours (V, 3): median over the views in which a vertex is visible, weighted by the cosine of the view
+    angle.
 
-    A vertex that no view sees takes the mean of its neighbours, in rings from the seen ones; all is grey (0.5) where
-    nothing is seen.
+    An invisible vertex gets the mean of its neighbours, ring by ring from the visible ones. If no vertex is visible,
+    all are grey (0.5).
     """
     normals = vertex_normals(positions, faces)
-    placed = [view for view in views if view.camera is not None]
-    samples = np.zeros((len(placed), len(positions), 3), dtype=np.float16)
-    weights = np.zeros((len(placed), len(positions)), dtype=np.float16)
-    sees = VertexVisibility(positions, faces, normals)
-    for i, view in enumerate(placed):
+    posed = [view for view in views if view.camera is not None]
+    samples = np.zeros((len(posed), len(positions), 3), dtype=np.float16)
+    weights = np.zeros((len(posed), len(positions)), dtype=np.float16)
+    visibility = VertexVisibility(positions, faces, normals)
+    for i, view in enumerate(posed):
         assert view.camera is not None
         camera = view.camera.downsampled(downsample)
-        seen, cosine, pixels = sees.from_camera(camera)
+        visible, cosine, pixels = visibility.from_camera(camera)
         image = view.pixels(downsample).color_linear
-        samples[i, seen] = np.clip(_bilinear(image, pixels[seen] - 0.5), 0, 6e4)
-        weights[i, seen] = cosine[seen]
+        samples[i, visible] = np.clip(_colors_at(image, pixels[visible]), 0, 6e4)
+        weights[i, visible] = cosine[visible]
     colors = np.zeros((len(positions), 3), dtype=np.float32)
     known = np.zeros(len(positions), dtype=bool)
     for start in range(0, len(positions), _CHUNK_VERTICES):
@@ -45,7 +49,7 @@ def vertex_colors(
 
 
 def vertex_normals(positions: Array, faces: NDArray[np.int64]) -> Array:
-    """Unit normals (V, 3), each face weighed by its area; zero where no face has an area."""
+    """Area-weighted unit normals (V, 3); zero if no face of a vertex has an area."""
     a, b, c = (positions[faces[:, i]] for i in range(3))
     face_normals = np.cross(b - a, c - a)
     normals = np.stack(
@@ -60,28 +64,20 @@ def vertex_normals(positions: Array, faces: NDArray[np.int64]) -> Array:
 
 
 class VertexVisibility:
-    """Which points of a mesh a camera sees; in a frame of the mesh's size, for Embree works in float32."""
+    """Which points of a mesh a camera visibility; in a frame of the mesh's size, for Embree works in float32."""
 
     def __init__(self, positions: Array, faces: NDArray[np.int64], normals: Array) -> None:
-        import open3d
-
         self._center = positions.mean(axis=0)
         self._size = float(np.ptp(positions, axis=0).max()) or 1.0
         self._unit = (positions - self._center) / self._size
         self._positions, self._normals = positions, normals
         edges = self._unit[faces] - self._unit[np.roll(faces, -1, axis=1)]
-        # beyond a facet's own sag, or a curved surface hides itself
+        # larger than the sagitta of a facet, or a curved surface would occlude itself
         self._offset = max(1e-5, 0.2 * float(np.median(np.linalg.norm(edges, axis=2))))
-        self._scene = open3d.t.geometry.RaycastingScene(nthreads=0)
-        self._scene.add_triangles(
-            open3d.core.Tensor.from_numpy(self._unit.astype(np.float32)),
-            open3d.core.Tensor.from_numpy(faces.astype(np.uint32)),
-        )
+        self._queries = MeshQueries(self._unit, faces)
 
     def from_camera(self, camera: Camera) -> tuple[NDArray[np.bool_], Array, Array]:
-        """Seen or not (V,), cosine between normal and view (V,), pixels (V, 2) of the mesh's vertices."""
-        import open3d
-
+        """Visible or not (V,), cosine between normal and view direction (V,), and pixels (V, 2) of the vertices."""
         pixels, depth = camera.project(self._positions)
         toward = (camera.center - self._center) / self._size - self._unit
         distance = np.linalg.norm(toward, axis=1)
@@ -96,25 +92,15 @@ class VertexVisibility:
         )
         index = np.nonzero(candidate)[0]
         origin = self._unit[index] + self._normals[index] * self._offset
-        rays = np.concatenate([origin, direction[index]], axis=1).astype(np.float32)
-        hidden = self._scene.test_occlusions(
-            open3d.core.Tensor.from_numpy(rays), tnear=0.0, tfar=float(distance.max(initial=0.0)) + 1.0
-        ).numpy()
-        seen = candidate.copy()
-        seen[index[hidden]] = False
-        return seen, cosine, pixels
+        hidden = self._queries.occluded(origin, direction[index], reach=float(distance.max(initial=0.0)) + 1.0)
+        visible = candidate.copy()
+        visible[index[hidden]] = False
+        return visible, cosine, pixels
 
 
-def _bilinear(image: NDArray[np.float32], at: Array) -> NDArray[np.float32]:
-    """Values (N, C) of an image (H W C) at pixel coordinates (N, 2) whose centres are whole numbers."""
-    height, width = image.shape[:2]
-    x, y = np.clip(at[:, 0], 0, width - 1), np.clip(at[:, 1], 0, height - 1)
-    left, top = np.minimum(x.astype(int), max(width - 2, 0)), np.minimum(y.astype(int), max(height - 2, 0))
-    right, bottom = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
-    fx, fy = (x - left)[:, None], (y - top)[:, None]
-    upper = image[top, left] * (1 - fx) + image[top, right] * fx
-    lower = image[bottom, left] * (1 - fx) + image[bottom, right] * fx
-    return np.asarray(upper * (1 - fy) + lower * fy, dtype=np.float32)
+def _colors_at(image: NDArray[np.float32], pixels: Array) -> NDArray[np.float32]:
+    """Colours (N, 3) of an image (H, W, 3) at pixel coordinates (N, 2), centres at .5."""
+    return sample_bilinear(image, pixels[:, 0] - 0.5, pixels[:, 1] - 0.5).astype(np.float32)
 
 
 def _weighted_median(
@@ -134,7 +120,7 @@ def _weighted_median(
 def _fill_unseen(
     colors: NDArray[np.float32], known: NDArray[np.bool_], faces: NDArray[np.int64]
 ) -> NDArray[np.float32]:
-    """Spreads known colours over the mesh, ring by ring; pieces without any take the mean of all known ones."""
+    """Extends known colours over the mesh, ring by ring; components without any get the mean of all known ones."""
     from scipy.sparse import coo_matrix
 
     if not known.any():

@@ -1,18 +1,17 @@
-"""Bilateral means of any number of places in linear time: places that are near and alike are taken together.
+"""Bilateral means of any number of samples in linear time, by an adaptive bilateral grid.
 
-A mean over all pairs costs n². Here the places q are gathered in cells: cubes of the surface, each divided again by
-the guide (albedo, say). A place p hears the cells of all cubes nearer than the cutoff, and each speaks with the
-first-order expansion of the kernel about its centroid x̄, so with weights `k(p, x̄)·(1 + (p − x̄)·(q − x̄))`: its number
-of places, their mean value and the covariance of value and place are all that is needed. How many cells a place
-hears depends on the widths of the kernel and on the colours around it, not on n; where every place has a cell of its
-own, nothing is approximated but the cutoff. `bilateral_pairs.py` has the sum over all pairs and the error's bound.
+A mean over all pairs costs n². Here the samples q are collected in cells: cubes of space, each divided again by the
+guide, such as the albedo. The mean at a sample p sums over the cells of all cubes within the cutoff. The kernel is
+expanded to first order about a cell's centroid x̄, which gives weights `k(p, x̄)·(1 + (p − x̄)·(q − x̄))`: the cell's
+number of samples, their mean value and the covariance of value and feature are all that is needed. The number of cells
+of a sum depends on the widths of the kernel and on the guide nearby, not on n. Where every sample has a cell of its own
+only the cutoff is an approximation. `bilateral_pairs.py` has the sum over all pairs and the error bound.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
@@ -24,41 +23,42 @@ from torch.utils.checkpoint import checkpoint
 from hir_core.errors import StageError
 
 _PAIRS = 4_000_000
-"""Pairs of place and cell evaluated at once: bounds memory at about 200 MB, also in the backward pass."""
+"""Pairs of sample and cell evaluated at once: bounds memory at about 200 MB, also in the backward pass."""
 _ROWS = 128
-"""Places of one block that share a list of cells in one evaluation."""
+"""Samples of one block that share a list of cells in one evaluation."""
 _BLOCK = 2
-"""Cubes along the side of a block of listening places."""
-_QUIET = -40.0
-"""Logarithm of weights of no account. Smaller ones would be denormal numbers, which are slower by tens of times."""
-_SPAN = 1 << 14
-"""Steps of the guide's cells along one channel that a key can hold."""
+"""Cubes along the side of a block of samples that share a list of near cubes."""
+_LEAST_LOG_WEIGHT = -40.0
+"""Logarithm of a negligible weight. Smaller weights would be denormal numbers, which are tens of times slower."""
+_STEPS_PER_CHANNEL = 1 << 14
+"""Largest number of grid steps along one channel of the guide."""
 
 
 @dataclass(frozen=True, eq=False)
 class Cubes:
-    """Fixed places sorted into cubes of the surface, and which cubes the places of a block of 2³ cubes hear."""
+    """Fixed samples sorted into cubes, and for each block of 2³ cubes the cubes within the cutoff."""
 
     positions: Float[Tensor, "N 3"]
-    """In σ, in the order given."""
+    """In σ, in the order of the samples."""
     cube: Int[Tensor, " N"]
-    """Of each place."""
+    """Of each sample."""
     block: Int[Tensor, " N"]
-    """Of each place."""
+    """Of each sample."""
     order: Int[Tensor, " N"]
-    """Places by block."""
+    """Samples by block."""
     first: Int[Tensor, " B+1"]
     """Where each block begins in `order`."""
-    heard: Int[Tensor, " M"]
-    """Cubes nearer than the cutoff, block after block."""
-    heard_first: Int[Tensor, " B+1"]
+    near: Int[Tensor, " M"]
+    """Cubes within the cutoff, block after block."""
+    near_first: Int[Tensor, " B+1"]
+    """Where each block begins in `near`."""
 
 
 @dataclass(frozen=True, eq=False)
-class Cells:
-    """Places that share a cube and a cell of the guide, cube after cube."""
+class GridCells:
+    """Samples that share a cube and a step of the guide, cube after cube."""
 
-    of_place: Int[Tensor, " N"]
+    of_sample: Int[Tensor, " N"]
     count: Float[Tensor, " C"]
     feature: Float[Tensor, "C F"]
     """Centroid of position and guide."""
@@ -71,29 +71,31 @@ class Cells:
 
 
 def cubes_of(positions: Float[Tensor, "N 3"], cutoff: float, edge: float) -> Cubes:
-    """Sorts places (in σ) into cubes of `edge`; a block hears all cubes whose bounds are within `cutoff` of its own."""
+    """Sorts samples (in σ) into cubes of `edge`; near a block are the cubes with bounds within `cutoff` of its own."""
     from scipy.spatial import cKDTree
 
     points = positions.detach().cpu().double().numpy()
     if not np.isfinite(points).all():
-        raise StageError("the mesh has vertices that are not finite, so nothing on it is near; repair it first")
+        raise StageError("the mesh has vertices that are not finite; repair it first")
     index = np.floor((points - points.min(axis=0, initial=0.0)) / edge)
     cube, _, _, cube_low, cube_high = _grouped(index, points)
     block, order, first, low, high = _grouped(index // _BLOCK, points)
     centres = [cKDTree((a + b) / 2) for a, b in ((low, high), (cube_low, cube_high))]
     reach = cutoff + 0.5 * np.sqrt(3) * (_BLOCK + 1) * edge
     near = centres[0].sparse_distance_matrix(centres[1], reach * (1 + 1e-9), output_type="ndarray")
-    listener, speaker = near["i"].astype(np.int64), near["j"].astype(np.int64)
-    gap = np.maximum(np.maximum(low[listener] - cube_high[speaker], cube_low[speaker] - high[listener]), 0)
-    kept = (gap**2).sum(axis=1) <= cutoff**2
-    listener, speaker = listener[kept], speaker[kept]
-    sorted_ = np.lexsort((speaker, listener))
-    heard_first = np.searchsorted(listener[sorted_], np.arange(len(low) + 1))
-    parts: list[NDArray[np.int64]] = [cube, block, order, first, speaker[sorted_], heard_first]
+    row, column = near["i"].astype(np.int64), near["j"].astype(np.int64)  # block, cube
+    gap = np.maximum(np.maximum(low[row] - cube_high[column], cube_low[column] - high[row]), 0)
+    within = (gap**2).sum(axis=1) <= cutoff**2
+    row, column = row[within], column[within]
+    sorted_ = np.lexsort((column, row))
+    near_first = np.searchsorted(row[sorted_], np.arange(len(low) + 1))
+    parts: list[NDArray[np.int64]] = [cube, block, order, first, column[sorted_], near_first]
     return Cubes(positions.detach(), *(torch.from_numpy(p).to(positions.device) for p in parts))
 
 
-def _grouped(index: NDArray[np.float64], points: NDArray[np.float64]) -> tuple[NDArray[Any], ...]:
+def _grouped(
+    index: NDArray[np.float64], points: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
     """Group of each point by its index, points by group, where each group begins, and its bounds."""
     groups, of_point = np.unique(index, axis=0, return_inverse=True)
     of_point = of_point.reshape(-1)
@@ -106,7 +108,7 @@ def _grouped(index: NDArray[np.float64], points: NDArray[np.float64]) -> tuple[N
 def bilateral_deviation(
     cubes: Cubes, guide: Float[Tensor, "N G"], values: Float[Tensor, "N D"], edge: float
 ) -> Float[Tensor, "N D"]:
-    """`values − Σ_q k values_q / Σ_q k` at each place, guide in units of its σ, its cells of `edge`; differentiable.
+    """`values − Σ_q k values_q / Σ_q k` at each sample, guide in units of its σ, its cells of `edge`; differentiable.
 
     Equal values give exactly 0. The sums run over the cells that `cells_of` makes.
     """
@@ -115,29 +117,29 @@ def bilateral_deviation(
     slope, channels = cells.slope.flatten(1), values.shape[1]
     # value at q of the plane through a cell's mean: level + q·slope
     level = cells.value - (cells.feature[..., None] * cells.slope).sum(1)
-    spoken = torch.cat([cells.feature, cells.count.log()[:, None], level, slope], dim=1)
+    table = torch.cat([cells.feature, cells.count.log()[:, None], level, slope], dim=1)
     split = [feature.shape[1], 1, channels, slope.shape[1]]
 
-    def part(rows: Tensor, real: Tensor, listed: Tensor, sounding: Tensor, *leaves: Tensor) -> Tensor:
-        places, place_values, speech = leaves
-        p, (q, weight, levels, slopes) = places[rows], speech[listed].split(split, dim=-1)
-        origin, ground = p[:, :1].detach(), place_values[rows[:, :1]].detach()
-        weight = weight.masked_fill(~sounding[..., None], _QUIET)
+    def part(rows: Tensor, is_sample: Tensor, listed: Tensor, is_cell: Tensor, *leaves: Tensor) -> Tensor:
+        features, sample_values, cell_table = leaves
+        p, (q, weight, levels, slopes) = features[rows], cell_table[listed].split(split, dim=-1)
+        origin, base = p[:, :1].detach(), sample_values[rows[:, :1]].detach()
+        weight = weight.masked_fill(~is_cell[..., None], _LEAST_LOG_WEIGHT)
         exponent = _with_norm(p - origin, 0.0, first=True) @ _with_norm(q - origin, weight, first=False).mT
-        kernel = exponent.clamp_min(_QUIET).exp()
-        # equal values are equal to the ground: their differences vanish to the last bit
-        heard = kernel @ torch.cat([torch.ones_like(weight), levels - ground, slopes], dim=-1)
-        total, above, tilt = heard.split([1, channels, slopes.shape[-1]], dim=-1)
-        mean = (above + (p[..., None] * tilt.unflatten(-1, (-1, channels))).sum(-2)) / total
-        return (place_values[rows] - ground - mean)[real]
+        kernel = exponent.clamp_min(_LEAST_LOG_WEIGHT).exp()
+        # relative to a value of the block: for equal values all differences are exactly 0
+        sums = kernel @ torch.cat([torch.ones_like(weight), levels - base, slopes], dim=-1)
+        total, offset, gradient = sums.split([1, channels, slopes.shape[-1]], dim=-1)
+        mean = (offset + (p[..., None] * gradient.unflatten(-1, (-1, channels))).sum(-2)) / total
+        return (sample_values[rows] - base - mean)[is_sample]
 
-    deviations, places_done = [], []
+    deviations, evaluated = [], []
     for tile in _tiles(cubes, cells):
-        deviations.append(checkpoint(part, *tile, feature, values, spoken, use_reentrant=False))
-        places_done.append(tile[0][tile[1]])
+        deviations.append(checkpoint(part, *tile, feature, values, table, use_reentrant=False))
+        evaluated.append(tile[0][tile[1]])
     if not deviations:
         return torch.zeros_like(values)
-    back = torch.argsort(torch.cat(places_done))
+    back = torch.argsort(torch.cat(evaluated))
     return torch.cat(deviations)[back]
 
 
@@ -148,19 +150,19 @@ def _with_norm(x: Float[Tensor, "B K F"], more: Tensor | float, *, first: bool) 
     return torch.cat([x, norm, ones] if first else [x, ones, norm], dim=-1)
 
 
-def cells_of(cubes: Cubes, guide: Float[Tensor, "N G"], values: Float[Tensor, "N D"], edge: float) -> Cells:
+def cells_of(cubes: Cubes, guide: Float[Tensor, "N G"], values: Float[Tensor, "N D"], edge: float) -> GridCells:
     """Divides each cube by the guide in steps of `edge`; centroids and means are differentiable, membership is not."""
     with torch.no_grad():
-        # what is not finite stays so in the sums, but may not choose a cell
+        # non-finite values stay in the sums, but do not choose a cell
         step = torch.floor(torch.nan_to_num(guide.detach().double(), 0.0, 0.0, 0.0) / edge)
         step -= step.amin(0) if len(step) else 0
-        if bool((step >= _SPAN).any()):
+        if bool((step >= _STEPS_PER_CHANNEL).any()):
             raise StageError(
-                "a guide of the bilateral term spans more than 16000 of its widths; give it a larger sigma"
+                "a guiding map of the bilateral term spans more than 16000 of its widths; give it a larger sigma"
             )
         key = cubes.cube
         for channel in step.long().unbind(1):
-            _, key = torch.unique(key * _SPAN + channel, return_inverse=True)
+            _, key = torch.unique(key * _STEPS_PER_CHANNEL + channel, return_inverse=True)
         count = int(key.max()) + 1 if len(key) else 0
         member = torch.empty(count, dtype=torch.long, device=key.device)
         member[key] = torch.arange(len(key), device=key.device)
@@ -168,31 +170,31 @@ def cells_of(cubes: Cubes, guide: Float[Tensor, "N G"], values: Float[Tensor, "N
     number = guide.new_zeros(count).index_add(0, key, torch.ones_like(guide[:, 0]))
 
     def mean(of: Tensor) -> Tensor:
-        # about a member: a mean of equal numbers is that number
-        about = of[member].detach()
-        return about + of.new_zeros(count, of.shape[1]).index_add(0, key, of - about[key]) / number[:, None].to(of)
+        # relative to a member: a mean of equal numbers is exactly that number
+        base = of[member].detach()
+        return base + of.new_zeros(count, of.shape[1]).index_add(0, key, of - base[key]) / number[:, None].to(of)
 
     feature = torch.cat([cubes.positions.to(guide.dtype), guide], dim=1)
     centroid, middle = mean(feature), mean(values)
-    spread = (feature - centroid[key])[:, :, None] * (values - middle[key])[:, None]
-    slope = mean(spread.flatten(1)).unflatten(1, spread.shape[1:])
+    covariance = (feature - centroid[key])[:, :, None] * (values - middle[key])[:, None]
+    slope = mean(covariance.flatten(1)).unflatten(1, covariance.shape[1:])
     cubes_in_all = int(cubes.cube.max()) + 1 if count else 0
     first = torch.searchsorted(of_cell, torch.arange(cubes_in_all + 1, device=key.device))
-    return Cells(key, number, centroid, middle, slope, first)
+    return GridCells(key, number, centroid, middle, slope, first)
 
 
-def _tiles(cubes: Cubes, cells: Cells) -> Iterator[tuple[Tensor, Tensor, Tensor, Tensor]]:
-    """Rows (T R) of places with which of them are real, and the cells (T W) that they hear with which of those sound.
+def _tiles(cubes: Cubes, cells: GridCells) -> Iterator[tuple[Tensor, ...]]:
+    """Samples (T R) and which of them are no padding, and the cells (T W) of their sums and which are no padding.
 
-    Tiles of like size go together, padded: with the first place as a row that is not real, with a silent cell.
+    Tiles of similar size are evaluated together, padded with a sample of the block and with cell 0.
     """
     device = cells.count.device
     order, first = cubes.order.cpu().numpy(), cubes.first.cpu().numpy()
-    heard, heard_first = cubes.heard.cpu().numpy(), cubes.heard_first.cpu().numpy()
+    near, near_first = cubes.near.cpu().numpy(), cubes.near_first.cpu().numpy()
     cell_first = cells.first.cpu().numpy()
     size = np.diff(cell_first)
-    before = np.concatenate([[0], np.cumsum(size[heard])])
-    width = before[heard_first[1:]] - before[heard_first[:-1]]
+    before = np.concatenate([[0], np.cumsum(size[near])])
+    width = before[near_first[1:]] - before[near_first[:-1]]
     most = np.clip(_PAIRS // np.maximum(width, 1), 1, _ROWS)
     per_block = -(-np.diff(first) // most)
     block = np.repeat(np.arange(len(width)), per_block)
@@ -207,16 +209,17 @@ def _tiles(cubes: Cubes, cells: Cells) -> Iterator[tuple[Tensor, Tensor, Tensor,
         stop = _chunk_end(by_size, start, wanted, width[block])
         tile = by_size[start:stop]
         slot = np.arange(wanted[tile[-1]])
-        real = slot < rows[tile, None]
-        row = order[begin[tile, None] + np.where(real, slot, 0)]
-        listed = _listed(block[tile], heard, heard_first, cell_first, size, int(width[block[tile]].max()))
-        row_, real_, listed_, sounding = (torch.from_numpy(part).to(device) for part in (row, real, *listed))
-        yield row_, real_, listed_, sounding
+        is_sample = slot < rows[tile, None]
+        row = order[begin[tile, None] + np.where(is_sample, slot, 0)]
+        listed, is_cell = _cells_of_blocks(
+            block[tile], near, near_first, cell_first, size, int(width[block[tile]].max())
+        )
+        yield tuple(torch.from_numpy(part).to(device) for part in (row, is_sample, listed, is_cell))
         start = stop
 
 
 def _chunk_end(by_size: NDArray[np.int64], start: int, rows: NDArray[np.int64], width: NDArray[np.int64]) -> int:
-    """How far tiles of one number of rows go until their pairs, or the features of their cells, fill an evaluation."""
+    """The end of the tiles of one number of rows that fit into one evaluation, with the features of their cells."""
     same = rows[by_size[start]]
     high = int(np.searchsorted(rows[by_size], same, side="right"))
     widths = width[by_size[start:high]]
@@ -224,24 +227,24 @@ def _chunk_end(by_size: NDArray[np.int64], start: int, rows: NDArray[np.int64], 
     return start + max(1, int(np.searchsorted(pairs, _PAIRS, side="right")))
 
 
-def _listed(
+def _cells_of_blocks(
     blocks: NDArray[np.int64],
-    heard: NDArray[np.int64],
-    heard_first: NDArray[np.int64],
+    near: NDArray[np.int64],
+    near_first: NDArray[np.int64],
     cell_first: NDArray[np.int64],
     size: NDArray[np.int64],
     width: int,
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Cells (T W) that each of the blocks hears, filled up with cell 0, and which are not filling."""
-    speakers = [heard[heard_first[b] : heard_first[b + 1]] for b in blocks]
-    speaker = np.concatenate(speakers)
-    length = size[speaker]
+    """Cells (T W) near each of the blocks, padded with cell 0, and which are no padding."""
+    cubes = [near[near_first[b] : near_first[b + 1]] for b in blocks]
+    cube = np.concatenate(cubes)
+    length = size[cube]
     offset = np.arange(length.sum()) - np.repeat(np.cumsum(length) - length, length)
-    flat = np.repeat(cell_first[speaker], length) + offset
-    tile = np.repeat(np.repeat(np.arange(len(blocks)), [len(s) for s in speakers]), length)
+    flat = np.repeat(cell_first[cube], length) + offset
+    tile = np.repeat(np.repeat(np.arange(len(blocks)), [len(c) for c in cubes]), length)
     total = np.bincount(tile, minlength=len(blocks))
     column = np.arange(len(flat)) - np.repeat(np.cumsum(total) - total, total)
     listed = np.zeros((len(blocks), width), dtype=np.int64)
-    sounding = np.zeros((len(blocks), width), dtype=bool)
-    listed[tile, column], sounding[tile, column] = flat, True
-    return listed, sounding
+    is_cell = np.zeros((len(blocks), width), dtype=bool)
+    listed[tile, column], is_cell[tile, column] = flat, True
+    return listed, is_cell

@@ -1,4 +1,4 @@
-"""Places that are near and of like diffuse colour have like specular albedo (Zhu et al. 2023)."""
+"""Bilateral smoothness of the specular albedo, guided by position and diffuse albedo (Zhu et al. 2023)."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 class BilateralSpecular(Regularizer):
     """`R = Σ_p ‖ρs[p] − Σ_q k_pq ρs[q] / Σ_q k_pq‖₁`, `k_pq = exp(−‖p−q‖²/2σ1² − ‖ρd[p]−ρd[q]‖²/2σ2²)`.
 
-    q runs over all places including p. The gradient reaches ρs, and ρd through k. A constant ρs costs nothing, and a
-    material with one ρs for the whole surface has nothing to compare: that is warned of.
+    q runs over all samples including p. The gradient reaches ρs, and ρd through k. A constant ρs has no energy. For a
+    material with one ρs for the whole surface the term has no effect, and a warning says so.
     """
 
     def __init__(self, config: BilateralSpecularOptions) -> None:
@@ -42,13 +42,13 @@ class BilateralSpecular(Regularizer):
             )
             return _nothing
         size = (material.specular_albedo.shape[0], material.specular_albedo.shape[1])
-        smooth = surface_filter(scene.mesh, size, config)
+        smoothing = surface_filter(scene.mesh, size, config)
 
         def energy(scene: Scene) -> Float[Tensor, ""]:
             assert scene.material is not None
-            specular = smooth.places.values(scene.material.specular_albedo)
-            diffuse = smooth.places.values(scene.material.diffuse_albedo) / config.sigma_albedo
-            total = smooth.deviation(diffuse, specular).abs().sum()
+            specular = smoothing.samples.values(scene.material.specular_albedo)
+            diffuse = smoothing.samples.values(scene.material.diffuse_albedo) / config.sigma_albedo
+            total = smoothing.deviation(diffuse, specular).abs().sum()
             return total / max(len(specular), 1) if config.average else total
 
         return energy

@@ -1,4 +1,4 @@
-"""What the bilateral regularizers share: the places of a mesh, and the mean of values around each of them."""
+"""The filter of the bilateral regularizers: samples of a mesh, and bilateral means around each of them."""
 
 from __future__ import annotations
 
@@ -14,33 +14,35 @@ from hir_core.scene import Mesh
 from hir_plugins.regularizers.bilateral.bilateral_grid import bilateral_deviation, cubes_of
 from hir_plugins.regularizers.bilateral.bilateral_pairs import deviation_of_pairs
 from hir_plugins.regularizers.material_options import BilateralOptions
-from hir_plugins.regularizers.surface_samples import Places, places_of
+from hir_plugins.regularizers.surface_samples import SurfaceSamples, sample_surface
 
 
 @dataclass(frozen=True, eq=False)
 class SurfaceFilter:
-    """Places, and `deviation(guide N G in σ, values N D)`: values minus their bilateral mean."""
+    """Samples, and `deviation(guide N G in σ, values N D)`: values minus their bilateral mean."""
 
-    places: Places
+    samples: SurfaceSamples
     deviation: Callable[[Float[Tensor, "N G"], Float[Tensor, "N D"]], Float[Tensor, "N D"]]
 
 
 def surface_filter(mesh: Mesh, size: tuple[int, int], config: BilateralOptions) -> SurfaceFilter:
     """For the vertices, or the texels of a texture of `size` (height, width); σ1 is a fraction of the mesh's bounds."""
-    places = places_of(mesh, config.places, size)
-    positions = places.positions
+    samples = sample_surface(mesh, config.samples, size)
+    positions = samples.positions
     if len(positions) == 0:
-        return SurfaceFilter(places, lambda guide, values: values * 0)
+        return SurfaceFilter(samples, lambda guide, values: values * 0)
     low, high = positions.amin(0), positions.amax(0)
     scaled = (positions - low) / (config.sigma_position * max(float((high - low).norm()), 1e-30))
     if config.method == "all_pairs":
-        return SurfaceFilter(places, partial(deviation_of_pairs, scaled))
-    cubes = cubes_of(scaled, config.cutoff, config.cell)
-    return SurfaceFilter(places, partial(bilateral_deviation, cubes, edge=config.cell))
+        return SurfaceFilter(samples, partial(deviation_of_pairs, scaled))
+    cubes = cubes_of(scaled, config.cutoff, config.cell_size)
+    return SurfaceFilter(samples, partial(bilateral_deviation, cubes, edge=config.cell_size))
 
 
 def refuse_empty_widths(name: str, config: BilateralOptions) -> None:
-    """A width of 0 divides by 0."""
+    """`ConfigError` for a width of 0, which would divide by 0."""
     for field in fields(config):
-        if (field.name.startswith("sigma") or field.name in ("cutoff", "cell")) and getattr(config, field.name) <= 0:
+        if (field.name.startswith("sigma") or field.name in ("cutoff", "cell_size")) and getattr(
+            config, field.name
+        ) <= 0:
             raise ConfigError(f"regularizer {name}: {field.name} must be greater than 0")

@@ -1,4 +1,4 @@
-"""Places that are near and alike in all maps of the material are pulled together; where any map has an edge, none."""
+"""Joint bilateral smoothness: near points that are similar in all maps of the material are pulled together."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class JointBilateral(Regularizer):
     """`mean_p Σ_c w_c |c[p] − Σ_q k_pq c[q] / Σ_q k_pq|` over the channels c of all maps (Tomasi, Manduchi 1998).
 
     `k_pq = exp(−‖p−q‖²/2σ² − Σ_c (c[p]−c[q])²/2σ_c²)`: every map guides every other and itself. The gradient is that of
-    the value, through k too. Constants cost nothing and have no say.
+    the value, through k too. A constant map has no energy and guides nothing.
     """
 
     def __init__(self, config: JointBilateralOptions) -> None:
@@ -44,21 +44,21 @@ class JointBilateral(Regularizer):
         names = [name for name in MAPS if getattr(scene.material, name).ndim == 3]
         weights = {name: getattr(self._config, name) for name in names}
         if not any(weights.values()):
-            warnings.warn("regularizer joint_bilateral has no effect: no map that it weighs is a texture", stacklevel=2)
+            warnings.warn("regularizer joint_bilateral has no effect: no map with a weight is a texture", stacklevel=2)
             return _nothing
-        smooth = surface_filter(scene.mesh, _largest(scene.material, names), self._config)
+        smoothing = surface_filter(scene.mesh, _largest(scene.material, names), self._config)
 
         def energy(scene: Scene) -> Float[Tensor, ""]:
-            values = {name: smooth.places.values(getattr(scene.material, name)) for name in names}
+            values = {name: smoothing.samples.values(getattr(scene.material, name)) for name in names}
             guide = torch.cat([values[name] / self._widths[name] for name in names], dim=1)
-            weighed = torch.cat([values[name] * weights[name] for name in names], dim=1)
-            return smooth.deviation(guide, weighed).abs().sum() / max(len(weighed), 1)
+            weighted = torch.cat([values[name] * weights[name] for name in names], dim=1)
+            return smoothing.deviation(guide, weighted).abs().sum() / max(len(weighted), 1)
 
         return energy
 
 
 def _largest(material: Material, names: list[str]) -> tuple[int, int]:
-    """Height and width of the finest map: its texels are the places."""
+    """Height and width of the finest map: its texels are the samples."""
     shapes = [getattr(material, name).shape for name in names]
     height, width = max(((int(s[0]), int(s[1])) for s in shapes), key=lambda s: s[0] * s[1])
     return height, width

@@ -9,7 +9,7 @@ import trimesh
 from hir_exporters.conventions import latlong_directions, linear_to_srgb
 
 from hir_core.metrics import light_metrics, published_conventions, surface_metrics
-from hir_core.rendering.run_pictures import orbit_cameras
+from hir_core.rendering.orbit_cameras import orbit_cameras
 
 
 def ball(radius: float = 1.0, subdivisions: int = 5) -> tuple[np.ndarray, np.ndarray]:
@@ -44,7 +44,7 @@ class TestSurfaces:
         points = np.random.default_rng(7).uniform(-2, 2, (500, 3))
         outside = np.linalg.norm(np.maximum(np.abs(points) - 0.5, 0), axis=1)
         inside = np.maximum(0.5 - np.abs(points).max(axis=1), 0)
-        found, face = surface_metrics.NearestPoints(box.vertices, box.faces)(points)
+        found, face = surface_metrics.MeshQueries(box.vertices, box.faces).nearest(points)
         np.testing.assert_allclose(found, outside + inside, atol=1e-6)
         assert face.min() >= 0 and face.max() < len(box.faces)
 

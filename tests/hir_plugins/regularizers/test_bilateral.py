@@ -21,11 +21,11 @@ from hir_plugins.regularizers.bilateral.bilateral_pairs import deviation_of_pair
 from hir_plugins.regularizers.bilateral.bilateral_specular import BilateralSpecular
 from hir_plugins.regularizers.bilateral.joint_bilateral import JointBilateral
 from hir_plugins.regularizers.material_options import BilateralSpecularOptions, JointBilateralOptions
-from hir_plugins.regularizers.surface_samples import places_of
+from hir_plugins.regularizers.surface_samples import sample_surface
 from tests.fixtures.scenes import bumpy_sphere
 
 DEFAULTS = BilateralSpecularOptions()
-CUTOFF, CELL = DEFAULTS.cutoff, DEFAULTS.cell
+CUTOFF, CELL = DEFAULTS.cutoff, DEFAULTS.cell_size
 
 
 def textured(subdivisions: int = 2, size: int = 16, dtype: torch.dtype = torch.float64) -> Scene:
@@ -41,7 +41,7 @@ def textured(subdivisions: int = 2, size: int = 16, dtype: torch.dtype = torch.f
 
 
 def surface(count: int, per_width: float, noise: float) -> tuple[Tensor, Tensor, Tensor]:
-    """Places on a sphere with so many to a square σ1, two colours with noise in σ2, values of white noise; float64."""
+    """Samples on a sphere, `per_width` to a square σ1, two colours with noise in σ2, values of white noise; float64."""
     generator = torch.Generator().manual_seed(0)
     x = torch.nn.functional.normalize(torch.randn(count, 3, generator=generator, dtype=torch.float64), dim=1)
     radius = (count / per_width / (4 * np.pi)) ** 0.5
@@ -81,29 +81,29 @@ def assert_gradient_close(value: Callable[..., Tensor], leaves: list[Tensor], rt
         assert float((gradient * direction).sum()) == pytest.approx((sides[0] - sides[1]) / 2e-7, rel=rtol)
 
 
-@pytest.mark.parametrize("places", ["vertices", "texels"])
-@pytest.mark.parametrize("method", ["all_pairs", "cells"])
-def test_bilateral_is_the_papers_sum(places: str, method: str) -> None:
-    """The reference to the rounding of float32 positions; the fast sum, of few places in narrow cells, nearly."""
+@pytest.mark.parametrize("samples", ["vertices", "texels"])
+@pytest.mark.parametrize("method", ["all_pairs", "grid"])
+def test_bilateral_is_the_papers_sum(samples: str, method: str) -> None:
+    """The reference to the rounding of float32 positions; the fast sum, of few samples in small cells, nearly."""
     scene = textured()
     assert scene.material is not None
-    options = BilateralSpecularOptions(0.1, places, method, cutoff=7.0, cell=0.01, sigma_albedo=0.2)  # type: ignore[arg-type]
+    options = BilateralSpecularOptions(0.1, samples, method, cutoff=7.0, cell_size=0.01, sigma_albedo=0.2)  # type: ignore[arg-type]
     value = float(BilateralSpecular(options).prepare(scene)(scene))
-    spots = places_of(scene.mesh, places, (16, 16))  # type: ignore[arg-type]
+    spots = sample_surface(scene.mesh, samples, (16, 16))  # type: ignore[arg-type]
     positions = spots.positions.double().numpy()
     diagonal = float(np.linalg.norm(positions.max(0) - positions.min(0)))
     maps = [spots.values(m).numpy() for m in (scene.material.diffuse_albedo, scene.material.specular_albedo)]
     assert value == pytest.approx(definition(positions, maps[0], maps[1], 0.1 * diagonal, 0.2), rel=1e-5)
 
 
-@pytest.mark.parametrize("method", ["all_pairs", "cells"])
-@pytest.mark.parametrize("places", ["vertices", "texels"])
-def test_gradients_match_finite_differences(method: str, places: str) -> None:
+@pytest.mark.parametrize("method", ["all_pairs", "grid"])
+@pytest.mark.parametrize("samples", ["vertices", "texels"])
+def test_gradients_match_finite_differences(method: str, samples: str) -> None:
     scene = textured()
     assert scene.material is not None
     material = scene.material
-    paper = BilateralSpecular(BilateralSpecularOptions(0.1, places, method, sigma_albedo=0.2)).prepare(scene)  # type: ignore[arg-type]
-    joint = JointBilateral(JointBilateralOptions(0.1, places, method)).prepare(scene)  # type: ignore[arg-type]
+    paper = BilateralSpecular(BilateralSpecularOptions(0.1, samples, method, sigma_albedo=0.2)).prepare(scene)  # type: ignore[arg-type]
+    joint = JointBilateral(JointBilateralOptions(0.1, samples, method)).prepare(scene)  # type: ignore[arg-type]
     maps = [material.diffuse_albedo, material.specular_albedo]
     assert_gradient_close(lambda *m: paper(with_maps(scene, *m)), maps, 1e-5)
     maps.append(material.roughness)
@@ -194,7 +194,7 @@ def test_pairs_grow_linearly() -> None:
     assert pairs[1] < 0.05 * 32_000**2
 
 
-@pytest.mark.parametrize("method", ["cells", "all_pairs"])
+@pytest.mark.parametrize("method", ["grid", "all_pairs"])
 def test_flat_maps_cost_exactly_nothing(method: str) -> None:
     scene = textured()
     assert scene.material is not None
@@ -243,7 +243,7 @@ def test_joint_bilateral_smooths_noise_and_keeps_edges_of_any_map() -> None:
         )
         energy(replace(scene, material=material)).backward()
         optimizer.step()
-    seen = places_of(scene.mesh, "texels", (16, 16)).values(torch.ones(16, 16, 1).double())[:, 0] > 0
+    seen = sample_surface(scene.mesh, "texels", (16, 16)).values(torch.ones(16, 16, 1).double())[:, 0] > 0
     assert bool(seen.all())
     before, after = (start - clean).square().mean(), (leaf.detach() - clean).square().mean()
     assert float(after) < 0.5 * float(before)
@@ -289,7 +289,7 @@ def test_over_texels_of_an_atlas_it_stays_finite() -> None:
     mesh, _ = unwrap_mesh(bumpy_sphere(3), 64)
     diffuse, specular = torch.zeros(64, 64, 3, requires_grad=True), torch.rand(64, 64, 3, requires_grad=True)
     scene = Scene(mesh, Material("dielectric", diffuse, specular, torch.ones(1)))
-    value = BilateralSpecular(BilateralSpecularOptions(places="texels", average=True)).prepare(scene)(scene)
+    value = BilateralSpecular(BilateralSpecularOptions(samples="texels", average=True)).prepare(scene)(scene)
     assert torch.isfinite(value)
     for gradient in torch.autograd.grad(value, (diffuse, specular)):
         assert torch.isfinite(gradient).all()

@@ -106,7 +106,7 @@ def test_variation_at_vertices_matches_finite_differences_and_is_0_where_flat() 
     torch.manual_seed(0)
     look = Material("paper", torch.rand(8, 8, 3).double(), torch.rand(8, 8, 3).double(), torch.rand(4, 4, 1).double())
     scene = Scene(grid(5), look)
-    energy = TotalVariation(TotalVariationOptions(places="vertices")).prepare(scene)
+    energy = TotalVariation(TotalVariationOptions(samples="vertices")).prepare(scene)
 
     def value(diffuse: Tensor, roughness: Tensor) -> Tensor:
         return energy(replace(scene, material=replace(look, diffuse_albedo=diffuse, roughness=roughness)))
@@ -177,8 +177,8 @@ def test_the_scale_guard_of_black_is_finite(shape: tuple[int, ...]) -> None:
 PLUGINS = PluginManager.discover()
 TERMS: Mapping[str, Mapping[str, Any]] = {
     "total_variation": {"weight": 300.0},
-    "joint_bilateral": {"weight": 3e4, "places": "texels", "sigma_position": 0.1},
-    "bilateral_specular": {"weight": 30.0, "places": "texels", "sigma_position": 0.1, "sigma_albedo": 1.0},
+    "joint_bilateral": {"weight": 3e4, "samples": "texels", "sigma_position": 0.1},
+    "bilateral_specular": {"weight": 30.0, "samples": "texels", "sigma_position": 0.1, "sigma_albedo": 1.0},
 }
 
 

@@ -16,11 +16,11 @@ import torch
 from hir_exporters.conventions import linear_to_srgb, srgb_to_linear
 
 from hir_core.capture import Capture
-from hir_core.evaluation import spread
 from hir_core.intake.reader_lookup import find_reader, read_capture
-from hir_core.mesh.ray_casting import SurfaceRays
+from hir_core.mesh.ray_casting import MeshQueries
 from hir_core.metrics import OBJECT_COVERAGE, composite, mean, psnr, unassociate
-from hir_core.rendering.unlit import UnlitView
+from hir_core.rendering.unlit_renderer import UnlitRenderer
+from hir_core.rendering.view_selection import evenly_spaced_indices
 from hir_core.scene import Scene, Topology
 from hir_plugins.commands.bench.bench_plan import Plan
 from hir_plugins.commands.bench.results.bench_result import Case, Row, Timing
@@ -58,9 +58,9 @@ def color_mapped(scene: Scene, train: Capture) -> Scene:
     while len(mesh.triangles) * 4 <= 2 * TRIANGLES:
         mesh = mesh.subdivide_midpoint(1)
     mesh.compute_vertex_normals()
-    rays = SurfaceRays(np.asarray(mesh.vertices, np.float32), np.asarray(mesh.triangles))
+    rays = MeshQueries(np.asarray(mesh.vertices, np.float32), np.asarray(mesh.triangles))
     images, places = [], []
-    for i in spread(len(train.views), VIEWS):
+    for i in evenly_spaced_indices(len(train.views), VIEWS):
         image, place = _rgbd(o3d, train, i, rays, mesh)
         images.append(image)
         places.append(place)
@@ -84,7 +84,7 @@ def color_mapped(scene: Scene, train: Capture) -> Scene:
     return Scene(fine)
 
 
-def _rgbd(o3d: Any, train: Capture, i: int, rays: SurfaceRays, mesh: Any) -> tuple[Any, Any]:
+def _rgbd(o3d: Any, train: Capture, i: int, rays: MeshQueries, mesh: Any) -> tuple[Any, Any]:
     """Photograph and true depth of one view, as open3d wants them."""
     camera = train.cameras[i].downsampled(DOWNSAMPLE)
     pixels = train.views[i].pixels().downsampled(DOWNSAMPLE)
@@ -115,9 +115,9 @@ def _rgbd(o3d: Any, train: Capture, i: int, rays: SurfaceRays, mesh: Any) -> tup
 
 def unlit_psnr(scene: Scene, capture: Capture) -> float:
     """Mean PSNR over object pixels of a few views, shown without light."""
-    unlit = UnlitView(scene)
+    unlit = UnlitRenderer(scene)
     found: list[float | None] = []
-    for i in spread(len(capture.views), EVALUATED_VIEWS):
+    for i in evenly_spaced_indices(len(capture.views), EVALUATED_VIEWS):
         pixels = capture.views[i].pixels().downsampled(DOWNSAMPLE)
         fit = unlit.render(capture.cameras[i].downsampled(DOWNSAMPLE))
         assert pixels.mask is not None

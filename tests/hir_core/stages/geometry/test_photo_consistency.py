@@ -11,7 +11,7 @@ from torch.nn.functional import avg_pool2d
 
 from hir_core.capture import Camera, Capture, Pixels
 from hir_core.config import GeometrySettings
-from hir_core.mesh.ray_casting import SurfaceRays
+from hir_core.mesh.ray_casting import MeshQueries
 from hir_core.plugins.manager import PluginManager
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import Mesh, Scene
@@ -67,7 +67,7 @@ class _Photograph:
 def _photographed(positions: Positions, faces: Faces, cameras: list[Camera], plain: bool = False) -> Capture:
     """Unlit photographs of the pattern, one ray a pixel; `plain`: of one grey."""
     capture = capture_of(positions, faces, cameras)
-    tracer = SurfaceRays(positions.astype(np.float32), faces)
+    tracer = MeshQueries(positions.astype(np.float32), faces)
     views = []
     for view, camera in zip(capture.views, cameras, strict=True):
         y, x = np.mgrid[: camera.height, : camera.width]
@@ -102,7 +102,7 @@ def _floor_height(mesh: Mesh) -> float:
     origin = np.concatenate([spots, np.full((len(spots), 1), 3.0)], axis=1)
     direction = np.tile([0.0, 0.0, -1.0], (len(spots), 1))
     positions, faces = mesh.positions.double().numpy(), mesh.faces.numpy()
-    face = SurfaceRays(positions.astype(np.float32), faces).first_faces(
+    face = MeshQueries(positions.astype(np.float32), faces).first_faces(
         origin.astype(np.float32), direction.astype(np.float32)
     )
     return float(_on_faces(positions, faces, face, origin, direction)[:, 2].mean())
