@@ -28,20 +28,23 @@ SMALL = {
     "geometry.iterations": "15",
     "geometry.levels": "2",
     "geometry.triangles": "1200",
-    "geometry.photograph_iterations": "6",
+    "geometry.photo_consistency_iterations": "6",
     "atlas.texture_size": "64",
     "reflectance.environment_height": "8",
     "reflectance.environment_width": "16",
     "initializer.visual_hull.max_resolution": "40",
-    "reflectance_renderer.transport_ggx.steps": "24",
-    "reflectance_renderer.transport_ggx.cache_cells": "300",
-    "reflectance_renderer.transport_ggx.vertices": "1500",
-    "reflectance_renderer.transport_ggx.samples": "4",
     "export": '["glb", "usdz", "obj", "hdr"]',
     "checkpoint_seconds": "0.05",
 }
 KINDS = {
-    "cached": {"reflectance.light_frame": "world", "reflectance.brdf": "dielectric"},
+    "cached": {
+        "reflectance.light_frame": "world",
+        "reflectance.brdf": "dielectric",
+        "reflectance_renderer.transport_ggx.steps": "24",
+        "reflectance_renderer.transport_ggx.cache_cells": "300",
+        "reflectance_renderer.transport_ggx.vertices": "1500",
+        "reflectance_renderer.transport_ggx.samples": "4",
+    },
     "traced": {
         "reflectance.renderer": "mitsuba_ggx",
         "reflectance.method": "gradient",
@@ -57,7 +60,7 @@ KINDS = {
         "initializer.colmap.max_features": "1024",
     },
 }
-"""The renderer on cached transport with its ladder of models; the path tracer with gradient steps; cameras solved from
+"""The renderer on cached transport with model selection; the path tracer with gradient steps; cameras solved from
 photographs alone, and the colours that a mesh has in them."""
 
 UNTIL = {"sfm": "initializer"}

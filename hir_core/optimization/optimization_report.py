@@ -11,10 +11,7 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hir_core.plugins.progress import Progress
-
-PROGRESS_INTERVAL_S = 0.25
-"""Observers receive progress at most this often."""
+from hir_core.plugins.progress import Progress, Throttle
 
 Terms = Mapping[str, Float[Tensor, ""]]
 """Weighted terms of a loss by name; their sum is minimised."""
@@ -45,7 +42,7 @@ class ScalarRecorder:
         self._stage, self._report, self._first, self._steps = stage, report, first_step, steps
         self._pending: list[dict[str, Tensor]] = []
         self._parts: dict[str, list[NDArray[np.float32]]] = {}
-        self._start = self._sent = time.monotonic()
+        self._start, self._throttle = time.monotonic(), Throttle()
         self._step = first_step
 
     @property
@@ -62,7 +59,7 @@ class ScalarRecorder:
         """Adds the scalars of a step."""
         self._step = self._first + step + 1
         self._pending.append({name: value.detach() for name, value in scalars.items()})
-        if time.monotonic() - self._sent >= PROGRESS_INTERVAL_S:
+        if self._throttle.ready:
             self.send()
 
     def restore(self, step: int, curves: Mapping[str, NDArray[np.float32]]) -> None:
@@ -80,5 +77,5 @@ class ScalarRecorder:
         for name, values in sent.items():
             self._parts.setdefault(name, []).append(values)
         self._pending = []
-        self._sent = time.monotonic()
+        self._throttle.restart()
         self._report(Progress(self._stage, self._step, self._steps, self.seconds, sent))

@@ -1,19 +1,23 @@
-"""What observers are told while a stage runs."""
+"""The progress of a running stage, as observers receive it."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import final
 
 import numpy as np
 
-MODEL_FITTED, MODELS_COMPARED = "fit", "vote"
-"""Milestones of the reflectance stage: a model was fitted and judged; a rung of the ladder was kept or refused."""
+MODEL_FITTED, MODELS_COMPARED = "model_fitted", "models_compared"
+"""Milestones of the reflectance stage: a model was fitted and evaluated; a candidate was accepted or rejected."""
+PROGRESS_INTERVAL_S = 0.25
+"""Shortest time between two reports to observers."""
 
 
 @dataclass(frozen=True)
 class Progress:
-    """A block of steps of a stage; `scalars` holds one array a name, as long as the block."""
+    """A block of steps of a stage; `scalars` has one array for each name, as long as the block."""
 
     stage: str
     step: int
@@ -24,10 +28,28 @@ class Progress:
     phase_seconds: float | None = None
     """Seconds of the phase that `step` and `steps` count, where a stage has several; None: `seconds`."""
     milestone: str = ""
-    """Names the kind of thing that has just ended; timings.json holds when."""
+    """The kind of milestone that was reached; timings.json holds its time."""
 
     @property
     def seconds_left(self) -> float:
         """Estimate from the steps done so far; 0 before the first."""
         spent = self.seconds if self.phase_seconds is None else self.phase_seconds
         return spent / self.step * (self.steps - self.step) if self.step else 0.0
+
+
+@final
+class Throttle:
+    """Limits how often something is reported."""
+
+    def __init__(self, interval_s: float = PROGRESS_INTERVAL_S, first_at_once: bool = False) -> None:
+        self.interval_s = interval_s
+        self._last = float("-inf") if first_at_once else time.monotonic()
+
+    @property
+    def ready(self) -> bool:
+        """Whether the interval has passed since the last `restart`."""
+        return time.monotonic() - self._last >= self.interval_s
+
+    def restart(self) -> None:
+        """Something was reported now."""
+        self._last = time.monotonic()

@@ -1,4 +1,4 @@
-"""Gathers what a stage reports and passes it on in blocks, at most four times a second."""
+"""Collects the progress of a stage and sends it to observers in blocks, at most four times a second."""
 
 from __future__ import annotations
 
@@ -15,19 +15,18 @@ from hir_exporters.files.atomic import atomic_path
 
 from hir_core.errors import InputError
 from hir_core.files.array_files import read_arrays
-from hir_core.plugins.progress import Progress
+from hir_core.plugins.progress import Progress, Throttle
 from hir_core.run.interrupt import raise_lost_interrupt
 
 if TYPE_CHECKING:
     from hir_core.plugins.manager import PluginManager
 
-INTERVAL_SECONDS = 0.25
-HEARTBEAT_SECONDS = 0.5
-"""A stage that says nothing for this long is said to be alive, with its seconds; nobody waits 5 s in silence."""
+HEARTBEAT_INTERVAL_S = 0.5
+"""A stage without progress for this long is reported again, with its seconds, so that users see it is alive."""
 
 
 class ProgressListener:
-    """The `report` of one stage; keeps the curves of its scalars."""
+    """Receives the progress of one stage; stores the curves of its scalars."""
 
     def __init__(self, stage: str, plugins: PluginManager, on_progress: Callable[[Progress], None] | None) -> None:
         self._stage = stage
@@ -35,24 +34,25 @@ class ProgressListener:
         self._on_progress = on_progress
         self._curves: dict[str, list[np.ndarray]] = {}
         self._steps: dict[str, list[np.ndarray]] = {}
-        self._waiting: dict[str, list[np.ndarray]] = {}
+        self._pending: dict[str, list[np.ndarray]] = {}
         self._last: Progress | None = None
-        self._told = 0.0
+        self._throttle = Throttle(first_at_once=True)
+        self._heartbeat = Throttle(HEARTBEAT_INTERVAL_S, first_at_once=True)
         self._started = self._phase_started = time.perf_counter()
         self.seconds: list[tuple[int, float]] = []
         """Pairs of step and seconds since the stage began, one for each block."""
         self.milestones: list[tuple[str, float]] = []
-        """What ended when, in seconds since the stage began."""
+        """Milestones and their times, in seconds since the stage began."""
 
     def report(self, progress: Progress) -> None:
-        """Takes one block of a stage; an interrupt that was swallowed since the last one is raised here."""
+        """Receives one block of a stage; raises an interrupt that a library swallowed since the last one."""
         raise_lost_interrupt()
         for name, values in progress.scalars.items():
             block = np.atleast_1d(np.asarray(values, dtype=np.float64))
-            self._waiting.setdefault(name, []).append(block)
+            self._pending.setdefault(name, []).append(block)
             self._curves.setdefault(name, []).append(block)
             self._steps.setdefault(name, []).append(np.arange(progress.step - len(block) + 1, progress.step + 1))
-        # a stage may count its seconds level by level, and begin to count anew: what is left follows from its phase
+        # a stage may count steps and seconds level by level: the time left follows from the current level
         if self._last is not None and (progress.steps != self._last.steps or progress.step < self._last.step):
             self._phase_started = time.perf_counter() - progress.seconds
         now = time.perf_counter()
@@ -60,13 +60,12 @@ class ProgressListener:
         if progress.milestone:
             self.milestones.append((progress.milestone, round(spent, 3)))
         self._last = replace(progress, stage=self._stage, seconds=spent, phase_seconds=phase, milestone="")
-        now = time.monotonic()
-        if now - self._told >= INTERVAL_SECONDS or progress.step >= progress.steps:
-            self._tell(now)
+        if self._throttle.ready or progress.step >= progress.steps:
+            self._send()
 
     @contextlib.contextmanager
     def heartbeat(self) -> Iterator[None]:
-        """While the block runs, a thread repeats the last progress where the stage is silent."""
+        """While the block runs, a thread repeats the last progress when the stage reports none."""
         if self._on_progress is None:
             yield
             return
@@ -79,19 +78,19 @@ class ProgressListener:
             ended.set()
             thread.join()
 
-    def _beat(self, ended: threading.Event, tell: Callable[[Progress], None]) -> None:
-        while not ended.wait(HEARTBEAT_SECONDS):
-            if time.monotonic() - self._told >= HEARTBEAT_SECONDS:
+    def _beat(self, ended: threading.Event, send: Callable[[Progress], None]) -> None:
+        while not ended.wait(HEARTBEAT_INTERVAL_S):
+            if self._heartbeat.ready:
                 last = self._last or Progress(self._stage, 0, 1, 0.0)
                 now = time.perf_counter()
                 spent, phase = now - self._started, now - self._phase_started
-                tell(replace(last, seconds=spent, phase_seconds=phase, scalars={}))
+                send(replace(last, seconds=spent, phase_seconds=phase, scalars={}))
 
     def close(self, seconds: float) -> None:
-        """Passes on what still waits, and the end of the stage."""
+        """Sends what is pending, and the end of the stage."""
         last = self._last or Progress(self._stage, 1, 1, seconds)
         self._last = replace(last, step=last.steps, seconds=seconds)
-        self._tell(time.monotonic())
+        self._send()
 
     def write(self, path: Path) -> None:
         """Writes the curves: for each scalar its values and the steps they belong to; nothing where there are none."""
@@ -102,16 +101,17 @@ class ProgressListener:
         with atomic_path(path) as temporary:
             np.savez(temporary, **arrays)  # type: ignore[arg-type]
 
-    def _tell(self, now: float) -> None:
+    def _send(self) -> None:
         if self._last is None:
             return
-        self._told = now
-        told = replace(self._last, scalars={name: np.concatenate(b) for name, b in self._waiting.items()})
-        self._waiting = {}
-        self.seconds.append((told.step, round(told.seconds, 3)))
+        self._throttle.restart()
+        self._heartbeat.restart()
+        block = replace(self._last, scalars={name: np.concatenate(b) for name, b in self._pending.items()})
+        self._pending = {}
+        self.seconds.append((block.step, round(block.seconds, 3)))
         if self._on_progress is not None:
-            self._on_progress(told)
-        self._plugins.notify("hir_progress", progress=told)
+            self._on_progress(block)
+        self._plugins.notify("hir_progress", progress=block)
 
 
 def read_curves(path: Path) -> dict[str, tuple[np.ndarray, np.ndarray]]:

@@ -6,7 +6,7 @@ import sys
 from types import TracebackType
 from typing import Self
 
-from hir_core.plugins.progress import Progress
+from hir_core.plugins.progress import Progress, Throttle
 
 SHOWN_SCALARS = ("psnr", "held_out_psnr", "loss", "iou", "silhouette", "error")
 """Scalars in the order of preference; the first two that a stage reports are printed beside the bar."""
@@ -22,7 +22,7 @@ class ProgressBar:
     def __init__(self, quiet: bool = False) -> None:
         self._quiet = quiet
         self._stage = ""
-        self._last_line = 0.0
+        self._throttle = Throttle(LINE_SECONDS, first_at_once=True)
 
     def __enter__(self) -> Self:
         from rich.console import Console
@@ -76,12 +76,10 @@ class ProgressBar:
     def _plain(self, progress: Progress, left: str, error: str) -> None:
         if self._quiet:
             return
-        import time
-
-        now = time.monotonic()
-        if progress.stage == self._stage and now - self._last_line < LINE_SECONDS:
+        if progress.stage == self._stage and not self._throttle.ready:
             return
-        self._stage, self._last_line = progress.stage, now
+        self._stage = progress.stage
+        self._throttle.restart()
         done = f"{progress.stage}: {progress.step}/{progress.steps} after {time_text(progress.seconds)}"
         parts = [done, progress.message, left, error]
         print(", ".join(part for part in parts if part), file=sys.stderr, flush=True)

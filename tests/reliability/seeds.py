@@ -15,8 +15,9 @@ from hir_exporters.scene_format import save_scene
 from hir_exporters.textures.image_files import encode_png
 
 from hir_core.capture import Camera, Capture, OrientedPoints, Pixels, View
+from hir_core.plugins.progress import MODEL_FITTED, MODELS_COMPARED
 from hir_core.run.capture_store import save_capture
-from hir_plugins.commands.batch.scheduling.manifest import FORMAT, VERSION, document_bytes
+from hir_plugins.commands.batch.scheduling.manifest import FORMAT, VERSION, manifest_bytes
 from hir_plugins.commands.bench.results.bench_result import Result, Row, Timing
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -61,7 +62,9 @@ def run(folder: Path) -> None:
     from hir_core.run.run_directory import STAGE_NAMES, RunDirectory, StageRecord
 
     directory = RunDirectory(folder)
-    stages = {name: {"report": {"triangles": 12, "iou": 0.9, "warnings": []}, "warnings": ["thin"]} for name in STAGE_NAMES}
+    stages = {
+        name: {"report": {"triangles": 12, "iou": 0.9, "warnings": []}, "warnings": ["thin"]} for name in STAGE_NAMES
+    }
     directory.write_run(
         {
             "capture": {
@@ -88,7 +91,8 @@ def run(folder: Path) -> None:
             "asset_from_working": np.eye(4).tolist(),
         }
     )
-    ended = [["fit", 0.5], ["vote", 0.5], ["fit", 0.9], ["vote", 0.9], ["fit", 1.2], ["fit", 1.6]]
+    fitted, compared = MODEL_FITTED, MODELS_COMPARED
+    ended = [[fitted, 0.5], [compared, 0.5], [fitted, 0.9], [compared, 0.9], [fitted, 1.2], [fitted, 1.6]]
     timed = {
         "geometry": {"seconds": 1.0},
         "reflectance": {"seconds": 2.0, "progress": [[0, 0.1], [10, 1.9]], "milestones": ended},
@@ -184,7 +188,7 @@ def batch(folder: Path) -> None:
     }
     failed = {"state": "failed", "reason": "geometry: no", "retries": 2, "group": "geometry"}
     facts = {"format": FORMAT, "version": VERSION, "started": "today"}
-    (folder / "batch.json").write_bytes(document_bytes(facts, {"a": done, "b": failed}))
+    (folder / "batch.json").write_bytes(manifest_bytes(facts, {"a": done, "b": failed}))
     lease = {"owner": "token", "host": platform.node(), "pid": 1, "renewed": 0.0}
     (folder / "lease.json").write_text(json.dumps(lease))
 

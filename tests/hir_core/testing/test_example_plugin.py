@@ -102,6 +102,6 @@ def test_it_is_used_by_a_run_and_an_export(python: Path, tmp_path: Path) -> None
     document = json.loads((run / "run.json").read_text())
     assert document["settings"]["geometry"]["renderer"] == "midpoint_outline"
     assert any("light_chroma (hir-plugin-example 0.1.0)" in plugin for plugin in document["plugins"])
-    assert document["stages"]["reflectance"]["report"]["refinement"]["steps"] == 10
+    assert document["stages"]["reflectance"]["report"]["gradient"]["steps"] == 10
     (file,) = (run / "exports").iterdir()
     assert file.suffix == ".ply" and file.read_bytes().startswith(b"ply\n")
