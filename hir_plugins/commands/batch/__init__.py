@@ -1,4 +1,1 @@
-"""Many captures on Ray: each a chain of tasks that resume the same run, staged through a local cache.
-
-`Batch` in `hir_plugins.commands.batch.scheduling.driver` is what `hir batch` runs.
-"""
+"""`hir batch`: reconstructs many captures on a Ray cluster. `Batch` in `scheduling.driver` is the entry point."""

@@ -1,4 +1,4 @@
-"""How a batch works."""
+"""The options of a batch."""
 
 from __future__ import annotations
 
@@ -6,22 +6,24 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from hir_core.config import RunConfig
-from hir_plugins.commands.batch.stage_groups import Requests
+from hir_plugins.commands.batch.resource_requests import ResourceRequests
 
 
 @dataclass(frozen=True)
-class Options:
-    """How a batch works; what it makes is in `config`."""
+class BatchOptions:
+    """How a batch is run; `config` is what each capture is reconstructed with."""
 
     config: RunConfig
-    requests: Requests = field(default_factory=Requests)
+    requests: ResourceRequests = field(default_factory=ResourceRequests)
     address: str = "auto"
-    """`auto`, `local`, or what Ray takes: `ray://host:10001`, `host:6379`."""
-    tries: int = 3
-    """Times that a group is begun when nodes, workers or the store fail; a broken capture is never tried twice."""
+    """`auto`, `local`, or an address that Ray accepts: `ray://host:10001`, `host:6379`."""
+    attempts: int = 3
+    """Times that a task is started if nodes, workers or the store fail. A broken capture is never retried."""
     retry_failed: bool = False
-    at_once: int = 0
-    """Captures in progress together; 0: as many as the cluster has room for."""
+    """Whether captures that failed in an earlier call are processed again."""
+    max_in_progress: int = 0
+    """Captures that are processed at the same time; 0: as many as the cluster has capacity for."""
     keep_stages: bool = True
+    """Whether results contain `stages/`."""
     cache: Path | None = None
-    """Where workers stage files, on each node."""
+    """The folder for local files on each node; None: among the temporary files."""

@@ -1,28 +1,38 @@
-"""What is tried again, how often and after how long; everything else is final."""
+"""Which errors are transient, and how often and after which wait a failed operation is retried."""
 
 from __future__ import annotations
 
 import errno
 import random
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Final, TypeVar
 
-from hir_core.errors import HirError, InputError
+from hir_core.errors import HirError, InputError, MissingExtraError
 
 Value = TypeVar("Value")
 
-FINAL: Final = (FileNotFoundError, FileExistsError, PermissionError, IsADirectoryError, NotADirectoryError)
-"""Answers of a store that asking again does not change."""
+PERMANENT_ERRORS: Final = (
+    FileNotFoundError,
+    FileExistsError,
+    PermissionError,
+    IsADirectoryError,
+    NotADirectoryError,
+)
+"""Answers of a store that do not change if the request is repeated."""
 
-FINAL_NAMES: Final = ("NoCredentialsError", "PartialCredentialsError", "ParamValidationError", "NoAuthTokenError")
-"""Errors of storage libraries that are the user's to mend."""
+PERMANENT_ERROR_NAMES: Final = (
+    "NoCredentialsError",
+    "PartialCredentialsError",
+    "ParamValidationError",
+    "NoAuthTokenError",
+)
+"""Errors of storage libraries that the user has to correct."""
 
 STORAGE_LIBRARIES: Final = ("botocore", "aiobotocore", "aiohttp", "gcsfs", "google", "requests", "urllib3", "adlfs")
-"""Top-level packages whose exceptions mean that a store did not answer as it should."""
+"""Top-level packages whose exceptions mean that a request to a store failed."""
 
-NODE_TROUBLE: Final = (
+NODE_ERROR_CODES: Final = (
     errno.ENOSPC,
     errno.EDQUOT,
     errno.EIO,
@@ -31,85 +41,95 @@ NODE_TROUBLE: Final = (
     errno.ENFILE,
     errno.ENOMEM,
 )
-"""Operating system errors that another node, or the same one later, may not have."""
+"""`errno` values of failures that may not occur on another node, or on the same node later."""
 
 
 class StoreError(HirError):
-    """A store refused or did not answer, again and again; later it may."""
+    """Every attempt of a request to a store failed; a later one may succeed."""
 
 
 @dataclass(frozen=True)
-class Patience:
-    """How often something is tried, and the seconds between: each wait `factor` times the one before, up to a limit."""
+class RetryPolicy:
+    """The number of attempts and the waits between them: exponential backoff with jitter, in seconds."""
 
-    tries: int
-    first_seconds: float
+    attempts: int
+    initial_wait_s: float
     factor: float = 3.0
-    longest_seconds: float = 120.0
+    max_wait_s: float = 120.0
 
-    def delay(self, failures: int, chance: float = 1.0) -> float:
-        """Seconds to wait after that many failures (1 or more); `chance` in 0…1 takes up to half of it away, so that
-        workers that were refused together do not come back together.
+    def wait_s(self, failures: int, jitter: float = 1.0) -> float:
+        """Seconds to wait after `failures` (≥ 1) failed attempts.
+
+        `jitter` in 0…1 scales the wait between half and all of it, so that workers that failed together do not retry
+        together.
         """
-        whole = min(self.first_seconds * self.factor ** min(failures - 1, 60), self.longest_seconds)
-        return whole * (0.5 + 0.5 * chance)
+        wait = min(self.initial_wait_s * self.factor ** min(failures - 1, 60), self.max_wait_s)
+        return wait * (0.5 + 0.5 * jitter)
 
 
-ASK_STORE: Final = Patience(tries=6, first_seconds=0.2, factor=2.5, longest_seconds=10.0)
-"""One request to a store: given up after about 15 seconds."""
+STORE_RETRIES: Final = RetryPolicy(attempts=6, initial_wait_s=0.2, factor=2.5, max_wait_s=10.0)
+"""For one request to a store; it fails after about 15 seconds."""
 
 
-def ask(call: Callable[[], Value], what: str, patience: Patience = ASK_STORE) -> Value:
-    """The answer of a store, asked again while it refuses; `StoreError` when patience ends.
+def call_with_retries(call: Callable[[], Value], failure: str, policy: RetryPolicy = STORE_RETRIES) -> Value:
+    """Calls a store and repeats the call after transient errors.
 
-    What is not there raises `FileNotFoundError`, what is not allowed `InputError` with one sentence.
+    `failure` begins the error message, such as "s3://a/b cannot be read". Raises `StoreError` after the last attempt,
+    `InputError` for permanent errors of the store, and `FileNotFoundError` and errors of other origin as they are.
     """
-    for failures in range(1, patience.tries + 1):
-        try:
-            return call()
-        except FileNotFoundError:
-            raise
-        except Exception as error:
-            if not is_transient(error):
-                if is_storage_error(error):
-                    raise InputError(f"{what}: {one_line(error)}; check the address and your rights") from error
-                raise
-            if failures == patience.tries:
-                raise StoreError(f"{what}: refused {failures} times, last with: {one_line(error)}") from error
-            time.sleep(patience.delay(failures, random.random()))
-    raise AssertionError("a patience has at least one try")
+    try:
+        from tenacity import Retrying, retry_if_exception, stop_after_attempt
+    except ImportError:
+        raise MissingExtraError("hir batch needs tenacity; install it with: pip install 'hir[batch]'") from None
+    retrying = Retrying(
+        stop=stop_after_attempt(policy.attempts),
+        wait=lambda state: policy.wait_s(state.attempt_number, random.random()),
+        retry=retry_if_exception(is_transient),
+        reraise=True,
+    )
+    try:
+        return retrying(call)
+    except FileNotFoundError:
+        raise
+    except Exception as error:
+        if is_transient(error):
+            message = f"{failure}: {policy.attempts} attempts failed, the last one with: {one_line(error)}"
+            raise StoreError(message) from error
+        if is_storage_error(error):
+            raise InputError(f"{failure}: {one_line(error)}; check the address and your permissions") from error
+        raise
 
 
 def is_transient(error: BaseException) -> bool:
-    """Whether the same request may succeed later."""
-    if isinstance(error, FINAL) or type(error).__name__ in FINAL_NAMES:
+    """Whether the same request to a store may succeed later."""
+    if isinstance(error, PERMANENT_ERRORS) or type(error).__name__ in PERMANENT_ERROR_NAMES:
         return False
     return is_storage_error(error)
 
 
 def is_storage_error(error: BaseException) -> bool:
-    """Whether an exception comes from a store or from the way to it."""
+    """Whether a store or the connection to it raised the exception."""
     return isinstance(error, OSError) or type(error).__module__.partition(".")[0] in STORAGE_LIBRARIES
 
 
-def is_infrastructure(error: BaseException) -> bool:
-    """Whether a failed stage says nothing about its capture: a store, a full disk, too little memory."""
+def is_infrastructure_error(error: BaseException) -> bool:
+    """Whether a stage failed for a reason outside its capture: a store, a full disk, too little memory."""
     for cause in causes(error):
         if isinstance(cause, StoreError | MemoryError):
             return True
-        if isinstance(cause, OSError) and cause.errno in NODE_TROUBLE:
+        if isinstance(cause, OSError) and cause.errno in NODE_ERROR_CODES:
             return True
     return False
 
 
 def causes(error: BaseException) -> Iterator[BaseException]:
-    """An exception and those that led to it."""
-    found: BaseException | None = error
-    while found is not None:
-        yield found
-        found = found.__cause__ or found.__context__
+    """An exception and the exceptions that caused it."""
+    cause: BaseException | None = error
+    while cause is not None:
+        yield cause
+        cause = cause.__cause__ or cause.__context__
 
 
 def one_line(error: BaseException) -> str:
-    """An exception's text without line breaks; its type where it has none."""
+    """The message of an exception without line breaks; the name of its type if there is no message."""
     return " ".join(str(error).split()) or type(error).__name__

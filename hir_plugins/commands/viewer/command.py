@@ -7,24 +7,30 @@ from pathlib import Path
 
 import click
 
-from hir_core.cli.options import FOLDER, loudness_options
+from hir_core.terminal.command_options import FOLDER, verbosity_options
 
 
 @click.command("view")
 @click.argument("source", type=FOLDER, metavar="RUN|FILE")
-@click.option("--save", type=FOLDER, metavar="PAGE.html", help="Write one page that needs nothing beside it, and stop.")
-@click.option("--light", type=FOLDER, metavar="FILE", help="A lat-long .hdr or .exr instead of the asset's own light.")
-@click.option("--port", type=click.IntRange(0, 65535), default=0, help="Of the local page; 0 takes a free one.")
+@click.option(
+    "--save", type=FOLDER, metavar="PAGE.html", help="Write the page to one self-contained file instead of serving it."
+)
+@click.option(
+    "--light", type=FOLDER, metavar="FILE", help="Light the asset with this lat-long .hdr or .exr file instead."
+)
+@click.option("--port", type=click.IntRange(0, 65535), default=0, help="Port of the local server; 0 picks a free one.")
 @click.option("--browser/--no-browser", default=True, help="Open the page in a browser; on by default.")
-@loudness_options
+@verbosity_options
 def view_command(
     source: Path, save: Path | None, light: Path | None, port: int, browser: bool, quiet: bool, verbose: bool
 ) -> None:
-    """Shows a run, a scene folder or an exported file in a browser: turn it, turn its light, look at each channel.
+    """Shows a run, a scene folder or an exported file in a browser.
 
-    The page is served to this machine alone and asks nothing of the network. Ctrl-C ends it.
+    The page rotates the asset and its light and shows each material channel. It is served on the loopback interface
+    only and loads nothing from the network. Press Ctrl-C to stop the server.
     """
-    from hir_plugins.commands.viewer.viewer_page import serve, view_page
+    from hir_plugins.commands.viewer.page_server import serve
+    from hir_plugins.commands.viewer.viewer_page import view_page
 
     page = view_page(source, light)
     if save is not None:
@@ -36,7 +42,7 @@ def view_command(
         return
 
     def ready(address: str) -> None:
-        click.echo(f"{address}  (Ctrl-C ends it)")
+        click.echo(f"{address}  (press Ctrl-C to stop)")
         if browser:
             import webbrowser
 

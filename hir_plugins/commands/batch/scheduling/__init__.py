@@ -1,1 +1,1 @@
-"""Which task runs where and when."""
+"""The driver of a batch, the worker of a task, and what they exchange."""

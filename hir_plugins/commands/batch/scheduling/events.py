@@ -1,4 +1,4 @@
-"""What a batch tells while it works, and what it has handed out."""
+"""Events of a batch, for its listeners, and the tasks that are running."""
 
 from __future__ import annotations
 
@@ -6,24 +6,25 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from hir_plugins.commands.batch.scheduling.capture_chain import Chain
-from hir_plugins.commands.batch.scheduling.messages import Told
+from hir_plugins.commands.batch.scheduling.capture_job import CaptureJob
+from hir_plugins.commands.batch.scheduling.messages import ProgressMessage
 
 
 @dataclass(frozen=True)
-class Event:
-    """Something that happened."""
+class BatchEvent:
+    """Something that happened in a batch, such as `capture_finished`."""
 
     name: str
     capture: str = ""
-    facts: Mapping[str, Any] = field(default_factory=dict)
+    details: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass
-class Running:
-    """A task that was handed out."""
+class RunningTask:
+    """A task that was submitted to Ray."""
 
-    chain: Chain
-    began: float
-    told: Told | None = None
-    """The last that its worker said."""
+    job: CaptureJob
+    submitted: float
+    """`time.monotonic()` in seconds."""
+    progress: ProgressMessage | None = None
+    """The last progress message; None until the task starts."""

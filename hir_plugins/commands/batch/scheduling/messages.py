@@ -1,4 +1,4 @@
-"""What travels between the driver and the workers: a task's order, its progress, its outcome."""
+"""The messages between driver and workers: a task's specification, its progress, its outcome."""
 
 from __future__ import annotations
 
@@ -8,40 +8,44 @@ from typing import Any, Literal
 
 from hir_core.config import RunConfig
 
+OutcomeState = Literal["done", "unchanged", "failed", "infrastructure_error"]
+"""`unchanged`: the published result is still valid. `failed`: the capture or the settings are at fault, or there is a
+bug. `infrastructure_error`: the task failed for a reason outside its capture and may be retried."""
+
 
 @dataclass(frozen=True)
-class Job:
-    """One group of one capture."""
+class TaskSpec:
+    """One stage group of one capture."""
 
     name: str
+    """Of the capture."""
     source: str
     destination: str
     group: int
-    """Index into `GROUPS`."""
+    """Index into `STAGE_GROUPS`."""
     config: RunConfig
-    settings: str
-    """Mark of the settings."""
-    owner: str
-    """Token of the batch's lease: a worker whose batch was taken over publishes nothing."""
+    settings_hash: str
+    lease_token: str
+    """A worker publishes nothing if another batch has acquired the lease."""
     version: str
-    """Of the driver's hir; a worker of another one refuses."""
+    """The driver's version of hir; a worker with another version refuses the task."""
     threads: int = 1
     attempt: int = 1
-    listing: str = ""
-    """Mark of the capture's listing, as the driver saw it."""
-    content: str = ""
-    """Mark of the capture's bytes where it is known already."""
-    finished: tuple[str, str] = ("", "")
-    """Marks of content and settings of the finished result that is there, if any."""
+    listing_hash: str = ""
+    """Of the capture, as the driver listed it."""
+    content_hash: str = ""
+    """Of the capture, if it is known already."""
+    published: tuple[str, str] = ("", "")
+    """Content hash and settings hash of the published result, if there is one."""
     cache: str = ""
     keep_stages: bool = True
-    tell_seconds: float = 0.5
-    """Between two things that the worker says of its progress."""
+    progress_interval_s: float = 0.5
+    """Least seconds between two progress messages."""
 
 
 @dataclass(frozen=True)
-class Told:
-    """What a worker says while it works."""
+class ProgressMessage:
+    """The progress of a task."""
 
     name: str
     group: int
@@ -52,26 +56,23 @@ class Told:
     step: int = 0
     steps: int = 0
     seconds_left: float = 0.0
-    sentence: str = ""
 
 
 @dataclass(frozen=True)
-class Outcome:
+class TaskOutcome:
     """How one task ended."""
 
-    state: Literal["done", "unchanged", "failed", "trouble"]
-    """`failed`: the capture or the settings are at fault, or a bug. `trouble`: nothing is said about the capture."""
+    state: OutcomeState
     reason: str = ""
-    """One sentence for `failed` and `trouble`."""
-    content: str = ""
+    """One sentence for `failed` and `infrastructure_error`."""
+    content_hash: str = ""
     node: str = ""
     pid: int = 0
     seconds: Mapping[str, float] = field(default_factory=dict)
-    """`stage`, `compute`, `store`: to bring the input, to run the stages, to keep the result."""
+    """`stage`, `compute`, `store`: to fetch the input, to run the stages, to store the result."""
     bytes_stored: int = 0
-    lines: tuple[str, ...] = ()
-    """For the capture's log."""
+    log_lines: tuple[str, ...] = ()
     reused: bool = False
-    """Whether an earlier task had finished the group, and this one only found that out."""
+    """Whether an earlier task had finished the stages, so that this task computed nothing."""
     record: Mapping[str, Any] = field(default_factory=dict)
-    """After the last group: what the summary shows of the result."""
+    """After the last group: the record of the finished capture."""

@@ -1,11 +1,12 @@
-"""Ray: found or started here; tasks go in, outcomes and progress come out. All that knows Ray is in this file."""
+"""The Ray cluster: connects to one or starts one, submits tasks, returns outcomes and progress. Only this module
+imports Ray."""
 
 from __future__ import annotations
 
 import os
 import socket
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -13,81 +14,84 @@ from typing import Any, Final, Self
 
 from hir_core.errors import InputError, MissingExtraError, StageError
 from hir_core.run.machine import usable_cores
+from hir_plugins.commands.batch.resource_requests import ResourceRequest
 from hir_plugins.commands.batch.retries import one_line
-from hir_plugins.commands.batch.scheduling.messages import Job, Outcome, Told
-from hir_plugins.commands.batch.stage_groups import GROUPS, Request
+from hir_plugins.commands.batch.scheduling.messages import ProgressMessage, TaskOutcome, TaskSpec
+from hir_plugins.commands.batch.stage_groups import STAGE_GROUPS
 
-TASKS_OF_A_WORKER: Final = 64
-"""After so many tasks a worker's process ends and another begins: what native libraries hold on to is given back."""
+TASKS_PER_WORKER: Final = 64
+"""After so many tasks a worker process is replaced, which returns memory that native libraries do not release."""
 
 OBJECT_STORE_BYTES: Final = 100 << 20
-"""Nothing large travels through Ray: photographs and results go through the store."""
+"""Ray's object store can be small: photographs and results are transferred through the batch's store."""
+
+TaskRef = Hashable
+"""Ray's reference to a submitted task."""
 
 
-def run_on_ray(job: Job, mailbox: Any) -> Outcome:
-    """The task."""
+def run_on_ray(spec: TaskSpec, progress_queue: Any) -> TaskOutcome:
+    """The Ray task; `progress_queue` is the handle of the `ProgressQueue` actor."""
     import ray
 
     if not ray.get_gpu_ids():
-        # before torch is loaded: a task that asked for no GPU must not take the memory of one
+        # before torch is imported: a task without a GPU must not allocate memory on one
         os.environ["CUDA_VISIBLE_DEVICES"] = ""
-    from hir_plugins.commands.batch.scheduling.worker import run_group
+    from hir_plugins.commands.batch.scheduling.worker import run_task
 
-    return run_group(job, lambda told: mailbox.post.remote(told))
+    return run_task(spec, lambda message: progress_queue.put.remote(message))
 
 
-class Mailbox:
-    """What workers say, until the driver asks; an actor that needs no core."""
+class ProgressQueue:
+    """A Ray actor that collects progress messages until the driver fetches them."""
 
     def __init__(self) -> None:
-        self._waiting: list[Told] = []
+        self._messages: list[ProgressMessage] = []
 
-    def post(self, told: Told) -> None:
-        self._waiting.append(told)
+    def put(self, message: ProgressMessage) -> None:
+        self._messages.append(message)
 
-    def take(self) -> list[Told]:
-        waiting, self._waiting = self._waiting, []
-        return waiting
+    def take_all(self) -> list[ProgressMessage]:
+        messages, self._messages = self._messages, []
+        return messages
 
 
 @dataclass(frozen=True)
-class Ended:
-    """A task that is over: its outcome, or one sentence on why there is none."""
+class EndedTask:
+    """A task that has ended: its outcome, or one sentence on why there is none."""
 
-    ticket: Any
-    outcome: Outcome | None
+    ref: TaskRef
+    outcome: TaskOutcome | None
     reason: str = ""
 
 
-class Cluster:
-    """A context manager: connects to a cluster or starts one on this machine, and leaves it as it was."""
+class RayCluster:
+    """A context manager that connects to a cluster or starts one on this machine, and disconnects or stops it."""
 
-    def __init__(self, address: str, say: Callable[[str], None]) -> None:
-        self._address, self._say = address, say
-        self._mail: Any = None
+    def __init__(self, address: str, on_message: Callable[[str], None]) -> None:
+        self._address, self._on_message = address, on_message
+        self._pending_messages: Any = None
         self._ray: Any = None
-        self.own = False
-        """Whether it was started here."""
+        self.started_here = False
 
     def __enter__(self) -> Self:
         if find_spec("ray") is None:
             raise MissingExtraError("hir batch needs ray; install it with: pip install 'hir[batch]'")
-        # asks no host of the net for anything; both are read when ray is imported
+        # no usage statistics are sent; both variables are read when ray is imported
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-        found = self._address != "local" and (self._address != "auto" or running_cluster())
-        if not found:
-            # the name is Ray's: on Linux, too, all its processes then listen on the loopback interface alone
+        connect = self._address != "local" and (self._address != "auto" or running_cluster())
+        if not connect:
+            # despite its name it applies to Linux too: all processes of Ray listen on the loopback interface only
             os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")
         import ray
 
         self._ray = ray
-        self._connect() if found else self._start()
+        self._connect() if connect else self._start()
         self._tasks = {
-            gpu: ray.remote(max_calls=1 if gpu else TASKS_OF_A_WORKER, max_retries=0)(run_on_ray)
-            for gpu in (False, True)  # CUDA keeps the device that a process saw first
+            gpu: ray.remote(max_calls=1 if gpu else TASKS_PER_WORKER, max_retries=0)(run_on_ray)
+            for gpu in (False, True)  # CUDA keeps the device that a process used first: a process for each GPU task
         }
-        mailbox: Any = ray.remote(num_cpus=0, max_restarts=-1)(Mailbox)
-        self._mailbox = mailbox.remote()
+        actor: Any = ray.remote(num_cpus=0, max_restarts=-1)(ProgressQueue)
+        self._progress_queue = actor.remote()
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -98,11 +102,11 @@ class Cluster:
             self._ray.init(address=self._address, log_to_driver=False, logging_level="error")
         except (ConnectionError, RuntimeError, ValueError, OSError) as error:
             first = str(error).strip().partition("\n")[0]
-            raise InputError(f"no Ray cluster answers at {self._address!r} ({first}); see docs/scaling.md") from error
-        self._say(f"Ray: {describe(self.nodes())} at {self._address}")
+            raise InputError(f"there is no Ray cluster at {self._address!r} ({first}); see docs/scaling.md") from error
+        self._on_message(f"Ray: {describe(self.nodes())} at {self._address}")
 
     def _start(self) -> None:
-        self.own = True
+        self.started_here = True
         options = {
             "num_cpus": usable_cores(),
             "include_dashboard": False,
@@ -112,76 +116,78 @@ class Cluster:
         }
         try:
             self._ray.init(address="local", **options)
-        except Exception as error:  # a plain one, when a busy machine needs more than Ray's 30 s to begin
+        except Exception as error:  # Ray raises a plain Exception if a busy machine exceeds its 30 s limit
             self._ray.shutdown()
-            self._say(f"Ray did not start ({one_line(error)}); trying once more")
+            self._on_message(f"Ray did not start ({one_line(error)}); trying once more")
             try:
                 self._ray.init(address="local", **options)
             except Exception as final:
                 raise StageError(f"Ray cannot be started on this machine: {one_line(final)}") from final
-        reached = "no Ray cluster was found, so " if self._address == "auto" else ""
-        self._say(f"Ray: {reached}one was started on this machine: {describe(self.nodes())}")
+        reason = "no Ray cluster was found, so " if self._address == "auto" else ""
+        self._on_message(f"Ray: {reason}one was started on this machine: {describe(self.nodes())}")
 
     def nodes(self) -> list[Mapping[str, float]]:
-        """What each node that is alive has in all."""
+        """The total resources of each node that is alive."""
         return [node["Resources"] for node in self._ray.nodes() if node["Alive"]]
 
-    def use(self) -> dict[str, tuple[float, float]]:
-        """Of CPU and GPU: how much is in use and how much there is."""
+    def usage(self) -> dict[str, tuple[float, float]]:
+        """For CPU and GPU: the amount in use and the total."""
         total, free = self._ray.cluster_resources(), self._ray.available_resources()
         return {name: (total[name] - free.get(name, 0.0), total[name]) for name in ("CPU", "GPU") if total.get(name)}
 
-    def submit(self, job: Job, request: Request) -> Any:
-        """Hands a task to Ray; the ticket is for `wait` and `cancel`."""
+    def submit(self, spec: TaskSpec, request: ResourceRequest) -> TaskRef:
+        """Submits a task; the reference is for `wait` and `cancel`."""
         task = self._tasks[request.gpus > 0].options(
-            name=f"{GROUPS[job.group].name} of {job.name}",
+            name=f"{STAGE_GROUPS[spec.group].name} of {spec.name}",
             num_cpus=request.cpus,
             num_gpus=request.gpus,
             memory=int(request.memory_gib * 2**30),
         )
-        return task.remote(job, self._mailbox)
+        ref: TaskRef = task.remote(spec, self._progress_queue)
+        return ref
 
-    def wait(self, tickets: Sequence[Any], seconds: float) -> list[Ended]:
-        """The tasks that are over, after at most that long."""
-        done, _ = self._ray.wait(list(tickets), num_returns=len(tickets), timeout=0)
-        if not done:
-            done, _ = self._ray.wait(list(tickets), num_returns=1, timeout=seconds)
-        return [self._ended(ticket) for ticket in done]
+    def wait(self, refs: Sequence[TaskRef], seconds: float) -> list[EndedTask]:
+        """The tasks that have ended; waits at most `seconds` for the first one."""
+        ended, _ = self._ray.wait(list(refs), num_returns=len(refs), timeout=0)
+        if not ended:
+            ended, _ = self._ray.wait(list(refs), num_returns=1, timeout=seconds)
+        return [self._ended_task(ref) for ref in ended]
 
-    def cancel(self, ticket: Any) -> None:
-        """Ends a task, whatever it does."""
-        self._ray.cancel(ticket, force=True)
+    def cancel(self, ref: TaskRef) -> None:
+        """Ends a task by ending its process."""
+        self._ray.cancel(ref, force=True)
 
-    def mail(self) -> list[Told]:
-        """What workers said since the last call that got through; never waits."""
+    def progress_messages(self) -> list[ProgressMessage]:
+        """The progress messages that have arrived since the last call; never waits."""
         from ray.exceptions import RayError
 
-        told: list[Told] = []
-        if self._mail is not None and self._ray.wait([self._mail], timeout=0)[0]:
+        messages: list[ProgressMessage] = []
+        if self._pending_messages is not None and self._ray.wait([self._pending_messages], timeout=0)[0]:
             try:
-                told = self._ray.get(self._mail)
+                messages = self._ray.get(self._pending_messages)
             except RayError:
-                told = []  # the node of the mailbox left: Ray starts another one
-            self._mail = None
-        if self._mail is None:
-            self._mail = self._mailbox.take.remote()
-        return told
+                messages = []  # the actor's node left the cluster: Ray restarts the actor
+            self._pending_messages = None
+        if self._pending_messages is None:
+            self._pending_messages = self._progress_queue.take_all.remote()
+        return messages
 
-    def _ended(self, ticket: Any) -> Ended:
+    def _ended_task(self, ref: TaskRef) -> EndedTask:
         from ray import exceptions
 
         try:
-            return Ended(ticket, self._ray.get(ticket))
+            return EndedTask(ref, self._ray.get(ref))
         except exceptions.RayTaskError as error:
             cause = getattr(error, "cause", None) or error
             text = str(cause).strip().rpartition("\n")[2]
-            return Ended(ticket, Outcome("failed", f"the task could not begin: {type(cause).__name__}: {text}"))
+            reason = f"the task could not start: {type(cause).__name__}: {text}"
+            return EndedTask(ref, TaskOutcome("failed", reason))
         except exceptions.RayError as error:
-            return Ended(ticket, None, death(error))
+            return EndedTask(ref, None, ray_failure(error))
 
 
-def death(error: Exception) -> str:
-    """One sentence on why Ray has no outcome."""
+def ray_failure(error: Exception) -> str:
+    """One sentence on why Ray has no outcome of a task."""
     sentences = {
         "OutOfMemoryError": "the node ran out of memory and Ray ended the worker",
         "NodeDiedError": "the node left the cluster",
@@ -196,12 +202,12 @@ def death(error: Exception) -> str:
 
 
 def running_cluster() -> bool:
-    """Whether `auto` leads somewhere: RAY_ADDRESS is set, or the address that Ray notes on a node answers."""
+    """Whether `auto` finds a cluster: RAY_ADDRESS is set, or the address that Ray stores on a node answers."""
     if os.environ.get("RAY_ADDRESS"):
         return True
-    noted = Path(os.environ.get("RAY_TMPDIR", tempfile.gettempdir())) / "ray" / "ray_current_cluster"
+    address_file = Path(os.environ.get("RAY_TMPDIR", tempfile.gettempdir())) / "ray" / "ray_current_cluster"
     try:
-        host, _, port = noted.read_text(encoding="utf-8").strip().rpartition(":")
+        host, _, port = address_file.read_text(encoding="utf-8").strip().rpartition(":")
         with socket.create_connection((host.strip("[]"), int(port)), timeout=2):
             return True
     except (OSError, ValueError):

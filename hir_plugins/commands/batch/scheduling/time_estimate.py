@@ -1,4 +1,4 @@
-"""Seconds that are left, of a capture and of a batch, from the groups that have ended so far."""
+"""The remaining time of a capture and of a batch, estimated from the tasks that have finished."""
 
 from __future__ import annotations
 
@@ -6,45 +6,46 @@ from collections.abc import Iterable
 from statistics import median
 from typing import Final
 
-from hir_plugins.commands.batch.scheduling.capture_chain import Chain
-from hir_plugins.commands.batch.stage_groups import GROUPS
+from hir_plugins.commands.batch.scheduling.capture_job import CaptureJob
+from hir_plugins.commands.batch.stage_groups import STAGE_GROUPS
 
-SAMPLES: Final = 200
-"""Groups that a median looks back to."""
+MEDIAN_WINDOW: Final = 200
+"""The number of most recent tasks of a group from which the median is computed."""
 
 
-class Estimate:
-    """Learns how long each group takes."""
+class TimeEstimate:
+    """Records how long the tasks of each stage group take."""
 
     def __init__(self) -> None:
-        self._seen: dict[str, list[float]] = {group.name: [] for group in GROUPS}
+        self._seconds: dict[str, list[float]] = {group.name: [] for group in STAGE_GROUPS}
 
-    def learn(self, group: int, seconds: float) -> None:
-        """A group ended, after that many seconds on its worker."""
-        seen = self._seen[GROUPS[group].name]
-        seen.append(seconds)
-        del seen[:-SAMPLES]
+    def record(self, group: int, seconds: float) -> None:
+        """Adds the duration of a finished task on its worker."""
+        recorded = self._seconds[STAGE_GROUPS[group].name]
+        recorded.append(seconds)
+        del recorded[:-MEDIAN_WINDOW]
 
-    def of(self, group: int) -> float | None:
-        """The median of a group; None before one ended."""
-        seen = self._seen[GROUPS[group].name]
-        return median(seen) if seen else None
+    def median_seconds(self, group: int) -> float | None:
+        """The median duration of a group; None until a task of it has finished."""
+        recorded = self._seconds[STAGE_GROUPS[group].name]
+        return median(recorded) if recorded else None
 
-    def left(self, chain: Chain, running: float = 0.0) -> float | None:
-        """Seconds until a capture is done, given how long its group has been running; None where nothing is known."""
-        if chain.state in ("done", "failed"):
+    def job_seconds_left(self, job: CaptureJob, running_s: float = 0.0) -> float | None:
+        """Seconds until a capture is done if its current task has run for `running_s`; None if a median is missing."""
+        if job.state in ("done", "failed"):
             return 0.0
-        whole = [self.of(group) for group in range(chain.group, len(GROUPS))]
-        known = [seconds for seconds in whole if seconds is not None]
-        if len(known) < len(whole):
-            return None
-        return max(known[0] - running, 0.0) + sum(known[1:])
+        medians = self._medians(job.group)
+        return None if medians is None else max(medians[0] - running_s, 0.0) + sum(medians[1:])
 
-    def batch_left(self, begun: Iterable[Chain], untouched: int, at_once: int) -> float | None:
-        """Seconds until the captures that are begun and those that are not are done, were `at_once` always at work."""
-        whole = [self.of(group) for group in range(len(GROUPS))]
-        known = [seconds for seconds in whole if seconds is not None]
-        if len(known) < len(whole):
+    def batch_seconds_left(self, started: Iterable[CaptureJob], waiting: int, parallel: int) -> float | None:
+        """Seconds until the started captures and `waiting` others are done if `parallel` are processed at a time."""
+        medians = self._medians(0)
+        if medians is None:
             return None
-        left = [self.left(chain) for chain in begun]
-        return (sum(value for value in left if value is not None) + untouched * sum(known)) / max(at_once, 1)
+        left = [self.job_seconds_left(job) for job in started]
+        return (sum(value for value in left if value is not None) + waiting * sum(medians)) / max(parallel, 1)
+
+    def _medians(self, first_group: int) -> list[float] | None:
+        medians = [self.median_seconds(group) for group in range(first_group, len(STAGE_GROUPS))]
+        known = [seconds for seconds in medians if seconds is not None]
+        return known if len(known) == len(medians) else None

@@ -1,4 +1,4 @@
-"""One batch at a time works on a destination: a small file that its driver renews."""
+"""A lease on a destination, so that only one batch at a time writes there: a small file that the driver renews."""
 
 from __future__ import annotations
 
@@ -8,94 +8,109 @@ import platform
 import secrets
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any, Final, Self
 
 from hir_core.errors import HirError, InputError
 from hir_plugins.commands.batch.storage import object_store
 from hir_plugins.commands.batch.storage.layout import json_bytes
-from hir_plugins.commands.batch.storage.object_store import Place
+from hir_plugins.commands.batch.storage.storage_path import StoragePath
 
-RENEW_SECONDS: Final = 10.0
-STALE_SECONDS: Final = 60.0
-"""A lease that was not renewed for so long belongs to a batch that died."""
+EXPIRY_SECONDS: Final = 60.0
+"""A lease that was not renewed for so long belongs to a batch that ended without releasing it."""
+
+
+@dataclass(frozen=True)
+class LeaseTiming:
+    """How often a lease is renewed, and how a batch waits for another batch's lease."""
+
+    renewal_seconds: float = 10.0
+    sleep: Callable[[float], None] = time.sleep
 
 
 class Lease:
-    """A context manager: takes the lease, renews it in the background, gives it back."""
+    """A context manager that acquires the lease, renews it in a thread, and releases it."""
 
-    def __init__(self, at: Place, say: Callable[[str], None]) -> None:
+    def __init__(
+        self, path: StoragePath, on_message: Callable[[str], None], timing: LeaseTiming = LeaseTiming()
+    ) -> None:
         self.token = secrets.token_hex(8)
         self.lost = False
-        """Whether another batch took the destination, as it may after a long silence."""
-        self._at, self._say = at, say
-        self._ended = threading.Event()
-        self._renewing = threading.Thread(target=self._renew, name="hir-batch-lease", daemon=True)
+        """Whether another batch acquired the lease, which it may once this one has expired."""
+        self._path, self._on_message, self._timing = path, on_message, timing
+        self._released = threading.Event()
+        self._renewal = threading.Thread(target=self._renew, name="hir-batch-lease", daemon=True)
 
     def __enter__(self) -> Self:
-        seen: Any = None
-        while not object_store.create(self._at, self._document()):
-            other = read_lease(self._at)
-            if other and not died(other, time.time()):
-                if other.get("host") == platform.node() or seen not in (None, other.get("renewed")):
+        last_renewal: object = None
+        while not object_store.create(self._path, self._document()):
+            other = read_lease(self._path)
+            host = other.get("host")
+            if other and not is_expired(other, time.time()):
+                renewed = other.get("renewed")
+                if host == platform.node() or last_renewal not in (None, renewed):
                     raise InputError(
-                        f"another batch works on {self._at.url.rpartition('/.batch/')[0]} (process "
-                        f"{other.get('pid')} on {other.get('host')}); wait for it to end"
+                        f"another batch is writing to {self._path.url.rpartition('/.batch/')[0]} (process "
+                        f"{other.get('pid')} on {host}); wait until it ends"
                     )
-                if seen is None:
-                    self._say(
-                        f"the destination belongs to a batch on {other.get('host')}; waiting up to "
-                        f"{STALE_SECONDS:.0f} s for a sign of life"
+                if last_renewal is None:
+                    self._on_message(
+                        f"a batch on {host} holds the destination; waiting up to {EXPIRY_SECONDS:.0f} s to see "
+                        "whether it is still running"
                     )
-                seen = other.get("renewed")
-                time.sleep(RENEW_SECONDS / 2)
+                last_renewal = renewed
+                self._timing.sleep(self._timing.renewal_seconds / 2)
                 continue
             if other:
-                self._say(f"going on with a batch that ended on {other.get('host')} before it was finished")
-            object_store.write(self._at, self._document())
-            if owner_of(self._at) == self.token:
+                self._on_message(f"continuing a batch that ended on {host} before it was finished")
+            object_store.write(self._path, self._document())
+            if lease_owner(self._path) == self.token:
                 break
-        self._renewing.start()
+        self._renewal.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._ended.set()
-        self._renewing.join()
-        if owner_of(self._at) == self.token:
-            object_store.remove(self._at)
+        self._released.set()
+        self._renewal.join()
+        if lease_owner(self._path) == self.token:
+            object_store.remove(self._path)
 
     def _renew(self) -> None:
-        while not self._ended.wait(RENEW_SECONDS):
+        while not self._released.wait(self._timing.renewal_seconds):
             try:
-                self.lost = owner_of(self._at) not in (self.token, "")
+                self.lost = lease_owner(self._path) not in (self.token, "")
                 if not self.lost:
-                    object_store.write(self._at, self._document())
-            except HirError as error:  # rights that were taken away, too: a thread that died would say nothing
-                self._say(f"the lease was not renewed: {error}")
+                    object_store.write(self._path, self._document())
+            except HirError as error:  # revoked permissions too: an exception would end this thread silently
+                self._on_message(f"the lease was not renewed: {error}")
 
     def _document(self) -> bytes:
         return json_bytes({"owner": self.token, "host": platform.node(), "pid": os.getpid(), "renewed": time.time()})
 
 
-def read_lease(at: Place) -> dict[str, Any]:
-    """The lease as it is; empty where there is none or it is no JSON object."""
+def read_lease(path: StoragePath) -> dict[str, Any]:
+    """The document of a lease; empty if there is none or if it is not a JSON object."""
     try:
-        found = json.loads(object_store.read(at) or b"{}")
+        lease = json.loads(object_store.read(path) or b"{}")
     except (ValueError, RecursionError):
         return {}
-    return found if isinstance(found, dict) else {}
+    return lease if isinstance(lease, dict) else {}
 
 
-def owner_of(at: Place) -> str:
-    """The token of the batch that has the lease, empty where nobody has it."""
-    return str(read_lease(at).get("owner", ""))
+def lease_owner(path: StoragePath) -> str:
+    """The token of the batch that holds the lease; empty if no batch does."""
+    return str(read_lease(path).get("owner", ""))
 
 
-def died(lease: dict[str, Any], now: float) -> bool:
-    """Whether the batch of a lease ended: it is silent, or it ran on this machine and its process is gone."""
+def is_expired(lease: Mapping[str, object], now: float) -> bool:
+    """Whether the batch of a lease has ended: it was not renewed in time, or its process on this machine is gone.
+
+    `now` is in seconds since the epoch.
+    """
     renewed = lease.get("renewed")
-    # NaN, which Python's JSON reads, is no time
-    if not isinstance(renewed, int | float) or not now - renewed <= STALE_SECONDS:
+    # Python's JSON reader accepts NaN, for which every comparison is false
+    if not isinstance(renewed, int | float) or not now - renewed <= EXPIRY_SECONDS:
         return True
     pid = lease.get("pid")
     if os.name != "posix" or lease.get("host") != platform.node() or not isinstance(pid, int) or not 0 < pid < 1 << 31:

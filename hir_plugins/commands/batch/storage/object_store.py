@@ -1,4 +1,4 @@
-"""Files on any filesystem that fsspec knows, asked with patience and written complete or not at all."""
+"""Reads and writes files on any fsspec file system: requests are retried, files are written as a whole."""
 
 from __future__ import annotations
 
@@ -6,224 +6,177 @@ import contextlib
 import secrets
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from hir_core.errors import InputError, MissingExtraError
-from hir_plugins.commands.batch.retries import StoreError, Value, ask, one_line
+from hir_exporters.files.atomic import write_bytes_atomic
 
-AT_ONCE: Final = 16
-"""Files that are carried at the same time."""
+from hir_core.errors import InputError
+from hir_plugins.commands.batch.retries import StoreError, Value, call_with_retries, one_line
+from hir_plugins.commands.batch.storage.storage_path import FileStat, StoragePath
 
-WHOLE_WRITES: Final = frozenset({"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "oci", "memory"})
-"""Protocols on which an object appears when its last byte arrived, or not at all."""
+MAX_PARALLEL_TRANSFERS: Final = 16
 
-
-@dataclass(frozen=True)
-class Stamp:
-    """What a listing says of a file without reading it."""
-
-    size: int
-    mark: str
-    """The store's checksum or version where it gives one, else the time of the last change."""
+ATOMIC_PROTOCOLS: Final = frozenset({"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "oci", "memory"})
+"""Protocols on which an object appears once its last byte has arrived, or not at all."""
 
 
-@dataclass(frozen=True)
-class Place:
-    """A file or a folder: a path of this machine or a URL such as `s3://bucket/folder`."""
+def list_files(path: StoragePath) -> dict[str, FileStat]:
+    """Relative name → stat of every file below a folder, sorted by name.
 
-    url: str
+    For a file the result is one entry with an empty name; for a path that does not exist it is empty.
+    """
+    file_system, location = path.open()
 
-    def __truediv__(self, name: str) -> Place:
-        return Place(f"{self.url.rstrip('/')}/{name}")
-
-    def __str__(self) -> str:
-        return self.url
-
-    @property
-    def name(self) -> str:
-        """The last part of the address."""
-        return self.url.rstrip("/").rpartition("/")[2]
-
-    @property
-    def local(self) -> Path | None:
-        """The path, where the place is on this machine's own filesystem."""
-        protocol, separator, rest = self.url.partition("://")
-        if not separator:
-            return Path(self.url)
-        return Path(rest) if protocol in ("file", "local") else None
-
-    def opened(self) -> tuple[Any, str]:
-        """fsspec's filesystem and the path in it; one sentence where its package is missing or the URL is none."""
-        try:
-            import fsspec
-        except ImportError:
-            raise MissingExtraError("hir batch needs fsspec; install it with: pip install 'hir[batch]'") from None
-        try:
-            filesystem, path = fsspec.url_to_fs(self.url)
-        except ImportError as error:
-            protocol = self.url.partition("://")[0]
-            extra = {"s3": "batch-s3", "s3a": "batch-s3", "gs": "batch-gs", "gcs": "batch-gs"}.get(protocol)
-            advice = f"; install it with: pip install 'hir[{extra}]'" if extra else f" ({error})"
-            raise MissingExtraError(f"{self.url} needs another package{advice}") from None
-        except ValueError as error:
-            raise InputError(f"{self.url} cannot be opened: {error}") from None
-        return filesystem, path
-
-
-def place(text: str) -> Place:
-    """A place from what a user wrote; a local path becomes absolute."""
-    return Place(text.rstrip("/")) if "://" in text else Place(str(Path(text).expanduser().resolve()))
-
-
-def files(at: Place) -> dict[str, Stamp]:
-    """Every file below a folder by its relative name, sorted; for a file one entry named ""; empty where nothing is."""
-    filesystem, path = at.opened()
-
-    def listed() -> dict[str, Stamp]:
-        filesystem.invalidate_cache()
-        found = filesystem.find(path, detail=True)
-        root = filesystem._strip_protocol(path).rstrip("/")
-        return {name[len(root) :].lstrip("/"): _stamp(info) for name, info in sorted(found.items())}
+    def listing() -> dict[str, FileStat]:
+        file_system.invalidate_cache()
+        found = file_system.find(location, detail=True)
+        root = file_system._strip_protocol(location).rstrip("/")
+        return {name[len(root) :].lstrip("/"): _file_stat(info) for name, info in sorted(found.items())}
 
     with contextlib.suppress(FileNotFoundError):
-        return ask(listed, f"{at} cannot be listed")
+        return call_with_retries(listing, f"{path} cannot be listed")
     return {}
 
 
-def read(at: Place) -> bytes | None:
-    """The bytes of a file, None where there is none."""
-    filesystem, path = at.opened()
+def read(path: StoragePath) -> bytes | None:
+    """The content of a file; None if it does not exist."""
+    file_system, location = path.open()
     try:
-        return bytes(ask(lambda: filesystem.cat_file(path), f"{at} cannot be read"))
+        return bytes(call_with_retries(lambda: file_system.cat_file(location), f"{path} cannot be read"))
     except FileNotFoundError:
         return None
 
 
-def exists(at: Place) -> bool:
+def exists(path: StoragePath) -> bool:
     """Whether there is a file or a folder."""
-    filesystem, path = at.opened()
+    file_system, location = path.open()
 
     def found() -> bool:
-        filesystem.invalidate_cache()
+        file_system.invalidate_cache()
         try:
-            filesystem.info(path)
+            file_system.info(location)
         except FileNotFoundError:
             return False
         return True
 
-    return ask(found, f"{at} cannot be looked at")
+    return call_with_retries(found, f"{path} cannot be accessed")
 
 
-def write(at: Place, content: bytes) -> None:
-    """Makes a file hold exactly `content`; a reader sees the old one or the new one."""
-    from hir_exporters.files.atomic import write_bytes_atomic
-
-    filesystem, path = at.opened()
-    if at.local is not None:
-        write_bytes_atomic(at.local, content)
+def write(path: StoragePath, content: bytes) -> None:
+    """Replaces the content of a file; readers see the old content or the new one, never a part."""
+    file_system, location = path.open()
+    if path.local is not None:
+        write_bytes_atomic(path.local, content)
         return
 
-    def written() -> None:
-        if at.url.partition("://")[0] in WHOLE_WRITES:
-            filesystem.pipe_file(path, content)
+    def put() -> None:
+        if path.protocol in ATOMIC_PROTOCOLS:
+            file_system.pipe_file(location, content)
             return
-        temporary = f"{path}.{secrets.token_hex(8)}"
-        filesystem.makedirs(path.rpartition("/")[0], exist_ok=True)
-        filesystem.pipe_file(temporary, content)
-        filesystem.mv(temporary, path)
+        temporary = f"{location}.{secrets.token_hex(8)}"
+        file_system.makedirs(location.rpartition("/")[0], exist_ok=True)
+        file_system.pipe_file(temporary, content)
+        file_system.mv(temporary, location)
 
-    _put(written, f"{at} cannot be written")
+    _write_with_retries(put, f"{path} cannot be written")
 
 
-def create(at: Place, content: bytes) -> bool:
-    """Makes a file that was not there; False where one is. Stores without conditional writes decide by a look first."""
-    filesystem, path = at.opened()
+def create(path: StoragePath, content: bytes) -> bool:
+    """Creates a file; returns False if it exists already.
 
-    def created() -> bool:
+    On a store without conditional writes, existence is checked before the write, so two writers may both succeed.
+    """
+    file_system, location = path.open()
+
+    def put() -> bool:
         try:
-            if at.local is None:
-                filesystem.pipe_file(path, content, mode="create")
+            if path.local is None:
+                file_system.pipe_file(location, content, mode="create")
             else:
-                at.local.parent.mkdir(parents=True, exist_ok=True)
-                with at.local.open("xb") as stream:
+                path.local.parent.mkdir(parents=True, exist_ok=True)
+                with path.local.open("xb") as stream:
                     stream.write(content)
         except FileExistsError:
             return False
         return True
 
-    return _put(created, f"{at} cannot be made")
+    return _write_with_retries(put, f"{path} cannot be created")
 
 
-def remove(at: Place) -> None:
-    """Removes a file or a folder with all that is in it; one that is not there is fine."""
-    filesystem, path = at.opened()
+def remove(path: StoragePath) -> None:
+    """Removes a file or a folder with its content, if it exists."""
+    file_system, location = path.open()
 
-    def removed() -> None:
-        filesystem.invalidate_cache()
+    def delete() -> None:
+        file_system.invalidate_cache()
         with contextlib.suppress(FileNotFoundError):
-            filesystem.rm(path, recursive=True)
+            file_system.rm(location, recursive=True)
 
-    ask(removed, f"{at} cannot be removed")
+    call_with_retries(delete, f"{path} cannot be removed")
 
 
-def download(at: Place, listed: Mapping[str, Stamp], folder: Path) -> None:
-    """Brings the files of a listing below `folder`, or the one file of that place to it; checks their sizes."""
-    filesystem, path = at.opened()
+def download(path: StoragePath, listing: Mapping[str, FileStat], target: Path) -> None:
+    """Copies the listed files of `path` below the folder `target`, or the file `path` itself to `target`.
 
-    def one(name: str) -> None:
-        target = folder / name if name else folder
-        target.parent.mkdir(parents=True, exist_ok=True)
-        source = f"{path}/{name}" if name else path
+    Sizes are compared with the listing. Raises `StoreError` if a file disappears meanwhile.
+    """
+    file_system, location = path.open()
 
-        def fetched() -> None:
-            filesystem.get_file(source, str(target))
-            if target.stat().st_size != listed[name].size:
-                raise OSError(f"{target.stat().st_size} of {listed[name].size} bytes arrived")
+    def transfer(name: str) -> None:
+        destination = target / name if name else target
+        destination.parent.mkdir(parents=True, exist_ok=True)
+        source, address = (f"{location}/{name}", path / name) if name else (location, path)
+
+        def get() -> None:
+            file_system.get_file(source, str(destination))
+            size = destination.stat().st_size
+            if size != listing[name].size:
+                raise OSError(f"received {size} of {listing[name].size} bytes")
 
         try:
-            ask(fetched, f"{at / name if name else at} cannot be read")
+            call_with_retries(get, f"{address} cannot be read")
         except FileNotFoundError:
-            raise StoreError(f"{at / name if name else at} is gone while its capture is read") from None
+            raise StoreError(f"{address} was removed while its capture was being read") from None
 
-    _at_once(one, list(listed))
-
-
-def upload(sources: Mapping[str, Path], at: Place) -> None:
-    """Writes local files below a folder of a store, by relative name."""
-    filesystem, path = at.opened()
-    if at.url.partition("://")[0] not in WHOLE_WRITES:  # object stores have no folders
-        for folder in sorted({f"{path}/{name}".rpartition("/")[0] for name in sources}):
-            _put(partial(filesystem.makedirs, folder, exist_ok=True), f"{folder} cannot be made")
-
-    def one(name: str) -> None:
-        _put(lambda: filesystem.put_file(str(sources[name]), f"{path}/{name}"), f"{at / name} cannot be written")
-
-    _at_once(one, list(sources))
+    _in_parallel(transfer, list(listing))
 
 
-def _put(call: Callable[[], Value], what: str) -> Value:
-    """`ask` where there is something to write: what is not there is the bucket."""
+def upload(sources: Mapping[str, Path], path: StoragePath) -> None:
+    """Copies local files below a folder of a store, by relative name."""
+    file_system, location = path.open()
+    if path.protocol not in ATOMIC_PROTOCOLS:  # object stores have no folders
+        for folder in sorted({f"{location}/{name}".rpartition("/")[0] for name in sources}):
+            _write_with_retries(partial(file_system.makedirs, folder, exist_ok=True), f"{folder} cannot be created")
+
+    def transfer(name: str) -> None:
+        put = partial(file_system.put_file, str(sources[name]), f"{location}/{name}")
+        _write_with_retries(put, f"{path / name} cannot be written")
+
+    _in_parallel(transfer, list(sources))
+
+
+def _write_with_retries(call: Callable[[], Value], failure: str) -> Value:
+    """`call_with_retries` for a write, where a missing file means a missing bucket or disk."""
     try:
-        return ask(call, what)
+        return call_with_retries(call, failure)
     except FileNotFoundError as error:
-        raise InputError(f"{what}: {one_line(error)}; is there such a bucket or disk?") from error
+        raise InputError(f"{failure}: {one_line(error)}; does the bucket or disk exist?") from error
 
 
-def _at_once(one: Callable[[str], None], names: Sequence[str]) -> None:
-    with ThreadPoolExecutor(AT_ONCE) as pool:
-        for done in [pool.submit(one, name) for name in names]:
-            done.result()
+def _in_parallel(transfer: Callable[[str], None], names: Sequence[str]) -> None:
+    with ThreadPoolExecutor(MAX_PARALLEL_TRANSFERS) as pool:
+        for future in [pool.submit(transfer, name) for name in names]:
+            future.result()
 
 
-def _stamp(info: Mapping[str, Any]) -> Stamp:
-    """From what a filesystem lists; local files by nanoseconds, objects by checksum."""
+def _file_stat(info: Mapping[str, Any]) -> FileStat:
+    """From fsspec's listing: the checksum or version of an object, otherwise the modification time."""
     for key in ("ETag", "etag", "md5Hash", "content_md5", "version_id", "generation"):
         if info.get(key):
-            return Stamp(int(info["size"]), str(info[key]).strip('"'))
+            return FileStat(int(info["size"]), str(info[key]).strip('"'))
     for key in ("mtime", "LastModified", "last_modified", "updated", "created"):
         if info.get(key):
-            return Stamp(int(info["size"]), repr(info[key]))
-    return Stamp(int(info.get("size") or 0), "")
+            return FileStat(int(info["size"]), repr(info[key]))
+    return FileStat(int(info.get("size") or 0), "")

@@ -1,4 +1,4 @@
-"""A worker's place on its node's disk for one capture: the staged photographs and the run as far as it is."""
+"""The folder on a node's disk in which a worker keeps the staged capture and the run of one capture."""
 
 from __future__ import annotations
 
@@ -19,30 +19,32 @@ from filelock import FileLock, Timeout
 from hir_core.errors import CaptureError, InputError
 from hir_plugins.commands.batch.retries import StoreError
 from hir_plugins.commands.batch.storage import object_store
-from hir_plugins.commands.batch.storage.content_hash import content_mark
-from hir_plugins.commands.batch.storage.object_store import Place
+from hir_plugins.commands.batch.storage.content_hash import content_hash
+from hir_plugins.commands.batch.storage.storage_path import StoragePath
 
-KEEP_SECONDS: Final = 6 * 3600.0
-"""A desk that nobody came back to for so long is cleared; a tenth of an hour when the disk is nearly full."""
+MAX_AGE_SECONDS: Final = 6 * 3600.0
+"""A scratch folder that was not used for so long is removed."""
 
-FULL: Final = 0.9
-LOCK_SECONDS: Final = 60.0
-"""How long a worker waits for one that was given up and may still be ending."""
+MAX_AGE_ON_FULL_DISK_SECONDS: Final = 360.0
+FULL_DISK_FRACTION: Final = 0.9
+
+LOCK_TIMEOUT_SECONDS: Final = 60.0
+"""How long a worker waits for a cancelled worker that may still be ending."""
 
 
 def default_cache() -> Path:
-    """Below the folder for temporary files: what lies there can always be fetched or made again."""
+    """A folder of this user among the temporary files; its content can always be fetched or computed again."""
     owner = os.getuid() if hasattr(os, "getuid") else os.getlogin()
     cache = Path(tempfile.gettempdir()) / f"hir-batch-{owner}"
     cache.mkdir(exist_ok=True, mode=0o700)
-    if hasattr(os, "getuid") and cache.stat().st_uid != os.getuid():  # everybody may write beside it
-        raise InputError(f"{cache} belongs to another user; name a folder of your own with --cache")
+    if hasattr(os, "getuid") and cache.stat().st_uid != os.getuid():  # every user may write in the parent folder
+        raise InputError(f"{cache} belongs to another user; give a folder of your own with --cache")
     return cache
 
 
 @dataclass(frozen=True)
-class Desk:
-    """A folder that one worker at a time uses; the next one on this node finds what it left."""
+class WorkerScratch:
+    """A folder that one worker at a time uses; the next worker on this node reuses its content."""
 
     folder: Path
 
@@ -50,69 +52,75 @@ class Desk:
     def run(self) -> Path:
         return self.folder / "run"
 
-    def stage(self, source: Place, content: str) -> tuple[Path, str]:
-        """The capture as a local path and the mark of its bytes; `content` is that mark where it is known.
+    def stage_capture(self, source: StoragePath, content: str) -> tuple[Path, str]:
+        """The capture as a local path, and its content hash; `content` is that hash if it is known, otherwise empty.
 
-        A capture on this machine's own filesystem is used where it lies.
+        A capture on this machine's file system is used without a copy.
         """
         if source.local is not None:
             if not source.local.exists():
                 raise CaptureError(f"{source} does not exist on this node; give the folder of a capture")
-            return source.local, content or content_mark(source.local)
+            return source.local, content or content_hash(source.local)
         staged = self.folder / "capture" / (content or "unknown") / source.name
         if content and staged.exists():
             return staged, content
-        listed = object_store.files(source)
-        if not listed:
+        listing = object_store.list_files(source)
+        if not listing:
             raise CaptureError(f"{source} does not exist or is empty; give the folder of a capture")
         shutil.rmtree(self.folder / "capture", ignore_errors=True)
-        arriving = self.folder / "capture" / f"arriving-{secrets.token_hex(4)}"
-        object_store.download(source, listed, arriving / source.name)
-        mark = content_mark(arriving / source.name)
-        os.replace(arriving, self.folder / "capture" / mark)
-        return self.folder / "capture" / mark / source.name, mark
+        partial = self.folder / "capture" / f"partial-{secrets.token_hex(4)}"
+        object_store.download(source, listing, partial / source.name)
+        content = content_hash(partial / source.name)
+        os.replace(partial, self.folder / "capture" / content)
+        return self.folder / "capture" / content / source.name, content
 
-    def begin(self, mark: str) -> None:
-        """Keeps the run of the same input and settings, clears any other."""
-        noted = self.folder / "mark"
-        if not noted.exists() or noted.read_text(encoding="utf-8") != mark:
+    def prepare_run(self, key: str) -> None:
+        """Keeps a run with the same `result_key` and removes any other."""
+        noted = self.folder / "result_key"
+        if not noted.exists() or noted.read_text(encoding="utf-8") != key:
             shutil.rmtree(self.run, ignore_errors=True)
-            noted.write_text(mark, encoding="utf-8")
+            noted.write_text(key, encoding="utf-8")
 
     def clear(self) -> None:
-        """The chain ended: nothing of it is needed here."""
+        """Removes everything: the capture is finished."""
         for entry in ("capture", "run"):
             shutil.rmtree(self.folder / entry, ignore_errors=True)
-        (self.folder / "mark").unlink(missing_ok=True)
+        (self.folder / "result_key").unlink(missing_ok=True)
 
 
 @contextlib.contextmanager
-def desk(cache: Path, destination: str, name: str) -> Iterator[Desk]:
-    """The desk of one capture of one batch, locked; old ones of others are cleared on the way."""
-    mark = hashlib.blake2b(f"{destination}\n{name}".encode(), digest_size=12).hexdigest()
+def worker_scratch(
+    cache: Path, destination: str, name: str, lock_timeout_s: float = LOCK_TIMEOUT_SECONDS
+) -> Iterator[WorkerScratch]:
+    """The locked scratch folder of one capture of one batch; stale folders in the cache are removed.
+
+    Raises `StoreError` if another worker of this node holds the lock for longer than `lock_timeout_s`.
+    """
+    identifier = hashlib.blake2b(f"{destination}\n{name}".encode(), digest_size=12).hexdigest()
     cache.mkdir(parents=True, exist_ok=True, mode=0o700)
-    sweep(cache, time.time())
-    folder = cache / mark
+    remove_stale_scratch(cache, time.time())
+    folder = cache / identifier
     folder.mkdir(exist_ok=True)
-    lock = FileLock(folder / "lock", timeout=LOCK_SECONDS)
+    lock = FileLock(folder / "lock", timeout=lock_timeout_s, poll_interval=0.2)
     try:
-        lock.acquire(poll_interval=0.2)
+        lock.acquire()
     except Timeout:
-        raise StoreError(f"another worker of this node still works on {name}") from None
+        raise StoreError(f"another worker of this node is still processing {name}") from None
     try:
         os.utime(folder)
-        yield Desk(folder)
+        yield WorkerScratch(folder)
         os.utime(folder)
     finally:
         lock.release()
 
 
-def sweep(cache: Path, now: float) -> None:
-    """Clears desks that are old and that nobody uses."""
+def remove_stale_scratch(cache: Path, now: float) -> None:
+    """Removes scratch folders that are old and that no worker uses; `now` is in seconds since the epoch."""
     usage = shutil.disk_usage(cache)
-    keep = KEEP_SECONDS if usage.used < FULL * usage.total else KEEP_SECONDS / 60
+    full = usage.used >= FULL_DISK_FRACTION * usage.total
+    max_age_s = MAX_AGE_ON_FULL_DISK_SECONDS if full else MAX_AGE_SECONDS
     for folder in cache.iterdir():
-        with contextlib.suppress(OSError):  # another worker was faster
-            if now - folder.stat().st_mtime > keep:
-                with FileLock(folder / "lock").acquire(blocking=False):  # Timeout, an OSError, while in use
+        with contextlib.suppress(OSError, Timeout):  # in use, or removed by another worker meanwhile
+            if now - folder.stat().st_mtime > max_age_s:
+                with FileLock(folder / "lock", timeout=0):
                     shutil.rmtree(folder)

@@ -1,1 +1,1 @@
-"""batch.html."""
+"""batch.html: the summary page of a batch."""

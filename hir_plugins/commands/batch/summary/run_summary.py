@@ -1,35 +1,59 @@
-"""What the summary page shows of a finished run: figures, warnings and a small picture."""
+"""The figures, warnings and thumbnail of a finished run that the summary page displays."""
 
 from __future__ import annotations
 
 import base64
 import io
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 from hir_core.files.json_documents import read_json
-from hir_core.run.run_directory import STAGES, RunDirectory
+from hir_core.run.run_directory import STAGE_NAMES, RunDirectory
 
 THUMBNAIL_SIDE: Final = 112
+"""Pixels."""
 
 
-def summarize(run: RunDirectory) -> dict[str, Any]:
-    """PSNR of the report's fitted views in dB, large ones reduced; seconds and memory of the stages, warnings, a
-    thumbnail.
-    """
+@dataclass(frozen=True)
+class RunSummary:
+    """What batch.json and batch.html say about one run."""
+
+    psnr: Mapping[str, float | None]
+    """Mean over the fitted views that the report displays, in dB: over the object's pixels and over the frame."""
+    stage_seconds: Mapping[str, float]
+    peak_memory_bytes: int
+    photographs: int
+    triangles: int | None
+    warnings: Sequence[str]
+    thumbnail: str
+    """A JPEG as a data: URL; empty if no view was rendered."""
+
+    def document(self) -> dict[str, Any]:
+        """The summary as a JSON object."""
+        return asdict(self)
+
+
+def summarize_run(run: RunDirectory) -> RunSummary:
+    """The summary of a finished run; reads run.json, timings.json and the report's images."""
     document, timings = run.read_run(), run.read_timings()
     path = run.report / "views.json"
     views = read_json(path)["views"] if path.exists() else []
     stages = timings.get("stages", {})
-    warnings = [f"{s}: {w}" for s in STAGES for w in document["stages"].get(s, {}).get("warnings", ())]
-    return {
-        "psnr": {key: _mean([view[key] for view in views]) for key in ("object", "frame")},
-        "stage_seconds": {stage: entry["seconds"] for stage, entry in stages.items()},
-        "peak_memory_bytes": max((entry["peak_memory_bytes"] for entry in stages.values()), default=0),
-        "photographs": document["capture"]["views"],
-        "triangles": document["stages"].get("bake", {}).get("report", {}).get("triangles"),
-        "warnings": warnings + [f"plugin: {problem}" for problem in document.get("plugin_problems", ())],
-        "thumbnail": _thumbnail(run, views),
-    }
+    warnings = [
+        f"{stage}: {warning}"
+        for stage in STAGE_NAMES
+        for warning in document["stages"].get(stage, {}).get("warnings", ())
+    ]
+    return RunSummary(
+        psnr={key: _mean([view[key] for view in views]) for key in ("object", "frame")},
+        stage_seconds={stage: entry["seconds"] for stage, entry in stages.items()},
+        peak_memory_bytes=max((entry["peak_memory_bytes"] for entry in stages.values()), default=0),
+        photographs=document["capture"]["views"],
+        triangles=document["stages"].get("bake", {}).get("report", {}).get("triangles"),
+        warnings=warnings + [f"plugin: {problem}" for problem in document.get("plugin_problems", ())],
+        thumbnail=_thumbnail(run, views),
+    )
 
 
 def _mean(values: list[float | None]) -> float | None:
@@ -38,21 +62,21 @@ def _mean(values: list[float | None]) -> float | None:
 
 
 def _thumbnail(run: RunDirectory, views: list[dict[str, Any]]) -> str:
-    """The worst view's photograph beside its fit, a JPEG as a data: address; empty where no view was rendered."""
+    """The photograph with the lowest PSNR beside its fit, cropped to the object."""
     from PIL import Image, ImageChops, ImageOps
 
-    shown = [view for view in views if view["object"] is not None]
-    if not shown:
+    rendered = [view for view in views if view["object"] is not None]
+    if not rendered:
         return ""
-    worst = min(shown, key=lambda view: view["object"])
+    worst = min(rendered, key=lambda view: view["object"])
     side = THUMBNAIL_SIDE
     pair = Image.new("RGB", (2 * side, side))
-    pictures = [Image.open(run.report / worst[kind]).convert("RGB") for kind in ("true", "fit")]
-    # around the object, which is all that is not black
-    box = ImageChops.lighter(*pictures).getbbox() or (0, 0, *pictures[0].size)
-    for i, picture in enumerate(pictures):
-        shown_part = ImageOps.contain(picture.crop(box), (side - 4, side - 4), Image.Resampling.LANCZOS)
-        pair.paste(shown_part, (i * side + (side - shown_part.width) // 2, (side - shown_part.height) // 2))
+    images = [Image.open(run.report / worst[kind]).convert("RGB") for kind in ("true", "fit")]
+    # the background is black
+    box = ImageChops.lighter(*images).getbbox() or (0, 0, *images[0].size)
+    for i, image in enumerate(images):
+        scaled = ImageOps.contain(image.crop(box), (side - 4, side - 4), Image.Resampling.LANCZOS)
+        pair.paste(scaled, (i * side + (side - scaled.width) // 2, (side - scaled.height) // 2))
     stream = io.BytesIO()
     pair.save(stream, format="JPEG", quality=80)
     return "data:image/jpeg;base64," + base64.b64encode(stream.getvalue()).decode("ascii")

@@ -1,4 +1,4 @@
-"""Stores that live in memory or refuse now and then, tiny captures, and settings that are fast rather than good."""
+"""Stores in memory, a store with transient errors, tiny captures, and settings for fast runs."""
 
 from __future__ import annotations
 
@@ -11,66 +11,66 @@ import fsspec
 import pytest
 from fsspec.implementations.memory import MemoryFileSystem
 
-from hir_plugins.commands.batch.storage.object_store import Place
+from hir_plugins.commands.batch.storage.storage_path import StoragePath
 from tests.fixtures.runs import QUICK, make_tiny
 
 QUICKER = (
     *QUICK,
-    "geometry.photographs=off",
+    "geometry.photo_consistency=off",
     "geometry.iterations=5",
     "export=['glb']",
 )
 
 
-class RefusingStore(MemoryFileSystem):
-    """Objects in memory; every third request fails as a store's answer 503 does."""
+class UnreliableStore(MemoryFileSystem):
+    """Objects in memory; every third request fails with a transient error, like a response with status 503."""
 
-    protocol = "refusing"
+    protocol = "unreliable"
     requests = itertools.count(1)
-    refused = 0
+    failures = 0
 
     @classmethod
     def _strip_protocol(cls, path: str) -> str:
-        return super()._strip_protocol(path.replace("refusing://", "memory://"))
+        return super()._strip_protocol(path.replace("unreliable://", "memory://"))
 
-    def _answer(self) -> None:
-        if next(RefusingStore.requests) % 3 == 0:
-            RefusingStore.refused += 1
+    def _count_request(self) -> None:
+        if next(UnreliableStore.requests) % 3 == 0:
+            UnreliableStore.failures += 1
             raise OSError(16, "Please reduce your request rate")
 
-    def cat_file(self, path: str, *words: object, **more: object) -> bytes:
-        self._answer()
-        return super().cat_file(path, *words, **more)
+    def cat_file(self, path: str, *args: object, **kwargs: object) -> bytes:
+        self._count_request()
+        return super().cat_file(path, *args, **kwargs)
 
-    def pipe_file(self, path: str, *words: object, **more: object) -> None:
-        self._answer()
-        super().pipe_file(path, *words, **more)
+    def pipe_file(self, path: str, *args: object, **kwargs: object) -> None:
+        self._count_request()
+        super().pipe_file(path, *args, **kwargs)
 
-    def put_file(self, lpath: str, rpath: str, *words: object, **more: object) -> None:
-        self._answer()
-        super().put_file(lpath, rpath, *words, **more)
+    def put_file(self, lpath: str, rpath: str, *args: object, **kwargs: object) -> None:
+        self._count_request()
+        super().put_file(lpath, rpath, *args, **kwargs)
 
-    def get_file(self, rpath: str, lpath: str, *words: object, **more: object) -> None:
-        self._answer()
-        super().get_file(rpath, lpath, *words, **more)
+    def get_file(self, rpath: str, lpath: str, *args: object, **kwargs: object) -> None:
+        self._count_request()
+        super().get_file(rpath, lpath, *args, **kwargs)
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _refusing_protocol() -> None:
-    fsspec.register_implementation("refusing", RefusingStore, clobber=True)
+def _unreliable_protocol() -> None:
+    fsspec.register_implementation("unreliable", UnreliableStore, clobber=True)
 
 
 @pytest.fixture
-def memory() -> Iterator[Place]:
+def memory() -> Iterator[StoragePath]:
     """An empty folder of a store in memory."""
-    at = Place(f"memory://{uuid.uuid4().hex}")
-    yield at
-    filesystem, path = at.opened()
-    if filesystem.exists(path):
-        filesystem.rm(path, recursive=True)
+    folder = StoragePath(f"memory://{uuid.uuid4().hex}")
+    yield folder
+    file_system, location = folder.open()
+    if file_system.exists(location):
+        file_system.rm(location, recursive=True)
 
 
 @pytest.fixture(scope="session")
 def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """8 + 1 views of 64×64; tests must not change it."""
-    return make_tiny(tmp_path_factory.mktemp("shelf") / "cow", train=8, test=1)
+    return make_tiny(tmp_path_factory.mktemp("captures") / "cow", train=8, test=1)

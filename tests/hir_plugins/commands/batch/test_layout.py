@@ -1,4 +1,4 @@
-"""Results take their place whole; what was begun can be fetched by any node."""
+"""Results are published as a whole; stages of unfinished captures can be fetched by any node."""
 
 from __future__ import annotations
 
@@ -15,18 +15,17 @@ import pytest
 from hir_core.errors import CaptureError, InputError
 from hir_core.run.run_directory import RunDirectory, StageRecord
 from hir_plugins.commands.batch.retries import StoreError
-from hir_plugins.commands.batch.stage_groups import GROUPS
+from hir_plugins.commands.batch.stage_groups import STAGE_GROUPS
 from hir_plugins.commands.batch.storage import object_store
-from hir_plugins.commands.batch.storage import worker_scratch as desk_module
-from hir_plugins.commands.batch.storage.archive import kept_files, pack, unpack
+from hir_plugins.commands.batch.storage.archive import pack, result_files, unpack
 from hir_plugins.commands.batch.storage.layout import Destination
-from hir_plugins.commands.batch.storage.object_store import Place
-from hir_plugins.commands.batch.storage.worker_scratch import desk, sweep
+from hir_plugins.commands.batch.storage.storage_path import StoragePath
+from hir_plugins.commands.batch.storage.worker_scratch import remove_stale_scratch, worker_scratch
 
 
 @pytest.fixture
 def run(tmp_path: Path) -> Path:
-    """A run's folder with two finished stages, a workspace, a lock and a result."""
+    """A run directory with two finished stages, a workspace, a lock and a result."""
     folder = tmp_path / "run"
     directory = RunDirectory(folder)
     for stage in ("initializer", "geometry"):
@@ -44,14 +43,14 @@ def relative(folder: Path) -> set[str]:
     return {file.relative_to(folder).as_posix() for file in folder.rglob("*") if file.is_file()}
 
 
-def test_archive_of_a_group_holds_its_stages_and_the_records(run: Path, tmp_path: Path) -> None:
-    unpack(pack(run, GROUPS[1]), tmp_path / "there")
+def test_archive_of_a_group_contains_its_stages_and_the_records(run: Path, tmp_path: Path) -> None:
+    unpack(pack(run, STAGE_GROUPS[1]), tmp_path / "there")
     assert relative(tmp_path / "there") == {"run.json", "stages/2-geometry/scene", "stages/2-geometry/stage.json"}
-    unpack(pack(run, GROUPS[0]), tmp_path / "there")
+    unpack(pack(run, STAGE_GROUPS[0]), tmp_path / "there")
     assert (tmp_path / "there" / "stages/1-initializer/scene").read_bytes() == b"initializer"
     record = RunDirectory(tmp_path / "there").record("geometry")
     assert record is not None and record.finished
-    assert not any("work" in file.parts or file.name == ".lock" for file in kept_files(run))
+    assert not any("work" in file.parts or file.name == ".lock" for file in result_files(run))
 
 
 @pytest.mark.parametrize("name", ["../evil", "/tmp/evil", "link"])
@@ -70,34 +69,34 @@ def test_archive_that_leads_out_of_the_run_is_refused(name: str, tmp_path: Path)
 
 
 @pytest.mark.parametrize("kind", ["memory", "local"])
-def test_result_replaces_an_older_one_as_a_whole(kind: str, run: Path, memory: Place, tmp_path: Path) -> None:
-    destination = Destination(memory if kind == "memory" else Place(str(tmp_path / "out")))
+def test_result_replaces_an_older_one_as_a_whole(kind: str, run: Path, memory: StoragePath, tmp_path: Path) -> None:
+    destination = Destination(memory if kind == "memory" else StoragePath(str(tmp_path / "out")))
     destination.publish("cup", run)
     (run / "exports" / "cup.glb").unlink()
     (run / "exports" / "cup.usdz").write_bytes(b"usd")
     size = destination.publish("cup", run)
-    there = {
+    published = {
         name: object_store.read(destination.result("cup") / name)
-        for name in object_store.files(destination.result("cup"))
+        for name in object_store.list_files(destination.result("cup"))
     }
-    kept = {file.relative_to(run).as_posix(): file.read_bytes() for file in kept_files(run)}
-    assert there == kept and size == sum(map(len, kept.values())) and "exports/cup.glb" not in there
+    expected = {file.relative_to(run).as_posix(): file.read_bytes() for file in result_files(run)}
+    assert published == expected and size == sum(map(len, expected.values())) and "exports/cup.glb" not in published
     destination.publish("cup", run, keep_stages=False)
-    assert set(object_store.files(destination.result("cup"))) == {
-        name for name in kept if not name.startswith("stages/")
+    assert set(object_store.list_files(destination.result("cup"))) == {
+        name for name in expected if not name.startswith("stages/")
     }
 
 
-def test_upload_that_breaks_off_leaves_no_run_behind(run: Path, memory: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupted_upload_leaves_no_run(run: Path, memory: StoragePath, monkeypatch: pytest.MonkeyPatch) -> None:
     destination = Destination(memory)
     destination.publish("cup", run)
     upload = object_store.upload
 
-    def breaks_off(sources: dict[str, Path], at: Place) -> None:
-        upload({name: sources[name] for name in list(sources)[:1]}, at)
+    def interrupted(sources: dict[str, Path], path: StoragePath) -> None:
+        upload({name: sources[name] for name in list(sources)[:1]}, path)
         raise StoreError("refused")
 
-    monkeypatch.setattr(object_store, "upload", breaks_off)
+    monkeypatch.setattr(object_store, "upload", interrupted)
     with pytest.raises(StoreError):
         destination.publish("cup", run)
     assert not object_store.exists(destination.result("cup") / "run.json"), "without run.json a folder is not a run"
@@ -106,25 +105,27 @@ def test_upload_that_breaks_off_leaves_no_run_behind(run: Path, memory: Place, m
     assert object_store.read(destination.result("cup") / "run.json") == (run / "run.json").read_bytes()
 
 
-def test_folder_that_is_no_result_is_left_alone(run: Path, tmp_path: Path) -> None:
+def test_folder_that_is_no_run_is_not_replaced(run: Path, tmp_path: Path) -> None:
     (tmp_path / "out" / "cup").mkdir(parents=True)
     (tmp_path / "out" / "cup" / "letters.txt").write_text("dear")
-    with pytest.raises(InputError, match="is there and is not a run"):
-        Destination(Place(str(tmp_path / "out"))).publish("cup", run)
+    with pytest.raises(InputError, match="exists and is not a run"):
+        Destination(StoragePath(str(tmp_path / "out"))).publish("cup", run)
     assert (tmp_path / "out" / "cup" / "letters.txt").read_text() == "dear"
 
 
-def test_groups_are_kept_by_their_input_and_settings(run: Path, memory: Place, tmp_path: Path) -> None:
+def test_groups_are_stored_by_content_and_settings(run: Path, memory: StoragePath, tmp_path: Path) -> None:
     destination = Destination(memory)
-    destination.store_group("cup", "mark", GROUPS[0], run)
-    assert destination.stored_groups("cup", "mark") == [GROUPS[0]] and destination.stored_groups("cup", "other") == []
-    destination.fetch_group("cup", "mark", GROUPS[0], tmp_path / "node")
+    destination.store_group("cup", "key", STAGE_GROUPS[0], run)
+    assert (
+        destination.stored_groups("cup", "key") == [STAGE_GROUPS[0]] and destination.stored_groups("cup", "other") == []
+    )
+    destination.fetch_group("cup", "key", STAGE_GROUPS[0], tmp_path / "node")
     assert relative(tmp_path / "node") == {"run.json", "stages/1-initializer/scene", "stages/1-initializer/stage.json"}
-    with pytest.raises(InputError, match="are gone"):
-        destination.fetch_group("cup", "mark", GROUPS[1], tmp_path / "node")
+    with pytest.raises(InputError, match="no longer exist"):
+        destination.fetch_group("cup", "key", STAGE_GROUPS[1], tmp_path / "node")
 
 
-def test_record_that_is_damaged_is_none(memory: Place) -> None:
+def test_damaged_record_is_empty(memory: StoragePath) -> None:
     destination = Destination(memory)
     destination.write_record("cup", {"psnr": {"object": 30.0}})
     assert destination.record("cup") == {"psnr": {"object": 30.0}}
@@ -132,54 +133,55 @@ def test_record_that_is_damaged_is_none(memory: Place) -> None:
     assert destination.record("cup") == {} and destination.record("jug") == {}
 
 
-def test_capture_is_staged_once_and_under_its_own_name(memory: Place, tmp_path: Path) -> None:
+def test_capture_is_staged_once_under_its_own_name(memory: StoragePath, tmp_path: Path) -> None:
     object_store.write(memory / "cup" / "train" / "a.png", b"red")
-    with desk(tmp_path / "cache", "s3://out", "cup") as place:
-        staged, content = place.stage(memory / "cup", "")
+    with worker_scratch(tmp_path / "cache", "s3://out", "cup") as scratch:
+        staged, content = scratch.stage_capture(memory / "cup", "")
         assert staged.name == "cup" and (staged / "train" / "a.png").read_bytes() == b"red"
     object_store.remove(memory / "cup")
-    with desk(tmp_path / "cache", "s3://out", "cup") as place:
-        assert place.stage(memory / "cup", content) == (staged, content), "nothing is fetched again"
-        place.clear()
+    with worker_scratch(tmp_path / "cache", "s3://out", "cup") as scratch:
+        assert scratch.stage_capture(memory / "cup", content) == (staged, content), "nothing is downloaded again"
+        scratch.clear()
         with pytest.raises(CaptureError, match="does not exist or is empty"):
-            place.stage(memory / "cup", content)
+            scratch.stage_capture(memory / "cup", content)
         with pytest.raises(CaptureError, match="does not exist on this node"):
-            place.stage(Place(str(tmp_path / "gone")), "")
+            scratch.stage_capture(StoragePath(str(tmp_path / "gone")), "")
 
 
-def test_run_of_other_input_is_cleared_from_the_desk(tmp_path: Path) -> None:
-    with desk(tmp_path, "out", "cup") as place:
-        place.begin("one")
-        place.run.mkdir()
-        (place.run / "run.json").write_text("{}")
-        place.begin("one")
-        assert place.run.exists()
-        place.begin("two")
-        assert not place.run.exists()
+def test_run_of_other_input_is_removed_from_the_scratch_folder(tmp_path: Path) -> None:
+    with worker_scratch(tmp_path, "out", "cup") as scratch:
+        scratch.prepare_run("one")
+        scratch.run.mkdir()
+        (scratch.run / "run.json").write_text("{}")
+        scratch.prepare_run("one")
+        assert scratch.run.exists()
+        scratch.prepare_run("two")
+        assert not scratch.run.exists()
 
 
-HOLD = """
+LOCK_SCRATCH = """
 import sys, time
 from pathlib import Path
-from hir_plugins.commands.batch.storage.worker_scratch import desk
-with desk(Path(sys.argv[1]), "out", "cup"):
-    print("held", flush=True)
+from hir_plugins.commands.batch.storage.worker_scratch import worker_scratch
+with worker_scratch(Path(sys.argv[1]), "out", "cup"):
+    print("locked", flush=True)
     time.sleep(600)
 """
 
 
-def test_desk_belongs_to_one_worker_until_it_dies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(desk_module, "LOCK_SECONDS", 0.3)
-    with subprocess.Popen([sys.executable, "-c", HOLD, str(tmp_path)], stdout=subprocess.PIPE, text=True) as other:
+def test_scratch_folder_is_locked_until_its_worker_dies(tmp_path: Path) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", LOCK_SCRATCH, str(tmp_path)], stdout=subprocess.PIPE, text=True
+    ) as other:
         assert other.stdout is not None and other.stdout.readline()
-        with pytest.raises(StoreError, match="still works on cup"), desk(tmp_path, "out", "cup"):
+        with pytest.raises(StoreError, match="still processing cup"), worker_scratch(tmp_path, "out", "cup", 0.3):
             pass
         (folder,) = tmp_path.iterdir()
         os.utime(folder, (1, 1))
-        sweep(tmp_path, time.time())
+        remove_stale_scratch(tmp_path, time.time())
         assert folder.exists(), "it is in use"
         other.kill()
-    sweep(tmp_path, time.time())
+    remove_stale_scratch(tmp_path, time.time())
     assert not folder.exists()
-    with desk(tmp_path, "out", "cup"):
+    with worker_scratch(tmp_path, "out", "cup"):
         pass

@@ -1,4 +1,4 @@
-"""batch.json, the lease and the log of results: never half-written, one writer."""
+"""batch.json and the lease: always complete, one writer."""
 
 from __future__ import annotations
 
@@ -13,44 +13,43 @@ from pathlib import Path
 import pytest
 
 from hir_core.errors import InputError
-from hir_plugins.commands.batch.retries import Patience
-from hir_plugins.commands.batch.scheduling.capture_chain import Chain
+from hir_plugins.commands.batch.retries import RetryPolicy
+from hir_plugins.commands.batch.scheduling.capture_job import CaptureJob
 from hir_plugins.commands.batch.scheduling.manifest import Manifest
-from hir_plugins.commands.batch.scheduling.messages import Outcome
-from hir_plugins.commands.batch.storage import lease as lease_module
+from hir_plugins.commands.batch.scheduling.messages import TaskOutcome
 from hir_plugins.commands.batch.storage import object_store
-from hir_plugins.commands.batch.storage.lease import STALE_SECONDS, Lease, died, owner_of
-from hir_plugins.commands.batch.storage.object_store import Place
+from hir_plugins.commands.batch.storage.lease import EXPIRY_SECONDS, Lease, LeaseTiming, is_expired, lease_owner
+from hir_plugins.commands.batch.storage.storage_path import StoragePath
 
 WRITE_FOREVER = """
 import sys
-from hir_plugins.commands.batch.scheduling.capture_chain import Chain
+from hir_plugins.commands.batch.scheduling.capture_job import CaptureJob
 from hir_plugins.commands.batch.scheduling.manifest import Manifest
-from hir_plugins.commands.batch.storage.object_store import Place
-manifest = Manifest(Place(sys.argv[1]), {})
-chains = [Chain(f"capture-{i}", "x" * 200) for i in range(500)]
+from hir_plugins.commands.batch.storage.storage_path import StoragePath
+manifest = Manifest(StoragePath(sys.argv[1]), {})
+jobs = [CaptureJob(f"capture-{i}", "x" * 200) for i in range(500)]
 print("ready", flush=True)
 while True:
-    manifest.write(chains)
+    manifest.write(jobs)
 """
-HOLD = """
+HOLD_LEASE = """
 import sys, time
 from hir_plugins.commands.batch.storage.lease import Lease
-from hir_plugins.commands.batch.storage.object_store import Place
-with Lease(Place(sys.argv[1]), print):
-    print("held", flush=True)
+from hir_plugins.commands.batch.storage.storage_path import StoragePath
+with Lease(StoragePath(sys.argv[1]), print):
+    print("acquired", flush=True)
     time.sleep(600)
 """
 
 
-def python(code: str, *words: object) -> subprocess.Popen[str]:
-    """A process that said its first word."""
-    process = subprocess.Popen([sys.executable, "-c", code, *map(str, words)], stdout=subprocess.PIPE, text=True)
+def python(code: str, *arguments: object) -> subprocess.Popen[str]:
+    """A process that has printed its first line."""
+    process = subprocess.Popen([sys.executable, "-c", code, *map(str, arguments)], stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None and process.stdout.readline()
     return process
 
 
-def test_manifest_is_whole_whenever_it_is_read_and_whenever_its_writer_dies(tmp_path: Path) -> None:
+def test_manifest_is_complete_at_every_read_and_after_its_writer_is_killed(tmp_path: Path) -> None:
     path = tmp_path / "batch.json"
     with python(WRITE_FOREVER, path) as process:
         changes, last, until = 0, 0, time.monotonic() + 60
@@ -61,70 +60,75 @@ def test_manifest_is_whole_whenever_it_is_read_and_whenever_its_writer_dies(tmp_
                 seen = path.stat().st_mtime_ns
                 changes, last = changes + (seen != last), seen
         process.send_signal(signal.SIGKILL)
-    assert changes == 40, "the file was replaced between readings"
-    assert len(Manifest(Place(str(path)), {}).read()) == 500
+    assert changes == 40, "the file was replaced between reads"
+    assert len(Manifest(StoragePath(str(path)), {}).read()) == 500
 
 
-def test_manifest_keeps_the_captures_of_earlier_calls(memory: Place) -> None:
-    at = memory / "batch.json"
-    cup, jug = Chain("cup", "s3://shelf/cup"), Chain("jug", "s3://shelf/jug")
-    cup.settle(Outcome("failed", "no photographs"), Patience(1, 0.0), 0.0, 0.0)
-    assert Manifest(at, {"started": "then"}).write([cup])
-    second = Manifest(at, {"started": "now"})
+def test_manifest_keeps_the_captures_of_earlier_calls(memory: StoragePath) -> None:
+    path = memory / "batch.json"
+    cup, jug = CaptureJob("cup", "s3://captures/cup"), CaptureJob("jug", "s3://captures/jug")
+    cup.apply(TaskOutcome("failed", "no photographs"), RetryPolicy(1, 0.0), 0.0, 0.0)
+    assert Manifest(path, {"started": "then"}).write([cup])
+    second = Manifest(path, {"started": "now"})
     assert set(second.read()) == {"cup"}
     assert second.write([jug])
-    document = json.loads(object_store.read(at) or b"")
+    document = json.loads(object_store.read(path) or b"")
     assert set(document["captures"]) == {"cup", "jug"} and document["started"] == "then"
     assert document["captures"]["cup"]["reason"] == "initialization: no photographs"
-    assert not second.write([jug], force=False), "it was just written"
+    assert not second.write([jug], force=False), "it was written just now"
 
 
 @pytest.mark.parametrize("content", [b"{", b"[]", b'{"format": "other"}', b'{"format": "hir-batch", "version": 9}'])
-def test_manifest_that_is_none_is_refused(memory: Place, content: bytes) -> None:
+def test_other_files_are_no_manifest(memory: StoragePath, content: bytes) -> None:
     object_store.write(memory / "batch.json", content)
     with pytest.raises(InputError, match=r"batch\.json"):
         Manifest(memory / "batch.json", {}).read()
 
 
 @pytest.mark.skipif(os.name != "posix", reason="processes are looked up by signals")
-def test_one_batch_at_a_time_and_the_next_one_when_it_died(tmp_path: Path) -> None:
-    at, said = Place(str(tmp_path / "lease.json")), []
-    with python(HOLD, at.url) as other:
+def test_one_batch_at_a_time_until_it_dies(tmp_path: Path) -> None:
+    path = StoragePath(str(tmp_path / "lease.json"))
+    messages: list[str] = []
+    with python(HOLD_LEASE, path.url) as other:
         with (
-            pytest.raises(InputError, match=f"another batch works on .* \\(process {other.pid} on"),
-            Lease(at, said.append),
+            pytest.raises(InputError, match=f"another batch is writing to .* \\(process {other.pid} on"),
+            Lease(path, messages.append),
         ):
             pass
         other.send_signal(signal.SIGKILL)
-    with Lease(at, said.append) as mine:
-        assert owner_of(at) == mine.token and "going on with a batch that ended" in said[-1]
-    assert not object_store.exists(at), "given back"
+    with Lease(path, messages.append) as mine:
+        assert lease_owner(path) == mine.token and "continuing a batch that ended" in messages[-1]
+    assert not object_store.exists(path), "released"
 
 
-def test_lease_of_another_machine_counts_until_it_is_silent(memory: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lease_of_another_machine_holds_until_it_expires(memory: StoragePath) -> None:
     now = time.time()
     fresh = {"owner": "them", "host": "another", "pid": 1, "renewed": now}
-    assert not died(fresh, now) and died({**fresh, "renewed": now - STALE_SECONDS - 1}, now) and died({}, now)
-    at, said = memory / "lease.json", []
+    assert (
+        not is_expired(fresh, now)
+        and is_expired({**fresh, "renewed": now - EXPIRY_SECONDS - 1}, now)
+        and is_expired({}, now)
+    )
+    path = memory / "lease.json"
+    messages: list[str] = []
 
     def renewed_by_its_owner(seconds: float) -> None:
-        object_store.write(at, json.dumps({**fresh, "renewed": time.time() + 1}).encode())
+        object_store.write(path, json.dumps({**fresh, "renewed": time.time() + 1}).encode())
 
-    object_store.write(at, json.dumps(fresh).encode())
-    monkeypatch.setattr(lease_module.time, "sleep", renewed_by_its_owner)
-    with pytest.raises(InputError, match="on another"), Lease(at, said.append):
+    object_store.write(path, json.dumps(fresh).encode())
+    timing = LeaseTiming(sleep=renewed_by_its_owner)
+    with pytest.raises(InputError, match="on another"), Lease(path, messages.append, timing):
         pass
-    assert len(said) == 1 and "waiting up to 60 s" in said[0]
+    assert len(messages) == 1 and "waiting up to 60 s" in messages[0]
 
 
-def test_batch_notices_that_its_destination_was_taken(memory: Place, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lease_module, "RENEW_SECONDS", 0.02)
-    at = memory / "lease.json"
-    with Lease(at, print) as mine:
+def test_batch_notices_that_its_lease_was_acquired_by_another(memory: StoragePath) -> None:
+    path = memory / "lease.json"
+    with Lease(path, print, LeaseTiming(renewal_seconds=0.02)) as mine:
         assert not mine.lost
-        object_store.write(at, b'{"owner": "them"}')
+        object_store.write(path, b'{"owner": "them"}')
         until = time.monotonic() + 10
         while not mine.lost and time.monotonic() < until:
             time.sleep(0.01)
         assert mine.lost
-    assert owner_of(at) == "them", "what belongs to another is not given back"
+    assert lease_owner(path) == "them", "another batch's lease is not released"

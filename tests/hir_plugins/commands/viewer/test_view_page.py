@@ -1,4 +1,4 @@
-"""The page of `hir view --save`, opened from disk in a browser: it shows the asset, each channel and a turned light."""
+"""The page of `hir view --save`, opened from disk in a browser: the asset, each channel, a rotated light."""
 
 from __future__ import annotations
 
@@ -17,25 +17,24 @@ from hir_exporters.files.atomic import write_text_atomic
 from hir_exporters.formats import create_exporter
 from hir_exporters.scene_format import save_scene
 from hir_exporters.textures.image_files import read_ldr, write_png
-from parity.browser import module_folder, pictures_in_browser
+from parity.browser import pictures_in_browser
 
 from hir_core.capture import Camera
 from hir_core.cli import main
 from hir_core.errors import InputError
-from hir_core.rendering.run_pictures import look_at
-from hir_plugins.commands.viewer.viewer_page import MODULES, three_version, view_page
+from hir_core.rendering.orbit_cameras import look_at
+from hir_plugins.commands.viewer.three_modules import three_version
+from hir_plugins.commands.viewer.viewer_page import view_page
 from tests.fixtures.octant_asset import asset
 
 SIDE = 320
 BACKGROUND = np.array([0x17, 0x18, 0x1B])
-FOLDERS = ("three", "build", "controls", "loaders", "utils")
-"""Where the npm package keeps what is shipped."""
 
 Shot = Callable[..., np.ndarray]
 
 
 def glossy() -> Asset:
-    """The octants with a roughness to look for: sqrt(0.16) = 0.4."""
+    """The octants with a known roughness: sqrt(0.16) = 0.4."""
     plain = asset()
     return replace(plain, material=replace(plain.material, roughness=np.array(0.16, np.float32)))
 
@@ -80,9 +79,9 @@ def first_camera() -> Camera:
     """The page's first camera, from its own formula: the sphere about the box, 35° high, 1.15 radii to spare."""
     radius = float(np.linalg.norm([0.9, 0.6, 0.7]))
     toward = np.array([0.55, 0.35, 1.0])
-    place = toward / np.linalg.norm(toward) * 1.15 * radius / np.sin(np.radians(17.5))
+    position = toward / np.linalg.norm(toward) * 1.15 * radius / np.sin(np.radians(17.5))
     focal = SIDE / 2 / np.tan(np.radians(17.5))
-    return Camera(np.array([[focal, 0, SIDE / 2], [0, focal, SIDE / 2], [0, 0, 1.0]]), look_at(place), SIDE, SIDE)
+    return Camera(np.array([[focal, 0, SIDE / 2], [0, focal, SIDE / 2], [0, 0, 1.0]]), look_at(position), SIDE, SIDE)
 
 
 def test_lit_picture_is_our_render_and_its_light_turns(page: Path, shot: Shot) -> None:
@@ -99,17 +98,17 @@ def test_lit_picture_is_our_render_and_its_light_turns(page: Path, shot: Shot) -
     def error(picture: np.ndarray) -> float:
         return float(np.abs(picture[inside] - ours[inside]).mean())
 
-    right, turned = error(shot(page, "")), error(shot(page, "turn=120"))
+    right, turned = error(shot(page, "")), error(shot(page, "rotation=120"))
     assert right < 0.02, "edges of colours and three.js' prefiltered light"
     assert turned > 3 * right
 
 
-def test_the_light_is_switched_and_shown(page: Path, shot: Shot) -> None:
-    """Under the even light a matt surface has 0.8 of its albedo; the light behind it lies where its map has it."""
-    even, albedo = (srgb_to_linear(shot(page, settings)) for settings in ("lamp=even", "channel=albedo"))
+def test_the_light_is_switched_and_displayed_as_background(page: Path, shot: Shot) -> None:
+    """Under the uniform light a diffuse surface has 0.8 of its albedo; the background is the light of its direction."""
+    uniform, albedo = (srgb_to_linear(shot(page, settings)) for settings in ("light=uniform", "channel=albedo"))
     inside = (albedo > 0.02).all(axis=-1)  # the background is 0.01
     assert inside.sum() > 10_000
-    np.testing.assert_allclose(np.median(even[inside] / albedo[inside], axis=0), 0.8, atol=0.02)
+    np.testing.assert_allclose(np.median(uniform[inside] / albedo[inside], axis=0), 0.8, atol=0.02)
 
     environment, camera = glossy().environment, first_camera()
     shown = shot(page, "background")
@@ -134,7 +133,7 @@ ANSWER = """<script>
   at("pointermove", 10 + DRAG * innerHeight);
   at("pointerup", 10 + DRAG * innerHeight);
   let before = "", now = canvas.toDataURL();
-  while (before !== now) { // the turn swings out
+  while (before !== now) { // damping continues the rotation
     await pause(400);
     [before, now] = [now, canvas.toDataURL()];
   }
@@ -145,13 +144,13 @@ ANSWER = """<script>
 
 
 @pytest.mark.slow
-def test_a_drag_over_half_the_height_turns_the_asset_by_half(page: Path, chromium: list[str], tmp_path: Path) -> None:
+def test_a_drag_over_half_the_height_rotates_by_half_a_turn(page: Path, chromium: list[str], tmp_path: Path) -> None:
     text = page.read_text(encoding="utf-8")
 
-    def taken(drag: float, toward: str) -> np.ndarray:
+    def screenshot(drag: float, toward: str) -> np.ndarray:
         changes = {
             "connect-src blob: data:": "connect-src blob: data: 'self'",
-            '"toward": null': f'"toward": {toward}',
+            '"initialDirection": null': f'"initialDirection": {toward}',
             "</title>": "</title><script>location.hash = 'bare&channel=albedo'</script>",
             "</body>": ANSWER.replace("DRAG", str(drag)),
         }
@@ -163,13 +162,13 @@ def test_a_drag_over_half_the_height_turns_the_asset_by_half(page: Path, chromiu
         [picture] = pictures_in_browser(chromium, tmp_path / "page.html", [{}], {})
         return picture[..., :3]
 
-    front, back, dragged = taken(0, "null"), taken(0, "[-0.55, 0.35, -1]"), taken(0.5, "null")
+    front, back, dragged = screenshot(0, "null"), screenshot(0, "[-0.55, 0.35, -1]"), screenshot(0.5, "null")
     assert np.abs(back - front).mean() > 0.02, "the two sides differ"
     assert np.abs(dragged - back).mean() < 0.05 * np.abs(dragged - front).mean()
 
 
 def test_channels_show_the_maps(page: Path, shot: Shot) -> None:
-    albedo = shot(page, "channel=albedo&turn=120")
+    albedo = shot(page, "channel=albedo&rotation=120")
     palette = linear_to_srgb(glossy().material.diffuse_albedo.reshape(-1, 3))
     palette = np.unique(np.rint(palette * 255), axis=0)
     seen = np.rint(albedo.reshape(-1, 3) * 255)
@@ -183,8 +182,8 @@ def test_channels_show_the_maps(page: Path, shot: Shot) -> None:
     assert normals[2] > 0.8, "the middle faces the camera"
 
 
-def test_a_photograph_stands_beside_the_asset(chromium: list[str], tmp_path: Path) -> None:
-    """A run whose photograph is our own render: both halves show the same thing in the same place."""
+def test_a_photograph_is_displayed_beside_the_asset(chromium: list[str], tmp_path: Path) -> None:
+    """The photograph of this run is our own render: both halves of the window show the same image."""
     from hir_core.metrics import composite, unassociate
     from hir_core.plugins.manager import PluginManager
     from hir_core.rendering.reference_renderer import reference_renderer, render_view
@@ -216,7 +215,7 @@ def test_a_photograph_stands_beside_the_asset(chromium: list[str], tmp_path: Pat
             f"--window-size={2 * SIDE},{SIDE}",
             f"--virtual-time-budget={budget}",
             f"--screenshot={tmp_path / 'shot.png'}",
-            f"{(tmp_path / 'page.html').as_uri()}#bare&beside=side",
+            f"{(tmp_path / 'page.html').as_uri()}#bare&photograph=side",
         ]
         subprocess.run(words, check=True, capture_output=True, timeout=120)
         picture = read_ldr(tmp_path / "shot.png")[..., :3]
@@ -230,43 +229,34 @@ def test_a_photograph_stands_beside_the_asset(chromium: list[str], tmp_path: Pat
     assert right < 0.03 and mirrored > 3 * right, (right, mirrored)
 
 
-def test_the_page_is_whole_and_names_its_licence(page: Path) -> None:
+def test_the_page_is_self_contained_and_contains_the_licence(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
-    assert "connect-src blob: data:" in text and "default-src 'none'" in text, "the network is closed to it"
-    assert not re.findall(r'(?:src|href)="', text) and not re.findall(r"<!--\w+-->", text)
+    assert "connect-src blob: data:" in text and "default-src 'none'" in text, "the page cannot reach the network"
+    assert not re.findall(r'(?:src|href)="', text) and not re.findall(
+        r"\{[{%]", text.split("<canvas")[1].split("<script")[0]
+    )
     assert "The MIT License" in text and f"three.js {three_version()}" in text
     assert len(text) < 2_000_000
 
 
-def test_other_formats_and_scenes_are_shown_as_read_back(tmp_path: Path) -> None:
+def test_other_formats_and_scenes_are_converted_to_glb(tmp_path: Path) -> None:
     create_exporter("usdz").write(glossy(), tmp_path / "octants.usdz")
     save_scene(glossy(), tmp_path / "scene")
     for source in (tmp_path / "octants.usdz", tmp_path / "scene", tmp_path):
         page = view_page(source)
         assert 'id="part asset.glb"' in page and 'id="part light.hdr"' in page
-    with pytest.raises(InputError, match="cannot be shown"):
+    with pytest.raises(InputError, match="cannot be displayed"):
         view_page(Path(__file__))
-    with pytest.raises(InputError, match="is not there"):
+    with pytest.raises(InputError, match="does not exist"):
         view_page(tmp_path / "none.glb")
 
 
-@pytest.mark.parametrize("name", ["LICENSE", *(name for name, _ in MODULES if name != "viewer.js")])
-def test_three_is_shipped_unchanged(name: str) -> None:
-    three = module_folder("three")
-    if three is None:
-        pytest.skip("three.js is not installed: run tools/setup.sh test")
-    from hir_plugins.commands.viewer import viewer_page
-
-    [original] = [path for path in three.glob("**/*") if path.name == name and path.parts[-2] in FOLDERS]
-    assert (Path(viewer_page.__file__).parent / "viewer" / "three" / name).read_bytes() == original.read_bytes()
-
-
-def test_a_page_is_served_to_this_machine_alone() -> None:
+def test_a_page_is_served_on_the_loopback_interface() -> None:
     import threading
     import urllib.error
     import urllib.request
 
-    from hir_plugins.commands.viewer.viewer_page import serve
+    from hir_plugins.commands.viewer.page_server import serve
 
     address: list[str] = []
     ready = threading.Event()

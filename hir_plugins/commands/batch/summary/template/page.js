@@ -10,24 +10,24 @@ function sortBy(button) {
   const numeric = key !== "name";
   rows.sort((a, b) => {
     const [x, y] = [a.dataset[key], b.dataset[key]];
-    if (x === "" || y === "") return (x === "") - (y === ""); // what is not known comes last either way
+    if (x === "" || y === "") return (x === "") - (y === ""); // unknown values come last in both directions
     return direction * (numeric ? Number(x) - Number(y) : x.localeCompare(y));
   });
   rows.forEach((row) => body.append(row));
 }
 buttons.forEach((button) => (button.onclick = () => sortBy(button)));
 const filter = document.getElementById("filter");
-function narrow() {
-  const wanted = filter.value.toLowerCase();
+function applyFilter() {
+  const text = filter.value.toLowerCase();
   let count = 0;
   for (const row of body.rows) {
-    row.hidden = !row.textContent.toLowerCase().includes(wanted);
+    row.hidden = !row.textContent.toLowerCase().includes(text);
     count += !row.hidden;
   }
-  document.getElementById("shown").textContent = `${count} of ${body.rows.length}`;
+  document.getElementById("row-count").textContent = `${count} of ${body.rows.length}`;
 }
-filter.oninput = narrow;
-narrow();
+filter.oninput = applyFilter;
+applyFilter();
 document.getElementById("theme").onclick = () => {
   const root = document.documentElement;
   const dark = root.dataset.theme ? root.dataset.theme === "dark" : matchMedia("(prefers-color-scheme: dark)").matches;
