@@ -1,4 +1,4 @@
-"""Descriptors of the built-in exporters: one for each format of `hir_exporters`."""
+"""Descriptors of the built-in exporters, one for each format of `hir_exporters`."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from hir_core.plugins import Component, hookimpl
 TRAITS = {
     **dict.fromkeys(("glb", "gltf"), "gltf"),
     **dict.fromkeys(("usda", "usdc", "usdz"), "usd"),
-    **dict.fromkeys(("hdr", "exr", "ktx", "dds", "sh.json"), "environment"),
+    **dict.fromkeys(("hdr", "exr", "ktx", "sh.json"), "environment"),
 }
-"""The document that plugins may change before its bytes are made; or that the light alone is written."""
+"""The type of document that `edit` receives, or `environment` for formats that contain only the light."""
 
 REQUIRES = {"gltf": ("pygltflib",), "usd": ("pxr",)}
 
 
-def component(name: str) -> Component:
-    """The descriptor of one format."""
+def exporter_component(name: str) -> Component:
+    """The descriptor of a format's exporter."""
     trait = TRAITS.get(name, "")
     return Component(
         name=name,
@@ -31,4 +31,4 @@ def component(name: str) -> Component:
 
 @hookimpl
 def hir_register_exporters() -> list[Component]:
-    return [component(name) for name in FORMATS]
+    return [exporter_component(name) for name in FORMATS]

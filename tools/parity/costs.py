@@ -31,7 +31,7 @@ def rows(light: Path) -> list[str]:
     surface, points = to_gltf(asset.material, "khr"), surface_points(asset)
     assert isinstance(surface, MetallicSurface)
     texels = MaterialSamples(points, surface, None)
-    specular = sample_texels(asset.material.specular_albedo, True, points.places)
+    specular = sample_texels(asset.material.specular_albedo, True, points.uvs)
     wanted = _encoded(points.shade(model_brdf(points.slices, "dielectric", 0 * specular, specular)))
 
     f0, schlick = texels.base, points.slices.schlick[..., None]

@@ -1,1 +1,1 @@
-"""What engines make of a written material."""
+"""Shading formulas of engines, to predict how they render an exported material."""

@@ -1,4 +1,4 @@
-"""What each engine makes of a file's material: its published shading formula on points of the surface, as PSNR.
+"""Predicts how engines render a file's material: PSNR of their published shading formulas on surface points.
 
 | engine | formula |
 |---|---|
@@ -6,11 +6,11 @@
 | `three.js` | r187 under an environment: split sum, multiple scattering (Fdez-Agüera 2019), roughness at least 0.045 |
 | `unreal` | Karis 2013: F0 = lerp(0.08 Specular, BaseColor, Metallic), Lambert without Fresnel, split sum |
 | `unity` | URP Lit's environment term; specular-glossiness where the file has it, else metallic-roughness |
-| `blender` | Principled BSDF as measured at ior 1000, else as `gltf`; of USD the metallic inputs, which it reads |
+| `blender` | Principled BSDF as measured at ior 1000, else as `gltf`; for USD the metallic inputs, which it reads |
 | `usd` | UsdPreviewSurface's specification, both workflows |
 
-The fitted model and each formula share points, directions and light, so that what differs is shading and encoding.
-Shadows and reflections between parts are left out of both: `docs/engines/parity.md` has pictures of the engines.
+The fitted model and each formula share points, directions and light: the difference is that of shading and encoding.
+Shadows and interreflections are in neither. `docs/engines/parity.md` has pictures and PSNR of the engines themselves.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ from hir_exporters.textures.texture_maps import sample_texels
 Array = NDArray[np.float64]
 
 PSNR_MAX: Final = 100.0
-"""dB reported for equal pictures."""
+"""Reported for equal values, in dB."""
 
 
 class MaterialSamples:
-    """A file's material at the points: colours (N, 3), scalars (N, 1)."""
+    """A file's material at N surface points: colours (N, 3), scalars (N, 1)."""
 
     def __init__(
         self, points: SurfacePoints, surface: MetallicSurface, specular_surface: SpecularSurface | None
     ) -> None:
         def at(value: NDArray[np.floating], color: bool) -> Array:
-            found = sample_texels(np.asarray(value), color, points.places)
-            return found if color else found[:, None]
+            texels = sample_texels(np.asarray(value), color, points.uvs)
+            return texels if color else texels[:, None]
 
         self.base, self.metallic = at(surface.base_color, True), at(surface.metallic, False)
         self.weight, self.color = at(surface.specular_weight, False), at(surface.specular_color, True)
@@ -62,50 +62,50 @@ class MaterialSamples:
 def engine_psnr(
     asset: Asset, surface: MetallicSurface, specular_surface: SpecularSurface | None, *, usd: bool = False
 ) -> dict[str, float]:
-    """PSNR in dB by engine of a material as read back from a glTF file (or a USD one) against the asset's own.
+    """PSNR in dB by engine: a material as read back from a glTF file (or USD file) against the asset's own.
 
-    sRGB, clipped, over points seen from four sides (`hir_exporters.engines.surface_points`). Engines that never read
-    the kind of file are left out.
+    Computed in clipped sRGB over surface points in four views (`hir_exporters.engines.surface_points`). Only engines
+    that read this kind of file are included.
     """
     points = surface_points(asset)
-    if not len(points.places):
+    if not len(points.uvs):
         return {}
-    diffuse = sample_texels(asset.material.diffuse_albedo, True, points.places)
-    specular = sample_texels(asset.material.specular_albedo, True, points.places)
-    wanted = _encoded(points.shade(model_brdf(points.slices, asset.material.model, diffuse, specular)))
-    texels = MaterialSamples(points, surface, specular_surface)
-    found = {}
+    diffuse = sample_texels(asset.material.diffuse_albedo, True, points.uvs)
+    specular = sample_texels(asset.material.specular_albedo, True, points.uvs)
+    reference = _encoded(points.shade(model_brdf(points.slices, asset.material.model, diffuse, specular)))
+    samples = MaterialSamples(points, surface, specular_surface)
+    psnr = {}
     for name, shade in (USD_ENGINES if usd else GLTF_ENGINES).items():
-        error = float(np.mean((_encoded(shade(points, texels)) - wanted) ** 2))
-        found[name] = round(min(-10 * float(np.log10(max(error, 1e-12))), PSNR_MAX), 2)
-    return found
+        error = float(np.mean((_encoded(shade(points, samples)) - reference) ** 2))
+        psnr[name] = round(min(-10 * float(np.log10(max(error, 1e-12))), PSNR_MAX), 2)
+    return psnr
 
 
 def gltf(points: SurfacePoints, t: MaterialSamples) -> Array:
-    """glTF's text, integrated over the light."""
+    """The formula of glTF 2.0, integrated over the light."""
     values = models.gltf_brdf(points.slices, t.base, t.metallic[:, 0], t.weight[:, 0], t.color, t.ior)
     return points.shade(values)
 
 
 def blender(points: SurfacePoints, t: MaterialSamples) -> Array:
-    """At ior 1000 the tint is reflected at all angles; elsewhere it follows glTF's text."""
+    """At ior 1000 the specular tint is reflected at all angles; otherwise the formula of glTF."""
     if t.ior >= NO_FRESNEL_IOR and not np.any(t.metallic):
         return points.shade(models.blender_brdf(points.slices, t.base, np.minimum(t.color, 1) * t.weight))
     return gltf(points, t)
 
 
 def usd_preview_surface(points: SurfacePoints, t: MaterialSamples) -> Array:
-    """The specification's two workflows."""
+    """Both workflows of the specification."""
     if t.specular_surface is not None:
         return points.shade(models.specular_workflow_brdf(points.slices, t.specular_surface[0], t.specular_surface[1]))
     return gltf(points, t)
 
 
 def three(points: SurfacePoints, t: MaterialSamples) -> Array:
-    """Split sum with multiple scattering; the mirrored direction bends to the normal with roughness to the fourth."""
+    """Split sum with multiple scattering; the mirror direction moves to the normal with roughness to the fourth."""
     rough = np.clip(t.roughness, 0.045, 1)
-    bend = rough**4
-    seen = points.prefiltered(_unit((1 - bend) * points.reflected + bend * points.normals), rough[:, 0] ** 2)
+    shift = rough**4
+    reflection = points.prefiltered(_unit((1 - shift) * points.reflected + shift * points.normals), rough[:, 0] ** 2)
     a, b = points.lobe_terms()
     f90 = t.weight * (1 - t.metallic) + t.metallic
 
@@ -119,23 +119,24 @@ def three(points: SurfacePoints, t: MaterialSamples) -> Array:
     single = single_d + (single_m - single_d) * t.metallic
     multi = multi_d + (multi_m - multi_d) * t.metallic
     diffuse = t.base * (1 - t.metallic) * (1 - single_d - multi_d)
-    return np.asarray(seen * single + (multi + diffuse) * points.irradiance_over_pi())
+    return np.asarray(reflection * single + (multi + diffuse) * points.irradiance_over_pi())
 
 
 def unreal(points: SurfacePoints, t: MaterialSamples) -> Array:
-    """One grey Specular a texel, at most 0.08; the mirrored direction bends to the normal (off-specular peak)."""
+    """One grey Specular for each texel, F0 at most 0.08; the mirror direction moves towards the normal."""
     specular = np.minimum(t.f0.max(axis=-1, keepdims=True) / 0.08, 1)
     f0 = 0.08 * specular * (1 - t.metallic) + t.base * t.metallic
     width = t.roughness**2
-    keep = (1 - width) * (np.sqrt(1 - width) + width)
-    seen = points.prefiltered(_unit(points.normals + keep * (points.reflected - points.normals)), width[:, 0])
+    mirror_weight = (1 - width) * (np.sqrt(1 - width) + width)
+    toward = _unit(points.normals + mirror_weight * (points.reflected - points.normals))
+    reflection = points.prefiltered(toward, width[:, 0])
     a, b = points.lobe_terms()
     lobe = f0 * a + np.clip(50 * f0[:, 1:2], 0, 1) * b
-    return np.asarray(seen * lobe + t.base * (1 - t.metallic) * points.irradiance_over_pi())
+    return np.asarray(reflection * lobe + t.base * (1 - t.metallic) * points.irradiance_over_pi())
 
 
 def unity(points: SurfacePoints, t: MaterialSamples) -> Array:
-    """URP's EnvironmentBRDF: a fitted lobe, rising to a grazing value with the fourth power."""
+    """URP's EnvironmentBRDF: an approximated lobe that rises to a grazing value with the fourth power of 1 - n.v."""
     if t.specular_surface is not None:
         diffuse, specular, rough = t.specular_surface
         reflectivity = specular.max(axis=-1, keepdims=True)
@@ -146,8 +147,8 @@ def unity(points: SurfacePoints, t: MaterialSamples) -> Array:
     grazing = np.minimum(1 - rough + reflectivity, 1)
     rise = (1 - points.cos_o[:, None]) ** 4
     lobe = (specular + (grazing - specular) * rise) / (rough**4 + 1)
-    seen = points.prefiltered(points.reflected, rough[:, 0] ** 2)
-    return np.asarray(seen * lobe + diffuse * points.irradiance_over_pi())
+    reflection = points.prefiltered(points.reflected, rough[:, 0] ** 2)
+    return np.asarray(reflection * lobe + diffuse * points.irradiance_over_pi())
 
 
 Shader = Callable[[SurfacePoints, MaterialSamples], Array]

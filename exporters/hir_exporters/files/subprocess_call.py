@@ -41,7 +41,8 @@ def run_in_subprocess(target: str, arguments: Mapping[str, ArrayLike]) -> Arrays
     """
     with tempfile.TemporaryDirectory(prefix="hir-subprocess-") as folder:
         input_file, result_file = Path(folder) / "arguments.npz", Path(folder) / "result.npz"
-        np.savez(input_file, **{name: np.asarray(value) for name, value in arguments.items()})
+        arrays: dict[str, Any] = {name: np.asarray(value) for name, value in arguments.items()}
+        np.savez(input_file, **arrays)
         # -P: the current folder may contain a numpy.py. The subprocess finds modules where this process does.
         process = subprocess.run(
             [sys.executable, "-P", "-m", "hir_exporters.files.subprocess_call", target, input_file, result_file],

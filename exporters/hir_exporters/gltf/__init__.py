@@ -1,1 +1,1 @@
-"""glTF 2.0: gather an asset into a typed document, then bytes. One extension per file."""
+"""glTF 2.0: an asset is gathered into a typed document and serialised. One module for each extension."""

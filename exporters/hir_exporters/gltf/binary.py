@@ -1,4 +1,4 @@
-"""The binary side of a glTF document: buffer views, accessors, and the .glb container."""
+"""The binary data of a glTF document: buffer views, accessors, and the .glb container."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ _TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 
 
 class BinaryWriter:
-    """Appends data to a document's one buffer, with its views and accessors."""
+    """Appends data to a document's buffer and adds its buffer views and accessors."""
 
     def __init__(self, document: GLTF2, compressed: bool = False) -> None:
-        """`compressed`: accessors' data as EXT_meshopt_compression; images stay as they are."""
+        """`compressed`: encode the data of accessors with EXT_meshopt_compression; images are not changed."""
         self._document = document
         self._compressed = compressed
         self._chunks: list[bytes] = []
         self._length = 0
-        self._plain_length = 0
+        self._uncompressed_length = 0
 
     def view(self, data: bytes, target: int | None = None, stride: int | None = None) -> int:
-        """Index of a new buffer view of `data`, aligned to four bytes."""
+        """Adds a buffer view of `data`, aligned to four bytes, and returns its index."""
         from pygltflib import BufferView
 
         view = BufferView(buffer=0, byteOffset=self._length, byteLength=len(data), target=target, byteStride=stride)
@@ -43,7 +43,7 @@ class BinaryWriter:
     def accessor(
         self, values: NDArray[Any], target: int = ARRAY_BUFFER, normalized: bool = False, bounds: bool = False
     ) -> int:
-        """Index of a new accessor of (N,) or (N, C) values; rows are padded to multiples of four bytes."""
+        """Adds an accessor of values (N,) or (N, C) and returns its index; rows are padded to four bytes."""
         from pygltflib import Accessor
 
         rows = np.ascontiguousarray(values.reshape(len(values), -1))
@@ -71,26 +71,26 @@ class BinaryWriter:
         return len(self._document.accessors) - 1
 
     def _meshopt_view(self, data: bytes, count: int, target: int) -> int:
-        """Index of a new view of a buffer that nobody stores, whose content its extension holds."""
+        """Adds a view of the fallback buffer, which is not stored; the view's extension has the compressed data."""
         from pygltflib import BufferView
 
         stride, triangles = len(data) // count, target == ELEMENT_ARRAY_BUFFER
         rows = np.frombuffer(data, f"<u{stride}" if triangles else np.uint8)
         stream = meshopt.encoded(rows if triangles else rows.reshape(count, stride), triangles)
-        kept = self.view(stream)
-        described = self._document.bufferViews.pop(kept)
+        index = self.view(stream)
+        compressed = self._document.bufferViews.pop(index)
         self._document.bufferViews.append(
             BufferView(
                 buffer=1,
-                byteOffset=self._plain_length,
+                byteOffset=self._uncompressed_length,
                 byteLength=len(data),
                 target=target,
                 byteStride=None if triangles else stride,
                 extensions={
                     meshopt.NAME: {
                         "buffer": 0,
-                        "byteOffset": described.byteOffset,
-                        "byteLength": described.byteLength,
+                        "byteOffset": compressed.byteOffset,
+                        "byteLength": compressed.byteLength,
                         "byteStride": stride,
                         "count": count,
                         "mode": "TRIANGLES" if triangles else "ATTRIBUTES",
@@ -98,25 +98,28 @@ class BinaryWriter:
                 },
             )
         )
-        self._plain_length += len(data) + -len(data) % 4
-        return kept
+        self._uncompressed_length += len(data) + -len(data) % 4
+        return index
 
     def add_buffers(self) -> None:
-        """Tells the document the size of what was appended; the buffer that nobody stores says what it is."""
+        """Adds the document's buffers with their sizes; call it last. The fallback buffer is marked as such."""
         from pygltflib import Buffer
 
         self._document.buffers.append(Buffer(byteLength=self._length))
-        if self._plain_length:
+        if self._uncompressed_length:
             self._document.buffers.append(
-                Buffer(byteLength=self._plain_length, extensions={meshopt.NAME: {"fallback": True}})
+                Buffer(byteLength=self._uncompressed_length, extensions={meshopt.NAME: {"fallback": True}})
             )
             self._document.extensionsUsed.append(meshopt.NAME)
             self._document.extensionsRequired.append(meshopt.NAME)
 
-    def described_accessor(
+    def accessor_without_data(
         self, count: int, kind: type[np.generic], width: int, bounds: tuple[NDArray[Any], NDArray[Any]] | None = None
     ) -> int:
-        """Index of a new accessor without data: an extension of the primitive brings them. `bounds` are (low, high)."""
+        """Adds an accessor whose data an extension of the primitive provides; returns its index.
+
+        `bounds` are the smallest and largest values.
+        """
         from pygltflib import Accessor
 
         component = _COMPONENTS[np.dtype(kind).name]
@@ -127,7 +130,7 @@ class BinaryWriter:
         return len(self._document.accessors) - 1
 
     def data(self) -> bytes:
-        """Everything appended so far."""
+        """The content of the buffer so far."""
         return b"".join(self._chunks)
 
 

@@ -1,7 +1,7 @@
-"""KHR_draco_mesh_compression: positions, normals, UVs and triangles in one Draco stream, by the library DracoPy.
+"""KHR_draco_mesh_compression: positions, normals, UVs and triangles in one Draco stream, encoded by DracoPy.
 
-The order of vertices and triangles is kept, which costs some of the compression and lets a reader compare the file
-corner by corner. A reader without the extension would see nothing, so it is required.
+The order of vertices and triangles is preserved: the file is somewhat larger, and verification can compare it corner by
+corner. The extension is required, because a reader without it finds no mesh.
 """
 
 from __future__ import annotations
@@ -21,27 +21,27 @@ if TYPE_CHECKING:
 NAME: Final = "KHR_draco_mesh_compression"
 
 POSITION_BITS, NORMAL_BITS, UV_BITS = 16, 12, 14
-"""Steps of the bounding box's longest side, of the octahedron of directions, of the texture."""
+"""Quantisation relative to the bounding box's longest side, in octahedral coordinates, and of the UV range."""
 
-_LEVEL = 7  # of 10: as gltf-pipeline's default
+_COMPRESSION_LEVEL = 7  # of 10; the default of gltf-pipeline
 
 
 def add_draco_primitive(document: GLTF2, mesh: AssetMesh, writer: BinaryWriter, material: int) -> Primitive:
-    """The primitive with its attributes in a Draco stream; tangents stay outside, as floats."""
+    """The primitive with its attributes in a Draco stream; tangents are written as floats beside it."""
     from pygltflib import Attributes, Primitive
 
     stream, ids = _encoded(mesh)
     count = len(mesh.positions)
     small = count <= np.iinfo(np.uint16).max
     attributes = Attributes(
-        POSITION=writer.described_accessor(count, np.float32, 3, (mesh.positions.min(0), mesh.positions.max(0))),
-        NORMAL=writer.described_accessor(count, np.float32, 3),
-        TEXCOORD_0=writer.described_accessor(count, np.float32, 2),
+        POSITION=writer.accessor_without_data(count, np.float32, 3, (mesh.positions.min(0), mesh.positions.max(0))),
+        NORMAL=writer.accessor_without_data(count, np.float32, 3),
+        TEXCOORD_0=writer.accessor_without_data(count, np.float32, 2),
     )
     if mesh.tangents is not None:
         tangents = unit_tangents(mesh.tangents)
         attributes.TANGENT = writer.accessor(tangents)
-    indices = writer.described_accessor(mesh.faces.size, np.uint16 if small else np.uint32, 1)
+    indices = writer.accessor_without_data(mesh.faces.size, np.uint16 if small else np.uint32, 1)
     primitive = Primitive(attributes=attributes, indices=indices, material=material)
     primitive.extensions = {NAME: {"bufferView": writer.view(stream), "attributes": ids}}
     document.extensionsUsed.append(NAME)
@@ -50,7 +50,7 @@ def add_draco_primitive(document: GLTF2, mesh: AssetMesh, writer: BinaryWriter, 
 
 
 def _encoded(mesh: AssetMesh) -> tuple[bytes, dict[str, int]]:
-    """The stream, and the number that it gives to each attribute."""
+    """The stream, and its identifier of each attribute."""
     try:
         import DracoPy
     except ImportError:
@@ -59,17 +59,17 @@ def _encoded(mesh: AssetMesh) -> tuple[bytes, dict[str, int]]:
         mesh.positions,
         mesh.faces.astype(np.uint32),
         quantization_bits=POSITION_BITS,
-        compression_level=_LEVEL,
+        compression_level=_COMPRESSION_LEVEL,
         preserve_order=True,
         tex_coord=mesh.uvs.astype(np.float64),
         normals=unit_vectors(mesh.normals).astype(np.float64),
         tex_coord_quantization_bits=UV_BITS,
         normal_quantization_bits=NORMAL_BITS,
     )
-    back: Any = DracoPy.decode(stream)
-    if not np.array_equal(back.faces, mesh.faces) or len(back.points) != len(mesh.positions):
+    decoded: Any = DracoPy.decode(stream)  # DracoPy has no type information
+    if not np.array_equal(decoded.faces, mesh.faces) or len(decoded.points) != len(mesh.positions):
         raise ExportError("Draco changed the triangles of the mesh; write it without compression")
     kinds = DracoPy.AttributeType
-    numbers = {a["attribute_type"]: a["unique_id"] for a in back.attributes}
+    numbers = {a["attribute_type"]: a["unique_id"] for a in decoded.attributes}
     named = {"POSITION": kinds.POSITION, "NORMAL": kinds.NORMAL, "TEXCOORD_0": kinds.TEX_COORD}
     return stream, {name: int(numbers[kind]) for name, kind in named.items()}

@@ -1,10 +1,11 @@
-"""An asset as a typed glTF document (`pygltflib.GLTF2`), its buffer and its images."""
+"""Builds a typed glTF document (`pygltflib.GLTF2`) with its buffer and images from an asset."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from hir_exporters.asset import Asset, AssetMaterial, AssetMesh
 from hir_exporters.configs import GltfConfig
@@ -22,14 +23,14 @@ from hir_exporters.materials.texture_packing import EncodedImage, PackedSurface,
 from hir_exporters.mesh.tangents import with_tangents
 
 if TYPE_CHECKING:
-    from pygltflib import GLTF2
+    from pygltflib import GLTF2, Material
 
 GENERATOR = "hir_exporters"
 
 
 @dataclass(frozen=True)
 class GatheredAsset:
-    """What is written of an asset: a mesh, a packed surface with its images, and what its conversion said."""
+    """The parts of a glTF file: mesh, packed material with its images, light, and warnings of the conversion."""
 
     asset: Asset
     mesh: AssetMesh
@@ -37,16 +38,16 @@ class GatheredAsset:
     specular_surface: SpecularSurface | None
     images: list[EncodedImage]
     light: tuple[list[EncodedImage], dict[str, object]] | None
-    """Faces of the light and its object, where it goes into the file (`image_based_light`)."""
+    """Images of the prefiltered light and its JSON object, where the file includes it (`image_based_light`)."""
     warnings: tuple[str, ...]
     residuals: dict[str, float]
 
 
 def gather_asset(asset: Asset, config: GltfConfig) -> GatheredAsset:
-    """Convert the material, compute tangents where they are wanted, and encode the images."""
-    wanted = config.tangents == "always" or (config.tangents == "auto" and asset.material.normal is not None)
-    with ThreadPoolExecutor(max_workers=1) as beside:
-        mesh = beside.submit(with_tangents, asset.mesh) if wanted else None
+    """Converts the material, computes tangents where they are needed, and encodes the images."""
+    needs_tangents = config.tangents == "always" or (config.tangents == "auto" and asset.material.normal is not None)
+    with ThreadPoolExecutor(max_workers=1) as pool:
+        mesh = pool.submit(with_tangents, asset.mesh) if needs_tangents else None
         converted, base, packed, images = _surface(asset.material, config)
     specular_surface = converted if isinstance(converted, SpecularSurface) else None
     return GatheredAsset(
@@ -66,11 +67,11 @@ def gather_asset(asset: Asset, config: GltfConfig) -> GatheredAsset:
 def _surface(
     material: AssetMaterial, config: GltfConfig
 ) -> tuple[MetallicSurface | SpecularSurface, MetallicSurface, PackedSurface, list[EncodedImage]]:
-    """The material as the profile says it, what core readers see of it, and that packed, with all images as files."""
+    """The material in the profile, its core metallic-roughness form, the latter packed, and all image files."""
     if config.image_format == "ktx2":
         raise ExportError(
-            "image_format is 'ktx2': no Python package encodes KTX2; export png, then run Khronos' toktx or "
-            "`gltf-transform uastc` on the file"
+            "image_format 'ktx2': no Python package encodes KTX2; export png, then convert the file with "
+            "`gltf-transform uastc` or Khronos' toktx"
         )
     converted = to_gltf(material, config.profile)
     base = converted if isinstance(converted, MetallicSurface) else to_gltf(material, "metalrough")
@@ -94,9 +95,9 @@ def _light_warning(asset: Asset, config: GltfConfig) -> tuple[str, ...]:
     if not config.image_based_light or asset.environment is None:
         return ()
     peak = float(asset.environment.radiance.max())
-    if peak <= image_based_light.BRIGHTEST:
+    if peak <= image_based_light.MAX_RADIANCE:
         return ()
-    return (f"the light inside the file is cut from {peak:.0f} to 255, all that its images hold; the .hdr is whole",)
+    return (f"the light inside the file is clipped from {peak:.0f} to 255, the limit of its images; the .hdr is not",)
 
 
 def _light(asset: Asset, config: GltfConfig) -> tuple[list[EncodedImage], dict[str, object]] | None:
@@ -106,7 +107,10 @@ def _light(asset: Asset, config: GltfConfig) -> tuple[list[EncodedImage], dict[s
 
 
 def build_document(gathered: GatheredAsset, config: GltfConfig, files_prefix: str | None) -> tuple[GLTF2, BinaryWriter]:
-    """The document and its buffer's writer; images inside, or beside it as files that begin with `files_prefix`."""
+    """The document and the writer of its buffer.
+
+    Images go into the buffer, or are referenced as files whose names begin with `files_prefix`.
+    """
     from pygltflib import GLTF2, Attributes, Mesh, Node, Scene
     from pygltflib import Asset as Header
 
@@ -117,7 +121,7 @@ def build_document(gathered: GatheredAsset, config: GltfConfig, files_prefix: st
     writer = BinaryWriter(document, config.compression == "meshopt")
     node = Node(name=gathered.asset.name, mesh=0)
     if config.quantize and config.compression == "draco":
-        raise ExportError("quantize and compression=draco both change the mesh; choose one of them")
+        raise ExportError("quantize and compression=draco both quantise the mesh; choose one of them")
     if config.compression == "draco":
         primitive = add_draco_primitive(document, gathered.mesh, writer, 0)
     elif config.quantize:
@@ -142,21 +146,22 @@ def build_document(gathered: GatheredAsset, config: GltfConfig, files_prefix: st
     return document, writer
 
 
-def _material(gathered: GatheredAsset, textures: dict[str, int], document: GLTF2) -> Any:
-    from pygltflib import Material, NormalMaterialTexture, PbrMetallicRoughness, TextureInfo
+def _material(gathered: GatheredAsset, textures: dict[str, int], document: GLTF2) -> Material:
+    from pygltflib import Material as GltfMaterial
+    from pygltflib import NormalMaterialTexture, PbrMetallicRoughness, TextureInfo
 
     packed = gathered.packed
     core = PbrMetallicRoughness(
         baseColorFactor=[*packed.base_color, 1.0], metallicFactor=packed.metallic, roughnessFactor=packed.roughness
     )
-    material = Material(name=gathered.asset.name, pbrMetallicRoughness=core, alphaMode="OPAQUE", doubleSided=False)
+    material = GltfMaterial(name=gathered.asset.name, pbrMetallicRoughness=core, alphaMode="OPAQUE", doubleSided=False)
     if "base_color" in textures:
         core.baseColorTexture = TextureInfo(index=textures["base_color"])
     if "occlusion_roughness_metallic" in textures:
         core.metallicRoughnessTexture = TextureInfo(index=textures["occlusion_roughness_metallic"])
     if "normal" in textures:
         material.normalTexture = NormalMaterialTexture(index=textures["normal"], scale=1.0)
-    extensions: dict[str, Any] = {}
+    extensions: dict[str, Mapping[str, object] | None] = {}
     if gathered.specular_surface is not None:
         extensions[specular_glossiness.NAME] = specular_glossiness.specular_glossiness_extension(
             gathered.specular_surface, textures

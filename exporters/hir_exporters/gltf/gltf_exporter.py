@@ -1,4 +1,4 @@
-"""Writes .glb and .gltf."""
+"""Exporters of .glb and .gltf."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @final
 class GlbExporter(Exporter):
-    """One binary file, and the environment beside it."""
+    """One binary file, with the environment beside it."""
 
     def __init__(self, config: GltfConfig) -> None:
         self._config = config
@@ -38,7 +38,7 @@ class GlbExporter(Exporter):
 
 @final
 class GltfExporter(Exporter):
-    """A text file, a .bin, image files and the environment, all beside each other."""
+    """A JSON file, with a .bin, image files and the environment beside it."""
 
     def __init__(self, config: GltfConfig) -> None:
         self._config = config
@@ -57,10 +57,10 @@ def _write(asset: Asset, destination: Path, config: GltfConfig, edit: Edit | Non
     warnings += gathered.warnings
     files = _write_document(gathered, destination, config, edit, embed)
     for level, triangles in enumerate(config.lods, start=1):
-        coarse, missing = level_of_detail(gathered, level, triangles, config)
-        warnings += missing
+        coarse, lod_warnings = level_of_detail(gathered, level, triangles, config)
+        warnings += lod_warnings
         path = destination.with_name(f"{destination.stem}_lod{level}{destination.suffix}")
-        # The same images again: a level of detail must be of use on its own.
+        # With all images: each level of detail is a complete file.
         files += _write_document(coarse, path, config, edit, embed)
     if config.environment and asset.environment is not None:
         radiance, light_warnings = world_radiance(asset)
@@ -84,7 +84,7 @@ def _write_document(
     if embed:
         write_bytes_atomic(destination, glb_bytes(json_bytes(document), writer.data()))
     else:
-        # The text that names the others is written last: it never names a file that is not there.
+        # The file that references the others is written last, when all of them exist.
         for image in [*gathered.images, *(gathered.light[0] if gathered.light else [])]:
             files.append(destination.with_name(f"{prefix}{image.name}"))
             write_bytes_atomic(files[-1], image.data)
@@ -95,7 +95,9 @@ def _write_document(
 
 
 def json_bytes(document: GLTF2, indent: int | None = None) -> bytes:
-    """The document's JSON, UTF-8, without values that are not finite."""
-    plain = json.loads(document.gltf_to_json())
+    """The document's JSON in UTF-8. Raises `ValueError` for NaN and infinite values."""
+    content = json.loads(document.gltf_to_json())
     separators = (",", ":") if indent is None else (",", ": ")
-    return json.dumps(plain, ensure_ascii=False, allow_nan=False, indent=indent, separators=separators).encode("utf-8")
+    return json.dumps(content, ensure_ascii=False, allow_nan=False, indent=indent, separators=separators).encode(
+        "utf-8"
+    )

@@ -1,4 +1,4 @@
-"""Images, samplers and textures of a glTF document."""
+"""Adds images, a sampler and textures to a glTF document."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ _LINEAR, _LINEAR_MIPMAP_LINEAR, _CLAMP_TO_EDGE, _REPEAT = 9729, 9987, 33071, 104
 def add_textures(
     document: GLTF2, images: list[EncodedImage], writer: BinaryWriter | None, prefix: str, atlas: bool
 ) -> dict[str, int]:
-    """Index of the texture of each image, by its name without the suffix.
+    """Adds the images and returns the index of each texture by the image's name without suffix.
 
-    With a writer images go into the buffer, without one they are named as files, after `prefix`. `atlas` says that
-    all UVs lie in [0, 1], so that edges need not wrap.
+    With a writer, images go into the buffer; without one they are referenced as files with this prefix. `atlas`: all
+    UVs are in [0, 1], so that the sampler clamps instead of repeating.
     """
     from pygltflib import Image, Sampler, Texture
 

@@ -1,8 +1,8 @@
-"""EXT_lights_image_based: the light inside the file, for Babylon.js and few others; the .hdr beside it serves the rest.
+"""EXT_lights_image_based: the light inside the file, for Babylon.js. Other engines use the .hdr beside the file.
 
-Six faces a level, rows from the bottom, as PNG in RGBD: sRGB codes of radiance times the alpha, which is what brings
-the brightest channel to 1. Levels are even in perceptual roughness. Irradiance coefficients are those of irradiance
-itself, not over pi.
+Each level has six faces, rows from the bottom, as RGBD in PNG: sRGB codes of radiance times alpha, with an alpha that
+scales the brightest channel to 1. Levels are linear in perceptual roughness. The coefficients are those of irradiance,
+not of irradiance / pi.
 """
 
 from __future__ import annotations
@@ -24,39 +24,39 @@ if TYPE_CHECKING:
     from pygltflib import GLTF2
 
 NAME = "EXT_lights_image_based"
-SIZE = 128
-"""Pixels a side of the first level: 0.4 MB of images or less."""
+CUBEMAP_SIZE = 128
+"""Side of the first level in pixels; the images have at most 0.4 MB."""
 
-_PHASE = np.array([1, -1, 1, -1, 1, -1, 1, -1, 1.0])[:, None]
-"""The Condon-Shortley phase (-1)^m, which the page that the extension cites and Babylon.js have in their basis."""
+_CONDON_SHORTLEY_PHASE = np.array([1, -1, 1, -1, 1, -1, 1, -1, 1.0])[:, None]
+"""(-1)^m: part of the basis in the extension's reference and in Babylon.js."""
 
-BRIGHTEST = 255.0
-"""What an alpha of 1/255 can hold; brighter texels are cut, the harmonics are not."""
+MAX_RADIANCE = 255.0
+"""The largest radiance of RGBD, at alpha 1/255. Brighter texels are clipped; the harmonics are not."""
 
 
 def light_images(radiance: NDArray[np.floating]) -> tuple[list[EncodedImage], dict[str, object]]:
-    """Images of the faces, level by level, and the light's object without its `specularImages`."""
-    # the cubemap is a left-handed world's: seen from the file's, z is mirrored
-    scaled = np.roll(np.asarray(radiance, np.float64)[:, ::-1], radiance.shape[1] // 2, axis=1)
-    levels = len(level_sizes(SIZE))
-    cube = prefiltered_cubemap(scaled, [linear_roughness(k, levels) for k in range(levels)], SIZE)
+    """Images of the faces, level by level, and the light's JSON object without its `specularImages`."""
+    # The cubemap is defined in a left-handed world: z is mirrored.
+    mirrored = np.roll(np.asarray(radiance, np.float64)[:, ::-1], radiance.shape[1] // 2, axis=1)
+    levels = len(level_sizes(CUBEMAP_SIZE))
+    cubemap = prefiltered_cubemap(mirrored, [linear_roughness(k, levels) for k in range(levels)], CUBEMAP_SIZE)
     images = [
         EncodedImage(f"light_{k}_{face}.png", encode_png(rgbd(pixels[::-1])), "image/png")
-        for k, level in enumerate(cube)
+        for k, level in enumerate(cubemap)
         for face, pixels in enumerate(level)
     ]
     light = {
         "name": "environment",
-        # always 1: Babylon.js multiplies the harmonics by it twice
+        # Always 1, because Babylon.js multiplies the harmonics by it twice.
         "intensity": 1.0,
-        "irradianceCoefficients": (irradiance_harmonics(scaled) * _PHASE).tolist(),
-        "specularImageSize": SIZE,
+        "irradianceCoefficients": (irradiance_harmonics(mirrored) * _CONDON_SHORTLEY_PHASE).tolist(),
+        "specularImageSize": CUBEMAP_SIZE,
     }
     return images, light
 
 
 def rgbd(radiance: NDArray[np.floating]) -> NDArray[np.uint8]:
-    """Codes (H, W, 4) of radiance (H, W, 3): what is read is srgb_to_linear(rgb) / alpha."""
+    """RGBD codes (H, W, 4) of radiance (H, W, 3); readers decode srgb_to_linear(rgb) / alpha."""
     largest = np.maximum(radiance.max(axis=-1, keepdims=True), 1.0)
     alpha = np.clip(np.floor(255 / largest), 1, 255)
     color = np.clip(radiance * (alpha / 255), 0, 1)
@@ -66,7 +66,7 @@ def rgbd(radiance: NDArray[np.floating]) -> NDArray[np.uint8]:
 def add_light(
     document: GLTF2, images: list[EncodedImage], light: dict[str, object], writer: BinaryWriter | None, prefix: str
 ) -> None:
-    """The images and the extension on the document and its scene."""
+    """Adds the images and the extension to the document and its scene."""
     from pygltflib import Image
 
     first = len(document.images)

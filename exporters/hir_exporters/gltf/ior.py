@@ -1,14 +1,14 @@
-"""KHR_materials_ior: the index of refraction. Never 0, its code for "no Fresnel": that breaks readers."""
+"""KHR_materials_ior: the index of refraction. Its value 0, for no Fresnel, is never written: Blender fails on it."""
 
 from __future__ import annotations
 
 NAME = "KHR_materials_ior"
-_DEFAULT = 1.5
+_CORE_IOR = 1.5
 
 
 def ior_extension(ior: float) -> dict[str, float] | None:
-    """The extension's object, or None where the core's 1.5 is meant."""
-    if ior == _DEFAULT:
+    """The extension's JSON object, or None for 1.5, the value of core glTF."""
+    if ior == _CORE_IOR:
         return None
     assert ior >= 1
     return {"ior": ior}

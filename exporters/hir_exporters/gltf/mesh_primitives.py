@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def add_primitive(mesh: AssetMesh, writer: BinaryWriter, material: int) -> Primitive:
-    """Triangles with positions, normals, UVs and, where the mesh has them, tangents; indices as small as fit."""
+    """Triangles with positions, normals, UVs and, where the mesh has them, tangents."""
     from pygltflib import Attributes, Primitive
 
     attributes = Attributes(
@@ -30,7 +30,10 @@ def add_primitive(mesh: AssetMesh, writer: BinaryWriter, material: int) -> Primi
 
 
 def add_indices(mesh: AssetMesh, writer: BinaryWriter) -> int:
-    """Index of the accessor of the triangles; the largest value of a type restarts primitives and is never used."""
+    """Adds the triangles as 16-bit indices where they fit, else 32-bit, and returns the accessor's index.
+
+    The largest value of an index type restarts primitives and is never used.
+    """
     small = len(mesh.positions) <= np.iinfo(np.uint16).max
     indices = mesh.faces.reshape(-1).astype(np.uint16 if small else np.uint32)
     return writer.accessor(indices, ELEMENT_ARRAY_BUFFER)

@@ -1,7 +1,7 @@
-"""KHR_mesh_quantization: half the size of a mesh, for readers that know the extension.
+"""KHR_mesh_quantization: a mesh of half the size, for readers that have the extension.
 
-Positions become 16-bit steps of the bounding box, undone by the node; normals and tangents 8 bits; UVs 16 bits where
-they lie in [0, 1]. It is the one extension that must be required: a reader without it would see nonsense.
+Positions become 16-bit integers over the bounding box, which the node scales back; normals and tangents have 8 bits,
+UVs in [0, 1] have 16 bits. The extension is required, because a reader without it shows a wrong mesh.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ NAME = "KHR_mesh_quantization"
 def add_quantized_primitive(
     document: GLTF2, mesh: AssetMesh, writer: BinaryWriter, material: int, node: Node
 ) -> Primitive:
-    """The primitive; `node` gets the translation and scale that undo the steps, which are 1/65534 of the box."""
+    """The primitive; `node` gets the translation and scale that undo the quantisation (1/65534 of the box)."""
     from pygltflib import Attributes, Primitive
 
     low, high = mesh.positions.min(axis=0).astype(np.float64), mesh.positions.max(axis=0).astype(np.float64)

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 from hir_exporters.materials.texture_packing import PackedSurface
 
 NAME = "KHR_materials_specular"
 
 
-def specular_extension(packed: PackedSurface, textures: Mapping[str, int]) -> dict[str, Any] | None:
-    """The extension's object, or None where the core's weight 1 and colour 1 are meant."""
-    value: dict[str, Any] = {}
+def specular_extension(packed: PackedSurface, textures: Mapping[str, int]) -> dict[str, object] | None:
+    """The extension's JSON object, or None for weight 1 and colour 1, the values of core glTF."""
+    value: dict[str, object] = {}
     if packed.specular_weight != 1:
         value["specularFactor"] = packed.specular_weight
     if packed.specular_color != (1, 1, 1):

@@ -1,9 +1,10 @@
-"""KHR_materials_pbrSpecularGlossiness, archived, but what Unity's glTFast reads instead of KHR_materials_specular."""
+"""KHR_materials_pbrSpecularGlossiness: archived by Khronos, but the only one for specular colour that Unity's glTFast
+reads.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,11 +35,11 @@ def specular_glossiness_images(surface: SpecularSurface) -> dict[str, NDArray[np
     return images
 
 
-def specular_glossiness_extension(surface: SpecularSurface, textures: Mapping[str, int]) -> dict[str, Any]:
-    """The extension's object: factors where a parameter is constant, textures where it is not."""
+def specular_glossiness_extension(surface: SpecularSurface, textures: Mapping[str, int]) -> dict[str, object]:
+    """The extension's JSON object: factors for constant parameters, textures for the others."""
     diffuse, specular = pack_color(surface.diffuse)[0], pack_color(surface.specular)[0]
     textured = "specular_glossiness" in textures
-    value: dict[str, Any] = {
+    value: dict[str, object] = {
         "diffuseFactor": [*diffuse, 1.0],
         "specularFactor": list(specular),
         "glossinessFactor": 1.0 if textured else 1.0 - float(surface.roughness),

@@ -102,17 +102,3 @@ def _write(
     radiance, warnings = world_radiance(asset, config.height)
     writer(destination, radiance)
     return ExportReport((Path(destination),), warnings, seconds=time.perf_counter() - start)
-
-
-def _write_cube(
-    asset: Asset, destination: Path, config: CubeConfig, encoded: Callable[[list[Array], NDArray[np.float32]], bytes]
-) -> ExportReport:
-    start = time.perf_counter()
-    validate_asset(asset)
-    if config.size < SMALLEST or config.size & (config.size - 1) or config.size > 4096:
-        raise ExportError(f"a cubemap of {config.size} pixels a side is not a power of two from {SMALLEST} to 4096")
-    radiance, warnings = world_radiance(asset)
-    levels = len(level_sizes(config.size))
-    cube = prefiltered_cube(radiance, [filament_roughness(k, levels) for k in range(levels)], config.size)
-    write_bytes_atomic(destination, encoded(cube, radiance))
-    return ExportReport((Path(destination),), warnings, seconds=time.perf_counter() - start)

@@ -1,4 +1,7 @@
-"""The mesh of the open scene format: binary PLY, one vertex for each pair of position and UV, t up."""
+"""mesh.ply of the open scene format: binary PLY, one vertex for each pair of position and UV, t upwards.
+
+Why not a library: docs/adr/own_implementations.md.
+"""
 
 from __future__ import annotations
 
@@ -41,14 +44,14 @@ def encode_ply(mesh: AssetMesh) -> bytes:
 
 
 def decode_ply(data: bytes, source: str) -> AssetMesh:
-    """The mesh in the bytes of a mesh.ply; further vertex properties are passed over.
+    """The mesh of the bytes of a mesh.ply; further vertex properties are ignored.
 
-    Raises `InputError` naming `source` where a property is missing, a face is no triangle, or the bytes end early.
+    Raises `InputError` naming `source` where a property is missing, a face is not a triangle, or the data is truncated.
     """
     vertex_type, vertex_count, face_count, offset = _parse_header(data, source)
     missing = [name for name in _COLUMNS if name not in (vertex_type.names or ())]
     if missing:
-        raise InputError(f"{source} has no vertex property {', '.join(missing)}; it needs {' '.join(_COLUMNS)}")
+        raise InputError(f"{source} lacks the vertex property {', '.join(missing)}; it needs {' '.join(_COLUMNS)}")
     needed = offset + vertex_count * vertex_type.itemsize + face_count * _FACE.itemsize
     if len(data) < needed:
         raise InputError(f"{source} ends after {len(data)} of {needed} bytes, or its faces are not all triangles")
@@ -67,7 +70,7 @@ def decode_ply(data: bytes, source: str) -> AssetMesh:
 
 
 def _columns(vertices: NDArray[np.void], *names: str) -> NDArray[np.float32]:
-    with np.errstate(over="ignore"):  # doubles beyond float32 become infinite and are reported by validate_asset
+    with np.errstate(over="ignore"):  # doubles beyond float32 become infinite, which validate_asset reports
         return np.stack([vertices[name].astype(np.float32) for name in names], axis=1)
 
 
@@ -94,9 +97,9 @@ def _parse_header(data: bytes, source: str) -> tuple[np.dtype[np.void], int, int
             case _:
                 raise InputError(f"{source} has the header line {line!r}, which a scene's mesh.ply cannot have")
     if list(counts) != ["vertex", "face"] or not face_list:
-        raise InputError(f"{source} does not hold vertices followed by faces")
+        raise InputError(f"{source} does not contain vertices followed by faces")
     try:
         vertex_type = np.dtype(columns)
     except ValueError as error:
-        raise InputError(f"{source} names a vertex property twice ({error})") from error
+        raise InputError(f"{source} defines a vertex property twice ({error})") from error
     return vertex_type, counts["vertex"], counts["face"], line_end + 1

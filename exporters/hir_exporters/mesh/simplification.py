@@ -1,9 +1,9 @@
-"""Fewer triangles for the same textures: quadric edge collapses that keep UV seams closed and textures unfolded.
+"""Mesh simplification that preserves the UV layout: quadric half-edge collapses that keep seams closed.
 
-Half-edge collapses (Garland and Heckbert 1997 for the error; a vertex moves onto a neighbour, so every attribute that
-is left was there before) in rounds: in each round the cheapest collapses whose neighbourhoods do not touch are made
-at once. A vertex on a seam only moves along the seam, both sides together; one on a border along the border; corners
-of charts stay.
+The error is that of Garland and Heckbert (1997). A collapse moves a vertex onto a neighbour, so that no attribute is
+interpolated. Each round applies the cheapest collapses whose neighbourhoods are disjoint. A vertex on a UV seam moves
+only along the seam, both sides together; one on a border moves along the border; corners of charts do not move. No
+triangle may flip, in space or in the texture. Why not a library: docs/adr/own_implementations.md.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ if TYPE_CHECKING:
 Indices = NDArray[np.int64]
 Floats = NDArray[np.float64]
 
-_SHARE = 0.3  # of the possible collapses, the cheapest that a round may choose from
-_MAX_TURN = 0.2  # smallest cosine between a face's normals before and after
-_SEAM_WEIGHT = 10.0  # of the planes that hold seams and borders, against the faces' own
+_ROUND_FRACTION = 0.3  # a round chooses from this fraction of the possible collapses, the cheapest ones
+_MIN_NORMAL_COSINE = 0.2  # between a face's normals before and after a collapse
+_SEAM_WEIGHT = 10.0  # of the planes that constrain seams and borders, relative to the planes of faces
 
 
 @dataclass
 class _State:
-    """The mesh while it shrinks: faces over points (welded positions) and over vertices (position and UV)."""
+    """The mesh during simplification: faces by points (welded positions) and by vertices (pairs of position and UV)."""
 
-    places: Floats
+    positions: Floats
     """(P, 3), scaled to unit size."""
     uvs: Floats
     """(V, 2)."""
@@ -45,24 +45,24 @@ class _State:
 
 
 def simplify(mesh: AssetMesh, triangles: int) -> AssetMesh:
-    """The mesh with about `triangles` triangles, or more where seams, borders and folds allow no further collapse.
+    """The mesh with about `triangles` triangles, or more where seams, borders and flips allow no further collapse.
 
-    Vertices that remain keep position, normal, UV and tangent. The same mesh gives the same result.
+    Remaining vertices keep position, normal, UV and tangent. The result is deterministic.
     """
     if len(mesh.faces) <= triangles:
         return mesh
     first, group = weld(mesh.positions)
-    places = mesh.positions[first].astype(np.float64)
-    size = float(np.ptp(places, axis=0).max()) or 1.0
+    positions = mesh.positions[first].astype(np.float64)
+    size = float(np.ptp(positions, axis=0).max()) or 1.0
     faces = mesh.faces.astype(np.int64)
-    state = _State(places / size, mesh.uvs.astype(np.float64), group[faces], faces, np.zeros((len(places), 10)))
+    state = _State(positions / size, mesh.uvs.astype(np.float64), group[faces], faces, np.zeros((len(positions), 10)))
     _drop_collapsed(state)
     state.quadrics = _quadrics(state)
     while len(state.points) > triangles:
         surplus = len(state.points) - triangles
-        moves = _round(state, surplus, _SHARE)
-        if not len(moves[0]):  # the cheapest may all be forbidden
-            moves = _round(state, surplus, 1.0)
+        moves = _collapse_round(state, surplus, _ROUND_FRACTION)
+        if not len(moves[0]):  # none of the cheapest collapses may be possible
+            moves = _collapse_round(state, surplus, 1.0)
         if not len(moves[0]):
             break
         _apply(state, *moves)
@@ -77,22 +77,22 @@ def simplify(mesh: AssetMesh, triangles: int) -> AssetMesh:
     )
 
 
-def _round(state: _State, surplus: int, share: float) -> tuple[Indices, Indices, Indices, Indices]:
-    """Points that move and where to, then vertices that are replaced and by which."""
+def _collapse_round(state: _State, surplus: int, fraction: float) -> tuple[Indices, Indices, Indices, Indices]:
+    """The collapses of a round: source and target points, then replaced vertices and their replacements."""
     pairs, counts, copies = _candidates(state)
     source, target = pairs.T
-    cost = _error(state.quadrics[source] + state.quadrics[target], state.places[target])
-    # Between equal errors the shorter edge: flat regions shrink evenly.
-    cost = cost + 1e-9 * ((state.places[source] - state.places[target]) ** 2).sum(-1)
+    cost = _error(state.quadrics[source] + state.quadrics[target], state.positions[target])
+    # Shorter edges first where errors are equal: flat regions are simplified evenly.
+    cost = cost + 1e-9 * ((state.positions[source] - state.positions[target]) ** 2).sum(-1)
     order = np.lexsort([target, cost, source])
     best = order[np.unique(source[order], return_index=True)[1]]
-    best = best[np.argsort(cost[best], kind="stable")][: max(1, int(share * len(best)))]
+    best = best[np.argsort(cost[best], kind="stable")][: max(1, int(fraction * len(best)))]
     best = best[_keeps_topology(state, source[best], target[best], counts[best])]
     best = best[_keeps_orientation(state, pairs[best], copies)]
-    if share == 1:
-        best = best[:1]  # the last resort may be expensive: one at a time
-    # In drawn order rather than by cost: costs change slowly over a surface, and chains of neighbours would wait in
-    # line.
+    if fraction == 1:
+        best = best[:1]  # these collapses may have a large error: one at a time
+    # In a fixed random order instead of by cost: costs change slowly over a surface, and in a chain of neighbours of
+    # rising cost only one could collapse in each round.
     best = best[np.random.default_rng(len(best)).permutation(len(best))]
     best = _independent(state, source[best], target[best], best)[: max(1, (surplus + 1) // 2)]
     chosen = np.isin(_pair_keys(state, copies[:, 0], copies[:, 1]), _pair_keys(state, source[best], target[best]))
@@ -100,10 +100,10 @@ def _round(state: _State, surplus: int, share: float) -> tuple[Indices, Indices,
 
 
 def _candidates(state: _State) -> tuple[Indices, Indices, Indices]:
-    """Possible moves (N, 2), faces at their edges (N,), and for each what replaces which vertex: rows (v, w, old, new).
+    """Possible collapses (N, 2), the number of faces at their edges (N,), and vertex replacements (v, w, old, new).
 
-    A move is possible where each vertex of the point that goes has exactly one replacement across the edge, and where a
-    point on a border stays on it. That alone keeps seams closed: across a seam's edge both its sides have one.
+    A collapse is possible where each vertex of the removed point has exactly one replacement across the edge, and where
+    a border point stays on the border. This keeps seams closed: at a seam edge, both sides have a replacement.
     """
     ahead = [1, 2, 0]
     p, q = state.points, state.points[:, ahead]
@@ -120,10 +120,10 @@ def _candidates(state: _State) -> tuple[Indices, Indices, Indices]:
     source, target = half[new_pair, 0], half[new_pair, 1]
     point_of = np.full(len(state.uvs), -1, dtype=np.int64)
     point_of[a] = p
-    vertices_at = np.bincount(point_of[point_of >= 0], minlength=len(state.places))
-    border = np.zeros(len(state.places), dtype=bool)
+    vertices_at = np.bincount(point_of[point_of >= 0], minlength=len(state.positions))
+    border = np.zeros(len(state.positions), dtype=bool)
     border[source[faces_at == 1]] = True
-    crowded = np.zeros(len(state.places), dtype=bool)
+    crowded = np.zeros(len(state.positions), dtype=bool)
     crowded[source[faces_at > 2]] = True
     possible = (replacements == distinct) & (distinct == vertices_at[source]) & ~crowded[source]
     possible &= ~border[source] | (faces_at == 1)
@@ -131,43 +131,43 @@ def _candidates(state: _State) -> tuple[Indices, Indices, Indices]:
 
 
 def _keeps_topology(state: _State, source: Indices, target: Indices, faces_at: Indices) -> NDArray[np.bool_]:
-    """Link condition: the two points share no neighbours but those across the edge's faces."""
+    """Link condition: the only common neighbours of the two points are the opposite corners of the edge's faces."""
     around = _adjacency(state)
     shared = around[source].multiply(around[target]).sum(axis=1)
     return np.asarray(shared).ravel() == faces_at
 
 
 def _keeps_orientation(state: _State, moves: Indices, copies: Indices) -> NDArray[np.bool_]:
-    """No face around the point that goes turns over, in space or in the texture."""
-    to = np.full(len(state.places), -1, dtype=np.int64)
-    to[moves[:, 0]] = moves[:, 1]
-    number = np.full(len(state.places), -1, dtype=np.int64)
+    """Whether no face around the removed point flips, in space or in the texture."""
+    target_of = np.full(len(state.positions), -1, dtype=np.int64)
+    target_of[moves[:, 0]] = moves[:, 1]
+    number = np.full(len(state.positions), -1, dtype=np.int64)
     number[moves[:, 0]] = np.arange(len(moves))
-    # One copy of the table for each corner: each face is tested with that corner moved and the others in place.
-    fine = np.ones(len(moves), dtype=bool)
-    chosen = copies[to[copies[:, 0]] == copies[:, 1]]
+    # Each face is tested three times, each time with one of its corners moved.
+    valid = np.ones(len(moves), dtype=bool)
+    replacements = copies[target_of[copies[:, 0]] == copies[:, 1]]
     replacement = np.full(len(state.uvs), -1, dtype=np.int64)
-    replacement[chosen[:, 2]] = chosen[:, 3]
+    replacement[replacements[:, 2]] = replacements[:, 3]
     for corner in range(3):
-        goal = to[state.points[:, corner]]
-        face = np.flatnonzero((goal >= 0) & ~(state.points == goal[:, None]).any(axis=1))
-        before = state.places[state.points[face]]
+        target = target_of[state.points[:, corner]]
+        face = np.flatnonzero((target >= 0) & ~(state.points == target[:, None]).any(axis=1))
+        before = state.positions[state.points[face]]
         after = before.copy()
-        after[:, corner] = state.places[goal[face]]
+        after[:, corner] = state.positions[target[face]]
         old, new = _normals(before), _normals(after)
-        upright = (old * new).sum(-1) > _MAX_TURN * np.linalg.norm(old, axis=-1) * np.linalg.norm(new, axis=-1)
+        upright = (old * new).sum(-1) > _MIN_NORMAL_COSINE * np.linalg.norm(old, axis=-1) * np.linalg.norm(new, axis=-1)
         flat = state.uvs[state.vertices[face]]
         moved = flat.copy()
         moved[:, corner] = state.uvs[replacement[state.vertices[face, corner]]]
-        unfolded = _areas(flat) * _areas(moved) >= 0
-        fine[number[state.points[face, corner]][~(upright & unfolded)]] = False
-    return fine
+        unflipped = _areas(flat) * _areas(moved) >= 0
+        valid[number[state.points[face, corner]][~(upright & unflipped)]] = False
+    return valid
 
 
 def _independent(state: _State, source: Indices, target: Indices, moves: Indices) -> Indices:
-    """Those of the moves that have no earlier one among the neighbours of either of their points."""
+    """The collapses that have no earlier collapse among the neighbours of their two points."""
     last = np.iinfo(np.int64).max
-    priority = np.full(len(state.places), last)
+    priority = np.full(len(state.positions), last)
     priority[source] = np.arange(len(source))
     edges = np.concatenate([state.points[:, [0, 1]], state.points[:, [1, 2]], state.points[:, [2, 0]]])
     least = priority.copy()
@@ -178,7 +178,7 @@ def _independent(state: _State, source: Indices, target: Indices, moves: Indices
 
 
 def _apply(state: _State, source: Indices, target: Indices, old: Indices, new: Indices) -> None:
-    point_map, vertex_map = np.arange(len(state.places)), np.arange(len(state.uvs))
+    point_map, vertex_map = np.arange(len(state.positions)), np.arange(len(state.uvs))
     point_map[source], vertex_map[old] = target, new
     state.quadrics[target] += state.quadrics[source]
     state.points, state.vertices = point_map[state.points], vertex_map[state.vertices]
@@ -192,37 +192,38 @@ def _drop_collapsed(state: _State) -> None:
 
 
 def _quadrics(state: _State) -> Floats:
-    """Sums over faces of squared distance times area; seams and borders add planes that stand on their faces."""
-    corners = state.places[state.points]
+    """Sums over faces of squared distance times area; seams and borders add planes perpendicular to their faces."""
+    corners = state.positions[state.points]
     cross = _normals(corners)
     area = np.linalg.norm(cross, axis=-1)
     normal = cross / np.maximum(area, 1e-30)[:, None]
-    result = np.zeros((len(state.places), 10))
+    result = np.zeros((len(state.positions), 10))
     planes = _plane_quadrics(normal, corners[:, 0]) * area[:, None]
     for index in range(3):
         np.add.at(result, state.points[:, index], planes)
     start, end = state.vertices.reshape(-1), state.vertices[:, [1, 2, 0]].reshape(-1)
     keys = np.minimum(start, end) * len(state.uvs) + np.maximum(start, end)
     _, number, count = np.unique(keys, return_inverse=True, return_counts=True)
-    lone = np.flatnonzero(count[number] == 1)
-    face, corner = np.divmod(lone, 3)
-    here, there = corners[face, corner], corners[face, (corner + 1) % 3]
-    wall = np.cross(there - here, normal[face])
-    length = np.linalg.norm(wall, axis=-1)
-    planes = _plane_quadrics(wall / np.maximum(length, 1e-30)[:, None], here) * (_SEAM_WEIGHT * length**2)[:, None]
+    boundary = np.flatnonzero(count[number] == 1)
+    face, corner = np.divmod(boundary, 3)
+    begin, end_position = corners[face, corner], corners[face, (corner + 1) % 3]
+    side_normal = np.cross(end_position - begin, normal[face])
+    length = np.linalg.norm(side_normal, axis=-1)
+    planes = _plane_quadrics(side_normal / np.maximum(length, 1e-30)[:, None], begin)
+    planes *= (_SEAM_WEIGHT * length**2)[:, None]
     np.add.at(result, state.points[face, corner], planes)
     np.add.at(result, state.points[face, (corner + 1) % 3], planes)
     return result
 
 
-def _plane_quadrics(normal: Floats, place: Floats) -> Floats:
-    plane = np.concatenate([normal, -(normal * place).sum(-1, keepdims=True)], axis=1)
+def _plane_quadrics(normal: Floats, position: Floats) -> Floats:
+    plane = np.concatenate([normal, -(normal * position).sum(-1, keepdims=True)], axis=1)
     rows, columns = np.triu_indices(4)
     return plane[:, rows] * plane[:, columns]
 
 
-def _error(quadrics: Floats, place: Floats) -> Floats:
-    point = np.concatenate([place, np.ones((len(place), 1))], axis=1)
+def _error(quadrics: Floats, position: Floats) -> Floats:
+    point = np.concatenate([position, np.ones((len(position), 1))], axis=1)
     rows, columns = np.triu_indices(4)
     twice = np.where(rows == columns, 1.0, 2.0)
     return np.maximum((quadrics * point[:, rows] * point[:, columns] * twice).sum(-1), 0.0)
@@ -233,13 +234,15 @@ def _adjacency(state: _State) -> csr_array:
 
     edges = np.concatenate([state.points[:, [0, 1]], state.points[:, [1, 2]], state.points[:, [2, 0]]])
     both = np.concatenate([edges, edges[:, ::-1]])
-    matrix = coo_array((np.ones(len(both), np.int32), (both[:, 0], both[:, 1])), shape=(len(state.places),) * 2).tocsr()
+    matrix = coo_array(
+        (np.ones(len(both), np.int32), (both[:, 0], both[:, 1])), shape=(len(state.positions),) * 2
+    ).tocsr()
     matrix.data[:] = 1
     return matrix
 
 
 def _pair_keys(state: _State, source: Indices, target: Indices) -> Indices:
-    return source * len(state.places) + target
+    return source * len(state.positions) + target
 
 
 def _normals(corners: Floats) -> Floats:

@@ -1,4 +1,4 @@
-"""Writes .obj with an .mtl in the PBR dialect (Pr, Pm, norm) that Blender, Assimp and others read."""
+"""Exporter of .obj with an .mtl that uses the PBR statements (Pr, Pm, norm) of Blender, Assimp and others."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from hir_exporters.materials.texture_packing import (
 
 @final
 class ObjExporter(Exporter):
-    """Geometry exactly, the material by the core metallic-roughness fit."""
+    """Geometry without loss; the material as the core metallic-roughness fit."""
 
     def __init__(self, config: ObjConfig) -> None:
         self._config = config
@@ -39,7 +39,7 @@ class ObjExporter(Exporter):
         surface = to_gltf(material, "metalrough")
         assert isinstance(surface, MetallicSurface)
         packed = pack_surface(surface, material.normal)
-        # The dialect has no channels: roughness and metalness are images of their own.
+        # The statements cannot select channels: roughness and metalness are separate images.
         pixels = {"base_color": packed.base_color_image, "normal": packed.normal_image}
         if packed.orm_image is not None and surface.roughness.ndim == 2:
             pixels["roughness"] = packed.orm_image[..., 1:2]
@@ -60,7 +60,7 @@ class ObjExporter(Exporter):
 
 
 def mesh_text(mesh: AssetMesh, library: str, name: str) -> str:
-    """Text of the .obj: nine significant digits hold float32 exactly."""
+    """Text of the .obj; nine significant digits represent float32 exactly."""
     uvs = mesh.uvs.astype(np.float64) * [1, -1] + [0, 1]
     corners = np.repeat(mesh.faces.reshape(-1, 3) + 1, 3, axis=1)
     return "".join(
@@ -76,9 +76,9 @@ def mesh_text(mesh: AssetMesh, library: str, name: str) -> str:
 
 
 def material_text(packed: PackedSurface, images: dict[str, str]) -> str:
-    """Text of the .mtl: constants, then the images that take their place; Ns and Ks for readers without PBR."""
+    """Text of the .mtl: constants, then the images that replace them; Ns and Ks are for readers without PBR."""
     alpha = max(packed.roughness, 0.01) ** 2
-    exponent = min(max(2 / alpha**2 - 2, 0.0), 1000.0)  # Blinn-Phong's of the same width
+    exponent = min(max(2 / alpha**2 - 2, 0.0), 1000.0)  # the Blinn-Phong exponent of the same lobe width
     lines = ["newmtl surface", "illum 2", _line("Kd", *packed.base_color), _line("Ks", 0.04, 0.04, 0.04)]
     lines += [_line("Ns", exponent), _line("Ni", packed.ior), _line("Pr", packed.roughness)]
     lines += [_line("Pm", packed.metallic), "d 1"]
@@ -96,5 +96,5 @@ def _lines(form: str, rows: NDArray[np.generic]) -> str:
 
 
 def _plain(name: str) -> str:
-    """The format separates by spaces and has no quotes."""
+    """The name without spaces, which the format cannot quote."""
     return re.sub(r"\s", "_", name)

@@ -1,1 +1,1 @@
-"""Reading written files back, and checking them."""
+"""Reads files back: to verify exports, to import meshes and lights, and to run external validators."""

@@ -1,23 +1,21 @@
-"""What an exported file says, as an asset: mesh and material decoded from its bytes, in the nearest of our models.
+"""Decodes a file that was read back into an asset: its mesh, and its material in the closest BRDF model.
 
-Libraries that share nothing with the writers read the file (`hir_exporters.reading.readback`). Numpy only.
+The file is read by libraries that share no code with the exporters (`hir_exporters.reading.readback`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hir_exporters.asset import PAPER_SPECULAR_MAX, AssetEnvironment, AssetMaterial, AssetMesh
+from hir_exporters.asset import PAPER_SPECULAR_MAX, AssetMaterial, AssetMesh
 from hir_exporters.conventions import ALPHA_MIN
 from hir_exporters.materials.material_conversion import NO_FRESNEL_IOR
 from hir_exporters.materials.surfaces import MetallicSurface, SpecularSurface
 from hir_exporters.materials.target_brdfs import ior_to_f0
 from hir_exporters.reading.readback import ReadBack
-from hir_exporters.textures.image_files import read_exr, read_hdr
 from hir_exporters.textures.texture_maps import common_size, resize
 
 Array = NDArray[np.floating]
@@ -25,32 +23,26 @@ Array = NDArray[np.floating]
 
 @dataclass(frozen=True, eq=False)
 class DecodedAsset:
-    """Mesh and material of a file, and how its material was understood."""
+    """Mesh and material of a file, and how its material was interpreted."""
 
     mesh: AssetMesh
     material: AssetMaterial
     interpretation: str
-    """One phrase: which parameters became which model."""
+    """One phrase: the conversion from the file's parameters to the model."""
 
 
 def decode_asset(back: ReadBack, profile: str = "khr") -> DecodedAsset:
-    """The asset that a file was read back as. `profile`: `blender` files mean what Blender makes of them."""
+    """The asset of a file that was read back. Files of the profile `blender` are interpreted as Blender does."""
     material, interpretation = decode_material(back, profile)
     return DecodedAsset(_mesh(back), material, interpretation)
 
 
-def read_environment(path: Path) -> AssetEnvironment:
-    """The lat-long light of an .hdr or .exr, in world axes."""
-    radiance = read_exr(path) if path.suffix == ".exr" else read_hdr(path)
-    return AssetEnvironment(np.maximum(radiance[..., :3], 0))
-
-
 def decode_material(back: ReadBack, profile: str) -> tuple[AssetMaterial, str]:
-    """Parameters of the model that is nearest to what the file's own formula says, texel by texel.
+    """Parameters of the BRDF model that is closest to the format's own formula, texel by texel.
 
-    An ior of 1000 stands for a lobe without Fresnel: the `paper` model, exactly for grey lobes. All others are
-    `dielectric`; there F0, the lobe and the light that reaches the diffuse part at normal incidence are kept, while the
-    diffuse part's loss at grazing angles is that of our model instead of the format's.
+    An ior of 1000 encodes a lobe without Fresnel: the `paper` model, exact for grey lobes. All other materials become
+    `dielectric` with the same F0, lobe and diffuse reflection at normal incidence. At grazing angles the diffuse part
+    decreases as in `dielectric`, not as in the format.
     """
     return decode_surface(back.surface, back.specular_surface, back.normal, profile)
 
@@ -71,42 +63,44 @@ def decode_surface(
 
 
 def _metallic(surface: MetallicSurface, normal: NDArray[np.float32] | None) -> AssetMaterial:
-    base, m, weight, color = _together(
+    base, m, weight, color = _at_common_size(
         (surface.base_color, 1), (surface.metallic, 0), (surface.specular_weight, 0), (surface.specular_color, 1)
     )
     m, weight = m[..., None], weight[..., None]
     f0 = weight * np.minimum(ior_to_f0(surface.ior) * color, 1)
     specular = np.clip(f0 * (1 - m) + base * m, 0, 1)
-    # light through the lobe at normal incidence: (1 - m)(1 - max F0) base there, (1 - rho_s) rho_d here
-    through = (1 - m) * (1 - f0.max(axis=-1, keepdims=True)) * base
-    return _material("dielectric", _under(through, specular), specular, surface.roughness, normal)
+    # Diffuse reflection at normal incidence: (1 - m)(1 - max F0) base in glTF, (1 - rho_s) rho_d in `dielectric`.
+    reflected = (1 - m) * (1 - f0.max(axis=-1, keepdims=True)) * base
+    return _material("dielectric", _diffuse_albedo(reflected, specular), specular, surface.roughness, normal)
 
 
 def _specular_workflow(surface: SpecularSurface, normal: NDArray[np.float32] | None) -> AssetMaterial:
-    diffuse, specular = _together((surface.diffuse, 1), (surface.specular, 1))
-    through = (1 - specular.max(axis=-1, keepdims=True)) * diffuse
-    return _material("dielectric", _under(through, specular), specular, surface.roughness, normal)
+    diffuse, specular = _at_common_size((surface.diffuse, 1), (surface.specular, 1))
+    reflected = (1 - specular.max(axis=-1, keepdims=True)) * diffuse
+    return _material("dielectric", _diffuse_albedo(reflected, specular), specular, surface.roughness, normal)
 
 
 def _without_fresnel(surface: MetallicSurface, normal: NDArray[np.float32] | None, profile: str) -> AssetMaterial:
-    base, weight, color = _together((surface.base_color, 1), (surface.specular_weight, 0), (surface.specular_color, 1))
-    # Blender was seen to reflect the tint itself at this ior; the ratified text multiplies by F0 = 0.996
+    base, weight, color = _at_common_size(
+        (surface.base_color, 1), (surface.specular_weight, 0), (surface.specular_color, 1)
+    )
+    # At this ior Blender was measured to reflect the tint itself; the ratified extension multiplies by F0 = 0.996.
     factor = 1.0 if profile == "blender" else ior_to_f0(surface.ior)
     specular = np.minimum(factor * color, 1) * weight[..., None]
     diffuse = (1 - specular.max(axis=-1, keepdims=True)) * base
     return _material("paper", diffuse, specular, surface.roughness, normal)
 
 
-def _under(through: Array, specular: Array) -> Array:
-    """rho_d of `dielectric` that lets this much light through at normal incidence; 0 under a mirror."""
-    return np.where(specular < 1, through / np.maximum(1 - specular, 1e-6), 0.0)
+def _diffuse_albedo(reflected: Array, specular: Array) -> Array:
+    """rho_d of `dielectric` with this diffuse reflection at normal incidence; 0 where rho_s is 1."""
+    return np.where(specular < 1, reflected / np.maximum(1 - specular, 1e-6), 0.0)
 
 
 def _material(
     model: str, diffuse: Array, specular: Array, roughness: Array, normal: NDArray[np.float32] | None
 ) -> AssetMaterial:
     limit = PAPER_SPECULAR_MAX if model == "paper" else 1.0
-    if normal is not None:  # 8 bits leave lengths that are not quite 1
+    if normal is not None:  # 8-bit codes have lengths that differ slightly from 1
         normal = normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-6)
     return AssetMaterial(
         model="paper" if model == "paper" else "dielectric",
@@ -117,14 +111,14 @@ def _material(
     )
 
 
-def _together(*values: tuple[Array, int]) -> list[Array]:
-    """Constants and textures, each with its number of channel axes, at one size."""
+def _at_common_size(*values: tuple[Array, int]) -> list[Array]:
+    """Constants, and textures resized to one size; each value comes with its number of channel axes."""
     size = common_size(*(v for v, _ in values), channels=tuple(c for _, c in values))
     return [resize(v, *size) if size and v.ndim - c == 2 else v for v, c in values]
 
 
 def _mesh(back: ReadBack) -> AssetMesh:
-    """One vertex for each corner: what was one vertex is told by its position."""
+    """One vertex for each corner; shared vertices are not restored."""
     count = 3 * len(back.corner_positions)
     return AssetMesh(
         positions=back.corner_positions.reshape(count, 3).astype(np.float32),

@@ -1,6 +1,4 @@
-"""A glTF file in terms that every reader knows: streams of EXT_meshopt_compression decoded, steps of
-KHR_mesh_quantization as floats. trimesh knows neither.
-"""
+"""Rewrites a glTF file without EXT_meshopt_compression and KHR_mesh_quantization, which trimesh does not read."""
 
 from __future__ import annotations
 
@@ -18,20 +16,20 @@ if TYPE_CHECKING:
     from pygltflib import GLTF2
 
 MESHOPT: Final = "EXT_meshopt_compression"
-EXPANDED: Final = frozenset({MESHOPT, "KHR_mesh_quantization"})
-"""Extensions that `plain_glb` does away with."""
+DECODED_EXTENSIONS: Final = frozenset({MESHOPT, "KHR_mesh_quantization"})
+"""Extensions that `decompressed_glb` removes."""
 
-_KINDS: Final = {5120: ("<i1", 127), 5121: ("<u1", 255), 5122: ("<i2", 32767), 5123: ("<u2", 65535)}
-"""Type and largest value."""
+_COMPONENT_TYPES: Final = {5120: ("<i1", 127), 5121: ("<u1", 255), 5122: ("<i2", 32767), 5123: ("<u2", 65535)}
+"""numpy type and largest value, by glTF's componentType."""
 
 _WIDTHS: Final = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 
 
-def plain_glb(document: GLTF2, buffer: Callable[[int], bytes]) -> bytes:
-    """A .glb of the document without `EXPANDED`; `buffer` gives the bytes of the buffers that it names.
+def decompressed_glb(document: GLTF2, buffer: Callable[[int], bytes]) -> bytes:
+    """A .glb of the document without `DECODED_EXTENSIONS`; `buffer` returns the content of a buffer by its index.
 
-    Images beside the file stay beside it. Raises `InputError` for a view that says two sizes, `ExportError` where the
-    library meshopt is missing.
+    Images beside the file are still referenced. Raises `InputError` for a buffer view with two different sizes,
+    `ExportError` where the library meshopt is missing.
     """
     plain = json.loads(document.gltf_to_json())
     parts = [_content(view, buffer) for view in plain["bufferViews"]]
@@ -49,7 +47,7 @@ def plain_glb(document: GLTF2, buffer: Callable[[int], bytes]) -> bytes:
         start += len(part)
     plain["buffers"] = [{"byteLength": start}]
     for key in ("extensionsUsed", "extensionsRequired"):
-        plain[key] = [name for name in plain.get(key, []) if name not in EXPANDED]
+        plain[key] = [name for name in plain.get(key, []) if name not in DECODED_EXTENSIONS]
     text = json.dumps({key: value for key, value in plain.items() if value != []}).encode()
     text += b" " * (-len(text) % 4)
     head = struct.pack("<4sII", b"glTF", 2, 28 + len(text) + start)
@@ -59,28 +57,33 @@ def plain_glb(document: GLTF2, buffer: Callable[[int], bytes]) -> bytes:
 
 
 def _content(view: dict[str, Any], buffer: Callable[[int], bytes]) -> bytes:
-    """Bytes of a view, decoded; it loses its extension."""
-    said = view.pop("extensions", {}).get(MESHOPT)
-    start = (said or view).get("byteOffset", 0)
-    stored = buffer((said or view)["buffer"])[start : start + (said or view)["byteLength"]]
-    if said is None:
+    """The decoded bytes of a buffer view; removes the view's extension."""
+    compression = view.pop("extensions", {}).get(MESHOPT)
+    location = compression or view
+    start = location.get("byteOffset", 0)
+    stored = buffer(location["buffer"])[start : start + location["byteLength"]]
+    if compression is None:
         return stored
-    if said["count"] * said["byteStride"] != view["byteLength"]:
-        raise InputError(f"a buffer view of {view['byteLength']} bytes is compressed from another number of them")
+    if compression["count"] * compression["byteStride"] != view["byteLength"]:
+        raise InputError(f"a buffer view of {view['byteLength']} bytes has a compressed content of another size")
     try:
         import meshopt
     except ImportError:
         raise ExportError(f"reading {MESHOPT} needs meshopt; install it with: pip install 'hir[compress]'") from None
     values = meshopt.decode_gltf_buffer(
-        stored, said["count"], said["byteStride"], said["mode"], said.get("filter", "NONE")
+        stored,
+        compression["count"],
+        compression["byteStride"],
+        compression["mode"],
+        compression.get("filter", "NONE"),
     )
     return np.ascontiguousarray(values).tobytes()
 
 
 def _floats(accessor: dict[str, Any], content: bytes, stride: int) -> NDArray[np.float32]:
     """Values (N, C) of normalised integers (glTF 2.0, section 3.11)."""
-    (name, largest), width = _KINDS[accessor["componentType"]], _WIDTHS[accessor["type"]]
+    (name, largest), width = _COMPONENT_TYPES[accessor["componentType"]], _WIDTHS[accessor["type"]]
     size = np.dtype(name).itemsize
-    places = (accessor["count"], width), name, content, accessor.get("byteOffset", 0), (stride or width * size, size)
-    values: NDArray[np.float32] = np.ndarray(*places).astype(np.float32)
-    return np.maximum(values / np.float32(largest), np.float32(-1))
+    strides = (stride or width * size, size)
+    codes: NDArray[Any] = np.ndarray((accessor["count"], width), name, content, accessor.get("byteOffset", 0), strides)
+    return np.maximum(codes.astype(np.float32) / np.float32(largest), np.float32(-1))

@@ -1,8 +1,6 @@
-"""What a written file says when other libraries read it: trimesh and pygltflib for glTF, pxr for USD, Pillow for
-images.
+"""Reads an exported file with other libraries: trimesh and pygltflib for glTF, pxr for USD, Pillow for images.
 
-Nothing here is shared with the writers. The result is compared with the asset by
-`hir_exporters.reading.file_verification`.
+No code is shared with the exporters. `hir_exporters.reading.file_verification` compares the result with the asset.
 """
 
 from __future__ import annotations
@@ -11,7 +9,7 @@ import base64
 import io
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote
 
 import numpy as np
@@ -20,8 +18,12 @@ from numpy.typing import NDArray
 from hir_exporters.conventions import srgb_to_linear
 from hir_exporters.errors import HirError, InputError
 from hir_exporters.materials.surfaces import MetallicSurface, SpecularSurface
-from hir_exporters.reading.gltf_decompression import EXPANDED, plain_glb
+from hir_exporters.reading.gltf_decompression import DECODED_EXTENSIONS, decompressed_glb
 from hir_exporters.reading.usd_containment import check_inside, check_layers
+
+if TYPE_CHECKING:
+    import trimesh
+    from pygltflib import GLTF2
 
 Pixels = NDArray[Any]
 """(H, W, C) codes of 8 bits, or float32 in [0, 1]."""
@@ -29,7 +31,7 @@ Pixels = NDArray[Any]
 
 @dataclass(frozen=True)
 class ReadBack:
-    """Corners and material as a reader of the file has them."""
+    """Triangle corners and material of a file."""
 
     corner_positions: NDArray[np.float64]
     """(F, 3, 3)."""
@@ -38,70 +40,70 @@ class ReadBack:
     corner_uvs: NDArray[np.float64]
     """(F, 3, 2), origin top-left."""
     surface: MetallicSurface
-    """What a reader that knows the extensions written sees; for USD what the metallic workflow says."""
+    """With the extensions that the exporters write; for USD the inputs of the metallic workflow."""
     specular_surface: SpecularSurface | None
-    """Specular-glossiness, or UsdPreviewSurface's specular workflow, where the file has it."""
+    """Specular-glossiness or UsdPreviewSurface's specular workflow, where the file has it."""
     normal: NDArray[np.float32] | None
     """(H, W, 3) decoded tangent space normals."""
 
 
 def read_gltf(path: Path) -> ReadBack:
-    """A .glb or .gltf with one mesh and one material. Raises `InputError` naming the file where it cannot be read."""
+    """A .glb or .gltf with one mesh and one material. Raises `InputError` where the file cannot be read."""
     from pygltflib import GLTF2
 
     path = Path(path)
     if not path.is_file():
-        raise InputError(f"{path} is not there")
+        raise InputError(f"{path} does not exist")
     try:
         document = GLTF2().load(str(path))
         scene = gltf_scene(path, document)
         if len(scene.geometry) != 1:
-            raise InputError(f"{path} holds {len(scene.geometry)} meshes where one was written")
+            raise InputError(f"{path} contains {len(scene.geometry)} meshes; an exported file has one")
         [mesh] = scene.geometry.values()
         to_world = scene.graph[scene.graph.nodes_geometry[0]][0]
         faces = np.asarray(mesh.faces)
         positions = mesh.vertices[faces] @ to_world[:3, :3].T + to_world[:3, 3]
         normals = mesh.vertex_normals[faces] @ np.linalg.inv(to_world[:3, :3])
-        uvs = np.asarray(mesh.visual.uv) * [1, -1] + [0, 1]  # trimesh turns v upwards
+        uvs = np.asarray(mesh.visual.uv) * [1, -1] + [0, 1]  # trimesh flips v
         surface, specular_surface, normal = _gltf_material(document, path)
         return ReadBack(positions, normals, uvs[faces], surface, specular_surface, normal)
     except HirError:
         raise
-    except Exception as error:  # two libraries, each with many ways to fail on a broken file
+    except Exception as error:  # both libraries raise many types of errors for broken files
         raise InputError(f"{path} cannot be read back as glTF ({type(error).__name__}: {error})") from error
 
 
-def gltf_scene(path: Path, document: Any) -> Any:
-    """The `trimesh.Scene` of a .glb or .gltf, whose `pygltflib.GLTF2` says what trimesh does not know (`EXPANDED`)."""
+def gltf_scene(path: Path, document: GLTF2) -> trimesh.Scene:
+    """The scene of a .glb or .gltf, after decoding the extensions that trimesh does not read."""
     import trimesh
 
-    class Unquoting(trimesh.resolvers.FilePathResolver):
-        """trimesh looks for files under the names that a .gltf quotes for URIs."""
+    class UnquotingResolver(trimesh.resolvers.FilePathResolver):
+        """Decodes the percent-encoding of URIs, which trimesh does not do."""
 
         def get(self, name: str) -> bytes:
             return bytes(super().get(unquote(name)))
 
     source: Path | io.BytesIO = path
     kind = path.suffix[1:]
-    if not EXPANDED.isdisjoint(document.extensionsRequired or []):
-        source, kind = io.BytesIO(plain_glb(document, lambda i: _gltf_buffer(document, i, path))), "glb"
-    return trimesh.load_scene(source, file_type=kind, process=False, resolver=Unquoting(str(path)))
+    if not DECODED_EXTENSIONS.isdisjoint(document.extensionsRequired or []):
+        source, kind = io.BytesIO(decompressed_glb(document, lambda i: _gltf_buffer(document, i, path))), "glb"
+    return trimesh.load_scene(source, file_type=kind, process=False, resolver=UnquotingResolver(str(path)))
 
 
 def read_gltf_surface(
     path: Path,
 ) -> tuple[MetallicSurface, SpecularSurface | None, NDArray[np.float32] | None]:
-    """The one material of a .glb or .gltf, whatever its meshes: surface, its legacy form, decoded normals."""
+    """The material of a .glb or .gltf that has only one: surface, specular workflow, decoded normal map."""
     from pygltflib import GLTF2
 
     try:
         document = GLTF2().load(str(path))
         if len(document.materials) != 1:
-            raise InputError(f"{path} has {len(document.materials)} materials; an asset has one: join them first")
+            raise InputError(f"{path} has {len(document.materials)} materials; an asset has one: merge them first")
         return _gltf_material(document, Path(path))
     except InputError:
         raise
-    except Exception as error:  # a library with many ways to fail on a broken file
+    except Exception as error:  # pygltflib raises many types of errors for broken files
         raise InputError(f"{path} cannot be read as glTF ({type(error).__name__}: {error})") from error
 
 
@@ -111,13 +113,13 @@ def read_usd(path: Path) -> ReadBack:
 
     path = Path(path)
     if not path.is_file():
-        raise InputError(f"{path} is not there")
+        raise InputError(f"{path} does not exist")
     try:
         check_layers(path)
         stage = Usd.Stage.Open(str(path))
         meshes = [prim for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh)]
         if len(meshes) != 1:
-            raise InputError(f"{path} holds {len(meshes)} meshes where one was written")
+            raise InputError(f"{path} contains {len(meshes)} meshes; an exported file has one")
         mesh = UsdGeom.Mesh(meshes[0])
         faces = np.asarray(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 3)
         st = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("st")
@@ -130,18 +132,18 @@ def read_usd(path: Path) -> ReadBack:
         return ReadBack(positions, normals, uvs, surface, specular_surface, normal)
     except InputError:
         raise
-    except Exception as error:  # OpenUSD's errors span lines, and broken text fails in its own decoder
-        raise InputError(f"{path} cannot be read back as USD ({_reason(error)})") from error
+    except Exception as error:  # OpenUSD's errors, and those of decoding broken text
+        raise InputError(f"{path} cannot be read back as USD ({_one_line(error)})") from error
 
 
 def _by_corner(values: Any, interpolation: str, faces: NDArray[np.int32]) -> NDArray[np.float64]:
-    """Values (F, 3, C) of corners from those of points or of corners."""
+    """Values (F, 3, C) of corners from values of points or of corners."""
     array = np.asarray(values, np.float64)
     return array.reshape(*faces.shape, -1) if interpolation == "faceVarying" else array[faces]
 
 
-def _reason(error: Exception) -> str:
-    """Type and text on one line; OpenUSD quotes broken files in bytes that are no text."""
+def _one_line(error: Exception) -> str:
+    """Type and message on one line. OpenUSD quotes content of broken files that may not be valid text."""
     try:
         return f"{type(error).__name__}: {' '.join(str(error).split())[:300]}"
     except UnicodeDecodeError:
@@ -149,7 +151,7 @@ def _reason(error: Exception) -> str:
 
 
 def _gltf_material(
-    document: Any, path: Path
+    document: GLTF2, path: Path
 ) -> tuple[MetallicSurface, SpecularSurface | None, NDArray[np.float32] | None]:
     material = document.materials[0]
     core, extensions = material.pbrMetallicRoughness, material.extensions or {}
@@ -235,7 +237,7 @@ def _usd_texture(connection: Any, channel: str, path: Path) -> NDArray[np.floati
     return np.asarray(values if channel == "rgb" else values[..., 0])
 
 
-def _gltf_image(document: Any, source: int, path: Path) -> bytes:
+def _gltf_image(document: GLTF2, source: int, path: Path) -> bytes:
     image = document.images[source]
     if image.uri is not None:
         return _beside(path, image.uri)
@@ -244,7 +246,7 @@ def _gltf_image(document: Any, source: int, path: Path) -> bytes:
     return _gltf_buffer(document, view.buffer, path)[start : start + view.byteLength]
 
 
-def _gltf_buffer(document: Any, index: int, path: Path) -> bytes:
+def _gltf_buffer(document: GLTF2, index: int, path: Path) -> bytes:
     uri = document.buffers[index].uri
     if uri is None:
         return bytes(document.binary_blob())
@@ -254,15 +256,15 @@ def _gltf_buffer(document: Any, index: int, path: Path) -> bytes:
 
 
 def _beside(path: Path, uri: str) -> bytes:
-    """A file in the same folder, also after links are followed."""
+    """The content of a file in the same folder, also after links are resolved."""
     file = path.with_name(unquote(uri))
     if file.resolve().parent != path.resolve().parent or not file.is_file():
-        raise InputError(f"{path} names {uri!r}, which is not beside it")
+        raise InputError(f"{path} names {uri!r}, which is not in its folder")
     return file.read_bytes()
 
 
 def _decoded(data: bytes) -> Pixels:
-    """(H, W, C): 8-bit codes as they are, wider ones in [0, 1]."""
+    """Pixels (H, W, C): 8-bit codes unchanged, 16-bit codes as floats in [0, 1]."""
     from PIL import Image
 
     with Image.open(io.BytesIO(data)) as image:

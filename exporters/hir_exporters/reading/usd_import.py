@@ -1,6 +1,6 @@
-"""USD files of strangers, read by a process of its own: OpenUSD ends the whole process on some damaged files.
+"""Reads untrusted USD files in a subprocess, because OpenUSD aborts the process on some damaged files.
 
-"Dereferenced an invalid SdfPrimSpec" is such an end; no `except` sees it.
+One such abort is "Dereferenced an invalid SdfPrimSpec"; no `except` catches it.
 """
 
 from __future__ import annotations
@@ -18,48 +18,48 @@ from hir_exporters.reading.readback import ReadBack, read_usd
 
 
 def read_untrusted_usd(path: Path) -> ReadBack:
-    """`read_usd` by a child process, 0.5 s more; a file that ends the child is an `InputError`, too."""
+    """`read_usd` in a subprocess, which takes 0.5 s more. A file that crashes it raises `InputError`."""
     path = Path(path)
     if not path.is_file():
-        raise InputError(f"{path} is not there")
+        raise InputError(f"{path} does not exist")
     try:
-        return _unpacked(
-            run_in_subprocess("hir_exporters.reading.usd_import:read_usd_arrays", {"path": os.fspath(path)})
-        )
+        arrays = run_in_subprocess("hir_exporters.reading.usd_import:read_usd_arrays", {"path": os.fspath(path)})
     except SubprocessCrashError as error:
         raise InputError(
-            f"{path} cannot be read as USD: it ended the process that read it ({error}); the file is damaged, "
-            "write it again"
+            f"{path} cannot be read as USD: it crashed OpenUSD ({error}); the file is damaged, write it again"
         ) from error
+    return _read_back(arrays)
 
 
-def read_usd_arrays(path: Any) -> Arrays:
-    """The child's part of `read_untrusted_usd`: a `ReadBack` as arrays by name."""
-    return dict(_packed(read_usd(Path(str(path))), ""))
+def read_usd_arrays(path: object) -> Arrays:
+    """Target of the subprocess: the fields of a `ReadBack` as arrays by name, those of surfaces with a prefix."""
+    return dict(_named_arrays(read_usd(Path(str(path))), ""))
 
 
-def _packed(value: Any, name: str) -> Iterator[tuple[str, Any]]:
+def _named_arrays(value: ReadBack | MetallicSurface | SpecularSurface, prefix: str) -> Iterator[tuple[str, Any]]:
     for field in fields(value):
         part = getattr(value, field.name)
         if isinstance(part, MetallicSurface | SpecularSurface):
-            yield from _packed(part, f"{name}{field.name}.")
+            yield from _named_arrays(part, f"{prefix}{field.name}.")
         elif part is not None:
-            yield f"{name}{field.name}", part
+            yield f"{prefix}{field.name}", part
 
 
-def _unpacked(arrays: Arrays) -> ReadBack:
-    whole: dict[str, dict[str, Any]] = {"": {}, "surface": {}, "legacy": {}}
+def _read_back(arrays: Arrays) -> ReadBack:
+    """Inverse of `_named_arrays`."""
+    groups: dict[str, dict[str, Any]] = {"": {}, "surface": {}, "specular_surface": {}}
     for name, values in arrays.items():
-        part, _, field = name.rpartition(".")
-        whole[part][field] = values
-    surfaces = {
-        name: kind(**{**whole[name], **_plain(whole[name])}) if whole[name] else None
-        for name, kind in (("surface", MetallicSurface), ("legacy", SpecularSurface))
-    }
-    return ReadBack(**{"normal": None, **whole[""], **surfaces})
+        group, _, field = name.rpartition(".")
+        groups[group][field] = values
+    specular = groups["specular_surface"]
+    return ReadBack(
+        **{"normal": None, **groups[""]},
+        surface=MetallicSurface(**_without_arrays(groups["surface"])),
+        specular_surface=SpecularSurface(**_without_arrays(specular)) if specular else None,
+    )
 
 
-def _plain(values: dict[str, Any]) -> dict[str, Any]:
-    """Numbers and words that an .npz made arrays of."""
-    plain: dict[str, Any] = {name: float(values[name]) for name in ("ior", "residual") if name in values}
-    return plain | {"warnings": tuple(map(str, values["warnings"]))}
+def _without_arrays(values: dict[str, Any]) -> dict[str, Any]:
+    """A surface's fields with numbers and strings in place of the arrays that .npz makes of them."""
+    numbers: dict[str, Any] = {name: float(values[name]) for name in ("ior", "residual") if name in values}
+    return {**values, **numbers, "warnings": tuple(map(str, values["warnings"]))}

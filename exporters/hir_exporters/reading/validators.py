@@ -1,4 +1,4 @@
-"""Independent validators of written files: Khronos' for glTF (node), pxr's and NVIDIA's for USD."""
+"""Runs external validators on files: Khronos' glTF validator (node), pxr.UsdValidation, omniverse-asset-validator."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hir_exporters.errors import ExportError
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that a validator says about a file."""
+    """One message of a validator about a file."""
 
     file: Path
     severity: Literal["error", "warning", "information"]
@@ -24,10 +24,10 @@ class Finding:
 
 
 def validate_gltf(files: Sequence[Path], tools: Path) -> list[Finding]:
-    """What Khronos' validator says of .glb and .gltf files; none is a clean file.
+    """Findings of Khronos' validator for .glb and .gltf files.
 
-    `tools` is the repository's folder of that name, after `tools/setup.sh test` ran. Raises `ExportError` where
-    node or the validator is missing.
+    `tools` is the repository's folder of that name, after `tools/setup.sh test`. Raises `ExportError` where node or the
+    validator is missing.
     """
     node = shutil.which("node")
     if node is None or not (tools / "node_modules" / "gltf-validator").is_dir():
@@ -52,7 +52,7 @@ def validate_gltf(files: Sequence[Path], tools: Path) -> list[Finding]:
 
 
 def validate_usd(files: Sequence[Path]) -> list[Finding]:
-    """What all validators of pxr.UsdValidation say of USD files; none is a clean file."""
+    """Findings of all validators of pxr.UsdValidation for USD files."""
     from pxr import Usd, UsdValidation
 
     registry = UsdValidation.ValidationRegistry()
@@ -74,9 +74,9 @@ def validate_usd(files: Sequence[Path]) -> list[Finding]:
 
 
 def validate_omniverse(files: Sequence[Path]) -> list[Finding]:
-    """What omniverse-asset-validator's rules say of USD files, but for those that advise against text files.
+    """Findings of omniverse-asset-validator for USD files, without the rules that advise against text files.
 
-    Raises `ExportError` where it is not installed: there is none for Python 3.13 and newer.
+    Raises `ExportError` where it is not installed; it does not support Python 3.13 and newer.
     """
     try:
         import omni.asset_validator as omniverse
@@ -93,6 +93,6 @@ def validate_omniverse(files: Sequence[Path]) -> list[Finding]:
     for file in files:
         for issue in omniverse.ValidationEngine(init_rules=True).validate(str(file)).issues():
             rule = issue.rule.__name__ if issue.rule else "?"
-            if issue.severity != kinds.NONE and "Ascii" not in rule:  # text was asked for
+            if issue.severity != kinds.NONE and "Ascii" not in rule:  # .usda is text by definition
                 findings.append(Finding(Path(file), severities[issue.severity], rule, str(issue.message)))
     return findings

@@ -1,1 +1,1 @@
-"""USD: an asset as a stage, then .usda, .usdc or a .usdz package. pxr is imported only inside functions."""
+"""USD: a stage of the asset, written as .usda, .usdc or .usdz. `pxr` is imported only inside functions."""

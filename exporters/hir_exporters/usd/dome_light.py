@@ -1,4 +1,4 @@
-"""The environment as a dome light in a layer of its own: AR Quick Look allows no lights inside an asset."""
+"""The environment as a dome light in a separate layer: AR Quick Look allows no lights inside an asset."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ def Xform "World" (
 
 
 def light_layer(prim: str, asset_file: str, texture_file: str, meters_per_unit: float) -> str:
-    """Text of a .usda that refers to the asset and adds a dome light; all files lie in one folder.
+    """Text of a .usda that references the asset and adds a dome light; all files are in one folder.
 
-    The image is in world axes, and UsdLux's lat-long convention is ours (+Z in the middle), so the light is not turned.
+    The image is in world axes. UsdLux has the lat-long convention of this project (+Z in the centre): no rotation.
     """
     for file in (asset_file, texture_file):
         assert PurePosixPath(file).name == file and "@" not in file

@@ -1,7 +1,7 @@
-"""The material as OpenPBR 1.1 (MaterialX 1.39) in a layer of its own: usd-core knows none of MaterialX's `ND_*` ids.
+"""The material as OpenPBR 1.1 (MaterialX 1.39) in a separate layer: usd-core knows no `ND_*` shader of MaterialX.
 
-OpenPBR's base, metalness, roughness and ior are those of UsdPreviewSurface's metallic workflow, and take its textures.
-Its lobe gives back multiple scattering, and its non-metal has the Fresnel formula itself in Schlick's place.
+OpenPBR's base, metalness, roughness and ior are those of UsdPreviewSurface's metallic workflow, and it uses the same
+textures. Its lobe includes multiple scattering, and its non-metal has the exact Fresnel term instead of Schlick's.
 """
 
 from __future__ import annotations
@@ -22,7 +22,10 @@ _IMAGES: Final = {"base_color": "color3", "occlusion_roughness_metallic": "color
 def openpbr_layer(
     surface: UsdSurface, prim: str, asset_file: str, textures: Mapping[str, str], meters_per_unit: float
 ) -> Sdf.Layer:
-    """A layer over the asset's file that adds the render context `mtlx` to its material; `surface` is metallic."""
+    """A layer that sublayers the asset's file and adds the render context `mtlx` to its material.
+
+    `surface` must have the metallic workflow.
+    """
     from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
 
     assert surface.workflow == "metallic"
@@ -48,7 +51,7 @@ def openpbr_layer(
     if textures:
         coordinates = node("Coordinates", "ND_geompropvalue_vector2")
         coordinates.CreateInput("geomprop", types.String).Set("st")
-        place = coordinates.CreateOutput("out", types.Float2)
+        uv = coordinates.CreateOutput("out", types.Float2)
 
     def image(name: str) -> Any:
         kind = _IMAGES[name]
@@ -56,7 +59,7 @@ def openpbr_layer(
         file = texture.CreateInput("file", types.Asset)
         file.Set(Sdf.AssetPath(textures[name]))
         file.GetAttr().SetColorSpace("srgb_texture" if name == "base_color" else "raw")
-        texture.CreateInput("texcoord", types.Float2).ConnectToSource(place)
+        texture.CreateInput("texcoord", types.Float2).ConnectToSource(uv)
         return texture.CreateOutput("out", types.Color3f if kind == "color3" else types.Vector3f)
 
     if "base_color" in textures:
@@ -73,9 +76,9 @@ def openpbr_layer(
     if "normal" in textures:
         normal = node("NormalMap", "ND_normalmap_float")
         normal.CreateInput("in", types.Vector3f).ConnectToSource(image("normal"))
-        turned = normal.CreateOutput("out", types.Vector3f)
-        shader.CreateInput("geometry_normal", types.Vector3f).ConnectToSource(turned)
-    # a layer without a stage: nothing looks for the file while it is made
+        mapped = normal.CreateOutput("out", types.Vector3f)
+        shader.CreateInput("geometry_normal", types.Vector3f).ConnectToSource(mapped)
+    # An anonymous layer without a stage does not try to open the sublayer, which may not exist yet.
     layer = Sdf.Layer.CreateAnonymous(".usda")
     layer.TransferContent(stage.GetRootLayer())
     layer.subLayerPaths.append(f"./{asset_file}")

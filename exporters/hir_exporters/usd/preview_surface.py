@@ -1,4 +1,4 @@
-"""A material as a UsdPreviewSurface network with its textures."""
+"""Converts a material to a UsdPreviewSurface network with its textures."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Image8 = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class UsdSurface:
-    """Inputs of a UsdPreviewSurface: constants, and the images that take their place."""
+    """Inputs of a UsdPreviewSurface: constants, and the images that replace them."""
 
     workflow: Literal["metallic", "specular"]
     diffuse: tuple[float, float, float]
@@ -30,26 +30,26 @@ class UsdSurface:
     roughness: float
     ior: float
     images: dict[str, Image8]
-    """Of `base_color`, `specular_color` (sRGB), `occlusion_roughness_metallic`, `normal` those that are needed."""
+    """Those of `base_color`, `specular_color` (both sRGB), `occlusion_roughness_metallic`, `normal` that are used."""
     metallic_textured: bool
     roughness_textured: bool
     residual: float
     warnings: tuple[str, ...]
 
 
-WORTH_SPECULAR: Final = 0.005
-"""Relative error on the BRDF slice by which the specular workflow must be nearer for `auto` to choose it.
+MIN_SPECULAR_GAIN: Final = 0.005
+"""`auto` chooses the specular workflow only if it reduces the relative error on the BRDF slice by more than this.
 
-Blender's importer, for one, passes over `useSpecularWorkflow`: a metal written so is black there.
+Some importers, Blender's among them, ignore `useSpecularWorkflow`: a metal in this workflow is black there.
 """
 
 
 def usd_surface(material: AssetMaterial, workflow: Literal["auto", "metallic", "specular"]) -> UsdSurface:
-    """The material in a workflow, its images packed as 8 bits."""
+    """The material in a workflow, with its images packed to 8 bits."""
     images: dict[str, Image8 | None]
     if workflow == "auto":
         gain = to_usd_metallic(material).residual - to_specular_workflow(material).residual
-        workflow = "specular" if gain > WORTH_SPECULAR else "metallic"
+        workflow = "specular" if gain > MIN_SPECULAR_GAIN else "metallic"
     if workflow == "metallic":
         converted = to_usd_metallic(material)
         packed = pack_surface(converted, material.normal)
@@ -102,7 +102,7 @@ def usd_surface(material: AssetMaterial, workflow: Literal["auto", "metallic", "
 
 
 def add_material(surface: UsdSurface, stage: Usd.Stage, path: Any, textures: Mapping[str, str]) -> UsdShade.Material:
-    """A material whose surface output is a UsdPreviewSurface fed by constants and textures."""
+    """Adds a material whose surface output is a UsdPreviewSurface with constants and textures as inputs."""
     from pxr import Gf, Sdf, UsdShade
 
     types = Sdf.ValueTypeNames
@@ -162,7 +162,7 @@ def _connect_textures(
             connect("metallic", types.Float, packed, "b")
     if "normal" in textures:
         normal = texture("normal", "raw")
-        # 8-bit codes hold 0..1: back to -1..1, as the specification of UsdPreviewSurface asks.
+        # Maps 8-bit codes from 0..1 to -1..1, as the specification of UsdPreviewSurface requires.
         normal.CreateInput("scale", types.Float4).Set(Gf.Vec4f(2, 2, 2, 1))
         normal.CreateInput("bias", types.Float4).Set(Gf.Vec4f(-1, -1, -1, 0))
         connect("normal", types.Normal3f, normal, "rgb")

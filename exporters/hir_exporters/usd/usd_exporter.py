@@ -1,4 +1,4 @@
-"""Writes .usda, .usdc and .usdz."""
+"""Exporters of .usda, .usdc and .usdz."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ if TYPE_CHECKING:
     from pxr import Sdf
 
 QUICK_LOOK_BYTES = 25 << 20
-"""Packages above this load slowly on a phone; the report warns."""
+"""Larger packages load slowly on phones; the report warns."""
 
 
 @final
 class UsdExporter(Exporter):
-    """A text (.usda) or binary (.usdc) layer, textures, and a layer with the light, all beside each other."""
+    """A text (.usda) or binary (.usdc) layer, with textures and a layer with the light beside it."""
 
     def __init__(self, config: UsdConfig) -> None:
         self._config = config
@@ -45,7 +45,7 @@ class UsdExporter(Exporter):
     def write(self, asset: Asset, destination: Path, edit: Edit | None = None) -> ExportReport:
         start, destination = time.perf_counter(), Path(destination)
         if destination.suffix not in (".usda", ".usdc", ".usd"):
-            raise ExportError(f"{destination} is not a name for a USD layer; end it with .usda or .usdc")
+            raise ExportError(f"{destination} is not a file name of a USD layer; it must end with .usda or .usdc")
         _check_name(destination)
         config = self._config
         if config.materialx and config.workflow == "specular":
@@ -79,11 +79,11 @@ class UsdzExporter(Exporter):
     def write(self, asset: Asset, destination: Path, edit: Edit | None = None) -> ExportReport:
         start, destination = time.perf_counter(), Path(destination)
         if destination.suffix != ".usdz":
-            raise ExportError(f"{destination} is not a name for a USD package; end it with .usdz")
+            raise ExportError(f"{destination} is not a file name of a USD package; it must end with .usdz")
         _check_name(destination)
         asset, surface, images, warnings = _gather(asset, self._config)
         if self._config.materialx:
-            raise ExportError("materialx: AR Quick Look reads no MaterialX; write usda or usdc for it")
+            raise ExportError("materialx: AR Quick Look does not read MaterialX; export usda or usdc instead")
         names = {name: image.name for name, image in images.items()}
         stage = build_stage(asset, surface, names, self._config.meters_per_unit, self._config.subsets)
         if edit is not None:
@@ -97,7 +97,8 @@ class UsdzExporter(Exporter):
             raise ExportError(f"{destination} would be larger than 4 GiB; reduce max_texture_size") from error
         if len(package) > QUICK_LOOK_BYTES:
             warnings += (
-                f"{destination.name} has {len(package) >> 20} MiB; above {QUICK_LOOK_BYTES >> 20} phones load slowly",
+                f"{destination.name} has {len(package) >> 20} MiB; more than {QUICK_LOOK_BYTES >> 20} MiB load slowly "
+                "on phones",
             )
         write_bytes_atomic(destination, package)
         light_files, light_warnings = _write_light(asset, destination, self._config)
@@ -105,19 +106,19 @@ class UsdzExporter(Exporter):
 
 
 def layer_bytes(layer: Sdf.Layer, suffix: str) -> bytes:
-    """The layer as the bytes of a file of that suffix."""
+    """The content of the layer's file in the format of that suffix."""
     from pxr import Tf
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"layer{suffix}"
         try:
-            written = layer.Export(str(path))
-        except Tf.ErrorException:  # its text is several lines of USD's own sources
-            written = False
-        if not written:
+            succeeded = layer.Export(str(path))
+        except Tf.ErrorException:  # its message is several lines about USD's source code
+            succeeded = False
+        if not succeeded:
             raise ExportError(
-                f"USD could not write layer{suffix} into the temporary folder {folder}; check its rights and free "
-                "space, or name another one in TMPDIR"
+                f"USD could not write layer{suffix} into the temporary folder {folder}; check its permissions and free "
+                "space, or set TMPDIR to another folder"
             )
         return path.read_bytes()
 
@@ -144,7 +145,7 @@ def _write_light(asset: Asset, destination: Path, config: UsdConfig) -> tuple[li
 
 def _check_name(destination: Path) -> None:
     if "@" in destination.name:
-        raise ExportError(f"{destination.name} holds '@', which USD uses to quote file names; choose another name")
+        raise ExportError(f"{destination.name} contains '@', which USD uses to quote file names; choose another name")
 
 
 def _report(files: list[Path], warnings: tuple[str, ...], surface: UsdSurface, start: float) -> ExportReport:

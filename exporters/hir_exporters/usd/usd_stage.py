@@ -1,10 +1,10 @@
-"""An asset as a USD stage: one mesh, one UsdPreviewSurface, metres and +Y up."""
+"""Builds a USD stage of an asset: one mesh and one UsdPreviewSurface, +Y up."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,15 +16,15 @@ from hir_exporters.textures.texture_maps import sample_texels
 from hir_exporters.usd.preview_surface import UsdSurface, add_material
 
 if TYPE_CHECKING:
-    from pxr import Usd
+    from pxr import Sdf, Usd, UsdGeom
 
 
 def build_stage(
     asset: Asset, surface: UsdSurface, textures: Mapping[str, str], meters_per_unit: float, subsets: bool = False
 ) -> Usd.Stage:
-    """A stage in memory; `textures` gives the asset path of each image of the surface by its name.
+    """A stage in memory; `textures` maps the name of each image of the surface to its asset path.
 
-    `subsets` names the faces that some view saw and those that none did, where the material knows (`observed`).
+    `subsets` adds face subsets for observed and unobserved faces, where the material has `observed`.
     """
     from pxr import Kind, Sdf, Usd, UsdGeom, UsdShade
 
@@ -46,13 +46,13 @@ def build_stage(
 
 
 def prim_name(name: str) -> str:
-    """A valid prim name that looks like `name`."""
-    plain = re.sub(r"\W", "_", name, flags=re.ASCII)
-    return plain if re.match(r"[A-Za-z_]", plain) else f"_{plain}"
+    """`name` as a valid prim name: other characters than ASCII letters, digits and _ are replaced by _."""
+    valid = re.sub(r"\W", "_", name, flags=re.ASCII)
+    return valid if re.match(r"[A-Za-z_]", valid) else f"_{valid}"
 
 
-def _add_mesh(asset: Asset, stage: Usd.Stage, path: Any) -> Any:
-    """Seams of the texture are not those of the surface: equal points with one normal are one, corners have UVs."""
+def _add_mesh(asset: Asset, stage: Usd.Stage, path: Sdf.Path) -> Usd.Prim:
+    """Adds the mesh. Vertices that differ only in UV are one point, and UVs are written for each corner."""
     from pxr import UsdGeom, Vt
 
     mesh = UsdGeom.Mesh.Define(stage, path)
@@ -71,8 +71,8 @@ def _add_mesh(asset: Asset, stage: Usd.Stage, path: Any) -> Any:
     return mesh.GetPrim()
 
 
-def _add_uvs(data: AssetMesh, mesh: Any, seams: bool) -> None:
-    """`st` by corner where points have several, else by point; what repeats is indexed."""
+def _add_uvs(data: AssetMesh, mesh: UsdGeom.Mesh, seams: bool) -> None:
+    """Adds the primvar `st` for each corner where points have several UVs, else for each point; repeats are indexed."""
     from pxr import Sdf, UsdGeom, Vt
 
     uvs = flip_v(data.uvs).astype(np.float32)
@@ -86,25 +86,25 @@ def _add_uvs(data: AssetMesh, mesh: Any, seams: bool) -> None:
     st.Set(Vt.Vec2fArray.FromNumpy(uvs))
 
 
-def _add_subsets(asset: Asset, mesh: Any) -> None:
-    """A face counts as seen where the texel at its middle is; nothing is added where all or none are."""
+def _add_subsets(asset: Asset, mesh: Usd.Prim) -> None:
+    """Adds the subsets. A face is observed if the texel at its centre is. All or none observed: adds nothing."""
     from pxr import UsdGeom, Vt
 
     if asset.material.observed is None:
         return
-    middles = asset.mesh.uvs[asset.mesh.faces].mean(axis=1).astype(np.float64) % 1.0
-    seen = sample_texels(asset.material.observed.astype(np.float32), False, middles) > 0.5
-    if seen.all() or not seen.any():
+    centers = asset.mesh.uvs[asset.mesh.faces].mean(axis=1).astype(np.float64) % 1.0
+    observed = sample_texels(asset.material.observed.astype(np.float32), False, centers) > 0.5
+    if observed.all() or not observed.any():
         return
-    for name, faces in (("observed", np.flatnonzero(seen)), ("unobserved", np.flatnonzero(~seen))):
+    for name, faces in (("observed", np.flatnonzero(observed)), ("unobserved", np.flatnonzero(~observed))):
         indices = Vt.IntArray.FromNumpy(faces.astype(np.int32))
         UsdGeom.Subset.CreateGeomSubset(
             UsdGeom.Mesh(mesh), name, UsdGeom.Tokens.face, indices, "observation", UsdGeom.Tokens.partition
         )
 
 
-def _custom_data(value: Any) -> Any:
-    """JSON-able values as USD's dictionaries hold them: lists and null have no type there and become JSON text."""
+def _custom_data(value: object) -> object:
+    """JSON values for USD's dictionaries; lists and null, which have no type there, become JSON text."""
     import json
 
     if isinstance(value, Mapping):

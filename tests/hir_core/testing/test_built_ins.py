@@ -24,7 +24,7 @@ QUICK = (
 
 DERIVED = "holds the light blurred for a renderer, not the light: tests/exporters hold it to brute force instead"
 EXPECTED_FAILURES = {
-    **{name: {"reads_back": DERIVED} for name in ("ktx", "dds", "sh.json")},
+    **{name: {"reads_back": DERIVED} for name in ("ktx", "sh.json")},
     "transport_ggx": {
         "reciprocity": "16 directions stand for a lobe, each reads a blurred light: a spot of 5° is 15 % off",
         "gradient_by_roughness": "16 directions are re-weighted when α moves: 3.3 % off; with 256, below",

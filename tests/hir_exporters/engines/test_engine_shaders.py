@@ -72,7 +72,7 @@ def test_white_metal_in_an_even_light(constant_asset: Asset, alpha: float) -> No
 
 def test_points_measure_the_light_and_see_the_front(textured_asset: Asset) -> None:
     points = surface_points(under_sky(textured_asset, textured_asset.material, even=True))
-    assert len(points.places) > 800 and points.cos_o.min() > 0
+    assert len(points.uvs) > 800 and points.cos_o.min() > 0
     np.testing.assert_allclose(points.irradiance_over_pi(), 0.7, rtol=0.02)
     np.testing.assert_allclose(points.prefiltered(points.normals, points.alpha), 0.7, rtol=1e-6)
     a, b = points.lobe_terms()

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hir_exporters.asset import Asset, AssetEnvironment
-from hir_exporters.configs import CubeConfig, GltfConfig
+from hir_exporters.configs import CubemapConfig, GltfConfig
 from hir_exporters.conventions import latlong_directions, latlong_solid_angles, srgb_to_linear
 from hir_exporters.errors import ExportError
 from hir_exporters.formats import create_exporter
@@ -83,9 +83,8 @@ def test_harmonics_give_irradiance(textured_asset: Asset, tmp_path: Path) -> Non
         np.testing.assert_allclose(polynomials @ rows * np.pi, found, rtol=1e-5)
 
 
-def test_containers_hold_the_levels(textured_asset: Asset, tmp_path: Path) -> None:
-    for suffix in ("ktx", "dds"):
-        create_exporter(suffix, CubeConfig(size=32)).write(textured_asset, tmp_path / f"x.{suffix}")
+def test_the_ktx_container_holds_the_levels(textured_asset: Asset, tmp_path: Path) -> None:
+    create_exporter("ktx", CubemapConfig(size=32)).write(textured_asset, tmp_path / "x.ktx")
     radiance = world_radiance(textured_asset)[0]
     first, second = prefiltered_cubemap(radiance, [filament_roughness(k, 2) for k in range(2)], 32)
     data = (tmp_path / "x.ktx").read_bytes()
@@ -98,14 +97,8 @@ def test_containers_hold_the_levels(textured_asset: Asset, tmp_path: Path) -> No
     np.testing.assert_allclose(faces, first, atol=1e-3)
     assert len(data) == start + 4 + faces.nbytes + 4 + second.size * 2
 
-    data = (tmp_path / "x.dds").read_bytes()
-    assert data[:4] == b"DDS " and data[84:88] == b"DX10" and struct.unpack("<I", data[128:132]) == (10,)
-    per_face = (32 * 32 + 16 * 16) * 4
-    texels = np.frombuffer(data, "<f2", offset=148).reshape(6, per_face)
-    np.testing.assert_allclose(texels[4, : 32 * 32 * 4].reshape(32, 32, 4)[..., :3], first[4], atol=1e-3)
-    np.testing.assert_allclose(texels[4, 32 * 32 * 4 :].reshape(16, 16, 4)[..., :3], second[4], atol=1e-3)
     with pytest.raises(ExportError, match="power of two"):
-        create_exporter("ktx", CubeConfig(size=100)).write(textured_asset, tmp_path / "y.ktx")
+        create_exporter("ktx", CubemapConfig(size=100)).write(textured_asset, tmp_path / "y.ktx")
     assert not (tmp_path / "y.ktx").exists()
 
 
@@ -126,7 +119,7 @@ def test_light_inside_the_file_is_clean_for_the_validator(
     asset = dataclasses.replace(textured_asset, environment=bright)
     report = create_exporter(suffix, GltfConfig(image_based_light=True)).write(asset, tmp_path / f"x.{suffix}")
     assert all(file.is_file() for file in report.files)
-    assert any("cut from 5000 to 255" in warning for warning in report.warnings)
+    assert any("clipped from 5000 to 255" in warning for warning in report.warnings)
     found = validate_gltf([tmp_path / f"x.{suffix}"], node_tools)
     assert {f.code for f in found if f.severity != "information"} == set()
     assert "EXT_lights_image_based" in (tmp_path / f"x.{suffix}").read_bytes().decode("utf-8", "ignore")

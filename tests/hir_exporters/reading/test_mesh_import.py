@@ -11,7 +11,8 @@ from hir_exporters.conventions import linear_to_srgb
 from hir_exporters.errors import InputError
 from hir_exporters.formats import create_exporter
 from hir_exporters.reading.file_verification import verify_file
-from hir_exporters.reading.mesh_import import MaterialOverrides, load_mesh_asset, parse_material_override
+from hir_exporters.reading.material_overrides import MaterialOverrides, parse_material_override
+from hir_exporters.reading.mesh_import import load_mesh_asset
 from hir_exporters.textures.image_files import write_png
 
 
