@@ -18,8 +18,8 @@ Tables = dict[str, dict[str, Any]]
 """Options of components, keyed by component."""
 
 
-MOST_DEPTH = 32
-"""Settings are a few tables deep; what is far deeper would end in Python's recursion limit."""
+MAX_SETTINGS_DEPTH = 32
+"""Settings are a few tables deep; a far deeper file would exceed Python's recursion limit."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class GeometrySettings:
     """How the mesh is fitted to the masks."""
 
     renderer: str = ""
-    """Geometry renderer."""
+    """Geometry renderer; presets set it."""
     regularizers: dict[str, dict[str, Any] | Literal[False]] = field(default_factory=dict)
     """Weight and options of each term, `false` to leave one out."""
     downsample: int = 1
@@ -48,24 +48,24 @@ class GeometrySettings:
     remesh: bool = True
     """Go from coarse to fine with isotropic remeshing between levels."""
     levels: int = 0
-    """With `remesh`: 3 fits meshes of a sixteenth, a quarter and all of the triangles. 0: 2 where the start's
-    silhouettes are near the masks, else 3."""
+    """Number of resolutions with `remesh`; 3 fits meshes with a sixteenth, a quarter and all of the triangles. 0
+    chooses 2 where the start's silhouettes are near the masks, else 3."""
     triangles: int = 0
     """Target number of triangles; 0 derives it from the images' resolution."""
     held_out: float = 0.08
-    """Share of the train views that only judge when to stop; none when there are fewer than ten."""
+    """Fraction of the train views that are held out to decide when to stop; none with fewer than ten views."""
     prune: bool = True
-    """Drop loose pieces of the start mesh that no mask needs."""
+    """Remove floating components of the start mesh that no mask needs."""
     robust: bool = True
-    """Hear views less whose masks contradict the others, and name them."""
-    photographs: Literal["auto", "off"] = "auto"
-    """After the masks, move vertices until the photographs agree about the surface, and keep the result where views
-    that took no part agree too."""
-    photograph_iterations: int = 100
-    """Optimisation steps with the photographs at each of their resolutions, and once more, but for the coarsest,
-    for fine carvings."""
+    """Give views a lower weight where their masks contradict the others, and name them (robust view weights)."""
+    photo_consistency: Literal["auto", "off"] = "auto"
+    """After the silhouettes, move vertices to make the photographs consistent; the result is kept where held-out views
+    become more consistent, too."""
+    photo_consistency_iterations: int = 100
+    """Optimisation steps of photo-consistency at each image resolution; the second, finer attempt takes as many at each
+    but the coarsest."""
     start_radius: float = 0.0
-    """Scale the start mesh to this radius during the stage and back after it; 0 leaves it."""
+    """Scale the start mesh to this radius during the stage and back after it; 0: no scaling."""
     enabled: bool = True
 
 
@@ -94,11 +94,13 @@ class GradientSettings:
     iterations_per_view: int = 0
     """When set, replaces `iterations` by this many for each view (the paper: 400)."""
     learning_rate: float = 0.02
+    """Of Adam."""
     learning_rate_end: float = 1.0
     """Factor by which the rate has fallen at the end (cosine)."""
     batch: Literal["pixels", "views"] = "pixels"
     """Pixels of a step: random ones of all views, or one whole view."""
     batch_pixels: int = 16384
+    """Pixels of a step, where `batch` is `pixels`."""
     rgb_weight: float = 1.0
     """Weight of the photometric term."""
     loss_space: Literal["linear", "srgb"] = "srgb"
@@ -112,7 +114,7 @@ class PathTracingSettings:
     """Path-traced refinement after the renderer's solver, accepted only where held-out views gain."""
 
     renderer: str = ""
-    """Reflectance renderer of the refinement."""
+    """Reflectance renderer of the refinement; presets set it."""
     refine_albedo: bool = True
     """Solve the diffuse albedo once more, in closed form, under path-traced radiance."""
     iterations: int = 0
@@ -126,25 +128,28 @@ class ReflectanceSettings:
     """How material and light are fitted."""
 
     renderer: str = ""
-    """Reflectance renderer of the fit."""
+    """Reflectance renderer of the fit; presets set it."""
     method: Literal["auto", "solver", "gradient"] = "auto"
     """`solver`: the renderer's own solver. `gradient`: gradient steps through any renderer. `auto`: the solver where
     the renderer has one."""
     model: ModelName = "auto"
     """`auto` selects the model on held-out views; any other is fitted without a comparison."""
     brdf: Literal["auto", "paper", "dielectric"] = "auto"
+    """BRDF of the specular models; `auto` compares both where the model is selected, else `dielectric`."""
     regularizers: dict[str, dict[str, Any] | Literal[False]] = field(default_factory=dict)
     """Weight and options of each term, `false` to leave one out."""
     downsample: int = 1
     """Photographs are used at 1/`downsample` of their resolution."""
     environment_height: int = 64
-    """Rows of the light's lat-long image; it has twice (paper: four times) as many columns."""
+    """Rows of the light's lat-long image."""
     environment_width: int = 128
+    """Columns of the light's image."""
     initial_radiance: float = 0.5
     """Of every texel of the light."""
     initial_roughness: float = 0.07
     """GGX width α."""
     initial_specular_albedo: float = 0.04
+    """ρs."""
     light_frame: Literal["auto", "world", "camera"] = "auto"
     """Whether the light is fixed in the world or moves with the camera (turntable, flash)."""
     conserve_energy: bool = True
@@ -164,7 +169,7 @@ class RunConfig:
     initializers: tuple[str, ...] | Literal["auto"] = "auto"
     """The chain that finds cameras, points and a surface."""
     masks: tuple[str, ...] | Literal["auto"] = "auto"
-    """Mask sources, asked in this order."""
+    """Mask sources, in the order in which they are used."""
     reader: str = "auto"
     initializer: Tables = field(default_factory=dict)
     """Options of each initializer."""
@@ -180,21 +185,21 @@ class RunConfig:
     atlas: AtlasSettings = field(default_factory=AtlasSettings)
     reflectance: ReflectanceSettings = field(default_factory=ReflectanceSettings)
     export: tuple[str, ...] = ()
-    """Formats written at the end of a run."""
+    """Formats that the run writes."""
     device: str = "auto"
-    """`cpu`, `cuda`, or `auto`: cuda where there is one."""
+    """`cpu`, `cuda`, or `auto`: `cuda` if there is a CUDA device."""
     seed: int = 0
     deterministic: bool = False
-    """Same files for the same input, seed and device; slower, one thread where that is what it takes."""
+    """Reproduce files bit for bit for the same input, seed and machine; slower, partly on one thread."""
     max_memory: str = ""
-    """Memory that a run may take, such as `4GB`: caches and batches shrink to fit, and a stage that cannot is refused
-    before it starts. Empty: no limit."""
+    """Memory limit, such as `4GB`: caches and batches are reduced to keep it; a run that cannot keep it is refused before
+    it starts. Empty: no limit."""
     checkpoint_seconds: float = 30.0
-    """Seconds between the states that a stage under way keeps on disk; it goes on from the last one."""
+    """Seconds between checkpoints of a running stage; a resumed run continues from the last one."""
     observers: dict[str, dict[str, Any] | Literal[False]] = field(default_factory=dict)
-    """Options of each observer; a table switches its observer on, an empty one with its defaults."""
+    """Options of each observer; a table, even an empty one, enables its observer."""
     plugins: tuple[str, ...] = ()
-    """Plugin files or modules beside the installed ones."""
+    """Plugin files or modules in addition to the installed ones."""
 
 
 def load_config(
@@ -210,10 +215,10 @@ def load_config(
     assigned: dict[str, Any] = {}
     for assignment in assignments:
         assign(assigned, assignment)
-    for given in (assigned.get("preset", ""), from_file.get("preset", "")):
-        if not isinstance(given, str):
-            raise ConfigError(f"preset is {given!r}; it is the name of a preset, such as {RunConfig.preset!r}")
-        preset = preset or given
+    for name in (assigned.get("preset", ""), from_file.get("preset", "")):
+        if not isinstance(name, str):
+            raise ConfigError(f"preset is {name!r}; it is the name of a preset, such as {RunConfig.preset!r}")
+        preset = preset or name
     preset = preset or RunConfig.preset
     settings: dict[str, Any] = read_toml(plugins.preset(preset))
     for layer in (from_file, assigned, {k: v for k, v in overrides.items() if v is not None}):
@@ -229,7 +234,7 @@ def load_config(
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """A TOML file as a table; what is wrong with it is said with its name and line."""
+    """A TOML file as a table; `ConfigError` names the file and the line."""
     try:
         with path.open("rb") as stream:
             table = tomllib.load(stream)
@@ -237,13 +242,13 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ConfigError(f"{path}: not valid TOML: {error}") from None
-    if _depth(table) > MOST_DEPTH:
-        raise ConfigError(f"{path}: its tables and lists are nested deeper than {MOST_DEPTH} levels")
+    if _depth(table) > MAX_SETTINGS_DEPTH:
+        raise ConfigError(f"{path}: its tables and lists are nested deeper than {MAX_SETTINGS_DEPTH} levels")
     return table
 
 
 def _depth(value: Any) -> int:
-    """Levels of tables and lists in a value; 0 for a number or a text."""
+    """Nesting levels of tables and lists; 0 for a number or a string."""
     levels, current = 0, [value]
     while current := [v for v in current if isinstance(v, dict | list)]:
         levels += 1
@@ -261,12 +266,14 @@ def assign(table: dict[str, Any], assignment: str) -> None:
     except (tomllib.TOMLDecodeError, RecursionError):
         value = text.strip()
     *parents, leaf = [part.strip() for part in key.split(".")]
-    if len(parents) + _depth(value) > MOST_DEPTH:
-        raise ConfigError(f"--set {assignment[:40]!r}…: it is nested deeper than {MOST_DEPTH} levels")
+    if len(parents) + _depth(value) > MAX_SETTINGS_DEPTH:
+        raise ConfigError(f"--set {assignment[:40]!r}…: it is nested deeper than {MAX_SETTINGS_DEPTH} levels")
     for parent in parents:
         table = table.setdefault(parent, {})
         if not isinstance(table, dict):
-            raise ConfigError(f"--set {assignment!r}: {parent!r} was set to a value before; it is a table here")
+            raise ConfigError(
+                f"--set {assignment!r}: {parent!r} was set to a value before, and is used as a table here"
+            )
     table[leaf] = value
 
 
@@ -280,7 +287,7 @@ def merge(base: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _check_components(config: RunConfig, plugins: PluginManager) -> None:
-    """Names and options of all components are checked before anything runs."""
+    """Checks the names and options of all components before anything runs."""
     tables = ("initializer", "mask_source", "geometry_renderer", "reflectance_renderer", "exporter")
     for kind in tables:
         for name, options in getattr(config, kind).items():

@@ -44,7 +44,7 @@ def options_page(plugins: PluginManager) -> str:
     parts.append(_table(schema, skip=("geometry", "atlas", "reflectance")))
     for stage in ("geometry", "atlas", "reflectance"):
         reference = schema["properties"][stage]
-        parts.append(f"### {stage}\n\n{_table(_resolved(reference, schema))}")
+        parts += _settings_tables(stage, _resolved(reference, schema))
     for kind, name in KIND_NAMES.items():
         parts.append(f"## {name.capitalize()}s\n\n{_traits(kind)}")
         for registered in plugins.components(kind):
@@ -95,6 +95,17 @@ def _traits(kind: str) -> str:
         return "No traits.\n"
     rows = "".join(f"| `{trait}` | {meaning} |\n" for trait, meaning in TRAITS[kind].items())
     return f"| trait | promises |\n|---|---|\n{rows}"
+
+
+def _settings_tables(name: str, schema: Mapping[str, Any]) -> list[str]:
+    """The table of a settings class, then those of the settings classes inside it."""
+    inner = {key: _resolved(field, schema) for key, field in schema.get("properties", {}).items()}
+    inner = {key: field for key, field in inner.items() if "properties" in field}
+    text = f"{schema['description']}\n\n" if schema.get("description") else ""
+    parts = [f"### {name}\n\n{text}{_table(schema, skip=tuple(inner))}"]
+    for key, field in inner.items():
+        parts += _settings_tables(f"{name}.{key}", field)
+    return parts
 
 
 def _table(schema: Mapping[str, Any], skip: tuple[str, ...] = ()) -> str:

@@ -1,4 +1,4 @@
-"""A surface gives back no more light than it gets: what a fit leaves above that is taken from the diffuse part."""
+"""Energy conservation: a surface reflects no more light than it receives. The excess is taken from the diffuse part."""
 
 from __future__ import annotations
 
@@ -9,27 +9,33 @@ from torch import Tensor
 
 from hir_core.scene.scene import Material
 
+CHANGE_TOLERANCE = 1e-6
+"""Smaller changes of an albedo are rounding errors."""
 
-def conserving(material: Material) -> tuple[Material, float]:
-    """The material with albedos in 0…1 and, in the `paper` model, ρd + ρs ≤ 1; and the share of values that changed.
 
-    `dielectric` couples its diffuse part to the lobe, so that each albedo ≤ 1 is enough. What is not finite becomes 0.
+def with_conserved_energy(material: Material) -> tuple[Material, float]:
+    """The material with albedos in 0…1 and, in the `paper` model, ρd + ρs ≤ 1; and the share of changed diffuse values.
+
+    `dielectric` couples its diffuse part to the lobe, so that each albedo ≤ 1 is enough. NaN and −∞ become 0, ∞ 1.
     """
-    specular = _unit(material.specular_albedo)
-    diffuse = _unit(material.diffuse_albedo)
+    specular = _clamped(material.specular_albedo)
+    diffuse = _clamped(material.diffuse_albedo)
     if material.model == "paper":
-        diffuse = torch.minimum(*torch.broadcast_tensors(diffuse, 1 - specular_like(specular, diffuse)))
-    changed = (diffuse - material.diffuse_albedo).abs() > 1e-6
-    guarded = replace(material, diffuse_albedo=diffuse, specular_albedo=specular)
-    return guarded, float((changed | ~torch.isfinite(material.diffuse_albedo)).float().mean())
+        diffuse = torch.minimum(*torch.broadcast_tensors(diffuse, 1 - specular_at_size_of(specular, diffuse)))
+    changed = (diffuse - material.diffuse_albedo).abs() > CHANGE_TOLERANCE
+    conserved = replace(material, diffuse_albedo=diffuse, specular_albedo=specular)
+    return conserved, float((changed | ~torch.isfinite(material.diffuse_albedo)).float().mean())
 
 
-def _unit(albedo: Tensor) -> Tensor:
+def _clamped(albedo: Tensor) -> Tensor:
     return torch.nan_to_num(albedo, nan=0.0, posinf=1.0, neginf=0.0).clamp(0, 1)
 
 
-def specular_like(specular: Tensor, diffuse: Tensor) -> Tensor:
-    """A specular map at the size of the diffuse one."""
+def specular_at_size_of(specular: Tensor, diffuse: Tensor) -> Tensor:
+    """The specular albedo resampled to the height and width of the diffuse texture.
+
+    Each is a texture (H, W, C) or a constant (C,). Next to a constant diffuse albedo a texture becomes its maximum.
+    """
     if specular.ndim != 3 or diffuse.ndim != 3 or specular.shape[:2] == diffuse.shape[:2]:
         return specular if specular.ndim != 3 or diffuse.ndim == 3 else specular.amax(dim=(0, 1))
     planes = specular.movedim(2, 0)[None]

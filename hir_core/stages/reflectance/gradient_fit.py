@@ -14,13 +14,14 @@ from torch import Tensor
 from hir_core.capture import Capture
 from hir_core.config import GradientSettings
 from hir_core.errors import StageError
+from hir_core.optimization.clipped_pixels import without_clipped_excess
 from hir_core.optimization.nonfinite_diagnostics import nonfinite_elements
 from hir_core.optimization.optimization_loop import Checkpointing, optimize, warn_of_skipped_steps
 from hir_core.optimization.schedules import Batches, Schedule
 from hir_core.optimization.weighted_energies import Energies
 from hir_core.plugins.interfaces import PreparedReflectance
 from hir_core.scene import Scene
-from hir_core.scene.energy_conservation import specular_like
+from hir_core.scene.energy_conservation import specular_at_size_of
 from hir_core.scene.srgb import linear_to_srgb
 from hir_core.stages.reflectance.reflectance_report import GradientReport
 
@@ -108,8 +109,7 @@ def fit_by_gradient(
         assert state.material is not None and state.environment is not None
         shown = prepared.radiance(state.material, state.environment, pixels.index[rows])
         difference = _in_loss_space(shown, settings) - _in_loss_space(pixels.color[rows], settings)
-        # the true value of a clipped pixel is at least its colour
-        difference = torch.where(pixels.saturated[rows] & (difference > 0), torch.zeros_like(difference), difference)
+        difference = without_clipped_excess(difference, pixels.saturated[rows])
         return {"rgb": settings.rgb_weight * difference.abs().sum(), **energies(state)}
 
     def locate(step: int, term: str) -> str:
@@ -130,7 +130,7 @@ def fit_by_gradient(
                 value.clamp_(low, high)
             if conserve_energy and material.model == "paper":
                 # NaN stays NaN here: the optimisation loop diagnoses it
-                diffuse.copy_(torch.minimum(diffuse, 1 - specular_like(specular, diffuse)))
+                diffuse.copy_(torch.minimum(diffuse, 1 - specular_at_size_of(specular, diffuse)))
         return False
 
     result = optimize(

@@ -18,6 +18,7 @@ from torch import Tensor
 
 from hir_core.capture import Capture
 from hir_core.config import ReflectanceSettings
+from hir_core.optimization.clipped_pixels import without_clipped_excess
 from hir_core.optimization.weighted_energies import Energies
 from hir_core.plugins.interfaces import FitT, RefinementT, Solved
 from hir_core.rendering.reference_renderer import reference_renderer
@@ -161,7 +162,7 @@ def view_errors(
         torch.manual_seed(seed)
         renderings = [prepared.radiance(scene.material, scene.environment, index) for _ in range(COMPARED_RENDERINGS)]
     difference = linear_to_srgb(torch.stack(renderings).mean(dim=0).clamp(0, 1)) - linear_to_srgb(color.clamp(0, 1))
-    difference = torch.where(saturated & (difference > 0), torch.zeros_like(difference), difference)
+    difference = without_clipped_excess(difference, saturated)
     squares = difference.double().square().mean(dim=1)
     return np.array([float(part.mean()) for part in squares.split([len(part[0]) for part in samples])])
 

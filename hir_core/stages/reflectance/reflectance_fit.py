@@ -9,9 +9,9 @@ from hir_core.config import ReflectanceSettings
 from hir_core.errors import ConfigError
 from hir_core.optimization.weighted_energies import prepare_energies
 from hir_core.plugins.interfaces import FitT, PreparedReflectance, RefinementT, ReflectanceRenderer, ReflectanceSolver
-from hir_core.run.stage_context import StageContext, passed_on
+from hir_core.run.stage_context import StageContext, forward_warnings
 from hir_core.scene import Scene
-from hir_core.scene.energy_conservation import conserving
+from hir_core.scene.energy_conservation import with_conserved_energy
 from hir_core.stages.reflectance.fit_sequence import FitSequence
 from hir_core.stages.reflectance.gradient_fit import fit_by_gradient, gradient_steps, object_pixels
 from hir_core.stages.reflectance.initial_scene import initial_scene
@@ -39,13 +39,13 @@ def fit_reflectance(
     renderer: ReflectanceRenderer = context.plugins.create("reflectance_renderer", settings.renderer, options)
     initial = initial_scene(scene, capture, settings, by_solver)
     prepared = renderer.prepare(initial, capture, settings.downsample)
-    with passed_on(context):
+    with forward_warnings(context):
         if by_solver and isinstance(prepared, ReflectanceSolver):
             fitted, report = _fit_by_solver(initial, prepared, capture, settings, context)
         else:
             fitted, report = _fit_by_gradient(initial, prepared, capture, settings, context)
     if settings.conserve_energy and fitted.material is not None:
-        material, clamped = conserving(fitted.material)
+        material, clamped = with_conserved_energy(fitted.material)
         fitted = replace(fitted, material=material)
         report = replace(report, clamped_share=round(clamped, 5))
     return fitted, report

@@ -139,8 +139,7 @@ def _option_reason(
     if renderer != settings.renderer and not traces:
         return f"the renderer {renderer!r} is not used; set reflectance.renderer to it"
     config = plugins.find("reflectance_renderer", renderer).component.config
-    metadata = {field.name: field.metadata for field in fields(config)}.get(option, {})
-    conditions = metadata.get("takes_effect_with", ())
+    conditions = next((f.metadata.get("takes_effect_with", ()) for f in fields(config) if f.name == option), ())
     if "solver" in conditions and not (by_solver and renderer == settings.renderer):
         return "only the renderer's solver uses it, and this fit takes gradient steps; set reflectance.method to 'auto'"
     if "fitted light" in conditions and settings.known_environment:

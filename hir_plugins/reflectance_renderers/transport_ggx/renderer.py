@@ -1,4 +1,4 @@
-"""`transport_ggx`: shading of frozen geometry by cached rays."""
+"""`transport_ggx`: shading on cached light transport, for fixed geometry."""
 
 from __future__ import annotations
 
@@ -27,28 +27,34 @@ from hir_plugins.reflectance_renderers.transport_ggx.textures.per_texel_brdf imp
 from hir_plugins.reflectance_renderers.transport_ggx.textures.texture_shading import shade_points
 
 LOBE_BYTES = 150
-"""Of one direction of a pixel: where it looks with four weights, its cosines, and its row of the matrices."""
+"""Of one direction of a pixel: four light texels with weights, its cosines, and its row of the matrices."""
 HEMISPHERE_BYTES = 64
-"""Of one direction of a pixel's irradiance, where the light moves with the camera: four entries, twice."""
+"""Of one direction of a pixel's hemisphere, where the light moves with the camera: four entries, twice."""
 PIXEL_BYTES = 400
+"""Of one pixel of a fit, without its lobe."""
 EQUATION_BYTES = 340
 """Of one pixel that textures are solved from: its row, the row's transpose, and the vectors of the solver."""
 PROBE_BYTES = ALPHA_LEVELS * PROBE_ROWS * PROBE_COLUMNS * 6
-"""Of one cell, twice: for torch and for Dr.Jit."""
-OBSERVATION_BYTES, PICTURE_BYTES = 16, 13
+"""Of the radiance probe of one cell, twice: for torch and for Dr.Jit."""
+OBSERVATION_BYTES = 16
+"""Of one surface point in one photograph."""
+PHOTOGRAPH_PIXEL_BYTES = 13
+"""Of one pixel in the cache of photographs."""
+RENDERED_CHUNK = 1 << 17
+"""Rays that are shaded at a time."""
 
 
 @final
 class TransportGGX(ReflectanceRenderer):
-    """Traces visibility once; then light and material enter by linear algebra (docs/reflectance.md)."""
+    """Traces visibility once; light and material then enter by linear algebra (docs/reflectance.md)."""
 
     def __init__(self, config: TransportGGXOptions) -> None:
         self._options = config
 
     def memory(self, size: CaptureSize) -> int:
-        """Irradiance of cells, and lobes of the pixels that are fitted to or, later, the equations of the textures.
+        """The irradiance cache, and the largest of the lobes of a fit, the equations of the textures, the per-texel BRDF.
 
-        The light may move with the camera: nobody knows before it was tried.
+        Includes the hemispheres of a light that moves with the camera, because model selection may try one.
         """
         options = self._options
         lobes = options.samples * LOBE_BYTES + options.diffuse_samples * HEMISPHERE_BYTES
@@ -56,19 +62,19 @@ class TransportGGX(ReflectanceRenderer):
         resident = min(fitted, max(options.resident_pixels, options.block_pixels))
         fit = resident * lobes + fitted * PIXEL_BYTES
         textures = min(options.texture_pixels, size.pixels) * EQUATION_BYTES
-        lobes_of_texels = 2 * PROBE_BYTES * options.cache_cells + 2 * OBSERVATION_BYTES * OBSERVATIONS_PER_CHUNK
-        lobes_of_texels += min(MAX_CACHE_BYTES, PICTURE_BYTES * size.pixels)
-        return max(fit, textures, lobes_of_texels) + options.cache_cells * 4 * options.diffuse_rows**2 * 4
+        per_texel = 2 * PROBE_BYTES * options.cache_cells + 2 * OBSERVATION_BYTES * OBSERVATIONS_PER_CHUNK
+        per_texel += min(MAX_CACHE_BYTES, PHOTOGRAPH_PIXEL_BYTES * size.pixels)
+        return max(fit, textures, per_texel) + options.cache_cells * 4 * options.diffuse_rows**2 * 4
 
     def smaller(self) -> dict[str, int]:
-        """Half the pixels of the fit and of the textures, down to an eighth."""
-        options, least = self._options, TransportGGXOptions().pixels // 8
-        if options.pixels // 2 < least:
+        """Half the pixels of the fit and of the textures; not below an eighth of the default."""
+        options, minimum = self._options, TransportGGXOptions().pixels // 8
+        if options.pixels // 2 < minimum:
             return {}
         return {"pixels": options.pixels // 2, "texture_pixels": options.texture_pixels // 2}
 
     def prepare(self, scene: Scene, capture: Capture, downsample: int = 1) -> TransportSolver:
-        """Caches transport for the scene's mesh and a light of the size of the scene's."""
+        """Caches transport for the scene's mesh and for lights of the size of the scene's light."""
         return TransportSolver(self._transport(scene), scene, capture, downsample, self._options)
 
     def render(self, scene: Scene, camera: Camera) -> Float[Tensor, "H W 4"]:
@@ -86,7 +92,7 @@ class TransportGGX(ReflectanceRenderer):
         seen = found.nonzero()[:, 0]
         options = TransportGGXOptions(**{**self._options.__dict__, "samples": self._options.render_samples})
         image = torch.zeros(len(pixels), 4, device=scene.mesh.positions.device)
-        for part in seen.split(1 << 17):
+        for part in seen.split(RENDERED_CHUNK):
             color = shade_points(transport, scene.material, scene.environment, {0: camera}, points.take(part), options)
             image[part, :3] = color.to(image)
             image[part, 3] = 1
@@ -94,7 +100,7 @@ class TransportGGX(ReflectanceRenderer):
 
     def _transport(self, scene: Scene) -> Transport:
         if scene.environment is None:
-            raise StageError("the scene has no light; give it an environment map to start from")
+            raise StageError("the scene has no light; give it an environment map")
         height, width = scene.environment.radiance.shape[:2]
         options = self._options
         device = str(scene.mesh.positions.device)
