@@ -192,8 +192,8 @@ class RunConfig:
     deterministic: bool = False
     """Reproduce files bit for bit for the same input, seed and machine; slower, partly on one thread."""
     max_memory: str = ""
-    """Memory limit, such as `4GB`: caches and batches are reduced to keep it; a run that cannot keep it is refused before
-    it starts. Empty: no limit."""
+    """Memory limit, such as `4GB`. Caches and batches are reduced to keep it; a run that cannot keep it is refused
+    before it starts. Empty: no limit."""
     checkpoint_seconds: float = 30.0
     """Seconds between checkpoints of a running stage; a resumed run continues from the last one."""
     observers: dict[str, dict[str, Any] | Literal[False]] = field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""All that a light `plugin.py` may import: the hook marker and the descriptor of a component."""
+"""The hook marker and the component descriptor: all that a light `plugin.py` needs."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import pluggy
 
 API_VERSION = 1
-"""Version of the plugin interface; a component made for another one is refused with a sentence."""
+"""Version of the plugin interface; a component for another version is not loaded, with a message."""
 
 hookimpl = pluggy.HookimplMarker("hir")
 """Marks a function as the implementation of a hook of `hir_core.plugins.hookspecs`."""
@@ -15,12 +15,12 @@ hookimpl = pluggy.HookimplMarker("hir")
 
 @dataclass(frozen=True)
 class NoOptions:
-    """The configuration of a component that has none."""
+    """The options of a component without options."""
 
 
 @dataclass(frozen=True)
 class Component:
-    """What a plugin registers: a name, and where its implementation is found once it is needed."""
+    """What a plugin registers: a name, and the import path of its implementation."""
 
     name: str
     target: str
@@ -33,9 +33,9 @@ class Component:
     extra: str = ""
     """The extra of the distribution that installs `requires`."""
     traits: frozenset[str] = field(default_factory=frozenset)
-    """Promises that the core relies on and the contract tests check: words of `hir_core.plugins.traits.TRAITS`."""
+    """Properties that the core relies on and the contract tests check: keys of `hir_core.plugins.traits.TRAITS`."""
     api: int = API_VERSION
-    """The version of the plugin interface that it was written for (docs/plugin_api.md)."""
+    """The version of the plugin interface that it uses (docs/plugin_api.md)."""
     testing: str = ""
-    """`package.module:function`: what its contract tests need to know beyond its options, such as a scene that a
-    regularizer likes best or a capture in a reader's format (docs/writing_plugins says what each kind asks for)."""
+    """`package.module:function` with further input for the contract tests, such as a scene where a regularizer has its
+    minimum, or a capture in a reader's format (docs/writing_plugins lists the input of each kind)."""

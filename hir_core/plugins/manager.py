@@ -1,4 +1,4 @@
-"""Finds plugins, guards against broken ones and looks components up by kind and name."""
+"""Discovers plugins, reports broken ones, and looks up components by kind and name."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import EntryPoint, distributions
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pluggy
 
@@ -19,6 +19,9 @@ from hir_core.errors import ConfigError, MissingExtraError, PluginError
 from hir_core.plugins import hookspecs
 from hir_core.plugins.component import API_VERSION, Component
 from hir_core.plugins.options import build_options
+
+if TYPE_CHECKING:
+    from hir_core.capture import Capture
 
 GROUP = "hir"
 
@@ -36,7 +39,7 @@ KINDS: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class Registered:
-    """A component and where it came from."""
+    """A component and the distribution that provides it."""
 
     kind: str
     component: Component
@@ -47,20 +50,20 @@ class Registered:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """Modules it needs that are not installed."""
+        """Required modules that are not installed."""
         return tuple(name for name in self.component.requires if not _is_installed(name))
 
     @property
     def install_command(self) -> str:
-        """What to run when something is missing."""
-        if not self.version:  # a file or a module named by hand: no package of that name can be installed
+        """The command that installs what is missing."""
+        if not self.version:  # a plugin file or module, not an installed distribution
             return f"pip install {' '.join(self.missing)}"
         extra = f"[{self.component.extra}]" if self.component.extra else ""
         return f"pip install '{self.distribution}{extra}'"
 
 
 class PluginManager:
-    """The components and hooks of one process: `discover()` makes one with everything that is installed."""
+    """The components and hooks of installed plugins; `discover()` makes one with all of them."""
 
     def __init__(self) -> None:
         self._pluggy = pluggy.PluginManager(GROUP)
@@ -71,11 +74,11 @@ class PluginManager:
         self._named: set[str] = set()
         self.problems: list[str] = []
         self.notices: list[str] = []
-        """What plugins should change before a later version; all of them are loaded."""
+        """Deprecations that plugins should follow; the plugins are loaded."""
 
     @classmethod
     def discover(cls, plugins: tuple[str, ...] = ()) -> PluginManager:
-        """Loads every entry point of the group `hir`, then the files or modules named in `plugins`."""
+        """Loads every entry point of the group `hir`, then the `.py` files or modules in `plugins`."""
         manager = cls()
         for distribution, version, entry_point in _entry_points():
             manager._load(entry_point, distribution, version)
@@ -84,7 +87,7 @@ class PluginManager:
         return manager
 
     def register_named(self, name: str) -> None:
-        """Registers a plugin that was named, a `.py` file or a module, once; a broken one is an error."""
+        """Registers a `.py` file or a module, once; a broken one raises `PluginError`."""
         if name in self._named:
             return
         try:
@@ -98,11 +101,11 @@ class PluginManager:
         self._named.add(name)
 
     def register(self, plugin: object, distribution: str, version: str) -> None:
-        """Registers one plugin object; what is wrong with it goes to `problems` and does not stop the rest."""
+        """Registers one plugin object; its faults go to `problems` and do not affect other plugins."""
         name = f"{distribution}:{getattr(plugin, '__name__', type(plugin).__name__)}"
-        refusal = _refusal(getattr(plugin, "hir_api", API_VERSION))
-        if refusal:
-            self.problems.append(f"{name}: not loaded: it {refusal}")
+        incompatibility = _incompatibility(getattr(plugin, "hir_api", API_VERSION))
+        if incompatibility:
+            self.problems.append(f"{name}: not loaded: it {incompatibility}")
             return
         try:
             with warnings.catch_warnings(record=True) as caught:
@@ -113,12 +116,12 @@ class PluginManager:
             self._pluggy.unregister(name=name)
             self.problems.append(f"{name}: not loaded: {' '.join(str(error).split())}")
             return
-        # hookspecs name deprecated arguments (`warn_on_impl_args`); pluggy warns whoever still asks for one
+        # hookspecs list deprecated arguments (`warn_on_impl_args`); pluggy warns about plugins that use them
         self.notices += [f"{name}: {warning.message}" for warning in caught]
         for kind, hook in KINDS.items():
-            for component in self._ask(plugin, hook, name) or ():
+            for component in self._call_registration(plugin, hook, name) or ():
                 self._add(kind, component, distribution, version, name, plugin)
-        for observer, options in (self._ask(plugin, "hir_register_observers", name) or {}).items():
+        for observer, options in (self._call_registration(plugin, "hir_register_observers", name) or {}).items():
             if observer in self._observers:
                 self.problems.append(
                     f"observer {observer!r} of {distribution} is ignored: "
@@ -126,7 +129,7 @@ class PluginManager:
                 )
             else:
                 self._observers[observer] = (options, distribution)
-        for preset, path in (self._ask(plugin, "hir_register_presets", name) or {}).items():
+        for preset, path in (self._call_registration(plugin, "hir_register_presets", name) or {}).items():
             if preset in self._presets:
                 self.problems.append(
                     f"preset {preset!r} of {distribution} is ignored: {self._presets[preset][1]} has one of that name"
@@ -135,28 +138,28 @@ class PluginManager:
                 self._presets[preset] = (Path(path), distribution)
 
     def with_component(self, registered: Registered) -> PluginManager:
-        """The same components and presets with `registered` in the place of one of its name; no hooks but ours."""
+        """A copy in which `registered` replaces the component of its name; hooks are not copied."""
         other = PluginManager()
         other._registered = {**self._registered, (registered.kind, registered.component.name): registered}
         other._presets, other._observers = dict(self._presets), dict(self._observers)
         return other
 
     def components(self, kind: str | None = None) -> list[Registered]:
-        """All components, or those of one kind, by kind and name."""
+        """All components, or those of one kind, sorted by kind and name."""
         chosen = [r for r in self._registered.values() if kind in (None, r.kind)]
         order = list(KINDS)
         return sorted(chosen, key=lambda r: (order.index(r.kind), r.component.name))
 
     def find(self, kind: str, name: str) -> Registered:
-        """Looks up one component; an unknown name is an error that lists the known ones."""
+        """Looks up one component; `PluginError` lists the known names."""
         try:
             return self._registered[kind, name]
         except KeyError:
             known = ", ".join(r.component.name for r in self.components(kind)) or "none"
-            raise PluginError(f"there is no {kind.replace('_', ' ')} named {name!r}; there are: {known}") from None
+            raise PluginError(f"there is no {kind.replace('_', ' ')} named {name!r}; installed: {known}") from None
 
     def create(self, kind: str, name: str, options: Mapping[str, Any] | None = None) -> Any:
-        """Builds a component from its options; unknown options and missing extras are clear errors."""
+        """Builds a component; `ConfigError` for unknown options, `MissingExtraError` for missing packages."""
         registered = self.find(kind, name)
         config: Any = build_options(registered.component.config, options or {}, f"{kind} {name!r}")
         if registered.missing:
@@ -181,7 +184,7 @@ class PluginManager:
         return {name: options for name, (options, _) in sorted(self._observers.items())}
 
     def notify(self, hook: str, **arguments: Any) -> None:
-        """Calls an observer hook on every plugin; one that raises is reported once and does not stop the run."""
+        """Calls an observer hook of every plugin; an exception is recorded once and does not stop the run."""
         for implementation in list(getattr(self._pluggy.hook, hook).get_hookimpls()):
             try:
                 _call(implementation, arguments)
@@ -190,8 +193,8 @@ class PluginManager:
                 if problem not in self.problems:
                     self.problems.append(problem)
 
-    def suggest_initializers(self, capture: Any) -> list[str]:
-        """The first suggestion that a plugin makes for a capture, or none."""
+    def suggest_initializers(self, capture: Capture) -> list[str]:
+        """The first suggestion of a plugin for a capture; empty if there is none."""
         for implementation in reversed(self._pluggy.hook.hir_suggest_initializers.get_hookimpls()):
             suggestion = _call(implementation, {"capture": capture})
             if suggestion is not None:
@@ -199,7 +202,7 @@ class PluginManager:
         return []
 
     def asset_page(self, run_folder: Path) -> str | None:
-        """The first page that a plugin offers to show a finished asset with, or None."""
+        """The first viewer page that a plugin offers for a finished asset, or None."""
         for implementation in reversed(self._pluggy.hook.hir_asset_page.get_hookimpls()):
             page: str | None = _call(implementation, {"run_folder": run_folder})
             if page is not None:
@@ -207,7 +210,7 @@ class PluginManager:
         return None
 
     def edit(self, hook: str, document: Any, asset: Any, argument: str) -> None:
-        """Lets plugins change a finished document in place; a failing one is an error, for it may be half changed."""
+        """Lets plugins edit a finished document in place; a failure raises, because the document may be half edited."""
         for implementation in getattr(self._pluggy.hook, hook).get_hookimpls():
             try:
                 _call(implementation, {argument: document, "asset": asset})
@@ -218,7 +221,7 @@ class PluginManager:
     def _load(self, entry_point: EntryPoint, distribution: str, version: str) -> None:
         try:
             plugin = entry_point.load()
-            if inspect.isclass(plugin):  # an observer with a state of its own: one for each manager
+            if inspect.isclass(plugin):  # an observer with state: one instance for each manager
                 plugin = plugin()
         except Exception as error:
             self.problems.append(
@@ -228,7 +231,7 @@ class PluginManager:
             return
         self.register(plugin, distribution, version)
 
-    def _ask(self, plugin: object, hook: str, name: str) -> Any:
+    def _call_registration(self, plugin: object, hook: str, name: str) -> Any:
         function = getattr(plugin, hook, None)
         if function is None or self._pluggy.parse_hookimpl_opts(plugin, hook) is None:
             return None
@@ -242,9 +245,9 @@ class PluginManager:
         if not isinstance(component, Component):
             self.problems.append(f"{name}: registers {component!r} as a {kind}; a Component is needed")
             return
-        refusal = _refusal(component.api)
-        if refusal:
-            self.problems.append(f"{kind} {component.name!r} of {distribution} {refusal}")
+        incompatibility = _incompatibility(component.api)
+        if incompatibility:
+            self.problems.append(f"{kind} {component.name!r} of {distribution} {incompatibility}")
             return
         other = self._registered.get((kind, component.name))
         if other is not None:
@@ -257,8 +260,8 @@ class PluginManager:
         self._registered[kind, component.name] = Registered(kind, component, distribution, version, module)
 
 
-def _refusal(api: Any) -> str:
-    """Why a plugin of another interface version is not loaded; empty where it is of ours."""
+def _incompatibility(api: object) -> str:
+    """Why a plugin for another interface version is not loaded; empty for ours."""
     if api == API_VERSION:
         return ""
     made = f"is made for plugin interface {api}, this hir has {API_VERSION}"
@@ -272,18 +275,18 @@ def _call(implementation: Any, arguments: Mapping[str, Any]) -> Any:
 
 
 def _entry_points() -> list[tuple[str, str, EntryPoint]]:
-    # pluggy's own loader silently skips a second entry point of the same name
+    # not pluggy's loader, which silently skips a second entry point of the same name
     found: dict[tuple[str, str], tuple[str, str, EntryPoint]] = {}
     for distribution in distributions():
         for entry_point in distribution.entry_points.select(group=GROUP):
             key = (distribution.name, entry_point.name)
             found.setdefault(key, (distribution.name, distribution.version, entry_point))
-    # ours first, so that a conflict names the newcomer; then by name, so that the order never depends on the disk
+    # ours first, so that a conflict is reported for the other plugin; then by name, independent of the file system
     return [found[key] for key in sorted(found, key=lambda k: (k[0] != "hir", k))]
 
 
 def module_from_file(path: Path) -> Any:
-    """The module in a `.py` file, importable afterwards as `hir_plugin_<stem>`."""
+    """The module in a `.py` file; it can then be imported as `hir_plugin_<stem>`."""
     if not path.is_file():
         raise FileNotFoundError(f"{path} does not exist")
     name = f"hir_plugin_{path.stem}"

@@ -26,13 +26,13 @@ class Progress:
     scalars: Mapping[str, np.ndarray] = field(default_factory=dict)
     message: str = ""
     phase_seconds: float | None = None
-    """Seconds of the phase that `step` and `steps` count, where a stage has several; None: `seconds`."""
+    """Seconds in the current phase, which `step` and `steps` count; None for a stage of one phase."""
     milestone: str = ""
     """The kind of milestone that was reached; timings.json holds its time."""
 
     @property
     def seconds_left(self) -> float:
-        """Estimate from the steps done so far; 0 before the first."""
+        """Extrapolated from the steps so far; 0 before the first."""
         spent = self.seconds if self.phase_seconds is None else self.phase_seconds
         return spent / self.step * (self.steps - self.step) if self.step else 0.0
 

@@ -1,7 +1,7 @@
 """`--deterministic`: the same files for the same input, seed and machine.
 
-Sums over several threads add in any order. Where that decides bits, a run that was asked for the same files uses one
-thread. The switch is torch's own, so that components which the core knows nothing of can ask for it, too.
+Sums over several threads have no fixed order. Where the order changes bits, a deterministic run uses one thread. The
+switch is torch's own, so that third-party components can read it, too.
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ import numpy as np
 from hir_core.run.machine import usable_cores
 
 
-def asked() -> bool:
-    """Does the run under way have to give the same files again?"""
+def deterministic_requested() -> bool:
+    """Must the current run be reproducible bit for bit?"""
     torch = sys.modules.get("torch")
     return torch is not None and torch.are_deterministic_algorithms_enabled()
 
 
 def threads(wanted: int) -> int:
-    """Threads that a component may use: `wanted`, or 1 where the same files are asked for."""
-    return 1 if asked() else wanted
+    """Threads that a component may use: `wanted`, or 1 in a deterministic run."""
+    return 1 if deterministic_requested() else wanted
 
 
 @contextlib.contextmanager
 def determinism(deterministic: bool) -> Iterator[None]:
-    """While the block runs, `asked()` is this, and torch has one thread if so; at its end all is as before."""
+    """Sets `deterministic_requested()` for the block, with one thread of torch if true; restores both afterwards."""
     import torch
 
     before, count = torch.are_deterministic_algorithms_enabled(), torch.get_num_threads()
@@ -43,7 +43,7 @@ def determinism(deterministic: bool) -> Iterator[None]:
         torch.use_deterministic_algorithms(before, warn_only=warn_only)
         torch.set_num_threads(count)
         if deterministic and not before and "drjit" in sys.modules:
-            sys.modules["drjit"].set_thread_count(usable_cores())  # components that trace rays had set it to 1
+            sys.modules["drjit"].set_thread_count(usable_cores())  # ray tracing components set it to 1
 
 
 def seed_everything(seed: int) -> None:

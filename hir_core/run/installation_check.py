@@ -1,4 +1,4 @@
-"""`hir doctor`: what is installed, what works, and what to install where something does not."""
+"""The checks of `hir doctor`: what is installed, what works, and how to repair the rest."""
 
 from __future__ import annotations
 
@@ -40,22 +40,22 @@ MODULES: Final = {
     "batch": {"ray": "ray", "fsspec": "fsspec"},
     "evaluate": {"lpips": "lpips", "flip_evaluator": "flip-evaluator"},
 }
-"""Modules of each extra and the distributions that hold them."""
+"""Modules of each extra, with the distributions that contain them."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One line of the doctor's answer."""
+    """The result of one check."""
 
     name: str
     state: Literal["ok", "missing", "broken", "absent"]
-    """`absent` is fine: a GPU that is not there."""
+    """`absent` is no fault: an optional device, such as a GPU."""
     detail: str
     advice: str = ""
 
 
 def examine(problems: list[str]) -> list[Finding]:
-    """All findings, in the order they are shown; `problems` are those of the plugins."""
+    """All findings in display order; `problems` are the plugin manager's."""
     findings = [
         Finding("python", "ok" if sys.version_info >= (3, 11) else "broken", sys.version.split()[0]),
         Finding("machine", "ok", f"{processor_name()}, {usable_cores()} cores, {total_memory_bytes() / 2**30:.0f} GiB"),
@@ -70,7 +70,7 @@ def examine(problems: list[str]) -> list[Finding]:
 
 
 def examine_module(module: str, package: str, extra: str) -> Finding:
-    """Imports one module in a process of its own: a broken library may abort rather than raise."""
+    """Imports one module in a subprocess, because a broken library may abort the process."""
     command = f"pip install 'hir[{extra}]' (in a checkout: pip install -e '.[{extra}]')"
     if find_spec(module) is None:
         return Finding(package, "missing", f"for hir[{extra}]", command)
@@ -84,18 +84,18 @@ def examine_module(module: str, package: str, extra: str) -> Finding:
 
 
 def examine_renderer(variant: str, name: str) -> Finding:
-    """A render of 4×4 pixels in a process of its own: with an LLVM that is too old Mitsuba aborts the process."""
+    """Renders 4×4 pixels in a subprocess, because Mitsuba aborts the process if LLVM is too old."""
     code, output = _try([sys.executable, "-c", TINY_RENDER, variant])
     if code == 0:
         return Finding(name, "ok", variant)
     if variant.startswith("cuda"):
-        return Finding(name, "absent", "no CUDA device that Mitsuba can use; runs go to the processor")
+        return Finding(name, "absent", "no CUDA device that Mitsuba can use; runs use the CPU")
     advice = "install LLVM 17 or newer: apt-get install libllvm19 (Debian 12), or set DRJIT_LIBLLVM_PATH to its library"
     return Finding(name, "broken", f"{variant}: {last_line(output) or f'ended with {code}'}", advice)
 
 
 def last_line(text: str) -> str:
-    """The last line that says something."""
+    """The last line that is not blank."""
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     return lines[-1][:200] if lines else ""
 

@@ -1,10 +1,10 @@
-"""Ctrl-C that cannot get lost and never waits for long.
+"""Reliable handling of Ctrl-C.
 
-Python raises `KeyboardInterrupt` wherever it happens to be: in a finaliser, a callback of native code, or a library's
-import that catches everything, it is swallowed and the run would go on. Here it is remembered, and raised again where
-the stage next reports its progress. While native code computes, Python raises nothing at all: a thread waits for the
-signal beside it and ends the process when it is still there after `PATIENCE_SECONDS`. What is on disk is whole at any
-moment, so nothing is lost.
+Python raises `KeyboardInterrupt` at an arbitrary place. In a finaliser, a callback of native code, or an import that
+catches everything, the exception is lost and the run would continue. This module remembers the signal and raises the
+exception again when the stage reports progress next. While native code computes, Python raises nothing: a thread waits
+for the signal and ends the process if it still runs after `MAX_EXIT_SECONDS`. Files on disk are complete at any moment,
+so nothing is lost.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ import time
 from collections.abc import Callable
 from types import FrameType
 
-PATIENCE_SECONDS = 1.5
+MAX_EXIT_SECONDS = 1.5
 """Longest time between Ctrl-C and the end of the process."""
 
-_asked = threading.Event()
+_interrupted = threading.Event()
 
 
 def remember_interrupts(leave: Callable[[], None] | None = None) -> None:
-    """From here on Ctrl-C is remembered until it ends the process; only a process of our own should call this.
+    """Installs the signal handler; only for processes that `hir` owns.
 
-    `leave` is called, in a thread, when the process is still there after `PATIENCE_SECONDS`; it should end it.
+    `leave` is called in a thread if the process still runs `MAX_EXIT_SECONDS` after the signal; it should end it.
     """
 
     def interrupted(number: int, frame: FrameType | None) -> None:
-        _asked.set()
+        _interrupted.set()
         signal.default_int_handler(number, frame)
 
     signal.signal(signal.SIGINT, interrupted)
@@ -39,23 +39,23 @@ def remember_interrupts(leave: Callable[[], None] | None = None) -> None:
 
 
 def raise_lost_interrupt() -> None:
-    """Raises `KeyboardInterrupt` if one came and did not end the process."""
-    if _asked.is_set():
-        _asked.clear()
+    """Raises `KeyboardInterrupt` if a signal arrived and did not end the process."""
+    if _interrupted.is_set():
+        _interrupted.clear()
         raise KeyboardInterrupt
 
 
 def _watch(leave: Callable[[], None]) -> None:
-    """The system writes the number of every signal into one end of a pair; a thread reads the other."""
-    heard, told = socket.socketpair()
-    told.setblocking(False)
-    signal.set_wakeup_fd(told.fileno(), warn_on_full_buffer=False)
+    """Python writes the number of every signal into one end of a socket pair; a thread reads the other end."""
+    receiver, sender = socket.socketpair()
+    sender.setblocking(False)
+    signal.set_wakeup_fd(sender.fileno(), warn_on_full_buffer=False)
 
     def wait() -> None:
-        with told:  # kept open for as long as the thread lives
-            while number := heard.recv(1):
+        with sender:  # stays open while the thread runs
+            while number := receiver.recv(1):
                 if number[0] == signal.SIGINT:
-                    time.sleep(PATIENCE_SECONDS)
+                    time.sleep(MAX_EXIT_SECONDS)
                     leave()
 
     threading.Thread(target=wait, name="hir-interrupt", daemon=True).start()

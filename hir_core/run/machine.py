@@ -1,4 +1,4 @@
-"""What a run was made with and on."""
+"""Package versions, hardware, and the time and memory that a run uses."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ PACKAGES = (
 
 
 def versions() -> dict[str, str]:
-    """Python and the packages that decide results, those that are installed."""
+    """Versions of Python and of those installed packages that influence results."""
     found = {"python": platform.python_version()}
     for name in PACKAGES:
         try:
@@ -65,18 +65,18 @@ def usable_cores() -> int:
 
 
 def processor_name() -> str:
-    """The processor as the system names it."""
+    """The processor's name."""
     try:
         for line in Path("/proc/cpuinfo").read_text(errors="replace").splitlines():
             if line.startswith("model name"):
                 return line.partition(":")[2].strip()
     except OSError:
-        pass  # not Linux: the next line knows
+        pass  # not Linux
     return platform.processor() or platform.machine()
 
 
 def total_memory_bytes() -> int:
-    """Physical memory; 0 where the system does not say."""
+    """Physical memory; 0 if unknown."""
     try:
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, OSError, ValueError):
@@ -84,23 +84,23 @@ def total_memory_bytes() -> int:
 
 
 def return_freed_memory() -> None:
-    """Gives the system back what was freed; glibc keeps it for the process, on top of what the next stage takes."""
+    """Returns freed memory to the system; glibc would keep it for the process, in addition to the next stage's."""
     gc.collect()
-    with contextlib.suppress(OSError, AttributeError):  # other libraries of C have no such call
+    with contextlib.suppress(OSError, AttributeError):  # glibc only
         ctypes.CDLL("libc.so.6").malloc_trim(0)
 
 
 def processor_seconds() -> float:
-    """Seconds that processors worked for this process and its ended children, all threads added; 0 if not said.
+    """CPU seconds of this process and its finished children, summed over threads; 0 if unknown.
 
-    Where other programs have the processors too, these are the seconds to compare: the clock's hold their work as well.
+    They are comparable on a busy machine; wall-clock seconds are not.
     """
     spent = os.times()
     return spent.user + spent.system + spent.children_user + spent.children_system
 
 
 def peak_memory_bytes() -> int:
-    """Largest resident size of this process so far, without that of its children; 0 where the system does not say."""
+    """Peak resident size of this process, without its children; 0 if unknown."""
     try:
         import resource
     except ImportError:

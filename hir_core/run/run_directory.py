@@ -1,4 +1,4 @@
-"""What a run leaves on disk: settings, stages, timings; every file complete or absent, one process at a time."""
+"""The folder of a run: settings, stages, timings. Files are complete or absent; one process at a time works on it."""
 
 from __future__ import annotations
 
@@ -61,11 +61,11 @@ class RunDirectory:
 
     @property
     def log(self) -> Path:
-        """What was said, with dates; rotates."""
+        """Messages with their time; rotates."""
         return self.path / "log.txt"
 
     def evaluation(self, split: str) -> Path:
-        """Where `hir evaluate` writes the figures and pictures of a split."""
+        """The folder for metrics and pictures that `hir evaluate` writes for a split."""
         return self.path / "evaluation" / split
 
     def stage(self, name: str) -> Path:
@@ -76,7 +76,7 @@ class RunDirectory:
         """run.json: settings, versions, plugins, seeds, reports, metrics."""
         document = read_json(self.path / "run.json")
         if document.get("format") != FORMAT:
-            raise InputError(f"{self.path / 'run.json'} is not a run's: its format is {document.get('format')!r}")
+            raise InputError(f"{self.path / 'run.json'} is no run: its format is {document.get('format')!r}")
         version = document.get("version")
         if version != VERSION or isinstance(version, bool):
             raise InputError(
@@ -98,7 +98,7 @@ class RunDirectory:
         write_json(self.path / "timings.json", document)
 
     def record(self, stage: str) -> StageRecord | None:
-        """The record of a stage, or None where it was never begun or its record is damaged."""
+        """The record of a stage; None if the stage was never started or its record is damaged."""
         path = self.stage(stage) / "stage.json"
         if not path.exists():
             return None
@@ -115,11 +115,11 @@ class RunDirectory:
             return None
 
     def begin(self, stage: str, key: str) -> Path:
-        """Makes a stage's folder ready and returns its workspace; what an unfinished one of the same key left stays."""
+        """Prepares a stage's folder and returns its workspace; files of an unfinished attempt of the same key stay."""
         folder = self.stage(stage)
         record = self.record(stage)
         if record is None or record.key != key:
-            # the record goes first: a folder without one is never taken for a result
+            # the record is removed first: a folder without one is never read as a result
             (folder / "stage.json").unlink(missing_ok=True)
             shutil.rmtree(folder, ignore_errors=True)
         workspace = folder / "work"
@@ -128,7 +128,7 @@ class RunDirectory:
         return workspace
 
     def finish(self, record: StageRecord) -> None:
-        """Marks a stage as finished; its result must be on disk before."""
+        """Marks a stage as finished; its result must already be on disk."""
         self._write_record(record)
 
     def _write_record(self, record: StageRecord) -> None:
@@ -152,7 +152,7 @@ def check_stage_name(name: str) -> str:
 
 
 def open_run(path: str | os.PathLike[str]) -> RunDirectory:
-    """A run that exists; an error says what is missing."""
+    """An existing run; `InputError` says what is missing."""
     folder = Path(path)
     if not folder.is_dir():
         raise InputError(f"{folder} is not a folder; make a run with: hir reconstruct CAPTURE -o RUN")
@@ -162,8 +162,8 @@ def open_run(path: str | os.PathLike[str]) -> RunDirectory:
 
 
 @contextlib.contextmanager
-def damage_told(folder: Path) -> Iterator[None]:
-    """For code that takes documents as we write them: what others wrote, or a disk spoilt, is an `InputError`."""
+def refuse_damaged_documents(folder: Path) -> Iterator[None]:
+    """Turns errors about unexpected content of run files in the block into one `InputError`."""
     try:
         yield
     except HirError:
@@ -177,9 +177,9 @@ def damage_told(folder: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def claimed_run(path: str | os.PathLike[str], resume: bool) -> Iterator[RunDirectory]:
-    """The folder of a run, made where it is missing and locked against other processes until the block ends.
+    """The folder of a run, created if missing and locked against other processes until the block ends.
 
-    A folder that holds something else is refused; one that holds a run is refused unless `resume`.
+    Raises `InputError` if the folder holds something else, or a run without `resume`.
     """
     folder = Path(path)
     if folder.exists() and not folder.is_dir():
@@ -199,7 +199,7 @@ def claimed_run(path: str | os.PathLike[str], resume: bool) -> Iterator[RunDirec
     except OSError as error:
         raise InputError(f"cannot write into {folder}: {error.strerror}; choose another folder") from error
     try:
-        remove_partials(folder)  # of a run that was killed
+        remove_partials(folder)  # left by a killed run
         yield RunDirectory(folder)
     finally:
         lock.release()

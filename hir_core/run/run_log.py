@@ -1,4 +1,4 @@
-"""log.txt of a run: what was said and when, in files that never grow large."""
+"""log.txt of a run: messages with their time, in rotating files of bounded size."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from contextlib import closing
 from logging.handlers import RotatingFileHandler
 from pathlib import Path
 
-MOST_BYTES = 1 << 20
-BACKUPS = 3
-"""log.txt.1 is the one before, log.txt.3 the oldest that is kept."""
+MAX_LOG_BYTES = 1 << 20
+BACKUP_FILES = 3
+"""log.txt.1 is the newest backup, log.txt.3 the oldest."""
 
 
 def write_log(path: Path, sentence: str) -> None:
-    """Appends a line. A disk that is full, or a folder that is gone, loses the line and not the run."""
+    """Appends a line. If it cannot be written (full disk, removed folder), the line is dropped and the run goes on."""
     record = logging.LogRecord("hir", logging.INFO, "", 0, " ".join(sentence.split()), None, None)
     try:
-        handler = RotatingFileHandler(path, maxBytes=MOST_BYTES, backupCount=BACKUPS, encoding="utf-8")
+        handler = RotatingFileHandler(path, maxBytes=MAX_LOG_BYTES, backupCount=BACKUP_FILES, encoding="utf-8")
         with closing(handler):
             handler.setFormatter(logging.Formatter("%(asctime)s %(message)s"))
             handler.handleError = _ignore  # type: ignore[method-assign]
@@ -26,4 +26,4 @@ def write_log(path: Path, sentence: str) -> None:
 
 
 def _ignore(record: logging.LogRecord) -> None:
-    """A line that cannot be written is lost."""
+    """Drops a line that cannot be written."""

@@ -1,4 +1,4 @@
-"""What a stage is given beside its input and its settings."""
+"""What a stage gets besides its input and its settings."""
 
 from __future__ import annotations
 
@@ -16,37 +16,37 @@ if TYPE_CHECKING:
 
 
 def _silent(_: object) -> None:
-    """Nobody listens."""
+    """The default of `report` and `warn`."""
 
 
 @dataclass(frozen=True)
 class StageContext:
-    """Where a stage runs, who listens, and where it may keep files."""
+    """Device, seed, plugins and workspace of a stage, and where its progress and warnings go."""
 
     plugins: PluginManager
     workspace: Path
-    """A folder of the stage's own; what is left there survives a resume."""
+    """A folder for the stage alone; its files survive a resume."""
     options: Mapping[str, Mapping[str, Mapping[str, Any]]] = field(default_factory=dict)
     """Options of renderers: kind, name, option."""
     device: str = "cpu"
     seed: int = 0
     deterministic: bool = False
     checkpoint_seconds: float = 30.0
-    """How often a stage should keep its state."""
+    """Seconds between checkpoints of a stage."""
     report: Callable[[Progress], None] = field(default=_silent)
-    """Told of progress; cheap, throttles by itself."""
+    """Receives progress; throttled by the receiver, so it may be called in every step."""
     warn: Callable[[str], None] = field(default=_silent)
-    """One sentence that advises; shown to the user and written into run.json."""
+    """Receives one sentence with advice; it is shown to the user and written to run.json."""
 
     @property
     def checkpoints(self) -> Path:
-        """A folder for the state of a stage under way; it is removed when the stage has ended."""
+        """A folder for checkpoints; it is removed when the stage ends."""
         return self.workspace / "checkpoints"
 
 
 @contextlib.contextmanager
-def passed_on(context: StageContext) -> Iterator[None]:
-    """Plugins without a context warn as Python does; the user and run.json hear it as they hear any warning."""
+def forward_warnings(context: StageContext) -> Iterator[None]:
+    """Turns Python `UserWarning`s of the block into the stage's own warnings: plugins without a context use them."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("default", UserWarning)
         yield

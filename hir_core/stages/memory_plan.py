@@ -1,7 +1,6 @@
-"""How much memory the stages of a run take, estimated before they start, and settings that stay within a limit.
+"""Estimates the memory of each stage before a run starts, and reduces settings until a limit is kept.
 
-The estimates are sums of the arrays that live at the same time; docs/reliability.md compares them with what was
-measured.
+The estimates are sums of arrays that exist at the same time; docs/reliability.md compares them with measurements.
 """
 
 from __future__ import annotations
@@ -20,33 +19,33 @@ if TYPE_CHECKING:
     from hir_core.plugins.interfaces import GeometryRenderer, ReflectanceRenderer
     from hir_core.plugins.manager import PluginManager
 
-BASE_BYTES = 800 << 20
-"""Python with torch, Mitsuba, Open3D and SciPy imported, and their compilers warm."""
+BASE_PROCESS_BYTES = 800 << 20
+"""Python with torch, Mitsuba, Open3D and SciPy imported and their kernels compiled."""
 
-DECODED = 12 + 4 + 1
-"""Bytes of a pixel of a photograph: float32 colour, float32 mask, saturation."""
+DECODED_PIXEL_BYTES = 12 + 4 + 1
+"""Bytes of a decoded pixel: float32 colour, float32 mask, saturation."""
 
-LEAST_CACHE = 64 << 20
-MOST_DOWNSAMPLE = 8
+MIN_CACHE_BYTES = 64 << 20
+MAX_DOWNSAMPLE = 8
 
 
 @dataclass(frozen=True)
 class MemoryPlan:
-    """What a run may use, and what was changed to stay within a limit."""
+    """Settings and caches of a run within a memory limit, and what was changed for it."""
 
     config: RunConfig
     cache_bytes: int
     stages: Mapping[str, Mapping[str, int]]
-    """Estimated bytes of each stage, part by part."""
+    """Estimated bytes: stage → part → bytes."""
     limit: int = 0
     changes: tuple[str, ...] = field(default=())
 
     def total(self, stage: str) -> int:
-        """Estimate of a stage; 0 where there is none."""
+        """Estimated bytes of a stage; 0 without an estimate."""
         return sum(self.stages.get(stage, {}).values())
 
     def sentences(self) -> dict[str, str]:
-        """What is said before each stage starts; empty without a limit."""
+        """A message for each stage before it starts; empty without a limit."""
         if not self.limit:
             return {}
         return {s: f"about {gigabytes(self.total(s))} of memory expected" for s in self.stages if self.total(s)}
@@ -80,8 +79,8 @@ def parse_size(text: str) -> int:
 def plan_memory(config: RunConfig, plugins: PluginManager, size: CaptureSize) -> MemoryPlan:
     """Settings under which no stage is expected to exceed `config.max_memory`; without one, the settings as they are.
 
-    First the cache of photographs shrinks, then what components say can, then the photographs are taken at a half, a
-    quarter, an eighth of their resolution. Raises `StageError` where even that does not fit.
+    The pixel cache is reduced first, then the components' own options, then the resolution of the photographs, down to
+    an eighth. Raises `StageError` if that is not enough.
     """
     limit = parse_size(config.max_memory)
     plan = _estimated(config, plugins, size, DEFAULT_BYTES, limit, ())
@@ -91,17 +90,17 @@ def plan_memory(config: RunConfig, plugins: PluginManager, size: CaptureSize) ->
             worst = max(plan.stages, key=plan.total)
             raise StageError(
                 f"the {worst} stage needs about {gigabytes(plan.total(worst))}, more than --max-memory "
-                f"{config.max_memory} allows even with all that can shrink; allow more or take fewer photographs"
+                f"{config.max_memory} allows, even with all reductions; allow more memory or use fewer photographs"
             )
         plan = smaller
     return plan
 
 
 def _smaller(plan: MemoryPlan, plugins: PluginManager, size: CaptureSize) -> MemoryPlan | None:
-    """The next plan under which the largest stage takes less; None where nothing is left to shrink."""
+    """A plan with a smaller estimate for the largest stage; None if nothing can be reduced."""
     worst = max(plan.stages, key=plan.total)
-    for config, cache, said in _candidates(plan, plugins, size, worst):
-        changed = _estimated(config, plugins, size, cache, plan.limit, _with(plan.changes, said))
+    for config, cache, change in _candidates(plan, plugins, size, worst):
+        changed = _estimated(config, plugins, size, cache, plan.limit, _with(plan.changes, change))
         if changed.total(worst) < plan.total(worst):
             return changed
     return None
@@ -110,45 +109,46 @@ def _smaller(plan: MemoryPlan, plugins: PluginManager, size: CaptureSize) -> Mem
 def _candidates(
     plan: MemoryPlan, plugins: PluginManager, size: CaptureSize, worst: str
 ) -> Iterator[tuple[RunConfig, int, str]]:
-    """Settings, bytes of the cache, and what is said of the change, gentlest first."""
-    config, used = plan.config, min(plan.cache_bytes, size.pixels * DECODED)
-    cache = max(LEAST_CACHE, used - (plan.total(worst) - plan.limit))
+    """Settings, bytes of the pixel cache, and a description of the change; the least harmful change first."""
+    config, used = plan.config, min(plan.cache_bytes, size.pixels * DECODED_PIXEL_BYTES)
+    cache = max(MIN_CACHE_BYTES, used - (plan.total(worst) - plan.limit))
     if cache < used:
         yield config, cache, f"cache of decoded photographs={gigabytes(cache)}"
     if worst == "reflectance":
         name = config.reflectance.renderer
         if options := dict(_reflectance_renderer(config, plugins).smaller()):
             table = config.reflectance_renderer.get(name, {}) | options
-            said = ", ".join(f"reflectance_renderer.{name}.{key}={value}" for key, value in options.items())
+            change = ", ".join(f"reflectance_renderer.{name}.{key}={value}" for key, value in options.items())
             yield (
                 replace(config, reflectance_renderer=config.reflectance_renderer | {name: table}),
                 plan.cache_bytes,
-                said,
+                change,
             )
     if worst == "geometry" and config.geometry.views_per_step > 1:
         fewer = replace(config.geometry, views_per_step=config.geometry.views_per_step // 2)
         yield replace(config, geometry=fewer), plan.cache_bytes, f"geometry.views_per_step={fewer.views_per_step}"
     if worst in ("geometry", "reflectance"):
         settings = getattr(config, worst)
-        if settings.downsample * 2 <= MOST_DOWNSAMPLE:
+        if settings.downsample * 2 <= MAX_DOWNSAMPLE:
             coarser = replace(settings, downsample=settings.downsample * 2)
             yield replace(config, **{worst: coarser}), plan.cache_bytes, f"{worst}.downsample={coarser.downsample}"
 
 
-def _with(changes: tuple[str, ...], said: str) -> tuple[str, ...]:
-    """Changes with a new one, in the place of an older one of the same settings."""
-    about = said.partition("=")[0]
-    return (*(c for c in changes if c.partition("=")[0] != about), said)
+def _with(changes: tuple[str, ...], change: str) -> tuple[str, ...]:
+    """The changes with a new one; it replaces an earlier change of the same setting."""
+    setting = change.partition("=")[0]
+    return (*(c for c in changes if c.partition("=")[0] != setting), change)
 
 
 def _estimated(
     config: RunConfig, plugins: PluginManager, size: CaptureSize, cache: int, limit: int, changes: tuple[str, ...]
 ) -> MemoryPlan:
-    cached = min(cache, size.pixels * DECODED)
-    common = {"program": BASE_BYTES, "photographs": cached}
+    cached = min(cache, size.pixels * DECODED_PIXEL_BYTES)
+    common = {"program": BASE_PROCESS_BYTES, "photographs": cached}
     stages: dict[str, dict[str, int]] = {
-        # a field of distances and a mask for each view, and one picture under work
-        "initializer": common | {"fields": size.pixels * 5, "picture": 8 * size.width * size.height * DECODED},
+        # a distance field and a mask for each view, and one picture in work
+        "initializer": common
+        | {"fields": size.pixels * 5, "picture": 8 * size.width * size.height * DECODED_PIXEL_BYTES},
         "atlas": dict(common),
         "bake": dict(common),
         "export": dict(common),
@@ -158,7 +158,7 @@ def _estimated(
             "geometry_renderer", config.geometry.renderer, config.geometry_renderer.get(config.geometry.renderer, {})
         )
         shrunk = _downsampled(size, config.geometry.downsample)
-        details = min(shrunk.pixels * 7, 512 << 20) if config.geometry.photographs == "auto" else 0
+        details = min(shrunk.pixels * 7, 512 << 20) if config.geometry.photo_consistency == "auto" else 0
         targets = renderer.memory(shrunk, config.geometry.views_per_step)
         stages["geometry"] = common | {"masks": targets, "details": details}
     if config.reflectance.enabled:

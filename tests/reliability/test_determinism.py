@@ -16,7 +16,7 @@ import torch
 from hir_exporters.scene_format import load_scene
 
 from hir_core.pipeline import Run
-from hir_core.run.determinism import asked, determinism, seed_everything, threads
+from hir_core.run.determinism import determinism, deterministic_requested, seed_everything, threads
 from tests.fixtures.runs import QUICK
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -33,13 +33,13 @@ def files(folder: Path) -> dict[str, bytes]:
 
 
 def test_the_switch_is_on_for_the_block_and_then_as_before() -> None:
-    before = torch.get_num_threads(), asked()
+    before = torch.get_num_threads(), deterministic_requested()
     with determinism(True):
-        assert asked() and threads(8) == 1 and torch.get_num_threads() == 1
+        assert deterministic_requested() and threads(8) == 1 and torch.get_num_threads() == 1
         with determinism(False):
-            assert not asked() and threads(8) == 8
-        assert asked()
-    assert (torch.get_num_threads(), asked()) == before
+            assert not deterministic_requested() and threads(8) == 8
+        assert deterministic_requested()
+    assert (torch.get_num_threads(), deterministic_requested()) == before
 
 
 def test_ray_tracers_follow_the_switch() -> None:
@@ -78,11 +78,11 @@ def test_two_runs_have_identical_files(
 def test_two_processes_with_other_hash_seeds_have_identical_files(tiny_capture: Path, tmp_path: Path) -> None:
     settings = [word for assignment in QUICK for word in ("--set", assignment)]
     for number in ("1", "2"):
-        words = [sys.executable, "-m", "hir_core.cli", "reconstruct", str(tiny_capture), "-o", "run", *settings]
+        arguments = [sys.executable, "-m", "hir_core.cli", "reconstruct", str(tiny_capture), "-o", "run", *settings]
         place = tmp_path / number
         place.mkdir()
         environment = os.environ | {"PYTHONHASHSEED": number, "OMP_NUM_THREADS": number}
-        subprocess.run([*words, "--deterministic", "-q"], cwd=place, check=True, env=environment)
+        subprocess.run([*arguments, "--deterministic", "-q"], cwd=place, check=True, env=environment)
     assert files(tmp_path / "1" / "run") == files(tmp_path / "2" / "run")
 
 
@@ -103,9 +103,17 @@ def test_thread_counts_change_less_than_what_was_measured(tiny_capture: Path, tm
     settings = [word for assignment in QUICK for word in ("--set", assignment)]
     settings += ["--set", "geometry.remesh=false"]  # a remesher that rounds otherwise once gives another topology
     for number in ("1", "2"):
-        words = [sys.executable, "-m", "hir_core.cli", "reconstruct", str(tiny_capture), "-o", str(tmp_path / number)]
+        arguments = [
+            sys.executable,
+            "-m",
+            "hir_core.cli",
+            "reconstruct",
+            str(tiny_capture),
+            "-o",
+            str(tmp_path / number),
+        ]
         environment = os.environ | {"OMP_NUM_THREADS": number}
-        subprocess.run([*words, *settings, "-q", "--device", "cpu"], check=True, env=environment)
+        subprocess.run([*arguments, *settings, "-q", "--device", "cpu"], check=True, env=environment)
     place, albedo = distance(tmp_path / "1", tmp_path / "2")
     assert place <= ACROSS_THREADS and albedo <= ACROSS_THREADS, (place, albedo)
     shutil.rmtree(tmp_path / "1")

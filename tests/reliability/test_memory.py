@@ -75,18 +75,18 @@ def test_a_run_says_and_writes_what_it_shrank(
     tiny_capture: Path, quick: Callable[..., Run], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A capture of 64×64 pixels fits into anything: decoded pixels are counted as a thousand times as many bytes."""
-    monkeypatch.setattr("hir_core.stages.memory_plan.DECODED", 17_000)
-    monkeypatch.setattr("hir_core.stages.memory_plan.LEAST_CACHE", 1000)
+    monkeypatch.setattr("hir_core.stages.memory_plan.DECODED_PIXEL_BYTES", 17_000)
+    monkeypatch.setattr("hir_core.stages.memory_plan.MIN_CACHE_BYTES", 1000)
     kept: list[int] = []
     plain = PixelCache.__init__
     monkeypatch.setattr(PixelCache, "__init__", lambda self, most: (kept.append(most), plain(self, most))[1])
-    said: list[str] = []
-    run = quick(tiny_capture, tmp_path / "run", until="initializer", max_memory="1.7GB", on_message=said.append)
+    message: list[str] = []
+    run = quick(tiny_capture, tmp_path / "run", until="initializer", max_memory="1.7GB", on_message=message.append)
     memory = run.directory.read_run()["memory"]
     assert memory["limit_bytes"] == int(1.7 * (1 << 30)) and set(memory["estimated_bytes"]) >= {"geometry", "export"}
     assert kept and kept[0] < 1 << 30 and any("cache of decoded photographs" in change for change in memory["changes"])
-    assert any("to stay within 1.7 GB" in sentence for sentence in said)
-    assert any("initializer: about" in sentence and "expected" in sentence for sentence in said)
+    assert any("to stay within 1.7 GB" in sentence for sentence in message)
+    assert any("initializer: about" in sentence and "expected" in sentence for sentence in message)
 
 
 def test_a_cache_that_is_full_still_reads(tmp_path: Path) -> None:
@@ -113,7 +113,7 @@ def test_freed_memory_goes_back_to_the_system() -> None:
 
 FEW_STEPS = (
     "geometry.iterations=30",
-    "geometry.photograph_iterations=10",
+    "geometry.photo_consistency_iterations=10",
     "reflectance_renderer.transport_ggx.steps=30",
     "checkpoint_seconds=10",
 )
@@ -124,10 +124,10 @@ FEW_STEPS = (
 @pytest.mark.skipif(sys.platform == "win32", reason="no peak of memory is told")
 def test_300_views_of_512_take_at_most_4_gigabytes(shared: Path, tmp_path: Path) -> None:
     """docs/reliability.md has the figures."""
-    from hir_plugins.commands.bench.inputs.bench_captures import stretched
+    from hir_plugins.commands.bench.inputs.bench_captures import make_resized_capture
 
-    capture = stretched(shared / "captures" / "spot", tmp_path / "capture", 300, 512)
-    words = [
+    capture = make_resized_capture(shared / "captures" / "spot", tmp_path / "capture", 300, 512)
+    arguments = [
         sys.executable,
         "-m",
         "hir_core.cli",
@@ -144,7 +144,7 @@ def test_300_views_of_512_take_at_most_4_gigabytes(shared: Path, tmp_path: Path)
         "cpu",
     ]
     settings = [word for assignment in FEW_STEPS for word in ("--set", assignment)]
-    subprocess.run([*words, *settings], check=True, env=os.environ | {"OMP_NUM_THREADS": "1"})
+    subprocess.run([*arguments, *settings], check=True, env=os.environ | {"OMP_NUM_THREADS": "1"})
     stages = json.loads((tmp_path / "run" / "timings.json").read_text())["stages"]
     estimated = json.loads((tmp_path / "run" / "run.json").read_text())["memory"]["estimated_bytes"]
     measured = {name: stage["peak_memory_bytes"] for name, stage in stages.items()}
@@ -152,5 +152,5 @@ def test_300_views_of_512_take_at_most_4_gigabytes(shared: Path, tmp_path: Path)
     assert max(measured.values()) <= 4 << 30
     assert set(measured) >= {"initializer", "geometry", "atlas", "reflectance", "bake"}
     # a peak is that of all stages so far
-    told = [name for name in STAGE_NAMES if name in measured]
-    assert all(measured[name] <= max(estimated[n] for n in told[: i + 1]) for i, name in enumerate(told))
+    output = [name for name in STAGE_NAMES if name in measured]
+    assert all(measured[name] <= max(estimated[n] for n in output[: i + 1]) for i, name in enumerate(output))

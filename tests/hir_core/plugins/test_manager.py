@@ -70,7 +70,7 @@ def test_create_builds_from_checked_options() -> None:
 def test_unknown_name_lists_the_known_ones() -> None:
     manager = PluginManager()
     manager.register(plugin_of(component("a"), component("b")), "one", "1.0")
-    with pytest.raises(PluginError, match="no regularizer named 'c'; there are: a, b"):
+    with pytest.raises(PluginError, match="no regularizer named 'c'; installed: a, b"):
         manager.find("regularizer", "c")
 
 
