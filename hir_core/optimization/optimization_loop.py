@@ -15,6 +15,7 @@ from torch import Tensor
 
 from hir_core.errors import StageError
 from hir_core.optimization.checkpoints import (
+    Arrays,
     Stateful,
     arrays_under,
     load_checkpoint,
@@ -171,7 +172,7 @@ def _store(
         "stopped_early": result.stopped_early,
         "finished": finished,
     }
-    extra = {"notes": np.frombuffer(json.dumps(notes).encode(), np.uint8)}
+    extra: Arrays = {"notes": np.frombuffer(json.dumps(notes).encode(), np.uint8)}
     extra |= {f"curve/{name}": values[:step] for name, values in recorder.curves.items()}
     extra |= {f"state/{name}": value for name, value in (extra_state.state() if extra_state else {}).items()}
     save_checkpoint(checkpointing.path, optimizer, step, extra)

@@ -10,7 +10,7 @@ from pathlib import Path
 from types import ModuleType
 
 from hir_core.errors import MissingExtraError
-from hir_core.run.determinism import asked
+from hir_core.run.determinism import deterministic_requested
 
 
 def mitsuba_on(device: str) -> ModuleType:
@@ -25,7 +25,7 @@ def mitsuba_on(device: str) -> ModuleType:
 
     if mi.variant() != variant:
         mi.set_variant(variant)
-    if asked():
+    if deterministic_requested():
         import drjit
 
         drjit.set_thread_count(1)  # gradients are sums by atomics, in any order

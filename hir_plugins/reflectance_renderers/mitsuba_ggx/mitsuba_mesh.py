@@ -101,7 +101,7 @@ class Surface:
         side = dr.select(dr.dot(point.geometric, direction) >= 0, _OFFSET, -_OFFSET)
         return point.position + point.geometric * side
 
-    def bent(self, point: Point, tangent_normal: Any) -> Any:
+    def mapped_normal(self, point: Point, tangent_normal: Any) -> Any:
         """The world's normal of a normal-map vector, in MikkTSpace's frames."""
         if self._tangents is None:
             self._tangents = self._upload_tangents()

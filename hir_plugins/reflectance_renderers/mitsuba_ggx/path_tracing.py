@@ -39,7 +39,7 @@ class Shading:
         normal = point.normal
         if self.normal is not None:
             color = self.normal.at(u, v, active)
-            normal = surface.bent(point, mi.Vector3f(color.x, color.y, color.z))
+            normal = surface.mapped_normal(point, mi.Vector3f(color.x, color.y, color.z))
         return reflectance, mi.Frame3f(normal)
 
 

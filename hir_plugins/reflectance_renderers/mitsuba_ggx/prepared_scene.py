@@ -23,7 +23,7 @@ from hir_plugins.reflectance_renderers.mitsuba_ggx.emitter import Light
 from hir_plugins.reflectance_renderers.mitsuba_ggx.mitsuba_mesh import Surface
 from hir_plugins.reflectance_renderers.mitsuba_ggx.mitsuba_textures import Parameter
 from hir_plugins.reflectance_renderers.mitsuba_ggx.path_tracing import Shading, incoming
-from hir_plugins.reflectance_renderers.mitsuba_ggx.sample_sequence import Sequence as Points
+from hir_plugins.reflectance_renderers.mitsuba_ggx.sample_sequence import Sequence as ShadingPoints
 from hir_plugins.reflectance_renderers.mitsuba_ggx.sample_sequence import lanes
 
 LANES = 1 << 20
@@ -179,7 +179,7 @@ class PreparedMitsuba(PreparedReflectance):
         columns = [to_uint(pixels[:, i], mi) for i in range(3)]
         view, x, y = (dr.gather(mi.UInt32, column, pixel) for column in columns)
         # a literal seed would make a new kernel of every step
-        points = Points((x + (y << 16), view), sample, samples, dr.opaque(mi.UInt32, seed))
+        points = ShadingPoints((x + (y << 16), view), sample, samples, dr.opaque(mi.UInt32, seed))
         inside = points.next()
         origin, direction = self._cameras.rays(view, mi.Float(x) + inside.x, mi.Float(y) + inside.y)
         first = self._surface.intersect(origin, direction, mi.Bool(True), coherent=True)
@@ -202,7 +202,7 @@ class _Lanes:
     pixel: Any
     first: Any
     direction: Any
-    points: Points
+    points: ShadingPoints
     met: Any
     """Float: 1 where the sample met the object."""
     rotation: Any

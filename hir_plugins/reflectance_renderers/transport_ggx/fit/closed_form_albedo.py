@@ -1,8 +1,8 @@
-"""Albedo in closed form: once light and lobes are known, what pixels show is linear in it.
+"""Albedo in closed form: for a given light and given lobes, pixels are linear in the diffuse albedo.
 
-`I − S = (1 − E)·irradiance/π · ρd` is one row per pixel, in the albedos of texels or of vertices. Conjugate gradients
-solve all of them and all channels at once; residuals are weighed as the eye (sRGB) and a robust loss weigh them
-(iteratively re-weighted least squares), and what it starts from holds what no pixel sees.
+`I − S = (1 − E)·irradiance/π · ρd` is one row for each pixel, in the albedos of texels or of vertices. Conjugate
+gradients solve all rows and all channels at once. Residuals have the weights of sRGB and of a robust loss (iteratively
+re-weighted least squares). The initial albedo is the prior of what no pixel sees.
 """
 
 from __future__ import annotations
@@ -14,44 +14,47 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from hir_core.optimization.clipped_pixels import is_clipped_excess
 from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
 
-_ROUNDS = 3
-_ITERATIONS = 12
+_REWEIGHTING_ITERATIONS = 3
+_CONJUGATE_GRADIENT_ITERATIONS = 12
 
 
 @dataclass(frozen=True, eq=False)
 class AlbedoEquations:
-    """One row per pixel: `gain · (lookup @ albedo) = target`."""
+    """One row for each pixel: `gain · (lookup @ albedo) = target`."""
 
     lookup: LinearMap
-    """(P, N): how much of each albedo a pixel shows."""
+    """(P, N): weight of each albedo in a pixel."""
     gain: Float[Tensor, "P 3"]
+    """Radiance of a diffuse albedo of 1."""
     target: Float[Tensor, "P 3"]
     importance: Float[Tensor, "P 3"]
-    at_least: Bool[Tensor, "P 3"]
+    clipped: Bool[Tensor, "P 3"]
     """Where the photograph is clipped: the left side may be larger than the target."""
 
 
 def solve_albedo(
     equations: Sequence[AlbedoEquations],
     start: Float[Tensor, "N 3"],
-    huber: float,
+    huber_srgb: float,
     prior: float,
     differences: Callable[[Float[Tensor, "N 3"], Float[Tensor, "N 3"]], Float[Tensor, "N 3"]] | None = None,
-    smooth: float = 0.0,
+    smoothness: float = 0.0,
 ) -> tuple[Float[Tensor, "N 3"], Float[Tensor, " N"], Float[Tensor, " N"]]:
-    """Albedo in 0…1, how many pixels look at each, and what they say in units of what `start` says.
+    """Albedo in 0…1, the number of pixels that see each, and the weight of these pixels in units of the prior's.
 
-    `prior` and `smooth` are the weights of the start and of `differences` (the gradient of half their squares, of given
-    weights), as fractions of what the pixels of an albedo say on average: of as much light, each weighed as its own
-    pixels are, for black pixels count for a thousand times what white ones do. `huber` is in sRGB.
+    `prior` and `smoothness` are the weights of `start` and of `differences`. The latter is the gradient of half the
+    squared differences, for given weights. Both are fractions of the mean weight of an albedo's pixels: for the mean
+    light of all albedos and the mean importance of its own pixels, because black pixels weigh a thousand times as much
+    as white ones.
     """
     albedo = start.clone()
-    seen, hold = _hold(equations, start)
-    told = torch.zeros_like(seen)
-    for _ in range(_ROUNDS):
-        robust = [_robust(rows, albedo, huber) for rows in equations]
+    count, scale = _prior_scale(equations, start)
+    information = torch.zeros_like(count)
+    for _ in range(_REWEIGHTING_ITERATIONS):
+        robust = [_robust_weight(rows, albedo, huber_srgb) for rows in equations]
         normal = [w * rows.gain * rows.gain for w, rows in zip(robust, equations, strict=True)]
         diagonal, right = torch.zeros_like(start), torch.zeros_like(start)
         for w, n, rows in zip(robust, normal, equations, strict=True):
@@ -59,53 +62,54 @@ def solve_albedo(
             right = right + rows.lookup.transposed @ (w * rows.gain * rows.target)
 
         def apply(x: Tensor, normal: list[Tensor] = normal) -> Tensor:
-            image = prior * hold * x
+            image = prior * scale * x
             for n, rows in zip(normal, equations, strict=True):
                 image = image + rows.lookup.transposed @ (n * (rows.lookup.matrix @ x))
-            if differences is not None and smooth > 0:
-                image = image + differences(x, smooth * hold)
+            if differences is not None and smoothness > 0:
+                image = image + differences(x, smoothness * scale)
             return image
 
-        preconditioner = 1 / (diagonal + prior * hold)
-        albedo = _conjugate_gradients(apply, right + prior * hold * start, albedo, preconditioner, _ITERATIONS)
+        preconditioner = 1 / (diagonal + prior * scale)
+        albedo = _conjugate_gradients(apply, right + prior * scale * start, albedo, preconditioner)
         albedo = albedo.clamp(0, 1)
-        told = (diagonal / (prior * hold)).mean(dim=1)
-    return albedo, seen, told
+        information = (diagonal / (prior * scale)).mean(dim=1)
+    return albedo, count, information
 
 
-def _hold(
+def _prior_scale(
     equations: Sequence[AlbedoEquations], start: Float[Tensor, "N 3"]
 ) -> tuple[Float[Tensor, " N"], Float[Tensor, "N 3"]]:
-    """Pixels that look at each albedo, and what they would say of it under the light that all have on average."""
-    seen, light, importance = (start.new_zeros(len(start), n) for n in (1, 3, 3))
+    """The number of pixels that see each albedo, and the weight they would have under the mean light of all albedos."""
+    count, light, importance = (start.new_zeros(len(start), n) for n in (1, 3, 3))
     for rows in equations:
-        seen = seen + rows.lookup.transposed @ torch.ones_like(rows.gain[:, :1])
+        count = count + rows.lookup.transposed @ torch.ones_like(rows.gain[:, :1])
         light = light + rows.lookup.transposed @ rows.gain.square()
         importance = importance + rows.lookup.transposed @ rows.importance
-    known = seen[:, 0] > 0.5
+    known = count[:, 0] > 0.5
     if not bool(known.any()):
-        return seen[:, 0], torch.ones_like(start)
-    each = torch.where(known[:, None], importance / seen.clamp_min(0.5), importance[known].sum(0) / seen[known].sum(0))
-    return seen[:, 0], (light[known].mean(dim=0) * each).clamp_min(1e-12)
+        return count[:, 0], torch.ones_like(start)
+    mean = importance[known].sum(0) / count[known].sum(0)
+    each = torch.where(known[:, None], importance / count.clamp_min(0.5), mean)
+    return count[:, 0], (light[known].mean(dim=0) * each).clamp_min(1e-12)
 
 
-def _robust(rows: AlbedoEquations, albedo: Tensor, huber: float) -> Float[Tensor, "P 3"]:
+def _robust_weight(rows: AlbedoEquations, albedo: Tensor, huber_srgb: float) -> Float[Tensor, "P 3"]:
     difference = rows.gain * (rows.lookup.matrix @ albedo) - rows.target
     error = rows.importance.sqrt() * difference.abs()
-    satisfied = rows.at_least & (difference > 0)
-    return torch.where(satisfied, 0.0, rows.importance * (huber / error.clamp_min(huber)))
+    weight = rows.importance * (huber_srgb / error.clamp_min(huber_srgb))
+    return torch.where(is_clipped_excess(difference, rows.clipped), 0.0, weight)
 
 
 def _conjugate_gradients(
-    apply: Callable[[Tensor], Tensor], right: Tensor, start: Tensor, preconditioner: Tensor, iterations: int
+    apply: Callable[[Tensor], Tensor], right: Tensor, start: Tensor, preconditioner: Tensor
 ) -> Tensor:
-    """Jacobi-preconditioned conjugate gradients, each column a system of its own."""
+    """Conjugate gradients with a Jacobi preconditioner; each column is a system of its own."""
     x = start
     residual = right - apply(x)
     z = preconditioner * residual
     direction = z
     rho = (residual * z).sum(0)
-    for _ in range(iterations):
+    for _ in range(_CONJUGATE_GRADIENT_ITERATIONS):
         image = apply(direction)
         step = rho / (direction * image).sum(0).clamp_min(1e-30)
         x = x + step * direction

@@ -1,7 +1,7 @@
-"""The last step of a fit: albedos in closed form, under the light and the lobes that gradient steps found.
+"""The last step of a fit: albedos in closed form, for the light and the lobes of the gradient steps.
 
-A few dozen steps from one albedo for all bring the light near, and leave dark spots too bright: a logistic moves
-slowly at its ends. The problem is bilinear, so what is left of the albedos is a least-squares problem.
+A few dozen gradient steps from a uniform albedo leave dark areas too bright, because a logistic changes slowly at its
+ends. For fixed light and lobes the albedos are a least-squares problem.
 """
 
 from __future__ import annotations
@@ -13,39 +13,41 @@ import torch
 
 from hir_core.scene.srgb import srgb_slope, srgb_to_linear
 from hir_plugins.reflectance_renderers.transport_ggx.fit.closed_form_albedo import AlbedoEquations, solve_albedo
-from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Unknowns
-from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import Block, gain_and_lobe
+from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
+from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import PixelBatch, diffuse_and_specular
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
-from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_radiance import SpecularBlock
+from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_radiance import SpecularMatrices
 
-HUBER_SRGB = 0.1
-PRIOR = 0.05
-"""Hold on the albedo of the gradient steps, of the weight that a vertex's pixels have on average: few see each."""
-DARKEST = 0.003
-"""Linear value below which the sRGB weight stops growing: noise rules there."""
+VERTEX_HUBER_SRGB = 0.1
+VERTEX_PRIOR_WEIGHT = 0.05
+"""Weight of the albedo of the gradient steps, as a fraction of the mean weight of a vertex's pixels: few see each."""
+SRGB_SLOPE_FLOOR_LINEAR = 0.003
+"""The slope of sRGB, a pixel's weight, does not grow below this linear value, where noise dominates."""
 ALBEDO_LOW, ALBEDO_HIGH = 1e-3, 0.999
-"""Of a logistic that can still move."""
+"""Limits of an albedo whose logistic still has a usable slope."""
 
 
-def with_solved_albedo(
-    transport: Transport, blocks: Iterable[tuple[Block, SpecularBlock | None]], unknowns: Unknowns, bounces: int
-) -> Unknowns:
-    """The unknowns with the albedos `solved` that the pixels of `blocks` ask for; their matrices as `refresh` left
-    them.
-    """
+def solve_final_albedo(
+    transport: Transport,
+    batches: Iterable[tuple[PixelBatch, SpecularMatrices | None]],
+    parameters: Parameters,
+    bounces: int,
+) -> Parameters:
+    """`parameters` with `closed_form_diffuse` for the pixels of `batches`, whose matrices fit the parameters."""
     with torch.no_grad():
-        rows = [_equations(transport, block, matrices, unknowns, bounces) for block, matrices in blocks]
-        albedo, _, _ = solve_albedo(rows, unknowns.diffuse_albedo, HUBER_SRGB, PRIOR)
-        solved = torch.logit(albedo.clamp(ALBEDO_LOW, ALBEDO_HIGH))
-    return replace(unknowns, solved=solved)
+        rows = [_equations(transport, batch, matrices, parameters, bounces) for batch, matrices in batches]
+        albedo, _, _ = solve_albedo(rows, parameters.diffuse_albedo, VERTEX_HUBER_SRGB, VERTEX_PRIOR_WEIGHT)
+        logits = torch.logit(albedo.clamp(ALBEDO_LOW, ALBEDO_HIGH))
+    return replace(parameters, closed_form_diffuse=logits)
 
 
 def _equations(
-    transport: Transport, block: Block, specular: SpecularBlock | None, unknowns: Unknowns, bounces: int
+    transport: Transport, batch: PixelBatch, specular: SpecularMatrices | None, parameters: Parameters, bounces: int
 ) -> AlbedoEquations:
-    gain, lobe = gain_and_lobe(transport, block, specular, unknowns, bounces)
-    color = srgb_to_linear(block.color_srgb)
-    importance = srgb_slope(color.clamp(DARKEST, 1)).square()
-    exposure = unknowns.exposure
-    shown = color if exposure is None else color / exposure[block.view][:, None]
-    return AlbedoEquations(block.vertices, gain, shown if lobe is None else shown - lobe, importance, block.saturated)
+    gain, lobe = diffuse_and_specular(transport, batch, specular, parameters, bounces)
+    color = srgb_to_linear(batch.color_srgb)
+    importance = srgb_slope(color.clamp(SRGB_SLOPE_FLOOR_LINEAR, 1)).square()
+    exposure = parameters.exposure
+    observed = color if exposure is None else color / exposure[batch.view][:, None]
+    target = observed if lobe is None else observed - lobe
+    return AlbedoEquations(batch.vertices, gain, target, importance, batch.saturated)

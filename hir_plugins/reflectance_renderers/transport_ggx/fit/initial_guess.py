@@ -1,4 +1,4 @@
-"""Albedos that a fit begins with: of the photographs, or of an earlier fit whose model had less light."""
+"""Initial albedos of a fit: from the photographs, or from an earlier fit without indirect light."""
 
 from __future__ import annotations
 
@@ -7,55 +7,58 @@ from jaxtyping import Float
 from torch import Tensor
 
 from hir_plugins.reflectance_renderers.transport_ggx.fit.final_albedo import ALBEDO_HIGH, ALBEDO_LOW
-from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import Photographed
-from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Unknowns
+from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import ObservedPixels
+from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
 from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_light import irradiance_of
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
 
-DARKEST, BRIGHTEST = 0.02, 0.95
-"""Of a first albedo."""
-ROUNDS_INDIRECT = 4
-"""Of darker albedos and the less indirect light that they make; the change falls by the albedo with each."""
+MIN_INITIAL_ALBEDO, MAX_INITIAL_ALBEDO = 0.02, 0.95
+MEAN_WEIGHT = 0.05
+"""Weight of the mean albedo at a vertex, as a fraction of the mean weight of a vertex's pixels."""
+INDIRECT_ITERATIONS = 4
+"""Iterations of darker albedos and the indirect light that they cause; each reduces the change by the albedo."""
 
 
-def albedo_of_photographs(
+def initial_albedo(
     transport: Transport,
-    photographs: Photographed,
+    observed: ObservedPixels,
     light: Float[Tensor, "H W 3"],
-    alike: bool,
+    uniform: bool,
     rotation: Float[Tensor, "N 3 3"] | None,
     samples: int,
 ) -> Float[Tensor, "V 3"]:
-    """Mean colour over mean irradiance, or each vertex's own, held near the mean where few pixels see it.
+    """Mean colour over mean irradiance, or that of each vertex, near the mean where few pixels see it.
 
-    While the light is sought all should begin `alike`: shading that an albedo begins with it never gives back.
-    `rotation` and `samples`: of a light that the camera carries.
+    If the light is unknown, the albedo should be `uniform`: gradient steps do not remove shading from an initial
+    albedo. `rotation` and `samples` are those of a light that moves with the camera.
     """
     count = len(transport.surface.positions)
-    if len(photographs) == 0:
+    if len(observed) == 0:
         return torch.full((count, 3), 0.5, device=light.device)
-    vertices, cells = transport.interpolation(photographs.points)
+    vertices, cells = transport.interpolation(observed.points)
     sources, irradiance = transport.sources(light, torch.zeros(count, 3, device=light.device), 0)
     arriving = cells @ irradiance
     if rotation is not None:
-        arriving = irradiance_of(transport, photographs.points, samples, rotation, sources)
-    mean = photographs.color.mean(dim=0) / (arriving / torch.pi).mean(dim=0).clamp_min(1e-6)
-    if alike:
-        return mean.clamp(DARKEST, BRIGHTEST).expand(count, 3).contiguous()
-    shown = vertices.transposed @ photographs.color
+        arriving = irradiance_of(transport, observed.points, samples, rotation, sources)
+    mean = observed.color.mean(dim=0) / (arriving / torch.pi).mean(dim=0).clamp_min(1e-6)
+    if uniform:
+        return mean.clamp(MIN_INITIAL_ALBEDO, MAX_INITIAL_ALBEDO).expand(count, 3).contiguous()
+    color = vertices.transposed @ observed.color
     white = vertices.transposed @ (arriving / torch.pi)
-    weight = 0.05 * white.mean()
-    return ((shown + weight * mean) / (white + weight).clamp_min(1e-9)).clamp(DARKEST, BRIGHTEST)
+    weight = MEAN_WEIGHT * white.mean()
+    albedo = (color + weight * mean) / (white + weight).clamp_min(1e-9)
+    return albedo.clamp(MIN_INITIAL_ALBEDO, MAX_INITIAL_ALBEDO)
 
 
-def without_indirect(transport: Transport, base: Unknowns, bounces: int) -> Float[Tensor, "V 3"]:
-    """Logits of the albedos that show with indirect light what those of a fit without it show."""
+def without_indirect(transport: Transport, base: Parameters, bounces: int) -> Float[Tensor, "V 3"]:
+    """Logits of albedos that with indirect light give the radiance that those of `base` give without it."""
     with torch.no_grad():
-        shown = base.diffuse_albedo
-        _, direct = transport.sources(base.radiance, shown, 0)
-        albedo = shown
-        for _ in range(ROUNDS_INDIRECT):
+        original = base.diffuse_albedo
+        _, direct = transport.sources(base.radiance, original, 0)
+        albedo = original
+        for _ in range(INDIRECT_ITERATIONS):
             _, irradiance = transport.sources(base.radiance, albedo, bounces)
             share = direct / irradiance.clamp_min(1e-12)
-            albedo = shown * torch.where(irradiance > 0, share, torch.ones_like(share))[transport.cells.of_vertex]
+            share = torch.where(irradiance > 0, share, torch.ones_like(share))
+            albedo = original * share[transport.irradiance_cache.of_vertex]
         return torch.logit(albedo.clamp(ALBEDO_LOW, ALBEDO_HIGH))

@@ -1,4 +1,4 @@
-"""The pixels of a fit in blocks: all of them in memory, or as many as an option allows, in turn."""
+"""The pixels of a fit in mini-batches: all of them in memory, or one shard of them at a time."""
 
 from __future__ import annotations
 
@@ -6,35 +6,39 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Unknowns
-from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import Block, refresh, specular_blocks
-from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_radiance import SpecularBlock
+from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
+from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import (
+    PixelBatch,
+    refresh_matrices,
+    specular_matrices,
+)
+from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_radiance import SpecularMatrices
 
 
 @dataclass(frozen=True, eq=False)
-class Stream:
-    """Blocks that are made when they are asked for; whoever asks lets the earlier ones go."""
+class MiniBatches:
+    """Batches that are made on demand and owned by the caller, who can free one shard before making the next."""
 
-    make: Callable[[Unknowns, int], Block]
-    """A block, by its number, with lobes drawn for a state."""
+    make: Callable[[Parameters, int], PixelBatch]
+    """Makes the batch of a number, with lobes sampled for parameters."""
     count: int
-    at_once: int
-    """Blocks that memory holds."""
+    resident: int
+    """Batches in memory at once."""
 
     @property
-    def turns(self) -> int:
-        """1 where all blocks stay in memory."""
-        return math.ceil(self.count / self.at_once)
+    def shards(self) -> int:
+        """1 if all batches stay in memory."""
+        return math.ceil(self.count / self.resident)
 
-    def draw(self, state: Unknowns, turn: int) -> list[Block]:
-        """The blocks of one turn."""
-        first = turn % self.turns * self.at_once
-        return [self.make(state, i) for i in range(first, min(first + self.at_once, self.count))]
+    def shard(self, parameters: Parameters, number: int) -> list[PixelBatch]:
+        """The batches of a shard; numbers beyond the last shard wrap."""
+        first = number % self.shards * self.resident
+        return [self.make(parameters, i) for i in range(first, min(first + self.resident, self.count))]
 
-    def each(self, state: Unknowns, model: str) -> Iterator[tuple[Block, SpecularBlock | None]]:
-        """All blocks one by one, with their matrices at `state`."""
+    def each(self, parameters: Parameters, model: str) -> Iterator[tuple[PixelBatch, SpecularMatrices | None]]:
+        """All batches one by one, with their specular matrices for `parameters`."""
         for number in range(self.count):
-            block = self.make(state, number)
-            specular = specular_blocks([block], model)
-            refresh([block], specular, state)
-            yield block, specular[0]
+            batch = self.make(parameters, number)
+            matrices = specular_matrices([batch], model)
+            refresh_matrices([batch], matrices, parameters)
+            yield batch, matrices[0]

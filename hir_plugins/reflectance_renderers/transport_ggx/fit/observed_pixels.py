@@ -1,4 +1,4 @@
-"""The pixels of a capture that a fit uses: inside the object, seen from not too grazing an angle."""
+"""The pixels of a capture that a fit uses: inside the object, at view angles that are not too grazing."""
 
 from __future__ import annotations
 
@@ -12,74 +12,75 @@ from torch import Tensor
 
 from hir_core.capture import Capture
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
-from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import SurfacePoints, see
+from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import SurfacePoints, visible_points
 
-INSIDE = 0.99
-"""Pixels whose 3×3 neighbourhood the mask covers at least this much: at the edge the background shines in."""
-CLIPPED = 0.97
-"""Linear value from which a channel of a saturated pixel counts as clipped; averaging blurs it below 1."""
-GRAZING = 0.1
-"""Below this cosine a pixel covers too much of the surface, and normals are too uncertain, to teach anything."""
+MIN_MASK_COVERAGE = 0.99
+"""Least mask value in a pixel's 3×3 neighbourhood: at silhouettes the background mixes in."""
+CLIPPED_LINEAR_LEVEL = 0.97
+"""Linear value from which a channel of a saturated pixel counts as clipped; averaging reduces it below 1."""
+MIN_VIEW_COSINE = 0.1
+"""Least cosine between normal and view: beyond, a pixel covers too much surface and normals are too uncertain."""
 
 
 @dataclass(frozen=True, eq=False)
-class Photographed:
-    """Surface points with the linear colours that photographs show there."""
+class ObservedPixels:
+    """Surface points behind pixels, with the linear colours of these pixels."""
 
     points: SurfacePoints
     color: Float[Tensor, "P 3"]
     saturated: Bool[Tensor, "P 3"]
-    """Channels that the sensor clipped: a yellow may be clipped in red alone."""
+    """Channels that the sensor clipped: a yellow may be clipped in red only."""
     pixel: Int[Tensor, "P 3"]
     """View, x and y."""
 
     def __len__(self) -> int:
         return len(self.points)
 
-    def take(self, rows: Tensor) -> Photographed:
-        """Some of the points."""
-        return Photographed(self.points.take(rows), self.color[rows], self.saturated[rows], self.pixel[rows])
+    def take(self, rows: Tensor) -> ObservedPixels:
+        """The pixels of `rows`."""
+        return ObservedPixels(self.points.take(rows), self.color[rows], self.saturated[rows], self.pixel[rows])
 
 
-def photographed(
-    transport: Transport, capture: Capture, view: int, most: int, downsample: int, seed: int
-) -> Photographed:
-    """At most `most` pixels of one view, drawn at random from those that see the object."""
+def observe_pixels(
+    transport: Transport, capture: Capture, view: int, max_pixels: int, downsample: int, seed: int
+) -> ObservedPixels:
+    """At most `max_pixels` pixels of one view, drawn at random from those that see the object."""
     pixels = capture.views[view].pixels(downsample)
     device = transport.surface.positions.device
-    covered = inside(pixels.mask, pixels.color_linear.shape[:2])
+    inside = interior_mask(pixels.mask, pixels.color_linear.shape[:2])
     known = np.isfinite(pixels.color_linear).all(axis=2)
-    if lost := int((covered & ~known).sum()):
+    if dropped := int((inside & ~known).sum()):
         name = capture.views[view].name
-        warnings.warn(f"view {name}: {lost} pixels of the object are NaN or infinite and left out", stacklevel=2)
-    rows, columns = np.nonzero(covered & known)
-    if len(rows) > most:
-        # the draw depends on the view alone: a fit does not change because another view is added
-        chosen = np.sort(np.random.default_rng((seed, view)).choice(len(rows), most, replace=False))
+        warnings.warn(f"view {name}: {dropped} pixels of the object are NaN or infinite and are not used", stacklevel=2)
+    rows, columns = np.nonzero(inside & known)
+    if len(rows) > max_pixels:
+        # the draw depends on the view only, so another view does not change it
+        chosen = np.sort(np.random.default_rng((seed, view)).choice(len(rows), max_pixels, replace=False))
         rows, columns = rows[chosen], columns[chosen]
     index = torch.from_numpy(np.stack([np.full(len(rows), view), columns, rows], axis=1))
     cameras = {view: capture.cameras[view].downsampled(downsample)}
-    points, found = see(transport.tracer, transport.surface, cameras, index)
-    found &= (points.normal * points.to_eye).sum(1) > GRAZING
-    kept = found.nonzero()[:, 0]
+    points, visible = visible_points(transport.tracer, transport.surface, cameras, index)
+    visible &= (points.normal * points.to_eye).sum(1) > MIN_VIEW_COSINE
+    rows_kept = visible.nonzero()[:, 0]
     color = torch.from_numpy(pixels.color_linear[rows, columns]).to(device)
     color = color.clamp_min(0) / capture.views[view].exposure
-    clipped = pixels.saturated[rows, columns][:, None] & (pixels.color_linear[rows, columns] >= CLIPPED)
+    clipped = pixels.saturated[rows, columns][:, None] & (pixels.color_linear[rows, columns] >= CLIPPED_LINEAR_LEVEL)
     saturated = torch.from_numpy(clipped).to(device)
-    return Photographed(points.take(kept), color[kept], saturated[kept], index.to(device)[kept])
+    return ObservedPixels(points.take(rows_kept), color[rows_kept], saturated[rows_kept], index.to(device)[rows_kept])
 
 
-def inside(mask: np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray:
+def interior_mask(mask: np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray:
+    """Pixels whose 3×3 neighbourhood shows only the object; all without a mask."""
     from scipy.ndimage import minimum_filter
 
     if mask is None:
         return np.ones(shape, bool)
-    return np.asarray(minimum_filter(mask, size=3) >= INSIDE)
+    return np.asarray(minimum_filter(mask, size=3) >= MIN_MASK_COVERAGE)
 
 
-def join(parts: list[Photographed]) -> Photographed:
-    """Several views' points, one behind the other."""
+def concatenate(parts: list[ObservedPixels]) -> ObservedPixels:
+    """The pixels of several views in one."""
     names = SurfacePoints.__dataclass_fields__
     points = SurfacePoints(*(torch.cat([getattr(p.points, name) for p in parts]) for name in names))
     color, saturated, pixel = (torch.cat([getattr(p, name) for p in parts]) for name in ("color", "saturated", "pixel"))
-    return Photographed(points, color, saturated, pixel)
+    return ObservedPixels(points, color, saturated, pixel)

@@ -1,4 +1,4 @@
-"""What is fitted on cached transport: light, albedos and lobe width, each as a number without bounds."""
+"""The parameters of a fit: light, albedos and lobe width, each as an unconstrained number."""
 
 from __future__ import annotations
 
@@ -8,45 +8,50 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-ALPHA_LOW = 0.01
-"""Narrowest lobe the cached directions resolve in a light of 64 rows."""
-GAIN_LIMIT = 2.0
-"""A photograph's exposure is held within e² of the others': more is another scene."""
-LIGHT_LIMIT = 1e5
-"""Radiance is held below this: a sun of 1e4 fits, an overflow does not."""
+MIN_ALPHA = 0.01
+"""Narrowest lobe that the cached directions resolve in a light of 64 rows."""
+MAX_LOG_EXPOSURE = 2.0
+"""Exposures are limited to a factor of e² from their geometric mean; a larger one means another scene."""
+MAX_RADIANCE = 1e5
+"""Upper limit of the light: it admits a sun of 1e4 and prevents overflow."""
 
 
 @dataclass(frozen=True, eq=False)
-class Unknowns:
-    """What is fitted, each unconstrained: logarithm of the light, logits of albedos and width."""
+class Parameters:
+    """What is optimised, each unconstrained: logarithm of the light, logits of albedos and width."""
 
     light: Float[Tensor, "H W 3"]
     diffuse: Float[Tensor, "V 3"]
     specular: Float[Tensor, "#V C"] | None
     width: Float[Tensor, "#V 1"] | None
-    gain: Float[Tensor, " views"] | None = None
-    """Logarithm of each photograph's brightness beside the others; None where all were exposed alike."""
+    log_exposure: Float[Tensor, " views"] | None = None
+    """Logarithm of the exposure of each photograph; None if all have the same."""
 
-    solved: Float[Tensor, "V 3"] | None = None
-    """Logits of ρd in closed form under all the rest, once a fit has ended. Another fit goes on from `diffuse`: from an
-    albedo that has taken up what the light lacks, it would not give it back."""
-    tilt: Float[Tensor, "V 3"] | None = None
-    """How far normals are bent from the mesh's, in the world (`bending.py`); None where they are the mesh's."""
+    closed_form_diffuse: Float[Tensor, "V 3"] | None = None
+    """Logits of ρd in closed form for the other parameters, set when a fit ends. A later fit starts from `diffuse`: a
+    closed-form albedo has absorbed errors of the light, and gradient steps would not undo that."""
+    normal_offset: Float[Tensor, "V 3"] | None = None
+    """Offset of shading normals from the mesh's, in the world (`shading_normals.py`); None for the mesh's normals."""
 
     @property
-    def settled(self) -> Unknowns:
-        """With the albedo in closed form, where there is one: what a fit shows."""
-        return self if self.solved is None else replace(self, diffuse=self.solved, solved=None)
+    def with_closed_form_albedo(self) -> Parameters:
+        """With the closed-form albedo, if there is one, in place of the optimised one: the result of a fit."""
+        if self.closed_form_diffuse is None:
+            return self
+        return replace(self, diffuse=self.closed_form_diffuse, closed_form_diffuse=None)
 
     @property
     def exposure(self) -> Float[Tensor, " views"] | None:
-        """Factor of each photograph; their geometric mean is 1, for a common one is the light's."""
-        return None if self.gain is None else (self.gain - self.gain.mean()).clamp(-GAIN_LIMIT, GAIN_LIMIT).exp()
+        """Factor of each photograph; their geometric mean is 1, because a common factor belongs to the light."""
+        if self.log_exposure is None:
+            return None
+        centered = self.log_exposure - self.log_exposure.mean()
+        return centered.clamp(-MAX_LOG_EXPOSURE, MAX_LOG_EXPOSURE).exp()
 
     @property
     def radiance(self) -> Float[Tensor, "H W 3"]:
         """The light."""
-        return self.light.clamp_max(torch.log(torch.tensor(LIGHT_LIMIT)).item()).exp()
+        return self.light.clamp_max(torch.log(torch.tensor(MAX_RADIANCE)).item()).exp()
 
     @property
     def diffuse_albedo(self) -> Float[Tensor, "V 3"]:
@@ -55,28 +60,36 @@ class Unknowns:
 
     @property
     def specular_albedo(self) -> Float[Tensor, "#V C"]:
-        """ρs; one row where it is uniform."""
+        """ρs; one row if it is uniform."""
         assert self.specular is not None
         return torch.sigmoid(self.specular)
 
     @property
     def alpha(self) -> Float[Tensor, "#V 1"]:
-        """GGX width; one row where it is uniform."""
+        """GGX width; one row if it is uniform."""
         assert self.width is not None
-        return ALPHA_LOW + (1 - ALPHA_LOW) * torch.sigmoid(self.width)
+        return MIN_ALPHA + (1 - MIN_ALPHA) * torch.sigmoid(self.width)
 
-    def to(self, device: torch.device | str) -> Unknowns:
+    def to(self, device: torch.device | str) -> Parameters:
         """The same on another device."""
-        return Unknowns(*(None if v is None else v.to(device) for v in self._values()))  # type: ignore[arg-type]
+        return Parameters(*(None if v is None else v.to(device) for v in self._values()))  # type: ignore[arg-type]
 
-    def detached(self) -> Unknowns:
+    def detached(self) -> Parameters:
         """A copy outside the graph."""
-        return Unknowns(*(None if v is None else v.detach().clone() for v in self._values()))  # type: ignore[arg-type]
+        return Parameters(*(None if v is None else v.detach().clone() for v in self._values()))  # type: ignore[arg-type]
 
     def _values(self) -> list[Tensor | None]:
-        return [self.light, self.diffuse, self.specular, self.width, self.gain, self.solved, self.tilt]
+        return [
+            self.light,
+            self.diffuse,
+            self.specular,
+            self.width,
+            self.log_exposure,
+            self.closed_form_diffuse,
+            self.normal_offset,
+        ]
 
 
-def width_of(alpha: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
-    """The unconstrained value of a width α."""
-    return torch.logit(((alpha - ALPHA_LOW) / (1 - ALPHA_LOW)).clamp(1e-3, 1 - 1e-3))
+def logit_of_alpha(alpha: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
+    """The unconstrained value (`Parameters.width`) of α."""
+    return torch.logit(((alpha - MIN_ALPHA) / (1 - MIN_ALPHA)).clamp(1e-3, 1 - 1e-3))

@@ -1,4 +1,4 @@
-"""Some pixels with everything that predicts them: what a gradient step, a judgement and the closed form look at."""
+"""A batch of pixels with the linear maps that predict their radiance: for gradient steps, errors and closed forms."""
 
 from __future__ import annotations
 
@@ -9,115 +9,124 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from hir_core.optimization.clipped_pixels import without_clipped_excess
 from hir_core.scene.srgb import linear_to_srgb
-from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import Photographed
-from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Unknowns
-from hir_plugins.reflectance_renderers.transport_ggx.fit.shading_normals import bent, bent_irradiance
+from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import ObservedPixels
+from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
+from hir_plugins.reflectance_renderers.transport_ggx.fit.shading_normals import (
+    offset_normals,
+    shading_normal_irradiance,
+)
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
 from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
 from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes import Lobes
-from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_radiance import SpecularBlock
+from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_radiance import SpecularMatrices
 
 
 @dataclass(frozen=True, eq=False)
-class ShownPixels:
-    """What photographs show in some pixels."""
+class PixelColors:
+    """The photographs' colours of some pixels."""
 
     color_srgb: Float[Tensor, "P 3"]
     saturated: Bool[Tensor, "P 3"]
+    """Clipped channels."""
     view: Int[Tensor, " P"]
 
     @classmethod
-    def of(cls, photographs: Photographed) -> ShownPixels:
-        """Of points with their colours."""
-        return ShownPixels(linear_to_srgb(photographs.color), photographs.saturated, photographs.points.view)
+    def of(cls, observed: ObservedPixels) -> PixelColors:
+        """The colours of observed pixels."""
+        return PixelColors(linear_to_srgb(observed.color), observed.saturated, observed.points.view)
 
 
 @dataclass(frozen=True, eq=False)
-class Block(ShownPixels):
-    """Some pixels with everything that predicts them."""
+class PixelBatch(PixelColors):
+    """A batch of pixels with the linear maps that predict their radiance."""
 
     lobes: Lobes | None
     """None for a diffuse model."""
     vertices: LinearMap
-    cells: LinearMap | None
+    """Interpolates vertex values at the pixels."""
+    cache_cells: LinearMap | None
+    """Interpolates the irradiance cache at the pixels; None where the light moves with the camera."""
     direct: LinearMap | None
-    """Irradiance from the pyramid for each pixel, where the light moves with the camera."""
+    """Irradiance of each pixel from the light pyramid, where the light moves with the camera."""
     normal: Float[Tensor, "P 3"]
-    """Of the mesh."""
+    """Normal of the mesh, without the normal offset."""
 
 
 def predict(
-    transport: Transport, block: Block, specular: SpecularBlock | None, unknowns: Unknowns, bounces: int
+    transport: Transport, batch: PixelBatch, specular: SpecularMatrices | None, parameters: Parameters, bounces: int
 ) -> Float[Tensor, "P 3"]:
-    """Linear radiance of the pixels of a block."""
-    gain, lobe = gain_and_lobe(transport, block, specular, unknowns, bounces)
-    diffuse = (block.vertices @ unknowns.diffuse_albedo) * gain
+    """Linear radiance of the pixels of a batch."""
+    gain, lobe = diffuse_and_specular(transport, batch, specular, parameters, bounces)
+    diffuse = (batch.vertices @ parameters.diffuse_albedo) * gain
     return diffuse if lobe is None else diffuse + lobe
 
 
-def gain_and_lobe(
-    transport: Transport, block: Block, specular: SpecularBlock | None, unknowns: Unknowns, bounces: int
+def diffuse_and_specular(
+    transport: Transport, batch: PixelBatch, specular: SpecularMatrices | None, parameters: Parameters, bounces: int
 ) -> tuple[Float[Tensor, "P 3"], Float[Tensor, "P 3"] | None]:
-    """What each pixel shows of its diffuse albedo, and the radiance of its lobe; None for a diffuse model."""
-    if block.direct is not None:
-        sources = transport.sky_only(unknowns.radiance)
-        arriving = block.direct @ sources
+    """Radiance of a diffuse albedo of 1, and the specular radiance; None for a diffuse model."""
+    if batch.direct is not None:
+        sources = transport.sky_only(parameters.radiance)
+        arriving = batch.direct @ sources
     else:
-        assert block.cells is not None
-        sources, irradiance = transport.sources(unknowns.radiance, unknowns.diffuse_albedo, bounces)
-        arriving = block.cells @ irradiance
-        if unknowns.tilt is not None:
-            bent_normal = normals_at_pixels(block, unknowns.tilt)
-            vectors = block.cells @ transport.vector_irradiance(unknowns.radiance).reshape(-1, 9)
-            arriving = bent_irradiance(block.normal, bent_normal, arriving, vectors.reshape(-1, 3, 3))
+        assert batch.cache_cells is not None
+        sources, irradiance = transport.sources(parameters.radiance, parameters.diffuse_albedo, bounces)
+        arriving = batch.cache_cells @ irradiance
+        if parameters.normal_offset is not None:
+            shading_normal = normals_of_batch(batch, parameters.normal_offset)
+            vectors = batch.cache_cells @ transport.vector_irradiance(parameters.radiance).reshape(-1, 9)
+            arriving = shading_normal_irradiance(batch.normal, shading_normal, arriving, vectors.reshape(-1, 3, 3))
     gain = arriving / torch.pi
-    if specular is None or unknowns.specular is None:
+    if specular is None or parameters.specular is None:
         return gain, None
-    rho_s = at_pixels(block, unknowns.specular_albedo)
-    alpha = at_pixels(block, unknowns.alpha)
-    normal = in_lobes(block, unknowns.tilt)
+    rho_s = at_pixels(batch, parameters.specular_albedo)
+    alpha = at_pixels(batch, parameters.alpha)
+    normal = normals_in_lobe_frame(batch, parameters.normal_offset)
     return gain * specular.diffuse_share(rho_s), specular.radiance(sources, rho_s, alpha, normal)
 
 
-def exposed(block: Block, radiance: Float[Tensor, "P 3"], unknowns: Unknowns) -> Float[Tensor, "P 3"]:
-    """What the photographs show of a radiance: each has its own exposure, where that is fitted."""
-    exposure = unknowns.exposure
-    return radiance if exposure is None else radiance * exposure[block.view][:, None]
+def with_exposure(batch: PixelBatch, radiance: Float[Tensor, "P 3"], parameters: Parameters) -> Float[Tensor, "P 3"]:
+    """The radiance times the exposure of each photograph, if exposures are fitted."""
+    exposure = parameters.exposure
+    return radiance if exposure is None else radiance * exposure[batch.view][:, None]
 
 
-def at_pixels(block: Block, values: Float[Tensor, "#V C"]) -> Float[Tensor, "#P C"]:
-    """Vertex values at the pixels of a block; a uniform value stays one row."""
-    return values if len(values) == 1 else block.vertices @ values
+def at_pixels(batch: PixelBatch, values: Float[Tensor, "#V C"]) -> Float[Tensor, "#P C"]:
+    """Vertex values at the pixels of a batch; a uniform value stays one row."""
+    return values if len(values) == 1 else batch.vertices @ values
 
 
-def normals_at_pixels(block: Block, tilt: Float[Tensor, "V 3"]) -> Float[Tensor, "P 3"]:
-    """Bent normals of the pixels of a block."""
-    return bent(block.normal, block.vertices @ tilt)
+def normals_of_batch(batch: PixelBatch, normal_offset: Float[Tensor, "V 3"]) -> Float[Tensor, "P 3"]:
+    """Shading normals of the pixels of a batch."""
+    return offset_normals(batch.normal, batch.vertices @ normal_offset)
 
 
-def in_lobes(block: Block, tilt: Float[Tensor, "V 3"] | None) -> Float[Tensor, "P 3"] | None:
-    """Bent normals in the axes of each pixel's lobe; None where they are the mesh's."""
-    if tilt is None or block.lobes is None:
+def normals_in_lobe_frame(batch: PixelBatch, normal_offset: Float[Tensor, "V 3"] | None) -> Float[Tensor, "P 3"] | None:
+    """Shading normals in the axes of each pixel's lobe; None for the mesh's normals."""
+    if normal_offset is None or batch.lobes is None:
         return None
-    return (block.lobes.axes @ normals_at_pixels(block, tilt)[..., None])[..., 0]
+    return (batch.lobes.axes @ normals_of_batch(batch, normal_offset)[..., None])[..., 0]
 
 
-def residual(pixels: ShownPixels, radiance: Float[Tensor, "P 3"]) -> Float[Tensor, "P 3"]:
-    """Fit minus photograph in sRGB; a clipped pixel never pulls the fit below white."""
+def srgb_residual(pixels: PixelColors, radiance: Float[Tensor, "P 3"]) -> Float[Tensor, "P 3"]:
+    """Prediction minus photograph in sRGB, one-sided for clipped channels."""
     difference = linear_to_srgb(radiance) - pixels.color_srgb
-    return torch.where(pixels.saturated & (difference > 0), torch.zeros_like(difference), difference)
+    return without_clipped_excess(difference, pixels.saturated)
 
 
-def specular_blocks(blocks: Sequence[Block], model: str) -> list[SpecularBlock | None]:
-    """The specular matrices of each block; none for a diffuse model."""
-    return [None if b.lobes is None or model == "diffuse" else SpecularBlock(b.lobes, model) for b in blocks]  # type: ignore[arg-type]
+def specular_matrices(batches: Sequence[PixelBatch], model: str) -> list[SpecularMatrices | None]:
+    """The specular matrices of each batch; None for a diffuse model."""
+    return [None if b.lobes is None or model == "diffuse" else SpecularMatrices(b.lobes, model) for b in batches]  # type: ignore[arg-type]
 
 
-def refresh(blocks: Sequence[Block], specular: Sequence[SpecularBlock | None], unknowns: Unknowns) -> None:
-    """Brings the specular matrices to the current α."""
-    for block, matrices in zip(blocks, specular, strict=True):
+def refresh_matrices(
+    batches: Sequence[PixelBatch], specular: Sequence[SpecularMatrices | None], parameters: Parameters
+) -> None:
+    """Rebuilds the specular matrices for the current α and shading normals."""
+    for batch, matrices in zip(batches, specular, strict=True):
         if matrices is not None:
             with torch.no_grad():
-                alpha, rho_s = at_pixels(block, unknowns.alpha), at_pixels(block, unknowns.specular_albedo)
-                matrices.refresh(alpha, rho_s, in_lobes(block, unknowns.tilt))
+                alpha, rho_s = at_pixels(batch, parameters.alpha), at_pixels(batch, parameters.specular_albedo)
+                matrices.refresh(alpha, rho_s, normals_in_lobe_frame(batch, parameters.normal_offset))

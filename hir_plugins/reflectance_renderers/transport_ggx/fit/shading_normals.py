@@ -1,8 +1,8 @@
-"""Normals that differ from the mesh's: dents and threads finer than its triangles, as vectors at vertices.
+"""Shading normals that differ from the mesh's: detail finer than its triangles, as offset vectors at vertices.
 
-A tilt is any vector; its part along the mesh's normal does nothing, so that tilts of neighbours can be mixed without
-frames. The irradiance of a bent normal follows from the light's vector irradiance (Gershun 1939); the horizon stays the
-mesh's.
+A normal offset is any vector; its part along the mesh's normal has no effect, so that offsets of neighbours can be
+interpolated without tangent frames. The irradiance for a shading normal follows from the light's vector irradiance
+(Gershun 1939); occlusion remains that of the mesh's normal.
 """
 
 from __future__ import annotations
@@ -11,29 +11,30 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-STEEPEST = 1.5
-"""Longest tilt along the surface: 56° from the mesh's normal."""
+MAX_NORMAL_OFFSET = 1.5
+"""Longest offset along the surface: 56° from the mesh's normal."""
 
 
-def bent(normal: Float[Tensor, "P 3"], tilt: Float[Tensor, "P 3"]) -> Float[Tensor, "P 3"]:
-    """Unit normals tilted by the parts of `tilt` along the surface; finite, with finite derivatives, for any tilt."""
-    along = tilt - (tilt * normal).sum(dim=1, keepdim=True) * normal
+def offset_normals(normal: Float[Tensor, "P 3"], normal_offset: Float[Tensor, "P 3"]) -> Float[Tensor, "P 3"]:
+    """Unit normals moved by the parts of `normal_offset` along the surface; finite, with finite derivatives."""
+    along = normal_offset - (normal_offset * normal).sum(dim=1, keepdim=True) * normal
     length = (along.square().sum(dim=1, keepdim=True) + 1e-20).sqrt()
-    along = along * (STEEPEST / length.clamp_min(STEEPEST))
+    along = along * (MAX_NORMAL_OFFSET / length.clamp_min(MAX_NORMAL_OFFSET))
     return torch.nn.functional.normalize(normal + along, dim=1, eps=1e-12)
 
 
-def bent_irradiance(
+def shading_normal_irradiance(
     normal: Float[Tensor, "P 3"],
-    bent_normal: Float[Tensor, "P 3"],
+    shading_normal: Float[Tensor, "P 3"],
     irradiance: Float[Tensor, "P C"],
     vectors: Float[Tensor, "P 3 C"],
 ) -> Float[Tensor, "P C"]:
-    """Irradiance of bent normals, from that of the mesh's and the vector irradiance; not below 0.
+    """Irradiance for shading normals, from that of the mesh's normals and the vector irradiance; not below 0.
 
-    The product of both vectors counts light from behind the bent normal as negative. Half of what the cosine between
-    the normals takes is given back for it: right where light is even, (1 − cosine) / 2 too much of a lamp ahead.
+    The product of shading normal and vector irradiance counts light from behind the shading normal as negative. As a
+    correction, half of what the cosine between the normals takes away is added: exact for uniform light, and
+    (1 − cosine) / 2 too much for a lamp ahead.
     """
-    cosine = (normal * bent_normal).sum(dim=1, keepdim=True)
-    along = bent_normal - cosine * normal
+    cosine = (normal * shading_normal).sum(dim=1, keepdim=True)
+    along = shading_normal - cosine * normal
     return ((1 + cosine) / 2 * irradiance + (along[:, :, None] * vectors).sum(dim=1)).clamp_min(0)

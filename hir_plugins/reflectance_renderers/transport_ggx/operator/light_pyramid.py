@@ -14,6 +14,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from hir_core.scene.bilinear import latlong_texels
+
 
 @dataclass(frozen=True)
 class Pyramid:
@@ -59,7 +61,8 @@ class Pyramid:
         widths = torch.tensor([s[1] for s in shapes], device=u.device)[level]
         sizes = torch.tensor([0] + [h * w for h, w in shapes], device=u.device)
         offset = sizes.cumsum(0)[level]
-        return bilinear(u, v, heights, widths, offset)
+        index, weight = latlong_texels(u, v, heights, widths)
+        return index + offset[:, None], weight
 
 
 def latlong(directions: Float[Tensor, "N 3"]) -> tuple[Float[Tensor, " N"], Float[Tensor, " N"]]:
@@ -84,22 +87,6 @@ def row_solid_angles(height: int, dtype: torch.dtype, device: torch.device) -> F
     """Share of the sphere that each row of a lat-long image covers; sums to 1."""
     edges = torch.cos(torch.linspace(0, math.pi, height + 1, dtype=torch.float64))
     return ((edges[:-1] - edges[1:]) / 2).to(dtype).to(device)
-
-
-def bilinear(
-    u: Tensor, v: Tensor, height: Tensor, width: Tensor, offset: Tensor
-) -> tuple[Int[Tensor, "N 4"], Float[Tensor, "N 4"]]:
-    """Indices and weights of the four texels around (u, v); wraps in u, holds at the poles."""
-    x, y = u * width - 0.5, v * height - 0.5
-    x0, y0 = torch.floor(x), torch.floor(y)
-    fx, fy = x - x0, y - y0
-    x0, y0 = x0.long() % width, y0.long()
-    x1 = (x0 + 1) % width
-    top, bottom = y0.clamp_min(0), torch.minimum(y0 + 1, height - 1)
-    top = torch.minimum(top, height - 1)
-    index = torch.stack([top * width + x0, top * width + x1, bottom * width + x0, bottom * width + x1], dim=1)
-    weight = torch.stack([(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy], dim=1)
-    return index + offset[:, None], weight
 
 
 def resized(radiance: Float[Tensor, "h w C"], pyramid: Pyramid) -> Float[Tensor, "H W C"]:

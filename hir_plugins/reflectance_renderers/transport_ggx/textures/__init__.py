@@ -1,1 +1,1 @@
-"""Light and material at texels."""
+"""The textures of a material: closed forms and fits at the resolution of texels."""

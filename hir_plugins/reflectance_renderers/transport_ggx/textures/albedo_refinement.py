@@ -78,4 +78,4 @@ class AlbedoRefinement:
             # one non-finite pixel would reach every texel through conjugate gradients; this one asks for no change
             self._cache[view] = torch.where(torch.isfinite(radiance), radiance, rows.color)
         looked_up = (albedo.reshape(-1, 3)[rows.index] * rows.weight[..., None]).sum(dim=1)
-        return replace(rows, rest=self._cache[view] - rows.gain * looked_up)
+        return replace(rows, offset=self._cache[view] - rows.gain * looked_up)

@@ -1,4 +1,4 @@
-"""The light once more, where texels have lobes of their own: the fit at vertices saw it through one lobe for all."""
+"""The light fitted again for per-texel BRDFs: the fit at vertices saw it through one lobe for the whole surface."""
 
 from __future__ import annotations
 
@@ -6,66 +6,74 @@ import warnings
 from dataclasses import replace
 
 import torch
+from torch import Tensor
 
-from hir_plugins.reflectance_renderers.transport_ggx.fit.joint_optimization import light_energy
-from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import Photographed
-from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import ALPHA_LOW
-from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import ShownPixels, residual
-from hir_plugins.reflectance_renderers.transport_ggx.fit.shading_normals import bent
+from hir_core.optimization.optimization_loop import optimize
+from hir_core.optimization.schedules import Schedule
+from hir_plugins.reflectance_renderers.transport_ggx.fit.joint_optimization import ADAM_BETAS
+from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import ObservedPixels
+from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import MIN_ALPHA
+from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import PixelColors, srgb_residual
+from hir_plugins.reflectance_renderers.transport_ggx.fit.shading_normals import offset_normals
+from hir_plugins.reflectance_renderers.transport_ggx.fit.smoothness import light_energy
 from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
-from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit import PointValues
+from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit_state import PointBrdfs
 from hir_plugins.reflectance_renderers.transport_ggx.textures.per_texel_brdf import LitSurface
 from hir_plugins.reflectance_renderers.transport_ggx.textures.texture_shading import gain_and_lobe, irradiance_at
 
-STEPS, RATE = 80, 0.04
-"""Of Adam; only the light moves, and it begins where it was fitted."""
-HUBER = 0.1
-"""In sRGB."""
-MOST_PIXELS = 120_000
-"""Whose lobes are in memory, some 1 kB each."""
+STEPS, LEARNING_RATE = 80, 0.04
+"""Of Adam; only the light changes, and it starts near its optimum."""
+LIGHT_HUBER_SRGB = 0.1
+"""Residual in sRGB from which the loss is linear."""
+MAX_LIGHT_PIXELS = 120_000
+"""Pixels whose lobes are in memory, some 1 kB each."""
 
 
-def some_pixels(pixels: Photographed, seed: int) -> Photographed:
-    """As many as the light is fitted to."""
-    if len(pixels) <= MOST_PIXELS:
+def light_pixels(pixels: ObservedPixels, seed: int) -> ObservedPixels:
+    """A random subset of at most `MAX_LIGHT_PIXELS` pixels."""
+    if len(pixels) <= MAX_LIGHT_PIXELS:
         return pixels
-    return pixels.take(torch.randperm(len(pixels), generator=torch.Generator().manual_seed(seed))[:MOST_PIXELS])
+    return pixels.take(torch.randperm(len(pixels), generator=torch.Generator().manual_seed(seed))[:MAX_LIGHT_PIXELS])
 
 
-def with_fitted_light(
-    lit: LitSurface, pixels: Photographed, values: PointValues, options: TransportGGXOptions
+def refit_light(
+    lit: LitSurface, pixels: ObservedPixels, values: PointBrdfs, options: TransportGGXOptions
 ) -> LitSurface:
-    """The surface in the light under which pixels of those `values` come nearest to their photographs."""
-    transport, unknowns = lit.transport, lit.unknowns
-    shown, exposure = ShownPixels.of(pixels), unknowns.exposure
+    """The surface under the light for which pixels with the BRDFs `values` are nearest to their photographs."""
+    transport, parameters = lit.transport, lit.parameters
+    colors, exposure = PixelColors.of(pixels), parameters.exposure
     with torch.no_grad():
-        points = pixels.points.bent(bent(pixels.points.normal, values.tilt))
-        alpha = values.alpha.clamp(ALPHA_LOW, 1)
+        points = pixels.points.with_normals(offset_normals(pixels.points.normal, values.normal_offset))
+        alpha = values.alpha.clamp(MIN_ALPHA, 1)
         lobes = transport.lobes(points, alpha, options.texture_samples, None, options.seed)
-        gathering = [LinearMap.from_rows(lobes.columns, lobes.spread(w), lobes.sources) for w in lobes.weights(alpha)]
-    light = unknowns.light.detach().clone().requires_grad_()
-    adam = torch.optim.Adam([light], RATE, betas=(0.9, 0.99))
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(adam, STEPS)
-    for _ in range(STEPS):
-        radiance = replace(unknowns, light=light).radiance
-        sources, irradiance = transport.sources(radiance, unknowns.diffuse_albedo, lit.spec.bounces)
+        lobe_maps = [
+            LinearMap.from_rows(lobes.columns, lobes.matrix_entries(w), lobes.sources) for w in lobes.weights(alpha)
+        ]
+    light = parameters.light.detach().clone().requires_grad_()
+
+    def loss(_: int) -> dict[str, Tensor]:
+        radiance = replace(parameters, light=light).radiance
+        sources, irradiance = transport.sources(radiance, parameters.diffuse_albedo, lit.spec.bounces)
         vectors = transport.vector_irradiance(radiance)
         arriving = irradiance_at(transport, points, pixels.points.normal, irradiance, vectors)
-        gathered = gathering[0] @ sources, gathering[1] @ sources
-        gain, lobe = gain_and_lobe(lit.model, values.specular, alpha, arriving, lobes, gathered)
+        received = lobe_maps[0] @ sources, lobe_maps[1] @ sources
+        gain, lobe = gain_and_lobe(lit.model, values.specular, alpha, arriving, lobes, received)
         fit = values.albedo * gain + lobe
-        difference = residual(shown, fit if exposure is None else fit * exposure[shown.view][:, None])
-        loss = torch.nn.functional.huber_loss(difference, torch.zeros_like(difference), delta=HUBER)
-        adam.zero_grad()
-        (loss + light_energy(light, options.light_smoothness, options.light_whiteness)).backward()
-        if not bool(torch.isfinite(light.grad).all()):  # type: ignore[arg-type]
-            warnings.warn(
-                "the light stays as it was fitted at vertices, for under the texels' lobes its gradient is not finite; "
-                "look for broken pixels or triangles with: hir check",
-                stacklevel=2,
-            )
-            return lit
-        adam.step()
-        schedule.step()
-    return lit.under(replace(unknowns, light=light.detach()))
+        difference = srgb_residual(colors, fit if exposure is None else fit * exposure[colors.view][:, None])
+        zero = torch.zeros_like(difference)
+        return {
+            "pixels": torch.nn.functional.huber_loss(difference, zero, delta=LIGHT_HUBER_SRGB),
+            "light": light_energy(light, options.light_smoothness, options.light_whiteness),
+        }
+
+    adam = torch.optim.Adam([light], LEARNING_RATE, betas=ADAM_BETAS)
+    result = optimize(loss, adam, Schedule(STEPS, end=0.0), stage="reflectance, light refit", stop_at_nonfinite=True)
+    if result.skipped:
+        warnings.warn(
+            "the light of the fit at vertices is used, because for the per-texel BRDFs its gradient is not finite; "
+            "look for broken pixels or triangles with: hir check",
+            stacklevel=2,
+        )
+        return lit
+    return lit.with_parameters(replace(parameters, light=light.detach()))

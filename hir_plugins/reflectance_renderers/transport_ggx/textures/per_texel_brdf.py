@@ -1,7 +1,7 @@
-"""A lobe for every texel: where the material changes from thread to thread, its photographs tell each texel's own.
+"""A BRDF for every texel, for materials that vary from texel to texel, such as the threads of a fabric.
 
-Under the light of a fit the values of a point follow from its photographs alone (`point_lobes.py`); the texels of the
-maps are such points, and so are the pixels of held-out views, which judge before any texture is made.
+Under the light of a fit, the BRDF of a point follows from its own photographs (`brdf_fit.py`). Such points are the
+texels of the maps, and the pixels of held-out views, which evaluate the model before any texture is made.
 """
 
 from __future__ import annotations
@@ -16,33 +16,39 @@ from torch import Tensor
 from hir_core.mesh.texel_rasterization import TexelSurface
 from hir_core.plugins.model_spec import ModelSpec
 from hir_plugins.reflectance_renderers.brdf_torch import Model
-from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import Photographed
-from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Unknowns
+from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import ObservedPixels
+from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
 from hir_plugins.reflectance_renderers.transport_ggx.operator.probe_lookup import ProbeTable
-from hir_plugins.reflectance_renderers.transport_ggx.operator.radiance_probes import make_probes
-from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit import Holds, PointFit, Points, PointValues
-from hir_plugins.reflectance_renderers.transport_ggx.textures.observations import Pictures, Sightings, sightings
+from hir_plugins.reflectance_renderers.transport_ggx.operator.radiance_probes import build_probes
+from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit import PointBrdfFit
+from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit_state import (
+    PointBrdfs,
+    Priors,
+    ShadingPoints,
+)
+from hir_plugins.reflectance_renderers.transport_ggx.textures.observations import ImageCache, Observations, observe
 
-SIGHTINGS_AT_ONCE = 3_000_000
-"""Points times photographs in memory: some 60 MB, a point's own equations included."""
-POINT_SIGHTINGS = 30
-"""Sightings that take as much memory as what is kept of a point: two states and their equations."""
-GLOSS_SHARE, GLOSS_ALPHA = 1 / 3, 0.33
-"""The other start of a point: a share of its colour in a wide lobe. Metal and paint lie in two valleys."""
-FEWEST_SIGHTS = 4
-"""Photographs below which a point tells nothing of its own lobe."""
+OBSERVATIONS_PER_CHUNK = 3_000_000
+"""Points times photographs in memory: some 60 MB, with the equations of the points."""
+OBSERVATIONS_PER_POINT = 30
+"""Memory of a point without its photographs (two states and their equations), in observations."""
+GLOSSY_SPECULAR_SHARE, GLOSSY_ALPHA = 1 / 3, 0.33
+"""The second initial guess of a point has this share of its colour in a lobe of this α: metal and paint are two minima
+of the cost."""
+MIN_OBSERVATIONS = 4
+"""A point with fewer photographs takes the BRDF of the fit at vertices."""
 
 
 @dataclass(frozen=True, eq=False)
 class LitSurface:
-    """A surface under the light of a fit, and the photographs that tell of it."""
+    """A surface under the light of a fit, and the photographs of it."""
 
     transport: Transport
-    pictures: Pictures
+    images: ImageCache
     views: Sequence[int]
     spec: ModelSpec
-    unknowns: Unknowns
+    parameters: Parameters
     probes: ProbeTable
     sources: Float[Tensor, "S 3"]
     irradiance: Float[Tensor, "C 3"]
@@ -50,99 +56,100 @@ class LitSurface:
 
     @classmethod
     def of(
-        cls, transport: Transport, pictures: Pictures, views: Sequence[int], spec: ModelSpec, unknowns: Unknowns
+        cls, transport: Transport, images: ImageCache, views: Sequence[int], spec: ModelSpec, parameters: Parameters
     ) -> LitSurface:
-        """Filters the light of a fit."""
+        """Filters the light of a fit into radiance probes."""
         with torch.no_grad():
-            sources, irradiance = transport.sources(unknowns.radiance, unknowns.diffuse_albedo, spec.bounces)
-            vectors = transport.vector_irradiance(unknowns.radiance)
-            probes = ProbeTable(make_probes(transport, sources[transport.level], sources[transport.pyramid.texels :]))
-        return cls(transport, pictures, views, spec, unknowns, probes, sources, irradiance, vectors)
+            sources, irradiance = transport.sources(parameters.radiance, parameters.diffuse_albedo, spec.bounces)
+            vectors = transport.vector_irradiance(parameters.radiance)
+            probes = ProbeTable(build_probes(transport, sources[transport.level], sources[transport.pyramid.texels :]))
+        return cls(transport, images, views, spec, parameters, probes, sources, irradiance, vectors)
 
     @property
     def model(self) -> Model:
-        """Of its lobes."""
+        """BRDF model of the points."""
         return "paper" if self.spec.brdf == "paper" else "dielectric"
 
-    def under(self, unknowns: Unknowns) -> LitSurface:
-        """The same surface in another light."""
-        return LitSurface.of(self.transport, self.pictures, self.views, self.spec, unknowns)
+    def with_parameters(self, parameters: Parameters) -> LitSurface:
+        """The same surface under the light of other parameters."""
+        return LitSurface.of(self.transport, self.images, self.views, self.spec, parameters)
 
     def solve(
-        self, face: Tensor, barycentric: Tensor, position: Tensor, normal: Tensor, own_lobes: bool
-    ) -> tuple[PointFit, PointValues, Sightings]:
-        """The values of points; of their albedos alone where they are not to have their `own_lobes`."""
-        surface, cells = self.transport.surface, self.transport.cells
+        self, face: Tensor, barycentric: Tensor, position: Tensor, normal: Tensor, all_parameters: bool
+    ) -> tuple[PointBrdfFit, PointBrdfs, Observations]:
+        """The BRDFs of points; without `all_parameters` only their albedos are solved."""
+        surface = self.transport.surface
         corners = surface.faces[face]
-        cell = cells.of_vertex[corners]
-        lit = (self.irradiance[cell] * barycentric[..., None]).sum(dim=1)
-        around = (self.vectors[cell] * barycentric[..., None, None]).sum(dim=1)
+        cell = self.transport.irradiance_cache.of_vertex[corners]
+        irradiance = (self.irradiance[cell] * barycentric[..., None]).sum(dim=1)
+        vectors = (self.vectors[cell] * barycentric[..., None, None]).sum(dim=1)
         nearest = cell.gather(1, barycentric.argmax(dim=1, keepdim=True))[:, 0]
-        seen = sightings(
-            self.transport, self.pictures, self.views, self.unknowns.exposure, position, surface.face_normals[face]
+        observations = observe(
+            self.transport, self.images, self.views, self.parameters.exposure, position, surface.face_normals[face]
         )
-        points = Points(position, normal, nearest, lit, around)
-        fit = PointFit(points, seen, self.probes, self.model, Holds() if own_lobes else Holds.of_albedo())
+        points = ShadingPoints(position, normal, nearest, irradiance, vectors)
+        priors = Priors() if all_parameters else Priors.of_albedo()
+        fit = PointBrdfFit(points, observations, self.probes, self.model, priors)
         start = self._start(corners, barycentric)
-        found, cost = fit.solve(start)
-        if own_lobes:
-            glossy, dearness = fit.solve(_glossy(seen, lit, start))
-            found = glossy.where(dearness < cost, found)
-            found = found.where(seen.count >= FEWEST_SIGHTS, start)
-        return fit, found, seen
+        brdfs, cost = fit.solve(start)
+        if all_parameters:
+            glossy, glossy_cost = fit.solve(_glossy(observations, irradiance, start))
+            brdfs = glossy.where(glossy_cost < cost, brdfs)
+            brdfs = brdfs.where(observations.count >= MIN_OBSERVATIONS, start)
+        return fit, brdfs, observations
 
-    def _start(self, corners: Tensor, barycentric: Tensor) -> PointValues:
-        """What the fit at vertices has there, with the mesh's normals: no rung has both a normal map and this."""
+    def _start(self, corners: Tensor, barycentric: Tensor) -> PointBrdfs:
+        """The fit at vertices, with the mesh's normals: no model has both a normal map and per-texel BRDFs."""
 
         def at(values: Tensor) -> Tensor:
             if len(values) == 1:
                 return values.expand(len(corners), -1)
             return (values[corners] * barycentric[..., None]).sum(dim=1)
 
-        return PointValues(
-            at(self.unknowns.diffuse_albedo),
-            at(self.unknowns.specular_albedo).expand(-1, 3),
-            at(self.unknowns.alpha),
+        return PointBrdfs(
+            at(self.parameters.diffuse_albedo),
+            at(self.parameters.specular_albedo).expand(-1, 3),
+            at(self.parameters.alpha),
             torch.zeros_like(barycentric),
         )
 
 
-def _glossy(seen: Sightings, irradiance: Float[Tensor, "P 3"], start: PointValues) -> PointValues:
-    """A share of each point's mean colour in a wide lobe."""
-    total = (seen.color * seen.weight[..., None]).sum(dim=0)
-    mean = total / seen.weight.sum(dim=0).clamp_min(1e-6)[:, None]
+def _glossy(observations: Observations, irradiance: Float[Tensor, "P 3"], start: PointBrdfs) -> PointBrdfs:
+    """The second initial guess: a share of each point's mean colour in a wide lobe."""
+    total = (observations.color * observations.weight[..., None]).sum(dim=0)
+    mean = total / observations.weight.sum(dim=0).clamp_min(1e-6)[:, None]
     albedo = mean / (irradiance / torch.pi).clamp_min(0.05)
-    return PointValues(
-        ((1 - GLOSS_SHARE) * albedo).clamp(0.02, 0.95),
-        (GLOSS_SHARE * albedo).clamp(0.02, 0.8),
-        torch.full_like(start.alpha, GLOSS_ALPHA),
-        torch.zeros_like(start.tilt),
+    return PointBrdfs(
+        ((1 - GLOSSY_SPECULAR_SHARE) * albedo).clamp(0.02, 0.95),
+        (GLOSSY_SPECULAR_SHARE * albedo).clamp(0.02, 0.8),
+        torch.full_like(start.alpha, GLOSSY_ALPHA),
+        torch.zeros_like(start.normal_offset),
     )
 
 
-def shown_pixels(lit: LitSurface, pixels: Photographed, own_lobes: bool) -> Float[Tensor, "P 3"]:
-    """Linear radiance of pixels, shown by points that the photographs of `lit` alone have taught."""
-    shown = [torch.zeros_like(pixels.color[:0])]
+def predict_pixels(lit: LitSurface, pixels: ObservedPixels, all_parameters: bool) -> Float[Tensor, "P 3"]:
+    """Linear radiance of pixels, from BRDFs that are solved from the photographs of `lit` only."""
+    radiance = [torch.zeros_like(pixels.color[:0])]
     for rows in _parts(len(pixels), len(lit.views)):
         points = pixels.points.take(rows)
-        fit, found, _ = lit.solve(points.face, points.barycentric, points.position, points.normal, own_lobes)
-        shown.append(fit.shown(found, points.to_eye))
-    return torch.cat(shown)
+        fit, brdfs, _ = lit.solve(points.face, points.barycentric, points.position, points.normal, all_parameters)
+        radiance.append(fit.predict(brdfs, points.to_eye))
+    return torch.cat(radiance)
 
 
-def pixel_values(lit: LitSurface, pixels: Photographed) -> PointValues:
-    """The values of the points that pixels show."""
+def pixel_brdfs(lit: LitSurface, pixels: ObservedPixels) -> PointBrdfs:
+    """The BRDFs of the points behind pixels."""
     found = []
     for rows in _parts(len(pixels), len(lit.views)):
         points = pixels.points.take(rows)
         found.append(lit.solve(points.face, points.barycentric, points.position, points.normal, True)[1])
-    return PointValues.join(found)
+    return PointBrdfs.join(found)
 
 
-def texel_values(
+def texel_brdfs(
     lit: LitSurface, texels: TexelSurface, report: Callable[[float], None]
-) -> tuple[PointValues, Float[Tensor, " N"]]:
-    """The values of the N texels of an atlas, and how many photographs told of each."""
+) -> tuple[PointBrdfs, Float[Tensor, " N"]]:
+    """The BRDFs of the N texels of an atlas, and the number of photographs that see each."""
     found, count, done = [], [], 0
     for rows in _parts(len(texels.face), len(lit.views)):
         _, values, seen = lit.solve(
@@ -152,9 +159,9 @@ def texel_values(
         count.append(seen.count)
         done += len(rows)
         report(done / len(texels.face))
-    return PointValues.join(found), torch.cat(count)
+    return PointBrdfs.join(found), torch.cat(count)
 
 
 def _parts(points: int, views: int) -> Iterator[Tensor]:
     if points:
-        yield from torch.arange(points).split(max(1, SIGHTINGS_AT_ONCE // (views + POINT_SIGHTINGS)))
+        yield from torch.arange(points).split(max(1, OBSERVATIONS_PER_CHUNK // (views + OBSERVATIONS_PER_POINT)))

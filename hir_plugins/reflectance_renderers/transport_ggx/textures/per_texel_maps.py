@@ -1,4 +1,4 @@
-"""The material of a fit whose texels have lobes of their own, and the light that it needs."""
+"""The material of a fit with per-texel BRDFs, and its light."""
 
 from __future__ import annotations
 
@@ -12,136 +12,145 @@ from torch import Tensor
 
 from hir_core.scene import Material, Mesh, Scene
 from hir_core.stages.atlas import TexelSurface, dilate, fill_unobserved, texel_surface
-from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import Photographed, photographed
-from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import ALPHA_LOW, Unknowns
-from hir_plugins.reflectance_renderers.transport_ggx.fit.shading_normals import bent
+from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import ObservedPixels, observe_pixels
+from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import MIN_ALPHA, Parameters
+from hir_plugins.reflectance_renderers.transport_ggx.fit.shading_normals import offset_normals
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
-from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit import PointValues
-from hir_plugins.reflectance_renderers.transport_ggx.textures.light_refit import some_pixels, with_fitted_light
+from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit_state import PointBrdfs
+from hir_plugins.reflectance_renderers.transport_ggx.textures.light_refit import light_pixels, refit_light
 from hir_plugins.reflectance_renderers.transport_ggx.textures.normal_map import normal_map
 from hir_plugins.reflectance_renderers.transport_ggx.textures.per_texel_brdf import (
-    FEWEST_SIGHTS,
+    MIN_OBSERVATIONS,
     LitSurface,
-    pixel_values,
-    texel_values,
+    pixel_brdfs,
+    texel_brdfs,
 )
 from hir_plugins.reflectance_renderers.transport_ggx.textures.texel_equations import TexelEquations, solve_texels
 from hir_plugins.reflectance_renderers.transport_ggx.textures.texture_shading import (
     gain_and_lobe,
     irradiance_at,
-    received,
+    lobe_radiance,
     sample,
 )
 from hir_plugins.reflectance_renderers.transport_ggx.textures.texture_solve import (
-    HUBER_SRGB,
-    PADDING,
-    PRIOR,
-    SMOOTH,
+    PADDING_TEXELS,
+    TEXEL_HUBER_SRGB,
+    TEXEL_PRIOR_WEIGHT,
+    TEXEL_SMOOTHNESS_WEIGHT,
     refined_mesh,
     texel_equations,
     texture_size,
 )
 
 
-def solve_lobe_maps(
+def solve_per_texel_maps(
     lit: LitSurface,
     scene: Scene,
-    pixels: Photographed,
+    pixels: ObservedPixels,
     downsample: int,
     options: TransportGGXOptions,
     report: Callable[[float], None],
-) -> tuple[Material, Unknowns, list[TexelEquations], dict[str, Any]]:
-    """Maps of albedo, ρs, α and normal at the size of the scene's texture, the unknowns with the light they go with,
-    and what the albedo was solved from; texels that too few photographs see are filled from those around.
+) -> tuple[Material, Parameters, list[TexelEquations], dict[str, Any]]:
+    """Maps of albedo, ρs, α and normal at the size of the scene's texture, the parameters with their light, the
+    equations of the albedo, and a report. Texels with too few photographs are inpainted.
 
-    The light is fitted again to `pixels`, first under their own values, then under the maps; last the albedo is solved
-    from what whole pixels show of the maps, for a texel's own photographs are looked up between blurred pixels.
+    The light is fitted again to `pixels`, first with their own BRDFs, then with the maps. Last the albedo is solved
+    from the radiance of whole pixels, because lookups between pixels blur the photographs.
     """
     assert scene.material is not None
     transport = lit.transport
     mesh = refined_mesh(transport.surface)
     texels = texel_surface(mesh, texture_size(scene.material))
-    if not options.known_light:
-        pixels = some_pixels(pixels, options.seed)
+    if not lit.spec.light_is_known:
+        pixels = light_pixels(pixels, options.seed)
         with torch.no_grad():
-            values = pixel_values(lit, pixels)
-        lit = with_fitted_light(lit, pixels, values, options)
+            values = pixel_brdfs(lit, pixels)
+        lit = refit_light(lit, pixels, values, options)
         report(0.2)
     with torch.no_grad():
-        values, count = texel_values(lit, texels, lambda share: report(0.2 + 0.4 * share))
-        maps = _Maps.of(values, count >= FEWEST_SIGHTS, mesh, texels)
-    if not options.known_light:
-        lit = with_fitted_light(lit, pixels, maps.at(pixels.points.uvs(transport.surface)), options)
+        values, count = texel_brdfs(lit, texels, lambda share: report(0.2 + 0.4 * share))
+        maps = _Maps.of(values, count >= MIN_OBSERVATIONS, mesh, texels)
+    if not lit.spec.light_is_known:
+        lit = refit_light(lit, pixels, maps.at(pixels.points.uvs(transport.surface)), options)
     report(0.7)
     with torch.no_grad():
         equations = _equations(lit, maps, downsample, options, lambda share: report(0.7 + 0.25 * share))
-        albedo = solve_texels(equations, maps.albedo, HUBER_SRGB, PRIOR, SMOOTH)[0] if equations else maps.albedo
+        albedo = (
+            solve_texels(equations, maps.albedo, TEXEL_HUBER_SRGB, TEXEL_PRIOR_WEIGHT, TEXEL_SMOOTHNESS_WEIGHT)[0]
+            if equations
+            else maps.albedo
+        )
         material = Material(
             model=lit.model,
-            diffuse_albedo=dilate(fill_unobserved(albedo, mesh, maps.told, texels), texels.covered, PADDING),
+            diffuse_albedo=dilate(fill_unobserved(albedo, mesh, maps.observed, texels), texels.covered, PADDING_TEXELS),
             specular_albedo=maps.specular,
             roughness=maps.alpha,
-            normal=normal_map(scene.mesh, maps.tilt, PADDING),
-            observed=maps.told,
+            normal=normal_map(scene.mesh, maps.normal_offset, PADDING_TEXELS),
+            observed=maps.observed,
         )
     report(1.0)
     facts: dict[str, Any] = {
         "texels": int(texels.covered.sum()),
-        "sightings": int(count.sum()),
-        "observed": round(int(maps.told.sum()) / max(int(texels.covered.sum()), 1), 4),
+        "observations": int(count.sum()),
+        "observed": round(int(maps.observed.sum()) / max(int(texels.covered.sum()), 1), 4),
     }
-    if lit.unknowns.exposure is not None:
-        facts["view_gain"] = [round(float(e), 4) for e in lit.unknowns.exposure]
-    return material, lit.unknowns, equations, facts
+    if lit.parameters.exposure is not None:
+        facts["view_gain"] = [round(float(e), 4) for e in lit.parameters.exposure]
+    return material, lit.parameters, equations, facts
 
 
 @dataclass(frozen=True, eq=False)
 class _Maps:
-    """Values of texels as images."""
+    """The BRDFs of texels as images."""
 
     albedo: Float[Tensor, "H W 3"]
     specular: Float[Tensor, "H W 3"]
     alpha: Float[Tensor, "H W 1"]
-    tilt: Float[Tensor, "H W 3"]
-    told: Bool[Tensor, "H W"]
-    """Texels that enough photographs tell of."""
+    normal_offset: Float[Tensor, "H W 3"]
+    observed: Bool[Tensor, "H W"]
+    """Texels with enough photographs."""
 
     @classmethod
-    def of(cls, values: PointValues, known: Bool[Tensor, " N"], mesh: Mesh, texels: TexelSurface) -> _Maps:
-        told = torch.zeros_like(texels.covered)
-        told[texels.covered] = known
+    def of(cls, values: PointBrdfs, known: Bool[Tensor, " N"], mesh: Mesh, texels: TexelSurface) -> _Maps:
+        observed = torch.zeros_like(texels.covered)
+        observed[texels.covered] = known
 
         def image(found: Float[Tensor, "N C"]) -> Float[Tensor, "H W C"]:
             texture = found.new_zeros(*texels.covered.shape, found.shape[1])
             texture[texels.covered] = found
-            return dilate(fill_unobserved(texture, mesh, told, texels), texels.covered, PADDING)
+            return dilate(fill_unobserved(texture, mesh, observed, texels), texels.covered, PADDING_TEXELS)
 
-        albedo, specular, alpha, tilt = (image(found) for found in values.all())
-        return cls(albedo, specular, alpha, tilt, told)
+        albedo, specular, alpha, normal_offset = (image(found) for found in values.all())
+        return cls(albedo, specular, alpha, normal_offset, observed)
 
-    def at(self, uv: Float[Tensor, "P 2"]) -> PointValues:
-        """What the maps hold at points."""
-        return PointValues(*(sample(image, uv) for image in (self.albedo, self.specular, self.alpha, self.tilt)))
+    def at(self, uv: Float[Tensor, "P 2"]) -> PointBrdfs:
+        """The values of the maps at texture coordinates."""
+        return PointBrdfs(
+            *(sample(image, uv) for image in (self.albedo, self.specular, self.alpha, self.normal_offset))
+        )
 
 
 def _equations(
     lit: LitSurface, maps: _Maps, downsample: int, options: TransportGGXOptions, report: Callable[[float], None]
 ) -> list[TexelEquations]:
-    """What pixels say of the albedo, under the lobes of the maps."""
-    transport, capture = lit.transport, lit.pictures.capture
+    """The equations of the albedo from pixels, for the lobes of the maps."""
+    transport, capture = lit.transport, lit.images.capture
     equations = []
-    most = max(64, options.texture_pixels // max(len(lit.views), 1))
+    max_pixels = max(64, options.texture_pixels // max(len(lit.views), 1))
     for done, view in enumerate(lit.views):
-        part = photographed(transport, capture, view, most, downsample, options.seed + 1)
+        part = observe_pixels(transport, capture, view, max_pixels, downsample, options.seed + 1)
         if not len(part):
             continue
         values = maps.at(part.points.uvs(transport.surface))
-        points, alpha = part.points.bent(bent(part.points.normal, values.tilt)), values.alpha.clamp(ALPHA_LOW, 1)
+        points, alpha = (
+            part.points.with_normals(offset_normals(part.points.normal, values.normal_offset)),
+            values.alpha.clamp(MIN_ALPHA, 1),
+        )
         arriving = irradiance_at(transport, points, part.points.normal, lit.irradiance, lit.vectors)
         lobes = transport.lobes(points, alpha, options.texture_samples, None, options.seed)
-        gathered = received(lobes, alpha, lit.sources)
-        gain, lobe = gain_and_lobe(lit.model, values.specular, alpha, arriving, lobes, gathered)
+        received = lobe_radiance(lobes, alpha, lit.sources)
+        gain, lobe = gain_and_lobe(lit.model, values.specular, alpha, arriving, lobes, received)
         size = (int(maps.albedo.shape[0]), int(maps.albedo.shape[1]))
-        equations.append(texel_equations(transport, part, gain, lobe, lit.unknowns.exposure, size))
+        equations.append(texel_equations(transport, part, gain, lobe, lit.parameters.exposure, size))
         report((done + 1) / len(lit.views))
     return equations

@@ -1,5 +1,5 @@
-"""Diffuse albedo at the texture's own resolution: all photographs' pixels see the bilinear texture, and the closed form
-solves it (`closed_form.py`); the solution at vertices holds what no pixel sees.
+"""Diffuse albedo at the resolution of the texture: pixels of all photographs see the bilinear texture, and the closed
+form (`fit/closed_form_albedo.py`) solves it. The albedo at vertices is the prior.
 """
 
 from __future__ import annotations
@@ -13,56 +13,41 @@ from torch import Tensor
 from hir_plugins.reflectance_renderers.transport_ggx.fit.closed_form_albedo import AlbedoEquations, solve_albedo
 from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
 
-FEWEST_PIXELS = 1.0
-"""Pixels that must look at a texel before it counts as observed."""
-LEAST_INFORMATION = 0.7
-"""Weight of a texel's pixels, in units of the start's, from which it counts as observed."""
+MIN_PIXELS = 1.0
+"""A texel counts as observed if more pixels than this see it."""
+MIN_INFORMATION = 0.7
+"""A texel counts as observed if the weight of its pixels exceeds this multiple of the prior's."""
 
 
 @dataclass(frozen=True, eq=False)
 class TexelEquations:
-    """One row per pixel: `gain · (texture at uv) + rest = color`."""
+    """One row for each pixel: `gain · (texture at uv) + offset = color`."""
 
     index: Int[Tensor, "P 4"]
     weight: Float[Tensor, "P 4"]
     gain: Float[Tensor, "P 3"]
     color: Float[Tensor, "P 3"]
-    """Of the photograph, at equal exposure."""
-    rest: Float[Tensor, "P 3"]
-    """What the pixel shows besides: its lobe."""
+    """Of the photograph, divided by its exposure."""
+    offset: Float[Tensor, "P 3"]
+    """Radiance that does not depend on the albedo: the specular lobe."""
     importance: Float[Tensor, "P 3"]
-    at_least: Bool[Tensor, "P 3"]
+    clipped: Bool[Tensor, "P 3"]
     """Where the photograph is clipped: the left side may be larger."""
     pixel: Int[Tensor, "P 3"]
     """View, x and y."""
 
 
-def bilinear_texels(
-    uv: Float[Tensor, "P 2"], height: int, width: int
-) -> tuple[Int[Tensor, "P 4"], Float[Tensor, "P 4"]]:
-    """Texels and weights of bilinear lookups; held at the border."""
-    x = (uv[:, 0].clamp(0, 1) * width - 0.5).clamp(0, width - 1)
-    y = (uv[:, 1].clamp(0, 1) * height - 0.5).clamp(0, height - 1)
-    x0, y0 = x.floor().clamp_max(max(width - 2, 0)), y.floor().clamp_max(max(height - 2, 0))
-    fx, fy = x - x0, y - y0
-    x0, y0 = x0.long(), y0.long()
-    x1, y1 = (x0 + 1).clamp_max(width - 1), (y0 + 1).clamp_max(height - 1)
-    index = torch.stack([y0 * width + x0, y0 * width + x1, y1 * width + x0, y1 * width + x1], dim=1)
-    weight = torch.stack([(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy], dim=1)
-    return index, weight
-
-
 def solve_texels(
     equations: list[TexelEquations],
     start: Float[Tensor, "H W 3"],
-    huber: float,
+    huber_srgb: float,
     prior: float,
-    smooth: float = 0.0,
+    smoothness: float = 0.0,
 ) -> tuple[Float[Tensor, "H W 3"], Bool[Tensor, "H W"]]:
-    """Albedo in 0…1 and the texels that some pixel sees with a weight.
+    """Albedo in 0…1, and the observed texels.
 
-    `prior` and `smooth` are the weights of the start and of differences between neighbouring texels, as fractions of
-    the mean weight of a seen texel.
+    `prior` and `smoothness` are the weights of `start` and of differences between neighbouring texels, as fractions of
+    the mean weight of a texel's pixels.
     """
     height, width, _ = start.shape
     lookup = LinearMap.from_rows(
@@ -71,17 +56,17 @@ def solve_texels(
     rows = AlbedoEquations(
         lookup,
         torch.cat([e.gain for e in equations]),
-        torch.cat([e.color - e.rest for e in equations]),
+        torch.cat([e.color - e.offset for e in equations]),
         torch.cat([e.importance for e in equations]),
-        torch.cat([e.at_least for e in equations]),
+        torch.cat([e.clipped for e in equations]),
     )
 
     def differences(x: Float[Tensor, "N 3"], weight: Float[Tensor, "N 3"]) -> Float[Tensor, "N 3"]:
         return _differences(*(values.reshape(height, width, 3) for values in (x, weight))).reshape(-1, 3)
 
-    texture, seen, told = solve_albedo([rows], start.reshape(-1, 3), huber, prior, differences, smooth)
-    # a texel that photographs only touch, or see in the dark, holds what it started from: it was not observed
-    observed = (seen > FEWEST_PIXELS) & (told > LEAST_INFORMATION)
+    texture, count, information = solve_albedo([rows], start.reshape(-1, 3), huber_srgb, prior, differences, smoothness)
+    # a texel at the edge of a photograph or in the dark remains at its prior: it was not observed
+    observed = (count > MIN_PIXELS) & (information > MIN_INFORMATION)
     return texture.reshape(height, width, 3), observed.reshape(height, width)
 
 

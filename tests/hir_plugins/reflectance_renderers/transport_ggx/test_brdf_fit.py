@@ -36,13 +36,14 @@ from hir_plugins.reflectance_renderers.transport_ggx.operator.radiance_probes im
     alpha_of,
     level_of,
 )
-from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit import (
-    PointBrdfFit,
+from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit import PointBrdfFit
+from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit_state import (
+    MIN_SPECULAR_ALBEDO,
     PointBrdfs,
     Priors,
     ShadingPoints,
 )
-from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit_steps import MIN_SPECULAR_ALBEDO, equations
+from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit_steps import normal_equations
 from hir_plugins.reflectance_renderers.transport_ggx.textures.observations import Observations
 
 COUNT, VIEWS = 64, 24
@@ -147,7 +148,7 @@ def test_radiance_is_the_references(model: str) -> None:
     seen = photographs(at, values, light, stand, model)
     fit = PointBrdfFit(at, seen, ProbeTable(light), model, Priors())  # type: ignore[arg-type]
     toward = normalize(stand[0] - at.position, dim=1)
-    shown, wanted = fit.shown(values, toward), reference(at, double(values), toward.double(), light, model)
+    shown, wanted = fit.predict(values, toward), reference(at, double(values), toward.double(), light, model)
     assert torch.allclose(shown.double(), wanted, rtol=1e-5, atol=1e-6)
 
 
@@ -159,10 +160,10 @@ def test_what_was_photographed_is_shown_again_from_elsewhere(model: str) -> None
     fit = PointBrdfFit(at, seen, ProbeTable(light), model, Priors(iterations=40))  # type: ignore[arg-type]
     found, _ = fit.solve(grey())
     elsewhere = normalize(eyes(generator)[0] - at.position, dim=1)
-    off = linear_to_srgb(fit.shown(found, elsewhere)) - linear_to_srgb(fit.shown(values, elsewhere))
+    off = linear_to_srgb(fit.predict(found, elsewhere)) - linear_to_srgb(fit.predict(values, elsewhere))
     assert off.abs().median() < 0.003
     plain, _ = PointBrdfFit(at, seen, ProbeTable(light), model, Priors.of_albedo()).solve(grey())  # type: ignore[arg-type]
-    without = linear_to_srgb(fit.shown(plain, elsewhere)) - linear_to_srgb(fit.shown(values, elsewhere))
+    without = linear_to_srgb(fit.predict(plain, elsewhere)) - linear_to_srgb(fit.predict(values, elsewhere))
     assert off.square().mean() < 0.05 * without.square().mean()
     assert torch.allclose(plain.specular, grey().specular) and torch.allclose(
         plain.normal_offset, grey().normal_offset, atol=1e-6
@@ -191,7 +192,7 @@ def test_least_squares_end_as_low_as_descent() -> None:
         values = PointBrdfs(torch.sigmoid(free[0]), torch.sigmoid(free[1]), alpha_of(free[2]), free[3])
         spread = PointBrdfs(*(getattr(values, name)[row] for name in PointBrdfs.__dataclass_fields__))
         off = linear_to_srgb(reference(many, spread, toward, light, "dielectric").clamp_min(0)) - wanted
-        part = weight * huber_loss(off, torch.zeros_like(off), delta=priors.huber, reduction="none").sum(1)
+        part = weight * huber_loss(off, torch.zeros_like(off), delta=priors.huber_srgb, reduction="none").sum(1)
         along = values.normal_offset - (values.normal_offset * normal).sum(1, keepdim=True) * normal
         held = priors.albedo * (values.albedo - start.albedo[:few]).square().sum(1)
         held = held + priors.specular * (values.specular - start.specular[:few]).square().sum(1)
@@ -237,8 +238,8 @@ def test_equations_hold_the_gradient_of_the_cost(model: str) -> None:
     at, light, values, stand = points(generator), probes(), truth(generator), eyes(generator)
     seen = photographs(at, truth(generator), light, stand, model)
     fit = PointBrdfFit(at, seen, ProbeTable(light), model, Priors(0, 0, 0, 0))  # type: ignore[arg-type]
-    state = fit._state(values)
-    said = equations(fit, state, state)
+    state = fit.state(values)
+    said = normal_equations(fit.arrays, state, state)
     de, fe, ae, e1, e2 = (torch.from_numpy(np.array(value)).double() for value in said.errors)
     free = double(values)
     level = level_of(free.alpha).requires_grad_()
@@ -249,7 +250,7 @@ def test_equations_hold_the_gradient_of_the_cost(model: str) -> None:
         toward = normalize(stand[row].double() - at.position.double(), dim=1)
         now = PointBrdfs(free.albedo, free.specular, alpha_of(level), free.normal_offset)
         off = linear_to_srgb(reference(at, now, toward, light, model)) - linear_to_srgb(seen.color[row].double())
-        part = huber_loss(off, torch.zeros_like(off), delta=fit.priors.huber, reduction="none").sum(dim=1)
+        part = huber_loss(off, torch.zeros_like(off), delta=fit.arrays.priors.huber_srgb, reduction="none").sum(dim=1)
         cost = cost + (seen.weight[row].double() * part).sum()
     assert float(np.array(said.cost).sum()) == pytest.approx(float(cost.detach()), rel=1e-4)
     by_albedo, by_specular, by_level, by_tilt = torch.autograd.grad(
@@ -257,7 +258,7 @@ def test_equations_hold_the_gradient_of_the_cost(model: str) -> None:
     )
     assert torch.allclose(de.T, by_albedo, rtol=1e-3, atol=1e-4)
     assert torch.allclose(fe.T, by_specular, rtol=1e-3, atol=1e-4)
-    tangent, bitangent = (axis.double() for axis in fit._axes)
+    tangent, bitangent = (axis.double() for axis in fit._frame)
     wanted = torch.stack([by_level[:, 0], (by_tilt * tangent).sum(1), (by_tilt * bitangent).sum(1)])
     found = torch.stack([ae, e1, e2])
     for mine, true in zip(found, wanted, strict=True):
@@ -298,6 +299,6 @@ def test_hard_cases_stay_finite_and_physical(case: str, model: str) -> None:
     assert (found.alpha > 0).all() and (found.alpha <= 1 + 1e-6).all()
     if model == "paper":
         assert (found.albedo + found.specular <= 1 + 2 * MIN_SPECULAR_ALBEDO).all()
-    assert torch.isfinite(fit.shown(found, at.normal)).all()
+    assert torch.isfinite(fit.predict(found, at.normal)).all()
     if case == "unseen":
         assert torch.allclose(found.albedo, grey().albedo, atol=1e-5) and torch.allclose(found.alpha, grey().alpha)

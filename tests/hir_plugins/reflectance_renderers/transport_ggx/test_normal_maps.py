@@ -76,7 +76,8 @@ def test_bending_has_the_gradient_of_its_formula() -> None:
     vectors = torch.rand(6, 3, 3, dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(lambda t: offset_normals(normal, t), (normal_offset,))
     assert torch.autograd.gradcheck(
-        lambda t, e, f: shading_normal_irradiance(normal, offset_normals(normal, t), e, f), (normal_offset, light, vectors)
+        lambda t, e, f: shading_normal_irradiance(normal, offset_normals(normal, t), e, f),
+        (normal_offset, light, vectors),
     )
 
 

@@ -1,0 +1,57 @@
+"""Smoothness priors of a fit: light, albedo, maps and shading normals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
+
+LOG_ALBEDO_NOISE = 0.02
+"""Below this difference of log albedo between neighbours the penalty is quadratic (noise, slow change), above linear.
+"""
+
+
+@dataclass(frozen=True)
+class SmoothnessWeights:
+    """Weights of the terms of `smoothness_energy`."""
+
+    light: float = 1e-4
+    light_chroma: float = 1e-3
+    albedo: float = 1e-3
+    maps: float = 3e-3
+    normals: float = 1e-3
+    normal_prior: float = 1e-4
+    """On the length of normal offsets."""
+
+
+def light_energy(light: Float[Tensor, "H W 3"], smoothness: float, chroma: float) -> Float[Tensor, ""]:
+    """Prior of the logarithm of a light: smooth and white. A tint that light or surface could explain goes to the
+    surface."""
+    rough = (light - light.roll(1, 1)).square().mean() + (light[1:] - light[:-1]).square().mean()
+    saturation = (light - light.mean(dim=-1, keepdim=True)).square().mean()
+    return smoothness * rough + chroma * saturation
+
+
+def smoothness_energy(
+    parameters: Parameters, weights: SmoothnessWeights, edges: Int[Tensor, "E 2"]
+) -> Float[Tensor, ""]:
+    """All smoothness priors of a fit, over the edges between vertices."""
+    energy = light_energy(parameters.light, weights.light, weights.light_chroma)
+    if weights.albedo and len(edges):
+        # albedo is nearly piecewise constant: a gradient that shading explains too is shading
+        albedo = torch.nn.functional.logsigmoid(parameters.diffuse)
+        change = (albedo[edges[:, 0]] - albedo[edges[:, 1]]).square().sum(dim=1)
+        energy = energy + weights.albedo * ((change + LOG_ALBEDO_NOISE**2).sqrt() - LOG_ALBEDO_NOISE).mean()
+    for value in (parameters.specular, parameters.width):
+        if value is not None and len(value) > 1:
+            energy = energy + weights.maps * (value[edges[:, 0]] - value[edges[:, 1]]).square().mean()
+    if parameters.normal_offset is not None:
+        offset = parameters.normal_offset
+        change = (offset[edges[:, 0]] - offset[edges[:, 1]]).square().sum(dim=1)
+        energy = energy + weights.normals * change.mean()
+        energy = energy + weights.normal_prior * offset.square().sum(dim=1).mean()
+    return energy
