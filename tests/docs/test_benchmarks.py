@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tests.docs.test_site import ROOT, tool
+from tests.docs.checkout import ROOT, tool
 
 TOOL = tool("write_benchmarks")
 ADVICE = "run: python tools/write_benchmarks.py"

@@ -61,14 +61,14 @@ def test_a_light_named_by_a_capture_stays_where_the_capture_has_it(tmp_path: Pat
     from hir_exporters.conventions import Z_UP_TO_Y_UP
     from hir_exporters.textures.image_files import write_exr
 
-    from hir_core.rendering.reference_renderer import light_of
+    from hir_core.rendering.light_files import load_light
 
     write_exr(tmp_path / "light.exr", six_colours())
     # Blender's image centre (our map's +Z) is its +X, a quarter from the left (our +X) its +Y, the top (our +Y) its +Z
     blender_from_latlong = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
     world_from_source = np.eye(4)
     world_from_source[:3, :3] = 0.5 * Z_UP_TO_Y_UP
-    light = light_of(EnvironmentSource(tmp_path / "light.exr", 2.0, blender_from_latlong), world_from_source)
+    light = load_light(EnvironmentSource(tmp_path / "light.exr", 2.0, blender_from_latlong), world_from_source)
     assert light.to_world is not None
     to_world = light.to_world.numpy().astype(np.float64)
     assert torch.linalg.det(light.to_world) == pytest.approx(1.0)

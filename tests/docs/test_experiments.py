@@ -9,7 +9,7 @@ from types import ModuleType
 
 import pytest
 
-from tests.docs.test_site import ROOT
+from tests.docs.checkout import ROOT
 
 
 @pytest.fixture
