@@ -9,13 +9,16 @@ import traceback
 import warnings
 from collections.abc import Sequence
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 from hir_exporters.errors import HirError
 
 from hir_core import __version__
 from hir_core.run.interrupt import remember_interrupts
+
+if TYPE_CHECKING:
+    from hir_core.plugins.manager import PluginManager
 
 COMMANDS = {
     "check": "hir_core.cli.check_command:check_command",
@@ -58,7 +61,8 @@ class LazyGroup(click.Group):
 
         if not shared_state().get("plugin_commands_added"):
             shared_state()["plugin_commands_added"] = True
-            PluginManager.discover().notify("hir_register_commands", cli=self)
+            plugins = shared_state().get("plugins") or PluginManager.discover()
+            plugins.notify("hir_register_commands", cli=self)
 
 
 def shared_state() -> dict[str, Any]:
@@ -79,8 +83,11 @@ def cli() -> None:
     """Reconstructs game-ready assets from photographs: mesh, PBR textures and light."""
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """The entry point `hir`. Exit codes: 0, 2 for an error the user can correct, 130 when interrupted, 1 for a bug."""
+def main(arguments: Sequence[str] | None = None, plugins: PluginManager | None = None) -> None:
+    """The entry point `hir`. Exit codes: 0, 2 for an error the user can correct, 130 when interrupted, 1 for a bug.
+
+    `plugins` are those whose commands are added; the installed ones by default.
+    """
     command_line = list(sys.argv[1:] if arguments is None else arguments)
     verbose = "-v" in command_line or "--verbose" in command_line
     if arguments is None and not verbose:
@@ -88,7 +95,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if arguments is None:
         remember_interrupts(_exit_at_once)
     try:
-        code = cli.main(command_line, prog_name="hir", standalone_mode=False)
+        code = cli.main(command_line, prog_name="hir", standalone_mode=False, obj={"plugins": plugins})
     except click.exceptions.Exit as stop:
         code = stop.exit_code
     except click.exceptions.NoArgsIsHelpError as shown:

@@ -29,7 +29,9 @@ ORDINARY_WORDS = {
 }
 """Names of components that mean something else in hir_core, each with the other meaning."""
 
-HOLDS_COMPONENTS = re.compile(r"(^|_)(reader|mask|initializer|renderer|regularizer|exporter|export|observer|format)s?$")
+COMPONENT_VARIABLE = re.compile(
+    r"(^|_)(reader|mask|initializer|renderer|regularizer|exporter|export|observer|format)s?$"
+)
 """Names of variables, fields and parameters that hold names of components."""
 
 
@@ -84,7 +86,7 @@ def component_positions(tree: ast.AST) -> set[int]:
     found: set[int] = set()
     for node in ast.walk(tree):
         for name, value in named_values(node):
-            if HOLDS_COMPONENTS.search(name):
+            if COMPONENT_VARIABLE.search(name):
                 found |= {id(constant) for constant in strings(value)}
         if isinstance(node, ast.Call) and node.args:
             first, *others = node.args

@@ -51,12 +51,12 @@ def test_few_modules_at_the_top_of_hir_core() -> None:
 
 def test_module_names_are_unique() -> None:
     """A module may be named as its own folder (`capture/capture.py`): it holds what the folder is named for."""
-    places: dict[str, set[str]] = defaultdict(set)
+    modules_by_name: dict[str, set[str]] = defaultdict(set)
     for module, file in modules().items():
         folder, _, name = module.rpartition(".")
         is_main_module = file.name != "__init__.py" and folder.rpartition(".")[2] == name
         if folder and not is_main_module and not name.startswith("__"):
-            places[name].add(module)
-    repeated = {name: sorted(found) for name, found in places.items() if len(found) > 1}
+            modules_by_name[name].add(module)
+    repeated = {name: sorted(found) for name, found in modules_by_name.items() if len(found) > 1}
     assert set(repeated) <= {*ROLES, *LAYERED_FOLDERS}, repeated
-    assert {*ROLES, *LAYERED_FOLDERS} <= set(places), "an exception names a module that does not exist"
+    assert {*ROLES, *LAYERED_FOLDERS} <= set(modules_by_name), "an exception names a module that does not exist"

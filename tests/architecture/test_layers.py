@@ -69,12 +69,12 @@ def modules_after(code: str) -> set[str]:
     return set(json.loads(done.stdout.splitlines()[-1]))
 
 
-def run_hir(*words: str) -> str:
+def run_hir(*arguments: str) -> str:
     """Code that runs `hir` with these words and goes on."""
     lines = (
         "from hir_core.cli import main",
         "try:",
-        f"    main({list(words)!r})",
+        f"    main({list(arguments)!r})",
         "except SystemExit as stop:",
         "    assert stop.code == 0, stop.code",
     )

@@ -227,18 +227,18 @@ def _bench(folder: Path) -> object:
 
 def _batch(folder: Path) -> object:
     from hir_plugins.commands.batch.scheduling.manifest import Manifest
-    from hir_plugins.commands.batch.storage.object_store import Place
-    from hir_plugins.commands.batch.summary.summary_page import page
+    from hir_plugins.commands.batch.storage.storage_path import StoragePath
+    from hir_plugins.commands.batch.summary.summary_page import render_page
 
-    captures = Manifest(Place(str(folder / "batch.json")), {}).read()
-    return page("it", captures, list(captures), {}, "today")
+    captures = Manifest(StoragePath(str(folder / "batch.json")), {}).read()
+    return render_page("it", captures, list(captures), {}, "today")
 
 
 def _lease(folder: Path) -> object:
-    from hir_plugins.commands.batch.storage.lease import died, read_lease
-    from hir_plugins.commands.batch.storage.object_store import Place
+    from hir_plugins.commands.batch.storage.lease import is_expired, read_lease
+    from hir_plugins.commands.batch.storage.storage_path import StoragePath
 
-    return died(read_lease(Place(str(folder / "lease.json"))), 0.0)
+    return is_expired(read_lease(StoragePath(str(folder / "lease.json"))), 0.0)
 
 
 def _mesh(name: str) -> Callable[[Path], object]:

@@ -24,8 +24,8 @@ MOST_SCENE = 3 << 20
 def small_disk(folder: Path, size: str, options: str = "") -> Iterator[Path]:
     """A file system of `size` in memory at `folder`; skips where mounting is not allowed."""
     folder.mkdir(exist_ok=True)
-    words = ["mount", "-t", "tmpfs", "-o", f"size={size}{options}", "tmpfs", str(folder)]
-    done = subprocess.run(words, capture_output=True, text=True)
+    arguments = ["mount", "-t", "tmpfs", "-o", f"size={size}{options}", "tmpfs", str(folder)]
+    done = subprocess.run(arguments, capture_output=True, text=True)
     if done.returncode:
         pytest.skip(f"a small disk cannot be mounted here: {done.stderr.strip()}")
     try:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from hir_core.run.interrupt import PATIENCE_SECONDS
+from hir_core.run.interrupt import MAX_EXIT_SECONDS
 from hir_core.run.run_directory import STAGE_NAMES, RunDirectory
 from tests.fixtures.runs import QUICK
 
@@ -37,7 +37,7 @@ print("ready", flush=True)
 
 
 def test_a_call_into_native_code_does_not_hold_it_up() -> None:
-    assert PATIENCE_SECONDS < LIMIT_SECONDS
+    assert MAX_EXIT_SECONDS < LIMIT_SECONDS
     code = NATIVE.format(call="torch.linalg.svdvals(a)")
     with subprocess.Popen(
         [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -57,7 +57,7 @@ def test_a_call_into_native_code_does_not_hold_it_up() -> None:
 def test_any_moment_of_a_run_ends_in_time_and_resumes(tiny_capture: Path, tmp_path: Path) -> None:
     """Twelve moments of runs that go on after each; one that has ended makes room for the next."""
     settings = [word for assignment in QUICK for word in ("--set", assignment)]
-    words = [
+    arguments = [
         sys.executable,
         "-m",
         "hir_core.cli",
@@ -73,24 +73,24 @@ def test_any_moment_of_a_run_ends_in_time_and_resumes(tiny_capture: Path, tmp_pa
     ]
     draw, slowest, interrupted = random.Random(0), 0.0, 0
     for _ in range(12):
-        with subprocess.Popen(words, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True) as child:
+        with subprocess.Popen(arguments, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True) as child:
             time.sleep(draw.uniform(2.5, 9.0))  # after the imports, in which Python is not ours yet
             child.send_signal(signal.SIGINT)
             started = time.monotonic()
             code = child.wait(timeout=60)
             took = time.monotonic() - started
-            told = child.stderr.read() if child.stderr else ""
+            output = child.stderr.read() if child.stderr else ""
         if code == 130:
             interrupted += 1
             slowest = max(slowest, took)
         else:
             # nothing left to interrupt: the run has ended, and Python, which gives signals back to the system before
             # it takes its modules apart, at most ends by the signal itself
-            assert code in (0, -signal.SIGINT) and _has_ended(tmp_path / "run"), told
+            assert code in (0, -signal.SIGINT) and _has_ended(tmp_path / "run"), output
             shutil.rmtree(tmp_path / "run")
     print(f"{interrupted} of 12 interrupted while they worked, slowest {slowest:.2f} s")
     assert interrupted >= 6 and slowest < LIMIT_SECONDS
-    done = subprocess.run(words, capture_output=True, text=True)
+    done = subprocess.run(arguments, capture_output=True, text=True)
     assert done.returncode == 0 and _has_ended(tmp_path / "run"), done.stderr
 
 

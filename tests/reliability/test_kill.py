@@ -19,9 +19,9 @@ ROOT = Path(__file__).resolve().parents[2]
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals and fork")
 
 
-def _kill_test(*words: str) -> str:
+def _kill_test(*arguments: str) -> str:
     done = subprocess.run(
-        [sys.executable, ROOT / "tools" / "kill_test.py", *words],
+        [sys.executable, ROOT / "tools" / "kill_test.py", *arguments],
         capture_output=True,
         text=True,
         timeout=1800,
@@ -37,9 +37,9 @@ def test_killed_runs_end_with_the_same_files(kind: str, kills: str) -> None:
     assert f"{kills} of {kills} the same" in _kill_test("--kills", kills, "--kind", kind)
 
 
-def _command(capture: Path, run: Path, *words: str) -> list[str]:
+def _command(capture: Path, run: Path, *arguments: str) -> list[str]:
     settings = [word for assignment in QUICK for word in ("--set", assignment)]
-    return [sys.executable, "-m", "hir_core.cli", "reconstruct", str(capture), "-o", str(run), *settings, *words]
+    return [sys.executable, "-m", "hir_core.cli", "reconstruct", str(capture), "-o", str(run), *settings, *arguments]
 
 
 def _until(condition, process: subprocess.Popen[str]) -> None:  # type: ignore[no-untyped-def,type-arg]
@@ -54,14 +54,16 @@ def _until(condition, process: subprocess.Popen[str]) -> None:  # type: ignore[n
 def test_a_killed_command_goes_on_inside_its_stage(tiny_capture: Path, tmp_path: Path) -> None:
     """The real command: SIGKILL once the geometry stage has kept a state; the resume goes on from there."""
     run = tmp_path / "run"
-    words = _command(tiny_capture, run, "--until", "geometry", "--deterministic", "--set", "checkpoint_seconds=0.05")
-    with subprocess.Popen(words, stderr=subprocess.PIPE, text=True) as process:
+    arguments = _command(
+        tiny_capture, run, "--until", "geometry", "--deterministic", "--set", "checkpoint_seconds=0.05"
+    )
+    with subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True) as process:
         kept = run / "stages" / "2-geometry" / "work" / "checkpoints"
         _until(lambda: kept.is_dir() and any(kept.glob("*.npz")), process)
         process.send_signal(signal.SIGKILL)
         process.wait()
-    done = subprocess.run([*words, "--resume"], capture_output=True, text=True, check=True)
-    assert "initializer: reused" in done.stderr and "geometry: done again" in done.stderr
+    done = subprocess.run([*arguments, "--resume"], capture_output=True, text=True, check=True)
+    assert "initializer: reused" in done.stderr and "geometry: computed again" in done.stderr
     assert not kept.exists(), "states go when their stage has ended"
     whole = _command(tiny_capture, tmp_path / "whole", "--until", "geometry", "--deterministic")
     subprocess.run(whole, capture_output=True, check=True)
@@ -72,10 +74,10 @@ def test_a_killed_command_goes_on_inside_its_stage(tiny_capture: Path, tmp_path:
 @pytest.mark.slow
 def test_a_second_process_on_one_run_is_refused(tiny_capture: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
-    words = _command(tiny_capture, run, "--set", "geometry.iterations=100000")
-    with subprocess.Popen(words, stderr=subprocess.PIPE, text=True) as process:
+    arguments = _command(tiny_capture, run, "--set", "geometry.iterations=100000")
+    with subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True) as process:
         _until(lambda: (run / "run.json").exists(), process)
-        second = subprocess.run([*words, "--resume"], capture_output=True, text=True)
+        second = subprocess.run([*arguments, "--resume"], capture_output=True, text=True)
         assert second.returncode == 2 and "another process works on" in second.stderr
         assert process.poll() is None, "the first goes on"
         process.kill()
@@ -120,7 +122,7 @@ def test_a_damaged_result_is_computed_again(tiny_capture: Path, quick, tmp_path:
     stored = RunDirectory(run.path).stage("initializer") / "scene" / "arrays.npz"
     whole = stored.read_bytes()
     stored.write_bytes(whole[: len(whole) // 2])
-    said: list[str] = []
-    again = quick(tiny_capture, run.path, until="geometry", deterministic=True, resume=True, on_message=said.append)
-    assert any("initializer: its stored result is damaged" in sentence for sentence in said)
+    message: list[str] = []
+    again = quick(tiny_capture, run.path, until="geometry", deterministic=True, resume=True, on_message=message.append)
+    assert any("initializer: its stored result is damaged" in sentence for sentence in message)
     assert stored.read_bytes() == whole and again.reused == ("geometry",), "the same again, so what follows holds"

@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 import torch
 
-from hir_core.optimization.optimization_loop import Schedule, optimize
+from hir_core.optimization.optimization_loop import optimize
+from hir_core.optimization.schedules import Schedule
 from hir_core.plugins.manager import PluginManager
 from hir_core.plugins.progress import Progress
 from hir_core.run.machine import return_freed_memory
 from hir_core.run.progress_listener import ProgressListener
-from hir_core.run.run_log import BACKUPS, MOST_BYTES, write_log
+from hir_core.run.run_log import BACKUPS, MAX_LOG_BYTES, write_log
 from hir_core.terminal.progress_bar import ProgressBar
 
 
@@ -49,14 +50,14 @@ def test_a_silent_stage_is_said_to_be_alive(capsys: pytest.CaptureFixture[str]) 
 
 
 def test_a_stage_that_reports_is_not_talked_over() -> None:
-    told: list[Progress] = []
-    listener = ProgressListener("geometry", PluginManager(), told.append)
+    output: list[Progress] = []
+    listener = ProgressListener("geometry", PluginManager(), output.append)
     with listener.heartbeat():
         for step in range(1, 13):
             time.sleep(0.1)
             listener.report(Progress("geometry", step, 100, 0.0, {"loss": np.array([1.0])}))
-    assert all("loss" in p.scalars for p in told), "no repetition came between"
-    assert sum(len(p.scalars["loss"]) for p in told) <= 12
+    assert all("loss" in p.scalars for p in output), "no repetition came between"
+    assert sum(len(p.scalars["loss"]) for p in output) <= 12
 
 
 def test_logs_rotate(tmp_path: Path) -> None:
@@ -65,7 +66,7 @@ def test_logs_rotate(tmp_path: Path) -> None:
         write_log(path, "x" * 500 + "\nsecond line")
     files = sorted(tmp_path.iterdir())
     assert [f.name for f in files] == ["log.txt", *(f"log.txt.{i + 1}" for i in range(BACKUPS))]
-    assert all(f.stat().st_size <= MOST_BYTES for f in files)
+    assert all(f.stat().st_size <= MAX_LOG_BYTES for f in files)
     assert path.read_text().splitlines()[-1].endswith("x second line"), "one line a sentence"
     write_log(tmp_path / "missing" / "log.txt", "a folder that is gone loses the line, not the run")
 

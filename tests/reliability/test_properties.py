@@ -40,10 +40,11 @@ FEW = settings(
 SEEDS = st.integers(0, 2**31)
 
 SETTINGS = GeometrySettings(
+    renderer="contour",
     iterations=25,
     levels=1,
     remesh=False,
-    photographs="off",
+    photo_consistency="off",
     held_out=0.0,
     prune=False,
     robust=False,
@@ -255,7 +256,7 @@ def test_swapped_channels_give_swapped_textures_and_light(
         write_png(path, read_ldr(path)[..., [1, 2, 0, 3]])
     scenes = []
     for name, source in (("plain", tiny_capture), ("swapped", swapped)):
-        run = quick(source, tmp_path / name, "geometry.photographs=off", until="reflectance", deterministic=True)
+        run = quick(source, tmp_path / name, "geometry.photo_consistency=off", until="reflectance", deterministic=True)
         scenes.append(load_stage_scene(run.directory.stage("reflectance") / "scene"))
     plain, other = scenes
     assert torch.equal(plain.mesh.positions, other.mesh.positions)

@@ -12,17 +12,9 @@ import numpy as np
 import pytest
 from hir_exporters.textures.image_files import read_ldr, write_png
 
-from hir_core.cli import main
+from tests.fixtures.command_line import hir
 
 SAMPLE = Path(__file__).resolve().parents[3] / "examples" / "sample_capture"
-
-
-def hir(*words: object) -> int:
-    """Runs `hir` in this process and returns its exit code."""
-    with pytest.raises(SystemExit) as stop:
-        main([str(word) for word in words])
-    assert isinstance(stop.value.code, int)
-    return stop.value.code
 
 
 def test_json_table_and_sheet(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -47,18 +39,18 @@ def test_a_wrong_mask_is_named_in_a_sentence(tmp_path: Path, capsys: pytest.Capt
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("arguments", "message"),
     [
-        (["{sample}", "--sheet", "{tmp}/sheet.jpg"], "the picture is a .png"),
-        (["{sample}", "--mesh", "{tmp}/none.obj"], "none.obj is not there"),
+        (["{sample}", "--sheet", "{tmp}/sheet.jpg"], "the contact sheet is a PNG"),
+        (["{sample}", "--mesh", "{tmp}/none.obj"], "none.obj: no such file"),
         (["{tmp}"], "no capture that an installed reader knows"),
         (["{sample}", "--split", "lunch"], "no split 'lunch'"),
     ],
 )
-def test_wrong_input(words: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert hir("check", *(w.format(sample=SAMPLE, tmp=tmp_path) for w in words)) == 2
+def test_wrong_input(arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert hir("check", *(w.format(sample=SAMPLE, tmp=tmp_path) for w in arguments)) == 2
     printed = capsys.readouterr().err
-    assert said in printed and "Traceback" not in printed
+    assert message in printed and "Traceback" not in printed
 
 
 def test_no_heavy_package_is_imported() -> None:
@@ -70,15 +62,15 @@ def test_no_heavy_package_is_imported() -> None:
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
 
 
-def test_a_mesh_tells_how_the_light_moves(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_mesh_shows_whether_the_light_moves(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     import trimesh
 
     trimesh.creation.icosphere(subdivisions=3, radius=0.5).export(tmp_path / "ball.obj")
     assert hir("check", SAMPLE, "--mesh", tmp_path / "ball.obj", "-q", "--sheet", tmp_path / "sheet.png") == 0
-    told = capsys.readouterr().out.splitlines()
-    assert told[0].startswith("24 photographs of 256×256 (transforms_json), 24 cameras, 24 masks")
-    assert "light follows the camera: " in told[0] and str(tmp_path / "sheet.png") not in told
+    output = capsys.readouterr().out.splitlines()
+    assert output[0].startswith("24 photographs of 256×256 (transforms_json), 24 cameras, 24 masks")
+    assert "light follows the camera: " in output[0] and str(tmp_path / "sheet.png") not in output
     (tmp_path / "empty.obj").write_text("v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    for name, said in (("none.obj", "is not there"), ("empty.obj", "no mesh of finite positions")):
+    for name, message in (("none.obj", "no such file"), ("empty.obj", "vertices that are not finite")):
         assert hir("check", SAMPLE, "--mesh", tmp_path / name) == 2
-        assert said in capsys.readouterr().err
+        assert message in capsys.readouterr().err

@@ -11,30 +11,22 @@ from types import SimpleNamespace
 import click
 import pytest
 
-from hir_core.cli import main
 from hir_core.plugins import hookimpl
 from hir_core.plugins.manager import KINDS, PluginManager
+from tests.fixtures.command_line import hir
 
 ROOT = Path(__file__).resolve().parents[3]
 SAMPLE = ROOT / "examples" / "sample_capture"
 
 
-def hir(*words: object) -> int:
-    """Runs `hir` in this process and returns its exit code."""
-    with pytest.raises(SystemExit) as stop:
-        main([str(word) for word in words])
-    assert isinstance(stop.value.code, int)
-    return stop.value.code
-
-
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("arguments", "message"),
     [
         (["reconstruct", "no/such/folder", "-o", "{tmp}/run"], "no/such/folder does not exist"),
         (["reconstruct", "{tmp}", "-o", "{tmp}/run"], "no capture that an installed reader knows"),
         (
             ["reconstruct", SAMPLE, "-o", "{tmp}/run", "--preset", "fastest"],
-            "no preset 'fastest'; there are: best, fast, paper",
+            "no preset 'fastest'; installed: best, fast, paper",
         ),
         (
             ["reconstruct", SAMPLE, "-o", "{tmp}/run", "--set", "geometry.iteration=3"],
@@ -47,29 +39,29 @@ def hir(*words: object) -> int:
         (["reconstruct", SAMPLE, "-o", "{tmp}/run", "--set", "geometry.learning_rate=nan"], "finite"),
         (
             ["reconstruct", SAMPLE, "-o", "{tmp}/run", "--set", "geometry.renderer=contuor"],
-            "named 'contuor'; there are: contour",
+            "named 'contuor'; installed: contour",
         ),
         (["reconstruct", SAMPLE, "-o", "{tmp}/run", "--config", "{tmp}/none.toml"], "none.toml: cannot be read"),
         (["reconstruct", SAMPLE, "-o", "{tmp}/run", "--plugin", "{tmp}/none.py"], "none.py"),
         (["reconstruct", SAMPLE, "-o", "{tmp}/file"], "is a file; give a folder"),
         (["reconstruct", SAMPLE], "Missing option '-o'"),
         (["reconstruct", SAMPLE, "-o", "{tmp}/run", "--until", "lunch"], "'lunch' is not one of"),
-        (["export", "{tmp}", "-f", "glb", "-o", "{tmp}/out"], "holds no finished scene"),
-        (["export", "{tmp}/gone", "-f", "glb", "-o", "{tmp}/out"], "is not there; give the folder of a run"),
+        (["export", "{tmp}", "-f", "glb", "-o", "{tmp}/out"], "has no finished scene"),
+        (["export", "{tmp}/gone", "-f", "glb", "-o", "{tmp}/out"], "no such file or folder; give the folder of a run"),
         (["evaluate", "{tmp}"], "it has no run.json"),
         (["report", "{tmp}"], "it is not a run; make one with: hir reconstruct"),
-        (["render", "{tmp}", "-o", "{tmp}/out"], "say what to render"),
+        (["render", "{tmp}", "-o", "{tmp}/out"], "choose what to render"),
         (["dance"], "No such command 'dance'"),
     ],
     ids=lambda value: " ".join(str(v) for v in value[:1]) if isinstance(value, list) else str(value)[:24],
 )
 def test_wrong_input_is_one_sentence_and_exit_code_2(
-    words: list[object], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    arguments: list[object], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "file").write_text("x")
-    assert hir(*(str(word).replace("{tmp}", str(tmp_path)) for word in words)) == 2
+    assert hir(*(str(word).replace("{tmp}", str(tmp_path)) for word in arguments)) == 2
     printed = capsys.readouterr().err
-    assert said in printed and "Traceback" not in printed
+    assert message in printed and "Traceback" not in printed
     assert not (tmp_path / "run").exists()
 
 
@@ -78,9 +70,15 @@ def test_verbose_shows_where(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert "Traceback" in capsys.readouterr().err
 
 
-def test_a_bug_is_called_one_and_exits_1(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr(PluginManager, "discover", lambda *_: 1 / 0)
-    assert hir("plugins") == 1
+def plugin_with_command(command: click.Command) -> PluginManager:
+    manager = PluginManager()
+    register = hookimpl(lambda cli: cli.add_command(command))
+    manager.register(SimpleNamespace(__name__="example", hir_register_commands=register), "example", "1")
+    return manager
+
+
+def test_a_bug_is_called_one_and_exits_1(capsys: pytest.CaptureFixture[str]) -> None:
+    assert hir("crash", plugins=plugin_with_command(click.Command("crash", callback=lambda: 1 / 0))) == 1
     printed = capsys.readouterr().err
     assert "this is a bug: ZeroDivisionError" in printed and "Traceback" not in printed
 
@@ -88,10 +86,7 @@ def test_a_bug_is_called_one_and_exits_1(monkeypatch: pytest.MonkeyPatch, capsys
 def test_missing_extra_names_the_command(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    import importlib.util
-
-    real = importlib.util.find_spec
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *rest: None if name == "torch" else real(name, *rest))
+    monkeypatch.setitem(sys.modules, "torch", None)  # as where it is not installed
     assert hir("reconstruct", SAMPLE, "-o", tmp_path / "run") == 2
     assert "hir reconstruct needs torch; install it with: pip install 'hir[reconstruct]'" in capsys.readouterr().err
 
@@ -117,8 +112,8 @@ def test_plugins_table_names_each_component(capsys: pytest.CaptureFixture[str]) 
 def test_shown_settings_fed_back_are_the_same_settings(
     preset: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = ["--preset", preset, "--set", "geometry.iterations=7", "--set", "export=['glb']", "--set", "seed=3"]
-    assert hir("config", "show", *words) == 0
+    arguments = ["--preset", preset, "--set", "geometry.iterations=7", "--set", "export=['glb']", "--set", "seed=3"]
+    assert hir("config", "show", *arguments) == 0
     shown = capsys.readouterr().out
     assert "iterations = 7" in shown
     (tmp_path / "settings.toml").write_text(shown, encoding="utf-8")
@@ -162,24 +157,17 @@ def test_paper_preset_is_what_the_paper_prints() -> None:
 
 
 def test_command_of_a_plugin_is_listed_and_runs(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    def register(cli: click.Group) -> None:
-        cli.add_command(click.Command("greet", callback=lambda: click.echo("hello from a plugin"), help="Greets."))
-
-    def discover(*_: object) -> PluginManager:
-        manager = PluginManager()
-        manager.register(SimpleNamespace(__name__="mine", hir_register_commands=hookimpl(register)), "mine", "1")
-        return manager
-
-    monkeypatch.setattr(PluginManager, "discover", discover)
-    assert hir("greet") == 0
+    command = click.Command("greet", callback=lambda: click.echo("hello from a plugin"), help="Greets.")
+    plugins = plugin_with_command(command)
+    assert hir("greet", plugins=plugins) == 0
     assert "hello from a plugin" in capsys.readouterr().out
-    assert hir("--help") == 0
+    assert hir("--help", plugins=plugins) == 0
     assert "Greets." in capsys.readouterr().out
 
 
-def test_nothing_named_is_help_and_an_error(capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_command_prints_help_and_is_an_error(capsys: pytest.CaptureFixture[str]) -> None:
     assert hir() == 2
     assert "Usage: hir" in capsys.readouterr().out
 
@@ -190,8 +178,8 @@ def test_doctor_names_what_is_missing_and_what_to_install(monkeypatch: pytest.Mo
     assert installation_check.examine_module("json", "nothing-of-that-name", "reconstruct").state == "ok"
     missing = installation_check.examine_module("no_such_module", "no-such", "reconstruct")
     assert missing.state == "missing" and "pip install 'hir[reconstruct]'" in missing.advice
-    said = "ImportError: libGL.so.1: cannot open shared object file: No such file or directory"
-    monkeypatch.setattr(installation_check, "_try", lambda command: (1, said))
+    message = "ImportError: libGL.so.1: cannot open shared object file: No such file or directory"
+    monkeypatch.setattr(installation_check, "_try", lambda command: (1, message))
     broken = installation_check.examine_module("json", "json", "reconstruct")
     assert broken.state == "broken" and broken.advice == "apt-get install libgl1"
     monkeypatch.setattr(installation_check, "_try", lambda command: (-6, "LLVM ERROR: Cannot select: fminimum"))
@@ -200,16 +188,16 @@ def test_doctor_names_what_is_missing_and_what_to_install(monkeypatch: pytest.Mo
     assert installation_check.examine_renderer("cuda_ad_rgb", "renderer (cuda)").state == "absent", "no GPU is no fault"
 
 
-def test_a_swallowed_interrupt_is_raised_where_progress_is_told() -> None:
+def test_a_swallowed_interrupt_is_raised_when_progress_is_reported() -> None:
     """As where Ctrl-C falls into a finaliser or into an import that catches everything."""
     code = """
 import os, signal
 from hir_core.run.interrupt import remember_interrupts
-from hir_core.run.progress_listener import Listener
+from hir_core.run.progress_listener import ProgressListener
 from hir_core.plugins.manager import PluginManager
 from hir_core.plugins.progress import Progress
 remember_interrupts()
-listener = Listener("geometry", PluginManager(), None)
+listener = ProgressListener("geometry", PluginManager(), None)
 listener.report(Progress("geometry", 1, 10, 0.1))
 try:
     os.kill(os.getpid(), signal.SIGINT)

@@ -1,4 +1,4 @@
-"""The progress bar: times in words, one bar a stage, lines where there is no terminal."""
+"""The progress bar: durations as text, one bar per stage, lines where there is no terminal."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def test_times_in_words(seconds: float, text: str) -> None:
 
 
 def test_each_stage_has_a_bar_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rich.console.Console.is_terminal", property(lambda _: True))
+    monkeypatch.setenv("FORCE_COLOR", "1")  # rich then treats stderr as a terminal
     with ProgressBar() as bar:
         for progress in (
             Progress("geometry", 2, 8, 1.0),
@@ -42,6 +42,6 @@ def test_lines_without_a_terminal_tell_stage_loss_and_time_left(capsys: pytest.C
         bar.update(Progress("geometry", 2, 8, 10.0, {"loss": np.array([0.5, 0.25])}))
         bar.update(Progress("geometry", 3, 8, 11.0))
         bar.update(Progress("atlas", 1, 3, 1.0))
-    told = capsys.readouterr().err.splitlines()
-    assert [line.partition(":")[0] for line in told] == ["geometry", "atlas"], "not a line a step"
-    assert "2/8 after 10 s" in told[0] and "30 s left" in told[0] and "loss 0.25" in told[0]
+    output = capsys.readouterr().err.splitlines()
+    assert [line.partition(":")[0] for line in output] == ["geometry", "atlas"], "not a line a step"
+    assert "2/8 after 10 s" in output[0] and "30 s left" in output[0] and "loss 0.25" in output[0]

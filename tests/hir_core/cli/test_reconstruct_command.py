@@ -7,25 +7,17 @@ from pathlib import Path
 
 import pytest
 
-from hir_core.cli import main
 from hir_core.pipeline import Run
+from tests.fixtures.command_line import hir
 from tests.fixtures.runs import QUICK
 
 
-def hir(*words: object) -> int:
-    """Runs `hir` in this process and returns its exit code."""
-    with pytest.raises(SystemExit) as stop:
-        main([str(word) for word in words])
-    assert isinstance(stop.value.code, int)
-    return stop.value.code
-
-
-def test_a_finished_run_is_reused_and_its_files_are_told(
+def test_a_finished_run_is_reused_and_its_files_are_printed(
     finished: Run, tiny_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     shutil.copytree(finished.path, tmp_path / "run")
     settings = [word for assignment in QUICK for word in ("--set", assignment)]
-    words = [
+    arguments = [
         "reconstruct",
         tiny_capture,
         "-o",
@@ -40,21 +32,21 @@ def test_a_finished_run_is_reused_and_its_files_are_told(
         "--deterministic",
         "--resume",
     ]
-    assert hir(*words) == 0
-    said = capsys.readouterr()
+    assert hir(*arguments) == 0
+    message = capsys.readouterr()
     stages = ("initializer", "geometry", "atlas", "reflectance", "bake", "export")
-    assert all(f"{stage}: reused" in said.err for stage in stages), said.err
-    told = said.out.splitlines()
-    assert [line.split()[0] for line in told[:3]] == ["asset", "files", "report"]
-    assert {line.split()[0] for line in told[3:]} == {p.name for p in finished.directory.exports.iterdir()}
-    assert hir(*words, "-q") == 0
+    assert all(f"{stage}: reused" in message.err for stage in stages), message.err
+    output = message.out.splitlines()
+    assert [line.split()[0] for line in output[:3]] == ["asset", "files", "report"]
+    assert {line.split()[0] for line in output[3:]} == {p.name for p in finished.directory.exports.iterdir()}
+    assert hir(*arguments, "-q") == 0
     assert capsys.readouterr().out == ""
 
 
 def test_pictures_around_a_run(finished: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ("render", finished.path, "--orbit", "2", "--size", "16", "--set", "render_samples=2", "-o", tmp_path)
-    assert hir(*words) == 0
-    told = capsys.readouterr().out.splitlines()
-    assert [Path(line).name for line in told] == ["orbit_000.png", "orbit_001.png"]
-    assert all(Path(line).is_file() for line in told)
-    assert hir(*words, "-q") == 0 and capsys.readouterr().out == ""
+    arguments = ("render", finished.path, "--orbit", "2", "--size", "16", "--set", "render_samples=2", "-o", tmp_path)
+    assert hir(*arguments) == 0
+    output = capsys.readouterr().out.splitlines()
+    assert [Path(line).name for line in output] == ["orbit_000.png", "orbit_001.png"]
+    assert all(Path(line).is_file() for line in output)
+    assert hir(*arguments, "-q") == 0 and capsys.readouterr().out == ""

@@ -31,5 +31,5 @@ def test_the_light_is_the_fitted_one_the_splits_or_the_named_one(
     assert facts == {"fitted": False, "file": "even.hdr", "strength": 2.5}
     assert scene.environment is not None and float((scene.environment.radiance - 2.5).abs().max()) < 0.02
     (tmp_path / "light.png").write_bytes(b"")
-    with pytest.raises(InputError, match="a light is a lat-long"):
+    with pytest.raises(InputError, match="a light must be a lat-long"):
         lit_scene(run, tiny_capture, splits["test"], str(tmp_path / "light.png"), PLUGINS)

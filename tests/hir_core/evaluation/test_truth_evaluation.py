@@ -101,7 +101,7 @@ def test_a_file_that_is_no_mesh_is_named(known: RunDirectory, plugins: PluginMan
 
 
 def test_command_compares_runs(known: RunDirectory, capsys: pytest.CaptureFixture[str]) -> None:
-    words = [
+    arguments = [
         "evaluate",
         str(known.path),
         str(known.path),
@@ -109,7 +109,7 @@ def test_command_compares_runs(known: RunDirectory, capsys: pytest.CaptureFixtur
         str(known.path.parent / "capture" / "reference.obj"),
     ]
     with pytest.raises(SystemExit) as stop:
-        main([*words, "--views", "1", "--set", "render_samples=8", "-q"])
+        main([*arguments, "--views", "1", "--set", "render_samples=8", "-q"])
     printed = capsys.readouterr().out
     assert stop.value.code == 0 and printed.count("run  ") >= 2 and "Chamfer" in printed
 
@@ -117,7 +117,8 @@ def test_command_compares_runs(known: RunDirectory, capsys: pytest.CaptureFixtur
 @pytest.mark.parametrize("split", ["relight_0", "relight_1"])
 def test_a_light_file_lights_the_true_object_as_cycles_did(shared: Path, plugins: PluginManager, split: str) -> None:
     """The axes of a capture's light: the true mesh and material under it are the photograph, a turned light is not."""
-    from hir_exporters.reading.mesh_import import MaterialOverrides, load_mesh_asset
+    from hir_exporters.reading.material_overrides import MaterialOverrides
+    from hir_exporters.reading.mesh_import import load_mesh_asset
 
     from hir_core.intake.reader_lookup import read_capture
     from hir_core.scene.frames import move_scene

@@ -42,7 +42,7 @@ def test_light_is_replaced_strength_included(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("edit", "said"),
+    ("edit", "message"),
     [
         (AssetEdit(roughness=-1), "--roughness"),
         (AssetEdit(specular=float("nan")), "--specular"),
@@ -50,16 +50,28 @@ def test_light_is_replaced_strength_included(tmp_path: Path) -> None:
         (AssetEdit(light="gone.hdr"), "gone.hdr"),
     ],
 )
-def test_what_makes_no_sense_is_said(edit: AssetEdit, said: str) -> None:
-    with pytest.raises(InputError, match=said):
+def test_invalid_edits_are_refused(edit: AssetEdit, message: str) -> None:
+    with pytest.raises(InputError, match=message):
         apply_edit(textured_asset(), edit)
 
 
 def test_command_writes_a_scene_and_a_picture(finished: Run, tmp_path: Path) -> None:
     before = (finished.directory.scene / "scene.json").read_bytes()
-    words = ["edit", str(finished.path), "-o", str(tmp_path / "red"), "--tint", "1", "0.1", "0.1", "--size", "48", "-q"]
+    arguments = [
+        "edit",
+        str(finished.path),
+        "-o",
+        str(tmp_path / "red"),
+        "--tint",
+        "1",
+        "0.1",
+        "0.1",
+        "--size",
+        "48",
+        "-q",
+    ]
     with pytest.raises(SystemExit) as stop:
-        main(words)
+        main(arguments)
     assert stop.value.code == 0
     assert (finished.directory.scene / "scene.json").read_bytes() == before
     plain, red = load_scene(finished.directory.scene), load_scene(tmp_path / "red")
@@ -75,13 +87,13 @@ def test_command_writes_a_scene_and_a_picture(finished: Run, tmp_path: Path) -> 
     assert right[inside][:, 0].mean() > 0.8 * left[inside][:, 0].mean(), "as much red"
 
 
-def test_places_that_hold_something_else_are_left_alone(finished: Run, tmp_path: Path) -> None:
+def test_other_folders_are_not_overwritten(finished: Run, tmp_path: Path) -> None:
     plugins = PluginManager.discover()
-    with pytest.raises(InputError, match="holds no finished scene"):
+    with pytest.raises(InputError, match="has no finished scene"):
         edit_run(tmp_path, AssetEdit(), tmp_path / "out", plugins)
     (tmp_path / "letters").mkdir()
     (tmp_path / "letters" / "to_mother.txt").write_text("dear")
-    with pytest.raises(InputError, match="holds something else"):
+    with pytest.raises(InputError, match="is not empty and no scene folder"):
         edit_run(finished.path, AssetEdit(), tmp_path / "letters", plugins, picture=False)
     assert [file.name for file in (tmp_path / "letters").iterdir()] == ["to_mother.txt"]
 
@@ -89,7 +101,7 @@ def test_places_that_hold_something_else_are_left_alone(finished: Run, tmp_path:
 def test_a_scene_without_light_needs_one_for_its_picture(tmp_path: Path) -> None:
     plugins = PluginManager.discover()
     save_scene(replace(textured_asset(), environment=None), tmp_path / "dark")
-    with pytest.raises(InputError, match="has no light to be shown under; give one with --light"):
+    with pytest.raises(InputError, match="has no light, so it cannot be rendered; give a light with --light"):
         edit_run(tmp_path / "dark", AssetEdit(), tmp_path / "out", plugins)
     written = edit_run(tmp_path / "dark", AssetEdit(roughness=0.5), tmp_path / "plain", plugins, picture=False)
     assert written == [tmp_path / "plain" / "scene.json"]

@@ -148,16 +148,16 @@ def test_an_extra_that_is_none_is_found(plugins: PluginManager) -> None:
     registered = Registered("regularizer", component, "hir", "1.0", "tests")
     results = check_component(registered, plugins=plugins, raises=False)
     assert failed(results) == ["missing_extra_is_named"]
-    (said,) = [r.detail for r in results if r.outcome == "failed"]
-    assert "'reconstuct' is no extra of hir" in said and "reconstruct" in said
+    (message,) = [r.detail for r in results if r.outcome == "failed"]
+    assert "'reconstuct' is no extra of hir" in message and "reconstruct" in message
 
 
 def test_a_failure_names_contract_what_was_seen_and_section(plugins: PluginManager) -> None:
     component = as_registered("regularizer", broken_regularizers.BROKEN["gradient_is_that_of_the_value"])
     with pytest.raises(ContractError) as caught:
         check_component(component, plugins=plugins)
-    said = str(caught.value)
-    assert "regularizer 'spread' breaks the contract 'gradient_is_that_of_the_value'" in said
-    assert "contract: In float64 the gradient agrees with central differences" in said
-    assert "positions the gradient says" in said
-    assert "see:      docs/writing_plugins/contracts.md#gradient_is_that_of_the_value" in said
+    message = str(caught.value)
+    assert "regularizer 'spread' breaks the contract 'gradient_is_that_of_the_value'" in message
+    assert "contract: In float64 the gradient agrees with central differences" in message
+    assert "positions the gradient says" in message
+    assert "see:      docs/writing_plugins/contracts.md#gradient_is_that_of_the_value" in message

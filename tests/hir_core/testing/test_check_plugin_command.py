@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from hir_core.cli import main
 from hir_core.errors import PluginError
 from hir_core.testing.running import subject_of
+from tests.fixtures.command_line import hir
 
 BROKEN = """
 from hir_core.plugins.interfaces import Regularizer
@@ -27,16 +27,8 @@ def hir_register_regularizers():
 """
 
 
-def hir(*words: object) -> int:
-    """Runs `hir` in this process and returns its exit code."""
-    with pytest.raises(SystemExit) as stop:
-        main([str(word) for word in words])
-    assert isinstance(stop.value.code, int)
-    return stop.value.code
-
-
-def test_a_sound_component_is_told_check_by_check(capsys: pytest.CaptureFixture[str]) -> None:
-    words = (
+def test_results_are_printed_check_by_check(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = (
         "check-plugin",
         "regularizer:edge_length",
         "--only",
@@ -44,36 +36,38 @@ def test_a_sound_component_is_told_check_by_check(capsys: pytest.CaptureFixture[
         "--only",
         "imports_light",
     )
-    assert hir(*words) == 0
-    told = capsys.readouterr().out
-    assert "regularizer edge_length (hir)" in told and " ok  imports_light" in told and "0 are broken" in told
-    assert hir(*words, "--json") == 0
+    assert hir(*arguments) == 0
+    output = capsys.readouterr().out
+    assert "regularizer edge_length (hir)" in output and " ok  imports_light" in output and "0 failed" in output
+    assert hir(*arguments, "--json") == 0
     results = json.loads(capsys.readouterr().out)["results"]
     assert {r["outcome"] for r in results} == {"passed"} and {r["component"] for r in results} == {"edge_length"}
-    assert hir(*words, "-q") == 0
+    assert hir(*arguments, "-q") == 0
     assert len(capsys.readouterr().out.splitlines()) == 1, "the sum alone"
 
 
-def test_a_broken_plugin_file_is_told_with_its_contract(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_broken_plugin_file_is_reported_with_its_contract(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "silent.py").write_text(BROKEN)
     assert hir("check-plugin", tmp_path / "silent.py", "-q") == 2
-    told = capsys.readouterr().out
-    assert "FAILED" in told and "contract:" in told and "seen:" in told and "0 contracts hold" not in told
+    output = capsys.readouterr().out
+    assert "FAILED" in output and "contract:" in output and "seen:" in output and "0 checks passed" not in output
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("arguments", "message"),
     [
-        (("nobody",), "no component and no distribution is called 'nobody'"),
+        (("nobody",), "no component or distribution has the name 'nobody'"),
         (("edge_length", "--only", "is_pretty"), "has no check 'is_pretty'; its checks are: "),
         (("edge_length", "--set", "weigth=2"), "weigth"),
     ],
 )
-def test_wrong_words_are_one_sentence(words: tuple[str, ...], said: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert hir("check-plugin", *words) == 2
-    assert said in "".join(capsys.readouterr())
+def test_wrong_words_are_one_sentence(
+    arguments: tuple[str, ...], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert hir("check-plugin", *arguments) == 2
+    assert message in "".join(capsys.readouterr())
 
 
 def test_a_name_of_several_components_is_not_guessed() -> None:
-    with pytest.raises(PluginError, match=r"is the name of several components; say which: .*:hir"):
+    with pytest.raises(PluginError, match=r"is the name of several components; choose one of: .*:hir"):
         subject_of("hir")

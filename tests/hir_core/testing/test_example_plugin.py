@@ -17,10 +17,10 @@ ROOT = Path(__file__).resolve().parents[3]
 EXAMPLE = ROOT / "examples" / "hir-plugin-example"
 
 
-def said(*words: object, folder: Path) -> str:
+def message(*arguments: object, folder: Path) -> str:
     """What a command prints; it runs outside the checkout, and one that fails shows what it said."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
-    done = subprocess.run([str(w) for w in words], capture_output=True, text=True, cwd=folder, env=environment)
+    done = subprocess.run([str(w) for w in arguments], capture_output=True, text=True, cwd=folder, env=environment)
     assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-4000:]
     return done.stdout
 
@@ -33,22 +33,22 @@ def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("example")
     shutil.copytree(EXAMPLE, folder / "source")
     for project in (ROOT, folder / "source"):
-        said(sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--wheel-dir", folder, project, folder=folder)
+        message(sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--wheel-dir", folder, project, folder=folder)
     venv.create(folder / "venv", with_pip=True)
     found = folder / "venv" / ("Scripts" if os.name == "nt" else "bin") / "python"
-    packages = Path(said(found, "-c", "import site; print(site.getsitepackages()[0])", folder=folder).strip())
+    packages = Path(message(found, "-c", "import site; print(site.getsitepackages()[0])", folder=folder).strip())
     borrowed = [path for path in site.getsitepackages() if path.endswith("site-packages")]
     # a line of a .pth that begins with import is run: the borrowed packages come after the environment's own
     (packages / "borrowed.pth").write_text("".join(f"import sys; sys.path.append({path!r})\n" for path in borrowed))
-    said(found, "-m", "pip", "install", "-q", "--no-deps", "--force-reinstall", *folder.glob("*.whl"), folder=folder)
+    message(found, "-m", "pip", "install", "-q", "--no-deps", "--force-reinstall", *folder.glob("*.whl"), folder=folder)
     return found
 
 
 def test_its_components_are_found_by_installation(python: Path, tmp_path: Path) -> None:
     code = "import hir_core, hir_example; print(hir_core.__file__); print(hir_example.__file__)"
-    for place in said(python, "-c", code, folder=tmp_path).split():
+    for place in message(python, "-c", code, folder=tmp_path).split():
         assert Path(place).is_relative_to(python.parents[1]), "nothing is taken from the checkout"
-    listed = json.loads(said(python, "-m", "hir_core.cli", "plugins", "--json", folder=tmp_path))
+    listed = json.loads(message(python, "-m", "hir_core.cli", "plugins", "--json", folder=tmp_path))
     assert listed["problems"] == []
     ours = {(row["kind"], row["name"]) for row in listed["components"] if row["distribution"] == "hir-plugin-example"}
     assert ours == {
@@ -60,8 +60,8 @@ def test_its_components_are_found_by_installation(python: Path, tmp_path: Path) 
 
 
 def test_it_keeps_every_contract(python: Path, tmp_path: Path) -> None:
-    words = [python, "-m", "hir_core.cli", "check-plugin", "hir-plugin-example", "--json"]
-    results = json.loads(said(*words, folder=tmp_path))["results"]
+    arguments = [python, "-m", "hir_core.cli", "check-plugin", "hir-plugin-example", "--json"]
+    results = json.loads(message(*arguments, folder=tmp_path))["results"]
     assert {r["outcome"] for r in results} <= {"passed", "skipped"}
     assert sum(r["outcome"] == "passed" for r in results) > 60
 
@@ -69,7 +69,7 @@ def test_it_keeps_every_contract(python: Path, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_its_own_tests_pass(python: Path, tmp_path: Path) -> None:
     shutil.copytree(EXAMPLE / "tests", tmp_path / "tests")
-    summary = said(python, "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests", folder=tmp_path).splitlines()[-1]
+    summary = message(python, "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests", folder=tmp_path).splitlines()[-1]
     assert "passed" in summary and "failed" not in summary
 
 
@@ -98,7 +98,7 @@ def test_it_is_used_by_a_run_and_an_export(python: Path, tmp_path: Path) -> None
     assignments = [word for setting in quick for word in ("--set", setting)]
     run = tmp_path / "run"
     capture = ROOT / "examples" / "sample_capture"
-    said(python, "-m", "hir_core.cli", "reconstruct", capture, "-o", run, "-q", *assignments, folder=tmp_path)
+    message(python, "-m", "hir_core.cli", "reconstruct", capture, "-o", run, "-q", *assignments, folder=tmp_path)
     document = json.loads((run / "run.json").read_text())
     assert document["settings"]["geometry"]["renderer"] == "midpoint_outline"
     assert any("light_chroma (hir-plugin-example 0.1.0)" in plugin for plugin in document["plugins"])

@@ -52,20 +52,20 @@ def form(schema: Mapping[str, Any], definitions: Mapping[str, Any] | None = None
         yield Field(name, widget, described, target.get("default"), choices)
 
 
-def said(*words: str) -> Any:
-    done = CliRunner().invoke(cli, list(words), catch_exceptions=False)
+def message(*arguments: str) -> Any:
+    done = CliRunner().invoke(cli, list(arguments), catch_exceptions=False)
     assert done.exit_code == 0, done.output
     return json.loads(done.stdout)
 
 
 @pytest.fixture(scope="module")
 def listed() -> Any:
-    return said("plugins", "--json")
+    return message("plugins", "--json")
 
 
 @pytest.fixture(scope="module")
 def schema() -> Any:
-    return said("config", "schema")
+    return message("config", "schema")
 
 
 def test_every_listed_component_has_a_form(listed: Any, schema: Any) -> None:

@@ -37,11 +37,11 @@ def test_pictures_of_a_run(finished: Run, tmp_path: Path) -> None:
     for strength in ("0.25", "0.5"):
         light, folder = f"{tmp_path / 'even.hdr'}*{strength}", tmp_path / strength
         folder.mkdir()
-        told = list(
+        output = list(
             render_pictures(finished.directory, PLUGINS, folder, orbit=1, size=16, relight=light, options=FEW, exr=True)
         )
-        assert told == [folder / "orbit_000.png"]
-        picture = read_ldr(told[0])
+        assert output == [folder / "orbit_000.png"]
+        picture = read_ldr(output[0])
         assert picture.shape == (16, 16, 4) and picture[8, 8, 3] == 1 and picture[0, 0, 3] == 0
         shown[strength] = read_exr(folder / "orbit_000.exr")
     bright, dark = (shown[s][..., :3].mean() for s in ("0.5", "0.25"))
@@ -50,8 +50,8 @@ def test_pictures_of_a_run(finished: Run, tmp_path: Path) -> None:
 
 def test_a_view_by_its_name(finished: Run, tiny_capture: Path, tmp_path: Path) -> None:
     name = next(iter(read_cameras(finished.directory.cameras)))
-    [told] = render_pictures(finished.directory, PLUGINS, tmp_path, views=(name,), options=FEW)
-    shown, photographed = (read_ldr(path)[..., 3] > 0.5 for path in (told, tiny_capture / "train" / told.name))
+    [output] = render_pictures(finished.directory, PLUGINS, tmp_path, views=(name,), options=FEW)
+    shown, photographed = (read_ldr(path)[..., 3] > 0.5 for path in (output, tiny_capture / "train" / output.name))
     assert (shown & photographed).sum() > 0.9 * (shown | photographed).sum()
-    with pytest.raises(InputError, match=r"has no view 'nobody'; it has: "):
+    with pytest.raises(InputError, match=r"has no view 'nobody'; its views are: "):
         list(render_pictures(finished.directory, PLUGINS, tmp_path, views=("nobody",)))
