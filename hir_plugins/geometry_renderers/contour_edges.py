@@ -1,12 +1,10 @@
 """Exact outlines of projected triangles: which parts of which mesh edges bound the silhouette.
 
-Orient every projected triangle positively and add up their boundaries. An edge between two triangles on opposite
-sides of
-it cancels; what is left are the edges whose triangles lie on one side (and open and non-manifold ones), each with a
-multiplicity. Along any line through the image the sum of the multiplicities passed so far is the number of triangles
-that cover the point, at any depth. The outline is where this number leaves or reaches zero. No ray is cast, no offset
-is
-chosen, and no closed, oriented or manifold mesh is asked for: the count is an integer and ends at zero on every line.
+Orient every projected triangle positively and add up the boundaries. An edge between two triangles on opposite sides
+of it cancels. The edges that remain have all triangles on one side, or are open or non-manifold; each has a
+multiplicity. Along any line through the image, the sum of the multiplicities passed so far is the number of triangles
+that cover the point, at any depth. The outline is where this number leaves or reaches zero. This needs no rays and no
+offset, and the mesh need not be closed, oriented or manifold: the count is an integer and ends at zero on every line.
 """
 
 from __future__ import annotations
@@ -22,48 +20,48 @@ from torch import Tensor
 from hir_core.capture import Camera
 from hir_core.scene import Topology
 
-TIE = 1e-4
-"""Pixels. Openings sort this much earlier and closings later: cracks of float32 width at T-junctions and between
-duplicated vertices stay shut."""
+TIE_PIXELS = 1e-4
+"""Spans begin this much earlier and end later in the order along a line: gaps of float32 width, at T-junctions and
+between duplicated vertices, stay closed."""
 
-NEAR = 1e-6
-"""Triangles are cut at this depth, relative to the largest one in view."""
+NEAR_DEPTH = 1e-6
+"""Triangles are cut at this depth, as a fraction of the largest depth in the view."""
 
 
 @dataclass(frozen=True, eq=False)
 class EdgeTable:
-    """For each edge (lower vertex first) up to two faces and, +1 or −1, the way each of them runs along it."""
+    """For each edge (lower vertex first) up to two faces, and the direction, +1 or −1, of each face along it."""
 
     ends: Int[Tensor, "E 2"]
     faces: tuple[Int[Tensor, " E"], Int[Tensor, " E"]]
     """First and second face; index F where there is no second."""
-    ways: Int[Tensor, "E 2"]
-    more: tuple[Int[Tensor, " M"], Int[Tensor, " M"], Int[Tensor, " M"]]
-    """Edge, face and way of the third and further faces of non-manifold edges."""
+    directions: Int[Tensor, "E 2"]
+    extra: tuple[Int[Tensor, " M"], Int[Tensor, " M"], Int[Tensor, " M"]]
+    """Edge, face and direction of the third and further faces of non-manifold edges."""
 
     @classmethod
     def of(cls, topology: Topology) -> EdgeTable:
-        """Builds the table; cheap enough for every remeshing, too dear for every step."""
+        """Builds the table: once for each topology, because it is too slow for every step."""
         faces = topology.faces
         corners = torch.cat([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
         corners = corners[corners[:, 0] != corners[:, 1]]
-        way = torch.where(corners[:, 0] < corners[:, 1], 1, -1).to(torch.int8)
+        direction = torch.where(corners[:, 0] < corners[:, 1], 1, -1).to(torch.int8)
         edge, face = topology.edge_faces
         order = torch.argsort(edge, stable=True)
-        edge, face, way = edge[order], face[order], way[order]
-        starts = torch.searchsorted(edge, torch.arange(len(topology.edges), device=edge.device))
-        rank = torch.arange(len(edge), device=edge.device) - starts[edge]
+        edge, face, direction = edge[order], face[order], direction[order]
+        first = torch.searchsorted(edge, torch.arange(len(topology.edges), device=edge.device))
+        rank = torch.arange(len(edge), device=edge.device) - first[edge]
         pair = torch.full((len(topology.edges), 2), len(faces), dtype=torch.int64, device=edge.device)
-        ways = torch.zeros_like(pair, dtype=torch.int8)
+        directions = torch.zeros_like(pair, dtype=torch.int8)
         for slot in (0, 1):
             here = rank == slot
-            pair[edge[here], slot], ways[edge[here], slot] = face[here], way[here]
-        rest = rank > 1
+            pair[edge[here], slot], directions[edge[here], slot] = face[here], direction[here]
+        extra = rank > 1
         return cls(
             topology.edges,
             (pair[:, 0].contiguous(), pair[:, 1].contiguous()),
-            ways,
-            (edge[rest], face[rest], way[rest]),
+            directions,
+            (edge[extra], face[extra], direction[extra]),
         )
 
 
@@ -85,7 +83,7 @@ class CameraBatch:
 
     @classmethod
     def of(cls, cameras: Sequence[Camera], device: torch.device) -> CameraBatch:
-        """Composes in float64, so that a scene far from the origin keeps its sub-pixels."""
+        """Composes in float64, which keeps sub-pixel accuracy for a scene far from the origin."""
         poses = np.stack([np.asarray(c.world_to_camera, dtype=np.float64)[:3] for c in cameras])
         intrinsics = np.stack([np.asarray(c.intrinsics, dtype=np.float64) for c in cameras])
         coefficients = np.zeros((len(cameras), 5))
@@ -110,8 +108,8 @@ class CameraBatch:
     def project(self, points: Float[Tensor, "N 3"], view: Int[Tensor, " N"]) -> Float[Tensor, "N 2"]:
         """Pixels of points in front of their cameras.
 
-        Plain products and sums, element by element: equal inputs give bitwise equal outputs wherever they stand in the
-        batch, which is what makes every line's count close. A matrix product would not promise that.
+        Products and sums are evaluated element by element: equal inputs give bitwise equal outputs at any index of the
+        batch, so that the count of every line ends at zero. A matrix product does not guarantee that.
         """
         if bool((self.distortion != 0).any()):
             return self._project_distorted(points, view)
@@ -128,14 +126,14 @@ class CameraBatch:
         low, high = positions.amin(0), positions.amax(0)
         box = torch.cartesian_prod(*torch.stack([low, high], dim=1))
         depth = self.depths(box)
-        return bool((depth.amin(0) > 2 * NEAR * depth.amax(0)).all())
+        return bool((depth.amin(0) > 2 * NEAR_DEPTH * depth.amax(0)).all())
 
     def _project_distorted(self, points: Tensor, view: Tensor) -> Tensor:
         rows = self.normalized[view]
         x, y, w = (_dot(rows[:, i], points) for i in range(3))
         x, y = x / w, y / w
         k1, k2, p1, p2, k3 = self.distortion[view].unbind(1)
-        # beyond this radius the polynomial means nothing (it may fold back); points out there lie outside the frame
+        # beyond this radius the polynomial is invalid and may fold back; such points lie outside the frame
         r2 = (x * x + y * y).clamp_max(4.0)
         radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
         xd = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
@@ -163,7 +161,7 @@ class Segments:
     cut_at: Float[Tensor, " C"]
 
     def points(self, positions: Float[Tensor, "V 3"]) -> Float[Tensor, "V+C 3"]:
-        """Vertices and cuts; differentiable. A cut is held at its place on the edge: it stays on the same line."""
+        """Vertices and cuts; differentiable. A cut keeps its fraction along the edge and stays on the same line."""
         if len(self.cut_at) == 0:
             return positions
         a, b = positions[self.cut_edges].unbind(1)
@@ -175,9 +173,8 @@ def find_segments(
 ) -> Segments:
     """All edges that may bound the silhouette, in float64, without gradient.
 
-    A triangle's side is decided in space, by the plane of the triangle and the camera's centre: one matrix product for
-    all views. Where rounding errs, the triangle is a sliver thinner than the rounding itself, and the count stays
-    whole.
+    Which side of a triangle is seen follows from its plane and the camera's centre: one matrix product for all views.
+    It can be wrong by rounding only for a sliver thinner than the rounding error, and the count stays an integer.
     """
     a, b, c = positions.index_select(0, faces.reshape(-1)).reshape(-1, 3, 3).unbind(1)
     normals = torch.linalg.cross(b - a, c - a)
@@ -187,23 +184,23 @@ def find_segments(
     cuts = None
     if len(positions) and not cameras.all_see_front(positions):
         depth = cameras.depths(positions)
-        near = depth.amax(0).clamp_min(torch.finfo(depth.dtype).tiny) * NEAR
+        near = depth.amax(0).clamp_min(torch.finfo(depth.dtype).tiny) * NEAR_DEPTH
         behind = depth <= near
         corners_behind = behind[faces].sum(1)
         straddling = (corners_behind > 0) & (corners_behind < 3) & (sign[:-1] != 0)
         cuts = _cut_triangles(faces, depth, near, straddling, sign, len(positions))
         sign[:-1] *= corners_behind == 0
-    # index_select: several times faster than indexing where rows are a few bytes
-    winding = sign.index_select(0, table.faces[0]) * table.ways[:, :1]
-    winding += sign.index_select(0, table.faces[1]) * table.ways[:, 1:]
-    edge, face, way = table.more
+    # index_select is several times faster than indexing for rows of a few bytes
+    winding = sign.index_select(0, table.faces[0]) * table.directions[:, :1]
+    winding += sign.index_select(0, table.faces[1]) * table.directions[:, 1:]
+    edge, face, direction = table.extra
     if len(edge):
-        winding.index_add_(0, edge, sign[face] * way[:, None])
-    found, view = winding.nonzero(as_tuple=True)
+        winding.index_add_(0, edge, sign[face] * direction[:, None])
+    edges, view = winding.nonzero(as_tuple=True)
     segments = Segments(
         view,
-        table.ends[found],
-        winding[found, view].to(torch.int64),
+        table.ends[edges],
+        winding[edges, view].to(torch.int64),
         table.ends.new_zeros((0, 2)),
         positions.new_zeros(0),
     )
@@ -253,11 +250,11 @@ def _cut_triangles(
         ],
         1,
     )[~odd]
-    ways = sign[face, view].to(torch.int64)
+    directions = sign[face, view].to(torch.int64)
     return Segments(
         torch.cat([view[odd].repeat_interleave(3), view[~odd].repeat_interleave(4)]),
         torch.cat([one.reshape(-1, 2), two.reshape(-1, 2)]),
-        torch.cat([ways[odd].repeat_interleave(3), ways[~odd].repeat_interleave(4)]),
+        torch.cat([directions[odd].repeat_interleave(3), directions[~odd].repeat_interleave(4)]),
         edges,
         at,
     )

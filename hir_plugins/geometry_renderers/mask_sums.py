@@ -1,4 +1,4 @@
-"""Masks with their running sums along rows and columns: the integral over any span is two look-ups."""
+"""Masks with prefix sums along rows and columns: the integral over any span takes two lookups."""
 
 from __future__ import annotations
 
@@ -16,9 +16,7 @@ from hir_plugins.geometry_renderers.scanlines import Crossings
 
 @dataclass(frozen=True, eq=False)
 class MaskSums:
-    """One mask, interpolated linearly between pixel centres and constant beyond the outermost, cut to what is not
-    zero.
-    """
+    """One mask, linear between pixel centres and constant beyond the outermost, cropped to its non-zero part."""
 
     left: int
     top: int
@@ -34,14 +32,14 @@ class MaskSums:
         rows, columns = mask.any(dim=1).nonzero().reshape(-1), mask.any(dim=0).nonzero().reshape(-1)
         top, bottom = (int(rows[0]), int(rows[-1]) + 1) if len(rows) else (0, 1)
         left, right = (int(columns[0]), int(columns[-1]) + 1) if len(columns) else (0, 1)
-        # one pixel around what is not zero; at the image's border the outermost pixel is repeated instead
+        # one pixel of margin; at the border of the image the outermost pixel is repeated instead
         y = torch.arange(top - 1, bottom + 1).clamp(0, mask.shape[0] - 1)
         x = torch.arange(left - 1, right + 1).clamp(0, mask.shape[1] - 1)
         values = mask.index_select(0, y.to(mask.device)).index_select(1, x.to(mask.device)).float()
-        return cls(left, top, values, _running(values), _running(values.T))
+        return cls(left, top, values, _prefix_sums(values), _prefix_sums(values.T))
 
-    def look_up(self, axis: int, place: Float[Tensor, " S"], across: Float[Tensor, " S"]) -> tuple[Tensor, Tensor]:
-        """Integral along the line up to `place` (from a start that is the same for the whole line), and the mask there.
+    def integrate(self, axis: int, position: Float[Tensor, " S"], across: Float[Tensor, " S"]) -> tuple[Tensor, Tensor]:
+        """Integral along the line up to `position`, from an origin that is the same for the whole line, and the mask.
 
         `across` is the line's own coordinate; both in pixels of the whole image.
         """
@@ -55,17 +53,17 @@ class MaskSums:
         within_lines = (v > -1) & (v < lines)
         low_line = low.long().clamp(0, lines - 1)
         high_line = (low.long() + 1).clamp(0, lines - 1)
-        u = place - (origin - 0.5)
+        u = position - (origin - 0.5)
         cell = u.floor().clamp(0, size - 2).long()
-        rest = u - cell
-        integral, value = torch.zeros_like(place), torch.zeros_like(place)
+        offset = u - cell
+        integral, value = torch.zeros_like(position), torch.zeros_like(position)
         for line, weight in ((low_line, 1 - share), (high_line, share)):
             start, end = values[line, cell].double(), values[line, cell + 1].double()
             slope = end - start
-            # beyond the last centre the mask stays what it is there
-            r = rest.clamp(0, 1)
+            # beyond the last centre the mask is constant
+            r = offset.clamp(0, 1)
             total = sums[line, cell].double() + r * (start + 0.5 * r * slope)
-            total = total + (rest - 1).clamp_min(0) * end + rest.clamp_max(0) * start
+            total = total + (offset - 1).clamp_min(0) * end + offset.clamp_max(0) * start
             integral = integral + weight * total
             value = value + weight * (start + r * slope)
         return torch.where(within_lines, integral, 0.0), torch.where(within_lines, value, 0.0)
@@ -103,19 +101,17 @@ class ContourTargets(SilhouetteTargets):
 
 
 def masks_at(sums: Sequence[MaskSums], crossings: Crossings, lines_per_pixel: int) -> tuple[Tensor, Tensor]:
-    """For each crossing the mask's integral along the line up to it, and the mask there; crossings are ordered by
-    view.
-    """
-    across = (crossings.line.to(crossings.place) + 0.5) / lines_per_pixel
+    """The mask's integral along the line up to each crossing, and the mask there; crossings are ordered by view."""
+    across = (crossings.line.to(crossings.position) + 0.5) / lines_per_pixel
     count = torch.bincount(crossings.view, minlength=len(sums)).tolist()
     parts = [
-        mask.to(p.device).look_up(crossings.axis, p, a)
-        for mask, p, a in zip(sums, crossings.place.split(count), across.split(count), strict=True)
+        mask.to(p.device).integrate(crossings.axis, p, a)
+        for mask, p, a in zip(sums, crossings.position.split(count), across.split(count), strict=True)
     ]
     return torch.cat([p[0] for p in parts]), torch.cat([p[1] for p in parts])
 
 
-def _running(values: Float[Tensor, "L N"]) -> Float[Tensor, "L N"]:
-    # summed in float64: a float32 running sum over a wide image loses hundredths of a pixel
+def _prefix_sums(values: Float[Tensor, "L N"]) -> Float[Tensor, "L N"]:
+    # in float64: a float32 prefix sum over a wide image loses hundredths of a pixel
     steps = 0.5 * (values[:, 1:] + values[:, :-1]).double()
     return torch.cat([torch.zeros_like(values[:, :1]), torch.cumsum(steps, dim=1).float()], dim=1)

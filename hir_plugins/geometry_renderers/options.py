@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class ContourOptions:
-    """Exact outlines on rows and columns of pixels."""
+    """Exact outlines along rows and columns of pixels."""
 
     lines_per_pixel: int = 1
-    """Rows and columns per pixel on which `overlap` measures; 1 samples each piece of outline about once a pixel."""
+    """Rows and columns per pixel on which `overlap` measures; 1 samples the outline about once in each pixel."""
     render_lines: int = 4
     """Rows and columns per pixel of `render`; coverage is exact along each line."""
 

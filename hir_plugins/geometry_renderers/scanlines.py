@@ -1,4 +1,4 @@
-"""Where the outline crosses a comb of lines through the image: rows, or columns."""
+"""Crossings of the outline with equidistant lines through the image: rows, or columns."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from hir_plugins.geometry_renderers.contour_edges import TIE, CameraBatch, Segments
+from hir_plugins.geometry_renderers.contour_edges import TIE_PIXELS, CameraBatch, Segments
 
 
 @dataclass(frozen=True, eq=False)
@@ -16,18 +16,18 @@ class Crossings:
     """Points where the silhouette begins or ends along a line, sorted along it, in pairs."""
 
     axis: int
-    """0: the lines are rows and `place` is x; 1: columns and y."""
+    """0: the lines are rows and `position` is x; 1: columns and y."""
     view: Int[Tensor, " S"]
     line: Int[Tensor, " S"]
     """Number of the line in its view; it lies at (line + ½) / lines_per_pixel."""
-    place: Float[Tensor, " S"]
+    position: Float[Tensor, " S"]
     """Along the line, in pixels, clamped to the frame."""
     leaving: Bool[Tensor, " S"]
     segment: Int[Tensor, " S"]
-    at: Float[Tensor, " S"]
-    """Fraction of the way along the segment."""
+    fraction: Float[Tensor, " S"]
+    """Position along the segment, 0…1."""
     inside: Bool[Tensor, " S"]
-    """In the frame; the others are where the frame cuts the silhouette, and nothing moves them."""
+    """In the frame. The others lie where the frame cuts the silhouette; they do not move."""
 
 
 def find_crossings(
@@ -37,7 +37,7 @@ def find_crossings(
     along, across = pixels[:, :, axis], pixels[:, :, 1 - axis]
     extent = (cameras.widths, cameras.heights)
     lines = extent[1 - axis] * lines_per_pixel
-    # half-open: a line through a vertex meets exactly one of the two edges that pass through it
+    # half-open intervals: a line through a vertex meets exactly one of its two edges
     index = torch.ceil(across * lines_per_pixel - 0.5)
     index = torch.minimum(index.clamp_min(0), lines[segments.view][:, None].to(index)).to(torch.int64)
     first, last = index.amin(1), index.amax(1)
@@ -49,28 +49,37 @@ def find_crossings(
 
     v0, v1 = across[segment].unbind(1)
     u0, u1 = along[segment].unbind(1)
-    # a row's closed form from the end nearer the origin: both copies of a duplicated edge give the same bits
+    # from the end nearer the origin, so that both copies of a duplicated edge give the same bits
     swap = v0 > v1
     low_v, high_v = torch.where(swap, v1, v0), torch.where(swap, v0, v1)
     low_u, high_u = torch.where(swap, u1, u0), torch.where(swap, u0, u1)
-    at = ((line.to(v0) + 0.5) / lines_per_pixel - low_v) / (high_v - low_v)
-    at = at.clamp(0, 1)
-    place = low_u + at * (high_u - low_u)
-    at = torch.where(swap, 1 - at, at)
+    fraction = ((line.to(v0) + 0.5) / lines_per_pixel - low_v) / (high_v - low_v)
+    fraction = fraction.clamp(0, 1)
+    position = low_u + fraction * (high_u - low_u)
+    fraction = torch.where(swap, 1 - fraction, fraction)
 
     step = segments.winding[segment] * torch.where(swap, -1, 1)
     if axis == 1:
         step = -step
-    size = extent[axis][view].to(place)
-    inside = (place > 0) & (place < size)
-    place = torch.minimum(place.clamp_min(0), size)
+    size = extent[axis][view].to(position)
+    inside = (position > 0) & (position < size)
+    position = torch.minimum(position.clamp_min(0), size)
     width = int(extent[axis].max()) + 2.0
     stride = int(lines.max()) if len(lines) else 0
-    order = torch.argsort((view * stride + line).to(place) * width + place - TIE * step.sign(), stable=True)
+    order = torch.argsort(
+        (view * stride + line).to(position) * width + position - TIE_PIXELS * step.sign(), stable=True
+    )
     after = torch.cumsum(step[order], 0)
     before = after - step[order]
     kept = (before > 0) != (after > 0)
     chosen = order[kept]
     return Crossings(
-        axis, view[chosen], line[chosen], place[chosen], before[kept] > 0, segment[chosen], at[chosen], inside[chosen]
+        axis,
+        view[chosen],
+        line[chosen],
+        position[chosen],
+        before[kept] > 0,
+        segment[chosen],
+        fraction[chosen],
+        inside[chosen],
     )

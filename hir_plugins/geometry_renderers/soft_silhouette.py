@@ -1,9 +1,7 @@
 """Soft Rasterizer's silhouettes (Liu et al. 2019, equations 1 and 2), as the paper's phase 2a renders them.
 
-`S = 1 − Π_j (1 − D_j)`, `D_j = sigmoid(δ_j d_j² / σ)`: every triangle near a pixel has a say, hidden ones and those
-that face
-away included. Exact: the work is cut into small tiles, and a tile is left out only when that is proven to change
-nothing.
+`S = 1 − Π_j (1 − D_j)`, `D_j = sigmoid(δ_j d_j² / σ)`: every triangle near a pixel contributes, also hidden triangles
+and those that face away. The image is evaluated in small tiles; a tile is skipped only where its value is proven.
 """
 
 from __future__ import annotations
@@ -20,7 +18,7 @@ from hir_core.plugins.interfaces import GeometryRenderer
 from hir_core.scene import Mesh
 from hir_core.scene.silhouette_targets import SilhouetteTargets
 from hir_plugins.geometry_renderers.contour import Contour
-from hir_plugins.geometry_renderers.contour_edges import NEAR, CameraBatch
+from hir_plugins.geometry_renderers.contour_edges import NEAR_DEPTH, CameraBatch
 from hir_plugins.geometry_renderers.options import ContourOptions, SoftSilhouetteOptions
 from hir_plugins.geometry_renderers.soft_tiles import Kernel, Tiles, accumulate, gather_tiles, gradient
 
@@ -67,7 +65,7 @@ class SoftSilhouette(GeometryRenderer):
         kernel = Kernel(self._config.sigma / unit**2, self._config.cutoff, self._config.tile)
         positions = mesh.positions.double()
         depth = cameras.depths(positions.detach())[:, view]
-        near = depth.amax().clamp_min(0) * NEAR if len(depth) else depth.new_zeros(())
+        near = depth.amax().clamp_min(0) * NEAR_DEPTH if len(depth) else depth.new_zeros(())
         front = (depth > near)[mesh.faces].all(dim=1)
         safe = torch.where((depth > near)[:, None], positions, positions.detach() * 0 + _ahead(cameras, view))
         index = torch.full((len(positions),), view, device=positions.device)
@@ -79,7 +77,7 @@ class SoftSilhouette(GeometryRenderer):
         """Pixels near the exact outline, for each view."""
         with torch.no_grad():
             coverage = self._contour.render(mesh, cameras)
-            # a pixel is on the outline where its neighbourhood holds both full and empty ones
+            # a pixel is on the outline where its neighbourhood has both covered and uncovered pixels
             size = 2 * self._config.band + 1
             most = torch.nn.functional.max_pool2d(coverage[:, None], size, 1, self._config.band)[:, 0]
             least = -torch.nn.functional.max_pool2d(-coverage[:, None], size, 1, self._config.band)[:, 0]
@@ -87,13 +85,13 @@ class SoftSilhouette(GeometryRenderer):
 
 
 def _ahead(cameras: CameraBatch, view: int) -> Tensor:
-    """Some point in front of a camera: where corners behind it stand in, so that nothing divides by zero."""
+    """A point in front of the camera, which replaces corners behind it to avoid a division by zero."""
     pose = cameras.normalized[view]
     return cameras.centers[view] + pose[2, :3]
 
 
 class _SoftCoverage(torch.autograd.Function):
-    """S from triangles in pixels; the backward pass goes over the same tiles again and keeps only their lists."""
+    """S from triangles in pixels; the backward pass evaluates the same tiles again; only their lists are stored."""
 
     @staticmethod
     def forward(ctx: Any, triangles: Tensor, height: int, width: int, kernel: Kernel, band: Tensor | None) -> Tensor:

@@ -1,4 +1,4 @@
-"""Which triangles reach which tiles of an image, and the sums of their soft coverages there."""
+"""Lists of the triangles that reach each tile of an image, and their soft coverage there."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-PROVEN = 1e-6
+FULL_TOLERANCE = 1e-6
 """A tile counts as full only where 1 − S is proven to be below this."""
 
-CHUNK = 1 << 20
-"""Pairs of pixel and triangle that are worked on at once: bounds the memory."""
+PAIRS_PER_CHUNK = 1 << 20
+"""Pairs of pixel and triangle that are evaluated at once: bounds the memory."""
 
 
 @dataclass(frozen=True)
@@ -34,15 +34,15 @@ class Kernel:
 
 @dataclass(frozen=True, eq=False)
 class Tiles:
-    """Tiles that need work, and their pairs with the triangles in reach, sorted by tile."""
+    """Tiles that must be evaluated, and their pairs with the triangles in reach, sorted by tile."""
 
     height: int
     width: int
     size: int
     open: Int[Tensor, " T"]
-    """Number of each tile that needs work, row by row."""
+    """Number of each tile that must be evaluated, row by row."""
     full: Int[Tensor, " U"]
-    """Tiles that are proven (or, with a band, declared) to be 1."""
+    """Tiles that are proven to be 1, or set to 1 outside of the band."""
     pair_tile: Int[Tensor, " P"]
     """Index into `open`."""
     pair_triangle: Int[Tensor, " P"]
@@ -59,7 +59,7 @@ class Tiles:
         return corner[:, None] + torch.stack([dx.reshape(-1), dy.reshape(-1)], dim=1)
 
     def to_image(self, values: Float[Tensor, "T S"], full: float) -> Float[Tensor, "H W"]:
-        """Puts tiles where they belong."""
+        """Assembles the tiles into an image."""
         rows = -(-self.height // self.size)
         canvas = values.new_zeros((rows * self.columns, self.size * self.size))
         canvas[self.full] = full
@@ -68,7 +68,7 @@ class Tiles:
         return image.reshape(rows * self.size, -1)[: self.height, : self.width]
 
     def from_image(self, image: Float[Tensor, "H W"]) -> Float[Tensor, "T S"]:
-        """Cuts the open tiles out of an image; beyond its border they hold 0."""
+        """Cuts the open tiles out of an image; beyond its border they are 0."""
         rows = -(-self.height // self.size)
         padded = torch.nn.functional.pad(
             image, (0, self.columns * self.size - self.width, 0, rows * self.size - self.height)
@@ -80,10 +80,10 @@ class Tiles:
 def gather_tiles(
     triangles: Float[Tensor, "F 3 2"], height: int, width: int, kernel: Kernel, band: Bool[Tensor, "H W"] | None = None
 ) -> Tiles:
-    """Finds the pairs; tiles that no triangle reaches are 0 and in no list.
+    """Finds the pairs; tiles that no triangle reaches are 0 and not listed.
 
     `1 − S ≤ Π (1 − D)` over any part of the triangles, and D is at least its value at the tile's farthest point from
-    the triangle's nearest corner: where these lower bounds multiply to less than `PROVEN`, the tile is full.
+    the triangle's nearest corner: where these lower bounds multiply to less than `FULL_TOLERANCE`, the tile is full.
     """
     size, device = kernel.tile, triangles.device
     columns, rows = -(-width // size), -(-height // size)
@@ -95,9 +95,9 @@ def gather_tiles(
     high = torch.minimum(high.nan_to_num().clamp_min(0), limit).long()
     span = (high - low).clamp_min(0) * finite[:, None]
     amount = span.prod(dim=1)
-    found_triangle, found_tile = [], []
+    pair_triangles, pair_tiles = [], []
     fullness = torch.zeros(columns * rows, dtype=torch.float64, device=device)
-    for part in _parts(amount, CHUNK):
+    for part in _parts(amount, PAIRS_PER_CHUNK):
         triangle = torch.repeat_interleave(part, amount[part])
         offset = torch.arange(len(triangle), device=device) - (
             torch.cumsum(amount[part], 0) - amount[part]
@@ -118,12 +118,12 @@ def gather_tiles(
         inner = inside[near, 0] & (distance2[near, 0] > radius**2)
         bound = torch.where(inner, torch.nn.functional.softplus(deep), bound)
         fullness.index_add_(0, tile, bound.double())
-        found_triangle.append(triangle)
-        found_tile.append(tile)
+        pair_triangles.append(triangle)
+        pair_tiles.append(tile)
     empty = torch.zeros(0, dtype=torch.int64, device=device)
-    pair_triangle = torch.cat(found_triangle) if found_triangle else empty
-    pair_tile = torch.cat(found_tile) if found_tile else empty
-    is_full = fullness > -math.log(PROVEN)
+    pair_triangle = torch.cat(pair_triangles) if pair_triangles else empty
+    pair_tile = torch.cat(pair_tiles) if pair_tiles else empty
+    is_full = fullness > -math.log(FULL_TOLERANCE)
     if band is not None:
         is_full |= _away_from_band(band, size, rows, columns, pair_tile)
     kept = ~is_full[pair_tile]
@@ -199,7 +199,7 @@ def nearest_edge(
 
 
 def _pairs(tiles: Tiles) -> Iterator[tuple[Tensor, Tensor]]:
-    step = max(1, CHUNK // tiles.size**2)
+    step = max(1, PAIRS_PER_CHUNK // tiles.size**2)
     for start in range(0, len(tiles.pair_tile), step):
         yield tiles.pair_tile[start : start + step], tiles.pair_triangle[start : start + step]
 

@@ -20,8 +20,9 @@ def warn_of_iou_loss(held_out: IouChange, context: StageContext) -> None:
     before, after = held_out.before, held_out.after
     if before is not None and after is not None and before - after > NOTABLE_IOU_LOSS:
         context.warn(
-            f"the silhouettes of the held-out views fit worse than those of the initial mesh "
-            f"(IoU {before:.4f} → {after:.4f}); try more triangles (geometry.triangles), or geometry.photographs='off'"
+            "the silhouettes of the held-out views fit worse than those of the initial mesh "
+            f"(IoU {before:.4f} → {after:.4f}); try more triangles (geometry.triangles), "
+            "or geometry.photo_consistency='off'"
         )
 
 

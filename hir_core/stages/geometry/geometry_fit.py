@@ -64,11 +64,11 @@ def fit_geometry(
         mesh, removed = remove_floating_components(fit.renderer, mesh, fit.targets, fit.train)
     mesh, levels, curve = _fit_silhouettes(mesh, fit, float(np.median(list(initial_errors.values()))))
     silhouette_mesh = mesh
-    photographs: PhotoConsistencyReport | PhotoConsistencySkipped
-    photographs = PhotoConsistencySkipped("left out by the settings")
-    if settings.photographs == "auto":
-        mesh, photographs = refine_by_photo_consistency(mesh, capture, fit.iou, fit.held_out, settings, context)
-    mesh, after = _repair(mesh, before.self_intersecting, silhouette_mesh if photographs.accepted else None)
+    photo_consistency: PhotoConsistencyReport | PhotoConsistencySkipped
+    photo_consistency = PhotoConsistencySkipped("left out by the settings")
+    if settings.photo_consistency == "auto":
+        mesh, photo_consistency = refine_by_photo_consistency(mesh, capture, fit.iou, fit.held_out, settings, context)
+    mesh, after = _repair(mesh, before.self_intersecting, silhouette_mesh if photo_consistency.accepted else None)
     errors = fit.errors(mesh, everything)
     down_weighted = fit.view_weights.down_weighted()
     residual = silhouette_residual(fit.renderer, mesh, fit.targets, [i for i in fit.train if i not in down_weighted])
@@ -89,7 +89,7 @@ def fit_geometry(
         silhouette_residual=SilhouetteResidualReport(residual.missing, residual.filled),
         mesh=MeshChange(before, after),
         levels=levels,
-        photographs=photographs,
+        photo_consistency=photo_consistency,
         curves=CurvesReport(curve),
     )
     moved_back = replace(mesh, positions=_transformed(mesh.positions.detach(), np.linalg.inv(frame)))

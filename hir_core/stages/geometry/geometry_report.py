@@ -75,5 +75,5 @@ class GeometryReport:
     silhouette_residual: SilhouetteResidualReport
     mesh: MeshChange
     levels: list[LevelReport]
-    photographs: PhotoConsistencyReport | PhotoConsistencySkipped
+    photo_consistency: PhotoConsistencyReport | PhotoConsistencySkipped
     curves: CurvesReport

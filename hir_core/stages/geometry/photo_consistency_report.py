@@ -1,4 +1,4 @@
-"""What the photo-consistency refinement reports: `geometry.report.photographs` in run.json."""
+"""What the photo-consistency refinement reports: `photo_consistency` of the geometry stage in run.json."""
 
 from __future__ import annotations
 

@@ -89,7 +89,7 @@ def fit_pass(
     seed = context.seed + 100 * (plan.number + 1)
     photo_batches = Batches(len(train), settings.views_per_step, seed)
     silhouette_batches = Batches(len(train), max(1, settings.views_per_step // 2), seed + 1)
-    steps = settings.photograph_iterations
+    steps = settings.photo_consistency_iterations
     checkpoint = context.checkpoints / f"photo_consistency_{plan.downsample}_{plan.smoothness:g}.npz"
 
     def photo_error(moved: Mesh, views: list[int], step: int) -> Tensor:

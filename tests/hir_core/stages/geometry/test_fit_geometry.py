@@ -32,7 +32,7 @@ pytest.importorskip("cholespy")
 PEANUT = icosphere(4)[0] * (1 + 0.35 * icosphere(4)[0][:, :1] ** 2) * [0.9, 0.55, 0.6], icosphere(4)[1]
 SETTINGS = GeometrySettings(
     renderer="contour",
-    photographs="off",
+    photo_consistency="off",
     iterations=100,
     triangles=2000,
     regularizers={"laplacian": {"weight": 1e-5, "cotangent": True, "scale_free": True}},
@@ -169,7 +169,7 @@ def test_a_mesh_too_coarse_for_its_silhouettes_causes_a_warning(tmp_path: Path) 
     _, report = _fit(
         Scene(mesh_of(spiky, faces)),
         capture_of(spiky, faces, around(16, 128)),
-        replace(SETTINGS, iterations=5, triangles=500, photographs="off"),
+        replace(SETTINGS, iterations=5, triangles=500, photo_consistency="off"),
         tmp_path,
         warnings,
     )

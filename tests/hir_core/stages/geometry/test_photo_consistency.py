@@ -38,7 +38,7 @@ SETTINGS = GeometrySettings(
     iterations=80,
     triangles=5000,
     held_out=0.15,
-    photograph_iterations=80,
+    photo_consistency_iterations=80,
     regularizers={"laplacian": {"weight": 1e-5, "cotangent": True, "scale_free": True}},
 )
 
@@ -120,13 +120,13 @@ def capture(hollow: tuple[Positions, Faces]) -> Capture:
 
 def test_photographs_find_the_floor_of_a_bowl(hollow: tuple[Positions, Faces], capture: Capture, tmp_path) -> None:  # type: ignore[no-untyped-def]
     start = Scene(mesh_of(*icosphere(4)))
-    outlines, _ = fit_geometry(start, capture, replace(SETTINGS, photographs="off"), _context(tmp_path / "a"))
+    outlines, _ = fit_geometry(start, capture, replace(SETTINGS, photo_consistency="off"), _context(tmp_path / "a"))
     both, report = fit_geometry(start, capture, SETTINGS, _context(tmp_path / "b"))
     truth = _floor_height(mesh_of(*hollow))
     missed, found = _floor_height(outlines.mesh) - truth, _floor_height(both.mesh) - truth
     assert missed > 0.05, "silhouettes alone must not find the bowl, or this test shows nothing"
     assert abs(found) < missed / 5
-    assert report.photographs.accepted
+    assert report.photo_consistency.accepted
     assert (report.iou_held_out.after or 0) > 0.985
 
 
@@ -136,19 +136,19 @@ def test_the_fine_candidate_is_selected_where_there_is_something_to_carve(carved
     positions, faces = icosphere(5)
     depth = 0.03 * np.sin(14 * positions[:, 0]) * np.sin(14 * positions[:, 1]) if carved else 0 * positions[:, 0]
     truth = _photographed(positions * (1 + depth)[:, None], faces, around(24, 96))
-    settings = replace(SETTINGS, iterations=20, photograph_iterations=30)
+    settings = replace(SETTINGS, iterations=20, photo_consistency_iterations=30)
     _, report = fit_geometry(Scene(mesh_of(*icosphere(4))), truth, settings, _context(tmp_path))
-    assert isinstance(report.photographs, PhotoConsistencyReport)
-    assert report.photographs.fine.accepted == carved, report.photographs
+    assert isinstance(report.photo_consistency, PhotoConsistencyReport)
+    assert report.photo_consistency.fine.accepted == carved, report.photo_consistency
 
 
 def test_without_detail_the_mesh_stays_as_the_silhouette_fit_left_it(hollow: tuple[Positions, Faces], tmp_path) -> None:  # type: ignore[no-untyped-def]
     plain = _photographed(*hollow, around(24, 64), plain=True)
-    settings = replace(SETTINGS, iterations=20, triangles=1500, photograph_iterations=10)
+    settings = replace(SETTINGS, iterations=20, triangles=1500, photo_consistency_iterations=10)
     start = Scene(mesh_of(*icosphere(3)))
-    outlines, _ = fit_geometry(start, plain, replace(settings, photographs="off"), _context(tmp_path / "a"))
+    outlines, _ = fit_geometry(start, plain, replace(settings, photo_consistency="off"), _context(tmp_path / "a"))
     both, report = fit_geometry(start, plain, settings, _context(tmp_path / "b"))
-    assert not report.photographs.accepted
+    assert not report.photo_consistency.accepted
     assert torch.equal(both.mesh.positions, outlines.mesh.positions)
 
 
