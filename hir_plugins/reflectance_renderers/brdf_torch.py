@@ -1,12 +1,12 @@
-"""The two BRDF models of docs/conventions.md as functions of cosines, on batched tensors.
+"""The two BRDF models of docs/conventions.md as functions of cosines, on batched tensors (torch).
 
 `paper`: `f = rho_d/pi + rho_s·D·G / (4 (n·wi)(n·wo))`.
 `dielectric`: `f = (1 - E) rho_d/pi + F·D·G / (4 (n·wi)(n·wo))` with Schlick's `F = rho_s + (1 - rho_s)(1 - h·wo)^5` and
 E the lobe's directional albedo. D is GGX (Walter et al. 2007, eq. 33), G Smith's separable form (eq. 23 and 34).
 
 All arguments broadcast. Albedos have a trailing axis of colours; cosines and `alpha` one of length 1. No input makes a
-NaN or an infinity in value or gradient: `alpha` is held in [ALPHA_MIN, 1], cosines in [0, 1]. So `n·wo` <= 0, which
-interpolated normals cause at outlines, gives the limit of grazing view, and `n·wi` <= 0 gives zero.
+NaN or an infinity in value or gradient: `alpha` is clamped to [ALPHA_MIN, 1], cosines to [0, 1]. So `n·wo` <= 0, which
+interpolated normals cause at silhouettes, gives the limit of a grazing view, and `n·wi` <= 0 gives zero.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ def ggx_d(
 ) -> Float[Tensor, "*b"]:
     """Density of GGX normals: `alpha² / (pi (sin² + alpha² cos²)²)`, Walter et al. 2007 eq. 33.
 
-    In float32 a narrow lobe (alpha < 0.01) needs `sin2_h` = |n × h|²: `1 - cos_h²` has lost its digits by then. Finite
-    where there is no half vector (both 0), between opposite directions.
+    In float32 a narrow lobe (alpha < 0.01) needs `sin2_h` = |n × h|²: `1 - cos_h²` loses its precision. The value is
+    finite for opposite directions, which have no half vector (both 0).
     """
     alpha2 = alpha.clamp(ALPHA_MIN, 1).square()
     cos_h = cos_h.clamp(0, 1)
@@ -60,7 +60,7 @@ def specular_lobe(
 
 
 def schlick_weight(h_wo: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
-    """`(1 - h·wo)^5`: how much of the way from rho_s to 1 the Fresnel term has gone."""
+    """`(1 - h·wo)^5`: Schlick's interpolation from rho_s to 1."""
     x = (1 - h_wo).clamp(0, 1)
     return x.square().square() * x
 
@@ -87,7 +87,7 @@ def directional_albedo_terms(
 def directional_albedo(
     cos_o: Float[Tensor, "*#b 1"], alpha: Float[Tensor, "*#b 1"], rho_s: Float[Tensor, "*#b c"]
 ) -> Float[Tensor, "*b c"]:
-    """E of the `dielectric` lobe: the part of light from `wo` that it reflects, in [0, 1] for rho_s in [0, 1]."""
+    """E of the `dielectric` lobe: the share of light from `wo` that it reflects, in [0, 1] for rho_s in [0, 1]."""
     a, b = directional_albedo_terms(cos_o, alpha)
     return rho_s * a + b
 
@@ -111,8 +111,8 @@ def evaluate(
     if model == "dielectric":
         grazing = schlick_weight(h_wo)
         fresnel = rho_s * (1 - grazing) + grazing
-        kept = (1 - directional_albedo(n_wo, alpha, rho_s)).clamp_min(0)  # the table rounds to 1 + 1e-15
-        return kept * rho_d * cosine + fresnel * lobe
+        diffuse_share = (1 - directional_albedo(n_wo, alpha, rho_s)).clamp_min(0)  # the table rounds to 1 + 1e-15
+        return diffuse_share * rho_d * cosine + fresnel * lobe
     raise ValueError(f"unknown BRDF model {model!r}; known are 'paper' and 'dielectric'")
 
 

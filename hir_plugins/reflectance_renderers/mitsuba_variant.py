@@ -1,4 +1,4 @@
-"""Which variant of Mitsuba runs, and a first look whether it can: with too old an LLVM it would abort the process."""
+"""Mitsuba's variant for a device, and a test that it can render: with a too old LLVM it would abort the process."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from hir_core.run.determinism import deterministic_requested
 def mitsuba_on(device: str) -> ModuleType:
     """The module `mitsuba` with its variant set for a torch device (`cpu`, `cuda`, `cuda:0`).
 
-    Sets the variant at every call, for others in this process may have changed it. Raises `MissingExtraError` where a
-    tiny render in a process of its own fails.
+    Sets the variant at every call, because other code may have changed it. Raises `MissingExtraError` if a tiny render
+    in a subprocess fails.
     """
     variant = "cuda_ad_rgb" if device.startswith("cuda") else "llvm_ad_rgb"
     check_variant(variant)
@@ -28,27 +28,27 @@ def mitsuba_on(device: str) -> ModuleType:
     if deterministic_requested():
         import drjit
 
-        drjit.set_thread_count(1)  # gradients are sums by atomics, in any order
+        drjit.set_thread_count(1)  # gradients are sums by atomic additions, whose order varies with threads
     return mi
 
 
 @lru_cache(maxsize=4)
 def check_variant(variant: str) -> None:
-    """Tries the variant in a subprocess, once for each version of Mitsuba and its libraries; success is remembered."""
+    """Tests the variant in a subprocess, once for each version of Mitsuba and its libraries; success is cached."""
     from hir_core.run.installation_check import examine_renderer
 
-    mark = _cache_folder() / f"mitsuba-{version('mitsuba')}-drjit-{version('drjit')}-{variant}-{_library_mark()}"
-    if mark.exists():
+    success_file = _cache_folder() / f"mitsuba-{version('mitsuba')}-drjit-{version('drjit')}-{variant}-{_llvm_id()}"
+    if success_file.exists():
         return
     finding = examine_renderer(variant, variant)
     if finding.state != "ok":
         advice = finding.advice or "run on the processor with --device cpu"
         raise MissingExtraError(f"Mitsuba cannot render on this machine ({finding.detail}); {advice}")
     try:
-        mark.parent.mkdir(parents=True, exist_ok=True)
-        mark.touch()
+        success_file.parent.mkdir(parents=True, exist_ok=True)
+        success_file.touch()
     except OSError:
-        pass  # a read-only home: the next process tries again
+        pass  # a read-only home: the next process tests again
 
 
 def _cache_folder() -> Path:
@@ -57,7 +57,7 @@ def _cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "hir"
 
 
-def _library_mark() -> str:
-    """Changes when the user chooses another LLVM."""
+def _llvm_id() -> str:
+    """Identifies the LLVM library that the user chose."""
     chosen = os.environ.get("DRJIT_LIBLLVM_PATH", "")
     return "".join(c if c.isalnum() else "_" for c in chosen)[-80:] or "default"

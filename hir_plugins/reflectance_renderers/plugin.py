@@ -1,4 +1,4 @@
-"""Descriptors of the built-in reflectance renderers."""
+"""Components of the built-in reflectance renderers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MITSUBA_GGX = Component(
     name="mitsuba_ggx",
     target="hir_plugins.reflectance_renderers.mitsuba_ggx.renderer:MitsubaGGX",
     config=MitsubaGGXOptions,
-    summary="Path tracing of the same BRDFs: the unbiased reference of fits and of every evaluation.",
+    summary="Path tracing of the same BRDFs: the unbiased reference for fits and evaluation.",
     requires=("torch", "jaxtyping", "mitsuba"),
     extra="reconstruct",
     traits=frozenset({"material", "environment", "stochastic", "reference"}),

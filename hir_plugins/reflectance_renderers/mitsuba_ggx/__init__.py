@@ -1,1 +1,1 @@
-"""The reference renderer: path tracing by Mitsuba's ray tracer and Dr.Jit, exact against the formulas of brdf.py."""
+"""The reference renderer: path tracing of the BRDFs of `brdf_torch` with Mitsuba's ray tracer and Dr.Jit."""

@@ -1,9 +1,8 @@
-"""The lat-long light as Dr.Jit arrays: looked up bilinearly, sampled by its own brightness."""
+"""The lat-long light as Dr.Jit arrays: bilinear lookup, and importance sampling by its brightness."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -12,29 +11,31 @@ from jaxtyping import Float
 from torch import Tensor
 
 from hir_plugins.reflectance_renderers.drjit_arrays import to_float, to_torch
+from hir_plugins.reflectance_renderers.drjit_bilinear import bilinear, extended, repeated
+from hir_plugins.reflectance_renderers.drjit_types import DrJitArray
 
-_UNIFORM = 0.1
-"""Part of the samples that ignores brightness: the derivative of a black texel needs samples too."""
+_UNIFORM_SHARE = 0.1
+"""Share of uniform samples: the derivative of a black texel needs samples too."""
 
 
 @dataclass
 class Light:
-    """A light in its own axes; directions are turned into them by the caller."""
+    """A light in its own axes; the caller rotates directions into them."""
 
-    values: Any
-    """Float, 4 for each texel (red, green, blue, 0): gathered as packets."""
+    values: DrJitArray
+    """Float, 4 for each texel (red, green, blue, 0), to be gathered as packets."""
     height: int
     width: int
-    rows: Any
+    rows: DrJitArray
     """Float (height): cumulative probability of rows."""
-    columns: Any
+    columns: DrJitArray
     """Float (height · width): cumulative probability of the columns of each row."""
-    density: Any
+    density: DrJitArray
     """Float (height · width): probability of a texel times the number of texels."""
 
     @classmethod
     def of(cls, radiance: Float[Tensor, "H W 3"]) -> Light:
-        """Uploads the map and the distribution that its brightness suggests."""
+        """Uploads the map and its sampling distribution."""
         height, width = radiance.shape[:2]
         weights = _cell_integrals(radiance.detach().mean(-1).clamp_min(0).double())
         polar = (torch.arange(height, dtype=torch.float64, device=radiance.device) + 0.5) * (torch.pi / height)
@@ -42,7 +43,7 @@ class Light:
         weights = weights * area
         total = weights.sum()
         uniform = area / area.sum()
-        chance = (1 - _UNIFORM) * weights / total + _UNIFORM * uniform if float(total) > 0 else uniform
+        chance = (1 - _UNIFORM_SHARE) * weights / total + _UNIFORM_SHARE * uniform if float(total) > 0 else uniform
         row = chance.sum(1)
         columns = (chance / row[:, None]).cumsum(1)
         padded = torch.nn.functional.pad(radiance.detach(), (0, 1))
@@ -55,23 +56,14 @@ class Light:
             to_float(chance * (height * width), mi),
         )
 
-    def radiance(self, direction: Any) -> Any:
-        """Color3f from a direction; differentiable in `values`. Wraps in u, holds at the poles."""
+    def radiance(self, direction: DrJitArray) -> DrJitArray:
+        """Color3f from a direction, differentiable in `values`: periodic in u, the last rows go on at the poles."""
         u, v = _coordinates(direction)
-        x, y = u * self.width - 0.5, v * self.height - 0.5
-        left, top = dr.floor(x), dr.floor(y)
-        s, t = x - left, y - top
-        column, row = mi.Int32(left), mi.Int32(top)
-        # u in [0, 1] leaves at most one wrap at either end
-        columns = [dr.select(column < 0, self.width - 1, column), column + 1]
-        columns = [dr.select(c >= self.width, c - self.width, c) for c in columns]
-        rows = [dr.clip(row, 0, self.height - 1), dr.clip(row + 1, 0, self.height - 1)]
-        upper = dr.lerp(self._texel(rows[0], columns[0]), self._texel(rows[0], columns[1]), s)
-        lower = dr.lerp(self._texel(rows[1], columns[0]), self._texel(rows[1], columns[1]), s)
-        value = dr.lerp(upper, lower, t)
+        x, y = repeated(u * self.width - 0.5, self.width), extended(v * self.height - 0.5, self.height)
+        value = bilinear(self._texel, x, y)
         return mi.Color3f(value.x, value.y, value.z)
 
-    def sample(self, point: Any) -> tuple[Any, Any]:
+    def sample(self, point: DrJitArray) -> tuple[DrJitArray, DrJitArray]:
         """A direction and its density per steradian, from a point of the unit square."""
         row, y = _invert(self.rows, mi.UInt32(0), self.height, point.y)
         column, x = _invert(self.columns, row * self.width, self.width, point.x)
@@ -82,7 +74,7 @@ class Light:
         density = dr.gather(mi.Float, self.density, row * self.width + column)
         return direction, density / (2 * dr.square(dr.pi) * dr.maximum(sin_polar, 1e-6))
 
-    def pdf(self, direction: Any) -> Any:
+    def pdf(self, direction: DrJitArray) -> DrJitArray:
         """Density per steradian of `sample`."""
         u, v = _coordinates(direction)
         column = dr.minimum(mi.UInt32(u * self.width), self.width - 1)
@@ -96,28 +88,28 @@ class Light:
         packed = to_torch(dr.grad(self.values), (self.height, self.width, 4), like.device)
         return packed[..., :3].to(like.dtype)
 
-    def _texel(self, row: Any, column: Any) -> Any:
+    def _texel(self, row: DrJitArray, column: DrJitArray) -> DrJitArray:
         return dr.gather(mi.Vector4f, self.values, mi.UInt32(row * self.width + column))
 
 
-def _coordinates(direction: Any) -> tuple[Any, Any]:
+def _coordinates(direction: DrJitArray) -> tuple[DrJitArray, DrJitArray]:
     """(u, v) in [0, 1] of `hir_exporters.conventions.direction_to_latlong_uv`."""
     u = 0.5 - dr.atan2(direction.x, direction.z) / dr.two_pi
     v = dr.atan2(dr.sqrt(dr.square(direction.x) + dr.square(direction.z)), direction.y) * dr.inv_pi
     return dr.clip(u, 0, 1), dr.clip(v, 0, 1)
 
 
-def _invert(cumulative: Any, start: Any, count: int, u: Any) -> tuple[Any, Any]:
-    """Index of the interval that u falls into, and where in it (0…1)."""
-    found = dr.binary_search(0, count - 1, lambda i: dr.gather(mi.Float, cumulative, start + i) <= u)
-    upper = dr.gather(mi.Float, cumulative, start + found)
-    lower = dr.select(found > 0, dr.gather(mi.Float, cumulative, start + dr.maximum(found, 1) - 1), 0)
-    inside = (u - lower) / dr.maximum(upper - lower, 1e-20)
-    return found, dr.clip(inside, 0, dr.one_minus_epsilon(mi.Float))
+def _invert(cumulative: DrJitArray, start: DrJitArray, count: int, u: DrJitArray) -> tuple[DrJitArray, DrJitArray]:
+    """Index of the interval that contains u, and the position in it (0…1)."""
+    index = dr.binary_search(0, count - 1, lambda i: dr.gather(mi.Float, cumulative, start + i) <= u)
+    upper = dr.gather(mi.Float, cumulative, start + index)
+    lower = dr.select(index > 0, dr.gather(mi.Float, cumulative, start + dr.maximum(index, 1) - 1), 0)
+    position = (u - lower) / dr.maximum(upper - lower, 1e-20)
+    return index, dr.clip(position, 0, dr.one_minus_epsilon(mi.Float))
 
 
 def _cell_integrals(brightness: Float[Tensor, "H W"]) -> Float[Tensor, "H W"]:
-    """Mean of the bilinear interpolant over each texel: a bright texel shines into half of its neighbours."""
+    """Mean of the bilinear interpolant over each texel, to which the neighbours contribute."""
     rows = torch.cat([brightness[:1], brightness, brightness[-1:]])
     smooth = 0.125 * rows[:-2] + 0.75 * rows[1:-1] + 0.125 * rows[2:]
     return 0.125 * smooth.roll(1, 1) + 0.75 * smooth + 0.125 * smooth.roll(-1, 1)

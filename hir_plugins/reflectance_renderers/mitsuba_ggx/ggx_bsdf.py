@@ -7,16 +7,15 @@ Each parameter is a texture (give bitmaps as float32 with `raw`) or a constant. 
 
 from __future__ import annotations
 
-from typing import Any
-
 import drjit as dr
 import mitsuba as mi
 
+from hir_plugins.reflectance_renderers.drjit_types import DrJitArray, MitsubaObject
 from hir_plugins.reflectance_renderers.mitsuba_ggx import ggx_drjit
 from hir_plugins.reflectance_renderers.mitsuba_ggx.ggx_drjit import Reflectance
 
 _registered: dict[str, type] = {}
-"""The class for each variant: Mitsuba's base classes differ between them."""
+"""The class of each variant: Mitsuba's base classes differ between variants."""
 
 
 def register() -> None:
@@ -27,14 +26,14 @@ def register() -> None:
         mi.register_bsdf("hir_ggx", _registered[variant])
 
 
-def _front(si: Any) -> Any:
-    """Seen from outside by the face's own normal: at outlines the interpolated one may already look away."""
+def _is_front(si: MitsubaObject) -> DrJitArray:
+    """Whether the face's own normal points to the viewer: at silhouettes the interpolated one may face away."""
     return dr.dot(si.n, si.to_world(si.wi)) > 0
 
 
 def _plugin_class() -> type:
     class HirGGX(mi.BSDF):  # type: ignore[misc,name-defined]
-        def __init__(self, props: Any) -> None:
+        def __init__(self, props: MitsubaObject) -> None:
             mi.BSDF.__init__(self, props)
             self.model = str(props.get("model", "dielectric"))
             if self.model not in ("paper", "dielectric"):
@@ -48,37 +47,46 @@ def _plugin_class() -> type:
             self.m_components = [flags]
             self.m_flags = flags
 
-        def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:
+        def sample(
+            self,
+            ctx: MitsubaObject,
+            si: MitsubaObject,
+            sample1: DrJitArray,
+            sample2: DrJitArray,
+            active: DrJitArray = True,
+        ) -> DrJitArray:
             reflectance = self._at(si, active)
-            sampled: Any = mi.BSDFSample3f()
+            sampled: MitsubaObject = mi.BSDFSample3f()
             sampled.wo = ggx_drjit.sample(reflectance, si.wi, sample2)
             sampled.pdf = ggx_drjit.pdf(reflectance, si.wi, sampled.wo)
             sampled.eta = 1.0
             sampled.sampled_type = mi.UInt32(+mi.BSDFFlags.GlossyReflection)
             sampled.sampled_component = mi.UInt32(0)
-            active = active & _front(si) & (sampled.pdf > 0)
+            active = active & _is_front(si) & (sampled.pdf > 0)
             weight = ggx_drjit.evaluate(reflectance, si.wi, sampled.wo) / dr.maximum(sampled.pdf, 1e-30)
             return sampled, dr.select(active, weight, 0)
 
-        def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+        def eval(self, ctx: MitsubaObject, si: MitsubaObject, wo: DrJitArray, active: DrJitArray = True) -> DrJitArray:
             value = ggx_drjit.evaluate(self._at(si, active), si.wi, wo)
-            return dr.select(active & _front(si) & (wo.z > 0), value, 0)
+            return dr.select(active & _is_front(si) & (wo.z > 0), value, 0)
 
-        def pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+        def pdf(self, ctx: MitsubaObject, si: MitsubaObject, wo: DrJitArray, active: DrJitArray = True) -> DrJitArray:
             density = ggx_drjit.pdf(self._at(si, active), si.wi, wo)
-            return dr.select(active & _front(si) & (wo.z > 0), density, 0)
+            return dr.select(active & _is_front(si) & (wo.z > 0), density, 0)
 
-        def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+        def eval_pdf(
+            self, ctx: MitsubaObject, si: MitsubaObject, wo: DrJitArray, active: DrJitArray = True
+        ) -> DrJitArray:
             return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
 
-        def traverse(self, callback: Any) -> None:
+        def traverse(self, callback: MitsubaObject) -> None:
             for name, texture in self.textures.items():
                 callback.put(name, texture, mi.ParamFlags.Differentiable)
 
         def to_string(self) -> str:
             return f"HirGGX[model={self.model}]"
 
-        def _at(self, si: Any, active: Any) -> Reflectance:
+        def _at(self, si: MitsubaObject, active: DrJitArray) -> Reflectance:
             textures = self.textures
             return Reflectance(
                 self.model,

@@ -1,4 +1,4 @@
-"""The two BRDF models of brdf.py for Dr.Jit arrays, and directions drawn from them.
+"""The BRDF models of `brdf_torch` for Dr.Jit arrays, and importance sampling.
 
 Directions are unit vectors about the normal (0, 0, 1). `eye` is wo, towards the camera; `light` is wi.
 """
@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -15,11 +14,13 @@ from hir_exporters.conventions import ALPHA_MIN
 from hir_exporters.materials.brdf_numpy import albedo_table
 
 from hir_plugins.reflectance_renderers.drjit_arrays import floats
+from hir_plugins.reflectance_renderers.drjit_bilinear import bilinear, clamped
+from hir_plugins.reflectance_renderers.drjit_types import DrJitArray
 
 _EYE_MIN = 1e-3
-"""Sampling, unlike evaluation, lifts eyes below the shading horizon above it: any density above zero is right."""
-_LEAST = 0.1
-"""Least probability of each lobe: the derivative of a lobe that is black now needs samples too."""
+"""Sampling, unlike evaluation, moves eyes below the shading horizon above it: every positive density is unbiased."""
+_MIN_PROBABILITY = 0.1
+"""Of each lobe: the derivative of a black lobe needs samples too."""
 
 
 @dataclass(frozen=True)
@@ -27,17 +28,17 @@ class Reflectance:
     """Parameters of the BRDF at one point; `model` is the same for all."""
 
     model: str
-    diffuse: Any
+    diffuse: DrJitArray
     """Color3f."""
-    specular: Any
-    alpha: Any
+    specular: DrJitArray
+    alpha: DrJitArray
     """Float."""
 
 
-def evaluate(r: Reflectance, eye: Any, light: Any) -> Any:
-    """`f · (n·wi)` as Color3f; what brdf.evaluate computes, digit for digit in its order of operations."""
+def evaluate(r: Reflectance, eye: DrJitArray, light: DrJitArray) -> DrJitArray:
+    """`f · (n·wi)` as Color3f; the operations and their order are those of `brdf_torch.evaluate`."""
     half = _half(eye, light)
-    alpha = _held(r.alpha)
+    alpha = _clamped_alpha(r.alpha)
     n_wi, n_wo = dr.clip(light.z, 0, 1), dr.clip(eye.z, 0, 1)
     lobe = _ggx(half, alpha) * (2 * n_wi / _denominator(n_wi, alpha)) / _denominator(n_wo, alpha) / 2
     cosine = n_wi * dr.inv_pi
@@ -46,13 +47,13 @@ def evaluate(r: Reflectance, eye: Any, light: Any) -> Any:
     grazing = _fifth(1 - dr.dot(half, eye))
     fresnel = r.specular * (1 - grazing) + grazing
     scale, bias = albedo_terms(n_wo, alpha)
-    kept = dr.maximum(1 - (r.specular * scale + bias), 0)
-    return kept * r.diffuse * cosine + fresnel * lobe
+    diffuse_share = dr.maximum(1 - (r.specular * scale + bias), 0)
+    return diffuse_share * r.diffuse * cosine + fresnel * lobe
 
 
-def sample(r: Reflectance, eye: Any, point: Any) -> Any:
+def sample(r: Reflectance, eye: DrJitArray, point: DrJitArray) -> DrJitArray:
     """A direction drawn with the density of `pdf`, from a point of the unit square; not differentiated."""
-    eye, alpha, p = _lifted(eye), dr.detach(_held(r.alpha)), specular_probability(r, eye)
+    eye, alpha, p = _above_horizon(eye), dr.detach(_clamped_alpha(r.alpha)), specular_probability(r, eye)
     specular = point.x < p
     u = dr.select(specular, point.x / p, (point.x - p) / (1 - p))
     u = mi.Point2f(dr.clip(u, 0, dr.one_minus_epsilon(mi.Float)), point.y)
@@ -60,9 +61,9 @@ def sample(r: Reflectance, eye: Any, point: Any) -> Any:
     return dr.select(specular, _reflect(eye, _visible_normal(eye, alpha, u)), cosine)
 
 
-def pdf(r: Reflectance, eye: Any, light: Any) -> Any:
+def pdf(r: Reflectance, eye: DrJitArray, light: DrJitArray) -> DrJitArray:
     """Density per steradian of `sample`; 0 below the horizon. Not differentiated."""
-    eye, alpha, p = _lifted(eye), dr.detach(_held(r.alpha)), specular_probability(r, eye)
+    eye, alpha, p = _above_horizon(eye), dr.detach(_clamped_alpha(r.alpha)), specular_probability(r, eye)
     half = _half(eye, light)
     # visible normals: G1(eye) D / (4 eye.z), where eye.z cancels
     lobe = _ggx(half, alpha) / (2 * _denominator(eye.z, alpha))
@@ -70,75 +71,72 @@ def pdf(r: Reflectance, eye: Any, light: Any) -> Any:
     return dr.select(light.z > 0, density, 0)
 
 
-def specular_probability(r: Reflectance, eye: Any) -> Any:
-    """How often `sample` takes the lobe: by the albedos of both parts."""
+def specular_probability(r: Reflectance, eye: DrJitArray) -> DrJitArray:
+    """Probability with which `sample` draws from the specular lobe: by the albedos of both parts."""
     specular, diffuse = _mean(dr.detach(r.specular)), _mean(dr.detach(r.diffuse))
     if r.model == "dielectric":
-        scale, bias = albedo_terms(eye.z, dr.detach(_held(r.alpha)))
+        scale, bias = albedo_terms(eye.z, dr.detach(_clamped_alpha(r.alpha)))
         specular = specular * scale + bias
         diffuse = diffuse * (1 - specular)
     specular, diffuse = dr.maximum(specular, 0), dr.maximum(diffuse, 0)
-    return _LEAST + (1 - 2 * _LEAST) * specular / dr.maximum(specular + diffuse, 1e-6)
+    return _MIN_PROBABILITY + (1 - 2 * _MIN_PROBABILITY) * specular / dr.maximum(specular + diffuse, 1e-6)
 
 
-def albedo_terms(cos_o: Any, alpha: Any) -> tuple[Any, Any]:
-    """A and B of the lobe's directional albedo, from the table that all parts of the project share."""
+def albedo_terms(cos_o: DrJitArray, alpha: DrJitArray) -> tuple[DrJitArray, DrJitArray]:
+    """A and B of the lobe's directional albedo, from `hir_exporters.materials.brdf_numpy.albedo_table`."""
     table, rows, columns = _table(mi.variant())
     x = dr.sqrt(dr.clip(cos_o, 1e-6, 1)) * (rows - 1)
     y = (dr.sqrt(alpha) - ALPHA_MIN**0.5) * ((columns - 1) / (1 - ALPHA_MIN**0.5))
-    i = dr.minimum(mi.UInt32(dr.detach(dr.maximum(x, 0))), rows - 2)
-    j = dr.minimum(mi.UInt32(dr.detach(dr.maximum(y, 0))), columns - 2)
-    s, t = x - mi.Float(i), y - mi.Float(j)
-    index = i * columns + j
-    near = dr.lerp(dr.gather(mi.Vector2f, table, index), dr.gather(mi.Vector2f, table, index + 1), t)
-    index = index + columns
-    far = dr.lerp(dr.gather(mi.Vector2f, table, index), dr.gather(mi.Vector2f, table, index + 1), t)
-    terms = dr.lerp(near, far, s)
+    terms = bilinear(
+        lambda row, column: dr.gather(mi.Vector2f, table, row * columns + column),
+        clamped(y, columns),
+        clamped(x, rows),
+    )
     return terms.x, terms.y
 
 
 @lru_cache(maxsize=4)
-def _table(variant: str) -> tuple[Any, int, int]:
+def _table(variant: str) -> tuple[DrJitArray, int, int]:
     table = albedo_table()
     return floats(table, mi), table.shape[0], table.shape[1]
 
 
-def _mean(color: Any) -> Any:
+def _mean(color: DrJitArray) -> DrJitArray:
     return (color.x + color.y + color.z) / 3  # dr.mean would average over the lanes too
 
 
-def _half(eye: Any, light: Any) -> Any:
+def _half(eye: DrJitArray, light: DrJitArray) -> DrJitArray:
     total = eye + light
     return total * dr.rsqrt(dr.maximum(dr.squared_norm(total), 1e-20))  # opposite directions have no half vector
 
 
-def _ggx(half: Any, alpha: Any) -> Any:
+def _ggx(half: DrJitArray, alpha: DrJitArray) -> DrJitArray:
     alpha2 = dr.square(alpha)
     cos2 = dr.square(dr.clip(half.z, 0, 1))
-    # |n × h|² from the local x and y: 1 - cos² has no digits left for narrow lobes
-    spread = dr.square(half.x) + dr.square(half.y) + alpha2 * cos2
-    return alpha2 / (dr.pi * dr.square(spread))
+    # |n × h|² from the local x and y: 1 - cos² loses its precision for narrow lobes
+    sum_of_squares = dr.square(half.x) + dr.square(half.y) + alpha2 * cos2
+    return alpha2 / (dr.pi * dr.square(sum_of_squares))
 
 
-def _denominator(cos: Any, alpha: Any) -> Any:
+def _denominator(cos: DrJitArray, alpha: DrJitArray) -> DrJitArray:
     alpha2 = dr.square(alpha)
     return cos + dr.sqrt(alpha2 + (1 - alpha2) * dr.square(cos))
 
 
-def _held(alpha: Any) -> Any:
+def _clamped_alpha(alpha: DrJitArray) -> DrJitArray:
     return dr.clip(alpha, ALPHA_MIN, 1)
 
 
-def _fifth(x: Any) -> Any:
+def _fifth(x: DrJitArray) -> DrJitArray:
     x = dr.clip(x, 0, 1)
     return dr.square(dr.square(x)) * x
 
 
-def _lifted(eye: Any) -> Any:
+def _above_horizon(eye: DrJitArray) -> DrJitArray:
     return dr.normalize(mi.Vector3f(eye.x, eye.y, dr.maximum(eye.z, _EYE_MIN)))
 
 
-def _visible_normal(eye: Any, alpha: Any, u: Any) -> Any:
+def _visible_normal(eye: DrJitArray, alpha: DrJitArray, u: DrJitArray) -> DrJitArray:
     """A GGX normal visible from `eye` (Dupuy and Benyoub 2023, spherical caps)."""
     stretched = dr.normalize(mi.Vector3f(alpha * eye.x, alpha * eye.y, eye.z))
     z = dr.fma(1 - u.x, 1 + stretched.z, -stretched.z)
@@ -148,5 +146,5 @@ def _visible_normal(eye: Any, alpha: Any, u: Any) -> Any:
     return dr.normalize(mi.Vector3f(alpha * half.x, alpha * half.y, half.z))
 
 
-def _reflect(eye: Any, half: Any) -> Any:
+def _reflect(eye: DrJitArray, half: DrJitArray) -> DrJitArray:
     return 2 * dr.dot(eye, half) * half - eye

@@ -1,9 +1,8 @@
-"""The frozen mesh: rays, and where they meet it."""
+"""The frozen mesh: ray intersections and shading normals."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -15,32 +14,33 @@ from torch import Tensor
 from hir_core.errors import StageError
 from hir_core.scene import Mesh
 from hir_plugins.reflectance_renderers.drjit_arrays import floats, to_float, to_uint
+from hir_plugins.reflectance_renderers.drjit_types import DrJitArray
 
-_OFFSET = 2e-5
-"""How far above the surface, in radii of the object, rays start: a few float32 steps."""
+_RAY_OFFSET = 2e-5
+"""Distance of ray origins from the surface, in radii of the object: a few float32 steps."""
 
 
 @dataclass(frozen=True)
-class Point:
-    """Where rays met the surface; only valid where `valid`."""
+class SurfaceHit:
+    """Intersections of rays with the surface; only meaningful where `valid`."""
 
-    valid: Any
-    """The ray met the front of a face."""
-    met: Any
-    """The ray met anything."""
-    position: Any
-    geometric: Any
+    valid: DrJitArray
+    """The ray hit the front of a face."""
+    is_hit: DrJitArray
+    """The ray hit the mesh."""
+    position: DrJitArray
+    geometric: DrJitArray
     """Normal of the face."""
-    normal: Any
+    normal: DrJitArray
     """Interpolated vertex normal, or that of the normal map."""
-    u: Any
-    v: Any
-    face: Any
-    weights: tuple[Any, Any, Any]
+    u: DrJitArray
+    v: DrJitArray
+    face: DrJitArray
+    weights: tuple[DrJitArray, DrJitArray, DrJitArray]
 
 
 class Surface:
-    """A mesh in the unit sphere with its acceleration structure."""
+    """A mesh, scaled to the unit sphere, with its acceleration structure."""
 
     def __init__(self, mesh: Mesh) -> None:
         positions = mesh.positions.detach()
@@ -54,7 +54,7 @@ class Surface:
         unit = ((positions.double() - middle) / self.radius).float()
         self.device = positions.device
         self._mesh = mesh
-        # arrays are gathered as packets of four
+        # padded, so that they are gathered as packets of four
         self._positions = to_float(_four(unit), mi)
         self._normals = to_float(_four(mesh.normals), mi)
         self._faces = to_uint(_four(mesh.faces), mi)
@@ -66,18 +66,20 @@ class Surface:
 
     @property
     def has_uvs(self) -> bool:
-        """Whether textures can be looked up."""
+        """Whether the mesh has texture coordinates."""
         return self._uvs is not None
 
-    def intersect(self, origin: Any, direction: Any, active: Any, coherent: bool = False) -> Point:
+    def intersect(
+        self, origin: DrJitArray, direction: DrJitArray, active: DrJitArray, coherent: bool = False
+    ) -> SurfaceHit:
         """First hits of rays in the unit sphere."""
         hit = self.scene.ray_intersect_preliminary(mi.Ray3f(origin, direction), coherent=coherent, active=active)
-        met = hit.is_valid() & active
-        corners = self._corners(self._faces, hit.prim_index, met)
+        is_hit = hit.is_valid() & active
+        corners = self._corners(self._faces, hit.prim_index, is_hit)
         b, c = hit.prim_uv.x, hit.prim_uv.y
         weights = (1 - b - c, b, c)
-        p = [_vector(self._positions, i, met) for i in corners]
-        n = [_vector(self._normals, i, met) for i in corners]
+        p = [_vector(self._positions, i, is_hit) for i in corners]
+        n = [_vector(self._normals, i, is_hit) for i in corners]
         position = _mix(p, weights)
         geometric = dr.cross(p[1] - p[0], p[2] - p[0])
         geometric *= dr.rcp(dr.maximum(dr.norm(geometric), 1e-30))
@@ -86,33 +88,36 @@ class Surface:
         normal = dr.select(length > 1e-6, normal / dr.maximum(length, 1e-6), geometric)
         u = v = mi.Float(0)
         if self._uvs is not None:
-            uv = [dr.gather(mi.Vector2f, self._uvs, i, met) for i in self._corners(self._uv_faces, hit.prim_index, met)]
+            uv = [
+                dr.gather(mi.Vector2f, self._uvs, i, is_hit)
+                for i in self._corners(self._uv_faces, hit.prim_index, is_hit)
+            ]
             mixed = _mix(uv, weights)
             u, v = mixed.x, mixed.y
-        valid = met & (dr.dot(geometric, direction) < 0)
-        return Point(valid, met, position, geometric, normal, u, v, hit.prim_index, weights)
+        valid = is_hit & (dr.dot(geometric, direction) < 0)
+        return SurfaceHit(valid, is_hit, position, geometric, normal, u, v, hit.prim_index, weights)
 
-    def occluded(self, origin: Any, direction: Any, active: Any) -> Any:
-        """Whether rays meet anything."""
+    def occluded(self, origin: DrJitArray, direction: DrJitArray, active: DrJitArray) -> DrJitArray:
+        """Whether rays hit the mesh."""
         return self.scene.ray_test(mi.Ray3f(origin, direction), active=active)
 
-    def start(self, point: Point, direction: Any) -> Any:
-        """Origin of a ray that leaves the surface towards `direction`."""
-        side = dr.select(dr.dot(point.geometric, direction) >= 0, _OFFSET, -_OFFSET)
+    def start(self, point: SurfaceHit, direction: DrJitArray) -> DrJitArray:
+        """Origin of a ray from the surface in a direction."""
+        side = dr.select(dr.dot(point.geometric, direction) >= 0, _RAY_OFFSET, -_RAY_OFFSET)
         return point.position + point.geometric * side
 
-    def mapped_normal(self, point: Point, tangent_normal: Any) -> Any:
-        """The world's normal of a normal-map vector, in MikkTSpace's frames."""
+    def mapped_normal(self, point: SurfaceHit, tangent_normal: DrJitArray) -> DrJitArray:
+        """Normal in the world of a vector of a normal map, in MikkTSpace frames."""
         if self._tangents is None:
             self._tangents = self._upload_tangents()
         corner = [dr.gather(mi.Vector4f, self._tangents, point.face * 3 + i, point.valid) for i in range(3)]
         tangent = _mix([mi.Vector3f(t.x, t.y, t.z) for t in corner], point.weights)
         bitangent = corner[0].w * dr.cross(point.normal, tangent)
-        bent = tangent_normal.x * tangent + tangent_normal.y * bitangent + tangent_normal.z * point.normal
-        length = dr.norm(bent)
-        return dr.select(length > 1e-6, bent / dr.maximum(length, 1e-6), point.normal)
+        normal = tangent_normal.x * tangent + tangent_normal.y * bitangent + tangent_normal.z * point.normal
+        length = dr.norm(normal)
+        return dr.select(length > 1e-6, normal / dr.maximum(length, 1e-6), point.normal)
 
-    def _upload_tangents(self) -> Any:
+    def _upload_tangents(self) -> DrJitArray:
         mesh = self._mesh
         if mesh.uvs is None or mesh.topology.uv_faces is None:
             raise StageError("a normal map needs texture coordinates; let the atlas stage run")
@@ -122,17 +127,19 @@ class Surface:
         tangents = corner_tangents(positions[faces], normals[faces], mesh.uvs.detach().cpu().numpy()[uv_faces], corners)
         return floats(tangents, mi)
 
-    def _corners(self, faces: Any, index: Any, active: Any) -> tuple[Any, Any, Any]:
+    def _corners(
+        self, faces: DrJitArray, index: DrJitArray, active: DrJitArray
+    ) -> tuple[DrJitArray, DrJitArray, DrJitArray]:
         found = dr.gather(mi.Vector4u, faces, index, active)
         return found.x, found.y, found.z
 
 
-def _vector(values: Any, index: Any, active: Any) -> Any:
+def _vector(values: DrJitArray, index: DrJitArray, active: DrJitArray) -> DrJitArray:
     packet = dr.gather(mi.Vector4f, values, index, active)
     return mi.Vector3f(packet.x, packet.y, packet.z)
 
 
-def _mix(values: list[Any], weights: tuple[Any, Any, Any]) -> Any:
+def _mix(values: list[DrJitArray], weights: tuple[DrJitArray, DrJitArray, DrJitArray]) -> DrJitArray:
     return values[0] * weights[0] + values[1] * weights[1] + values[2] * weights[2]
 
 
@@ -140,7 +147,7 @@ def _four(rows: Tensor) -> Tensor:
     return torch.nn.functional.pad(rows, (0, 1))
 
 
-def _acceleration(positions: Tensor, faces: Tensor) -> Any:
+def _acceleration(positions: Tensor, faces: Tensor) -> DrJitArray:
     mesh = mi.Mesh("surface", vertex_count=len(positions), face_count=len(faces))
     parameters = mi.traverse(mesh)
     parameters["vertex_positions"] = to_float(positions, mi)

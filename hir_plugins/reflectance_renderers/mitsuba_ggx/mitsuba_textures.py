@@ -1,9 +1,8 @@
-"""The material as Dr.Jit arrays: one value, or a texture looked up bilinearly."""
+"""The parameters of a material as Dr.Jit arrays: one value, or a texture with bilinear lookup."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -12,13 +11,15 @@ from torch import Tensor
 
 from hir_core.errors import StageError
 from hir_plugins.reflectance_renderers.drjit_arrays import to_float, to_torch
+from hir_plugins.reflectance_renderers.drjit_bilinear import bilinear, repeated
+from hir_plugins.reflectance_renderers.drjit_types import DrJitArray
 
 
 @dataclass
 class Parameter:
     """One parameter of the material with 1 or 3 channels; `values` is the leaf of differentiation."""
 
-    values: Any
+    values: DrJitArray
     channels: int
     height: int
     width: int
@@ -35,23 +36,19 @@ class Parameter:
         padded = torch.nn.functional.pad(tensor.detach(), (0, 1)) if channels == 3 else tensor
         return cls(to_float(padded, mi), channels, height, width)
 
-    def at(self, u: Any, v: Any, active: Any) -> Any:
-        """Color3f or Float at texture coordinates, which wrap; row 0 is at v = 0."""
+    def at(self, u: DrJitArray, v: DrJitArray, active: DrJitArray) -> DrJitArray:
+        """Color3f or Float at texture coordinates, which are periodic; row 0 is at v = 0."""
         kind = mi.Vector4f if self.channels == 3 else mi.Float
         if not self.width:
             index = dr.zeros(mi.UInt32, dr.width(u))
             return self._channels(dr.gather(kind, self.values, index, active))
-        x, y = (u - dr.floor(u)) * self.width - 0.5, (v - dr.floor(v)) * self.height - 0.5
-        left, top = dr.floor(x), dr.floor(y)
-        s, t = x - left, y - top
-        columns, rows = _wrapped(mi.Int32(left), self.width), _wrapped(mi.Int32(top), self.height)
+        x = repeated((u - dr.floor(u)) * self.width - 0.5, self.width)
+        y = repeated((v - dr.floor(v)) * self.height - 0.5, self.height)
 
-        def texel(row: Any, column: Any) -> Any:
+        def texel(row: DrJitArray, column: DrJitArray) -> DrJitArray:
             return dr.gather(kind, self.values, mi.UInt32(row * self.width + column), active)
 
-        upper = dr.lerp(texel(rows[0], columns[0]), texel(rows[0], columns[1]), s)
-        lower = dr.lerp(texel(rows[1], columns[0]), texel(rows[1], columns[1]), s)
-        return self._channels(dr.lerp(upper, lower, t))
+        return self._channels(bilinear(texel, x, y))
 
     def gradient(self, like: Tensor) -> Tensor:
         """The derivative that a backward pass left in `values`, shaped like the tensor it was made of."""
@@ -59,11 +56,5 @@ class Parameter:
         packed = to_torch(dr.grad(self.values), (rows, 4 if self.channels == 3 else 1), like.device)
         return packed[:, : self.channels].reshape(like.shape).to(like.dtype)
 
-    def _channels(self, value: Any) -> Any:
+    def _channels(self, value: DrJitArray) -> DrJitArray:
         return mi.Color3f(value.x, value.y, value.z) if self.channels == 3 else value
-
-
-def _wrapped(index: Any, count: int) -> tuple[Any, Any]:
-    """An index in −1 … count − 1 and the next, wrapped."""
-    following = index + 1
-    return dr.select(index < 0, count - 1, index), dr.select(following >= count, 0, following)

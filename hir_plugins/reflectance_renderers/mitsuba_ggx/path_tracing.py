@@ -2,22 +2,22 @@
 
 Light that meets the eye after at most `max_depth - 1` reflections (Mitsuba's count of `max_depth`: 2 is direct light).
 Directions and densities are drawn without derivative, so differentiating the value differentiates the estimator's
-integrand: unbiased, also for what is black now.
+integrand: unbiased, also for values that are 0.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
+from hir_plugins.reflectance_renderers.drjit_types import DrJitArray
 from hir_plugins.reflectance_renderers.mitsuba_ggx.emitter import Light
 from hir_plugins.reflectance_renderers.mitsuba_ggx.ggx_drjit import Reflectance, evaluate, pdf, sample
-from hir_plugins.reflectance_renderers.mitsuba_ggx.mitsuba_mesh import Point, Surface
+from hir_plugins.reflectance_renderers.mitsuba_ggx.mitsuba_mesh import Surface, SurfaceHit
 from hir_plugins.reflectance_renderers.mitsuba_ggx.mitsuba_textures import Parameter
-from hir_plugins.reflectance_renderers.mitsuba_ggx.sample_sequence import Sequence
+from hir_plugins.reflectance_renderers.mitsuba_ggx.sample_sequence import SampleSequence
 
 
 @dataclass
@@ -30,7 +30,7 @@ class Shading:
     alpha: Parameter
     normal: Parameter | None
 
-    def at(self, surface: Surface, point: Point) -> tuple[Reflectance, Any]:
+    def at(self, surface: Surface, point: SurfaceHit) -> tuple[Reflectance, DrJitArray]:
         """Parameters and shading frame at points of the surface."""
         u, v, active = point.u, point.v, point.valid
         reflectance = Reflectance(
@@ -47,23 +47,23 @@ def incoming(
     surface: Surface,
     shading: Shading,
     light: Light,
-    light_from_world: Any,
-    first: Point,
-    direction: Any,
-    points: Sequence,
+    light_from_world: DrJitArray,
+    first: SurfaceHit,
+    direction: DrJitArray,
+    points: SampleSequence,
     max_depth: int,
-) -> Any:
-    """Color3f: radiance towards the eye from `first`, seen along `direction`; 0 where it is not valid.
+) -> DrJitArray:
+    """Color3f: radiance from `first` towards the eye, along `direction`; 0 where `first` is not valid.
 
     `light_from_world` is a Matrix3f for each lane.
     """
-    up: Any = mi.Vector3f(0, 0, 1)
-    total: Any = mi.Color3f(0)
-    throughput: Any = mi.Color3f(1)
+    up: DrJitArray = mi.Vector3f(0, 0, 1)
+    total: DrJitArray = mi.Color3f(0)
+    throughput: DrJitArray = mi.Color3f(1)
     point, active = first, mi.Bool(first.valid)
     for bounce in range(1, max_depth):
         reflectance, frame = shading.at(surface, point)
-        # lanes that are done compute with harmless directions: a NaN would reach derivatives through masks
+        # inactive lanes compute with a valid direction: a NaN would reach derivatives through masks
         eye = dr.select(active, frame.to_local(-direction), up)
 
         towards, density = light.sample(points.next())
@@ -87,7 +87,7 @@ def incoming(
             escaped = active & ~surface.occluded(start, world, active)
         else:
             point = surface.intersect(start, world, active)
-            escaped = active & ~point.met
+            escaped = active & ~point.is_hit
         towards = dr.detach(light_from_world @ world)
         weight = _power(density, light.pdf(towards))
         total += dr.select(escaped, throughput * light.radiance(towards) * weight, 0)
@@ -97,7 +97,7 @@ def incoming(
     return total
 
 
-def _power(a: Any, b: Any) -> Any:
-    """Weight of the sampler with density a against b: the power heuristic, free of overflow."""
+def _power(a: DrJitArray, b: DrJitArray) -> DrJitArray:
+    """The power heuristic for a sampler of density a against one of density b, without overflow."""
     ratio = b / dr.maximum(a, 1e-30)
     return dr.rcp(1 + dr.square(dr.minimum(ratio, 1e15)))

@@ -1,4 +1,4 @@
-"""A frozen mesh and cameras: radiance through pixels, with derivatives from samples of their own."""
+"""A frozen mesh and cameras: radiance of pixels, with derivatives from independent samples."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from hir_core.errors import StageError
 from hir_core.plugins.interfaces import PreparedReflectance
 from hir_core.scene import EnvironmentMap, Material
 from hir_plugins.reflectance_renderers.drjit_arrays import floats, to_color, to_float, to_torch, to_uint
+from hir_plugins.reflectance_renderers.drjit_types import DrJitArray
 from hir_plugins.reflectance_renderers.mitsuba_ggx.emitter import Light
 from hir_plugins.reflectance_renderers.mitsuba_ggx.mitsuba_mesh import Surface
 from hir_plugins.reflectance_renderers.mitsuba_ggx.mitsuba_textures import Parameter
 from hir_plugins.reflectance_renderers.mitsuba_ggx.path_tracing import Shading, incoming
-from hir_plugins.reflectance_renderers.mitsuba_ggx.sample_sequence import Sequence as ShadingPoints
-from hir_plugins.reflectance_renderers.mitsuba_ggx.sample_sequence import lanes
+from hir_plugins.reflectance_renderers.mitsuba_ggx.sample_sequence import SampleSequence, lanes
 
 LANES = 1 << 20
-"""Paths traced at once: bounds memory at about 200 MB."""
+"""Paths in one launch: bounds memory at about 200 MB."""
 
 
 class Cameras:
@@ -43,13 +43,13 @@ class Cameras:
         self._directions = floats(np.array(directions), mi)
         self._centers = floats(np.array(centers), mi)
 
-    def rays(self, view: Any, x: Any, y: Any) -> tuple[Any, Any]:
-        """Origins and unit directions of rays through places in pixels, in the unit sphere."""
+    def rays(self, view: DrJitArray, x: DrJitArray, y: DrJitArray) -> tuple[DrJitArray, DrJitArray]:
+        """Origins and unit directions, in the unit sphere, of rays through pixel positions."""
         direction = _matrix(self._directions, view) @ mi.Vector3f(x, y, 1)
         return dr.gather(mi.Point3f, self._centers, view), dr.normalize(direction)
 
-    def light_from_world(self, environment: EnvironmentMap) -> tuple[Any, bool]:
-        """Rotations (9 floats each) from the world to the axes of the light, and whether there is one for each view."""
+    def light_from_world(self, environment: EnvironmentMap) -> tuple[DrJitArray, bool]:
+        """Rotations (9 floats each) from the world to the axes of the light, and whether each view has its own."""
         to_frame = np.eye(3)
         if environment.to_world is not None:
             to_frame = environment.to_world.detach().cpu().numpy().astype(np.float64)
@@ -60,12 +60,12 @@ class Cameras:
 
 @dataclass
 class Traced:
-    """What one launch gives, for each pixel."""
+    """Radiance and coverage of pixels."""
 
     color: Tensor
-    """(B, 3): mean over the samples that met the object."""
+    """(B, 3): mean over the samples that hit the object."""
     coverage: Tensor
-    """(B,): their part of all samples."""
+    """(B,): the share of these samples."""
 
 
 class PreparedMitsuba(PreparedReflectance):
@@ -110,7 +110,7 @@ class PreparedMitsuba(PreparedReflectance):
     def trace(
         self, material: Material, environment: EnvironmentMap, pixels: Int[Tensor, "B 3"], samples: int, seed: int
     ) -> Traced:
-        """Radiance and coverage of pixels, without derivative."""
+        """Radiance and coverage of pixels, not differentiable."""
         self._enter()
         shading, light = upload(material, self._surface), Light.of(environment.radiance)
         device = environment.radiance.device
@@ -118,20 +118,20 @@ class PreparedMitsuba(PreparedReflectance):
         for _, part in _launches(pixels, samples):
             lane = self._lanes(environment, part, samples, seed)
             color = self._paths(shading, light, lane)
-            # together: a block sum evaluates its argument, and one by one they would trace the paths four times
-            dr.eval(color, lane.met)
+            # evaluated together: each block sum evaluates its argument, which would trace the paths four times
+            dr.eval(color, lane.hit)
             total = mi.Color3f(*[dr.block_sum(color[i], samples) for i in range(3)])
-            count = to_torch(dr.block_sum(lane.met, samples), (-1,), device)
+            count = to_torch(dr.block_sum(lane.hit, samples), (-1,), device)
             parts.append(Traced(to_color(total, device) / count.clamp_min(1)[:, None], count / samples))
         return Traced(torch.cat([p.color for p in parts]), torch.cat([p.coverage for p in parts]))
 
     def coverage(self, pixels: Int[Tensor, "B 3"], samples: int, seed: int) -> Float[Tensor, " B"]:
-        """Part of the samples of each pixel that meet the object: those that `trace` takes for the same seed."""
+        """Share of the samples of each pixel that hit the object; they are those of `trace` for the same seed."""
         self._enter()
         parts = [torch.zeros(0, device=self._surface.device)]
         for _, part in _launches(pixels, samples):
             lane = self._lanes(None, part, samples, seed)
-            parts.append(to_torch(dr.block_sum(lane.met, samples), (-1,), self._surface.device) / samples)
+            parts.append(to_torch(dr.block_sum(lane.hit, samples), (-1,), self._surface.device) / samples)
         return torch.cat(parts)
 
     def gradients(
@@ -143,7 +143,8 @@ class PreparedMitsuba(PreparedReflectance):
         seed: int,
         needs: dict[str, bool],
     ) -> dict[str, Tensor]:
-        """Derivative of `(radiance · upstream).sum()` to the parameters named in `needs`, from samples of this seed."""
+        """Derivative of `(radiance · upstream).sum()` with respect to the parameters in `needs`, from samples of
+        `seed`."""
         self._enter()
         samples = self._gradient_samples
         shading, light = upload(material, self._surface), Light.of(environment.radiance)
@@ -162,8 +163,8 @@ class PreparedMitsuba(PreparedReflectance):
             color = self._paths(shading, light, lane)
             weight = upstream[start : start + len(part)].detach()
             scaled = [to_float(weight[:, i], mi) for i in range(3)]
-            share: Any = dr.rcp(dr.maximum(dr.gather(mi.Float, dr.block_sum(lane.met, samples), lane.pixel), 1))
-            adjoint: Any = mi.Color3f(*[dr.gather(mi.Float, s, lane.pixel) for s in scaled])
+            share: DrJitArray = dr.rcp(dr.maximum(dr.gather(mi.Float, dr.block_sum(lane.hit, samples), lane.pixel), 1))
+            adjoint: DrJitArray = mi.Color3f(*[dr.gather(mi.Float, s, lane.pixel) for s in scaled])
             adjoint *= share
             if dr.grad_enabled(color):
                 dr.backward_from(dr.dot(color, adjoint))
@@ -178,8 +179,8 @@ class PreparedMitsuba(PreparedReflectance):
         pixel, sample = lanes(len(pixels), samples)
         columns = [to_uint(pixels[:, i], mi) for i in range(3)]
         view, x, y = (dr.gather(mi.UInt32, column, pixel) for column in columns)
-        # a literal seed would make a new kernel of every step
-        points = ShadingPoints((x + (y << 16), view), sample, samples, dr.opaque(mi.UInt32, seed))
+        # opaque: a literal would compile a new kernel in every step
+        points = SampleSequence((x + (y << 16), view), sample, samples, dr.opaque(mi.UInt32, seed))
         inside = points.next()
         origin, direction = self._cameras.rays(view, mi.Float(x) + inside.x, mi.Float(y) + inside.y)
         first = self._surface.intersect(origin, direction, mi.Bool(True), coherent=True)
@@ -189,7 +190,7 @@ class PreparedMitsuba(PreparedReflectance):
             rotation = _matrix(table, view if each else dr.zeros(mi.UInt32, dr.width(view)))
         return _Lanes(pixel, first, direction, points, dr.select(first.valid, mi.Float(1), 0), rotation)
 
-    def _paths(self, shading: Shading, light: Light, lane: _Lanes) -> Any:
+    def _paths(self, shading: Shading, light: Light, lane: _Lanes) -> DrJitArray:
         return incoming(
             self._surface, shading, light, lane.rotation, lane.first, lane.direction, lane.points, self._max_depth
         )
@@ -199,17 +200,17 @@ class PreparedMitsuba(PreparedReflectance):
 class _Lanes:
     """The samples of a launch up to their first hit."""
 
-    pixel: Any
-    first: Any
-    direction: Any
-    points: ShadingPoints
-    met: Any
-    """Float: 1 where the sample met the object."""
-    rotation: Any
+    pixel: DrJitArray
+    first: DrJitArray
+    direction: DrJitArray
+    points: SampleSequence
+    hit: DrJitArray
+    """Float: 1 where the sample hit the object."""
+    rotation: DrJitArray
 
 
 class _Radiance(torch.autograd.Function):
-    """Dr.Jit's value and derivative for torch. The trailing tensors are those of material and environment."""
+    """Dr.Jit's value and derivative as a torch function; the trailing tensors are those of material and environment."""
 
     @staticmethod
     def forward(  # type: ignore[override]
@@ -234,7 +235,7 @@ class _Radiance(torch.autograd.Function):
 
 
 def upload(material: Material, surface: Surface) -> Shading:
-    """The material's parameters on the device; a texture without texture coordinates is an error."""
+    """The material's parameters on the device; raises `StageError` for a texture without texture coordinates."""
     tensors = tensors_of(material)
     if not surface.has_uvs and any(t is not None and t.ndim == 3 for t in tensors.values()):
         raise StageError("the material has textures but the mesh no texture coordinates; let the atlas stage run")
@@ -249,7 +250,7 @@ def upload(material: Material, surface: Surface) -> Shading:
 
 
 def tensors_of(material: Material) -> dict[str, Tensor | None]:
-    """The differentiable fields by short name."""
+    """The differentiable tensors by short name."""
     return {
         "diffuse": material.diffuse_albedo,
         "specular": material.specular_albedo,
@@ -259,11 +260,11 @@ def tensors_of(material: Material) -> dict[str, Tensor | None]:
 
 
 def _launches(pixels: Tensor, samples: int) -> list[tuple[int, Tensor]]:
-    """Parts of the pixels whose samples fit into one launch, with the number of their first."""
+    """Chunks of pixels whose samples fit into one launch, with the index of their first."""
     step = max(LANES // samples, 1)
     return [(start, pixels[start : start + step]) for start in range(0, len(pixels), step)]
 
 
-def _matrix(values: Any, index: Any) -> Any:
+def _matrix(values: DrJitArray, index: DrJitArray) -> DrJitArray:
     rows = [dr.gather(mi.Vector3f, values, index * 3 + row) for row in range(3)]
     return mi.Matrix3f([[r.x, r.y, r.z] for r in rows])

@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     from hir_plugins.reflectance_renderers.mitsuba_ggx.mitsuba_mesh import Surface
     from hir_plugins.reflectance_renderers.mitsuba_ggx.prepared_scene import PreparedMitsuba
 
-_SCOUTS = 16
-"""Rays for each pixel that look for the object before paths are traced."""
+_COVERAGE_SAMPLES = 16
+"""Rays for each pixel that find the object's pixels before paths are traced."""
 
 
 PATHS_BYTES = 256 << 20
-"""Of one launch of `prepared.LANES` paths."""
+"""Memory of one launch of `prepared_scene.LANES` paths."""
 
 
 @final
@@ -43,7 +43,7 @@ class MitsubaGGX(ReflectanceRenderer):
         self._cached: tuple[Mesh, Surface] | None = None
 
     def memory(self, size: CaptureSize) -> int:
-        """Colour and place of all pixels, and the paths of one launch."""
+        """Colour and index of all pixels, and the paths of one launch."""
         return 40 * size.pixels + PATHS_BYTES
 
     def prepare(self, scene: Scene, capture: Capture, downsample: int = 1) -> PreparedMitsuba:
@@ -52,9 +52,10 @@ class MitsubaGGX(ReflectanceRenderer):
         return self._prepare(scene, cameras)
 
     def render(self, scene: Scene, camera: Camera) -> Float[Tensor, "H W 4"]:
-        """Linear premultiplied colour and coverage: mean radiance of the covered samples times their part of all.
+        """Linear premultiplied colour and coverage: mean radiance of the samples that hit the object, times their
+        share.
 
-        The noise follows torch's generator.
+        The seed of the noise comes from torch's generator.
         """
         if scene.material is None or scene.environment is None:
             raise StageError("a render needs a material and a light; let the reflectance stage run")
@@ -62,9 +63,9 @@ class MitsubaGGX(ReflectanceRenderer):
         seed = int(torch.randint(0, 2**31 - 1, (1,)))
         samples = self._config.render_samples
         device = scene.mesh.positions.device
-        pixels = _box(scene.mesh, camera).to(device)
-        met = prepared.coverage(pixels, min(samples, _SCOUTS), seed) > 0
-        pixels = _with_neighbours(pixels[met], camera)
+        pixels = _bounding_pixels(scene.mesh, camera).to(device)
+        covered = prepared.coverage(pixels, min(samples, _COVERAGE_SAMPLES), seed) > 0
+        pixels = _with_neighbours(pixels[covered], camera)
         image = torch.zeros(camera.height, camera.width, 4, device=device)
         traced = prepared.trace(scene.material, scene.environment, pixels, samples, seed)
         color = torch.cat([traced.color * traced.coverage[:, None], traced.coverage[:, None]], dim=1)
@@ -77,7 +78,7 @@ class MitsubaGGX(ReflectanceRenderer):
         from hir_plugins.reflectance_renderers.mitsuba_ggx.mitsuba_mesh import Surface
         from hir_plugins.reflectance_renderers.mitsuba_ggx.prepared_scene import PreparedMitsuba
 
-        # views of one scene are rendered one after the other: keep its last acceleration structure
+        # views of one scene are rendered in sequence, so the last acceleration structure is cached
         if self._cached is None or self._cached[0] is not scene.mesh:
             self._cached = (scene.mesh, Surface(scene.mesh))
         config = self._config
@@ -92,15 +93,15 @@ class MitsubaGGX(ReflectanceRenderer):
 
 
 def _with_neighbours(pixels: Tensor, camera: Camera) -> Tensor:
-    """The pixels and those around them: the scouts may have missed a rim."""
+    """The pixels and their neighbours, because few coverage samples may miss a silhouette."""
     mask = torch.zeros(1, 1, camera.height, camera.width, device=pixels.device)
     mask[0, 0, pixels[:, 2], pixels[:, 1]] = 1
     y, x = torch.nn.functional.max_pool2d(mask, 3, 1, 1)[0, 0].nonzero(as_tuple=True)
     return torch.stack([torch.zeros_like(x), x, y], dim=1)
 
 
-def _box(mesh: Mesh, camera: Camera) -> Tensor:
-    """Pixels (0, x, y) that the bounds of the projected vertices touch; all of them when the camera is among them."""
+def _bounding_pixels(mesh: Mesh, camera: Camera) -> Tensor:
+    """Pixels (0, x, y) in the bounds of the projected vertices; all pixels if a vertex is behind the camera."""
     projected, depth = camera.project(mesh.positions.detach().cpu().numpy().astype(np.float64))
     if (depth <= 1e-6 * max(float(np.abs(depth).max()), 1e-30)).any():
         low, high = np.array([0, 0]), np.array([camera.width, camera.height])

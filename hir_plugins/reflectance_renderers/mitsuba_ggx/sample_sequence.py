@@ -2,28 +2,30 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import drjit as dr
 import mitsuba as mi
 
+from hir_plugins.reflectance_renderers.drjit_types import DrJitArray
 
-class Sequence:
-    """For each lane (a sample of a pixel) as many 2D points as are asked for.
+
+class SampleSequence:
+    """2D points for each lane (a sample of a pixel).
 
     The samples of a pixel are a randomly scrambled (0, 2)-sequence (van der Corput, Sobol) in each pair of dimensions,
-    in an order of its own: every point by itself is uniform, so estimates are unbiased.
+    in a random order: every single point is uniform, so estimates are unbiased.
     """
 
-    def __init__(self, pixel: tuple[Any, Any], sample: Any, samples: int, seed: Any) -> None:
-        """`pixel`: two integers that tell pixels apart, whatever batch they are in; `seed`: an opaque integer."""
+    def __init__(
+        self, pixel: tuple[DrJitArray, DrJitArray], sample: DrJitArray, samples: int, seed: DrJitArray
+    ) -> None:
+        """`pixel`: two integers that identify the pixel, independent of its batch; `seed`: an opaque integer."""
         self._sample = sample
         self._mask = (1 << max(samples - 1, 0).bit_length()) - 1
         first, second = mi.sample_tea_32(pixel[0], pixel[1])
-        self._key = mi.sample_tea_32(first ^ seed, second)
+        self._key: tuple[DrJitArray, DrJitArray] = mi.sample_tea_32(first ^ seed, second)
         self._drawn = 0
 
-    def next(self) -> Any:
+    def next(self) -> DrJitArray:
         """The next Point2f of each lane."""
         self._drawn += 1
         number = mi.UInt32((self._drawn * 0x9E3779B9) & 0xFFFFFFFF)
@@ -34,8 +36,8 @@ class Sequence:
         return mi.Point2f(mi.radical_inverse_2(order, first), mi.sobol_2(order, second))
 
 
-def lanes(pixels: int, samples: int) -> tuple[Any, Any]:
-    """Number of the pixel and of the sample of each lane; samples of a pixel are neighbours."""
+def lanes(pixels: int, samples: int) -> tuple[DrJitArray, DrJitArray]:
+    """Indices of the pixel and of the sample of each lane; samples of a pixel are adjacent."""
     lane = dr.arange(mi.UInt32, pixels * samples)
     pixel = lane // samples
     return pixel, lane - pixel * samples

@@ -7,12 +7,14 @@ the radiance in lobes of nearby normals and levels. That is accurate enough for 
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from hir_plugins.reflectance_renderers.drjit_bilinear import repeated
+from hir_plugins.reflectance_renderers.drjit_types import DrJitArray
 from hir_plugins.reflectance_renderers.mitsuba_ggx.ggx_drjit import albedo_terms
 from hir_plugins.reflectance_renderers.transport_ggx.operator.radiance_probes import (
     ALPHA_LEVELS,
@@ -39,13 +41,13 @@ class ProbeTable:
 class Lobe(NamedTuple):
     """The position of a lobe in a probe, in texels from the centre of the first one, and its directional albedo."""
 
-    column: Any
-    row: Any
-    level: Any
+    column: DrJitArray
+    row: DrJitArray
+    level: DrJitArray
     """0 is the narrowest."""
-    scale: Any
+    scale: DrJitArray
     """A of the directional albedo ρs·A + B."""
-    bias: Any
+    bias: DrJitArray
     """B of it."""
 
 
@@ -53,15 +55,15 @@ class Patch(NamedTuple):
     """The eight texels around a lobe."""
 
     lobe: Lobe
-    left: Any
-    top: Any
-    below: Any
+    left: DrJitArray
+    top: DrJitArray
+    below: DrJitArray
     """`left`, `top`, `below`: column, row and level of the first texel, whole numbers."""
-    images: Any
+    images: DrJitArray
     """For each of two levels: the first texel, its differences along columns and rows, and the mixed difference."""
 
 
-def lobe_of(normal: Any, eye: Any, level: Any, coupled: float) -> Lobe:
+def lobe_of(normal: DrJitArray, eye: DrJitArray, level: DrJitArray, coupled: float) -> Lobe:
     """The lobe of a `level` of α (`radiance_probes.level_of`).
 
     `coupled` is 0 for the paper's model, where ρs is no F0 but scales the whole lobe, and 1 for `dielectric`.
@@ -82,18 +84,18 @@ def lobe_of(normal: Any, eye: Any, level: Any, coupled: float) -> Lobe:
     return Lobe(column, row, dr.clip(level, 0, ALPHA_LEVELS - 1.001), scale, bias)
 
 
-def patch_around(probes: Any, first: Any, lobe: Lobe) -> Patch:
+def patch_around(probes: DrJitArray, first: DrJitArray, lobe: Lobe) -> Patch:
     """Reads the texels around a lobe from `ProbeTable.values`; the cell's probe begins at texel `first`."""
     left, top, below = dr.floor(lobe.column), dr.floor(lobe.row), dr.floor(lobe.level)
-    upper, nearer, column = mi.Int32(top), mi.Int32(below), mi.Int32(left)
-    column = dr.select(column < 0, column + PROBE_COLUMNS, column)
-    right = dr.select(column + 1 >= PROBE_COLUMNS, 0, column + 1)
+    upper, nearer = mi.Int32(top), mi.Int32(below)
+    columns = repeated(lobe.column, PROBE_COLUMNS)
+    column, right = columns.low, columns.high
 
-    def at(level: Any, row: Any, column: Any) -> Any:
+    def at(level: DrJitArray, row: DrJitArray, column: DrJitArray) -> DrJitArray:
         index = first + mi.UInt32((level * PROBE_ROWS + row) * PROBE_COLUMNS + column)
         return mi.Vector3f(dr.gather(mi.Array3f16, probes, index))  # type: ignore[arg-type]
 
-    def image(level: Any) -> tuple[Any, Any, Any, Any]:
+    def image(level: DrJitArray) -> tuple[DrJitArray, DrJitArray, DrJitArray, DrJitArray]:
         here, across = at(level, upper, column), at(level, upper, right)
         down, both = at(level, upper + 1, column), at(level, upper + 1, right)
         return here, across - here, down - here, both - across - down + here
@@ -101,7 +103,7 @@ def patch_around(probes: Any, first: Any, lobe: Lobe) -> Patch:
     return Patch(lobe, left, top, below, (image(nearer), image(nearer + 1)))
 
 
-def patch_radiance(patch: Patch, lobe: Lobe) -> Any:
+def patch_radiance(patch: Patch, lobe: Lobe) -> DrJitArray:
     """Mean radiance in a lobe on a patch or near it; not negative."""
     away = lobe.column - patch.lobe.column
     away -= PROBE_COLUMNS * dr.round(away / PROBE_COLUMNS)
