@@ -1,4 +1,4 @@
-"""Remeshing of a `Mesh`: what hangs on its vertices comes along."""
+"""Remeshing of a `Mesh` with its vertex colours."""
 
 from __future__ import annotations
 
@@ -6,16 +6,17 @@ import math
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from hir_core.mesh.remeshing import remesh, surface_area
 from hir_core.scene import Mesh, Topology
 
 
 def remeshed(mesh: Mesh, triangles: int, rounds: int = 4) -> Mesh:
-    """The same surface in about `triangles` well-shaped triangles; vertex colours are carried over, texture
-    coordinates not.
+    """The same surface in about `triangles` well-shaped triangles; vertex colours are interpolated, texture coordinates
+    are dropped.
 
-    A mesh without area comes back as it is.
+    A mesh without area is returned as it is.
     """
     positions = mesh.positions.detach().cpu().numpy().astype(np.float64)
     faces = mesh.faces.cpu().numpy()
@@ -32,13 +33,13 @@ def remeshed(mesh: Mesh, triangles: int, rounds: int = 4) -> Mesh:
     return Mesh(torch.from_numpy(x).to(device, dtype), Topology(torch.from_numpy(f).to(device)), vertex_colors=colors)
 
 
-def _nearest_colors(old: np.ndarray, colors: torch.Tensor, new: np.ndarray) -> torch.Tensor:
+def _nearest_colors(old: NDArray[np.float64], colors: torch.Tensor, new: NDArray[np.float64]) -> torch.Tensor:
     """Inverse-distance mean of the three nearest old vertices."""
     from scipy.spatial import cKDTree
 
     distance, index = cKDTree(old).query(new, k=min(3, len(old)))
     distance, index = distance.reshape(len(new), -1), index.reshape(len(new), -1)
-    # relative to the nearest, so that no scale of the scene overflows
+    # relative to the nearest, so that no scale of the scene underflows
     weight = distance.min(axis=1, keepdims=True) + 1e-30
     weight = weight / (distance + 1e-30)
     weight /= weight.sum(axis=1, keepdims=True)

@@ -1,8 +1,8 @@
-"""Large steps on meshes (Nicolet, Jacobson, Jakob 2021): Adam moves `u = (I + λL) x`, so steps arrive smoothed."""
+"""Large steps on meshes (Nicolet, Jacobson, Jakob 2021): Adam moves `u = (I + λL) x`, which smooths the steps of x."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -14,8 +14,9 @@ from hir_core.scene import Topology
 
 
 class LargeSteps:
-    """The preconditioner of one topology; `L` is the combinatorial Laplacian. One factorisation, then two solves a
-    step.
+    """The preconditioner of one topology; `L` is the combinatorial Laplacian.
+
+    The matrix is factorised once; each step takes two solves.
     """
 
     def __init__(self, topology: Topology, vertices: int, smoothness: float) -> None:
@@ -27,14 +28,14 @@ class LargeSteps:
         rows = np.concatenate([diagonal, edges[:, 0], edges[:, 1]])
         columns = np.concatenate([diagonal, edges[:, 1], edges[:, 0]])
         values = np.concatenate([1 + smoothness * degree, np.full(2 * len(edges), -smoothness)])
-        place = topology.faces.device
+        device = topology.faces.device
         self._edges = topology.edges
         self._smoothness = smoothness
         self._solver = cholespy.CholeskySolverF(
             vertices,
-            torch.from_numpy(rows).int().to(place),
-            torch.from_numpy(columns).int().to(place),
-            torch.from_numpy(values).double().to(place),
+            torch.from_numpy(rows).int().to(device),
+            torch.from_numpy(columns).int().to(device),
+            torch.from_numpy(values).double().to(device),
             cholespy.MatrixType.COO,
         )
 
@@ -68,18 +69,18 @@ class _Solve(torch.autograd.Function):
 
 
 class UniformAdam(torch.optim.Optimizer):
-    """Adam with one second moment for the whole tensor (Nicolet et al. 2021, section 4): it keeps a step's
-    direction.
+    """Adam with one second moment for the whole tensor (Nicolet et al. 2021, section 4), which keeps the direction of a
+    step.
     """
 
-    def __init__(self, parameters: Any, lr: float, betas: tuple[float, float] = (0.9, 0.999)) -> None:
+    def __init__(self, parameters: Iterable[Tensor], lr: float, betas: tuple[float, float] = (0.9, 0.999)) -> None:
         super().__init__(parameters, {"lr": lr, "betas": betas})
 
     @torch.no_grad()
-    def step(self, closure: Any = None) -> None:  # type: ignore[override]
-        """One step; a gradient of zero moves nothing."""
+    def step(self, closure: None = None) -> None:  # type: ignore[override]
+        """One step; parameters with a zero gradient stay."""
         for group in self.param_groups:
-            fade1, fade2 = group["betas"]
+            beta1, beta2 = group["betas"]
             for parameter in group["params"]:
                 if parameter.grad is None:
                     continue
@@ -91,11 +92,11 @@ class UniformAdam(torch.optim.Optimizer):
                     state["second"] = torch.zeros_like(parameter, dtype=torch.float64)
                 state["step"] += 1
                 count = float(state["step"])
-                state["first"].lerp_(parameter.grad, 1 - fade1)
+                state["first"].lerp_(parameter.grad, 1 - beta1)
                 square = parameter.grad.double().square()
-                state["second"].mul_(fade2).add_(square, alpha=1 - fade2)
-                first = state["first"] / (1 - fade1**count)
-                largest = state["second"].max() / (1 - fade2**count)
-                # no epsilon that could be large beside the gradient of a huge mesh: zero stays zero by the clamp
+                state["second"].mul_(beta2).add_(square, alpha=1 - beta2)
+                first = state["first"] / (1 - beta1**count)
+                largest = state["second"].max() / (1 - beta2**count)
+                # no epsilon, which could exceed the gradients of a large mesh; the clamp keeps a zero gradient at zero
                 size = largest.sqrt().to(first.dtype).clamp_min(torch.finfo(first.dtype).tiny)
                 parameter -= group["lr"] * (first / size)

@@ -1,8 +1,8 @@
 """Isotropic remeshing (Botsch & Kobbelt 2004): split, collapse, flip, relax, each as a few passes over whole arrays.
 
-Operations that touch the same neighbourhood exclude each other within a pass (the one of the lowest rank wins), so a
-pass over arrays does what one at a time would. Collapses keep the topology: a closed manifold mesh stays one, handles
-included.
+Of operations that touch the same neighbourhood only the one of the lowest rank runs in a pass, so that a pass over
+arrays is equivalent to single operations. Collapses keep the topology: a closed manifold mesh stays closed and
+manifold and keeps its genus.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ Positions = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
 SPLIT, COLLAPSE = 4 / 3, 4 / 5
-"""Edges longer or shorter than these multiples of the target change (Botsch & Kobbelt 2004)."""
+"""Longer edges are split and shorter ones collapsed, in multiples of the target (Botsch & Kobbelt 2004)."""
 
-TURN = 0.3
-"""A collapse or flip may not turn a triangle's normal further than this cosine."""
+LEAST_NORMAL_COSINE = 0.3
+"""Of the angle by which a collapse may rotate the normal of a triangle."""
 
 
 def remesh(positions: Positions, faces: Faces, edge_length: float, rounds: int = 4) -> tuple[Positions, Faces]:
-    """A mesh of the same surface and topology with edges near `edge_length`; vertices lie on the surface given.
+    """A mesh of the same surface and topology with edges near `edge_length`; its vertices lie on the given surface.
 
-    Positions come back in float64. An empty mesh, or one without area, comes back as it is. Edges of more than two
-    faces and the rims of open meshes are left where they are.
+    Positions are returned in float64. An empty mesh, or one without area, is returned as it is. Edges of more than two
+    faces and boundary edges stay.
     """
     edge_length = float(edge_length)
     if len(faces) == 0 or not np.isfinite(edge_length) or edge_length <= 0 or not np.isfinite(positions).all():
@@ -60,7 +60,7 @@ def surface_area(positions: Positions, faces: Faces) -> float:
 
 
 class _Surface:
-    """Nearest points on the surface that a remeshing started from."""
+    """Nearest points on the surface before remeshing."""
 
     def __init__(self, positions: Positions, faces: Faces) -> None:
         # queries run in float32: about the centre no digits are lost
@@ -118,8 +118,8 @@ def _normals(positions: Positions, faces: Faces) -> Positions:
 
 
 def _split_long(x: Positions, f: Faces, limit: float) -> tuple[Positions, Faces]:
-    """Halves long edges until none is left; a triangle with one, two or three halved edges becomes two, three or
-    four.
+    """Halves long edges until none is left. A triangle with one, two or three halved edges becomes two, three or four
+    triangles.
     """
     for _ in range(12):
         edges = _edges(f, len(x))
@@ -134,10 +134,10 @@ def _split_long(x: Positions, f: Faces, limit: float) -> tuple[Positions, Faces]
         parts = [f[~halved.any(axis=1)]]
         amount = halved.sum(axis=1)
         one = amount == 1
-        a, b, c, ab, _, _ = _turned(f[one], middle[one], halved[one].argmax(axis=1))
+        a, b, c, ab, _, _ = _rotated(f[one], middle[one], halved[one].argmax(axis=1))
         parts += [np.stack([a, ab, c], 1), np.stack([ab, b, c], 1)]
         two = amount == 2
-        a, b, c, _, bc, ca = _turned(f[two], middle[two], (~halved[two]).argmax(axis=1))
+        a, b, c, _, bc, ca = _rotated(f[two], middle[two], (~halved[two]).argmax(axis=1))
         parts.append(np.stack([bc, c, ca], 1))
         # the quad a b bc ca along its shorter diagonal
         straight = (np.linalg.norm(x[a] - x[bc], axis=1) <= np.linalg.norm(x[b] - x[ca], axis=1))[:, None]
@@ -152,15 +152,16 @@ def _split_long(x: Positions, f: Faces, limit: float) -> tuple[Positions, Faces]
     return x, f
 
 
-def _turned(faces: Faces, middle: NDArray[np.int64], first: NDArray[np.int64]) -> tuple[NDArray[np.int64], ...]:
-    turn = (np.arange(3)[None] + first[:, None]) % 3
-    return (*np.take_along_axis(faces, turn, 1).T, *np.take_along_axis(middle, turn, 1).T)
+def _rotated(faces: Faces, middle: NDArray[np.int64], first: NDArray[np.int64]) -> tuple[NDArray[np.int64], ...]:
+    """Corners and edge midpoints of each triangle, rotated so that corner `first` comes first."""
+    order = (np.arange(3)[None] + first[:, None]) % 3
+    return (*np.take_along_axis(faces, order, 1).T, *np.take_along_axis(middle, order, 1).T)
 
 
 def _collapse_short(x: Positions, f: Faces, length: float) -> tuple[Positions, Faces]:
     """Merges the ends of short edges where topology and orientation allow, an independent set at a time."""
     random = np.random.default_rng(0)
-    idle = 0
+    sparse_passes = 0
     for _ in range(80):
         edges = _edges(f, len(x))
         chosen = _collapsible(x, f, edges, length, random)
@@ -171,9 +172,9 @@ def _collapse_short(x: Positions, f: Faces, length: float) -> tuple[Positions, F
         f = target[f]
         before = len(f)
         x, f = _compact(x, f[_proper(f)])
-        # a set in which nearly all were refused may have been bad luck once; twice it is the end
-        idle = idle + 1 if before - len(f) < 0.003 * before else 0
-        if idle == 2:
+        # the sets are random: a single pass with few collapses may be chance, two in a row are not
+        sparse_passes = sparse_passes + 1 if before - len(f) < 0.003 * before else 0
+        if sparse_passes == 2:
             break
     return x, f
 
@@ -181,13 +182,13 @@ def _collapse_short(x: Positions, f: Faces, length: float) -> tuple[Positions, F
 def _collapsible(
     x: Positions, f: Faces, edges: _Edges, length: float, random: np.random.Generator
 ) -> NDArray[np.int64]:
-    """Short edges whose neighbourhoods do not meet, chosen by lot (a refused edge must not block its place for
-    ever).
+    """Short edges with disjoint neighbourhoods, in random order: an edge that cannot collapse must not block its
+    neighbours for ever.
     """
-    rim = np.zeros(len(x), dtype=bool)
-    rim[edges.ends[edges.count != 2].reshape(-1)] = True
+    boundary = np.zeros(len(x), dtype=bool)
+    boundary[edges.ends[edges.count != 2].reshape(-1)] = True
     a, b = edges.ends.T
-    index = np.flatnonzero((_lengths(x, edges.ends) < COLLAPSE * length) & ~rim[a] & ~rim[b])
+    index = np.flatnonzero((_lengths(x, edges.ends) < COLLAPSE * length) & ~boundary[a] & ~boundary[b])
     last = len(index)
     rank = np.full(len(a), last)
     rank[index] = random.permutation(last)
@@ -205,8 +206,8 @@ def _collapsible(
 def _link_condition(
     f: Faces, edges: _Edges, index: NDArray[np.int64], valence: NDArray[np.int64], vertices: int
 ) -> NDArray[np.bool_]:
-    """Only the two opposite corners may neighbour both ends (else a handle closes), and both must keep three
-    neighbours.
+    """The link condition: only the two opposite corners neighbour both ends, else the topology changes; and both keep
+    at least three neighbours.
     """
     from scipy.sparse import csr_matrix
 
@@ -219,7 +220,7 @@ def _link_condition(
 
 
 def _keeps_shape(x: Positions, f: Faces, ends: NDArray[np.int64], longest: float) -> NDArray[np.bool_]:
-    """Whether merging each pair at its middle turns no triangle around it and makes no edge longer than `longest`."""
+    """Whether merging each pair at its midpoint flips no triangle around it and makes no edge longer than `longest`."""
     corner = f.reshape(-1)
     order = np.argsort(corner, kind="stable")
     start = np.searchsorted(corner[order], np.arange(len(x) + 1))
@@ -238,13 +239,15 @@ def _keeps_shape(x: Positions, f: Faces, ends: NDArray[np.int64], longest: float
         old = np.cross(p - x[vertex[pair]], q - x[vertex[pair]])
         new = np.cross(p - middle[pair], q - middle[pair])
         size = np.linalg.norm(old, axis=1) * np.linalg.norm(new, axis=1)
-        bad = ((old * new).sum(axis=1) <= TURN * size) | (np.linalg.norm(p - middle[pair], axis=1) > longest)
+        bad = ((old * new).sum(axis=1) <= LEAST_NORMAL_COSINE * size) | (
+            np.linalg.norm(p - middle[pair], axis=1) > longest
+        )
         good[pair[bad & ~removed]] = False
     return good
 
 
 def _flip(x: Positions, f: Faces, passes: int = 4) -> Faces:
-    """Flips edges where that brings valences nearer to six (four on a rim) and folds nothing."""
+    """Flips edges where that brings valences nearer to six (four at a boundary) and creates no fold."""
     for _ in range(passes):
         edges = _edges(f, len(x))
         inner = np.flatnonzero(edges.count == 2)
@@ -255,7 +258,7 @@ def _flip(x: Positions, f: Faces, passes: int = 4) -> Faces:
         j = (edges.of_corner[right] == inner[:, None]).argmax(axis=1)
         a, b, c = (np.take_along_axis(f[left], ((k + i) % 3)[:, None], 1)[:, 0] for i in range(3))
         d = np.take_along_axis(f[right], ((j + 2) % 3)[:, None], 1)[:, 0]
-        # both triangles must run opposite ways along the edge: else the mesh is not oriented there
+        # the triangles must have consistent orientation along the edge
         oriented = np.take_along_axis(f[right], j[:, None], 1)[:, 0] == b
         ideal = np.full(len(x), 6)
         ideal[edges.ends[edges.count != 2].reshape(-1)] = 4
@@ -284,7 +287,7 @@ def _flip(x: Positions, f: Faces, passes: int = 4) -> Faces:
 
 
 def _relax(x: Positions, f: Faces) -> Positions:
-    """Moves each vertex in its tangent plane to the mean of its neighbours; rims stay."""
+    """Moves each vertex in its tangent plane to the mean of its neighbours; boundaries stay."""
     edges = _edges(f, len(x))
     a, b = edges.ends.T
     total = np.zeros_like(x)

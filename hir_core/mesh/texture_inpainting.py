@@ -1,4 +1,4 @@
-"""Values for texels that no view saw: smooth along the surface, across seams, equal to their seen neighbours."""
+"""Inpainting of unobserved texels: harmonic interpolation along the surface, across the seams of the atlas."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hir_core.mesh.texel_rasterization import TexelSurface, interpolate, texel_s
 from hir_core.scene import Mesh
 
 _RELAXATIONS = 40
-"""Averaging steps after the harmonic solution: they close the step at the border of what was seen."""
+"""Averaging steps after the harmonic solution: they smooth the border between observed and inpainted texels."""
 
 
 def fill_unobserved(
@@ -21,28 +21,28 @@ def fill_unobserved(
     observed: Bool[Tensor, "H W"],
     surface: TexelSurface | None = None,
 ) -> Float[Tensor, "H W C"]:
-    """Replaces covered texels that are not `observed`; others are returned as they are. Not differentiable.
+    """Replaces covered texels that are not `observed`; the others stay. Not differentiable.
 
-    The vertices near observed texels hold their means, the others the harmonic interpolation of those over the mesh's
-    edges (which crosses seams); a component without any observation gets the median of all. Values stay in the range
-    of the observed ones. Nothing observed at all: the texture is returned unchanged.
+    Vertices near observed texels get their means, other vertices the harmonic interpolation over the edges of the
+    mesh, which crosses seams. A component without any observation gets the median of all. Values stay in the range of
+    the observed ones. Without any observation the texture is returned unchanged.
     """
     surface = surface or texel_surface(mesh, (texture.shape[0], texture.shape[1]))
-    seen = observed[surface.covered]
-    if bool(seen.all()) or not bool(seen.any()):
+    is_observed = observed[surface.covered]
+    if bool(is_observed.all()) or not bool(is_observed.any()):
         return texture
     values = texture[surface.covered].detach().double()
     weights = surface.barycentric.double()
     vertices = harmonic_vertices(
         mesh.faces.cpu().numpy(),
         len(mesh.positions),
-        mesh.faces[surface.face[seen]].cpu().numpy(),
-        weights[seen].cpu().numpy(),
-        values[seen].cpu().numpy(),
+        mesh.faces[surface.face[is_observed]].cpu().numpy(),
+        weights[is_observed].cpu().numpy(),
+        values[is_observed].cpu().numpy(),
     )
-    carried = interpolate(torch.from_numpy(vertices).to(values.device), mesh.faces, surface.face, weights)
+    interpolated = interpolate(torch.from_numpy(vertices).to(values.device), mesh.faces, surface.face, weights)
     filled = texture.clone()
-    filled[surface.covered] = torch.where(seen[:, None], values, carried).to(texture.dtype)
+    filled[surface.covered] = torch.where(is_observed[:, None], values, interpolated).to(texture.dtype)
     filled = _relax(filled, surface.covered, surface.covered & ~observed)
     return torch.where(observed[..., None] | ~surface.covered[..., None], texture, filled)
 
@@ -75,15 +75,15 @@ def harmonic_vertices(
     _, component = connected_components(adjacency, directed=False)
     reached = np.zeros(component.max() + 1, dtype=bool)
     reached[component[known]] = True
-    alone = ~reached[component]
-    result[alone] = np.median(values, axis=0)
-    unknown = np.flatnonzero(~known & ~alone)
+    isolated = ~reached[component]
+    result[isolated] = np.median(values, axis=0)
+    unknown = np.flatnonzero(~known & ~isolated)
     if len(unknown):
         rows = adjacency[unknown]
         degree = sparse.diags(np.asarray(rows.sum(axis=1)).ravel())
         system = (degree - rows[:, unknown]).tocsc()
-        pull = rows[:, known] @ result[known]
-        result[unknown] = spsolve(system, pull).reshape(len(unknown), -1)
+        boundary = rows[:, known] @ result[known]
+        result[unknown] = spsolve(system, boundary).reshape(len(unknown), -1)
     low, high = values.min(axis=0), values.max(axis=0)
     return np.clip(result, low, high)  # the maximum principle holds but for rounding
 
@@ -94,8 +94,8 @@ def _relax(texture: Tensor, covered: Tensor, free: Tensor) -> Tensor:
     count = _four(weight).clamp_min(1)
     for _ in range(_RELAXATIONS):
         mean = _four(texture * weight) / count
-        alone = _four(weight) == 0
-        texture = torch.where(free[..., None] & ~alone, mean, texture)
+        isolated = _four(weight) == 0
+        texture = torch.where(free[..., None] & ~isolated, mean, texture)
     return texture
 
 

@@ -1,51 +1,53 @@
-"""Charts of a mesh and where they lie in its atlas, by xatlas; numpy in, numpy out."""
+"""Cuts a mesh into charts and packs them into an atlas, by xatlas; numpy in, numpy out."""
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Final, SupportsInt
 
 import numpy as np
 from hir_exporters.files.subprocess_call import Arrays, SubprocessCrashError, run_in_subprocess
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from hir_core.errors import StageError
 
-SMALL: Final = 4000
-"""Faces that xatlas cuts in less time than a process takes to start."""
+FACES_IN_PROCESS: Final = 4000
+"""Meshes of at most this many faces are cut in this process: that takes less time than a process takes to start."""
 
 
 def cut_and_pack(
     positions: NDArray[np.floating], faces: NDArray[np.integer], resolution: int, padding: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], int]:
-    """Faces (F, 3) of the atlas, its coordinates (N, 2) in 0…1, origin top-left, square; and how many charts.
+    """Faces (F, 3) of the atlas; its coordinates (N, 2) in 0…1, origin top-left; and the number of charts.
 
-    xatlas keeps Python's lock, a minute on large meshes, in which neither Ctrl-C nor a progress bar would get through:
-    all but small meshes go to a process of their own.
+    xatlas holds Python's global lock, for a minute on large meshes, which blocks Ctrl-C and the progress bar. All but
+    small meshes are therefore cut in a process of their own. `StageError` where xatlas fails.
     """
-    given: dict[str, Any] = {
-        "positions": _centred(positions),
-        "faces": np.ascontiguousarray(faces, dtype=np.uint32),
-        "resolution": resolution,
-        "padding": padding,
-    }
+    mesh = _in_unit_box(positions), np.ascontiguousarray(faces, dtype=np.uint32)
     try:
-        found = (
-            run_xatlas(**given)
-            if len(faces) <= SMALL
-            else run_in_subprocess("hir_core.mesh.uv_charts:run_xatlas", given)
-        )
+        if len(faces) <= FACES_IN_PROCESS:
+            atlas = run_xatlas(*mesh, resolution, padding)
+        else:
+            arguments: dict[str, ArrayLike] = {
+                "positions": mesh[0],
+                "faces": mesh[1],
+                "resolution": resolution,
+                "padding": padding,
+            }
+            atlas = run_in_subprocess("hir_core.mesh.uv_charts:run_xatlas", arguments)
     except SubprocessCrashError as error:
         raise StageError(
-            f"xatlas ended without an atlas ({error}); repair the mesh, or give one that has UVs"
+            f"xatlas ended without an atlas ({error}); repair the mesh, or use one with texture coordinates"
         ) from error
-    uvs = found["uvs"].astype(np.float64)
-    if len(found["faces"]) != len(faces) or not np.isfinite(uvs).all():
-        raise StageError("xatlas could not unwrap the mesh; repair it, or give one that has texture coordinates")
-    return found["faces"].astype(np.int64), np.clip(uvs, 0, 1), int(found["charts"])
+    uvs = atlas["uvs"].astype(np.float64)
+    if len(atlas["faces"]) != len(faces) or not np.isfinite(uvs).all():
+        raise StageError("xatlas could not unwrap the mesh; repair it, or use one with texture coordinates")
+    return atlas["faces"].astype(np.int64), np.clip(uvs, 0, 1), int(atlas["charts"])
 
 
-def run_xatlas(positions: Any, faces: Any, resolution: Any, padding: Any) -> Arrays:
-    """xatlas on a mesh in the unit box."""
+def run_xatlas(
+    positions: NDArray[np.float32], faces: NDArray[np.uint32], resolution: SupportsInt, padding: SupportsInt
+) -> Arrays:
+    """Runs xatlas on a mesh in the unit box: `faces`, `uvs` and the number of `charts`."""
     import xatlas
 
     atlas = xatlas.Atlas()
@@ -61,7 +63,7 @@ def run_xatlas(positions: Any, faces: Any, resolution: Any, padding: Any) -> Arr
     return {"faces": uv_faces, "uvs": scaled, "charts": np.asarray(int(atlas.chart_count))}
 
 
-def _centred(positions: NDArray[np.floating]) -> NDArray[np.float32]:
-    """In a unit box: xatlas compares areas and lengths with absolute epsilons."""
+def _in_unit_box(positions: NDArray[np.floating]) -> NDArray[np.float32]:
+    """The positions scaled into the unit box, because xatlas compares areas and lengths with absolute epsilons."""
     low, high = positions.min(axis=0), positions.max(axis=0)
     return np.ascontiguousarray((positions - low) / max(float((high - low).max()), 1e-30), dtype=np.float32)

@@ -1,4 +1,4 @@
-"""xatlas beside Python: the same atlas in a process of its own, and other threads go on meanwhile."""
+"""xatlas gives the same atlas in a process of its own, while other threads continue."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hir_exporters.files.subprocess_call import SubprocessCrashError, run_in_sub
 
 from hir_core.errors import StageError
 from hir_core.mesh import uv_charts
-from hir_core.mesh.uv_charts import SMALL, cut_and_pack, run_xatlas
+from hir_core.mesh.uv_charts import FACES_IN_PROCESS, cut_and_pack, run_xatlas
 from tests.fixtures.scenes import bumpy_sphere
 
 
@@ -39,7 +39,7 @@ def test_native_code_that_keeps_pythons_lock_does_not_hold_up_other_threads() ->
     """xatlas works on this mesh for some seconds; beside it, in this process, the second thread got no turn at all."""
     mesh = bumpy_sphere(5)
     positions, faces = mesh.positions.numpy(), mesh.faces.numpy()
-    assert len(faces) > SMALL
+    assert len(faces) > FACES_IN_PROCESS
     alone: list[Any] = []
     assert ticks_during(lambda: alone.append(cut_and_pack(positions, faces, 256, 2))) >= 3
     uv_faces, uvs, charts = alone[0]
