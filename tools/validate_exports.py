@@ -1,8 +1,8 @@
-"""Exports runs or scenes in every profile and format, and asks every validator: `validate_exports.py RUN|SCENE…`.
+"""Exports runs or scenes in every profile and format and runs all validators: `validate_exports.py RUN|SCENE…`.
 
-Khronos' validator for glTF, pxr.UsdValidation and omniverse-asset-validator for USD. Exit code 0 where none has an
-error or a warning; what they call information (texture coordinates that no texture uses) is let pass, and so are the
-ids of MaterialX, which usd-core does not know, in the layer that holds nothing else.
+The validators are Khronos' for glTF, and pxr.UsdValidation and omniverse-asset-validator for USD. The exit code is 0 if
+none reports an error or a warning. Information (texture coordinates that no texture uses) is ignored, and so are the
+shader identifiers of MaterialX, which usd-core does not know, in the layer that contains nothing else.
 """
 
 from __future__ import annotations
@@ -10,10 +10,10 @@ from __future__ import annotations
 import argparse
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from hir_exporters.asset import Asset
 from hir_exporters.configs import GltfConfig, UsdConfig, UsdzConfig
@@ -25,35 +25,38 @@ TOOLS: Final = Path(__file__).resolve().parent
 PROFILES: Final = ("khr", "blender", "metalrough", "unity-legacy")
 
 
-def main() -> int:
-    """Prints what was found of each run."""
-    words = argparse.ArgumentParser(prog="validate_exports", description=__doc__)
-    words.add_argument("--no-nvidia", action="store_true", help="Leave out NVIDIA's rules: minutes for 50k triangles.")
-    words.add_argument("sources", nargs="+", type=Path, metavar="RUN|SCENE")
-    asked, bad = words.parse_args(), 0
-    for source in asked.sources:
+Validators = Callable[[list[Path], bool], list[Finding]]
+
+
+def main(arguments: Sequence[str] | None = None, validators: Validators | None = None) -> int:
+    """Prints the problems of each run; returns the exit code. `validators` replaces `validate`."""
+    parser = argparse.ArgumentParser(prog="validate_exports", description=__doc__)
+    parser.add_argument("--no-nvidia", action="store_true", help="Skip NVIDIA's rules: minutes for 50k triangles.")
+    parser.add_argument("sources", nargs="+", type=Path, metavar="RUN|SCENE")
+    options, problem_count = parser.parse_args(arguments), 0
+    for source in options.sources:
         scene = source if (source / "scene.json").is_file() else source / "scene"
         with tempfile.TemporaryDirectory() as folder:
-            files = written(load_scene(scene), Path(folder))
-            found = complaints(files, nvidia=not asked.no_nvidia)
-        bad += len(found)
-        print(f"{source}: {len(files)} files, {len(found)} complaints", flush=True)
+            files = export_variants(load_scene(scene), Path(folder))
+            found = problems((validators or validate)(files, not options.no_nvidia))
+        problem_count += len(found)
+        print(f"{source}: {len(files)} files, {len(found)} problems", flush=True)
         for finding in found:
             print(f"  {finding.file.name}: {finding.severity} {finding.code}: {finding.message}")
-    return 1 if bad else 0
+    return 1 if problem_count else 0
 
 
-def written(asset: Asset, folder: Path) -> list[Path]:
-    """The asset in every profile × format, and each option that changes a file's structure."""
+def export_variants(asset: Asset, folder: Path) -> list[Path]:
+    """Exports the asset in every profile × format and with each option that changes a file's structure."""
     files = []
-    for name, suffix, config in kinds():
+    for name, suffix, config in variants():
         report = create_exporter(suffix, config).write(asset, folder / f"{name}.{suffix}")
         files += [f for f in report.files if f.suffix in (".glb", ".gltf", ".usda", ".usdc", ".usdz")]
     return files
 
 
-def kinds() -> Iterator[tuple[str, str, Any]]:
-    """Name, format and options of each file that is written."""
+def variants() -> Iterator[tuple[str, str, GltfConfig | UsdConfig]]:
+    """Name, format and options of each export."""
     for suffix in ("glb", "gltf"):
         for profile in PROFILES:
             yield profile, suffix, GltfConfig(profile=profile)
@@ -61,7 +64,7 @@ def kinds() -> Iterator[tuple[str, str, Any]]:
     yield "lit", "glb", GltfConfig(image_based_light=True)
     for name, library in (("draco", "DracoPy"), ("meshopt", "meshopt")):
         if find_spec(library):
-            yield name, "glb", GltfConfig(compression=name)
+            yield name, "glb", GltfConfig(compression="draco" if name == "draco" else "meshopt")
     for workflow in ("metallic", "specular"):
         for suffix in ("usda", "usdc"):
             yield workflow, suffix, UsdConfig(workflow=workflow)
@@ -69,16 +72,20 @@ def kinds() -> Iterator[tuple[str, str, Any]]:
     yield "materialx", "usda", UsdConfig(materialx=True)
 
 
-def complaints(files: list[Path], nvidia: bool = True) -> list[Finding]:
-    """What the validators mind."""
+def validate(files: list[Path], nvidia: bool = True) -> list[Finding]:
+    """The findings of all validators."""
     gltf = [file for file in files if file.suffix in (".glb", ".gltf")]
     usd = [file for file in files if file.suffix.startswith(".usd")]
-    found = validate_gltf(gltf, TOOLS) + validate_usd(usd) + (validate_omniverse(usd) if nvidia else [])
-    return [f for f in found if f.severity != "information" and not is_materialx(f)]
+    return validate_gltf(gltf, TOOLS) + validate_usd(usd) + (validate_omniverse(usd) if nvidia else [])
+
+
+def problems(findings: Iterable[Finding]) -> list[Finding]:
+    """Errors and warnings, without the identifiers of MaterialX in its own layer."""
+    return [f for f in findings if f.severity != "information" and not is_materialx(f)]
 
 
 def is_materialx(finding: Finding) -> bool:
-    """Whether usd-core only does not know an id of MaterialX, in the layer that may have them."""
+    """Whether the finding is only that usd-core does not know a MaterialX identifier, in the layer that has them."""
     layer = finding.file.name.endswith("_openpbr.usda")
     return layer and finding.code == "MissingShaderIdInRegistry" and "ND_" in finding.message
 

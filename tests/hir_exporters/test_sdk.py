@@ -86,8 +86,10 @@ def test_the_formats_page_states_the_schema_and_the_residuals() -> None:
 def test_every_module_of_the_readme_exists() -> None:
     table = README.read_text(encoding="utf-8").split("## What is here")[1].split("## Formats")[0]
     for row in re.findall(r"^\| (`.*?`) \|", table, re.MULTILINE):
-        for name in re.findall(r"`(\w+)`", row):
-            assert (PACKAGE / f"{name}.py").is_file(), name
+        for name in re.findall(r"`([\w/]+)`", row):
+            assert (PACKAGE / name).is_dir() or (PACKAGE / f"{name}.py").is_file(), name
+    folders = {entry.name for entry in PACKAGE.iterdir() if (entry / "__init__.py").is_file()}
+    assert folders <= set(re.findall(r"`(\w+)/", table)), "the README names every folder"
 
 
 @pytest.mark.parametrize("kind", ["textured_asset", "constant_asset"])

@@ -19,7 +19,7 @@ def under_sky(asset: Asset, material: AssetMaterial, even: bool = False) -> Asse
     return dataclasses.replace(asset, material=material, environment=AssetEnvironment(sky))
 
 
-def written(material: AssetMaterial, profile: str) -> tuple[MetallicSurface, SpecularSurface | None]:
+def converted(material: AssetMaterial, profile: str) -> tuple[MetallicSurface, SpecularSurface | None]:
     found = to_gltf(material, profile)
     if isinstance(found, MetallicSurface):
         return found, None
@@ -29,7 +29,7 @@ def written(material: AssetMaterial, profile: str) -> tuple[MetallicSurface, Spe
 def test_what_is_exact_is_exact_and_the_wrong_profile_is_not(constant_asset: Asset) -> None:
     material = AssetMaterial("paper", [0.5, 0.4, 0.3], [0.2] * 3, 0.2)
     asset = under_sky(constant_asset, material)
-    khr, blender = (engine_psnr(asset, *written(material, p)) for p in ("khr", "blender"))
+    khr, blender = (engine_psnr(asset, *converted(material, p)) for p in ("khr", "blender"))
     assert khr["gltf"] > 80 and blender["blender"] > 80
     assert blender["gltf"] < 50 and khr["blender"] > 80, "the two agree where the colour is grey"
 
@@ -49,13 +49,13 @@ def test_unreal_and_unity_lose_what_their_parameters_cannot_say(constant_asset: 
     """A coloured non-metal of 0.15: Unreal has one grey of at most 0.08, Unity's core reading 0.04."""
     colored = AssetMaterial("dielectric", [0.3] * 3, [0.15, 0.08, 0.04], 0.1)
     plain = AssetMaterial("dielectric", [0.3] * 3, [0.04] * 3, 0.1)
-    for engine in ("unreal", "unity"):
-        losses = [engine_psnr(under_sky(constant_asset, m), *written(m, "khr"))[engine] for m in (colored, plain)]
-        assert losses[0] < losses[1], engine
-    specular_surface = engine_psnr(under_sky(constant_asset, colored), *written(colored, "unity-legacy"))
-    assert (
-        specular_surface["unity"] > engine_psnr(under_sky(constant_asset, colored), *written(colored, "khr"))["unity"]
+    psnr_colored, psnr_plain = (
+        engine_psnr(under_sky(constant_asset, m), *converted(m, "khr")) for m in (colored, plain)
     )
+    for engine in ("unreal", "unity"):
+        assert psnr_colored[engine] < psnr_plain[engine], engine
+    specular_glossiness = engine_psnr(under_sky(constant_asset, colored), *converted(colored, "unity-legacy"))
+    assert specular_glossiness["unity"] > psnr_colored["unity"]
 
 
 @pytest.mark.parametrize("alpha", [0.05, 0.3, 0.9])
@@ -64,7 +64,7 @@ def test_white_metal_in_an_even_light(constant_asset: Asset, alpha: float) -> No
     material = AssetMaterial("dielectric", [0.0] * 3, [1.0] * 3, alpha)
     asset = under_sky(constant_asset, material, even=True)
     points = surface_points(asset)
-    texels = MaterialSamples(points, *written(material, "khr"))
+    texels = MaterialSamples(points, *converted(material, "khr"))
     np.testing.assert_allclose(GLTF_ENGINES["three.js"](points, texels).mean(), 0.7, rtol=0.01)
     lost = sum(albedo_terms(points.cos_o, points.alpha))
     np.testing.assert_allclose(GLTF_ENGINES["gltf"](points, texels).mean() / 0.7, lost.mean(), rtol=0.01)
@@ -80,5 +80,5 @@ def test_points_measure_the_light_and_see_the_front(textured_asset: Asset) -> No
 
 
 def test_the_same_numbers_every_time(textured_asset: Asset) -> None:
-    surface, _ = written(textured_asset.material, "khr")
+    surface, _ = converted(textured_asset.material, "khr")
     assert engine_psnr(textured_asset, surface, None) == engine_psnr(textured_asset, surface, None)

@@ -251,7 +251,7 @@ def test_a_broken_asset_leaves_no_file(textured_asset: Asset, tmp_path: Path) ->
         with pytest.raises(InputError, match=r"material\.roughness"):
             create_exporter(suffix).write(broken, tmp_path / f"x.{suffix}")
     assert list(tmp_path.iterdir()) == []
-    with pytest.raises(ExportError, match="known are glb, gltf"):
+    with pytest.raises(ExportError, match="known formats are glb, gltf"):
         create_exporter("fbx")
 
 

@@ -35,17 +35,19 @@ def test_each_difference_is_a_sentence(written: Path, textured_asset: Asset) -> 
     moved = compare_with_asset(
         written, textured_asset, changed(back, corner_positions=back.corner_positions + 0.01 * size)
     )
-    assert moved.problems[0].startswith(f"{name}: positions moved by 0.01") and moved.positions > 9e-3
+    assert moved.problems[0].startswith(f"{name}: positions differ by 0.01") and moved.positions > 9e-3
     shifted = compare_with_asset(written, textured_asset, changed(back, corner_uvs=back.corner_uvs + 0.02))
-    assert shifted.problems == (f"{name}: texture coordinates moved by 0.02",)
+    assert shifted.problems == (f"{name}: texture coordinates differ by 0.02",)
     normals = back.corner_normals + 0.1 * back.corner_normals[..., [1, 2, 0]]
     turned = compare_with_asset(written, textured_asset, changed(back, corner_normals=normals))
-    assert len(turned.problems) == 1 and "normals turned by" in turned.problems[0] and turned.normals_degrees > 2
+    assert len(turned.problems) == 1 and "normals differ by" in turned.problems[0] and turned.normals_degrees > 2
     had = back.normal is not None
     other = compare_with_asset(
         written, textured_asset, changed(back, normal=None if had else np.ones((2, 2, 3), np.float32))
     )
-    assert other.problems == (f"{name}: the normal map is {'missing' if had else 'one too many'}",)
+    assert other.problems == (
+        f"{name}: the normal map is missing" if had else f"{name}: it has a normal map, the asset has none",
+    )
     fewer = changed(back, **{f: getattr(back, f)[1:] for f in ("corner_positions", "corner_normals", "corner_uvs")})
     count = len(textured_asset.mesh.faces)
     assert compare_with_asset(written, textured_asset, fewer).problems == (
@@ -58,5 +60,5 @@ def test_what_no_reader_knows_is_refused(tmp_path: Path, textured_asset: Asset) 
         read_back(tmp_path / "x.stl")
     for suffix in ("glb", "gltf", "usda"):
         for untrusted in (False, True):
-            with pytest.raises(InputError, match="is not there"):
+            with pytest.raises(InputError, match="does not exist"):
                 read_back(tmp_path / f"gone.{suffix}", untrusted=untrusted)

@@ -80,7 +80,7 @@ def test_bad_input_names_file_and_field(textured_asset: Asset, tmp_path: Path) -
         "beyond.obj": "beyond.obj.*mesh.faces.*index out of range",
         "broken.glb": "broken.glb",
         "mesh.txt": "known are",
-        "none.glb": "not there",
+        "none.glb": "does not exist",
     }.items():
         with pytest.raises(InputError, match=message):
             load_mesh_asset(tmp_path / name)

@@ -37,7 +37,7 @@ def plate(columns: int, rows: int, triangles: int = 1 << 30) -> AssetMesh:
     return AssetMesh(positions[used], normals[used], uvs[used], faces.reshape(-1, 3))
 
 
-def told(findings: list[Finding]) -> list[str]:
+def lines(findings: list[Finding]) -> list[str]:
     return [f"{f.file.name}: {f.severity} {f.code} {f.message}" for f in findings]
 
 
@@ -45,13 +45,13 @@ def told(findings: list[Finding]) -> list[str]:
 def test_one_and_two_triangles(triangles: int, textured_asset: Asset, tmp_path: Path) -> None:
     asset = replace(textured_asset, mesh=plate(1, 1, triangles))
     assert len(asset.mesh.faces) == triangles
-    files = validate_exports.written(asset, tmp_path)
+    files = validate_exports.export_variants(asset, tmp_path)
     assert len(files) >= 17
-    assert told(validate_exports.complaints(files)) == []
+    assert lines(validate_exports.problems(validate_exports.validate(files))) == []
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "suffix", "config"), list(validate_exports.kinds()))
+@pytest.mark.parametrize(("name", "suffix", "config"), list(validate_exports.variants()))
 def test_a_million_triangles(
     name: str, suffix: str, config: object, textured_asset: Asset, node_tools: Path, tmp_path: Path
 ) -> None:
@@ -61,7 +61,7 @@ def test_a_million_triangles(
     report = create_exporter(suffix, config).write(asset, tmp_path / f"{name}.{suffix}")
     files = [file for file in report.files if file.suffix == f".{suffix}"]
     findings = validate_gltf(files, node_tools) if suffix in ("glb", "gltf") else validate_usd(files)
-    assert told([f for f in findings if f.severity != "information" and not validate_exports.is_materialx(f)]) == []
+    assert lines(validate_exports.problems(findings)) == []
 
 
 @pytest.mark.slow
@@ -73,22 +73,25 @@ def test_every_kind_of_material(model: str, textured_asset: Asset, make_texture:
         "metal": AssetMaterial(model, [0.0] * 3, make_texture(16, 3, 0.4, 0.95), make_texture(16, 1, 0.1, 0.5)[..., 0]),
     }
     for name, material in kinds.items():
-        files = validate_exports.written(replace(textured_asset, material=material), tmp_path / name)
-        assert told(validate_exports.complaints(files)) == [], name
+        files = validate_exports.export_variants(replace(textured_asset, material=material), tmp_path / name)
+        assert lines(validate_exports.problems(validate_exports.validate(files))) == [], name
 
 
-def test_the_tool_says_what_it_found(
-    textured_asset: Asset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_the_tool_reports_problems_by_its_exit_code(
+    textured_asset: Asset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from hir_exporters.scene_format import save_scene
 
     save_scene(replace(textured_asset, mesh=plate(1, 1)), tmp_path / "run" / "scene")
-    monkeypatch.setattr("sys.argv", ["validate_exports", str(tmp_path / "run")])
-    assert validate_exports.main() == 0
-    assert "0 complaints" in capsys.readouterr().out
-    spoiled = Finding(tmp_path / "x_openpbr.usda", "error", "MissingShaderIdInRegistry", "shader 'Phong'")
-    monkeypatch.setattr(validate_exports, "validate_usd", lambda files: [spoiled])
-    assert validate_exports.main() == 1
+    assert validate_exports.main(["--no-nvidia", str(tmp_path / "run")]) == 0
+    assert "0 problems" in capsys.readouterr().out
+    layer = tmp_path / "x_openpbr.usda"
+    unknown = Finding(layer, "error", "MissingShaderIdInRegistry", "shader 'Phong'")
+    materialx = replace(unknown, message="shader 'ND_open_pbr_surface_surfaceshader'")
+    elsewhere = replace(materialx, file=tmp_path / "x.usda")
+    hint = Finding(tmp_path / "x.glb", "information", "UNUSED_OBJECT", "")
+    assert validate_exports.problems([unknown, materialx, elsewhere, hint]) == [unknown, elsewhere]
+    assert validate_exports.main([str(tmp_path / "run")], lambda files, nvidia: [unknown, hint]) == 1
     assert "Phong" in capsys.readouterr().out
 
 

@@ -137,7 +137,7 @@ def test_non_finite_radiance_is_refused_both_ways(tmp_path: Path, value: float) 
         with pytest.raises(ExportError, match="bad"):
             write(tmp_path / "bad", bad)
     OpenEXR.File({"type": OpenEXR.scanlineimage}, {"RGB": bad}).write(str(tmp_path / "bad.exr"))
-    with pytest.raises(InputError, match=r"bad\.exr holds 12 NaN"):
+    with pytest.raises(InputError, match=r"bad\.exr contains 12 NaN"):
         image_files.read_hdr(tmp_path / "bad.exr")
 
 
@@ -179,7 +179,7 @@ def test_a_huge_header_is_refused_before_anything_is_decoded(tmp_path: Path) -> 
     ):
         with pytest.raises(InputError, match=name):
             read(tmp_path / name)
-    with pytest.raises(InputError, match="not there"):
+    with pytest.raises(InputError, match="does not exist"):
         image_files.read_ldr(tmp_path / "none.png")
 
 
@@ -240,7 +240,7 @@ def test_a_cut_off_exr_is_told_once_and_not_row_by_row(tmp_path: Path, capfd: py
         (b"COLORCORR=1 2\n", "'COLORCORR=1 2' is not a number"),
         (b"EXPOSURE=-1\n", "EXPOSURE is not a positive number"),
         (b"EXPOSURE=nan\n", "EXPOSURE is not a positive number"),
-        (b"EXPOSURE=1e-300\n", "float32 cannot hold"),
+        (b"EXPOSURE=1e-300\n", "beyond float32"),
     ],
 )
 def test_headers_of_hdr_files_that_make_no_sense(header: bytes, said: str) -> None:
