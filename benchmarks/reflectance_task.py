@@ -12,8 +12,8 @@ from hir_core.intake.reader_lookup import read_capture
 from hir_core.plugins.manager import PluginManager
 from hir_core.scene import Scene
 from hir_core.stages.reflectance.initial_scene import initial_scene
-from hir_plugins.commands.bench.inputs.bench_captures import decoded, true_scene
-from hir_plugins.commands.bench.inputs.scene_judge import Judge
+from hir_plugins.commands.bench.inputs.bench_captures import decode_images, true_scene
+from hir_plugins.commands.bench.inputs.scene_evaluator import SceneEvaluator
 from hir_plugins.commands.bench.suites.reflectance_fits import DOWNSAMPLE, FITTED
 
 
@@ -25,11 +25,11 @@ class Task:
     plugins: PluginManager
     train: Capture
     start: Scene
-    judge: Judge
+    evaluator: SceneEvaluator
 
     def row(self, name: str, seconds: float | None, shown: Scene) -> None:
         """Judges a scene."""
-        errors = self.judge(shown, FITTED.bounces)
+        errors = self.evaluator(shown, FITTED.bounces)
         relit = ", ".join(f"{value:.1f}" for key, value in errors.items() if key.startswith("relight"))
         unseen = f"{errors['unseen dB']:.1f} / {errors['frame dB']:.1f}"
         print(f"| {name} | {'–' if seconds is None else f'{seconds:.0f}'} | {unseen} | {relit} |", flush=True)
@@ -41,10 +41,10 @@ def asked_task(description: str | None) -> Task:
     parser.add_argument("capture", type=Path)
     path = parser.parse_args().capture
     plugins = PluginManager.discover()
-    train = decoded(read_capture(path, "train", plugins))
+    train = decode_images(read_capture(path, "train", plugins))
     scene = true_scene(path, train)
     if scene is None:
         raise SystemExit(f"{path} has no true mesh")
     start = initial_scene(scene, train, ReflectanceSettings())
     print("| | seconds | unseen, object / frame | relit, frame, scaled |\n|---|---|---|---|")
-    return Task(path, plugins, train, start, Judge(path, plugins, DOWNSAMPLE))
+    return Task(path, plugins, train, start, SceneEvaluator(path, plugins, DOWNSAMPLE))

@@ -42,7 +42,7 @@ def main() -> None:
         began = time.perf_counter()
         found = fitted(task, variant)
         task.row(variant.name, time.perf_counter() - began, found)
-    truth = true_scene(task.path, task.judge.captures["test"])
+    truth = true_scene(task.path, task.evaluator.captures["test"])
     assert truth.material is not None
     if truth.material.normal is not None:
         smooth = replace(truth, material=replace(truth.material, normal=None))
@@ -60,7 +60,7 @@ def variants(task: Task) -> Iterator[Variant]:
     yield Variant("a million pixels", options={"pixels": 1_000_000})
     yield Variant("four times the steps", effort=4.0)
     yield Variant("a normal map", normals=True)
-    source = task.judge.captures["test"].environment
+    source = task.evaluator.captures["test"].environment
     if source is not None:
         known = load_light(source, task.train.world_from_source)
         yield Variant("the true light", lambda scene: with_light(scene, seen_from(known, 64)), known_light=True)

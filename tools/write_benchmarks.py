@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from hir_plugins.commands.bench.results.bench_result import Result
-from hir_plugins.commands.bench.results.markdown_tables import markdown
+from hir_plugins.commands.bench.results.markdown_tables import result_markdown
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "benchmarks" / "results"
@@ -131,7 +131,7 @@ def section(suite: str) -> str:
     if not path.is_file():
         return "Not measured yet."
     result = Result.read(path)
-    text = markdown(result).rstrip()
+    text = result_markdown(result).rstrip()
     if result.settings.get("quick"):
         text += " The smallest sizes alone (`--quick`)."
     if plot(suite).is_file():

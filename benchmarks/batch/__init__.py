@@ -1,1 +1,1 @@
-"""`hir batch`: a cluster that loses workers, overhead, and a model of large batches."""
+"""Studies of `hir batch`: fault injection, overhead, and a simulation of large batches."""

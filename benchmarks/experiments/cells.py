@@ -11,7 +11,7 @@ from typing import Any
 
 from benchmarks.experiments.folders import ROOT, WORK, shared
 from benchmarks.experiments.rendered import rendered
-from hir_plugins.commands.bench.inputs.bench_captures import made_smaller, stretched
+from hir_plugins.commands.bench.inputs.bench_captures import make_reduced_capture, make_resized_capture
 
 RESULTS = ROOT / "benchmarks" / "results" / "experiments"
 
@@ -59,7 +59,7 @@ class Cell:
         """Fits, evaluates and stores; a run that was stopped goes on. Raises `TimeoutExpired` after `seconds`."""
         source = self.source()
         assert source is not None, f"{self.capture} is not there"
-        make, kind = (stretched, "_stretched") if self.stretched else (made_smaller, "")
+        make, kind = (make_resized_capture, "_stretched") if self.stretched else (make_reduced_capture, "")
         small = make(source, WORK / "captures" / f"{source.name}_{self.views}_{self.side}{kind}", self.views, self.side)
         folder = WORK / "runs" / self.name
         fit = ["reconstruct", small, "-o", folder, "--resume", "--preset", self.preset, "--set", "export=[]"]

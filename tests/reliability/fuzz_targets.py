@@ -222,7 +222,7 @@ def _bench(folder: Path) -> object:
     from hir_plugins.commands.bench.results.bench_result import Result
 
     result = Result.read(folder / "geometry.json")
-    return markdown_tables.markdown(result), comparison.markdown(result, result)
+    return markdown_tables.result_markdown(result), comparison.comparison_table(result, result)
 
 
 def _batch(folder: Path) -> object:

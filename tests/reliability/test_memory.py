@@ -14,7 +14,7 @@ import pytest
 
 from hir_core.capture.capture_size import CaptureSize
 from hir_core.capture.pixel_cache import PixelCache
-from hir_core.config import RunConfig, load_config
+from hir_core.config import load_config
 from hir_core.errors import ConfigError, StageError
 from hir_core.pipeline import Run
 from hir_core.plugins.manager import PluginManager
@@ -68,7 +68,7 @@ def test_a_smaller_limit_asks_for_no_less() -> None:
 
 def test_what_cannot_fit_is_refused_before_it_starts() -> None:
     with pytest.raises(StageError, match=r"stage needs about .* GB, more than --max-memory 900MB"):
-        plan_memory(replace(RunConfig(), max_memory="900MB"), PLUGINS, LARGE)
+        plan_memory(replace(load_config(PLUGINS), max_memory="900MB"), PLUGINS, LARGE)
 
 
 def test_a_run_says_and_writes_what_it_shrank(

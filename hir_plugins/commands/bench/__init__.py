@@ -1,1 +1,1 @@
-"""`hir bench`: seconds, memory and error of every component at growing sizes, each beside its slow reference."""
+"""`hir bench`: time, memory and error of the installed components at growing sizes, compared with slow references."""

@@ -1,4 +1,4 @@
-"""Seconds of repeated runs, and the memory that they add to the process."""
+"""Wall-clock time, CPU time and additional memory of repeated calls."""
 
 from __future__ import annotations
 
@@ -9,46 +9,68 @@ import statistics
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Final
 
 from hir_plugins.commands.bench.results.bench_result import Timing
 
-REPEATS = 5
-PATIENCE_SECONDS = 20.0
-"""A work that takes so long altogether is not repeated further, once there are two runs."""
+REPEATS: Final = 5
+MAX_REPEAT_SECONDS: Final = 20.0
+"""A measurement is not repeated further once its calls have taken so long in all."""
 
 
 def measure(
-    work: Callable[[], object], repeats: int = REPEATS, warm_up: bool = True, patience: float = PATIENCE_SECONDS
+    function: Callable[[], object],
+    repeats: int = REPEATS,
+    warm_up: bool = True,
+    max_repeat_s: float = MAX_REPEAT_SECONDS,
 ) -> Timing:
-    """Runs `work` again and again; compilers and caches are warm where `warm_up` is.
+    """Calls `function` up to `repeats` times; with `warm_up`, once more before, so that compilers and caches are warm.
 
-    One run is enough where it alone takes longer than `patience`, in seconds.
+    There is one timed call at least, and no further one after `max_repeat_s` seconds.
     """
     gc.collect()
     before = reset_peak()
     if warm_up:
-        work()
+        function()
     wall, cpu = [], []
     started = time.perf_counter()
     for _ in range(max(1, repeats)):
         wall_start, cpu_start = time.perf_counter(), time.process_time()
-        work()
+        function()
         wall.append(time.perf_counter() - wall_start)
         cpu.append(time.process_time() - cpu_start)
-        if time.perf_counter() - started > patience:
+        if time.perf_counter() - started > max_repeat_s:
             break
-    after = peak_bytes()
-    memory = None if before is None or after is None else max(0, after - before)
+    memory = added_memory(before)
     return Timing(min(wall), statistics.median(wall), max(wall), len(wall), min(cpu), memory)
 
 
-def reset_peak() -> int | None:
-    """Forgets the process's peak and returns its present size in bytes; None where the system cannot (not Linux).
+class Stopwatch:
+    """Measures one call that cannot be repeated, from the construction to `timing`."""
 
-    What the allocator keeps for later is given back first, where it can be: else a second run would take nothing.
+    def __init__(self, memory: bool = True) -> None:
+        self._memory_before = reset_peak() if memory else None
+        self._wall, self._cpu = time.perf_counter(), time.process_time()
+
+    def timing(self) -> Timing:
+        """The time since the construction, and the memory that was added at the peak."""
+        seconds, cpu = time.perf_counter() - self._wall, time.process_time() - self._cpu
+        return Timing(seconds, seconds, seconds, 1, cpu, added_memory(self._memory_before))
+
+
+def added_memory(before: int | None) -> int | None:
+    """Bytes by which the peak exceeds an earlier size; None if the system does not report them."""
+    peak = None if before is None else peak_bytes()
+    return None if before is None or peak is None else max(0, peak - before)
+
+
+def reset_peak() -> int | None:
+    """Resets the peak of the process's memory; returns its present size in bytes, or None if the system is not Linux.
+
+    Memory that the allocator keeps is released first if possible; otherwise a second call would seem to need none.
     """
     with contextlib.suppress(OSError, AttributeError):
-        ctypes.CDLL(None).malloc_trim(0)  # glibc alone has it
+        ctypes.CDLL(None).malloc_trim(0)  # only glibc has it
     try:
         Path("/proc/self/clear_refs").write_text("5")
     except OSError:
@@ -57,7 +79,7 @@ def reset_peak() -> int | None:
 
 
 def peak_bytes() -> int | None:
-    """Largest resident size since `reset_peak`; None where the system does not tell."""
+    """The largest resident size since `reset_peak`; None if the system does not report it."""
     try:
         for line in Path("/proc/self/status").read_text().splitlines():
             if line.startswith("VmHWM:"):

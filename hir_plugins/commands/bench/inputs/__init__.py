@@ -1,1 +1,1 @@
-"""What suites measure on."""
+"""Captures, meshes and references that the suites measure with."""

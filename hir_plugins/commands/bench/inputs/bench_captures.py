@@ -1,152 +1,133 @@
-"""Captures for benchmarks: thinned and reduced copies, true meshes."""
+"""Captures for benchmarks: copies with fewer, smaller or larger photographs; true meshes."""
 
 from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Final, cast
 
 import numpy as np
 import torch
-from hir_exporters.conventions import linear_to_srgb, srgb_to_linear
-from hir_exporters.textures.image_files import read_ldr, write_png
+from hir_exporters.textures.image_files import read_ldr
 from numpy.typing import NDArray
 
 from hir_core.capture import Capture
 from hir_core.capture.pixel_cache import PixelCache
 from hir_core.errors import InputError
-from hir_core.evaluation import spread
 from hir_core.evaluation.truth_evaluation import TRUE_MESH
+from hir_core.rendering.view_selection import evenly_spaced_indices
 from hir_core.scene import Material, Mesh, Scene, Topology
+from hir_plugins.commands.bench.inputs.image_resampling import copy_downsampled, copy_enlarged
 
-SPLITS = ("train", "test", "relight_0", "relight_1", "albedo_test")
+SPLITS: Final = ("train", "test", "relight_0", "relight_1", "albedo_test")
 
 
-def made_smaller(source: Path, folder: Path, views: int, side: int) -> Path:
-    """A copy of a NeRF-synthetic capture with `views` train views, spread over its own, of at most `side` pixels.
+def make_reduced_capture(source: Path, folder: Path, views: int, side: int) -> Path:
+    """Copies a NeRF-synthetic capture with `views` evenly spaced train views of at most `side` pixels.
 
-    All other splits, lights and the true mesh stay whole but for their size. A folder that is there already is taken.
+    The other splits keep all views, at the same size; lights and the true mesh are copied. An existing copy is kept.
     """
-    done = folder / "made.json"
-    if done.is_file():
+    marker = folder / "made.json"
+    if marker.is_file():
         return folder
     if not (source / "transforms_train.json").is_file():
-        raise InputError(f"{source} has no transforms_train.json; only such captures can be thinned and reduced")
+        raise InputError(f"{source} has no transforms_train.json; only NeRF-synthetic captures can be reduced")
     for split in SPLITS:
         path = source / f"transforms_{split}.json"
         if not path.is_file():
             continue
-        document: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        document = _read_transforms(path)
         if split == "train":
-            document["frames"] = [document["frames"][i] for i in spread(len(document["frames"]), views)]
+            document["frames"] = [document["frames"][i] for i in evenly_spaced_indices(len(document["frames"]), views)]
         for frame in document["frames"]:
-            _copy_picture(source, folder, frame, side)
+            name = _image_name(frame)
+            copy_downsampled(source / name, folder / name, side)
         (folder / path.name).write_text(json.dumps(document, indent=1), encoding="utf-8")
-    for other in (*source.glob("*.hdr"), *source.glob(TRUE_MESH)):
-        shutil.copy(other, folder / other.name)
-    done.write_text(json.dumps({"source": source.name, "views": views, "side": side}), encoding="utf-8")
+    for file in (*source.glob("*.hdr"), *source.glob(TRUE_MESH)):
+        shutil.copy(file, folder / file.name)
+    marker.write_text(json.dumps({"source": source.name, "views": views, "side": side}), encoding="utf-8")
     return folder
 
 
-def stretched(source: Path, folder: Path, views: int, side: int) -> Path:
-    """A copy with exactly `views` train views of `side` pixels, for time and memory alone.
+def make_resized_capture(source: Path, folder: Path, views: int, side: int) -> Path:
+    """Copies a capture with exactly `views` train views of `side` pixels, for measurements of time and memory only.
 
-    More views than there are come again; larger pictures are enlarged, and show nothing new. Fewer and smaller ones
-    are those of `made_smaller`, and the other splits stay as it leaves them.
+    Missing views are repeated and small photographs are enlarged. Otherwise the copy is that of
+    `make_reduced_capture`.
     """
-    if (folder / "stretched.json").is_file():
+    marker = folder / "stretched.json"
+    if marker.is_file():
         return folder
-    made_smaller(source, folder, views, side)
+    make_reduced_capture(source, folder, views, side)
     path = folder / "transforms_train.json"
-    document: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    document = _read_transforms(path)
     frames, document["frames"] = document["frames"], []
+    (folder / "stretched").mkdir(exist_ok=True)
     for number in range(views):
         frame = frames[number % len(frames)]
         name = f"stretched/{number:04d}"
-        (folder / "stretched").mkdir(exist_ok=True)
-        _enlarge(folder / Path(frame["file_path"]).with_suffix(".png"), folder / f"{name}.png", side)
+        copy_enlarged(folder / _image_name(frame), folder / f"{name}.png", side)
         document["frames"].append(frame | {"file_path": f"./{name}"})
     path.write_text(json.dumps(document, indent=1), encoding="utf-8")
-    (folder / "stretched.json").write_text(json.dumps({"source": source.name, "views": views, "side": side}))
+    marker.write_text(json.dumps({"source": source.name, "views": views, "side": side}))
     return folder
 
 
-def _enlarge(source: Path, target: Path, side: int) -> None:
-    from PIL import Image
-
-    with Image.open(source) as picture:
-        if max(picture.size) >= side:
-            shutil.copy(source, target)
-            return
-        shape = (side, round(side * picture.height / picture.width))
-        picture.convert("RGBA").convert("RGBa").resize(shape, Image.Resampling.BICUBIC).convert("RGBA").save(target)
-
-
-def extent(source: Path) -> tuple[int, int]:
-    """Train views and pixels of the longer side of a NeRF-synthetic capture."""
+def capture_size(source: Path) -> tuple[int, int]:
+    """The number of train views of a NeRF-synthetic capture, and the longer side of their images in pixels."""
     try:
-        frames = json.loads((source / "transforms_train.json").read_text(encoding="utf-8"))["frames"]
-        picture = read_ldr(source / Path(frames[0]["file_path"]).with_suffix(".png"))
+        frames = _read_transforms(source / "transforms_train.json")["frames"]
+        image = read_ldr(source / _image_name(frames[0]))
     except (OSError, KeyError, IndexError, ValueError) as error:
-        raise InputError(f"{source}: no train views of a transforms_train.json ({error})") from error
-    return len(frames), max(picture.shape[:2])
-
-
-def reduced(picture: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
-    """sRGB with straight alpha (H, W, 4) at 1/`factor`: colours are averaged as light, each as far as it covers."""
-    height, width = picture.shape[0] // factor, picture.shape[1] // factor
-    blocks = picture[: height * factor, : width * factor].reshape(height, factor, width, factor, 4)
-    alpha = blocks[..., 3:]
-    light = (np.asarray(srgb_to_linear(blocks[..., :3])) * alpha).sum(axis=(1, 3))
-    covered = alpha.sum(axis=(1, 3))
-    color = linear_to_srgb(np.where(covered > 0, light / np.maximum(covered, 1e-9), 0.0))
-    return np.concatenate([color, covered / factor**2], axis=2).astype(np.float32)
+        raise InputError(f"{source}: transforms_train.json has no readable train views ({error})") from error
+    return len(frames), max(image.shape[:2])
 
 
 def true_mesh(path: Path, capture: Capture) -> tuple[NDArray[np.float64], NDArray[np.int64]] | None:
-    """`reference.obj` in the axes of `capture`, corners merged; None where there is none."""
+    """Positions (V, 3) and faces (F, 3) of `reference.obj` in the axes of `capture`, equal positions merged.
+
+    None if the capture has no such file.
+    """
     import trimesh
 
     if not (path / TRUE_MESH).is_file():
         return None
-    loaded = cast(Any, trimesh.load(path / TRUE_MESH, process=False, force="mesh"))
-    plain = trimesh.Trimesh(loaded.vertices, loaded.faces, process=False)
-    plain.merge_vertices()
-    move = capture.world_from_source
-    return np.asarray(plain.vertices) @ move[:3, :3].T + move[:3, 3], np.asarray(plain.faces, dtype=np.int64)
+    loaded = cast(trimesh.Trimesh, trimesh.load(path / TRUE_MESH, process=False, force="mesh"))
+    mesh = trimesh.Trimesh(loaded.vertices, loaded.faces, process=False)
+    mesh.merge_vertices()
+    transform = capture.world_from_source
+    positions = np.asarray(mesh.vertices) @ transform[:3, :3].T + transform[:3, 3]
+    return positions, np.asarray(mesh.faces, dtype=np.int64)
 
 
 def true_scene(path: Path, capture: Capture) -> Scene | None:
-    """The true mesh with texture coordinates, mid-grey; what is left to find is material and light."""
+    """The true mesh with texture coordinates and a grey material; None if the capture has no true mesh."""
     from hir_core.stages.atlas import texture_size, unwrap_mesh
 
-    found = true_mesh(path, capture)
-    if found is None:
+    truth = true_mesh(path, capture)
+    if truth is None:
         return None
-    mesh = Mesh(torch.from_numpy(found[0].astype(np.float32)), Topology(torch.from_numpy(found[1])))
+    mesh = Mesh(torch.from_numpy(truth[0].astype(np.float32)), Topology(torch.from_numpy(truth[1])))
     size = texture_size(mesh, capture.cameras)
     mesh, _ = unwrap_mesh(mesh, size)
     grey = Material("paper", torch.full((size, size, 3), 0.5), torch.zeros(3), torch.ones(1))
     return replace(Scene(mesh), material=grey)
 
 
-def _copy_picture(source: Path, folder: Path, frame: Mapping[str, Any], side: int) -> None:
-    name = Path(frame["file_path"]).with_suffix(".png")
-    (folder / name).parent.mkdir(parents=True, exist_ok=True)
-    picture = read_ldr(source / name)
-    factor = picture.shape[0] // side
-    if factor <= 1:
-        shutil.copy(source / name, folder / name)
-    else:
-        write_png(folder / name, reduced(picture, factor))
-
-
-def decoded(capture: Capture) -> Capture:
-    """With photographs in memory, so that decoding is not timed."""
+def decode_images(capture: Capture) -> Capture:
+    """The capture with all photographs decoded in memory, so that decoding is not measured."""
     cached = PixelCache().wrap(capture)
     for view in cached.views:
         view.pixels()
     return cached
+
+
+def _read_transforms(path: Path) -> dict[str, Any]:
+    document: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    return document
+
+
+def _image_name(frame: dict[str, Any]) -> Path:
+    return Path(frame["file_path"]).with_suffix(".png")

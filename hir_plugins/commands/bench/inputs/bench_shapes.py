@@ -1,6 +1,8 @@
-"""Meshes, cameras and directions that benchmarks and tests measure on, all by formula."""
+"""Meshes, cameras and displacements for benchmarks and tests, all defined by formulas."""
 
 from __future__ import annotations
+
+from typing import Final
 
 import numpy as np
 import torch
@@ -14,45 +16,48 @@ from hir_core.testing.scenes import looking_at, smooth_sphere
 Positions = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
-EYES = ((3.0, 1.0, 0.5), (-1.0, 0.4, 3.2))
+CAMERA_POSITIONS: Final = ((3.0, 1.0, 0.5), (-1.0, 0.4, 3.2))
 
 
 def bumpy_sphere(subdivisions: int, seed: int = 0) -> tuple[Positions, Faces]:
-    """A sphere of 20·4ⁿ triangles with bumps of many sizes: long inner contours, hidden folds."""
-    ball = smooth_sphere(subdivisions)
-    v, f = ball.positions.double().numpy(), ball.faces.numpy()
-    v = v / np.linalg.norm(v, axis=1, keepdims=True)
+    """Positions (V, 3) and faces (F, 3) of a sphere of 20·4ⁿ triangles with bumps of many sizes.
+
+    Its outline has long inner contours and hidden folds.
+    """
+    sphere = smooth_sphere(subdivisions)
+    positions, faces = sphere.positions.double().numpy(), sphere.faces.numpy()
+    positions = positions / np.linalg.norm(positions, axis=1, keepdims=True)
     random = np.random.default_rng(seed)
-    height = np.zeros(len(v))
+    height = np.zeros(len(positions))
     for frequency in (3, 6, 12, 24):
         for _ in range(6):
             direction = random.normal(size=3)
             direction /= np.linalg.norm(direction)
-            height += np.sin(frequency * v @ direction + random.uniform(0, 2 * np.pi)) / frequency**0.7
-    return v * (1 + 0.04 * height / height.std())[:, None], f
+            height += np.sin(frequency * positions @ direction + random.uniform(0, 2 * np.pi)) / frequency**0.7
+    return positions * (1 + 0.04 * height / height.std())[:, None], faces
 
 
-def mesh_of(positions: Positions, faces: Faces, grad: bool = False) -> Mesh:
-    """float32, whose positions may ask for gradients."""
-    tensor = torch.from_numpy(np.asarray(positions, np.float32).copy()).requires_grad_(grad)
+def make_mesh(positions: Positions, faces: Faces, requires_grad: bool = False) -> Mesh:
+    """A float32 mesh."""
+    tensor = torch.from_numpy(np.asarray(positions, np.float32).copy()).requires_grad_(requires_grad)
     return Mesh(tensor, Topology(torch.from_numpy(np.asarray(faces, np.int64))))
 
 
-def cameras(size: int) -> list[Camera]:
-    """Two, from either side."""
-    return [looking_at(eye, size, 1.4) for eye in EYES]
+def bench_cameras(size: int) -> list[Camera]:
+    """Two cameras on different sides, with images of size²."""
+    return [looking_at(position, size, 1.4) for position in CAMERA_POSITIONS]
 
 
-def full_targets(views: list[Camera]) -> SilhouetteTargets:
+def full_frame_targets(cameras: list[Camera]) -> SilhouetteTargets:
     """Masks that cover the whole frame."""
-    return SilhouetteTargets(tuple(views), tuple(torch.ones(c.height, c.width) for c in views))
+    return SilhouetteTargets(tuple(cameras), tuple(torch.ones(c.height, c.width) for c in cameras))
 
 
-def smooth_directions(positions: Positions, count: int, seed: int = 5) -> list[Positions]:
-    """Ways to move a mesh: sums of eight plane waves of about the object's size."""
+def smooth_displacements(positions: Positions, count: int, seed: int = 5) -> list[Positions]:
+    """Displacement fields (V, 3): sums of eight plane waves whose length is about the object's size."""
     random = np.random.default_rng(seed)
-    found = []
+    fields = []
     for _ in range(count):
-        wave, push, phase = random.normal(size=(8, 3)), random.normal(size=(8, 3)), random.uniform(0, 2 * np.pi, 8)
-        found.append(np.sin(2 * positions @ wave.T + phase) @ push / 3)
-    return found
+        wave, amplitude, phase = random.normal(size=(8, 3)), random.normal(size=(8, 3)), random.uniform(0, 2 * np.pi, 8)
+        fields.append(np.sin(2 * positions @ wave.T + phase) @ amplitude / 3)
+    return fields

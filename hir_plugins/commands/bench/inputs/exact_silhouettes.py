@@ -1,58 +1,70 @@
-"""The exact reference of silhouettes: float64 areas of the union of projected triangles, by shapely."""
+"""The exact reference of silhouettes: float64 areas of the union of projected triangles, computed by shapely."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from types import ModuleType
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hir_core.capture import Camera
 from hir_core.errors import MissingExtraError
-from hir_plugins.commands.bench.inputs.bench_shapes import Faces, Positions, cameras, smooth_directions
+from hir_plugins.commands.bench.inputs.bench_shapes import Faces, Positions, bench_cameras, smooth_displacements
 
-REFERENCE_SIZE = 512
-STEP = 1e-5
-"""Of the central differences, in radii: they agree with those of 1e-4 within 0.03 %."""
+REFERENCE_SIZE: Final = 512
+DIFFERENCE_STEP: Final = 1e-5
+"""Step of the central differences, in object radii; they agree with those of a step of 1e-4 within 0.03 %."""
 
 
 @dataclass(frozen=True)
-class Slopes:
-    """Exact derivatives of the area, in pixels of an image of `REFERENCE_SIZE`, by camera and direction."""
+class AreaDerivatives:
+    """Exact directional derivatives of the silhouette's area, in pixels of an image of `REFERENCE_SIZE`²."""
 
-    directions: list[Positions]
+    displacements: list[Positions]
     values: NDArray[np.float64]
+    """By camera and displacement (C, D)."""
     areas: NDArray[np.float64]
+    """By camera (C,)."""
 
 
-def exact_slopes(positions: Positions, faces: Faces) -> Slopes:
-    """Central differences of the exact area, for both cameras and two directions."""
-    directions = smooth_directions(positions, 2)
-    views = cameras(REFERENCE_SIZE)
+def exact_area_derivatives(positions: Positions, faces: Faces) -> AreaDerivatives:
+    """Central differences of the exact area, for both cameras and two displacements."""
+    displacements = smooth_displacements(positions, 2)
+    cameras = bench_cameras(REFERENCE_SIZE)
     values = [
-        [(area(positions + STEP * d, faces, v) - area(positions - STEP * d, faces, v)) / (2 * STEP) for d in directions]
-        for v in views
+        [
+            (
+                silhouette_area(positions + DIFFERENCE_STEP * d, faces, camera)
+                - silhouette_area(positions - DIFFERENCE_STEP * d, faces, camera)
+            )
+            / (2 * DIFFERENCE_STEP)
+            for d in displacements
+        ]
+        for camera in cameras
     ]
-    return Slopes(directions, np.array(values), np.array([area(positions, faces, v) for v in views]))
+    areas = [silhouette_area(positions, faces, camera) for camera in cameras]
+    return AreaDerivatives(displacements, np.array(values), np.array(areas))
 
 
-def area(positions: Positions, faces: Faces, camera: Camera) -> float:
-    """Of the silhouette, in pixels, inside the frame."""
-    shapely = _shapely()
+def silhouette_area(positions: Positions, faces: Faces, camera: Camera) -> float:
+    """The area of the silhouette inside the frame, in pixels."""
+    shapely = _import_shapely()
     pixels, _ = camera.project(positions)
-    t = pixels[faces]
-    u, v = t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]
-    t = t[np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]) > 1e-12]
-    union = shapely.union_all(shapely.polygons(t))
+    triangles = pixels[faces]
+    a, b = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    triangles = triangles[np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) > 1e-12]
+    union = shapely.union_all(shapely.polygons(triangles))
     return float((union & shapely.box(0, 0, camera.width, camera.height)).area)
 
 
-def _shapely() -> Any:
+def _import_shapely() -> ModuleType:
     try:
         import shapely
     except ImportError:
         raise MissingExtraError(
-            "hir bench geometry judges by exact polygons and needs shapely; install it with: pip install 'hir[bench]'"
+            "the exact silhouettes of hir bench geometry need shapely; install it with: pip install 'hir[bench]'"
         ) from None
-    return shapely
+    module: ModuleType = shapely
+    return module

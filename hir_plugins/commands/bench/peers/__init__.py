@@ -1,1 +1,1 @@
-"""Other programs on the same tasks: stock Mitsuba, its projective integrator, open3d's colour mapping."""
+"""Other programs on the same tasks: stock Mitsuba, its projective integrator, colour mapping of open3d."""

@@ -1,11 +1,10 @@
-"""Plain photogrammetry: open3d averages the photographs into vertex colours of the true mesh; their light is baked in.
+"""Photogrammetry without materials: open3d averages the photographs to vertex colours of the true mesh.
 
-Unseen views of the same light are its best case; under another light it shows the same picture.
+The light is baked into the colours, so another light does not change the rendered image.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -22,33 +21,35 @@ from hir_core.metrics import OBJECT_COVERAGE, composite, mean, psnr, unassociate
 from hir_core.rendering.unlit_renderer import UnlitRenderer
 from hir_core.rendering.view_selection import evenly_spaced_indices
 from hir_core.scene import Scene, Topology
-from hir_plugins.commands.bench.bench_plan import Plan
-from hir_plugins.commands.bench.results.bench_result import Case, Row, Timing
+from hir_plugins.commands.bench.bench_options import BenchOptions
+from hir_plugins.commands.bench.measurement import Stopwatch
+from hir_plugins.commands.bench.results.bench_result import Case, Row
 
-VIEWS: Final = 40
+PHOTOGRAPHS: Final = 40
 DOWNSAMPLE: Final = 1
 TRIANGLES: Final = 80_000
-"""The mesh is split until it has about so many: colours live at its corners."""
+"""The mesh is subdivided to about so many triangles, because the colours are stored at vertices."""
 EVALUATED_VIEWS: Final = 4
 
 
-def color_map_rows(scene: Scene, train: Capture, test: Capture, case: Case, path: Path, plan: Plan) -> Iterator[Row]:
-    """One row, with the unseen views under the same light and under each other one that the capture has."""
-    began, cpu = time.perf_counter(), time.process_time()
+def color_map_rows(
+    scene: Scene, train: Capture, test: Capture, case: Case, path: Path, bench_options: BenchOptions
+) -> Iterator[Row]:
+    """One row with the error on unseen views under the same light and under each other light of the capture."""
+    stopwatch = Stopwatch(memory=False)
     colored = color_mapped(scene, train)
-    seconds = time.perf_counter() - began
-    errors = {"unseen dB": unlit_psnr(colored, test)}
-    _, reader = find_reader(path, plan.plugins)
+    timing = stopwatch.timing()
+    errors = {"unseen dB": mean_unlit_psnr(colored, test)}
+    _, reader = find_reader(path, bench_options.plugins)
     for split in reader.splits(path):
         if split.startswith("relight"):
-            errors[f"{split} dB"] = unlit_psnr(colored, read_capture(path, split, plan.plugins))
-    timing = Timing(seconds, seconds, seconds, 1, time.process_time() - cpu)
-    budget = {**case, "budget": f"{VIEWS} photographs"}
+            errors[f"{split} dB"] = mean_unlit_psnr(colored, read_capture(path, split, bench_options.plugins))
+    budget = {**case, "budget": f"{PHOTOGRAPHS} photographs"}
     yield Row(budget, "open3d colour mapping: baked light", "peer", timing, errors, "other lights unscaled, object")
 
 
 def color_mapped(scene: Scene, train: Capture) -> Scene:
-    """The mesh with vertex colours by `run_rigid_optimizer`, cameras held where they are."""
+    """The mesh with vertex colours from open3d's `run_rigid_optimizer`; the cameras are not optimised."""
     import open3d as o3d
 
     mesh = o3d.geometry.TriangleMesh(
@@ -59,13 +60,13 @@ def color_mapped(scene: Scene, train: Capture) -> Scene:
         mesh = mesh.subdivide_midpoint(1)
     mesh.compute_vertex_normals()
     rays = MeshQueries(np.asarray(mesh.vertices, np.float32), np.asarray(mesh.triangles))
-    images, places = [], []
-    for i in evenly_spaced_indices(len(train.views), VIEWS):
-        image, place = _rgbd(o3d, train, i, rays, mesh)
+    images, cameras = [], []
+    for i in evenly_spaced_indices(len(train.views), PHOTOGRAPHS):
+        image, camera = _rgbd_and_camera(o3d, train, i, rays, mesh)
         images.append(image)
-        places.append(place)
+        cameras.append(camera)
     trajectory = o3d.camera.PinholeCameraTrajectory()
-    trajectory.parameters = places
+    trajectory.parameters = cameras
     options = o3d.pipelines.color_map.RigidOptimizerOption(
         maximum_iteration=0,
         maximum_allowable_depth=1e3,
@@ -84,8 +85,8 @@ def color_mapped(scene: Scene, train: Capture) -> Scene:
     return Scene(fine)
 
 
-def _rgbd(o3d: Any, train: Capture, i: int, rays: MeshQueries, mesh: Any) -> tuple[Any, Any]:
-    """Photograph and true depth of one view, as open3d wants them."""
+def _rgbd_and_camera(o3d: Any, train: Capture, i: int, rays: MeshQueries, mesh: Any) -> tuple[Any, Any]:
+    """Photograph and true depth of one view, and its camera, as types of open3d."""
     camera = train.cameras[i].downsampled(DOWNSAMPLE)
     pixels = train.views[i].pixels().downsampled(DOWNSAMPLE)
     x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
@@ -103,24 +104,24 @@ def _rgbd(o3d: Any, train: Capture, i: int, rays: MeshQueries, mesh: Any) -> tup
         depth_trunc=1e3,
         convert_rgb_to_intensity=False,
     )
-    place = o3d.camera.PinholeCameraParameters()
+    parameters = o3d.camera.PinholeCameraParameters()
     k = camera.intrinsics
-    # open3d has pixel centres at whole numbers
-    place.intrinsic = o3d.camera.PinholeCameraIntrinsic(
+    # open3d has pixel centres at integer coordinates
+    parameters.intrinsic = o3d.camera.PinholeCameraIntrinsic(
         camera.width, camera.height, k[0, 0], k[1, 1], k[0, 2] - 0.5, k[1, 2] - 0.5
     )
-    place.extrinsic = camera.world_to_camera
-    return rgbd, place
+    parameters.extrinsic = camera.world_to_camera
+    return rgbd, parameters
 
 
-def unlit_psnr(scene: Scene, capture: Capture) -> float:
-    """Mean PSNR over object pixels of a few views, shown without light."""
+def mean_unlit_psnr(scene: Scene, capture: Capture) -> float:
+    """Mean PSNR over object pixels of a few views, rendered without light."""
     unlit = UnlitRenderer(scene)
-    found: list[float | None] = []
+    values: list[float | None] = []
     for i in evenly_spaced_indices(len(capture.views), EVALUATED_VIEWS):
         pixels = capture.views[i].pixels().downsampled(DOWNSAMPLE)
         fit = unlit.render(capture.cameras[i].downsampled(DOWNSAMPLE))
         assert pixels.mask is not None
         truth = composite(pixels.color_linear, pixels.mask)
-        found.append(psnr(composite(*unassociate(fit)), truth, pixels.mask > OBJECT_COVERAGE))
-    return mean(found) or 0.0
+        values.append(psnr(composite(*unassociate(fit)), truth, pixels.mask > OBJECT_COVERAGE))
+    return mean(values) or 0.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Final, cast
 
 import numpy as np
@@ -12,8 +13,10 @@ from hir_core.capture import Camera
 SAMPLES: Final = 4
 
 
-def projective_gradients(positions: NDArray[np.float64], faces: NDArray[np.int64], views: list[Camera]) -> Any:
-    """A call that gives the gradient of the silhouette's area (V, 3), and the area in pixels, for each camera."""
+def projective_gradients(
+    positions: NDArray[np.float64], faces: NDArray[np.int64], cameras: list[Camera]
+) -> Callable[[], tuple[list[NDArray[np.float64]], list[float]]]:
+    """A function that returns the gradient of the silhouette's area (V, 3) and the area in pixels, for each camera."""
     import drjit as dr
     import mitsuba as mi
 
@@ -22,13 +25,13 @@ def projective_gradients(positions: NDArray[np.float64], faces: NDArray[np.int64
 
     def run() -> tuple[list[NDArray[np.float64]], list[float]]:
         gradients, areas = [], []
-        for view in views:
+        for camera in cameras:
             shape = mi.Mesh("m", len(positions), len(faces), props=_white_emitter(mi))
             parameters = mi.traverse(shape)
             parameters["vertex_positions"] = positions.astype(np.float32).ravel()
             parameters["faces"] = faces.astype(np.uint32).ravel()
             parameters.update()
-            scene = mi.load_dict({"type": "scene", "mesh": shape, "sensor": sensor(mi, view)})
+            scene = mi.load_dict({"type": "scene", "mesh": shape, "sensor": sensor(mi, camera)})
             integrator = mi.load_dict({"type": "direct_projective", "sppi": 0, "sppp": SAMPLES, "sppc": SAMPLES})
             parameters = mi.traverse(scene)
             key = next(k for k, _ in parameters if k.endswith("vertex_positions"))
@@ -44,12 +47,12 @@ def projective_gradients(positions: NDArray[np.float64], faces: NDArray[np.int64
     return run
 
 
-def sensor(mi: Any, view: Camera, filter_: str = "box") -> dict[str, Any]:
-    """Mitsuba's description of a camera whose pixels are square and whose middle is the image's."""
+def sensor(mi: Any, camera: Camera, filter_: str = "box") -> dict[str, Any]:
+    """Mitsuba's description of a camera with square pixels and the principal point at the image centre."""
     # Mitsuba's cameras look along +z with x to the left and y up
-    to_world = np.linalg.inv(view.world_to_camera) @ np.diag([-1.0, -1.0, 1.0, 1.0])
-    fov = float(np.rad2deg(2 * np.arctan(0.5 * view.width / view.intrinsics[0, 0])))
-    film = {"type": "hdrfilm", "width": view.width, "height": view.height, "rfilter": {"type": filter_}}
+    to_world = np.linalg.inv(camera.world_to_camera) @ np.diag([-1.0, -1.0, 1.0, 1.0])
+    fov = float(np.rad2deg(2 * np.arctan(0.5 * camera.width / camera.intrinsics[0, 0])))
+    film = {"type": "hdrfilm", "width": camera.width, "height": camera.height, "rfilter": {"type": filter_}}
     return {
         "type": "perspective",
         "fov": fov,

@@ -1,1 +1,1 @@
-"""What suites give: rows, tables, plots."""
+"""Results of benchmarks: rows, tables, plots and comparisons."""

@@ -1,4 +1,4 @@
-"""What a benchmark gives: rows of seconds, memory and error, with the machine and versions they were taken on."""
+"""The result of a suite: rows of time, memory and error, with the machine and the versions."""
 
 from __future__ import annotations
 
@@ -18,23 +18,24 @@ FORMAT: Final = "hir-bench"
 VERSION: Final = 1
 
 Role = Literal["ours", "reference", "peer"]
-"""A component that is installed, what it is judged by, or another program on the same task."""
+"""An installed component, the reference that it is compared with, or another program on the same task."""
 
 Case = Mapping[str, str | int | float]
+"""What a row measures, such as the number of triangles, by name."""
 
 
 @dataclass(frozen=True)
 class Timing:
-    """Wall-clock seconds of repeated runs, and what memory they took."""
+    """Wall-clock seconds of repeated calls, and their memory."""
 
     minimum: float
     median: float
     maximum: float
     repeats: int
     cpu: float
-    """Processor seconds of the cheapest run: other programs on the machine count less than by the wall clock."""
+    """CPU seconds of the fastest call; other programs on the machine affect them less than the wall-clock time."""
     memory_bytes: int | None = None
-    """Peak resident size above that before the runs; None where the system does not tell."""
+    """Peak resident size minus the size before the calls; None if the system does not report it."""
 
 
 @dataclass(frozen=True)
@@ -46,13 +47,13 @@ class Row:
     role: Role
     timing: Timing | None
     errors: Mapping[str, float] = field(default_factory=dict)
-    """By name, with its unit; smaller is better unless the name ends in dB."""
+    """By name, with the unit; smaller is better unless the name contains dB."""
     note: str = ""
-    """Why a figure is missing, or what it leaves out."""
+    """Why a figure is missing, or what it does not include."""
 
     @property
     def key(self) -> str:
-        """What two result files are matched by."""
+        """Identifies the row in another result of the same suite."""
         return " · ".join([*(f"{name} {value}" for name, value in self.case.items()), self.method])
 
 
@@ -68,7 +69,7 @@ class Result:
     settings: Mapping[str, Any] = field(default_factory=dict)
 
     def write(self, path: Path) -> None:
-        """As JSON; cases and errors as pairs, for their order is that of a table's columns."""
+        """Writes JSON; cases and errors are lists of pairs, because their order is the order of a table's columns."""
         document: dict[str, Any] = {"format": FORMAT, "version": VERSION} | asdict(self)
         for row in document["rows"]:
             row |= {"case": list(row["case"].items()), "errors": list(row["errors"].items())}
@@ -76,25 +77,25 @@ class Result:
 
     @classmethod
     def read(cls, path: Path) -> Result:
-        """What `write` wrote; anything else is an error that names the file."""
+        """Reads what `write` wrote; raises `InputError`, which names the file, for anything else."""
         document = read_json(path)
         if document.get("format") != FORMAT or document.get("version") != VERSION:
-            raise InputError(f"{path} is not a result of hir bench that this program reads")
+            raise InputError(f"{path} is not a result of hir bench, or of an unsupported version")
         try:
             rows = [row | {"case": dict(row["case"]), "errors": dict(row["errors"])} for row in document["rows"]]
-            known = ("suite", "machine", "versions", "date", "settings")
-            fields = {name: document[name] for name in known} | {"rows": rows}
+            names = ("suite", "machine", "versions", "date", "settings")
+            fields = {name: document[name] for name in names} | {"rows": rows}
             return TypeAdapter(cls).validate_python(fields)
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"{path}: a row or field is malformed ({' '.join(str(error).split())})") from error
 
 
-def kinds(rows: Sequence[Row]) -> list[list[Row]]:
-    """Rows whose cases are told by the same names together, in the order of their first ones."""
-    found = dict.fromkeys(tuple(row.case) for row in rows)
-    return [[row for row in rows if tuple(row.case) == kind] for kind in found]
+def group_by_case_names(rows: Sequence[Row]) -> list[list[Row]]:
+    """Rows whose cases have the same names, in the order of their first rows."""
+    kinds = dict.fromkeys(tuple(row.case) for row in rows)
+    return [[row for row in rows if tuple(row.case) == kind] for kind in kinds]
 
 
 def error_names(rows: Sequence[Row]) -> list[str]:
-    """Names of all errors, in the order in which they come up."""
+    """The names of all errors, in the order in which they first occur."""
     return list(dict.fromkeys(name for row in rows for name in row.errors))

@@ -1,66 +1,72 @@
-"""Results as Markdown: seconds as min / median / max, memory, every error."""
+"""Results as Markdown tables."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Final
 
-from hir_plugins.commands.bench.results.bench_result import Result, Row, Timing, error_names, kinds
+from hir_plugins.commands.bench.results.bench_result import Result, Row, Timing, error_names, group_by_case_names
+
+PROGRAMS: Final = ("hir", "python", "torch", "mitsuba", "open3d", "numpy")
+"""Whose versions are printed."""
 
 
-def markdown(result: Result) -> str:
-    """A table of the rows of each kind of case, and a line that says what they were taken on."""
-    return "\n\n".join([*map(table, kinds(result.rows) or [[]]), origin(result)]) + "\n"
+def result_markdown(result: Result) -> str:
+    """One table for each kind of case, and a line about the machine."""
+    tables = map(rows_table, group_by_case_names(result.rows) or [[]])
+    return "\n\n".join([*tables, machine_line(result)]) + "\n"
 
 
-def table(rows: Sequence[Row]) -> str:
-    """Columns of the case, the method, time, memory and errors; a dash where a figure is missing."""
+def rows_table(rows: Sequence[Row]) -> str:
+    """Columns for the case, the method, time, memory and errors; a dash if a figure is missing."""
     if not rows:
         return "No rows."
     names = list(dict.fromkeys(name for row in rows for name in row.case))
     errors = error_names(rows)
-    notes = any(row.note for row in rows)
-    heads = [*names, "method", "seconds, min / median / max", "CPU s", "memory", *errors, *(["note"] if notes else [])]
+    has_notes = any(row.note for row in rows)
+    notes = ["note"] if has_notes else []
+    heads = [*names, "method", "seconds, min / median / max", "CPU s", "memory", *errors, *notes]
     lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
     for row in rows:
-        cells = [*(number(row.case.get(name)) for name in names), labelled(row), seconds(row.timing), cpu(row.timing)]
-        cells += [memory(row.timing), *(error(row.errors.get(name), name) for name in errors)]
-        lines.append("| " + " | ".join([*cells, *([row.note] if notes else [])]) + " |")
+        cells = [*(case_text(row.case.get(name)) for name in names), method_label(row)]
+        cells += [seconds_text(row.timing), cpu_text(row.timing), memory_text(row.timing)]
+        cells += [error_text(row.errors.get(name), name) for name in errors]
+        lines.append("| " + " | ".join([*cells, *([row.note] if has_notes else [])]) + " |")
     return "\n".join(lines)
 
 
-def origin(result: Result) -> str:
-    """Machine, threads, versions and day in one sentence."""
+def machine_line(result: Result) -> str:
+    """Machine, threads, versions and date in one sentence."""
     machine = result.machine
-    kept = ("hir", "python", "torch", "mitsuba", "open3d", "numpy")
-    programs = ", ".join(f"{name} {result.versions[name]}" for name in kept if name in result.versions)
+    programs = ", ".join(f"{name} {result.versions[name]}" for name in PROGRAMS if name in result.versions)
     threads = f", {machine['threads']} of them used" if machine.get("threads") else ""
     return f"{machine.get('processor')}, {machine.get('cores')} cores{threads}, no GPU used; {programs}; {result.date}."
 
 
-def labelled(row: Row) -> str:
-    """The method, marked where it is not a component of ours."""
+def method_label(row: Row) -> str:
+    """The method, followed by its role if it is not one of our components."""
     return row.method if row.role == "ours" else f"{row.method} ({row.role})"
 
 
-def seconds(timing: Timing | None) -> str:
-    """Of repeats, or the one figure there is."""
+def seconds_text(timing: Timing | None) -> str:
+    """Minimum, median and maximum, or the only value."""
     if timing is None:
         return "–"
     if timing.repeats == 1:
-        return short(timing.median)
-    return " / ".join(short(value) for value in (timing.minimum, timing.median, timing.maximum))
+        return three_digits(timing.median)
+    return " / ".join(three_digits(value) for value in (timing.minimum, timing.median, timing.maximum))
 
 
-def short(value: float) -> str:
-    """Seconds with three digits."""
+def three_digits(value: float) -> str:
+    """Three significant digits, without an exponent for values above 100."""
     return f"{value:.3g}" if value < 100 else f"{value:.0f}"
 
 
-def cpu(timing: Timing | None) -> str:
-    return "–" if timing is None else short(timing.cpu)
+def cpu_text(timing: Timing | None) -> str:
+    return "–" if timing is None else three_digits(timing.cpu)
 
 
-def memory(timing: Timing | None) -> str:
+def memory_text(timing: Timing | None) -> str:
     """In MiB or GiB."""
     if timing is None or timing.memory_bytes is None:
         return "–"
@@ -68,13 +74,13 @@ def memory(timing: Timing | None) -> str:
     return f"{mebibytes / 1024:.1f} GiB" if mebibytes >= 1000 else f"{mebibytes:.0f} MiB"
 
 
-def error(value: float | None, name: str) -> str:
-    """Two digits after the point for dB, three that count for the rest."""
+def error_text(value: float | None, name: str) -> str:
+    """Two decimals for dB, two significant digits for other errors."""
     if value is None:
         return "–"
     return f"{value:.2f}" if "dB" in name else f"{value:.2g}"
 
 
-def number(value: str | int | float | None) -> str:
-    """Thousands apart."""
+def case_text(value: str | int | float | None) -> str:
+    """Integers with thousands separators."""
     return "–" if value is None else f"{value:,}" if isinstance(value, int) else str(value)

@@ -1,1 +1,1 @@
-"""One suite of measurements a file."""
+"""The suites of `hir bench`: one function each that yields rows."""

@@ -1,56 +1,73 @@
-"""Whole runs: seconds and memory of each stage as photographs grow in number and size, and what unseen views say."""
+"""Whole runs: time and memory of each stage at growing numbers and sizes of photographs, and error on unseen views."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Final
 
-from hir_core.evaluation import Question, evaluate_run
+from hir_core.evaluation import EvaluationRequest, evaluate_run
 from hir_core.pipeline import reconstruct
-from hir_core.run.run_directory import STAGES
-from hir_plugins.commands.bench.bench_plan import Plan
-from hir_plugins.commands.bench.inputs.bench_captures import extent, made_smaller
+from hir_core.run.run_directory import STAGE_NAMES
+from hir_plugins.commands.bench.bench_options import BenchOptions
+from hir_plugins.commands.bench.inputs.bench_captures import capture_size, make_reduced_capture
 from hir_plugins.commands.bench.results.bench_result import Case, Row, Timing
 
-VIEWS, SIDES = (20, 80, 300), (256, 512, 1024)
-EVALUATED_VIEWS, PATHS = 4, 128
+VIEW_COUNTS: Final = (20, 80, 300)
+IMAGE_SIDES: Final = (256, 512, 1024)
+EVALUATED_VIEWS: Final = 4
+PATHS_PER_PIXEL: Final = 128
 
 
-def end_to_end(plan: Plan) -> Iterator[Row]:
-    """Rows for each capture, number of views and size that it has; a run that was stopped goes on."""
-    for path in plan.captures:
-        most, largest = extent(path)
-        last: Timing | None = None
-        for side in SIDES[:1] if plan.quick else SIDES:
-            for views in VIEWS[:1] if plan.quick else VIEWS:
+def end_to_end_rows(
+    options: BenchOptions, view_counts: Sequence[int] = VIEW_COUNTS, image_sides: Sequence[int] = IMAGE_SIDES
+) -> Iterator[Row]:
+    """Rows for each capture, number of views and image size; an interrupted run is resumed."""
+    for path in options.captures:
+        available_views, available_side = capture_size(path)
+        previous: Timing | None = None
+        for side in image_sides[:1] if options.quick else image_sides:
+            for views in view_counts[:1] if options.quick else view_counts:
                 case: Case = {"capture": path.name, "views": views, "image": side}
-                if views > most or side > largest:
-                    note = f"the capture has {most} views of {largest} pixels"
+                if views > available_views or side > available_side:
+                    note = f"the capture has {available_views} views of {available_side} pixels"
                     yield Row(case, "whole run", "ours", None, note=note)
                     continue
-                if plan.too_slow(last, 2):
-                    assert last is not None
-                    yield Row(case, "whole run", "ours", None, note=plan.left_out(last))
+                if previous is not None and options.exceeds_limit(previous, 2):
+                    yield Row(case, "whole run", "ours", None, note=options.omission_note(previous))
                     continue
                 name = f"{path.name}_{views}_{side}"
-                small = made_smaller(path, plan.workspace / "captures" / name, views, side)
-                rows = list(whole_run(small, plan.workspace / "runs" / name, case, plan))
-                last = rows[-1].timing
+                capture = make_reduced_capture(path, options.workspace / "captures" / name, views, side)
+                rows = list(run_rows(capture, options.workspace / "runs" / name, case, options))
+                previous = rows[-1].timing
                 yield from rows
 
 
-def whole_run(capture: Path, folder: Path, case: Case, plan: Plan) -> Iterator[Row]:
-    """One row for each stage, then one for all."""
-    run = reconstruct(capture, folder, resume=True, plugins=plan.plugins, assignments=("export=[]",))
+def run_rows(capture: Path, folder: Path, case: Case, options: BenchOptions) -> Iterator[Row]:
+    """One row for each stage of a run, then one for the whole run with its error on unseen views."""
+    run = reconstruct(capture, folder, resume=True, plugins=options.plugins, assignments=("export=[]",))
     stages = run.directory.read_timings()["stages"]
-    for name in (name for name in STAGES if name in stages):
-        stage = stages[name]
-        seconds, memory = float(stage["seconds"]), int(stage["peak_memory_bytes"])
-        worked = float(stage["processor_seconds"])
-        yield Row(case, name, "ours", Timing(seconds, seconds, seconds, 1, worked, memory))
-    question = Question(options={"render_samples": PATHS}, views=EVALUATED_VIEWS)
-    figures = evaluate_run(run.directory, question, plan.plugins)
-    seconds, worked = (sum(float(stage[key]) for stage in stages.values()) for key in ("seconds", "processor_seconds"))
-    memory = max(int(stage["peak_memory_bytes"]) for stage in stages.values())
-    errors = {"unseen dB, frame": figures["psnr"]["frame"], "unseen dB, object": figures["psnr"]["object"]}
-    yield Row(case, "whole run", "ours", Timing(seconds, seconds, seconds, 1, worked, memory), errors)
+    timings = {
+        name: _single_timing(
+            float(stages[name]["seconds"]),
+            float(stages[name]["processor_seconds"]),
+            int(stages[name]["peak_memory_bytes"]),
+        )
+        for name in STAGE_NAMES
+        if name in stages
+    }
+    for name, timing in timings.items():
+        yield Row(case, name, "ours", timing)
+    request = EvaluationRequest(options={"render_samples": PATHS_PER_PIXEL}, views=EVALUATED_VIEWS)
+    psnr = evaluate_run(run.directory, request, options.plugins)["psnr"]
+    total = _single_timing(
+        sum(timing.median for timing in timings.values()),
+        sum(timing.cpu for timing in timings.values()),
+        max(timing.memory_bytes or 0 for timing in timings.values()),
+    )
+    errors = {"unseen dB, frame": psnr["frame"], "unseen dB, object": psnr["object"]}
+    yield Row(case, "whole run", "ours", total, errors)
+
+
+def _single_timing(seconds: float, cpu: float, memory_bytes: int) -> Timing:
+    return Timing(seconds, seconds, seconds, 1, cpu, memory_bytes)

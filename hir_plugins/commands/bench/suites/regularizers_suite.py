@@ -1,11 +1,11 @@
-"""Regularizers: value and gradient in single precision against double, a fast method against the slow one."""
+"""Regularizers: value and gradient in single precision against double, fast methods against the slow one."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import fields, replace
 from functools import partial
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Any, Final, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 import torch
@@ -13,53 +13,57 @@ from torch import Tensor
 
 from hir_core.scene import EnvironmentMap, Material, Scene
 from hir_core.testing.scenes import leaves, sphere, uneven_light, with_leaves
-from hir_plugins.commands.bench.bench_plan import Plan
+from hir_plugins.commands.bench.bench_options import BenchOptions
 from hir_plugins.commands.bench.measurement import measure
 from hir_plugins.commands.bench.results.bench_result import Case, Row, Timing
 
-RINGS = (36, 72, 144)
-"""Spheres of 5k, 20k and 82k triangles; their textures have as many texels as vertices, about."""
+SPHERE_RINGS: Final = (36, 72, 144)
+"""Spheres of 5k, 20k and 82k triangles; their textures have about as many texels as vertices."""
 
-SLOW_METHOD = "all_pairs"
-"""A regularizer with an option `method` is judged by this one, where it has it."""
+REFERENCE_METHOD: Final = "all_pairs"
+"""If a regularizer has an option `method` with this value, it is the reference of the other methods."""
 
 
-def regularizers(plan: Plan) -> Iterator[Row]:
-    """Rows for each size and each regularizer that is installed, and for each of its methods."""
-    components = plan.plugins.components("regularizer")
-    last: dict[str, Timing] = {}
-    for rings in RINGS[:1] if plan.quick else RINGS:
+def regularizer_rows(options: BenchOptions) -> Iterator[Row]:
+    """Rows for each size, each installed regularizer and each of its methods."""
+    components = options.plugins.components("regularizer")
+    timings: dict[str, Timing] = {}
+    for rings in SPHERE_RINGS[:1] if options.quick else SPHERE_RINGS:
         scene = noisy_scene(rings, torch.float32)
-        double = noisy_scene(rings, torch.float64)
-        case: Case = {"triangles": len(scene.mesh.faces), "texture": scene_texture(scene)}
-        for found in components:
-            name, config = found.component.name, found.component.config
-            if "differentiable" not in found.component.traits:
+        scene64 = noisy_scene(rings, torch.float64)
+        case: Case = {"triangles": len(scene.mesh.faces), "texture": texture_side(scene)}
+        for registered in components:
+            name, config = registered.component.name, registered.component.config
+            if "differentiable" not in registered.component.traits:
                 continue
             methods = methods_of(config)
-            truth = None
-            for method in (SLOW_METHOD, *(m for m in methods if m != SLOW_METHOD)) if methods else ("",):
+            reference = None
+            for method in (REFERENCE_METHOD, *(m for m in methods if m != REFERENCE_METHOD)) if methods else ("",):
                 label = f"{name}, {method}" if method else name
-                growth = 16 if method == SLOW_METHOD else 5
-                if plan.too_slow(last.get(label), growth):
-                    yield Row(case, label, "reference", None, note=plan.left_out(last[label]))
+                growth = 16 if method == REFERENCE_METHOD else 5
+                if options.exceeds_limit(timings.get(label), growth):
+                    yield Row(case, label, "reference", None, note=options.omission_note(timings[label]))
                     continue
-                component = plan.plugins.create("regularizer", name, {"method": method} if method else {})
-                if method in ("", SLOW_METHOD) and not plan.too_slow(last.get(label), 2 * growth):
-                    truth = value_and_gradients(component.prepare(double), double)
+                component = options.plugins.create("regularizer", name, {"method": method} if method else {})
+                if method in ("", REFERENCE_METHOD) and not options.exceeds_limit(timings.get(label), 2 * growth):
+                    reference = value_and_gradients(component.prepare(scene64), scene64)
                 energy = component.prepare(scene)
-                errors = {} if truth is None else compared(value_and_gradients(energy, scene), truth)
-                last[label] = measure(partial(value_and_gradients, energy, scene), plan.repeats)
-                role: Literal["ours", "reference"] = "reference" if method == SLOW_METHOD else "ours"
-                yield Row(case, label, role, last[label], errors)
+                errors = {}
+                if reference is not None:
+                    errors = relative_differences(value_and_gradients(energy, scene), reference)
+                timings[label] = measure(partial(value_and_gradients, energy, scene), options.repeats)
+                role: Literal["ours", "reference"] = "reference" if method == REFERENCE_METHOD else "ours"
+                yield Row(case, label, role, timings[label], errors)
 
 
 def noisy_scene(rings: int, dtype: torch.dtype) -> Scene:
-    """A bumpy sphere with textures of noise; the same numbers in every precision."""
+    """A bumpy sphere with noise textures; the same values in every precision."""
     random = np.random.default_rng(0)
     mesh = sphere(rings, 2 * rings, dtype=torch.float64)
-    push = torch.from_numpy(random.normal(scale=0.2 / rings, size=tuple(mesh.positions.shape)))
-    mesh = replace(mesh.with_positions((mesh.positions + push).to(dtype)), uvs=mesh.uvs.to(dtype))  # type: ignore[union-attr]
+    displacement = torch.from_numpy(random.normal(scale=0.2 / rings, size=tuple(mesh.positions.shape)))
+    mesh = mesh.with_positions((mesh.positions + displacement).to(dtype))
+    assert mesh.uvs is not None
+    mesh = replace(mesh, uvs=mesh.uvs.to(dtype))
     side = 2 * rings
 
     def noise(low: float, high: float, channels: int) -> Tensor:
@@ -70,30 +74,30 @@ def noisy_scene(rings: int, dtype: torch.dtype) -> Scene:
     return Scene(mesh, material, EnvironmentMap(light.radiance.to(dtype)))
 
 
-def scene_texture(scene: Scene) -> int:
-    """Side of its textures."""
+def texture_side(scene: Scene) -> int:
+    """Texels along the side of the scene's textures."""
     assert scene.material is not None
     return int(scene.material.diffuse_albedo.shape[0])
 
 
 def methods_of(config: type) -> tuple[str, ...]:
-    """The choices of an option `method`, where one of them is the slow one."""
+    """The values of an option `method`, if one of them is the reference; otherwise none."""
     names = {field.name for field in fields(config)}
     hint: Any = get_type_hints(config).get("method") if "method" in names else None
     choices = get_args(hint) if get_origin(hint) is Literal else ()
-    return tuple(choices) if SLOW_METHOD in choices else ()
+    return tuple(choices) if REFERENCE_METHOD in choices else ()
 
 
 def value_and_gradients(energy: Callable[[Scene], Tensor], scene: Scene) -> tuple[float, Tensor]:
-    """The term, and its gradient with respect to all that a fit may move, in one vector."""
+    """The energy, and its gradient with respect to all tensors that a fit may change, as one vector (N,)."""
     values = {name: leaf.detach().requires_grad_(True) for name, leaf in leaves(scene).items()}
     total = energy(with_leaves(scene, values))
-    found = torch.autograd.grad(total, list(values.values()), allow_unused=True, materialize_grads=True)
-    return float(total.detach()), torch.cat([g.reshape(-1).double() for g in found])
+    gradients = torch.autograd.grad(total, list(values.values()), allow_unused=True, materialize_grads=True)
+    return float(total.detach()), torch.cat([gradient.reshape(-1).double() for gradient in gradients])
 
 
-def compared(found: tuple[float, Tensor], truth: tuple[float, Tensor]) -> dict[str, float]:
+def relative_differences(result: tuple[float, Tensor], reference: tuple[float, Tensor]) -> dict[str, float]:
     """Relative differences of value and gradient."""
-    value = abs(found[0] - truth[0]) / max(abs(truth[0]), 1e-30)
-    gradient = float((found[1] - truth[1]).norm() / truth[1].norm().clamp_min(1e-30))
+    value = abs(result[0] - reference[0]) / max(abs(reference[0]), 1e-30)
+    gradient = float((result[1] - reference[1]).norm() / reference[1].norm().clamp_min(1e-30))
     return {"value error": value, "gradient error": gradient}

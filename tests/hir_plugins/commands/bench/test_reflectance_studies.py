@@ -12,39 +12,39 @@ from benchmarks.alternation import LightProblem
 from benchmarks.remaining_error import seen_from
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene import EnvironmentMap
-from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Unknowns
-from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import refresh, specular_blocks
+from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
+from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import refresh_matrices, specular_matrices
 from hir_plugins.reflectance_renderers.transport_ggx.solver import Fit
 from tests.hir_plugins.reflectance_renderers.transport_ggx.test_light_and_albedo import solver_of
 
 
-def light_problem(rung: ModelSpec) -> tuple[Any, Unknowns, LightProblem]:
+def light_problem(rung: ModelSpec) -> tuple[Any, Parameters, LightProblem]:
     """A ball with what its photographs begin with, in several blocks."""
     solver, _ = solver_of(block_pixels=400)
     photographs = solver._photographs(range(6))
-    unknowns = solver._begin(rung, None, photographs)
+    parameters = solver._begin(rung, None, photographs)
     stream = solver._stream(photographs, rung)
-    blocks = [stream.make(unknowns, number) for number in range(stream.count)]
-    specular = specular_blocks(blocks, rung.brdf)
-    refresh(blocks, specular, unknowns)
-    return solver, unknowns, LightProblem(solver._transport, blocks, specular, unknowns, rung.bounces)
+    blocks = [stream.make(parameters, number) for number in range(stream.count)]
+    specular = specular_matrices(blocks, rung.brdf)
+    refresh_matrices(blocks, specular, parameters)
+    return solver, parameters, LightProblem(solver._transport, blocks, specular, parameters, rung.bounces)
 
 
 @pytest.mark.parametrize("rung", [ModelSpec(), ModelSpec("dielectric", "uniform", bounces=1)])
 def test_the_light_in_closed_form_shows_what_was_photographed(rung: ModelSpec) -> None:
-    solver, unknowns, problem = light_problem(rung)
+    solver, parameters, problem = light_problem(rung)
     found = problem.solution()
     assert bool((found > 0).all()) and bool(torch.isfinite(found).all())
-    before = solver.errors(Fit(rung, unknowns), range(6)).mean()
-    after = solver.errors(Fit(rung, replace(unknowns, light=found.log())), range(6)).mean()
+    before = solver.errors(Fit(rung, parameters), range(6)).mean()
+    after = solver.errors(Fit(rung, replace(parameters, light=found.log())), range(6)).mean()
     assert after < 0.2 * before
 
 
 def test_what_a_light_shows_is_linear_and_its_transpose_is_one() -> None:
     """⟨A x, y⟩ = ⟨x, Aᵀ y⟩, which conjugate gradients rely on."""
-    _, unknowns, problem = light_problem(ModelSpec("dielectric", "uniform", bounces=1))
+    _, parameters, problem = light_problem(ModelSpec("dielectric", "uniform", bounces=1))
     torch.manual_seed(0)
-    light = torch.rand_like(unknowns.light)
+    light = torch.rand_like(parameters.light)
     shown = problem._shown(light)
     weights = [torch.rand_like(values) for values in shown]
     left = sum(float((a * b).sum()) for a, b in zip(shown, weights, strict=True))

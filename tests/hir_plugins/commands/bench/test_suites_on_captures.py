@@ -1,4 +1,4 @@
-"""The suites that need a capture with a true mesh, on the smallest one that they work on."""
+"""The suites that need a capture with a true mesh, on a small one."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import pytest
 
 from hir_core.errors import InputError
 from hir_core.plugins.manager import PluginManager
-from hir_plugins.commands.bench.bench_plan import Plan
-from hir_plugins.commands.bench.inputs.bench_captures import made_smaller, stretched
-from hir_plugins.commands.bench.peers import stock_mitsuba
-from hir_plugins.commands.bench.suites import end_to_end_suite, initializers_suite, reflectance_fits
+from hir_plugins.commands.bench.bench_options import BenchOptions
+from hir_plugins.commands.bench.inputs.bench_captures import capture_size, make_reduced_capture, make_resized_capture
+from hir_plugins.commands.bench.suites import end_to_end_suite, initializers_suite
+from hir_plugins.commands.bench.suites.reflectance_fits import FitBudgets, fit_rows
 
 pytestmark = pytest.mark.slow
 
@@ -20,18 +20,17 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(scope="module")
 def small(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Twelve photographs of 128², with the true mesh."""
-    return made_smaller(shared / "captures" / "spot", tmp_path_factory.mktemp("small") / "spot", 12, 128)
+    return make_reduced_capture(shared / "captures" / "spot", tmp_path_factory.mktemp("small") / "spot", 12, 128)
 
 
 @pytest.fixture
-def plan(small: Path, tmp_path: Path) -> Iterator[Plan]:
-    yield Plan(PluginManager.discover(), captures=(small,), workspace=tmp_path, repeats=1)
+def bench_options(small: Path, tmp_path: Path) -> Iterator[BenchOptions]:
+    yield BenchOptions(PluginManager.discover(), captures=(small,), workspace=tmp_path, repeats=1)
 
 
-def test_first_meshes_are_compared_with_the_truth(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_initial_meshes_are_compared_with_the_true_mesh(bench_options: BenchOptions) -> None:
     """Every chain has a row; a hull of twelve views is within a tenth of the object of its truth."""
-    monkeypatch.setattr(initializers_suite, "VIEWS", (12, 500))
-    rows = {row.method: row for row in initializers_suite.initializers(plan)}
+    rows = {row.method: row for row in initializers_suite.initializer_rows(bench_options, view_counts=(12, 500))}
     assert {"visual_hull", "stereo", "stereo, poisson"} <= set(rows), list(rows)
     assert all(row.case == {"capture": "spot", "views": 12} for row in rows.values())
     assert 0 < rows["visual_hull"].errors["Chamfer, radii"] < 0.1
@@ -39,14 +38,16 @@ def test_first_meshes_are_compared_with_the_truth(plan: Plan, monkeypatch: pytes
         assert row.errors or row.note.startswith("no mesh: "), row
 
 
-def test_fits_on_the_true_mesh_stand_beside_other_programs(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
-    """More effort is no worse by half a decibel, and all are judged on the same photographs, under other lights too."""
-    monkeypatch.setattr(reflectance_fits, "EFFORTS", (0.1, 0.3))
-    monkeypatch.setattr(reflectance_fits, "POLISH_STEPS", 3)
-    monkeypatch.setattr(reflectance_fits, "TUNED_STEPS", (3, 40))
-    monkeypatch.setattr(reflectance_fits, "PAPER_STEPS", (2,))
-    monkeypatch.setattr(stock_mitsuba, "SECONDS", (3.0, 500.0))
-    rows = list(reflectance_fits.fits(plan.captures[0], plan))
+def test_fits_on_the_true_mesh_are_compared_with_other_programs(bench_options: BenchOptions) -> None:
+    """More effort is at most 0.5 dB worse; all methods are evaluated on the same views, under other lights too."""
+    budgets = FitBudgets(
+        efforts=(0.1, 0.3),
+        path_traced_steps=3,
+        tuned_steps=(3, 40),
+        paper_steps=(2,),
+        stock_limits_s=(3.0, 500.0),
+    )
+    rows = list(fit_rows(bench_options.captures[0], bench_options, budgets))
     ours = {(row.method, row.case["budget"]): row.errors for row in rows if row.role == "ours"}
     levels = [errors["unseen dB"] for (method, _), errors in ours.items() if method == "transport_ggx"]
     assert len(levels) == 2 and levels[1] > levels[0] - 0.5 and min(levels) > 15
@@ -56,16 +57,14 @@ def test_fits_on_the_true_mesh_stand_beside_other_programs(plan: Plan, monkeypat
     assert all({"unseen dB", "frame dB", "relight_0 scaled dB, frame"} <= set(errors) for errors in ours.values())
     assert all(errors["frame dB"] > errors["unseen dB"] for errors in ours.values())
     peers = [row for row in rows if row.role == "peer"]
-    assert {row.note for row in peers if row.case["budget"] == "500 s"} == {"left out: above the limit"}
+    assert {row.note for row in peers if row.case["budget"] == "500 s"} == {"omitted: above the limit"}
     measured = [row for row in peers if row.timing is not None]
     assert len(measured) == 3, [row.method for row in peers]
     assert all(5 < row.errors["unseen dB"] < 40 for row in measured if "unseen dB" in row.errors)
 
 
-def test_a_whole_run_has_a_row_for_each_stage(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(end_to_end_suite, "VIEWS", (12, 20))
-    monkeypatch.setattr(end_to_end_suite, "SIDES", (128, 512))
-    rows = list(end_to_end_suite.end_to_end(plan))
+def test_a_whole_run_has_a_row_for_each_stage(bench_options: BenchOptions) -> None:
+    rows = list(end_to_end_suite.end_to_end_rows(bench_options, view_counts=(12, 20), image_sides=(128, 512)))
     assert [row.method for row in rows if row.case["views"] == 12 and row.case["image"] == 128] == [
         "initializer",
         "geometry",
@@ -81,13 +80,16 @@ def test_a_whole_run_has_a_row_for_each_stage(plan: Plan, monkeypatch: pytest.Mo
     assert {row.note for row in rows if row.timing is None} == {"the capture has 12 views of 128 pixels"}
 
 
-def test_stretched_captures_have_as_many_and_as_large_photographs_as_asked(small: Path, tmp_path: Path) -> None:
-    """More than there are come again; taking the folder a second time changes nothing."""
-    folder = stretched(small, tmp_path / "large", 15, 160)
-    assert end_to_end_suite.extent(folder) == (15, 160)
+def test_resized_captures_have_the_requested_number_and_size_of_photographs(small: Path, tmp_path: Path) -> None:
+    """Missing views are repeated; an existing copy is not changed."""
+    folder = make_resized_capture(small, tmp_path / "large", 15, 160)
+    assert capture_size(folder) == (15, 160)
     before = (folder / "transforms_train.json").read_bytes()
-    assert stretched(small, folder, 15, 160) == folder and (folder / "transforms_train.json").read_bytes() == before
+    assert (
+        make_resized_capture(small, folder, 15, 160) == folder
+        and (folder / "transforms_train.json").read_bytes() == before
+    )
     with pytest.raises(InputError, match="has no transforms_train"):
-        made_smaller(tmp_path, tmp_path / "none", 2, 8)
-    with pytest.raises(InputError, match="no train views"):
-        end_to_end_suite.extent(tmp_path)
+        make_reduced_capture(tmp_path, tmp_path / "none", 2, 8)
+    with pytest.raises(InputError, match="no readable train views"):
+        capture_size(tmp_path)

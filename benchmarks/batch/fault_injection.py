@@ -1,8 +1,8 @@
-"""Everything goes wrong at once: `python -m benchmarks.batch.cluster [--captures 12]`, some minutes on two cores.
+"""A batch with injected faults: `python -m benchmarks.batch.fault_injection [--captures 12]` (minutes).
 
-Three Ray nodes and an S3 on this machine, the store refusing now and then. Of the captures one is broken. A worker is
-killed while it works, then the batch itself; the same call goes on; a node leaves. At the end every result is compared
-with its single run, byte for byte.
+Three Ray nodes and an S3 run on this machine; some requests to the store fail, and one capture is broken. A worker is
+killed while it computes, then the driver; the same call continues the batch; then a node leaves. At the end every
+result is compared with its single run, byte for byte.
 """
 
 from __future__ import annotations
@@ -22,31 +22,31 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from benchmarks.batch.refusing_s3 import refusing_s3
-from benchmarks.batch.shelf import WORDS, small_captures
+from benchmarks.batch.small_captures import SETTINGS_ARGUMENTS, make_small_captures
+from benchmarks.batch.unreliable_s3 import unreliable_s3
 
 Event = dict[str, Any]
 NODES = 3
 
 
 @dataclass
-class Story:
-    """What happened."""
+class FaultScenario:
+    """The events and results of the three calls."""
 
     first: list[Event] = field(default_factory=list)
     """Events of the call that was killed."""
     second: list[Event] = field(default_factory=list)
-    """Events of the call that went on."""
+    """Events of the call that continued the batch."""
     third: list[Event] = field(default_factory=list)
-    """Events of the same call once more, with nothing left to do."""
+    """Events of the same call after the batch was finished."""
     codes: list[int] = field(default_factory=list)
     """Exit codes of the three calls."""
     manifest_after_kill: dict[str, Any] = field(default_factory=dict)
     manifest: dict[str, Any] = field(default_factory=dict)
-    refused: int = 0
-    """Requests that the store refused."""
+    failed_requests: int = 0
+    """Requests to the store that failed."""
     different: list[str] = field(default_factory=list)
-    """Captures whose scene or exports differ from their single run's."""
+    """Captures whose scene or exports differ from those of their single run."""
     equal: list[str] = field(default_factory=list)
     page: str = ""
     log: str = ""
@@ -56,31 +56,33 @@ class Story:
         return [event for call in calls or (self.first, self.second) for event in call if event["event"] == name]
 
 
-def tell(folder: Path, captures: int = 12, say: Callable[[str], None] = print) -> Story:
-    """Runs the story below an empty folder."""
+def run_fault_scenario(folder: Path, captures: int = 12, on_message: Callable[[str], None] = print) -> FaultScenario:
+    """Runs the scenario below an empty folder."""
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    # Ray makes its workers give way to all other programs: on a machine with other work they stand still
+    # by default Ray gives its workers a low priority: on a busy machine they would hardly run
     os.environ.setdefault("RAY_worker_niceness", "0")
     os.environ["OMP_NUM_THREADS"] = "1"
     import ray
     from ray.cluster_utils import Cluster
 
-    story = Story()
-    shelf = small_captures(folder / "shelf", captures, broken=1)
-    with refusing_s3() as store:
-        _fill(shelf)
+    scenario = FaultScenario()
+    sources = make_small_captures(folder / "captures", captures, broken=1)
+    with unreliable_s3() as store:
+        _fill(sources)
         cluster = Cluster()
         try:
             nodes = [add_node(cluster, num_cpus=1) for _ in range(NODES)]
-            say(f"{NODES} nodes at {cluster.address}, S3 at {store.url}, {captures} captures, one of them broken")
+            on_message(
+                f"{NODES} nodes at {cluster.address}, S3 at {store.url}, {captures} captures, one of them broken"
+            )
             command = [
                 sys.executable,
                 "-m",
                 "hir_core.cli",
                 "batch",
-                "s3://shelf/*",
+                "s3://captures/*",
                 "-o",
-                "s3://results/tonight",
+                "s3://results/batch",
                 "--address",
                 cluster.address,
                 "--json",
@@ -89,40 +91,42 @@ def tell(folder: Path, captures: int = 12, say: Callable[[str], None] = print) -
                 "reflectance.memory_gib=1",
                 "--cache",
                 str(folder / "cache"),
-                *WORDS,
+                *SETTINGS_ARGUMENTS,
             ]
             with _call(command, folder / "first.log") as process:
-                _until_killed(process, story.first, captures, say)
-            story.codes.append(process.returncode)
-            story.manifest_after_kill = json.loads(_fetch("tonight/batch.json"))
+                _until_killed(process, scenario.first, captures, on_message)
+            scenario.codes.append(process.returncode)
+            scenario.manifest_after_kill = json.loads(_fetch("batch/batch.json"))
             with _call(command, folder / "second.log") as process:
-                for event in _events(process, story.second):
+                for event in _events(process, scenario.second):
                     if event["event"] == "group_started" and len(nodes) == NODES:
                         found = [node for node in nodes[1:] if event["pid"] in workers_of(node)]
-                        for node in found:  # none where the worker is the head's
-                            say(f"the node leaves on which {event['capture']} is worked on")
+                        for node in found:  # none if the worker belongs to the head node
+                            on_message(f"the node that computes {event['capture']} leaves the cluster")
                             nodes.remove(node)
                             cluster.remove_node(node, allow_graceful=False)
-            story.codes.append(process.returncode)
+            scenario.codes.append(process.returncode)
             with _call(command, folder / "third.log") as process:
-                list(_events(process, story.third))
-            story.codes.append(process.returncode)
+                list(_events(process, scenario.third))
+            scenario.codes.append(process.returncode)
         finally:
             cluster.shutdown()
             ray.shutdown()
-        story.refused = store.refused
-        story.manifest = json.loads(_fetch("tonight/batch.json"))
-        story.page = _fetch("tonight/batch.html").decode()
-        (folder / "batch.html").write_text(story.page, encoding="utf-8")
-        (folder / "events.json").write_text(json.dumps([story.first, story.second, story.third]), encoding="utf-8")
-        story.log = _fetch(f"tonight/.batch/logs/{shelf[-1].name}.log").decode()
-        _compare(shelf[:-1], folder, story)
-    say(summary(story))
-    return story
+        scenario.failed_requests = store.failures
+        scenario.manifest = json.loads(_fetch("batch/batch.json"))
+        scenario.page = _fetch("batch/batch.html").decode()
+        (folder / "batch.html").write_text(scenario.page, encoding="utf-8")
+        (folder / "events.json").write_text(
+            json.dumps([scenario.first, scenario.second, scenario.third]), encoding="utf-8"
+        )
+        scenario.log = _fetch(f"batch/.batch/logs/{sources[-1].name}.log").decode()
+        _compare(sources[:-1], folder, scenario)
+    on_message(summary(scenario))
+    return scenario
 
 
 def add_node(cluster: Any, **options: Any) -> Any:
-    """A node of a local cluster; Ray gives one 30 s to begin, which a busy machine may exceed once."""
+    """Adds a node to a local cluster; a busy machine may exceed Ray's limit of 30 s for its start once."""
     for tries in range(3, 0, -1):
         try:
             return cluster.add_node(include_dashboard=False, **options)
@@ -133,52 +137,52 @@ def add_node(cluster: Any, **options: Any) -> Any:
 
 
 def workers_of(node: Any) -> set[int]:
-    """Process ids of all that a local node started."""
+    """The process ids of the workers of a local node."""
     import psutil
 
     started = [entry.process.pid for entries in node.all_processes.values() for entry in entries]
     return {child.pid for pid in started if psutil.pid_exists(pid) for child in psutil.Process(pid).children(True)}
 
 
-def summary(story: Story) -> str:
-    """A few lines for a person."""
-    states = Counter(entry["state"] for entry in story.manifest["captures"].values())
-    again = [f"{e['capture']} {e['group']}: {e['reason']}" for e in story.named("group_failed")]
-    failed = [f"{name}: {entry['reason']}" for name, entry in story.manifest["captures"].items() if entry["reason"]]
-    groups = Counter((e["capture"], e["group"]) for e in story.named("group_finished"))
+def summary(scenario: FaultScenario) -> str:
+    """The result as text."""
+    states = Counter(entry["state"] for entry in scenario.manifest["captures"].values())
+    retried = [f"{e['capture']} {e['group']}: {e['reason']}" for e in scenario.named("group_failed")]
+    failed = [f"{name}: {entry['reason']}" for name, entry in scenario.manifest["captures"].items() if entry["reason"]]
+    groups = Counter((e["capture"], e["group"]) for e in scenario.named("group_finished"))
     return "\n".join(
         [
-            f"{dict(states)}; the store refused {story.refused} requests; exit codes {story.codes}",
-            f"equal to the single run: {len(story.equal)}, different: {story.different}",
+            f"{dict(states)}; {scenario.failed_requests} requests to the store failed; exit codes {scenario.codes}",
+            f"equal to the single run: {len(scenario.equal)}, different: {scenario.different}",
             f"groups finished: {sum(groups.values())}",
             f"more than once: {[g for g, count in groups.items() if count > 1]}",
-            "tried again: " + "; ".join(again),
+            "retried: " + "; ".join(retried),
             "failed: " + "; ".join(failed),
         ]
     )
 
 
 def _until_killed(
-    process: subprocess.Popen[str], events: list[Event], captures: int, say: Callable[[str], None]
+    process: subprocess.Popen[str], events: list[Event], captures: int, on_message: Callable[[str], None]
 ) -> None:
-    """Kills a worker when three captures have begun their second group, the batch when a third of them is done."""
+    """Kills a worker when three captures are in their second group, and the driver when a third of them is done."""
     killed = ""
     for event in _events(process, events):
         started = [e for e in events if e["event"] == "group_started" and e["group"] == "geometry"]
         if not killed and event["event"] == "group_started" and len(started) == 3:
             killed = event["capture"]
-            say(f"worker {event['pid']} is killed while it works on {killed}")
+            on_message(f"worker {event['pid']} is killed while it computes {killed}")
             os.kill(event["pid"], signal.SIGKILL)
         done = [e for e in events if e["event"] == "capture_finished"]
         if killed and len(done) >= captures // 3:
-            say(f"the batch is killed, {len(done)} captures done")
+            on_message(f"the driver is killed, {len(done)} captures are done")
             process.kill()
             return
 
 
 def _call(command: Sequence[str], log: Path) -> subprocess.Popen[str]:
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-    with log.open("w") as errors:  # the process has its own
+    with log.open("w") as errors:  # the process has its own file descriptor
         return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True, env=environment)
 
 
@@ -189,16 +193,16 @@ def _events(process: subprocess.Popen[str], events: list[Event]) -> Iterator[Eve
         yield events[-1]
 
 
-def _fill(shelf: Sequence[Path]) -> None:
+def _fill(sources: Sequence[Path]) -> None:
     from hir_plugins.commands.batch.storage import object_store
     from hir_plugins.commands.batch.storage.storage_path import StoragePath
 
-    filesystem, _ = StoragePath("s3://shelf").open()
-    for bucket in ("shelf", "results"):
+    filesystem, _ = StoragePath("s3://captures").open()
+    for bucket in ("captures", "results"):
         filesystem.mkdir(bucket)
-    for capture in shelf:
+    for capture in sources:
         files = {file.relative_to(capture).as_posix(): file for file in capture.rglob("*") if file.is_file()}
-        object_store.upload(files, StoragePath("s3://shelf") / capture.name)
+        object_store.upload(files, StoragePath("s3://captures") / capture.name)
 
 
 def _fetch(name: str) -> bytes:
@@ -210,15 +214,15 @@ def _fetch(name: str) -> bytes:
     return content
 
 
-def _compare(shelf: Sequence[Path], folder: Path, story: Story) -> None:
+def _compare(sources: Sequence[Path], folder: Path, scenario: FaultScenario) -> None:
     """Scene and exports of each result against `hir reconstruct` with the same settings and one thread."""
-    from benchmarks.batch.shelf import SETTINGS
+    from benchmarks.batch.small_captures import SETTINGS
     from hir_core.pipeline import reconstruct
     from hir_plugins.commands.batch.storage import object_store
     from hir_plugins.commands.batch.storage.storage_path import StoragePath
 
-    for capture in shelf:
-        result = StoragePath("s3://results/tonight") / capture.name
+    for capture in sources:
+        result = StoragePath("s3://results/batch") / capture.name
         listed = object_store.list_files(result)
         single = reconstruct(capture, folder / "single" / capture.name, assignments=SETTINGS, deterministic=True)
         same = bool(listed) and all(
@@ -226,32 +230,32 @@ def _compare(shelf: Sequence[Path], folder: Path, story: Story) -> None:
             for name in listed
             if name.startswith(("scene/", "exports/"))
         )
-        kept = {
+        expected = {
             file.relative_to(single.path).as_posix()
             for part in ("scene", "exports")
             for file in (single.path / part).rglob("*")
             if file.is_file()
         }
-        (story.equal if same and kept <= set(listed) else story.different).append(capture.name)
+        (scenario.equal if same and expected <= set(listed) else scenario.different).append(capture.name)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--captures", type=int, default=12)
-    parser.add_argument("--page", type=Path, help="Where to keep batch.html.")
+    parser.add_argument("--page", type=Path, help="Where to store batch.html.")
     options = parser.parse_args(arguments)
     logging.getLogger("werkzeug").setLevel(logging.ERROR)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # the nodes end with the program
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends the nodes with the program
     began = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
         try:
-            story = tell(Path(folder), options.captures)
+            scenario = run_fault_scenario(Path(folder), options.captures)
         except BaseException:
             for log in Path(folder).glob("*.log"):
                 print(log.read_text(encoding="utf-8", errors="replace"), file=sys.stderr)
             raise
     if options.page:
-        options.page.write_text(story.page, encoding="utf-8")
+        options.page.write_text(scenario.page, encoding="utf-8")
     print(f"{time.monotonic() - began:.0f} s")
 
 

@@ -1,4 +1,4 @@
-"""A shelf of small captures, and settings with which each takes seconds: for what is about batches, not about fits."""
+"""Small captures, and settings with which each is reconstructed in seconds, for studies of batches."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SETTINGS = (
     "geometry.iterations=5",
     "geometry.levels=1",
     "geometry.triangles=1500",
-    "geometry.photographs=off",
+    "geometry.photo_consistency=off",
     "atlas.texture_size=64",
     "reflectance.model=diffuse",
     "reflectance.light_frame=world",
@@ -29,28 +29,31 @@ SETTINGS = (
     "device=cpu",
 )
 
-WORDS = [word for setting in SETTINGS for word in ("--set", setting)]
-"""The same for the command line."""
+SETTINGS_ARGUMENTS = [argument for setting in SETTINGS for argument in ("--set", setting)]
+"""The settings as command-line arguments."""
 
 
-def small_captures(folder: Path, count: int, views: int = 10, side: int = 64, broken: int = 0) -> list[Path]:
-    """Captures `cow00`, `cow01`, …: other views of the sample capture each, `side`² pixels; the last `broken` ones have
-    a photograph that is cut off.
+def make_small_captures(folder: Path, count: int, views: int = 10, side: int = 64, broken: int = 0) -> list[Path]:
+    """Captures `cow00`, `cow01`, …, each with other views of the sample capture at `side`² pixels.
+
+    The last `broken` captures have a truncated photograph.
     """
     document = json.loads((SAMPLE / "transforms_train.json").read_text(encoding="utf-8"))
-    frames, made = document["frames"], []
+    frames, captures = document["frames"], []
     for i in range(count):
         capture = folder / f"cow{i:02}"
         (capture / "train").mkdir(parents=True)
-        chosen = [frames[(i + round(k * len(frames) / views)) % len(frames)] for k in range(views)]
-        for frame in chosen:
+        selected = [frames[(i + round(k * len(frames) / views)) % len(frames)] for k in range(views)]
+        for frame in selected:
             name = Path(frame["file_path"]).with_suffix(".png")
             with Image.open(SAMPLE / name) as photograph:
                 photograph.resize((side, side), Image.Resampling.BOX).save(capture / name)
-        text = json.dumps({key: value for key, value in document.items() if key != "environment"} | {"frames": chosen})
+        text = json.dumps(
+            {key: value for key, value in document.items() if key != "environment"} | {"frames": selected}
+        )
         (capture / "transforms_train.json").write_text(text, encoding="utf-8")
-        made.append(capture)
-    for capture in made[count - broken :]:
-        photograph = min((capture / "train").iterdir())
-        photograph.write_bytes(photograph.read_bytes()[:300])
-    return made
+        captures.append(capture)
+    for capture in captures[count - broken :]:
+        file = min((capture / "train").iterdir())
+        file.write_bytes(file.read_bytes()[:300])
+    return captures

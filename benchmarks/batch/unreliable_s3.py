@@ -1,4 +1,4 @@
-"""moto's S3 on the loopback interface, which refuses every n-th request as an overloaded store does."""
+"""moto's S3 on the loopback interface; every n-th request fails like a request to an overloaded store."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ SLOW_DOWN = (
 
 
 @dataclass
-class RefusingS3:
-    """The server's address and what it did."""
+class UnreliableS3:
+    """The server's address and the number of failed requests."""
 
     every: int
     url: str = ""
-    refused: int = 0
+    failures: int = 0
     requests: Iterator[int] = field(default_factory=lambda: itertools.count(1))
 
     def wrap(self, application: Callable[..., Iterable[bytes]]) -> Callable[..., Iterable[bytes]]:
-        """A WSGI application that is asked unless it is time to refuse."""
+        """A WSGI application that answers every n-th request with status 503 and passes on the others."""
 
         def answer(environment: dict[str, Any], start: Callable[..., Any]) -> Iterable[bytes]:
             if next(self.requests) % self.every == 0:
-                self.refused += 1
+                self.failures += 1
                 environment["wsgi.input"].read(int(environment.get("CONTENT_LENGTH") or 0))
                 start("503 Slow Down", [("Content-Type", "application/xml"), ("Connection", "close")])
                 return [SLOW_DOWN]
@@ -40,12 +40,12 @@ class RefusingS3:
 
 
 @contextlib.contextmanager
-def refusing_s3(every: int = 19) -> Iterator[RefusingS3]:
-    """The server, and the environment variables with which processes that start now find it."""
+def unreliable_s3(every: int = 19) -> Iterator[UnreliableS3]:
+    """The server; meanwhile environment variables direct new processes to it."""
     from moto.moto_server.werkzeug_app import DomainDispatcherApplication, create_backend_app
     from werkzeug.serving import make_server
 
-    store = RefusingS3(every)
+    store = UnreliableS3(every)
     application = store.wrap(DomainDispatcherApplication(create_backend_app))
     server = make_server("127.0.0.1", 0, application, threaded=True)
     store.url = f"http://127.0.0.1:{server.server_port}"
@@ -56,7 +56,7 @@ def refusing_s3(every: int = 19) -> Iterator[RefusingS3]:
         "AWS_DEFAULT_REGION": "us-east-1",
         "AWS_EC2_METADATA_DISABLED": "true",
     }
-    before = {name: os.environ.get(name) for name in variables}
+    previous = {name: os.environ.get(name) for name in variables}
     os.environ.update(variables)
     serving = threading.Thread(target=server.serve_forever, daemon=True)
     serving.start()
@@ -65,5 +65,5 @@ def refusing_s3(every: int = 19) -> Iterator[RefusingS3]:
     finally:
         server.shutdown()
         serving.join()
-        for name, value in before.items():
+        for name, value in previous.items():
             os.environ.pop(name) if value is None else os.environ.update({name: value})
