@@ -1,4 +1,4 @@
-"""What the contract tests of initializers need to know (`Component.testing`)."""
+"""Inputs for the contract tests of initializers (`Component.testing`)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from hir_core.testing.captures import TinyCapture
 
 
-def object_mesh_file(truth: TinyCapture, given: Capture, folder: Path) -> tuple[Capture, dict[str, Any]]:
+def object_mesh_file(truth: TinyCapture, capture: Capture, folder: Path) -> tuple[Capture, dict[str, Any]]:
     """The true surface as a file, in the axes of the capture's own files."""
     import trimesh
 
@@ -19,16 +19,16 @@ def object_mesh_file(truth: TinyCapture, given: Capture, folder: Path) -> tuple[
 
     del truth
     balls = [trimesh.creation.icosphere(3, radius).apply_translation(centre) for centre, radius in BALLS]
-    # of two balls that meet, what lies inside of the other one is not surface
-    kept = []
+    # the balls intersect: the part of each that lies inside the other is not surface
+    outer_parts = []
     for ball, (centre, radius) in zip(balls, reversed(BALLS), strict=True):
         outside = ((ball.triangles_center - centre) ** 2).sum(axis=1) > radius**2
-        kept.append(ball.submesh([outside.nonzero()[0]], append=True))
-    trimesh.util.concatenate(kept).export(folder / "object.ply")
-    return given, {"path": str(folder / "object.ply"), "axes": "source"}
+        outer_parts.append(ball.submesh([outside.nonzero()[0]], append=True))
+    trimesh.util.concatenate(outer_parts).export(folder / "object.ply")
+    return capture, {"path": str(folder / "object.ply"), "axes": "source"}
 
 
-def without_masks(truth: TinyCapture, given: Capture, folder: Path) -> tuple[Capture, dict[str, Any]]:
-    """Photographs, cameras and oriented points alone."""
-    del given, folder
+def without_masks(truth: TinyCapture, capture: Capture, folder: Path) -> tuple[Capture, dict[str, Any]]:
+    """Photographs, cameras and oriented points without masks."""
+    del capture, folder
     return truth.without_masks(), {}

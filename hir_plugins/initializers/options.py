@@ -8,138 +8,142 @@ from typing import Literal
 
 @dataclass(frozen=True)
 class VisualHullOptions:
-    """How the hull of the masks is carved."""
+    """Options of the visual hull."""
 
     pixels_per_voxel: float = 2.0
-    """Side of a voxel in pixels of the photographs, at the object's distance."""
+    """Side of a voxel, in pixels of the photographs at the object's distance."""
     max_resolution: int = 256
-    """Most voxels along the longest side of the object's box, 16 to 1024."""
+    """Maximum number of voxels along the longest side of the object's box, 16 to 1024."""
     tolerated_views: int = 0
-    """A place is carved only when more than this many masks say that it is background."""
+    """A point is carved away only when more than this many masks show background there."""
     min_views: int = 0
-    """A place that fewer photographs show is background; 0 means half as many as show the object's best seen place."""
+    """Points in fewer photographs than this are background; 0 means half of the largest number of photographs that show
+    any point of the object."""
     drop_bad_views: bool = True
-    """Leave out masks that cut away what nearly all others keep, and say which."""
+    """Do not use masks that contradict nearly all others. A warning names them."""
     min_component: float = 0.02
-    """Pieces with less than this share of the largest piece's area are dropped."""
+    """Connected components with less than this share of the largest component's area are removed."""
     edge_pixels: float = 2.5
-    """Length of the mesh's edges in pixels at the object's distance; 0 leaves the triangles as they were extracted."""
+    """Edge length of the mesh, in pixels at the object's distance; 0 keeps the extracted triangles."""
     vertex_colors: bool = True
-    """Colour the vertices from the photographs that see them."""
+    """Colour the vertices from the photographs in which they are visible."""
 
 
 @dataclass(frozen=True)
 class MeshFileOptions:
-    """A mesh that already exists: a scan, a photogrammetry mesh, a model."""
+    """Options of a mesh that already exists: a scan, a photogrammetry mesh, a model."""
 
     path: str = ""
-    """The mesh: glTF, OBJ, PLY, STL, OFF or another format that trimesh reads; relative to the working folder or the
-    capture."""
+    """File of the mesh: glTF, OBJ, PLY, STL, OFF or another format that trimesh reads; relative to the working folder
+    or to the capture."""
     axes: Literal["auto", "source", "world"] = "auto"
-    """Axes of the file: `source`, those of the capture's own files; `world`, right-handed with +Y up, as in a run's
-    results; `auto` takes glTF for `world` and all others for `source`."""
+    """Axes of the file. `source`: the axes of the capture's own files. `world`: right-handed with +Y up, as in a run's
+    results. `auto`: `world` for glTF, `source` for all other formats."""
     transform: tuple[float, ...] = ()
-    """A 4×4 similarity in rows (16 numbers) applied to the file's vertices first."""
+    """A 4×4 similarity transform in row order (16 numbers), applied to the file's vertices first."""
     align: Literal["none", "points"] = "none"
-    """`points` brings a mesh of unknown place, turn and size onto the capture's points (colmap's or stereo's)."""
+    """`points` aligns a mesh of unknown position, rotation and scale with the capture's points (from colmap or
+    stereo)."""
     vertex_colors: bool = True
-    """Colour the vertices from the photographs where the file has no colours."""
+    """Colour the vertices from the photographs if the file has no colours."""
 
 
 @dataclass(frozen=True)
 class ColmapOptions:
-    """How cameras are found."""
+    """Options of structure from motion."""
 
     known_cameras: Literal["triangulate", "solve"] = "triangulate"
-    """What becomes of a capture whose photographs all have cameras: `triangulate` keeps them and finds the points that
-    they see, `solve` finds the cameras anew."""
+    """For a capture whose photographs all have cameras: `triangulate` keeps the cameras and triangulates points,
+    `solve` estimates new cameras."""
     max_image_size: int = 1600
-    """Photographs are made a whole number of times smaller until their longer side is not above this."""
+    """Photographs are reduced by a whole factor until their longer side is at most this, in pixels."""
     max_features: int = 4096
-    """Features a photograph at the first attempt; the next ones take twice as many."""
+    """Features per photograph in the first attempt; later attempts use twice as many."""
     matching: Literal["auto", "exhaustive", "sequential", "vocabulary"] = "auto"
-    """Which pairs are compared; `auto`: all pairs up to 150 photographs, above that those that a vocabulary tree,
-    trained on the capture itself, finds alike. `sequential` suits a video."""
+    """Which pairs of photographs are matched. `auto`: all pairs up to 150 photographs, above that the pairs that a
+    vocabulary tree, trained on the capture itself, finds similar. `sequential` suits a video."""
     mapper: Literal["incremental", "global"] = "incremental"
-    """One photograph after the other, or all at once: faster with hundreds of them."""
+    """`incremental` registers one photograph after the other, `global` all at once: faster for hundreds of them."""
     camera: Literal["auto", "single", "each"] = "auto"
-    """Which photographs share a camera: those of one size, model and focal length, those of one size, or none."""
+    """Which photographs share intrinsics. `auto`: those of one size, model and focal length. `single`: those of one
+    size. `each`: none."""
     camera_model: Literal["PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"] = "SIMPLE_RADIAL"
-    """COLMAP's name of the lens that is solved."""
+    """COLMAP's name of the lens model to estimate."""
     focal_length: float = 0.0
-    """In pixels of the photographs; 0 takes it from EXIF, or guesses 1.2 times the longer side."""
+    """In pixels of the photographs; 0 takes it from EXIF, or assumes 1.2 times the longer side."""
     refine_intrinsics: bool = True
-    """Let focal length and lens be solved; without it they stay as given."""
+    """Estimate the focal length and the lens; otherwise the initial values are kept."""
     use_masks: bool = True
-    """Take features from inside the masks, where there are any: the background of a turntable misleads."""
+    """Use only features inside the masks, if there are masks: the static background of a turntable misleads."""
     retry: bool = True
-    """Try again, harder, when the photographs fall apart into fragments."""
-    enough: float = 0.9
-    """Share of the photographs in one piece with which an attempt counts as good."""
-    size: float = 1.0
-    """Length of the object's longest side, in metres, where neither a scale bar nor the photographs' GPS tells it."""
+    """Try again with more features if the photographs do not register in one model."""
+    min_registered_share: float = 0.9
+    """Share of the photographs in one model above which no further attempt is made."""
+    object_size: float = 1.0
+    """Length of the object's longest side in metres, used if neither a scale bar nor GPS gives the scale."""
     scale_bar: str = ""
-    """A text file that marks the two ends of a known length in photographs, a line each: `photograph end x y`, such as
-    `IMG_0012 a 811.5 402`; `end` is a or b, x and y pixels from the picture's left upper corner, two photographs or
-    more for either end. The path is relative to the capture."""
+    """A text file that marks both ends of a known length in photographs, one line `photograph end x y` per mark, such
+    as `IMG_0012 a 811.5 402`. `end` is a or b; x and y are pixels from the upper left corner. Each end needs marks in
+    at least two photographs. The path is relative to the capture."""
     scale_bar_length: float = 0.0
-    """Distance of the two ends in metres."""
+    """Distance between the two ends in metres."""
     gps: bool = True
-    """Take the scale from the photographs' GPS where it is known to 5 % from it: drones and buildings, not tables."""
+    """Take the scale from the GPS positions of the photographs if its standard error is at most 5 %: true for drones
+    and buildings, not for tables."""
     threads: int = -1
-    """-1 for all."""
+    """-1 uses all."""
     seed: int = 0
-    """Of the matching's random trials."""
+    """Seed of the random trials of matching and mapping."""
 
 
 @dataclass(frozen=True)
 class StereoOptions:
-    """How depth is measured and what it may change."""
+    """Options of multi-view stereo."""
 
     method: Literal["auto", "sweep", "patch_match"] = "auto"
-    """`sweep` is ours, for any processor or GPU; `patch_match` is COLMAP's, which needs a COLMAP built with CUDA;
-    `auto` prefers it. run.json says which it was."""
+    """`sweep` is our own, for any processor or GPU. `patch_match` is COLMAP's and needs a COLMAP built with CUDA.
+    `auto` prefers `patch_match`. run.json records which was used."""
     max_image_size: int = 400
-    """Photographs are made a whole number of times smaller until their longer side is not above this."""
+    """Photographs are reduced by a whole factor until their longer side is at most this, in pixels."""
     levels: int = 2
-    """Coarse-to-fine levels, each twice the size of the one before; each starts from the surface of the last."""
+    """Number of coarse-to-fine levels. Each doubles the resolution and starts from the surface of the previous one."""
     neighbours: int = 6
-    """Photographs that each one is compared with; four more judge the result."""
+    """Number of photographs that each one is compared with; four more verify the result."""
     steps: int = 64
-    """Most depths that the first level tries at a pixel."""
+    """Maximum number of depth hypotheses per pixel at the first level."""
     window: int = 7
     """Side of the compared windows in pixels, odd."""
     min_views: int = 2
-    """Neighbours that must confirm a depth."""
-    judge: bool = True
-    """Undo what was carved out of the hull where photographs do not match better along the new surface."""
+    """Number of neighbours that must confirm a depth."""
+    verify_carving: bool = True
+    """Undo the carving where the photographs do not match better along the carved surface."""
     surface: Literal["auto", "hull", "poisson", "tsdf"] = "auto"
-    """`hull` carves the measured depths out of the surface that an earlier initializer made, or out of the visual hull;
-    `poisson` fits a closed surface to the points alone, `tsdf` an open one to the depths; `auto` takes `hull` where
-    there are masks or a surface, else `poisson`."""
+    """`hull` carves the measured depths out of the surface of an earlier initializer, or out of the visual hull.
+    `poisson` fits a closed surface to the points, `tsdf` an open one to the depths. `auto`: `hull` if there are masks
+    or a surface, else `poisson`."""
     pixels_per_voxel: float = 2.0
-    """Side of a voxel in pixels of the photographs, at the object's distance."""
+    """Side of a voxel, in pixels of the photographs at the object's distance."""
     max_resolution: int = 256
-    """Most voxels along the longest side of the object's box, 16 to 1024."""
+    """Maximum number of voxels along the longest side of the object's box, 16 to 1024."""
     edge_pixels: float = 2.5
-    """Length of the mesh's edges in pixels at the object's distance; 0 leaves the triangles as they were extracted."""
+    """Edge length of the mesh, in pixels at the object's distance; 0 keeps the extracted triangles."""
     vertex_colors: bool = True
-    """Colour the vertices from the photographs that see them."""
+    """Colour the vertices from the photographs in which they are visible."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Where the sweep runs; `auto` takes a GPU where torch has one."""
+    """Device of the sweep; `auto` uses a GPU if torch has one."""
 
 
 @dataclass(frozen=True)
 class PoissonOptions:
-    """A surface through oriented points (Kazhdan & Hoppe 2013, open3d)."""
+    """Options of screened Poisson reconstruction (Kazhdan & Hoppe 2013, open3d)."""
 
     depth: int = 0
     """Depth of the octree; 0 derives it from the number of points."""
     trim: float = 0.02
-    """Share of the vertices with the fewest points around them that is cut off; 0 keeps the surface closed."""
+    """Share of the vertices to remove, those with the lowest point density; 0 keeps the surface closed."""
     min_component: float = 0.05
-    """Pieces with less than this share of the largest piece's area are dropped."""
+    """Connected components with less than this share of the largest component's area are removed."""
     edge_pixels: float = 2.5
-    """Length of the mesh's edges in pixels at the object's distance; 0 leaves the triangles as they were extracted."""
+    """Edge length of the mesh, in pixels at the object's distance; 0 keeps the extracted triangles."""
     vertex_colors: bool = True
-    """Colour the vertices from the photographs that see them."""
+    """Colour the vertices from the photographs in which they are visible."""

@@ -1,4 +1,4 @@
-"""Descriptors of the built-in initializers, and which of them suit a capture."""
+"""Descriptors of the built-in initializers, and the chain suggested for a capture."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ VISUAL_HULL = Component(
     name="visual_hull",
     target="hir_plugins.initializers.hull.visual_hull:VisualHull",
     config=VisualHullOptions,
-    summary="The largest object that fits all masks; needs cameras and masks.",
+    summary="The visual hull, the largest object that fits all masks; needs cameras and masks.",
     requires=("torch", "jaxtyping", "open3d", "cv2", "skimage"),
     extra="reconstruct",
     traits=frozenset({"needs_cameras", "needs_masks", "makes_surface"}),
@@ -30,7 +30,7 @@ MESH_FILE = Component(
     name="mesh_file",
     target="hir_plugins.initializers.existing_mesh.mesh_file:MeshFile",
     config=MeshFileOptions,
-    summary="A mesh that already exists, from any format that trimesh reads.",
+    summary="A mesh file that already exists, in any format that trimesh reads.",
     requires=("torch", "jaxtyping", "open3d"),
     extra="reconstruct",
     traits=frozenset({"makes_surface", "reads_files"}),
@@ -41,7 +41,7 @@ COLMAP = Component(
     name="colmap",
     target="hir_plugins.initializers.sfm.colmap:Colmap",
     config=ColmapOptions,
-    summary="Finds cameras and sparse points from photographs alone.",
+    summary="Estimates cameras and sparse points from photographs by structure from motion.",
     requires=("torch", "jaxtyping", "pycolmap", "cv2"),
     extra="reconstruct",
     traits=frozenset({"finds_cameras", "reads_files"}),
@@ -51,7 +51,7 @@ STEREO = Component(
     name="stereo",
     target="hir_plugins.initializers.stereo.stereo:Stereo",
     config=StereoOptions,
-    summary="Measures depth in all photographs and carves it out of the visual hull.",
+    summary="Multi-view stereo that carves the visual hull; the default geometry stage is as accurate without it.",
     requires=("torch", "jaxtyping", "open3d", "cv2", "skimage", "pycolmap"),
     extra="reconstruct",
     traits=frozenset({"needs_cameras", "makes_surface", "measures_points"}),
@@ -61,7 +61,7 @@ POISSON = Component(
     name="poisson",
     target="hir_plugins.initializers.poisson.poisson:Poisson",
     config=PoissonOptions,
-    summary="A surface through the points that stereo measured.",
+    summary="A surface through the oriented points of stereo (screened Poisson reconstruction).",
     requires=("torch", "jaxtyping", "open3d"),
     extra="reconstruct",
     traits=frozenset({"needs_cameras", "needs_points", "makes_surface"}),
@@ -76,10 +76,11 @@ def hir_register_initializers() -> list[Component]:
 
 @hookimpl
 def hir_suggest_initializers(capture: Capture) -> list[str] | None:
-    """The visual hull; before it the search for cameras, or for points that show where the object is, if it lacks them.
+    """The visual hull; structure from motion before it if cameras, or both masks and points, are missing.
 
-    Not `stereo`: once the geometry stage lets photographs shape the hull, stereo before it brought unseen views nothing
-    (chair: 26.5 dB with it, 26.9 without) for 40 s, 72 handles and 200 triangles that pass through others.
+    `stereo` is not suggested. The geometry stage refines the hull by photo-consistency, and stereo before it does not
+    improve held-out views (chair: 26.5 dB with it, 26.9 dB without). It costs 40 s and adds 72 handles and 200
+    self-intersecting triangles.
     """
     if not capture.views:
         return None

@@ -1,4 +1,4 @@
-"""Masks that come with the photographs."""
+"""Mask source: masks that come with the photographs."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
 @final
 class Alpha(MaskSource):
-    """The alpha channel, or the file that the capture's description names as the mask."""
+    """The alpha channel, or the mask file that the capture's camera file names."""
 
     def __init__(self, config: NoOptions) -> None:
         del config
 
     def masks(self, capture: Capture, scene: Scene | None) -> list[NDArray[np.float32] | None]:
-        """None where a photograph has no alpha channel."""
+        """One mask (H, W) for each view; None for photographs without one."""
         del scene
         return [view.pixels().mask for view in capture.views]

@@ -1,4 +1,4 @@
-"""Masks from a background of one colour."""
+"""Mask source: chroma keying, for a background of one colour."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ _COLORS: Final = {"black": (0, 0, 0), "white": (1, 1, 1), "green": (0, 0.7, 0.25
 
 @final
 class ColorKey(MaskSource):
-    """What differs from the background's colour, and what it encloses."""
+    """Pixels that differ from the background's colour, and pixels that they enclose."""
 
     def __init__(self, config: ColorKeyOptions) -> None:
         if not config.tolerance > 0:
-            raise ConfigError("mask_source.color_key.tolerance must be positive")
+            raise ConfigError(f"mask_source.color_key.tolerance is {config.tolerance}; use a positive number")
         self._config = config
 
     def masks(self, capture: Capture, scene: Scene | None) -> list[NDArray[np.float32] | None]:
-        """One mask for each photograph; borders of many colours (with `auto`) are a `CaptureError`."""
+        """One mask for each view. With `auto`, borders of several colours raise `CaptureError`."""
         del scene
         images = [view.pixels() for view in capture.views]
         named = self._config.color
@@ -42,11 +42,11 @@ class ColorKey(MaskSource):
     def _mask(self, encoded: NDArray[np.floating], key: NDArray[np.float64]) -> NDArray[np.float32]:
         from scipy.ndimage import binary_dilation, binary_erosion, label, maximum_filter
 
-        # dark eyes of an object before black are the object's: background is what reaches the picture's border
+        # background is connected to the image border: dark parts of an object before black are not background
         regions, _ = label(np.linalg.norm(np.clip(encoded, 0, 1) - key, axis=2) < self._config.tolerance)
         border = np.unique(np.concatenate([regions[0], regions[-1], regions[:, 0], regions[:, -1]]))
         solid = ~np.isin(regions, border[border > 0])
-        # an edge pixel mixes object and background in linear light; the object's colour is the farthest one near it
+        # an edge pixel is a linear mix of object and background; the object's colour is the most different one nearby
         distance = np.linalg.norm(srgb_to_linear(np.clip(encoded, 0, 1)) - srgb_to_linear(key), axis=2)
         farthest = maximum_filter(np.where(solid, distance, 0.0), size=5)
         mixed = np.clip(distance / np.maximum(farthest, 1e-9), 0, 1)
@@ -55,7 +55,7 @@ class ColorKey(MaskSource):
 
 
 def _border_color(images: list[NDArray[np.floating]], capture: Capture) -> NDArray[np.float64]:
-    """The colour that at least 70 % of the pictures' border pixels have."""
+    """The sRGB colour (3,) of at least 70 % of the photographs' border pixels."""
     if not images:
         raise CaptureError(f"{capture.path} has no photographs")
     borders = [np.concatenate([i[0], i[-1], i[:, 0], i[:, -1]]) for i in images]
@@ -63,7 +63,8 @@ def _border_color(images: list[NDArray[np.floating]], capture: Capture) -> NDArr
     median = np.median(pixels, axis=0).astype(np.float64)
     if (np.linalg.norm(pixels - median, axis=1) < 0.1).mean() < 0.7:
         raise CaptureError(
-            f"{capture.path}: the photographs' borders are of many colours, so there is no background "
-            "to key; name its colour (mask_source.color_key.color) or use another mask source"
+            f"{capture.path}: the photographs' borders have several colours, so the background's colour is unknown; "
+            "set "
+            "mask_source.color_key.color, or use another mask source"
         )
     return median

@@ -1,4 +1,4 @@
-"""What the contract tests of mask sources need to know (`Component.testing`)."""
+"""Inputs for the contract tests of mask sources (`Component.testing`)."""
 
 from __future__ import annotations
 
@@ -16,34 +16,34 @@ if TYPE_CHECKING:
     from hir_core.testing.captures import TinyCapture
 
 
-def photographs_with_alpha(truth: TinyCapture, given: Capture, folder: Path) -> tuple[Capture, dict[str, Any]]:
-    """The photographs with their coverage, as those with an alpha channel are read."""
-    del given, folder
+def photographs_with_alpha(truth: TinyCapture, capture: Capture, folder: Path) -> tuple[Capture, dict[str, Any]]:
+    """The photographs with their coverage, as if they had an alpha channel."""
+    del capture, folder
     return truth.capture, {}
 
 
-def folder_of_masks(truth: TinyCapture, given: Capture, folder: Path) -> tuple[Capture, dict[str, Any]]:
-    """Masks as pictures in a folder of the capture."""
+def folder_of_masks(truth: TinyCapture, capture: Capture, folder: Path) -> tuple[Capture, dict[str, Any]]:
+    """Masks as image files in a folder of the capture."""
     del folder
-    for view, mask in zip(given.views, truth.masks, strict=True):
+    for view, mask in zip(capture.views, truth.masks, strict=True):
         write_png(truth.folder / "cut_out" / f"{view.name}.png", mask[..., None].repeat(3, axis=2))
-    return given, {"path": "cut_out"}
+    return capture, {"path": "cut_out"}
 
 
-def photographs_with_weights(truth: TinyCapture, given: Capture, folder: Path) -> tuple[Capture, dict[str, Any]]:
-    """The photographs, and a network whose only layer compares with their background; needs `onnx`."""
+def photographs_with_weights(truth: TinyCapture, capture: Capture, folder: Path) -> tuple[Capture, dict[str, Any]]:
+    """The photographs, and a network that compares each pixel with the background's colour; needs `onnx`."""
     del folder
     weights = truth.folder / "weights.onnx"
-    write_background_network(weights, given.views[0].pixels().color_linear[0, 0])
-    return given, {"weights": weights.name}
+    write_background_network(weights, capture.views[0].pixels().color_linear[0, 0])
+    return capture, {"weights": weights.name}
 
 
 def write_background_network(path: Path, background_linear: NDArray[np.float32]) -> None:
-    """A network of U²-Net's form (1×3×320×320 → 1×1×320×320), 1 where a picture differs from one colour."""
+    """A network with U²-Net's input and output (1×3×320×320 → 1×1×320×320): 1 where the colour differs from a key."""
     import onnx
     from onnx import TensorProto, helper, numpy_helper
 
-    # pictures come divided by their brightest value, then normalised as those that U²-Net was trained on
+    # rembg divides images by their maximum, then normalises them with the statistics of U²-Net's training set
     mean, deviation = np.array([0.485, 0.456, 0.406]), np.array([0.229, 0.224, 0.225])
     key = ((linear_to_srgb(background_linear.astype(np.float64)) - mean) / deviation).astype(np.float32)
     constants = {"key": key.reshape(1, 3, 1, 1), "least": np.array(0.5, np.float32), "axes": np.array([1], np.int64)}

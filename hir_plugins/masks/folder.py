@@ -1,4 +1,4 @@
-"""Masks from a folder of pictures."""
+"""Mask source: a folder of image files."""
 
 from __future__ import annotations
 
@@ -24,30 +24,30 @@ if TYPE_CHECKING:
 
 @final
 class Folder(MaskSource):
-    """Matches the files of a folder to the photographs by name; soft edges stay soft."""
+    """Matches the files of a folder with the photographs by name; antialiased edges are preserved."""
 
     def __init__(self, config: FolderOptions) -> None:
         self._config = config
 
     def masks(self, capture: Capture, scene: Scene | None) -> list[NDArray[np.float32] | None]:
-        """None where a photograph has no mask; a folder that is named and fits no photograph is a `CaptureError`."""
+        """One mask for each view; None without a file. A named folder that matches no view raises `CaptureError`."""
         del scene
-        found = [self._file(view, capture.path) for view in capture.views]
-        if self._config.path and capture.views and not any(found):
+        matched = [self._file(view, capture.path) for view in capture.views]
+        if self._config.path and capture.views and not any(matched):
             raise CaptureError(
-                f"{capture.path / self._config.path} holds no mask that is named like a photograph, "
-                f"such as {capture.views[0].name}.png"
+                f"{capture.path / self._config.path} has no mask with the name of a photograph; name masks like "
+                f"{capture.views[0].name}.png"
             )
-        missing = [v.name for v, f in zip(capture.views, found, strict=True) if f is None]
-        if missing and len(missing) < len(found):
-            counts = f"{len(missing)} of {len(found)} photographs"
+        missing = [v.name for v, f in zip(capture.views, matched, strict=True) if f is None]
+        if missing and len(missing) < len(matched):
+            counts = f"{len(missing)} of {len(matched)} photographs"
             warnings.warn(f"{counts} have no mask, such as {missing[0]}", stacklevel=2)
-        return [None if f is None else self._mask(v, f) for v, f in zip(capture.views, found, strict=True)]
+        return [None if f is None else self._mask(v, f) for v, f in zip(capture.views, matched, strict=True)]
 
     def files(self, capture: Capture) -> list[Path]:
-        """The masks; those that a reader found are watched as its own."""
-        found = [(view, self._file(view, capture.path)) for view in capture.views]
-        return [file for view, file in found if file is not None and file != view.mask_path]
+        """The mask files, except those that the reader reports as its own."""
+        matched = [(view, self._file(view, capture.path)) for view in capture.views]
+        return [file for view, file in matched if file is not None and file != view.mask_path]
 
     def _file(self, view: View, capture: Path) -> Path | None:
         if view.path is None:
@@ -56,7 +56,7 @@ class Folder(MaskSource):
             return find_mask(view.path, capture)
         folder = contained_path(capture, self._config.path, Path("mask_source.folder.path"))
         if not folder.is_dir():
-            raise CaptureError(f"mask_source.folder.path: {folder} is not a folder")
+            raise CaptureError(f"mask_source.folder.path: {folder} is not a folder; name the folder of the masks")
         files = sorted(f for f in folder.rglob("*") if f.suffix.lower() in PHOTO_SUFFIXES)
         return match_mask(view.path, files)
 

@@ -1,4 +1,4 @@
-"""Masks by GrabCut (Rother et al. 2004), seeded by the reconstruction and made consistent by a visual hull."""
+"""Mask source: GrabCut (Rother et al. 2004), initialised by reconstructed points, consistent by a visual hull."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ if TYPE_CHECKING:
     from hir_core.scene import Scene
 
 _MAX_LINEAR_VALUE = 2.0
-"""Linear values are compared up to this."""
+"""Linear values are clipped here before they are encoded."""
 
 
 @final
 class GrabCut(MaskSource):
-    """Starts from discs around the object's points and cuts by colour; then only what views agree on is cut again."""
+    """GrabCut initialised by discs around the object's points, repeated inside the consistent region of all views."""
 
     def __init__(self, config: GrabCutOptions) -> None:
         self._config = config
 
     def masks(self, capture: Capture, scene: Scene | None) -> list[NDArray[np.float32] | None]:
-        """One mask for each view; captures without cameras or points are a `CaptureError`."""
+        """One mask for each view. Captures without cameras or points raise `CaptureError`."""
         import cv2
 
         del scene
@@ -39,15 +39,15 @@ class GrabCut(MaskSource):
         images = [_encoded_picture(v.pixels(f)) for v, f in zip(capture.views, factors, strict=True)]
         spacing = max(_typical_spacing(points), radius / 60)
         sure = [draw_discs(points, camera, 0.35 * spacing) for camera in cameras]
-        # what starts as object teaches its colours: no more than closes the gaps between points
+        # initial object pixels train the colour model: only as many as close the gaps between points
         likely = [draw_discs(points, camera, min(spacing, 0.5 * self._config.margin * radius)) for camera in cameras]
         outer = [draw_discs(points, camera, self._config.margin * radius) for camera in cameras]
-        # OpenCV lets go of the interpreter while it cuts, and cuts on one core
+        # OpenCV releases Python's lock during GrabCut and uses one core
         with ThreadPoolExecutor(max_workers=max(1, cv2.getNumThreads())) as pool:
             masks = list(pool.map(cut_by_colour, images, sure, likely, outer))
             for _ in range(self._config.rounds):
-                body = consistent_silhouettes(masks, cameras, center, 1.6 * radius, self._config.agreement)
-                masks = list(pool.map(_cut_again, images, sure, body))
+                regions = consistent_silhouettes(masks, cameras, center, 1.6 * radius, self._config.agreement)
+                masks = list(pool.map(_cut_again, images, sure, regions))
         return [
             refine_edge(view.pixels().color_linear, mask, factor)
             for view, mask, factor in zip(capture.views, masks, factors, strict=True)
@@ -60,7 +60,10 @@ class GrabCut(MaskSource):
 def cut_by_colour(
     image: NDArray[np.uint8], sure: NDArray[np.bool_], likely: NDArray[np.bool_], outer: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Object pixels (H, W) of an 8-bit picture: all of `sure`, nothing outside of `outer`, colours decide between."""
+    """Object pixels (H, W) of an 8-bit image: all of `sure`, none outside `outer`, by colour in between.
+
+    `likely` (H, W) are the initial object pixels.
+    """
     import cv2
 
     labels = np.full(image.shape[:2], cv2.GC_BGD, np.uint8)
@@ -77,7 +80,7 @@ def cut_by_colour(
 
 
 def _cut_again(image: NDArray[np.uint8], sure: NDArray[np.bool_], region: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Cuts inside of the region that the views agree on, and a little beyond it."""
+    """Repeats the cut inside the consistent region, with a margin of 2 % of the image."""
     import cv2
 
     if not region.any():
@@ -86,13 +89,13 @@ def _cut_again(image: NDArray[np.uint8], sure: NDArray[np.bool_], region: NDArra
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * size + 1, 2 * size + 1))
     solid = region.astype(np.uint8)
     inner, outer = cv2.erode(solid, kernel) > 0, cv2.dilate(solid, kernel) > 0
-    # only the reconstructed points are sure: a hull also fills what lies between jaw and neck. Its rim starts as
-    # background, or the colours of the background beside the object would be learnt as the object's
+    # only the reconstructed points are certain: a hull also fills concavities. Its rim is initialised as background, or
+    # the object's colour model would learn the background's colours
     return _largest_component(cut_by_colour(image, sure & inner, inner, outer))
 
 
 def refine_edge(color_linear: NDArray[np.float32], mask: NDArray[np.bool_], factor: int) -> NDArray[np.float32]:
-    """The small mask at the picture's full size, its edge drawn to the picture's (guided filter, He 2010)."""
+    """The mask (H, W) at the photograph's full resolution; its edge follows the image (guided filter, He 2010)."""
     import cv2
 
     height, width = color_linear.shape[:2]
@@ -105,7 +108,7 @@ def refine_edge(color_linear: NDArray[np.float32], mask: NDArray[np.bool_], fact
     slope = covariance / (cv2.blur(guide * guide, window) - mean_guide**2 + 1e-4)
     offset = mean_mask - slope * mean_guide
     soft = cv2.blur(slope, window) * guide + cv2.blur(offset, window)
-    # sharpened: the filter alone leaves a veil as wide as its window
+    # sharpened: the filter blurs the edge over its window
     return np.clip((soft - 0.5) * 2 + 0.5, 0, 1).astype(np.float32)
 
 
@@ -122,14 +125,14 @@ def _typical_spacing(points: NDArray[np.floating]) -> float:
 
 
 def _largest_component(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The largest piece without its holes smaller than itself by a hundred times."""
+    """The largest component; its holes of less than a hundredth of its area are filled."""
     from scipy.ndimage import label
 
-    pieces, count = label(mask)
+    components, count = label(mask)
     if count == 0:
         return mask
-    kept = pieces == np.bincount(pieces.reshape(-1))[1:].argmax() + 1
-    holes, count = label(~kept)
+    largest = components == np.bincount(components.reshape(-1))[1:].argmax() + 1
+    holes, count = label(~largest)
     sizes = np.bincount(holes.reshape(-1))
-    small = np.nonzero(sizes < 0.01 * kept.sum())[0]
-    return kept | np.isin(holes, small[small > 0])
+    small = np.nonzero(sizes < 0.01 * largest.sum())[0]
+    return largest | np.isin(holes, small[small > 0])

@@ -1,4 +1,4 @@
-"""Where the object is in each photograph, as a reconstruction of points or a hull of rough masks tells."""
+"""The object's region in each photograph, from reconstructed points or from a hull of rough masks."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ _GRID_RESOLUTION = 72
 
 
 def object_points(capture: Capture) -> tuple[Array, Array, float]:
-    """Points (N, 3) of the capture that belong to what all photographs look at, its centre (3,) and radius.
+    """Points (N, 3) of the object, its centre (3,) and radius.
 
-    The object is taken to be the dense cloud around where the cameras' axes meet; points more than three times the
-    median distance from there, or outside of most pictures, are the room's. Too few points raise `CaptureError`.
+    Points outside most photographs, or farther from the centre than three times the median distance, are background.
+    Too few points raise `CaptureError`.
     """
     points = capture.points
     if points is None or len(points.positions) < 50:
         raise CaptureError(
-            f"{capture.path}: masks by grabcut need the object's points; run colmap before, such as: "
+            f"{capture.path}: the mask source grabcut needs reconstructed points; run colmap before, such as: "
             '--set \'initializers=["colmap", "visual_hull"]\''
         )
     cameras = capture.cameras
-    inside = np.zeros(len(points.positions))
+    mask_count = np.zeros(len(points.positions))
     for camera in cameras:
         pixels, depth = camera.project(points.positions)
-        inside += (depth > 0) & (pixels >= 0).all(axis=1) & (pixels <= [camera.width, camera.height]).all(axis=1)
-    near = points.positions[inside >= 0.6 * len(cameras)]
+        mask_count += (depth > 0) & (pixels >= 0).all(axis=1) & (pixels <= [camera.width, camera.height]).all(axis=1)
+    near = points.positions[mask_count >= 0.6 * len(cameras)]
     if len(near) < 30:
         near = points.positions
     for _ in range(5):
@@ -45,7 +45,7 @@ def object_points(capture: Capture) -> tuple[Array, Array, float]:
 
 
 def draw_discs(points: Array, camera: Camera, radius: float) -> NDArray[np.bool_]:
-    """Pixels (H, W) within a world `radius` of some point, as seen by the camera."""
+    """Pixels (H, W) within a world `radius` of the projection of any point."""
     import cv2
 
     picture = np.zeros((camera.height, camera.width), np.uint8)
@@ -61,27 +61,28 @@ def draw_discs(points: Array, camera: Camera, radius: float) -> NDArray[np.bool_
 def consistent_silhouettes(
     masks: Sequence[NDArray[np.bool_]], cameras: Sequence[Camera], center: Array, radius: float, agreement: float
 ) -> list[NDArray[np.bool_]]:
-    """Each view's silhouette (H, W) of the places that look like the object in a share `agreement` of the views.
+    """Each view's silhouette (H, W) of the grid points that are object in a share `agreement` of the masks.
 
-    A place must lie in at least half as many pictures as the best shown one. The largest connected body counts.
+    A point must be mask_count at least half of the largest number of images of any point. Only the largest connected
+    component is used.
     """
     from scipy.ndimage import label
 
     axis = np.linspace(-radius, radius, _GRID_RESOLUTION)
     grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3) + center
-    shown, inside = np.zeros(len(grid)), np.zeros(len(grid))
+    view_count, mask_count = np.zeros(len(grid)), np.zeros(len(grid))
     for mask, camera in zip(masks, cameras, strict=True):
         pixels, depth = camera.project(grid)
         columns, rows = np.floor(np.clip(pixels, -1e6, 1e6)).astype(int).T
         seen = (depth > 0) & (columns >= 0) & (rows >= 0) & (columns < camera.width) & (rows < camera.height)
-        shown += seen
-        inside[seen] += mask[rows[seen], columns[seen]]
-    solid = (inside >= agreement * shown) & (shown >= shown.max() / 2) & (shown > 0)
-    bodies, count = label(solid.reshape([_GRID_RESOLUTION] * 3))
+        view_count += seen
+        mask_count[seen] += mask[rows[seen], columns[seen]]
+    solid = (mask_count >= agreement * view_count) & (view_count >= view_count.max() / 2) & (view_count > 0)
+    components, count = label(solid.reshape([_GRID_RESOLUTION] * 3))
     if count == 0:
         return [np.zeros_like(mask) for mask in masks]
-    largest = np.bincount(bodies.reshape(-1))[1:].argmax() + 1
-    body = grid[bodies.reshape(-1) == largest]
-    # a cell's half diagonal, so that neighbouring cells overlap in the picture
+    largest = np.bincount(components.reshape(-1))[1:].argmax() + 1
+    largest_points = grid[components.reshape(-1) == largest]
+    # half a cell's diagonal, so that the discs of neighbouring cells overlap in the image
     reach = float(axis[1] - axis[0]) * np.sqrt(3) / 2
-    return [draw_discs(body, camera, reach) for camera in cameras]
+    return [draw_discs(largest_points, camera, reach) for camera in cameras]

@@ -8,44 +8,44 @@ from typing import Literal
 
 @dataclass(frozen=True)
 class FolderOptions:
-    """Masks in files, white on the object."""
+    """Options of mask files, which are white on the object."""
 
     path: str = ""
-    """The folder, relative to the capture; empty looks for `masks`, `mask` and the like. Its files are matched to the
-    photographs by name: the same stem, `photo.jpg.png`, `photo_mask.png`, in any case."""
+    """The folder, relative to the capture; if empty, the usual names such as `masks` are tried. Files are matched with
+    the photographs by name: the same stem, `photo.jpg.png`, `photo_mask.png`; upper and lower case are equal."""
     inverted: bool = False
-    """The masks are white on the background."""
+    """Masks are white on the background."""
 
 
 @dataclass(frozen=True)
 class ColorKeyOptions:
-    """A background of one colour."""
+    """Options of chroma keying."""
 
     color: Literal["auto", "black", "white", "green", "blue"] = "auto"
-    """The background's colour; `auto` takes the one that the pictures' borders have."""
+    """The background's colour; `auto` takes the colour of the photographs' borders."""
     tolerance: float = 0.06
-    """Distance in sRGB (0 to 1.7) from that colour below which a pixel is background."""
+    """Distance from that colour in sRGB (0 to 1.7) below which a pixel is background."""
 
 
 @dataclass(frozen=True)
 class GrabCutOptions:
-    """Separates the object by colour, from where the reconstruction says that it is."""
+    """Options of GrabCut, initialised by reconstructed points."""
 
     max_image_size: int = 640
-    """The cut runs on photographs made smaller to about this longer side; its edge is refined at full size."""
+    """GrabCut runs on photographs reduced to about this longer side; the edge is refined at full resolution."""
     rounds: int = 2
-    """How often the masks are cut, made consistent by their visual hull, and cut again."""
+    """Number of times the masks are made consistent by their visual hull and cut again."""
     margin: float = 0.25
-    """How far beyond the reconstructed points, in their radius, the object may reach at first."""
+    """Largest distance of the object from the reconstructed points in the first cut, relative to their radius."""
     agreement: float = 0.8
-    """Share of the photographs that show a place in which it must look like the object to belong to it."""
+    """A point is object if at least this share of the photographs that show it have object there."""
 
 
 @dataclass(frozen=True)
 class RembgOptions:
-    """A network that tells objects from what is behind them."""
+    """Options of rembg, a network that separates foreground and background."""
 
     model: str = "u2net"
-    """Its name among rembg's models; its weights must be on this machine (`rembg d u2net` fetches them)."""
+    """Name of one of rembg's models; its weights must be on this machine (`rembg d u2net` downloads them)."""
     weights: str = ""
-    """A file of weights instead, in ONNX and of U²-Net's form, relative to the capture."""
+    """ONNX file of weights to use instead, with U²-Net's input and output; relative to the capture."""

@@ -8,7 +8,7 @@ from hir_plugins.masks.options import ColorKeyOptions, FolderOptions, GrabCutOpt
 ALPHA = Component(
     name="alpha",
     target="hir_plugins.masks.alpha:Alpha",
-    summary="The alpha channel of the photographs, or the masks that their capture names.",
+    summary="The alpha channel of the photographs, or the mask files that the capture names.",
     traits=frozenset({"automatic"}),
     testing="hir_plugins.masks.contract_inputs:photographs_with_alpha",
 )
@@ -17,7 +17,7 @@ FOLDER = Component(
     name="folder",
     target="hir_plugins.masks.folder:Folder",
     config=FolderOptions,
-    summary="A folder of masks, matched to the photographs by name.",
+    summary="A folder of mask files, matched with the photographs by name.",
     traits=frozenset({"automatic", "reads_files"}),
     testing="hir_plugins.masks.contract_inputs:folder_of_masks",
 )
@@ -26,14 +26,14 @@ COLOR_KEY = Component(
     name="color_key",
     target="hir_plugins.masks.color_key:ColorKey",
     config=ColorKeyOptions,
-    summary="A background of one colour: black, white, green or blue.",
+    summary="Chroma keying, for a background of one colour: black, white, green or blue.",
 )
 
 GRABCUT = Component(
     name="grabcut",
     target="hir_plugins.masks.grabcut:GrabCut",
     config=GrabCutOptions,
-    summary="Cuts the object out by colour, from where the reconstructed points lie.",
+    summary="GrabCut: segmentation by colour, initialised by the reconstructed points.",
     requires=("cv2",),
     extra="reconstruct",
     traits=frozenset({"automatic", "needs_cameras"}),
@@ -43,7 +43,7 @@ REMBG = Component(
     name="rembg",
     target="hir_plugins.masks.rembg:Rembg",
     config=RembgOptions,
-    summary="A network that tells what stands in front, with weights that are on this machine.",
+    summary="A segmentation network (rembg), with weights that are already on this machine.",
     requires=("rembg", "onnxruntime"),
     extra="rembg",
     testing="hir_plugins.masks.contract_inputs:photographs_with_weights",

@@ -1,4 +1,4 @@
-"""Masks from a network that knows what stands in front of what: rembg, with weights that are on this machine."""
+"""Mask source: a segmentation network (rembg), with weights that are already on this machine."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ if TYPE_CHECKING:
 
 @final
 class Rembg(MaskSource):
-    """One photograph at a time, without knowledge of the others; soft edges stay soft. Nothing is downloaded."""
+    """Segments each photograph alone; antialiased edges are preserved. Nothing is downloaded."""
 
     def __init__(self, config: RembgOptions) -> None:
         self._config = config
 
     def masks(self, capture: Capture, scene: Scene | None) -> list[NDArray[np.float32] | None]:
-        """One mask for each view. Weights that are not on this machine are a `CaptureError`."""
+        """One mask for each view. Missing weights raise `CaptureError`."""
         del scene
         if not capture.views:
             return []
@@ -43,32 +43,33 @@ def _session(options: RembgOptions, capture: Capture) -> Any:
         path = Path(options.weights)
         path = path if path.is_absolute() else capture.path / path
         if not path.is_file():
-            raise CaptureError(f"{path}: there are no such weights; mask_source.rembg.weights names an ONNX file")
+            raise CaptureError(f"{path} does not exist; set mask_source.rembg.weights to an ONNX file")
         return _open_network(path, lambda: _session_of_file(path))
     known = {kind.name(): kind for kind in sessions_class}
     if options.model not in known:
-        raise CaptureError(f"rembg has no model {options.model!r}; it has: {', '.join(sorted(known))}")
+        raise CaptureError(f"rembg has no model {options.model!r}; use one of: {', '.join(sorted(known))}")
     kind = known[options.model]
-    found = kind.resolve_existing(f"{options.model}.onnx")
-    if found is None:
+    predicted = kind.resolve_existing(f"{options.model}.onnx")
+    if predicted is None:
         raise CaptureError(
-            f"the weights of {options.model} are not on this machine, and nothing is downloaded "
-            f"unasked; fetch them once with: rembg d {options.model}"
+            f"the weights of {options.model} are not on this machine, and hir does not download them; download them "
+            "once "
+            f"with: rembg d {options.model}"
         )
-    return _open_network(Path(found), lambda: new_session(options.model))
+    return _open_network(Path(predicted), lambda: new_session(options.model))
 
 
 def _session_of_file(weights: Path) -> Any:
-    """rembg's U²-Net on weights of any place: rembg itself opens only what lies in its own folder."""
+    """rembg's U²-Net with weights from any file: rembg itself opens only files in its own folder."""
     from onnxruntime import SessionOptions
     from rembg.sessions.u2net import U2netSession
 
-    class GivenWeights(U2netSession):  # type: ignore[misc]
+    class LocalWeightsSession(U2netSession):  # type: ignore[misc]
         @classmethod
         def download_models(cls, *args: Any, **kwargs: Any) -> str:
             return str(weights)
 
-    return GivenWeights("given", SessionOptions())
+    return LocalWeightsSession("local", SessionOptions())
 
 
 def _open_network(path: Path, make: Callable[[], Any]) -> Any:
@@ -76,7 +77,7 @@ def _open_network(path: Path, make: Callable[[], Any]) -> Any:
         return make()
     except Exception as error:  # the runtime raises types of its own on a broken file
         raise CaptureError(
-            f"{path} is not a network that rembg can run: {' '.join(str(error).split())[:200]}; fetch it again"
+            f"{path} is not a network that rembg can run ({' '.join(str(error).split())[:200]}); download it again"
         ) from error
 
 
@@ -86,8 +87,8 @@ def _mask(color_linear: NDArray[np.float32], session: Any) -> NDArray[np.float32
 
     encoded = np.rint(np.clip(linear_to_srgb(np.clip(color_linear, 0, 1)), 0, 1) * 255).astype(np.uint8)
     if not np.ptp(encoded):
-        # one colour: there is nothing in front of anything, and the network's range would be empty
+        # an image of one colour has no foreground, and normalising it would divide by zero
         return np.zeros(encoded.shape[:2], np.float32)
     with np.errstate(invalid="ignore", divide="ignore"):
-        found = np.asarray(remove(Image.fromarray(encoded), session=session, only_mask=True), dtype=np.float32)
-    return np.nan_to_num(found.reshape(encoded.shape[:2]) / 255)
+        predicted = np.asarray(remove(Image.fromarray(encoded), session=session, only_mask=True), dtype=np.float32)
+    return np.nan_to_num(predicted.reshape(encoded.shape[:2]) / 255)

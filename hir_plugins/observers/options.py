@@ -7,17 +7,17 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class TensorBoardOptions:
-    """Curves for `tensorboard --logdir RUN/tensorboard`."""
+    """Options of the curves for `tensorboard --logdir RUN/tensorboard`."""
 
     flush_seconds: int = 10
-    """How long what was written may wait before it is on the disk."""
+    """Interval at which new values are written to disk."""
 
 
 @dataclass(frozen=True)
 class PreviewsOptions:
-    """A picture of the scene after each stage, in RUN/previews."""
+    """Options of the preview images after each stage, in RUN/previews."""
 
     size: int = 256
-    """Side of each of the pictures in pixels."""
+    """Side of each image in pixels."""
     sides: int = 4
-    """Pictures around the object."""
+    """Number of images around the object."""

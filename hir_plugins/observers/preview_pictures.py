@@ -1,4 +1,4 @@
-"""Pictures of a scene from around it, by open3d's rays: for a look, not for measuring."""
+"""Preview images of a scene from several sides, by ray casting with open3d; not a physically based renderer."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ if TYPE_CHECKING:
     from hir_core.scene import Scene
 
 LIGHT_DIRECTION = np.array([-0.4, 0.7, 0.6])
-"""Where the light is seen from the camera: right, up, towards it."""
+"""Direction towards the light in camera coordinates: right, up, backwards."""
 
 
 def preview_strip(scene: Scene, size: int, sides: int) -> NDArray[np.float32]:
-    """Pictures (size, sides · size, 3) in sRGB from around the object: its colour in a light beside the camera."""
+    """Images (size, sides · size, 3) in sRGB from around the object, shaded by a light beside the camera."""
     positions = scene.mesh.positions.detach().cpu().numpy().astype(np.float32)
     faces = scene.mesh.faces.detach().cpu().numpy()
     center = (positions.min(axis=0) + positions.max(axis=0)) / 2
@@ -62,7 +62,7 @@ def surface_colors(scene: Scene, face: NDArray[np.int64], barycentric: NDArray[n
 
 
 def _frame(angle: float) -> NDArray[np.float64]:
-    """Right, up and towards the camera, as rows; a little above the equator."""
+    """Rows: right, up and backwards axes of a camera slightly above the equator."""
     back = np.array([np.sin(angle), 0.35, np.cos(angle)])
     back /= np.linalg.norm(back)
     right = np.cross([0.0, 1.0, 0.0], back)

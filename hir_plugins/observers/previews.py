@@ -1,4 +1,4 @@
-"""Observer: a strip of pictures of the scene after each stage, to look at while a run goes on."""
+"""Observer: preview images of the scene after each stage, to inspect a run in progress."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ NAME = "previews"
 
 
 class PreviewsObserver:
-    """Writes `RUN/previews/<stage>.png` where the table `observers.previews` is there."""
+    """Writes `RUN/previews/<stage>.png` if the settings have a table `observers.previews`."""
 
     def __init__(self) -> None:
         self._folder: Path | None = None

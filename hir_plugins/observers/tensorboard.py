@@ -19,7 +19,7 @@ NAME = "tensorboard"
 
 
 class TensorBoardObserver:
-    """Writes to `RUN/tensorboard/<stage>` where the table `observers.tensorboard` is there."""
+    """Writes to `RUN/tensorboard/<stage>` if the settings have a table `observers.tensorboard`."""
 
     def __init__(self) -> None:
         self._folder: Path | None = None

@@ -36,20 +36,20 @@ class BlendedMvsReader(CaptureReader):
         return ["train"]
 
     def read(self, path: Path, split: str = "train") -> Capture:
-        """Images of all camera files, by name; the world is turned up-right."""
+        """Images of all camera files, by name; the world is rotated upright."""
         if split != "train":
-            raise CaptureError(f"{path} has no split {split!r}; a BlendedMVS capture has only 'train'")
+            raise CaptureError(f"{path} has no split {split!r}; read 'train', the only split of a BlendedMVS capture")
         folder = next((path / name for name in _FOLDERS if (path / name).is_dir()), None)
         if folder is None:
-            raise CaptureError(f"{path} has none of the folders {', '.join(_FOLDERS)}")
+            raise CaptureError(f"{path} has none of the folders {', '.join(_FOLDERS)}; put the images into one of them")
         sources = sorted((path / "cams").glob("*_cam.txt"))
-        # the masked versions of the same pictures end in _masked
+        # masked versions of the same images end in _masked
         photos = [find_photo(folder, s.name.removesuffix("_cam.txt"), s) for s in sources]
         views, poses = [], []
         for source, photo, name in zip(sources, photos, unique_names(photos, folder), strict=True):
             contained_path(path, source.relative_to(path).as_posix(), path)
             pose, k = _camera(source)
-            # centres at whole numbers there, at .5 here
+            # pixel centres are integers in the files and at .5 in `Camera`
             lens = LensCamera(k[0, 0], k[1, 1], k[0, 2] + 0.5, k[1, 2] + 0.5)
             views.append(make_view(name, photo, lens, pose, str(source), find_mask(photo, path)))
             poses.append(pose)
@@ -58,11 +58,11 @@ class BlendedMvsReader(CaptureReader):
 
 
 def _camera(source: Path) -> tuple[Array, Array]:
-    words = source.read_text(encoding="utf-8", errors="replace")[:10000].split()
+    tokens = source.read_text(encoding="utf-8", errors="replace")[:10000].split()
     try:
-        at, then = words.index("extrinsic"), words.index("intrinsic")
-        extrinsic = np.array(words[at + 1 : at + 17], dtype=np.float64).reshape(4, 4)
-        intrinsic = np.array(words[then + 1 : then + 10], dtype=np.float64).reshape(3, 3)
+        first, second = tokens.index("extrinsic") + 1, tokens.index("intrinsic") + 1
+        extrinsic = np.array(tokens[first : first + 16], dtype=np.float64).reshape(4, 4)
+        intrinsic = np.array(tokens[second : second + 9], dtype=np.float64).reshape(3, 3)
     except ValueError:
-        raise CaptureError(f"{source} needs 'extrinsic' with 16 numbers and 'intrinsic' with 9") from None
+        raise CaptureError(f"{source} needs 'extrinsic' with 16 numbers and 'intrinsic' with 9 numbers") from None
     return rigid_transform(extrinsic, str(source)), intrinsic

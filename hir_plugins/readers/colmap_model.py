@@ -1,4 +1,4 @@
-"""Captures that COLMAP solved: a sparse model and the images it was made from (docs/captures.md)."""
+"""Captures solved by COLMAP: a sparse model and its images (docs/captures.md)."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ _IMAGES: Final = ("images", "image", "input", "rgb", "photos", ".")
 
 @final
 class ColmapModelReader(CaptureReader):
-    """Reads cameras.{bin,txt}, images.{bin,txt} and points3D.{bin,txt}; the world is turned up-right."""
+    """Reads cameras.{bin,txt}, images.{bin,txt} and points3D.{bin,txt}; the world is rotated upright."""
 
     def __init__(self, config: NoOptions) -> None:
         del config
 
     def matches(self, path: Path) -> bool:
-        """A folder in which a model lies at one of the usual places."""
+        """A folder with a model in one of the usual subfolders."""
         return _model_folder(path) is not None
 
     def splits(self, path: Path) -> list[str]:
@@ -37,20 +37,24 @@ class ColmapModelReader(CaptureReader):
         return ["train"]
 
     def read(self, path: Path, split: str = "train") -> Capture:
-        """Registered pictures with their cameras, and the sparse points."""
+        """Registered images with their cameras, and the sparse points."""
         if split != "train":
-            raise CaptureError(f"{path} has no split {split!r}; a COLMAP model has only 'train'")
+            raise CaptureError(f"{path} has no split {split!r}; read 'train', the only split of a COLMAP model")
         model = _model_folder(path)
         if model is None:
-            raise CaptureError(f"{path} holds no COLMAP model (cameras and images as .bin or .txt)")
+            raise CaptureError(f"{path} has no COLMAP model; put cameras and images (.bin or .txt) into 'sparse/0'")
         cameras, images = read_cameras(model), read_images(model)
         folder = _image_folder(path, images[0].name)
         photos = [find_photo(folder, image.name, model) for image in images]
         views = []
         for image, photo, name in zip(images, photos, unique_names(photos, folder), strict=True):
             if image.camera_id not in cameras:
-                raise CaptureError(f"{model}: {image.name!r} names camera {image.camera_id}, which is missing")
-            owner = f"{model}, picture {image.name!r}"
+                raise CaptureError(
+                    f"{model}: the image {image.name!r} has camera {image.camera_id}, which is missing; export the "
+                    "model "
+                    "again"
+                )
+            owner = f"{model}, image {image.name!r}"
             mask = find_mask(photo, path)
             views.append(make_view(name, photo, cameras[image.camera_id], image.world_to_camera, owner, mask))
         capture = Capture(
@@ -73,6 +77,7 @@ def _image_folder(path: Path, first: str) -> Path:
         if (path / name / first).is_file():
             return path / name
     raise CaptureError(
-        f"{path}: the image {first!r} of the COLMAP model is in none of the folders "
-        f"{', '.join(_IMAGES)}; put the images into the folder 'images'"
+        f"{path}: the image {first!r} of the COLMAP model is in none of the folders {', '.join(_IMAGES)}; put the "
+        "images "
+        "into the folder 'images'"
     )

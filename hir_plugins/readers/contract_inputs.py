@@ -1,7 +1,7 @@
-"""Writes a capture in each format that is read here, for the contract tests (`Component.testing`).
+"""Writes a capture in the format of each reader, for the contract tests (`Component.testing`).
 
-Each function takes a capture in our world (right-handed, +Y up, OpenCV cameras), writes it below a folder, and returns
-the path to read.
+Each function takes a capture in `hir`'s world (right-handed, +Y up, OpenCV cameras), writes it below a folder, and
+returns the path to read.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from hir_exporters.textures.image_files import write_png
 from hir_core.capture import Array, Camera, Capture
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
-"""Between OpenCV's camera axes and OpenGL's; its own inverse."""
+"""Conversion between OpenCV's camera axes and OpenGL's; its own inverse."""
 
 
 def transforms_json(capture: Capture, folder: Path) -> Path:
-    """NeRF-synthetic: +Z up, cameras that look along −z, alpha in the pictures."""
+    """NeRF-synthetic: +Z up, cameras look along −z, masks as alpha channels."""
     _pictures(capture, folder / "train", alpha=True)
     z_up = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
     frames = []
@@ -32,7 +32,7 @@ def transforms_json(capture: Capture, folder: Path) -> Path:
 
 
 def colmap_model(capture: Capture, folder: Path) -> Path:
-    """COLMAP's text files, with a camera for each picture."""
+    """COLMAP's text files, with one camera for each image."""
     from scipy.spatial.transform import Rotation
 
     _pictures(capture, folder / "images")
@@ -41,8 +41,8 @@ def colmap_model(capture: Capture, folder: Path) -> Path:
         k = camera.intrinsics
         cameras.append(f"{i} PINHOLE {camera.width} {camera.height} {_row([k[0, 0], k[1, 1], k[0, 2], k[1, 2]])}")
         x, y, z, w = Rotation.from_matrix(camera.world_to_camera[:3, :3]).as_quat()
-        place = camera.world_to_camera[:3, 3]
-        images.append(f"{i} {_row([w, x, y, z, *place])} {i} {view.name}.png\n")
+        translation = camera.world_to_camera[:3, 3]
+        images.append(f"{i} {_row([w, x, y, z, *translation])} {i} {view.name}.png\n")
     points = np.zeros((0, 3)) if capture.points is None else capture.points.positions[:50]
     model = folder / "sparse" / "0"
     model.mkdir(parents=True)
@@ -54,13 +54,13 @@ def colmap_model(capture: Capture, folder: Path) -> Path:
 
 
 def photos(capture: Capture, folder: Path) -> Path:
-    """Pictures in a folder."""
+    """Images in a folder."""
     _pictures(capture, folder)
     return folder
 
 
 def video(capture: Capture, folder: Path) -> Path:
-    """Pictures as the frames of a video without loss."""
+    """Images as the frames of a lossless video."""
     import av
 
     path = folder / "walk.mov"
@@ -79,7 +79,7 @@ def video(capture: Capture, folder: Path) -> Path:
 
 
 def idr_cameras(capture: Capture, folder: Path) -> Path:
-    """Projections of any scale in cameras.npz, with masks."""
+    """Projection matrices of arbitrary scale in cameras.npz, with masks."""
     _pictures(capture, folder / "image")
     for view in capture.views:
         mask = view.pixels().mask
@@ -95,7 +95,7 @@ def idr_cameras(capture: Capture, folder: Path) -> Path:
 
 
 def llff(capture: Capture, folder: Path) -> Path:
-    """poses_bounds.npy: columns down, right, backwards, place, (height, width, focal)."""
+    """poses_bounds.npy: columns down, right, backwards, position, (height, width, focal)."""
     _pictures(capture, folder / "images")
     rows = []
     for camera in capture.cameras:
@@ -108,7 +108,7 @@ def llff(capture: Capture, folder: Path) -> Path:
 
 
 def middlebury(capture: Capture, folder: Path) -> Path:
-    """One line of a name, K, R and t for each picture."""
+    """One line of name, K, R and t for each image."""
     _pictures(capture, folder)
     lines = [str(len(capture.views))]
     for view, camera in zip(capture.views, capture.cameras, strict=True):
@@ -120,7 +120,7 @@ def middlebury(capture: Capture, folder: Path) -> Path:
 
 
 def blended_mvs(capture: Capture, folder: Path) -> Path:
-    """A text file of extrinsic and intrinsic for each picture; pixel centres at whole numbers."""
+    """A text file of extrinsic and intrinsic for each image; integer pixel centres."""
     _pictures(capture, folder / "blended_images")
     (folder / "cams").mkdir()
     for view, camera in zip(capture.views, capture.cameras, strict=True):

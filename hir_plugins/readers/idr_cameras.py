@@ -24,13 +24,13 @@ _FOLDERS: Final = ("image", "images", "rgb")
 
 @final
 class IdrCamerasReader(CaptureReader):
-    """Projections are `world_mat`; `scale_mat` carries a unit ball around the object to the files' world."""
+    """Projection matrices `world_mat`; `scale_mat` maps the unit sphere to a sphere around the object."""
 
     def __init__(self, config: NoOptions) -> None:
         del config
 
     def matches(self, path: Path) -> bool:
-        """A folder with one of the usual files of cameras."""
+        """A folder with one of the usual camera files."""
         return path.is_dir() and _file(path) is not None
 
     def splits(self, path: Path) -> list[str]:
@@ -38,23 +38,23 @@ class IdrCamerasReader(CaptureReader):
         return ["train"]
 
     def read(self, path: Path, split: str = "train") -> Capture:
-        """Photographs in the order of their names, cameras by number; the world is turned up-right."""
+        """Photographs in the order of their names, cameras by number; the world is rotated upright."""
         source = _file(path)
         if source is None or split != "train":
-            raise CaptureError(f"{path} has no split {split!r}; cameras.npz captures have only 'train'")
+            raise CaptureError(f"{path} has no split {split!r}; read 'train', the only split of cameras.npz")
         arrays = load_arrays(source)
         numbers = sorted(int(m[1]) for name in arrays if (m := re.fullmatch(r"world_mat_(\d+)", name)))
         photos = photos_in_first_folder(path, _FOLDERS)
         if not numbers or len(photos) != len(numbers):
             raise CaptureError(
-                f"{source} has {len(numbers)} cameras (world_mat_<i>), {path} {len(photos)} images; give one each"
+                f"{source} has {len(numbers)} cameras (world_mat_<i>) and {path} {len(photos)} images; give one each"
             )
         views, poses = [], []
         for number, photo, name in zip(numbers, photos, unique_names(photos, path), strict=True):
             owner = f"{source}, world_mat_{number}"
             matrix = arrays[f"world_mat_{number}"]
             if matrix.shape not in ((4, 4), (3, 4)):
-                raise CaptureError(f"{owner} has the shape {matrix.shape}; 4×4 is needed")
+                raise CaptureError(f"{owner} has the shape {matrix.shape}; write a 4×4 matrix")
             k, pose = decompose_projection(matrix[:3], owner)
             views.append(
                 make_view(
@@ -67,7 +67,7 @@ class IdrCamerasReader(CaptureReader):
         scale = arrays.get(f"scale_mat_{numbers[0]}")
         if scale is None or scale.shape != (4, 4) or not similarity_scale(scale) > 1e-12:
             return capture
-        # the ball around the object becomes the unit ball around the origin
+        # the sphere around the object becomes the unit sphere at the origin
         center = capture.world_from_source @ [*scale[:3, 3], 1.0]
         move = np.diag([1 / similarity_scale(scale)] * 3 + [1.0])
         move[:3, 3] = -center[:3] / similarity_scale(scale)

@@ -23,7 +23,7 @@ _FOLDERS: Final = ("images", "image", "images_4", "images_8", "images_2")
 
 @final
 class LlffReader(CaptureReader):
-    """Rows of 17 numbers: a 3×5 matrix (axes down, right, backwards; place; height, width, focal) and depth bounds."""
+    """Rows of 17 numbers: 3×5 (axes down, right, backwards; position; height, width, focal) and two depth bounds."""
 
     def __init__(self, config: NoOptions) -> None:
         del config
@@ -37,22 +37,22 @@ class LlffReader(CaptureReader):
         return ["train"]
 
     def read(self, path: Path, split: str = "train") -> Capture:
-        """Images by name, one row each; the world is turned up-right."""
+        """Images by name, one row each; the world is rotated upright."""
         if split != "train":
-            raise CaptureError(f"{path} has no split {split!r}; an LLFF capture has only 'train'")
+            raise CaptureError(f"{path} has no split {split!r}; read 'train', the only split of an LLFF capture")
         source = path / "poses_bounds.npy"
         table = load_arrays(source).get("array")
         if table is None or table.ndim != 2 or table.shape[1] != 17 or not len(table):
-            raise CaptureError(f"{source} does not hold rows of 17 numbers")
+            raise CaptureError(f"{source} has no rows of 17 numbers; write one row per image")
         photos = photos_in_first_folder(path, _FOLDERS)
         if len(photos) != len(table):
-            raise CaptureError(f"{source} has {len(table)} cameras, {path} {len(photos)} images; give one each")
+            raise CaptureError(f"{source} has {len(table)} cameras and {path} {len(photos)} images; give one each")
         views, poses = [], []
         for i, (row, photo, name) in enumerate(zip(table, photos, unique_names(photos, path), strict=True)):
             owner = f"{source}, row {i}"
             matrix = row[:15].reshape(3, 5)
             height, width, focal = matrix[:, 4]
-            # columns are down, right, backwards: to right, up, backwards
+            # from columns down, right, backwards to columns right, up, backwards
             axes = np.stack([matrix[:, 1], -matrix[:, 0], matrix[:, 2], matrix[:, 3]], axis=1)
             pose = rigid_inverse(rigid_transform(axes, owner) @ OPENCV_FROM_OPENGL)
             lens = LensCamera(focal, focal, width / 2, height / 2, width, height)

@@ -20,7 +20,7 @@ from hir_plugins.readers.parsing.upright import upright_rotation
 
 @final
 class MiddleburyReader(CaptureReader):
-    """The first line is the number of images; each other one a name and 21 numbers: K and R by rows, t. P = K [R t]."""
+    """The first line is the number of images; every other line is a name and 21 numbers: K and R by rows, then t."""
 
     def __init__(self, config: NoOptions) -> None:
         del config
@@ -34,16 +34,16 @@ class MiddleburyReader(CaptureReader):
         return ["train"]
 
     def read(self, path: Path, split: str = "train") -> Capture:
-        """Images in the order of the file; OpenCV axes, the world turned up-right."""
+        """Images in the order of the file; OpenCV axes, P = K [R t]; the world is rotated upright."""
         source = next(iter(sorted(path.glob("*_par.txt"))), None)
         if source is None or split != "train":
-            raise CaptureError(f"{path} has no split {split!r}; a Middlebury capture has only 'train'")
+            raise CaptureError(f"{path} has no split {split!r}; read 'train', the only split of a Middlebury capture")
         if source.stat().st_size > MAX_TEXT_BYTES:
             raise CaptureError(f"{source} is larger than {MAX_TEXT_BYTES >> 20} MB")
         text = source.read_text(encoding="utf-8", errors="replace")
         rows = [line.split() for line in text.splitlines() if line.strip()][1:]
         if not rows or any(len(row) != 22 for row in rows):
-            raise CaptureError(f"{source} needs a line of a name and 21 numbers for each image")
+            raise CaptureError(f"{source} needs one line with a name and 21 numbers for each image")
         photos = [find_photo(path, row[0], source) for row in rows]
         views, poses = [], []
         for row, photo, name in zip(rows, photos, unique_names(photos, path), strict=True):
@@ -51,9 +51,9 @@ class MiddleburyReader(CaptureReader):
             try:
                 numbers = np.array(row[1:], dtype=np.float64)
             except ValueError:
-                raise CaptureError(f"{owner}: the line holds something that is not a number") from None
-            k, rotation, place = numbers[:9].reshape(3, 3), numbers[9:18].reshape(3, 3), numbers[18:]
-            pose = rigid_transform(np.concatenate([rotation, place[:, None]], axis=1), owner)
+                raise CaptureError(f"{owner}: the line contains a value that is not a number") from None
+            k, rotation, translation = numbers[:9].reshape(3, 3), numbers[9:18].reshape(3, 3), numbers[18:]
+            pose = rigid_transform(np.concatenate([rotation, translation[:, None]], axis=1), owner)
             lens = LensCamera(k[0, 0], k[1, 1], k[0, 2], k[1, 2])
             views.append(make_view(name, photo, lens, pose, owner, find_mask(photo, path)))
             poses.append(pose)

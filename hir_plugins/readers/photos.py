@@ -1,4 +1,4 @@
-"""A plain folder of photographs: no cameras, perhaps masks beside them."""
+"""A folder of photographs without cameras, with or without masks."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ _CAMERA_FILES: Final = (
 
 @final
 class PhotosReader(CaptureReader):
-    """Reads the photographs of a folder, turned upright as their EXIF record says; the world is for others to find."""
+    """Reads the photographs of a folder, rotated by their EXIF orientation; an initializer estimates their cameras."""
 
     def __init__(self, config: NoOptions) -> None:
         del config
 
     def matches(self, path: Path) -> bool:
-        """A folder with two photographs and no file of cameras, which other readers know better."""
+        """A folder with two photographs and no camera file of another reader."""
         if not path.is_dir() or any(any(path.glob(pattern)) for pattern in _CAMERA_FILES):
             return False
         return len(_photos(path)) >= 2
@@ -47,27 +47,30 @@ class PhotosReader(CaptureReader):
         return ["train"]
 
     def read(self, path: Path, split: str = "train") -> Capture:
-        """All photographs, by name; those that are not of the usual size are named in a warning."""
+        """All photographs, by name; a warning reports those of an unusual size."""
         if split != "train":
-            raise CaptureError(f"{path} has no split {split!r}; a folder of photographs has only 'train'")
+            raise CaptureError(
+                f"{path} has no split {split!r}; read 'train', the only split of a folder of photographs"
+            )
         photos = _photos(path)
         if len(photos) < 2:
-            raise CaptureError(f"{path} holds {len(photos)} photographs; a reconstruction needs two, better 30")
+            raise CaptureError(f"{path} has {len(photos)} photographs; add more, at least 2 and better 30")
         sizes = {photo: photo_size(photo, orient=True) for photo in photos}
-        # upright and lying pictures of one camera belong together
+        # portrait and landscape photographs of one camera count as one size
         (usual, _), *others = Counter(tuple(sorted(size)) for size in sizes.values()).most_common()
         if others:
             odd = [p.name for p, size in sizes.items() if tuple(sorted(size)) != usual]
             warnings.warn(
                 f"{len(odd)} of {len(photos)} photographs are not {usual[1]}×{usual[0]} as the others are, "
-                f"such as {odd[0]}: they get cameras of their own",
+                f"such as {odd[0]}; they get separate intrinsics",
                 stacklevel=2,
             )
         names = unique_names(photos, path)
         masks = [find_mask(photo, path) for photo in photos]
-        if lost := unmatched_masks(photos, path):
+        if unmatched := unmatched_masks(photos, path):
             warnings.warn(
-                f"{len(lost)} masks belong to no photograph, such as {lost[0]}: masks are named like their photographs",
+                f"{len(unmatched)} masks belong to no photograph, such as {unmatched[0]}; name masks like their "
+                "photographs",
                 stacklevel=2,
             )
         views = tuple(
@@ -78,7 +81,7 @@ class PhotosReader(CaptureReader):
 
 
 def _photos(path: Path) -> list[Path]:
-    """Photographs in the folder itself or the first usual one inside of it; links that lead out are errors."""
+    """Photographs in the folder or its first usual subfolder; links that lead outside raise `CaptureError`."""
     for name in _FOLDERS:
         folder = path / name
         if not folder.is_dir():

@@ -7,21 +7,21 @@ from hir_core.plugins import Component, hookimpl
 TRANSFORMS_JSON = Component(
     name="transforms_json",
     target="hir_plugins.readers.transforms_json:TransformsJsonReader",
-    summary="NeRF-synthetic, nerfstudio and instant-ngp: transforms.json or one transforms_<split>.json a split.",
+    summary="NeRF-synthetic, nerfstudio and instant-ngp: transforms.json, or one transforms_<split>.json per split.",
     testing="hir_plugins.readers.contract_inputs:transforms_json",
 )
 
 COLMAP_MODEL = Component(
     name="colmap_model",
     target="hir_plugins.readers.colmap_model:ColmapModelReader",
-    summary="A COLMAP model, text or binary, with the folder of its images.",
+    summary="A COLMAP model, text or binary, with its folder of images.",
     testing="hir_plugins.readers.contract_inputs:colmap_model",
 )
 
 PHOTOS = Component(
     name="photos",
     target="hir_plugins.readers.photos:PhotosReader",
-    summary="A plain folder of photographs, with masks beside them or without.",
+    summary="A folder of photographs without cameras, with or without masks.",
     testing="hir_plugins.readers.contract_inputs:photos",
 )
 
@@ -56,7 +56,7 @@ BLENDED_MVS = Component(
 VIDEO = Component(
     name="video",
     target="hir_plugins.readers.video:VideoReader",
-    summary="A video walked around the object: its sharpest frames, well spread; needs PyAV.",
+    summary="A video around the object: the sharpest frame of each of 80 equal parts; needs PyAV.",
     testing="hir_plugins.readers.contract_inputs:video",
 )
 

@@ -46,11 +46,11 @@ class TransformsJsonReader(CaptureReader):
         del config
 
     def matches(self, path: Path) -> bool:
-        """A folder with such a file, or the file itself; nothing is opened."""
+        """A folder with such a file, or the file itself; no file is opened."""
         return bool(_files(path))
 
     def splits(self, path: Path) -> list[str]:
-        """The splits' names, train and test first; only a lone transforms.json is opened, for its lists of names."""
+        """Names of the splits, train and test first; only a single transforms.json is opened, for its file lists."""
         files = _files(path)
         found = set(files)
         if list(files) == ["train"]:
@@ -61,12 +61,12 @@ class TransformsJsonReader(CaptureReader):
         return sorted(found, key=lambda split: (order.get(split, 3), split))
 
     def read(self, path: Path, split: str = "train") -> Capture:
-        """Cameras, names and sizes (from the images' headers) of one split; opens no other split's file."""
+        """Cameras, names and image sizes (from the headers) of one split; no other split's file is opened."""
         files = _files(path)
         source = files.get(split) or (files["train"] if list(files) == ["train"] else None)
         if source is None:
             known = ", ".join(sorted(files)) or "none"
-            raise CaptureError(f"{path} has no split {split!r} (transforms_{split}.json); there are: {known}")
+            raise CaptureError(f"{path} has no split {split!r} (transforms_{split}.json); installed: {known}")
         content = read_json(source)
         frames = _frames_of_split(content, split, source, own_file=split in files)
         folder = source.parent
@@ -86,7 +86,7 @@ class TransformsJsonReader(CaptureReader):
 
 
 def _files(path: Path) -> dict[str, Path]:
-    """Split names and their files."""
+    """The file of each split."""
     if path.is_file():
         named = path.name.startswith("transforms") and path.suffix == ".json"
         return {path.stem.partition("transforms_")[2] or "train": path} if named else {}
@@ -103,7 +103,7 @@ def _frames_of_split(
     frames = content.get("frames")
     if not isinstance(frames, list) or not frames or not all(isinstance(f, dict) for f in frames):
         raise CaptureError(
-            f"{source} has no frames; it needs a list 'frames' of objects with 'file_path' and 'transform_matrix'"
+            f"{source} has no frames; write a list 'frames' of objects with 'file_path' and 'transform_matrix'"
         )
     numbered = list(enumerate(frames))
     names = content.get(_SPLIT_LISTS.get(split, ""))
@@ -130,7 +130,7 @@ def _lens(table: dict[str, Any], owner: str, photo: Path) -> LensCamera:
     fisheye = table.get("camera_model") == "OPENCV_FISHEYE" or table.get("is_fisheye") is True
     model = table.get("camera_model", "OPENCV")
     if model not in _MODELS:
-        raise CaptureError(f"{owner}: camera model {model!r} is not known; undistort the images to PINHOLE")
+        raise CaptureError(f"{owner}: the camera model {model!r} is not supported; undistort the images to PINHOLE")
     coefficients = tuple(number_field(table, key, owner, 0.0) or 0.0 for key in (_FISHEYE if fisheye else _RADIAL))
     if fisheye:
         coefficients = coefficients[:4]
@@ -143,7 +143,7 @@ def _lens(table: dict[str, Any], owner: str, photo: Path) -> LensCamera:
     if fx is None:
         angle = number_field(table, "camera_angle_x", owner)
         if angle is None or not 0 < angle < math.pi:
-            raise CaptureError(f"{owner}: neither 'fl_x' nor a 'camera_angle_x' between 0 and π is given")
+            raise CaptureError(f"{owner} has no focal length; write 'fl_x', or a 'camera_angle_x' between 0 and π")
         fx = 0.5 * width / math.tan(0.5 * angle)
     if fy is None:
         angle = number_field(table, "camera_angle_y", owner)
@@ -163,8 +163,8 @@ def _environment(content: dict[str, Any], source: Path) -> EnvironmentSource | N
     strength = number_field(entry, "strength", f"{source}, environment", 1.0)
     assert strength is not None
     if strength < 0:
-        raise CaptureError(f"{source}: the environment's strength {strength:g} is negative")
-    # named, not opened: a fit must not depend on it
+        raise CaptureError(f"{source}: the environment's strength {strength:g} is negative; use a positive number")
+    # the file is not opened: a fit must not depend on it
     return EnvironmentSource(
         path=contained_path(source.parent, entry["file_path"], source),
         strength=strength,

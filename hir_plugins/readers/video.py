@@ -1,4 +1,4 @@
-"""A video walked around the object: its sharpest frames, well spread over time."""
+"""A video around the object: the sharpest frame of each of 80 equal parts."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ from hir_plugins.readers.parsing.photo_file import SATURATED_LEVEL
 VIDEO_SUFFIXES: Final = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm")
 
 FRAMES: Final = 80
-"""Frames that are taken: one from each of as many equal parts of the video."""
+"""Number of equal parts of the video; one frame is taken from each."""
 
 _COMPARISON_SIDE_PIXELS = 480
-"""Longer side at which frames are compared for sharpness."""
+"""Longer side at which the sharpness of frames is measured."""
 
 
 @final
 class VideoReader(CaptureReader):
-    """Takes the sharpest frame of each of 80 equal parts of a video; the world is for others to find."""
+    """Takes the sharpest frame of each of 80 equal parts of a video; an initializer estimates their cameras."""
 
     def __init__(self, config: NoOptions) -> None:
         del config
 
     def matches(self, path: Path) -> bool:
-        """A video file, or a folder that holds one and no photographs."""
+        """A video file, or a folder with one video and no photographs."""
         from hir_plugins.readers.photos import PhotosReader
 
         return _video(path) is not None and (path.is_file() or not PhotosReader(NoOptions()).matches(path))
@@ -45,32 +45,32 @@ class VideoReader(CaptureReader):
         return ["train"]
 
     def read(self, path: Path, split: str = "train") -> Capture:
-        """The frames' times and names; decodes the video once. One that cannot be decoded is a `CaptureError`."""
+        """Views of the selected frames; the video is decoded once. An undecodable video raises `CaptureError`."""
         if split != "train":
-            raise CaptureError(f"{path} has no split {split!r}; a video has only 'train'")
+            raise CaptureError(f"{path} has no split {split!r}; read 'train', the only split of a video")
         video = _video(path)
         if video is None:
-            raise CaptureError(f"{path} holds no single video ({', '.join(VIDEO_SUFFIXES)})")
-        sharp = sharpness(video)
-        if len(sharp) < 3:
-            raise CaptureError(f"{video} has {len(sharp)} frames; walk around the object for half a minute")
-        chosen = sharpest_in_intervals(np.array([value for _, value in sharp]), FRAMES)
-        if len(chosen) < 20:
-            advice = f"{video.name} gives only {len(chosen)} frames; 30 to 80 from all sides are better"
+            raise CaptureError(f"{path} has no video or several ({', '.join(VIDEO_SUFFIXES)}); give one video file")
+        timed = sharpness(video)
+        if len(timed) < 3:
+            raise CaptureError(f"{video} has {len(timed)} frames; record half a minute around the object")
+        selected = sharpest_in_intervals(np.array([value for _, value in timed]), FRAMES)
+        if len(selected) < 20:
+            advice = f"{video.name} gives only {len(selected)} frames; 30 to 80 from all sides are better"
             warnings.warn(advice, stacklevel=2)
         frames = tuple(
-            View(f"{number:05d}", None, VideoFrame(video, sharp[number][0]), path=video) for number in chosen
+            View(f"{number:05d}", None, VideoFrame(video, timed[number][0]), path=video) for number in selected
         )
         return Capture(path=path, views=frames, reader="video")
 
 
 @dataclass(frozen=True)
 class VideoFrame:
-    """Reads one frame when called; picklable, holds no pixels."""
+    """Reads one frame when called; picklable, without pixels in memory."""
 
     path: Path
     time: int
-    """Presentation time in the stream's own unit."""
+    """Presentation time in the video stream's time base."""
 
     def __call__(self) -> Pixels:
         with _open_video(self.path) as container:
@@ -80,14 +80,16 @@ class VideoFrame:
                 for frame in container.decode(stream):
                     if frame.pts is not None and frame.pts >= self.time:
                         return _pixels(_upright(frame, "rgb24"))
-            except Exception as error:  # PyAV's own types, some of which call themselves a lack of permission
-                raise CaptureError(f"{self.path} breaks at {self.time} ({' '.join(str(error).split())})") from None
-        raise CaptureError(f"{self.path} has no frame at {self.time} any more; was it changed?")
+            except Exception as error:  # PyAV's own types; some derive from PermissionError
+                raise CaptureError(
+                    f"{self.path} cannot be decoded at {self.time} ({' '.join(str(error).split())}); export it again"
+                ) from None
+        raise CaptureError(f"{self.path} has no frame at {self.time}: the file has changed; read the capture again")
 
 
 def sharpness(video: Path) -> list[tuple[int, float]]:
-    """Time and sharpness of every frame: the variance of the Laplacian of its brightness, made small."""
-    found = []
+    """Time and sharpness of every frame: the variance of the Laplacian of its reduced brightness."""
+    measured = []
     with _open_video(video) as container:
         stream = container.streams.video[0]
         stream.thread_type = "AUTO"
@@ -99,17 +101,20 @@ def sharpness(video: Path) -> list[tuple[int, float]]:
                 image = frame.to_ndarray(format="gray").astype(np.float32)
                 height, width = image.shape[0] // step * step, image.shape[1] // step * step
                 small = image[:height, :width].reshape(height // step, step, width // step, step).mean(axis=(1, 3))
-                bend = 4 * small[1:-1, 1:-1] - small[:-2, 1:-1] - small[2:, 1:-1] - small[1:-1, :-2] - small[1:-1, 2:]
-                found.append((int(frame.pts), float(bend.var()) if bend.size else 0.0))
-        except Exception as error:  # a truncated file: what came before the break is good
-            if not found:
-                raise CaptureError(f"{video} cannot be decoded ({' '.join(str(error).split())})") from None
-            warnings.warn(f"{video.name} breaks off after {len(found)} frames", stacklevel=2)
-    return found
+                center, rows = small[1:-1, 1:-1], (small[:-2, 1:-1], small[2:, 1:-1])
+                laplacian = 4 * center - rows[0] - rows[1] - small[1:-1, :-2] - small[1:-1, 2:]
+                measured.append((int(frame.pts), float(laplacian.var()) if laplacian.size else 0.0))
+        except Exception as error:  # a truncated file: the frames before the damage are usable
+            if not measured:
+                raise CaptureError(
+                    f"{video} cannot be decoded ({' '.join(str(error).split())}); export it again"
+                ) from None
+            warnings.warn(f"{video.name} cannot be decoded after {len(measured)} frames", stacklevel=2)
+    return measured
 
 
 def sharpest_in_intervals(sharp: NDArray[np.floating], count: int) -> list[int]:
-    """The index of the sharpest of each of `count` equal parts; all where there are no more."""
+    """Indices of the sharpest frame of each of `count` equal parts; all frames if there are at most `count`."""
     if len(sharp) <= count:
         return list(range(len(sharp)))
     edges = np.linspace(0, len(sharp), count + 1).round().astype(int)
@@ -129,7 +134,7 @@ _SELF_CONTAINED = {
     "protocol_whitelist": "file",
     "format_whitelist": "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpegts,mpeg,ogg,flv,asf",
 }
-"""Containers that hold their pictures: a playlist, whatever its ending, would open other files and addresses."""
+"""Container formats with embedded frames: playlists, whatever their suffix, would open other files and addresses."""
 
 
 def _open_video(path: Path) -> Any:
@@ -142,17 +147,19 @@ def _open_video(path: Path) -> Any:
     try:
         container = av.open(str(path), options=_SELF_CONTAINED)
     except Exception as error:  # PyAV raises its own types for each way a file can be broken
-        raise CaptureError(f"{path} cannot be opened as a video ({' '.join(str(error).split())})") from None
+        raise CaptureError(
+            f"{path} cannot be opened as a video ({' '.join(str(error).split())}); export it as .mp4"
+        ) from None
     if not container.streams.video:
         container.close()
-        raise CaptureError(f"{path} holds no picture, only sound")
+        raise CaptureError(f"{path} has no video stream; give a file with video")
     return container
 
 
 def _upright(frame: Any, form: str) -> NDArray[np.uint8]:
-    """The frame as it is meant to be seen: phones write how they were held beside the picture."""
+    """The frame in display orientation: phones store the rotation as metadata."""
     pixels = frame.to_ndarray(format=form)
-    # degrees counter-clockwise by which the picture is to be turned
+    # `rotation` is in degrees counter-clockwise
     return np.ascontiguousarray(np.rot90(pixels, round(getattr(frame, "rotation", 0) / 90) % 4))
 
 

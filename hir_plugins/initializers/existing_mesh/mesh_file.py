@@ -1,4 +1,4 @@
-"""Initializer: a mesh that already exists. "I have a mesh, give me its materials"."""
+"""Initializer: a mesh that already exists, for runs that estimate only its materials."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ _MAX_BYTES = 4 << 30
 
 @final
 class MeshFile(Initializer):
-    """Reads a mesh, brings it into the capture's world, keeps its texture coordinates where it has them."""
+    """Reads a mesh and transforms it to the capture's world; keeps its texture coordinates and vertex colours."""
 
     def __init__(self, config: MeshFileOptions) -> None:
         self._config = config
         self._report: dict[str, Any] = {}
 
     def initialize(self, capture: Capture, scene: Scene | None, workspace: Path) -> tuple[Capture, Scene | None]:
-        """The capture as it is, and the file's mesh. Unreadable, empty or non-finite meshes raise `CaptureError`."""
+        """The unchanged capture, and the file's mesh. Unreadable, empty or non-finite meshes raise `CaptureError`."""
         del scene, workspace
         path = self._path(capture)
         loaded = load_mesh(path)
@@ -45,13 +45,13 @@ class MeshFile(Initializer):
             corners = corners[:, ::-1]
         if self._config.align == "points":
             positions = self._aligned(positions, corners, capture)
-        # the file has one vertex for each pair of position and UV: the surface must not come apart there
+        # the file has one vertex for each pair of position and UV: seams must not open the surface
         first, group = weld(positions.astype(np.float32))
         faces = group[corners]
         proper = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
         faces, corners = np.ascontiguousarray(faces[proper]), np.ascontiguousarray(corners[proper])
         if not len(faces):
-            raise CaptureError(f"{path} has no triangle with an area")
+            raise CaptureError(f"{path} has no triangle with an area; export the mesh again")
         positions = positions[first]
         uvs = _texture_coordinates(loaded)
         colors = _file_colors(loaded)
@@ -72,7 +72,7 @@ class MeshFile(Initializer):
         return [self._path(capture)]
 
     def report(self) -> Mapping[str, Any]:
-        """How far the mesh lies from the points that it was aligned with."""
+        """The mean distance between the mesh and the points that it was aligned with."""
         return self._report
 
     def _aligned(self, positions: Array, faces: NDArray[np.int64], capture: Capture) -> Array:
@@ -87,12 +87,16 @@ class MeshFile(Initializer):
 
     def _path(self, capture: Capture) -> Path:
         if not self._config.path:
-            raise ConfigError("initializer 'mesh_file' needs the mesh: --set initializer.mesh_file.path=FILE")
+            raise ConfigError("initializer 'mesh_file' needs a mesh; add --set initializer.mesh_file.path=FILE")
         folder = capture.path if capture.path.is_dir() else capture.path.parent
         for candidate in (Path(self._config.path).expanduser(), folder / self._config.path):
             if candidate.is_file():
                 return candidate
-        raise ConfigError(f"initializer.mesh_file.path: {self._config.path} is neither here nor in {folder}")
+        raise ConfigError(
+            f"initializer.mesh_file.path: {self._config.path} is neither in the working folder nor in {folder}; give "
+            "the "
+            "path of a mesh file"
+        )
 
     def _world_from_file(self, path: Path, capture: Capture) -> Array:
         transform = np.eye(4)
@@ -110,16 +114,18 @@ class MeshFile(Initializer):
                 or np.abs(square - np.eye(3) * scale**2).max() > 1e-4 * scale**2
                 or np.abs(transform[3] - [0, 0, 0, 1]).max() > 1e-9
             ):
-                raise ConfigError("initializer.mesh_file.transform is not a similarity (turn, one scale, shift)")
+                raise ConfigError(
+                    "initializer.mesh_file.transform is not a similarity (rotation, one scale, translation)"
+                )
         axes = self._config.axes
         if axes == "auto":
-            # glTF says that it is y up, which Blender and others convert to when they write it
+            # glTF is +Y up by its specification, and Blender and others convert to it on export
             axes = "world" if path.suffix.lower() in (".glb", ".gltf") else "source"
         return transform if axes == "world" else capture.world_from_source @ transform
 
 
 def load_mesh(path: Path) -> Any:
-    """The file's triangles as one `trimesh.Trimesh`, vertices as stored; several objects are joined."""
+    """The file's triangles as one `trimesh.Trimesh`, with the stored vertices; several objects are joined."""
     import trimesh
 
     if path.stat().st_size > _MAX_BYTES:
@@ -130,26 +136,26 @@ def load_mesh(path: Path) -> Any:
     except Exception as error:  # trimesh's loaders raise many types on broken files
         raise CaptureError(f"{path} cannot be read as a mesh ({' '.join(str(error).split())[:200]})") from None
     if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
-        raise CaptureError(f"{path} holds no triangles")
+        raise CaptureError(f"{path} contains no triangles; give a mesh with faces")
     if not np.isfinite(mesh.vertices).all():
-        raise CaptureError(f"{path} has vertices that are NaN or infinite")
+        raise CaptureError(f"{path} has vertices that are NaN or infinite; export the mesh again")
     faces = np.asarray(mesh.faces)
     if faces.min() < 0 or faces.max() >= len(mesh.vertices):
-        raise CaptureError(f"{path} has triangles of vertices that it does not have")
+        raise CaptureError(f"{path} has triangles whose vertices do not exist; export the mesh again")
     return mesh
 
 
 def _texture_coordinates(mesh: Any) -> NDArray[np.float32] | None:
-    """Origin top-left; None where the file has none that are finite, one for each vertex."""
+    """UV per vertex (V, 2), origin top left; None if the file has none, or not one finite UV per vertex."""
     uv = getattr(mesh.visual, "uv", None)
     if uv is None or len(uv) != len(mesh.vertices) or not np.isfinite(uv).all():
         return None
-    # trimesh keeps the origin at the bottom left for all formats
+    # trimesh has the origin at the bottom left for all formats
     return flip_v(np.asarray(uv, dtype=np.float32)).astype(np.float32)
 
 
 def _file_colors(mesh: Any) -> NDArray[np.float32] | None:
-    """Linear colours that the file stores with its vertices."""
+    """Linear vertex colours (V, 3) of the file; None if it has none."""
     if getattr(mesh.visual, "kind", None) != "vertex":
         return None
     colors = np.asarray(mesh.visual.vertex_colors)

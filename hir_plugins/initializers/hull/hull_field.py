@@ -13,18 +13,14 @@ from torch import Tensor
 from hir_core.capture import Array
 from hir_plugins.initializers.surface.silhouette_fields import SilhouetteField, focus_and_radius
 
-_CHUNK_POINTS = 1 << 17
-
-
+CHUNK_POINTS = 1 << 17
 _UNSEEN_DISTANCE = -1e6
-
-
 _VIEW_BATCH = 8
-"""Views that are sampled before places far outside are let go."""
+"""Number of views that are sampled before points far outside are removed from the batch."""
 
 
 class HullField:
-    """Evaluates the hull's field; works in a frame of the object's size, so that any scale of the world will do."""
+    """The hull's field, in a unit frame around the object: results do not depend on the scale of the world."""
 
     def __init__(self, fields: Sequence[SilhouetteField], tolerated: int, min_views: int) -> None:
         self.fields = list(fields)
@@ -36,9 +32,9 @@ class HullField:
         self.min_views = min_views or self._enough_views()
 
     def _enough_views(self) -> int:
-        """Half of the photographs that show the best seen place of the hull.
+        """Half of the largest number of photographs that show any point of the hull.
 
-        Behind the object, where few cameras look, cones of neighbours overlap and no mask says otherwise.
+        Behind the object, in few photographs, the cones of neighbouring masks overlap and no other mask carves there.
         """
         self.min_views = 2
         axis = torch.linspace(-1.0, 1.0, 32)
@@ -50,17 +46,17 @@ class HullField:
         return max(2, (int(shown.max()) + 1) // 2)
 
     def without(self, bad: NDArray[np.bool_]) -> HullField:
-        """The same frame with some views left out."""
-        left = HullField.__new__(HullField)
-        left.__dict__.update(self.__dict__)
-        left.fields = [f for f, b in zip(self.fields, bad, strict=True) if not b]
-        left._views = [v for v, b in zip(self._views, bad, strict=True) if not b]
-        left.min_views = min(self.min_views, len(left.fields))
-        return left
+        """A field in the same frame without the views marked in `bad` (V,)."""
+        reduced = HullField.__new__(HullField)
+        reduced.__dict__.update(self.__dict__)
+        reduced.fields = [f for f, b in zip(self.fields, bad, strict=True) if not b]
+        reduced._views = [v for v, b in zip(self._views, bad, strict=True) if not b]
+        reduced.min_views = min(self.min_views, len(reduced.fields))
+        return reduced
 
     @property
     def pixel(self) -> float:
-        """Side of a pixel at the focus, median over the views, in units of the radius."""
+        """Size of a pixel at the focus, median over the views, in units of the radius."""
         sizes = []
         for field in self.fields:
             depth = float(np.linalg.norm(field.camera.center - self.center))
@@ -68,11 +64,11 @@ class HullField:
         return float(np.median(sizes)) / self.radius
 
     def per_view(self, points: Tensor) -> Tensor:
-        """Each view's signed distance (V, N) at unit-frame points (N, 3); +inf where the view does not show it."""
+        """Each view's signed distance (V, N) at unit-frame points (N, 3); +inf outside the view's image."""
         return torch.stack([_sample(view, points) for view in self._views])
 
     def unexplained(self, view: int, points: Tensor, spacing: float) -> float:
-        """Share of a view's mask that no ball of radius `spacing` around unit-frame points (N, 3) covers."""
+        """Share of a view's mask that no sphere of radius `spacing` around unit-frame points (N, 3) covers."""
         from scipy.spatial import cKDTree
 
         local = points @ self._views[view].projection[:, :3].T + self._views[view].projection[:, 3]
@@ -86,19 +82,19 @@ class HullField:
         return float((nearest > reach).mean())
 
     def field(self, points: Tensor, cut: float = np.inf) -> Tensor:
-        """The hull's field (N,) at unit-frame points (N, 3); exact above -cut, below it only surely negative."""
-        return torch.cat([self._field(chunk, cut) for chunk in points.split(_CHUNK_POINTS)])
+        """The hull's field (N,) at unit-frame points (N, 3); exact above -cut, an upper bound of it below."""
+        return torch.cat([self._field(chunk, cut) for chunk in points.split(CHUNK_POINTS)])
 
     def _field(self, points: Tensor, cut: float) -> Tensor:
         keep = self.tolerated + 1
-        # as many views at a time as are kept: one by one, thirty that are kept would make it quadratic in the views
-        together = max(_VIEW_BATCH, keep)
+        # the cost of merging grows with `keep`: a batch of at least as many views keeps it linear in the views
+        batch = max(_VIEW_BATCH, keep)
         result = points.new_full((len(points),), _UNSEEN_DISTANCE)
         index = torch.arange(len(points))
         lowest = points.new_full((len(points), keep), torch.inf)
         seen = torch.zeros(len(points), dtype=torch.int64)
-        for start in range(0, len(self._views), together):
-            values = torch.stack([_sample(view, points) for view in self._views[start : start + together]], dim=1)
+        for start in range(0, len(self._views), batch):
+            values = torch.stack([_sample(view, points) for view in self._views[start : start + batch]], dim=1)
             seen += torch.isfinite(values).sum(dim=1)
             lowest = _lowest(torch.cat([lowest, values], dim=1), keep)
             if np.isfinite(cut):

@@ -14,72 +14,73 @@ from hir_plugins.initializers.hull.hull_field import HullField
 from hir_plugins.initializers.hull.object_box import BOX_RESOLUTION, object_box
 
 _MIN_VIEWS_FOR_LONE_TEST = 20
-"""Photographs among which one that stands alone is wrong, and not the only one that looks into a gap."""
-
-
+"""Number of photographs from which a gap is visible in several of them, so that a lone mask is wrong."""
 _MAX_LONE_CUT_SHARE = 0.02
-"""Share of the object's volume that no right mask cuts away alone."""
+"""Largest share of the object's volume that a correct mask carves alone."""
 
 
-def without_inconsistent_masks(carver: HullField, low: Array, high: Array) -> tuple[HullField, Array, Array]:
-    """Drops views, at most a tenth, whose mask does not fit what nearly all others keep."""
-    count = len(carver.fields)
+def without_inconsistent_masks(field: HullField, low: Array, high: Array) -> tuple[HullField, Array, Array]:
+    """The field without views whose masks contradict nearly all others, at most a tenth of them, and its box.
+
+    A warning names the views. If more masks contradict each other, all of them are used and a warning reports it.
+    """
+    count = len(field.fields)
     allowed = count // 10
     if count < 8 or allowed == 0:
-        return carver, low, high
-    bad = _contradicting_masks(carver, allowed) | _lone_cutting_masks(carver)
+        return field, low, high
+    bad = _contradicting_masks(field, allowed) | _lone_cutting_masks(field)
     if not bad.any():
-        return carver, low, high
-    names = [f.name for f, b in zip(carver.fields, bad, strict=True) if b]
+        return field, low, high
+    names = [f.name for f, b in zip(field.fields, bad, strict=True) if b]
     if bad.sum() > allowed:
         warnings.warn(
             f"{len(names)} of {count} masks contradict most of the others, such as {names[0]}: "
-            "cameras and masks do not agree well",
+            "cameras and masks do not agree well; hir check shows which",
             stacklevel=4,
         )
-        return carver, low, high
+        return field, low, high
     warnings.warn(
         f"the masks of {', '.join(names)} contradict nearly all others; they are left out of the hull", stacklevel=4
     )
-    better = carver.without(bad)
-    low, high, _ = object_box(better)
-    return better, low, high
+    reduced = field.without(bad)
+    low, high, _ = object_box(reduced)
+    return reduced, low, high
 
 
-def _contradicting_masks(carver: HullField, tolerated: int) -> NDArray[np.bool_]:
-    """Views whose mask cuts away a third of what the others keep, or shows besides what they do not."""
-    kept, spacing = _tolerant_hull_points(carver, tolerated)
-    if len(kept) < 20:
-        return np.zeros(len(carver.fields), dtype=bool)
-    cut = (carver.per_view(kept) < -spacing / 2).float().mean(dim=1).numpy()
-    # a right mask may be the only one that looks into a gap: a wrong one cuts very much, or shows what is not there
+def _contradicting_masks(field: HullField, tolerated: int) -> NDArray[np.bool_]:
+    """Views whose mask carves a third of the hull of the others, or a tenth and has content outside that hull."""
+    points, spacing = _tolerant_hull_points(field, tolerated)
+    if len(points) < 20:
+        return np.zeros(len(field.fields), dtype=bool)
+    cut = (field.per_view(points) < -spacing / 2).float().mean(dim=1).numpy()
+    # a correct mask may be the only one that shows a gap; a wrong one carves far more, or covers pixels beside the hull
     return np.array(
         [
-            share > 1 / 3 or (share > 0.1 and carver.unexplained(view, kept, spacing) > 0.1)
+            share > 1 / 3 or (share > 0.1 and field.unexplained(view, points, spacing) > 0.1)
             for view, share in enumerate(cut)
         ]
     )
 
 
-def _lone_cutting_masks(carver: HullField) -> NDArray[np.bool_]:
-    """Views whose mask alone cuts away a piece: beside them hardly any mask cuts what all but a twentieth keep.
+def _lone_cutting_masks(field: HullField) -> NDArray[np.bool_]:
+    """Views whose mask alone carves a part of the hull that tolerates a twentieth of the masks.
 
-    Only among many photographs, where a gap that one of them looks into is seen by its neighbours too.
+    Tested only among many photographs, where a real gap is visible in several neighbouring ones.
     """
-    count = len(carver.fields)
+    count = len(field.fields)
     if count < _MIN_VIEWS_FOR_LONE_TEST:
         return np.zeros(count, dtype=bool)
-    kept, spacing = _tolerant_hull_points(carver, count // _MIN_VIEWS_FOR_LONE_TEST)
-    if len(kept) < 20:
+    points, spacing = _tolerant_hull_points(field, count // _MIN_VIEWS_FOR_LONE_TEST)
+    if len(points) < 20:
         return np.zeros(count, dtype=bool)
-    cut = (carver.per_view(kept) < -spacing / 2).float().mean(dim=1).numpy()
+    cut = (field.per_view(points) < -spacing / 2).float().mean(dim=1).numpy()
     return np.asarray((cut > _MAX_LONE_CUT_SHARE) & (cut > 10 * np.quantile(cut, 0.9)))
 
 
-def _tolerant_hull_points(carver: HullField, tolerated: int) -> tuple[Tensor, float]:
-    """Points (N, 3) of the hull that forgives some masks, and the largest side of their cells; unit frame."""
-    tolerant = carver.without(np.zeros(len(carver.fields), dtype=bool))
-    tolerant.tolerated = max(carver.tolerated, tolerated)
+def _tolerant_hull_points(field: HullField, tolerated: int) -> tuple[Tensor, float]:
+    """Points (N, 3) of the hull that tolerates some masks, and the largest side of their cells; unit frame."""
+    tolerant = field.without(np.zeros(len(field.fields), dtype=bool))
+    tolerant.tolerated = max(field.tolerated, tolerated)
     low, high, _ = object_box(tolerant)
     cell = (high - low) / BOX_RESOLUTION
     points = torch.cartesian_prod(

@@ -13,24 +13,23 @@ from hir_core.errors import CaptureError
 from hir_plugins.initializers.hull.hull_field import HullField
 
 FIELD_SLOPE = 1.3
-"""How much faster than distance the field may change: rays at the edge of a wide picture, and depth."""
-
-
+"""Largest slope of the field: above 1 for rays at the edge of a wide image, and along the depth."""
 BOX_RESOLUTION = 40
-
-
 _MAX_GROWTH = 5
 
 
-def object_box(carver: HullField) -> tuple[Array, Array, Tensor]:
-    """Corners of a box around what is inside the hull, in the unit frame; grown until nothing touches its sides."""
+def object_box(field: HullField) -> tuple[Array, Array, Tensor]:
+    """Corners (3,) of a box around the hull in the unit frame, and the field's last samples.
+
+    The box grows until the hull touches none of its sides. A hull without any point raises `CaptureError`.
+    """
     low, high = -1.2 * np.ones(3), 1.2 * np.ones(3)
     for growth in range(_MAX_GROWTH + 1):
         cell = (high - low) / BOX_RESOLUTION
         axes = [torch.from_numpy(low[i] + (np.arange(BOX_RESOLUTION) + 0.5) * cell[i]).float() for i in range(3)]
         points = torch.cartesian_prod(*axes)
-        values = carver.field(points)
-        # a thin object may fall between the samples: whatever comes within half a cell's diagonal may be inside
+        values = field.field(points)
+        # a thin object may fall between the samples: points within half a cell's diagonal may be inside
         near = (values > -float(np.linalg.norm(cell)) / 2 * FIELD_SLOPE).reshape(*[BOX_RESOLUTION] * 3)
         if not near.any():
             raise empty_hull_error()
@@ -39,7 +38,7 @@ def object_box(carver: HullField) -> tuple[Array, Array, Tensor]:
         for axis in range(3):
             used = near.any(dim=(axis + 1) % 3, keepdim=True).any(dim=(axis + 2) % 3, keepdim=True).flatten().nonzero()
             first, last = int(used.min()), int(used.max())
-            # zooming in and growing in one: a side that is touched moves out, the others close in
+            # a side that the hull touches moves outwards, the others move inwards
             for touched, side in ((first == 0, "low"), (last == BOX_RESOLUTION - 1, "high")):
                 if touched and growth < _MAX_GROWTH:
                     grown = True
@@ -58,8 +57,8 @@ def object_box(carver: HullField) -> tuple[Array, Array, Tensor]:
             return low, high, values
     if grown:
         warnings.warn(
-            "the masks leave the object's extent open on some side; the hull is cut there. Add photographs "
-            "from other sides",
+            "the masks do not bound the object on some side, so the hull is cut there; add photographs from other "
+            "sides",
             stacklevel=3,
         )
     return low, high, values
@@ -67,6 +66,6 @@ def object_box(carver: HullField) -> tuple[Array, Array, Tensor]:
 
 def empty_hull_error() -> CaptureError:
     return CaptureError(
-        "no place lies inside all masks: cameras and masks do not agree. Check that masks are white on the object, and "
-        "the cameras' axes; initializer.visual_hull.tolerated_views forgives a few bad ones"
+        "no point lies inside all masks, so cameras and masks do not agree; check that masks are white on the object, "
+        "check the cameras' axes, or raise initializer.visual_hull.tolerated_views for a few wrong masks"
     )

@@ -9,8 +9,8 @@ from hir_core.capture import Capture
 from hir_core.errors import CaptureError
 from hir_core.plugins.interfaces import Initializer
 from hir_core.scene import Scene
-from hir_plugins.initializers.hull.carving import sample_hull
 from hir_plugins.initializers.hull.hull_field import HullField
+from hir_plugins.initializers.hull.hull_sampling import sample_hull
 from hir_plugins.initializers.options import VisualHullOptions
 from hir_plugins.initializers.surface.initial_scene import make_scene
 from hir_plugins.initializers.surface.isosurface import extract_surface, keep_large_components
@@ -21,13 +21,13 @@ from hir_plugins.initializers.surface.volume import Volume
 
 @final
 class VisualHull(Initializer):
-    """The largest object that fits all masks: closed, outward, of any place and size."""
+    """The largest object that fits all masks: a closed mesh with outward faces, at any position and scale."""
 
     def __init__(self, config: VisualHullOptions) -> None:
         self._config = config
 
     def initialize(self, capture: Capture, scene: Scene | None, workspace: Path) -> tuple[Capture, Scene | None]:
-        """The capture as it is, and the hull. Fewer than two masks with cameras raise `CaptureError`."""
+        """The unchanged capture, and the hull. Fewer than two masks with cameras raise `CaptureError`."""
         del scene, workspace
         volume = hull_volume(capture, self._config)
         positions, faces = keep_large_components(*extract_surface(volume), self._config.min_component)
@@ -37,13 +37,13 @@ class VisualHull(Initializer):
 
 
 def hull_volume(capture: Capture, options: VisualHullOptions) -> Volume:
-    """The hull of a capture's masks as a sampled field."""
+    """The hull of a capture's masks, sampled on a grid."""
     fields = silhouette_fields([v for v in capture.views if v.camera is not None], working_downsample(capture))
     if len(fields) < 2:
         raise CaptureError(
             f"{capture.path}: a visual hull needs masks and cameras of at least two photographs, there are "
-            f"{len(fields)}; give images with alpha or a masks folder, "
-            "or name a mask source, such as: --set 'masks=[\"grabcut\"]'"
+            f"{len(fields)}; add an alpha channel or a folder of masks, or name a mask source, such as: "
+            "--set 'masks=[\"grabcut\"]'"
         )
-    carver = HullField(fields, options.tolerated_views, options.min_views)
-    return sample_hull(carver, options.pixels_per_voxel, options.max_resolution, options.drop_bad_views)
+    field = HullField(fields, options.tolerated_views, options.min_views)
+    return sample_hull(field, options.pixels_per_voxel, options.max_resolution, options.drop_bad_views)

@@ -1,4 +1,4 @@
-"""Initializer: a surface through the capture's oriented points by screened Poisson reconstruction."""
+"""Initializer: a surface through the capture's oriented points, by screened Poisson reconstruction."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from hir_plugins.initializers.surface.mesh_cleaning import clean_mesh, edge_leng
 
 @final
 class Poisson(Initializer):
-    """Screened Poisson (Kazhdan & Hoppe 2013); where points are scarce its surface is cut off."""
+    """Screened Poisson reconstruction (Kazhdan & Hoppe 2013), trimmed where the point density is low."""
 
     def __init__(self, config: PoissonOptions) -> None:
         self._config = config
 
     def initialize(self, capture: Capture, scene: Scene | None, workspace: Path) -> tuple[Capture, Scene | None]:
-        """The capture as it is, and the surface. Fewer than 100 oriented points are a `CaptureError`."""
+        """The unchanged capture, and the surface. Fewer than 100 oriented points raise `CaptureError`."""
         del scene, workspace
         points = capture.points
         if points is None or points.normals is None or len(points.positions) < 100:
@@ -42,17 +42,17 @@ class Poisson(Initializer):
 
 
 def poisson_surface(points: OrientedPoints, options: PoissonOptions) -> tuple[Array, NDArray[np.int64]]:
-    """Vertices and outward triangles through oriented points, in any scale of the world."""
+    """Vertices (V, 3) and outward triangles (F, 3) through oriented points, at any scale of the world."""
     assert points.normals is not None
     center = points.positions.mean(axis=0)
     size = float(np.ptp(points.positions, axis=0).max()) or 1.0
-    # an octree cell for each point or so on a surface: cells ~ 4^depth
+    # about one octree cell per point: a surface has about 4^depth cells
     depth = options.depth or int(np.clip(np.round(np.log(len(points.positions)) / np.log(4)), 6, 9))
-    given = {"positions": (points.positions - center) / size, "normals": points.normals, "depth": depth}
-    try:  # open3d keeps Python's lock meanwhile: in a process of its own Ctrl-C and progress get through
-        found = run_in_subprocess(
-            "hir_plugins.initializers.poisson.screened_poisson:surface", given | {"trim": options.trim}
+    arguments = {"positions": (points.positions - center) / size, "normals": points.normals, "depth": depth}
+    try:  # open3d does not release Python's lock: in a subprocess, Ctrl-C and progress still work
+        mesh = run_in_subprocess(
+            "hir_plugins.initializers.poisson.screened_poisson:surface", arguments | {"trim": options.trim}
         )
     except SubprocessCrashError as error:
         raise StageError(f"poisson ended without a surface ({error}); leave it out of 'initializers'") from error
-    return keep_large_components(found["positions"] * size + center, found["faces"], options.min_component)
+    return keep_large_components(mesh["positions"] * size + center, mesh["faces"], options.min_component)

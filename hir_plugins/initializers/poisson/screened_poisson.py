@@ -1,4 +1,4 @@
-"""Screened Poisson reconstruction by open3d; numpy in, numpy out, nothing else imported: it runs in a child process."""
+"""Screened Poisson reconstruction by open3d, for a subprocess: arrays in, arrays out, no other imports."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ from hir_exporters.files.subprocess_call import Arrays
 
 
 def surface(positions: Any, normals: Any, depth: Any, trim: Any) -> Arrays:
-    """Vertices and triangles through points (N, 3) in a unit box; the share `trim` of scarcest points is cut off."""
+    """Vertices and triangles through points (N, 3) in a unit box.
+
+    The share `trim` of the vertices with the lowest point density is removed.
+    """
     import open3d
 
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(positions))

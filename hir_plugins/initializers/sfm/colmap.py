@@ -1,4 +1,4 @@
-"""Initializer: cameras and points from photographs alone."""
+"""Initializer: cameras and sparse points from photographs, by structure from motion."""
 
 from __future__ import annotations
 
@@ -28,65 +28,67 @@ from hir_plugins.readers.parsing.colmap_lenses import lens_camera
 from hir_plugins.readers.parsing.upright import upright_rotation
 
 _MIN_CONTRAST = 2.0 / 255
+"""Range of linear values below which a photograph has one colour."""
 
 
 @final
 class Colmap(Initializer):
-    """Solves cameras with COLMAP, or the points that known cameras see.
+    """Estimates cameras with COLMAP, or triangulates points with known cameras.
 
-    A solved world is turned up-right, centred on the object and brought to its size in metres.
+    The estimated world is rotated upright, centred on the object and scaled to metres.
     """
 
     def __init__(self, config: ColmapOptions) -> None:
-        # COLMAP's threads meet in any order, and its random numbers are each thread's own
+        # COLMAP is deterministic only with one thread: each thread has its own random numbers
         self._config = replace(config, threads=threads(config.threads))
         self._report: dict[str, Any] = {}
 
     def initialize(self, capture: Capture, scene: Scene | None, workspace: Path) -> tuple[Capture, Scene | None]:
-        """The capture with cameras where they were found, and sparse points.
+        """The capture with estimated cameras and sparse points.
 
-        Views that could not be placed keep `camera` None and are named in a warning. A capture whose views all have
-        cameras keeps them, unless the options ask for new ones. Fewer than three photographs that fit together raise
-        `CaptureError`.
+        Unregistered views keep `camera` None and are named in a warning. If all views have cameras, these are kept
+        unless the options request new ones. Fewer than three registered photographs raise `CaptureError`.
         """
         _check_photographs(capture)
         posed = all(view.camera is not None for view in capture.views)
         if posed and self._config.known_cameras == "triangulate":
             return self._with_points(capture, workspace), scene
-        given = capture
+        original = capture
         capture = replace(capture, views=tuple(replace(v, camera=None, distortion=()) for v in capture.views))
         images, masked = write_images(capture.views, workspace, self._config.max_image_size, known=False)
         model = largest_reconstruction(images, masked and self._config.use_masks, workspace, self._config)
         if model is None or model.num_reg_images() < 3:
             raise CaptureError(
-                f"{capture.path}: COLMAP could not place the photographs. Take more of them, with much "
-                "overlap, from places a few degrees apart, sharp, and with texture in sight"
+                f"{capture.path}: COLMAP could not register the photographs; take more of them, sharp, with texture, "
+                "and with large overlap: a few degrees between neighbours"
             )
         solved = solved_capture(capture, images, model)
-        lost = [view.name for view in solved.views if view.camera is None]
-        if lost:
+        unregistered = [view.name for view in solved.views if view.camera is None]
+        if unregistered:
             warnings.warn(
-                f"{len(lost)} of {len(solved.views)} photographs could not be placed: {', '.join(lost[:10])}",
+                f"{len(unregistered)} of {len(solved.views)} photographs could not be registered: "
+                f"{', '.join(unregistered[:10])}",
                 stacklevel=2,
             )
         if posed:
-            solved = replace(solved, world_from_source=_solved_from_source(solved, given))
-        turn, radius = _object_frame(solved)
-        scale = self._scale(solved) or MetricScale(self._config.size / (2 * radius), f"size {self._config.size:g} m")
+            solved = replace(solved, world_from_source=_solved_from_source(solved, original))
+        object_from_solved, radius = _object_frame(solved)
+        size = self._config.object_size
+        scale = self._scale(solved) or MetricScale(size / (2 * radius), f"object_size {size:g} m")
         self._report = {
-            "cameras": f"{len(solved.views) - len(lost)} of {len(solved.views)} solved",
+            "cameras": f"{len(solved.views) - len(unregistered)} of {len(solved.views)} solved",
             "scale_from": scale.source,
         }
-        move = np.diag([scale.metres, scale.metres, scale.metres, 1.0]) @ turn
-        return solved.transformed(move), scene
+        metres = scale.metres_per_unit
+        return solved.transformed(np.diag([metres, metres, metres, 1.0]) @ object_from_solved), scene
 
     def files(self, capture: Capture) -> list[Path]:
-        """The scale bar's marks, where the options name them."""
+        """The file of the scale bar's marks, if the options name one."""
         path = Path(self._config.scale_bar)
         return [path if path.is_absolute() else capture.path / path] if self._config.scale_bar else []
 
     def report(self) -> Mapping[str, Any]:
-        """What was solved, and what told the size."""
+        """How many cameras were estimated, and the source of the scale."""
         return self._report
 
     def _scale(self, solved: Capture) -> MetricScale | None:
@@ -100,28 +102,32 @@ class Colmap(Initializer):
         cloud = sparse_points(model)
         if cloud is None:
             warnings.warn(
-                "no feature of the photographs fits the capture's cameras, so that there are no points; "
-                "hir check shows whether cameras and masks agree",
+                "no feature match agrees with the capture's cameras, so there are no points; hir check shows whether "
+                "cameras and masks agree",
                 stacklevel=2,
             )
         count = 0 if cloud is None else len(cloud.positions)
-        self._report = {"cameras": "kept as given", "points": count}
+        self._report = {"cameras": "of the capture", "points": count}
         return replace(capture, points=cloud)
 
 
 def solved_capture(capture: Capture, images: Sequence[SfmImage], model: Any) -> Capture:
     """The capture with a reconstruction's cameras, lenses and points, in the reconstruction's world."""
-    by_file = {image.name: image for image in model.images.values() if image.has_pose}
+    registered = {image.name: image for image in model.images.values() if image.has_pose}
     views = []
     for image in images:
         view = capture.views[image.view]
-        placed = by_file.get(image.file)
-        views.append(view if placed is None else _solved_view(view, image, placed, model.cameras[placed.camera_id]))
+        registered_image = registered.get(image.file)
+        views.append(
+            view
+            if registered_image is None
+            else _solved_view(view, image, registered_image, model.cameras[registered_image.camera_id])
+        )
     return replace(capture, views=tuple(views), points=sparse_points(model))
 
 
 def sparse_points(model: Any) -> OrientedPoints | None:
-    """The points of a reconstruction that three pictures see within two pixels."""
+    """The points of a reconstruction with observations in three images and a mean error below two pixels."""
     points = [(p.xyz, p.color) for p in model.points3D.values() if p.track.length() >= 3 and p.error < 2]
     if not points:
         return None
@@ -129,9 +135,9 @@ def sparse_points(model: Any) -> OrientedPoints | None:
     return OrientedPoints(positions=np.array([xyz for xyz, _ in points]), colors=colors)
 
 
-def _solved_view(view: View, image: SfmImage, placed: Any, solved: Any) -> View:
+def _solved_view(view: View, image: SfmImage, registered_image: Any, solved: Any) -> View:
     pose = np.eye(4)
-    pose[:3] = placed.cam_from_world().matrix()
+    pose[:3] = registered_image.cam_from_world().matrix()
     lens = lens_camera(solved.model.name, list(solved.params), solved.width, solved.height, view.name)
     pixels = view.read().color_linear.shape
     f = image.factor
@@ -140,7 +146,7 @@ def _solved_view(view: View, image: SfmImage, placed: Any, solved: Any) -> View:
     distortion = lens.coefficients if any(lens.coefficients) else ()
     mask = view.mask
     if mask is not None and distortion:
-        # the mask was drawn on the picture as taken; from here on pictures are straight
+        # the mask belongs to the photograph as taken; from here on photographs are undistorted
         mask = resample(mask, camera_lens(camera, distortion))
     return replace(view, camera=camera, distortion=distortion, mask=mask)
 
@@ -148,8 +154,8 @@ def _solved_view(view: View, image: SfmImage, placed: Any, solved: Any) -> View:
 def _check_photographs(capture: Capture) -> None:
     if len(capture.views) < 3:
         raise CaptureError(
-            f"{capture.path} has {len(capture.views)} photographs; finding cameras needs at least "
-            "three, better 30 from all sides"
+            f"{capture.path} has {len(capture.views)} photographs; structure from motion needs at least three, better "
+            "30 from all sides"
         )
     flat = []
     for view in capture.views:
@@ -158,39 +164,42 @@ def _check_photographs(capture: Capture) -> None:
             flat.append(view.name)
     if len(flat) > len(capture.views) - 3:
         raise CaptureError(
-            f"{capture.path}: {len(flat)} of {len(capture.views)} photographs are of one colour, such "
-            f"as {flat[0]}; there is nothing to match"
+            f"{capture.path}: {len(flat)} of {len(capture.views)} photographs have only one colour, such as {flat[0]}; "
+            "remove them or take photographs with texture"
         )
 
 
 def _object_frame(capture: Capture) -> tuple[Array, float]:
-    """4×4 motion after which up is up and the object lies at the origin, and the object's radius."""
+    """4×4 rigid transform to an upright world with the object at the origin, and the object's radius."""
     poses = [view.camera.world_to_camera for view in capture.views if view.camera is not None]
-    turn = upright_rotation(poses)
+    rotation = upright_rotation(poses)
     center, radius = object_bounding_sphere(capture)
-    move = np.eye(4)
-    move[:3, 3] = -(turn[:3, :3] @ center)
-    return move @ turn, radius
+    translation = np.eye(4)
+    translation[:3, 3] = -(rotation[:3, :3] @ center)
+    return translation @ rotation, radius
 
 
-def _solved_from_source(solved: Capture, given: Capture) -> Array:
-    """4×4 from the files' world to the solved one, by the cameras' places: held-out views and a true mesh still fit."""
+def _solved_from_source(solved: Capture, original: Capture) -> Array:
+    """4×4 similarity from the files' world to the estimated one, from the camera centres.
+
+    With it, held-out views and a true mesh of the capture stay comparable with the result.
+    """
     pairs = [
         (a.camera.center, b.camera.center)
-        for a, b in zip(given.views, solved.views, strict=True)
+        for a, b in zip(original.views, solved.views, strict=True)
         if a.camera is not None and b.camera is not None
     ]
-    old, new = (np.array(places) for places in zip(*pairs, strict=True))
+    old, new = (np.array(centers) for centers in zip(*pairs, strict=True))
     options = pycolmap.RANSACOptions()
     options.max_error, options.random_seed = 0.05 * float(np.ptp(new, axis=0).max()), 0
     fit: Any = pycolmap.estimate_sim3d_robust(old, new, options)
     if fit is None:
         warnings.warn(
-            "the cameras that were solved do not resemble those that the capture has; held-out views "
-            "cannot be compared with this run",
+            "the estimated cameras do not match the capture's own cameras; held-out views cannot be compared with "
+            "this run",
             stacklevel=3,
         )
         return np.eye(4)
     similarity = np.eye(4)
     similarity[:3] = fit["tgt_from_src"].matrix()
-    return similarity @ given.world_from_source
+    return similarity @ original.world_from_source

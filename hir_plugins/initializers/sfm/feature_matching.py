@@ -1,4 +1,4 @@
-"""Features of pictures and their matches, in COLMAP's database (Lowe 2004; Schönberger et al. 2016 for the tree)."""
+"""Features of images and their matches, in COLMAP's database (Lowe 2004; Schönberger et al. 2016 for the tree)."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from hir_plugins.initializers.options import ColmapOptions
 from hir_plugins.initializers.sfm.sfm_images import SfmImage, camera_groups
 
 _MAX_EXHAUSTIVE_IMAGES = 150
-"""Above this many pictures, pairs are found by a vocabulary tree instead of trying all."""
+"""Above this number of images, a vocabulary tree proposes the pairs."""
 
 _EMBEDDING_DIMENSIONS = 64
-"""Numbers that the tree keeps of a descriptor's 128: what COLMAP's own vocabularies use."""
+"""Dimensions of a descriptor in the vocabulary tree, of 128: the value of COLMAP's own vocabularies."""
 
 
 @dataclass(frozen=True)
 class Attempt:
-    """How hard one attempt tries."""
+    """Parameters of one attempt."""
 
     features: int
     peak_threshold: float
@@ -36,7 +36,7 @@ class Attempt:
 def extract_features(
     images: Sequence[SfmImage], folder: Path, database: Path, attempt: Attempt, options: ColmapOptions
 ) -> None:
-    """Fills the database with each picture's features; pictures of one camera share it."""
+    """Writes each image's features to the database; images of one camera share its intrinsics."""
     extraction = pycolmap.FeatureExtractionOptions()
     extraction.use_gpu = False
     extraction.num_threads = options.threads
@@ -66,7 +66,7 @@ def extract_features(
 
 
 def _stored_camera(database: Path, files: set[str]) -> int | None:
-    """The camera that an interrupted run gave to this group."""
+    """The camera identifier that an interrupted run stored for this group of images."""
     if not database.is_file():
         return None
     opened = pycolmap.Database.open(str(database))
@@ -86,15 +86,15 @@ def _initial_parameters(group: Sequence[SfmImage], options: ColmapOptions) -> st
 
 
 def match_features(database: Path, folder: Path, count: int, options: ColmapOptions) -> None:
-    """Compares features of pairs of pictures and keeps what one geometry explains."""
+    """Matches features of image pairs and verifies them geometrically."""
     matching = pycolmap.FeatureMatchingOptions()
     matching.use_gpu = False
     matching.num_threads = options.threads
-    chosen = options.matching
-    if chosen == "auto":
-        chosen = "exhaustive" if count <= _MAX_EXHAUSTIVE_IMAGES else "vocabulary"
+    method = options.matching
+    if method == "auto":
+        method = "exhaustive" if count <= _MAX_EXHAUSTIVE_IMAGES else "vocabulary"
     verification = pycolmap.TwoViewGeometryOptions()
-    # drawn anew for each pair: what a pair gives depends neither on the pairs before it, which a resumed run skips, nor
+    # the generator is seeded for each pair: a result depends neither on earlier pairs, which a resumed run skips, nor
     # on the thread
     verification.ransac.random_seed = options.seed
     common: dict[str, Any] = {
@@ -102,11 +102,11 @@ def match_features(database: Path, folder: Path, count: int, options: ColmapOpti
         "verification_options": verification,
         "device": pycolmap.Device.cpu,
     }
-    if chosen == "exhaustive":
+    if method == "exhaustive":
         run: Callable[[Any], Any] = lambda token: pycolmap.match_exhaustive(  # noqa: E731
             str(database), cancellation_token=token, **common
         )
-    elif chosen == "sequential":
+    elif method == "sequential":
         run = lambda token: pycolmap.match_sequential(str(database), cancellation_token=token, **common)  # noqa: E731
     else:
         pairing = pycolmap.VocabTreePairingOptions()
@@ -119,7 +119,7 @@ def match_features(database: Path, folder: Path, count: int, options: ColmapOpti
 
 
 def _vocabulary(database: Path, folder: Path, options: ColmapOptions) -> Path:
-    """A vocabulary tree trained on the capture's own descriptors: nothing is downloaded."""
+    """A vocabulary tree, trained on the capture's own descriptors: nothing is downloaded."""
     path = folder / "vocabulary.bin"
     if path.is_file():
         return path
@@ -145,7 +145,7 @@ def _vocabulary(database: Path, folder: Path, options: ColmapOptions) -> Path:
 
 
 def run_cancellable(call: Callable[[Any], Any]) -> Any:
-    """Runs COLMAP in a thread, so that Ctrl-C reaches it and its database stays whole."""
+    """Runs COLMAP in a thread, so that Ctrl-C cancels it and its database stays valid."""
     token = pycolmap.CancellationToken()
     outcome: list[Any] = []
     failure: list[BaseException] = []
@@ -153,7 +153,7 @@ def run_cancellable(call: Callable[[Any], Any]) -> Any:
     def work() -> None:
         try:
             outcome.append(call(token))
-        except BaseException as error:  # handed to the caller's thread below
+        except BaseException as error:  # raised again in the caller's thread below
             failure.append(error)
 
     thread = Thread(target=work, daemon=True)

@@ -1,4 +1,4 @@
-"""Metres in a world that photographs alone made: from a scale bar, or from where GPS saw the camera."""
+"""The metric scale of a structure-from-motion result: from a scale bar, or from GPS positions of the cameras."""
 
 from __future__ import annotations
 
@@ -16,19 +16,18 @@ from hir_core.errors import CaptureError
 
 _MIN_POSITIONS = 5
 _MAX_RELATIVE_ERROR = 0.05
-"""Standard error of a scale from GPS, relative, up to which it is believed."""
+"""Largest relative standard error of a scale from GPS that is used."""
 _OUTLIER_METRES = 15.0
-"""Metres: GPS places further than this from the best fit are errors of the receiver."""
+"""GPS positions farther than this from the best fit are treated as receiver errors."""
 
 
 @dataclass(frozen=True)
 class MetricScale:
-    """How large the world is."""
+    """Scale of the world."""
 
-    metres: float
-    """Metres in a unit of the world."""
+    metres_per_unit: float
     source: str
-    """What told it."""
+    """Where the scale comes from, for the report."""
 
 
 @dataclass(frozen=True)
@@ -41,65 +40,66 @@ class ScaleBarMark:
 
 
 def read_marks(path: Path) -> list[ScaleBarMark]:
-    """Marks of a scale bar; a line that is none raises `CaptureError` with its number."""
+    """Marks of a scale bar; an invalid line raises `CaptureError` with its number."""
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise CaptureError(
-            f"{path} cannot be read: {error}; initializer.colmap.scale_bar names a text file with "
-            "lines like `IMG_0012 a 811.5 402`"
+            f"{path} cannot be read: {error}; set initializer.colmap.scale_bar to a text file with lines like "
+            "`IMG_0012 a 811.5 402`"
         ) from error
     marks = []
     for number, line in enumerate(text.splitlines(), start=1):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
-        # names of photographs may hold spaces
-        words = line.rsplit(maxsplit=3)
+        # names of photographs may contain spaces
         try:
-            name, end, x, y = words
+            name, end, x, y = line.rsplit(maxsplit=3)
             pixel = float(x), float(y)
         except ValueError:
             end = ""
         if end not in ("a", "b") or not np.isfinite(pixel).all():
             raise CaptureError(
-                f"{path}, line {number}: {line.strip()[:60]!r} is not `photograph end x y`, with an end "
-                "a or b and pixels"
+                f"{path}, line {number}: {line.strip()[:60]!r} is not `photograph end x y`; end is a or b, x and y are "
+                "pixels"
             )
         marks.append(ScaleBarMark(Path(name).stem if Path(name).suffix else name, end, pixel))
     return marks
 
 
 def scale_of_bar(marks: Sequence[ScaleBarMark], length: float, views: Sequence[View]) -> MetricScale:
-    """From the distance of the two ends in the world. Marks that do not meet in space raise `CaptureError`."""
+    """The scale from the distance of the triangulated ends. Ends that cannot be triangulated raise `CaptureError`."""
     if length <= 0:
-        raise CaptureError("initializer.colmap.scale_bar_length is missing: the distance of the bar's ends in metres")
+        raise CaptureError(
+            "initializer.colmap.scale_bar_length is missing; set it to the distance of the bar's ends in metres"
+        )
     cameras = {Path(view.name).stem: view for view in views if view.camera is not None}
     ends = []
     for end in ("a", "b"):
         rays = [_ray(cameras[mark.view], mark.pixel) for mark in marks if mark.end == end and mark.view in cameras]
         if len(rays) < 2:
             raise CaptureError(
-                f"the scale bar's end {end} is marked in {len(rays)} photographs with a camera; mark it "
-                "in two or more, from different sides"
+                f"the scale bar's end {end} is marked in {len(rays)} photographs with a camera; mark it in two or more "
+                "from different sides"
             )
         ends.append(_closest_point(rays, end))
     distance = float(np.linalg.norm(ends[0] - ends[1]))
     if distance <= 0:
-        raise CaptureError("both ends of the scale bar are marked in the same place")
+        raise CaptureError("both ends of the scale bar are marked at the same point; mark its two ends")
     return MetricScale(length / distance, f"scale bar of {length:g} m")
 
 
 def scale_of_gps(views: Sequence[View]) -> MetricScale | None:
-    """From the places that photographs record, where they tell the scale to 5 %; None where they do not."""
-    found = [
-        (view.camera.center, place)
+    """The scale from the photographs' GPS positions; None if there are too few or its error is above 5 %."""
+    pairs = [
+        (view.camera.center, position)
         for view in views
-        if view.camera is not None and view.path is not None and (place := gps_position(view.path)) is not None
+        if view.camera is not None and view.path is not None and (position := gps_position(view.path)) is not None
     ]
-    if len(found) < _MIN_POSITIONS:
+    if len(pairs) < _MIN_POSITIONS:
         return None
-    centers = np.array([center for center, _ in found])
-    globe = np.array([place for _, place in found])
+    centers = np.array([center for center, _ in pairs])
+    globe = np.array([position for _, position in pairs])
     metres = pycolmap.GPSTransform().ellipsoid_to_enu(globe, *np.median(globe, axis=0))
     options = pycolmap.RANSACOptions()
     options.max_error = _OUTLIER_METRES
@@ -108,29 +108,29 @@ def scale_of_gps(views: Sequence[View]) -> MetricScale | None:
     if fit is None:
         return None
     similarity = fit["tgt_from_src"].matrix()
-    moved = centers @ similarity[:, :3].T + similarity[:, 3]
-    apart = np.linalg.norm(moved - metres, axis=1)
-    kept = apart < _OUTLIER_METRES
-    if kept.sum() < _MIN_POSITIONS:
+    fitted = centers @ similarity[:, :3].T + similarity[:, 3]
+    residual = np.linalg.norm(fitted - metres, axis=1)
+    inlier = residual < _OUTLIER_METRES
+    if inlier.sum() < _MIN_POSITIONS:
         return None
-    spread = np.sqrt(((moved[kept] - moved[kept].mean(axis=0)) ** 2).sum())
-    # a scale is a regression of places upon places: its error is theirs over the root of the summed squares
-    error = float(np.sqrt((apart[kept] ** 2).sum() / (3 * kept.sum() - 7)) / max(spread, 1e-12))
+    extent = np.sqrt(((fitted[inlier] - fitted[inlier].mean(axis=0)) ** 2).sum())
+    # the scale is a regression coefficient: its error is the residuals' over the root of the summed squared positions
+    error = float(np.sqrt((residual[inlier] ** 2).sum() / (3 * inlier.sum() - 7)) / max(extent, 1e-12))
     if not error <= _MAX_RELATIVE_ERROR:
         return None
-    return MetricScale(float(np.linalg.norm(similarity[:, 0])), f"GPS of {int(kept.sum())} photographs, to {error:.1%}")
+    metres_per_unit = float(np.linalg.norm(similarity[:, 0]))
+    return MetricScale(metres_per_unit, f"GPS of {int(inlier.sum())} photographs, to {error:.1%}")
 
 
 def _ray(view: View, pixel: tuple[float, float]) -> tuple[Array, Array]:
     camera = view.camera
     assert camera is not None
-    straight = np.array([_undistorted(pixel, camera, view.distortion)])
-    origin, direction = camera.rays(straight)
+    origin, direction = camera.rays(np.array([_undistorted(pixel, camera, view.distortion)]))
     return np.asarray(origin).reshape(-1, 3)[0], np.asarray(direction).reshape(-1, 3)[0]
 
 
 def _undistorted(pixel: tuple[float, float], camera: Camera, distortion: Sequence[float]) -> Array:
-    """Pixel of the straight picture; marks are made in the picture as taken."""
+    """Pixel of the undistorted photograph; marks are made in the photograph as taken."""
     import cv2
 
     if not any(distortion):
@@ -143,11 +143,12 @@ def _undistorted(pixel: tuple[float, float], camera: Camera, distortion: Sequenc
 
 
 def _closest_point(rays: Sequence[tuple[Array, Array]], end: str) -> Array:
-    """The place nearest to all rays."""
+    """The point nearest to all rays (least squares)."""
     across = [np.eye(3) - np.outer(d, d) / (d @ d) for _, d in rays]
     normal = np.sum(across, axis=0)
     if np.linalg.eigvalsh(normal)[0] < 1e-4 * len(rays):
         raise CaptureError(
-            f"the photographs that mark the scale bar's end {end} look from the same side; mark it in others too"
+            f"the photographs that mark the scale bar's end {end} are from the same side; mark it also from another "
+            "side"
         )
     return np.asarray(np.linalg.solve(normal, np.sum([a @ o for a, (o, _) in zip(across, rays, strict=True)], axis=0)))

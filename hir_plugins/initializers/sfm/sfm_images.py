@@ -1,4 +1,4 @@
-"""The pictures that structure from motion works on: what our readers give, as 8-bit files that COLMAP can read."""
+"""The images of structure from motion: photographs of any format, written as 8-bit files that COLMAP can read."""
 
 from __future__ import annotations
 
@@ -15,43 +15,44 @@ from hir_core.capture import Camera, Pixels, View
 from hir_core.capture.exif import CameraRecord, camera_record
 
 _MASK_MARGIN_SHARE = 0.01
-"""Features may lie this share of the picture's side outside of the mask: outlines are features too."""
+"""Features may lie outside the mask by this share of the image's longer side: outlines are features too."""
 _DEFAULT_FOCAL_OVER_SIDE = 1.2
+"""Focal length over the image's longer side where EXIF does not give it."""
 
 
 @dataclass(frozen=True)
 class SfmImage:
-    """One picture in the working folder."""
+    """One image in the working folder."""
 
     view: int
     """Index of its view."""
     file: str
-    """Path in the folder of images."""
+    """Path relative to the folder of images."""
     width: int
     height: int
     factor: int
-    """How many times smaller it is than the photograph."""
+    """Factor by which the photograph was reduced."""
     record: CameraRecord
     parameters: tuple[float, ...] = ()
-    """fx, fy, cx, cy in pixels of this picture, where its camera is known and the picture is straight."""
+    """fx, fy, cx, cy in pixels of this image if its camera is known; the image is then undistorted."""
 
     @property
     def focal(self) -> float:
-        """Focal length in pixels of this picture, from its record, or 1.2 longer sides."""
+        """Focal length in pixels of this image, from EXIF, else 1.2 times the longer side."""
         return (self.record.focal_over_width or _DEFAULT_FOCAL_OVER_SIDE) * max(self.width, self.height)
 
 
 def write_images(views: Sequence[View], folder: Path, max_size: int, known: bool) -> tuple[list[SfmImage], bool]:
-    """Writes `folder`/images and, where views have masks, `folder`/masks; files that are there already stay.
+    """Writes `folder`/images and, for views with masks, `folder`/masks; existing files are kept.
 
-    Where cameras are `known` the pictures are straightened. Returns the pictures, and whether all have masks.
+    If cameras are `known`, the images are undistorted. Returns the images, and whether all have masks.
     """
     images: list[SfmImage] = []
     masked = True
     for index, view in enumerate(views):
         file = f"{index:05d}.jpg"
         target, mask_target = folder / "images" / file, folder / "masks" / f"{file}.png"
-        # else the lens is what is to be found: the picture as it was taken
+        # an unknown lens is estimated from the image as taken
         pixels = view.pixels() if known else view.read()
         height, width = pixels.color_linear.shape[:2]
         factor = -(-max(width, height) // max_size)
@@ -68,7 +69,7 @@ def write_images(views: Sequence[View], folder: Path, max_size: int, known: bool
 
 
 def camera_groups(images: Sequence[SfmImage], mode: str) -> list[list[SfmImage]]:
-    """Pictures that one camera took: of one size, model and focal length (`auto`), all of one size, or each alone."""
+    """Images that share intrinsics: those of one size, model and focal length (`auto`), of one size, or none."""
     groups: dict[object, list[SfmImage]] = {}
     for image in images:
         key: object = (image.width, image.height, image.parameters)

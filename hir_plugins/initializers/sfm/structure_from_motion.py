@@ -18,15 +18,15 @@ from hir_plugins.initializers.sfm.sfm_images import SfmImage
 
 
 def attempts(options: ColmapOptions, masked: bool) -> list[Attempt]:
-    """From quick to thorough; photographs with masks are first solved from the object alone."""
+    """Attempts from fast to thorough. Photographs with masks are first solved from features on the object."""
     first = options.max_features
-    tries = [
+    planned = [
         Attempt(first, 0.0066, 30, masked),
         Attempt(2 * first, 0.004, 20, masked),
     ]
     if masked:
-        tries.append(Attempt(2 * first, 0.0066, 30, False))
-    return tries if options.retry else tries[:1]
+        planned.append(Attempt(2 * first, 0.0066, 30, False))
+    return planned if options.retry else planned[:1]
 
 
 def solve_attempt(images: Sequence[SfmImage], folder: Path, attempt: Attempt, options: ColmapOptions) -> list[Any]:
@@ -35,7 +35,7 @@ def solve_attempt(images: Sequence[SfmImage], folder: Path, attempt: Attempt, op
 
 
 def build_database(images: Sequence[SfmImage], folder: Path, attempt: Attempt, options: ColmapOptions) -> Path:
-    """The database in `folder` with features and matches; one that a kill left behind is taken up."""
+    """The database in `folder` with features and matches; the database of an interrupted run is continued."""
     folder.mkdir(parents=True, exist_ok=True)
     database = folder / "database.db"
     settings = {
@@ -87,25 +87,28 @@ def _map(database: Path, folder: Path, attempt: Attempt, options: ColmapOptions)
 
 
 def largest_reconstruction(images: Sequence[SfmImage], masked: bool, workspace: Path, options: ColmapOptions) -> Any:
-    """The largest reconstruction of all attempts; they stop once nearly all pictures are in one."""
+    """The largest reconstruction of all attempts; None if there is none.
+
+    No further attempt is made once `options.min_registered_share` of the images are registered.
+    """
     best: Any = None
     for number, attempt in enumerate(attempts(options, masked)):
         if number and masked and not attempt.masked:
             warnings.warn(
-                "few photographs could be placed by what lies inside of the masks; the background is used "
-                "too, which misleads where the object stands on a turntable",
+                "features inside the masks register few photographs; the background is used too, which gives wrong "
+                "cameras if the object stands on a turntable",
                 stacklevel=3,
             )
         models = solve_attempt(images, workspace / f"attempt-{number + 1}", attempt, options)
         if models and (best is None or models[0].num_reg_images() > best.num_reg_images()):
             best = models[0]
         fragments = [m.num_reg_images() for m in models]
-        if best is not None and best.num_reg_images() >= options.enough * len(images):
+        if best is not None and best.num_reg_images() >= options.min_registered_share * len(images):
             break
         if number + 1 < len(attempts(options, masked)):
             warnings.warn(
-                f"{attempt.features} features a photograph join only {fragments[:5] or 'none'} of "
-                f"{len(images)}; trying more",
+                f"{attempt.features} features per photograph register only {fragments[:5] or 'none'} of "
+                f"{len(images)} photographs in one model; trying more",
                 stacklevel=3,
             )
     return best

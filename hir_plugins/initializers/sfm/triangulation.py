@@ -1,4 +1,4 @@
-"""Points that photographs of known cameras see, by COLMAP's triangulation of matched features."""
+"""Points from photographs with known cameras, by COLMAP's triangulation of matched features."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from hir_plugins.initializers.sfm.structure_from_motion import attempts, build_d
 def triangulate(
     images: Sequence[SfmImage], cameras: Sequence[Camera], masked: bool, workspace: Path, options: ColmapOptions
 ) -> Any:
-    """A reconstruction with the given cameras, one for each picture, and the points that they see."""
+    """A reconstruction with the given cameras, one for each image, and triangulated points."""
     folder = workspace / "triangulation"
     database = build_database(images, folder, attempts(options, masked)[0], options)
     posed = _reconstruction_of_poses({image.file: cameras[image.view] for image in images}, database)
@@ -30,16 +30,16 @@ def triangulate(
     pipeline = pycolmap.IncrementalPipelineOptions()
     pipeline.num_threads = options.threads
     pipeline.random_seed = options.seed
-    pictures = str(workspace / "images")
+    images_folder = str(workspace / "images")
     return run_cancellable(
         lambda token: pycolmap.triangulate_points(
-            posed, str(database), pictures, str(models), options=pipeline, cancellation_token=token
+            posed, str(database), images_folder, str(models), options=pipeline, cancellation_token=token
         )
     )
 
 
 def _reconstruction_of_poses(cameras: dict[str, Camera], database: Path) -> Any:
-    """COLMAP's pictures with the world's poses, under the database's own numbers."""
+    """A reconstruction of the given poses, with the identifiers of the database."""
     posed = pycolmap.Reconstruction()
     opened = pycolmap.Database.open(str(database))
     try:

@@ -1,4 +1,4 @@
-"""What depths carve out of a volume, and whether photographs agree that it was not there."""
+"""Carves depth maps out of a volume, and verifies the carving by photo-consistency."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from hir_plugins.initializers.stereo.surface_sweep import SweptView, correlation
 from hir_plugins.initializers.surface.volume import Volume
 
 _TRUNCATION_VOXELS = 2.0
-"""Voxels at which distances are cut off on both sides: far off depths are votes, and few wrong ones weigh little."""
+"""Truncation of distances on both sides, in voxels: it limits the influence of single wrong depths."""
 
 _MAX_DEPTH_BEHIND_VOXELS = 6.0
-"""Voxels behind a measured surface up to which it says that there is something."""
+"""Distance behind a measured surface, in voxels, up to which the measurement is evidence of the inside."""
 
 _MIN_CORRELATION_GAIN = 0.02
-"""Gain in correlation at which half of a carving is believed."""
+"""Gain in correlation at which half of a carving is kept."""
 
 
 def signed_distance_volume(surface: SweptSurface, positions: Array, spacing: float) -> Volume:
-    """A closed surface as distances, positive inside, exact within two voxels of it and cut off beyond."""
+    """Signed distances of a closed surface, positive inside, exact within two voxels and truncated beyond."""
     low, high = positions.min(axis=0) - 3 * spacing, positions.max(axis=0) + 3 * spacing
     size = np.ceil((high - low) / spacing).astype(int) + 1
     band = np.zeros(size, dtype=bool)
@@ -38,13 +38,13 @@ def signed_distance_volume(surface: SweptSurface, positions: Array, spacing: flo
     values = np.zeros(size, dtype=np.float32)
     index = np.argwhere(band)
     values[band] = surface.signed_distance(low + index * spacing)
-    # what the band separates lies inside or outside as a whole
-    pieces, _ = label(~band)
-    firsts = np.unique(pieces.reshape(-1), return_index=True)
+    # each region that the band separates is inside or outside as a whole
+    regions, _ = label(~band)
+    firsts = np.unique(regions.reshape(-1), return_index=True)
     for number, first in zip(*firsts, strict=True):
         if number:
-            place = low + np.array(np.unravel_index(first, size)) * spacing
-            values[pieces == number] = np.sign(surface.signed_distance(place[None])[0]) * 4 * spacing
+            position = low + np.array(np.unravel_index(first, size)) * spacing
+            values[regions == number] = np.sign(surface.signed_distance(position[None])[0]) * 4 * spacing
     for axis in range(3):
         side = np.moveaxis(values, axis, 0)
         side[[0, -1]] = np.minimum(side[[0, -1]], -spacing)
@@ -52,10 +52,10 @@ def signed_distance_volume(surface: SweptSurface, positions: Array, spacing: flo
 
 
 def carve_depths(volume: Volume, maps: Sequence[DepthMap], min_weight: float) -> Volume:
-    """The volume with what depths carve out of it (Curless & Levoy 1996): nowhere larger than it was.
+    """The volume carved by depth maps (Curless & Levoy 1996); no value increases.
 
-    `volume` is positive inside. Places with less weight of depths, in front of what was measured or a little behind it,
-    keep their value.
+    Voxels keep their value where the total weight of the depths that pass in front of them or end near them is below
+    `min_weight`.
     """
     spacing, size = volume.spacing, volume.values.shape
     device = maps[0].inverse.device if maps else torch.device("cpu")
@@ -65,20 +65,20 @@ def carve_depths(volume: Volume, maps: Sequence[DepthMap], min_weight: float) ->
     total, weight = torch.zeros(len(near), device=device), torch.zeros(len(near), device=device)
     for depth_map in maps:
         projection = depth_map.camera.intrinsics @ depth_map.camera.world_to_camera[:3]
-        turn = torch.from_numpy(projection[:, :3] * spacing).float().to(device)
-        shift = torch.from_numpy(projection[:, :3] @ volume.origin + projection[:, 3]).float().to(device)
-        x, y, z = (index @ turn.T + shift).unbind(1)
+        rotation = torch.from_numpy(projection[:, :3] * spacing).float().to(device)
+        translation = torch.from_numpy(projection[:, :3] @ volume.origin + projection[:, 3]).float().to(device)
+        x, y, z = (index @ rotation.T + translation).unbind(1)
         column, row = (x / z.clamp_min(1e-9)).floor(), (y / z.clamp_min(1e-9)).floor()
         height, width = depth_map.inverse.shape
-        shown = torch.nonzero((z > 0) & (column >= 0) & (row >= 0) & (column < width) & (row < height))[:, 0]
-        at = (row[shown].long(), column[shown].long())
-        inverse, trust = depth_map.inverse[at], depth_map.weight[at]
+        visible = torch.nonzero((z > 0) & (column >= 0) & (row >= 0) & (column < width) & (row < height))[:, 0]
+        at = (row[visible].long(), column[visible].long())
+        inverse, confidence = depth_map.inverse[at], depth_map.weight[at]
         # positive behind the measured surface: inside the object
-        signed = z[shown] - 1 / inverse.clamp_min(1e-12)
+        signed = z[visible] - 1 / inverse.clamp_min(1e-12)
         counted = (inverse > 0) & (signed < _MAX_DEPTH_BEHIND_VOXELS * spacing)
-        shown, signed, trust = shown[counted], signed[counted], trust[counted]
-        total[shown] += signed.clamp(-_TRUNCATION_VOXELS * spacing, _TRUNCATION_VOXELS * spacing) * trust
-        weight[shown] += trust
+        visible, signed, confidence = visible[counted], signed[counted], confidence[counted]
+        total[visible] += signed.clamp(-_TRUNCATION_VOXELS * spacing, _TRUNCATION_VOXELS * spacing) * confidence
+        weight[visible] += confidence
     known = weight >= min_weight
     values = values.clone()
     values[near[known]] = torch.minimum(values[near[known]], total[known] / weight[known])
@@ -87,15 +87,15 @@ def carve_depths(volume: Volume, maps: Sequence[DepthMap], min_weight: float) ->
 
 @dataclass(frozen=True)
 class VerifiedCarving:
-    """Where photographs prefer what was carved."""
+    """The part of a carving that photo-consistency confirms."""
 
     volume: Volume
     removed: float
-    """Share of the volume's inside that was carved away."""
-    kept: float
-    """Share of what was carved that photographs confirm."""
+    """Share of the inside that was carved away."""
+    confirmed: float
+    """Share of the carved part that is confirmed."""
     gain: float
-    """Median gain in correlation over what was carved."""
+    """Median gain in correlation over the carved part."""
 
 
 def verify_carving(
@@ -106,61 +106,61 @@ def verify_carving(
     window: int,
     steps: Sequence[float],
 ) -> VerifiedCarving:
-    """The carving where photographs, compared along its surface, match better than along that of the whole volume.
+    """The carving where the photographs match better along the carved surface than along that of the whole volume.
 
-    `views` show the carved surface (`inverse`) and the whole one (`bound`). What the difference of correlations says at
-    a pixel counts for all places between the two surfaces; the mean is taken over a few voxels around, and where
-    nothing was said, over more. So a highlight, whose mirror image lies behind the surface, is outvoted by photographs
-    that see the same place without it.
+    `views` contain the carved surface (`inverse`) and the whole one (`bound`). The difference of correlations at a
+    pixel is accumulated in all cells between the two surfaces and smoothed over a few voxels, or over more where there
+    is no data. A highlight, which matches at the depth of its mirror image behind the surface, is thus outweighed by
+    photographs that show the same point without it.
     """
     size = tuple(-(-n // 2) for n in whole.values.shape)
     gain, weight = np.zeros(int(np.prod(size))), np.zeros(int(np.prod(size)))
     for i, view in enumerate(views):
         if not neighbours[i]:
             continue
-        apart = view.valid & (view.inverse > 0) & (view.bound - view.inverse > 0.75 * steps[i])
-        if not apart.any():
+        carved_pixels = view.valid & (view.inverse > 0) & (view.bound - view.inverse > 0.75 * steps[i])
+        if not carved_pixels.any():
             continue
         both = correlations(view, [views[j] for j in neighbours[i]], torch.stack([view.bound, view.inverse]), window)
-        trust = texture_confidence(view.image, window)
-        rows, columns = torch.nonzero(apart & (trust > 0.5), as_tuple=True)
+        confidence = texture_confidence(view.image, window)
+        rows, columns = torch.nonzero(carved_pixels & (confidence > 0.5), as_tuple=True)
         difference = (both[1] - both[0])[rows, columns].cpu().numpy()
-        share = trust[rows, columns].cpu().numpy()
+        share = confidence[rows, columns].cpu().numpy()
         for cells in _cells_between_surfaces(view, rows, columns, whole, size):
             gain += np.bincount(cells, difference * share, minlength=len(gain))
             weight += np.bincount(cells, share, minlength=len(gain))
-    believed = _smoothed_gain(gain.reshape(size), weight.reshape(size))
-    fine = zoom(believed, 2, order=1, grid_mode=True, mode="nearest")[tuple(slice(n) for n in whole.values.shape)]
-    # a soft switch, so that its border makes no cliff
+    smoothed = _smoothed_gain(gain.reshape(size), weight.reshape(size))
+    fine = zoom(smoothed, 2, order=1, grid_mode=True, mode="nearest")[tuple(slice(n) for n in whole.values.shape)]
+    # a smooth transition avoids steps in the surface
     switch = np.clip(0.5 + (fine - _MIN_CORRELATION_GAIN) / _MIN_CORRELATION_GAIN, 0, 1).astype(np.float32)
     values = whole.values + switch * (carving.values - whole.values)
-    lost = (whole.values > 0) & (carving.values <= 0)
+    removed = (whole.values > 0) & (carving.values <= 0)
     return VerifiedCarving(
         replace(whole, values=values),
-        removed=float(lost.sum() / max((whole.values > 0).sum(), 1)),
-        kept=float((lost & (values <= 0)).sum() / max(lost.sum(), 1)),
-        gain=float(np.median(fine[lost])) if lost.any() else 0.0,
+        removed=float(removed.sum() / max((whole.values > 0).sum(), 1)),
+        confirmed=float((removed & (values <= 0)).sum() / max(removed.sum(), 1)),
+        gain=float(np.median(fine[removed])) if removed.any() else 0.0,
     )
 
 
 def _cells_between_surfaces(
     view: SweptView, rows: Tensor, columns: Tensor, volume: Volume, size: tuple[int, ...]
 ) -> list[NDArray[np.int64]]:
-    """Cells of two voxels' side, as flat indices, at eight places between the two surfaces of each pixel."""
+    """Cells of two voxels' side, as flat indices, at eight points between the two surfaces of each pixel."""
     pixels = torch.stack([columns, rows], dim=1).cpu().numpy() + 0.5
     origins, directions = view.camera.rays(pixels)
     along = directions @ view.camera.world_to_camera[2, :3]
     front, back = (1 / m[rows, columns].cpu().numpy().astype(np.float64) for m in (view.bound, view.inverse))
-    found = []
+    indices = []
     for share in np.linspace(0, 1, 8):
         points = origins + directions * ((front + share * (back - front)) / along)[:, None]
         cell = np.floor((points - volume.origin) / (2 * volume.spacing) + 0.25).astype(np.int64)
-        found.append(np.ravel_multi_index(tuple(np.clip(cell, 0, np.array(size) - 1).T), size))
-    return found
+        indices.append(np.ravel_multi_index(tuple(np.clip(cell, 0, np.array(size) - 1).T), size))
+    return indices
 
 
 def _smoothed_gain(gain: NDArray[np.float64], weight: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Weighted mean of the gain around each cell; -1 where nothing is said far and wide."""
+    """Weighted mean of the gain around each cell; -1 where there is no data within reach."""
     result = np.full(gain.shape, -1.0)
     for sigma, least in ((6.0, 1e-6), (2.0, 1e-3)):
         sums, weights = gaussian_filter(gain, sigma), gaussian_filter(weight, sigma)

@@ -1,4 +1,4 @@
-"""Depth by COLMAP's PatchMatch (Schönberger et al. 2016), where COLMAP was built with CUDA."""
+"""Depth by COLMAP's PatchMatch (Schönberger et al. 2016); needs a COLMAP built with CUDA."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from hir_plugins.initializers.stereo.depth_consistency import DepthMap
 from hir_plugins.initializers.stereo.stereo_photographs import StereoPhotograph
 
 MAX_NEIGHBOURS = 10
-"""Photographs that each one is compared with at most; COLMAP chooses among them at each pixel."""
+"""Maximum number of photographs that each one is compared with; COLMAP selects among them at each pixel."""
 
 
 def patch_match_available() -> bool:
-    """Whether this COLMAP can: wheels without CUDA cannot."""
+    """Whether this COLMAP was built with CUDA."""
     return bool(pycolmap.has_cuda)
 
 
@@ -31,7 +31,7 @@ def patch_match(
 ) -> list[DepthMap]:
     """Depth of each photograph, checked for geometric consistency; `near` names the neighbours of each.
 
-    `center` and `radius` bound what is searched. COLMAP's workspace is written below `folder`.
+    The sphere of `center` and `radius` bounds the depth range. COLMAP's workspace is written below `folder`.
     """
     workspace = write_workspace(photographs, near, folder / "patch_match")
     options = pycolmap.PatchMatchOptions()
@@ -46,7 +46,7 @@ def patch_match(
 
 
 def write_workspace(photographs: Sequence[StereoPhotograph], near: Sequence[Sequence[int]], workspace: Path) -> Path:
-    """A folder as COLMAP's dense stereo reads it: pictures without distortion, a model, and the neighbours of each."""
+    """A workspace for COLMAP's dense stereo: undistorted images, a model, and the neighbours of each image."""
     from PIL import Image
 
     shutil.rmtree(workspace, ignore_errors=True)
@@ -66,7 +66,7 @@ def write_workspace(photographs: Sequence[StereoPhotograph], near: Sequence[Sequ
 
 
 def read_depth(workspace: Path, index: int, photograph: StereoPhotograph) -> DepthMap:
-    """COLMAP's geometrically consistent depth as ours, nothing outside of the mask; all of it counts alike."""
+    """COLMAP's geometrically consistent depth as a `DepthMap` of weight 1, empty outside the mask."""
     path = workspace / "stereo" / "depth_maps" / f"{_name(index)}.geometric.bin"
     if not path.is_file():
         raise StageError(f"COLMAP's PatchMatch left no {path.name}; see its messages above")

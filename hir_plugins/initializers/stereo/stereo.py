@@ -1,4 +1,4 @@
-"""Initializer: multi-view stereo on CPU or GPU, which carves out of the visual hull what no outline shows."""
+"""Initializer: multi-view stereo on CPU or GPU, which carves concavities into the visual hull."""
 
 from __future__ import annotations
 
@@ -38,35 +38,35 @@ from hir_plugins.initializers.surface.object_bounds import object_bounding_spher
 from hir_plugins.initializers.surface.volume import Volume
 
 _REFINEMENT_STEPS = (12, 6)
-"""Steps inward and outward that the finer levels try: what a level half as fine may have missed."""
+"""Steps inwards and outwards at the finer levels: the error of a level of half the resolution."""
 
 _VERIFICATION_NEIGHBOURS = 4
-"""Neighbours that judge the result and had no part in it, beside those that had."""
+"""Additional neighbours that verify the carving; they were not used for the depths."""
 
 _MIN_COMPONENT = 0.02
-"""Pieces with less than this share of the largest piece's area are dropped."""
+"""Connected components with less than this share of the largest component's area are removed."""
 
 Mesh = tuple[Array, NDArray[np.int64]]
 
 
 @dataclass(frozen=True)
 class StereoMeasurement:
-    """What stereo saw."""
+    """Depth maps of all views, and what was made of them."""
 
     maps: list[DepthMap]
     points: OrientedPoints | None
     mesh: Mesh | None
-    """The surface that was carved; None where there was no volume to carve from."""
-    verdict: VerifiedCarving | None
+    """The carved surface; None without a volume to carve."""
+    carving: VerifiedCarving | None
 
 
 @final
 class Stereo(Initializer):
-    """Depth of every photograph, kept where others confirm it; a surface of hull and depths, or of depths alone."""
+    """Depth of each photograph, confirmed by others; a surface from hull and depths, or from depths alone."""
 
     def __init__(self, config: StereoOptions) -> None:
         if config.window % 2 == 0 or config.window < 3:
-            raise CaptureError(f"initializer.stereo.window is {config.window}; it must be odd, 3 or more")
+            raise CaptureError(f"initializer.stereo.window is {config.window}; use an odd number of at least 3")
         if not 1 <= config.levels <= 6 or config.max_image_size < 32:
             raise CaptureError("initializer.stereo needs 1 to 6 levels and a max_image_size of at least 32")
         if config.method == "patch_match" and not patch_match_available():
@@ -78,12 +78,12 @@ class Stereo(Initializer):
         self._report: dict[str, Any] = {}
 
     def initialize(self, capture: Capture, scene: Scene | None, workspace: Path) -> tuple[Capture, Scene | None]:
-        """The capture with dense oriented points, and a mesh. Captures without cameras are a `CaptureError`."""
+        """The capture with dense oriented points, and a mesh. Captures without cameras raise `CaptureError`."""
         cameras = capture.cameras
         if len(cameras) < 3:
             raise CaptureError(f"{capture.path}: stereo needs at least three photographs, there are {len(cameras)}")
         masked = sum(view.pixels().mask is not None for view in capture.views)
-        # also where the depths alone make the surface: inside of a hull they are measured better than in a ball
+        # also for `tsdf`: depths measured inside a hull are more accurate than those inside a sphere
         carve = self._config.surface == "hull" or (
             self._config.surface in ("auto", "tsdf") and (masked >= 2 or scene is not None)
         )
@@ -95,10 +95,11 @@ class Stereo(Initializer):
         if measured.points is None:
             if scene is None:
                 raise StageError(
-                    "stereo measured no depth that photographs agree on; the object may have too little "
-                    "texture, or the photographs too little overlap"
+                    "stereo found no consistent depth: the object has too little texture, or the photographs too "
+                    "little "
+                    "overlap; leave stereo out of 'initializers'"
                 )
-            self._report["surface"] = "kept: photographs agree on no depth"
+            self._report["surface"] = "unchanged: no consistent depth"
             return capture, scene
         solved = replace(capture, points=measured.points)
         self._report["points"] = len(measured.points.positions)
@@ -108,11 +109,11 @@ class Stereo(Initializer):
         if measured.mesh is None:
             mesh = poisson_surface(measured.points, PoissonOptions())
             return solved, self._finished(*mesh, capture, "poisson")
-        if measured.verdict is not None:
+        if measured.carving is not None:
             self._report |= {
-                "carved_share": round(measured.verdict.removed, 5),
-                "confirmed_share": round(measured.verdict.kept, 4),
-                "correlation_gain": round(measured.verdict.gain, 4),
+                "carved_share": round(measured.carving.removed, 5),
+                "confirmed_share": round(measured.carving.confirmed, 4),
+                "correlation_gain": round(measured.carving.gain, 4),
             }
         spacing = 0.0 if volume is None else volume.spacing
         return solved, self._finished(*measured.mesh, capture, "hull and depths", spacing)
@@ -126,17 +127,17 @@ class Stereo(Initializer):
         return make_scene(positions, faces, capture, self._config.vertex_colors)
 
     def report(self) -> Mapping[str, Any]:
-        """Which method ran where, and what came of it."""
+        """Method and device, the number of points, and the shares of the volume that were carved and confirmed."""
         return self._report
 
 
 def measure_depths(
     capture: Capture, volume: Volume | None, options: StereoOptions, folder: Path | None = None
 ) -> StereoMeasurement:
-    """Depth maps of all views, confirmed by each other, from coarse to fine; each level starts from the last's surface.
+    """Consistent depth maps of all views, from coarse to fine; each level starts from the surface of the previous one.
 
-    Without a volume the sweep starts at the front of a ball around what the photographs are about. With a `folder` to
-    work in, COLMAP's PatchMatch measures instead of the sweep, at the finest level alone.
+    Without a volume, the sweep starts at a sphere around the object. With a `folder` for its workspace, COLMAP's
+    PatchMatch replaces the sweep, at the finest level only.
     """
     device = _device(options)
     front = keep_large_components(*extract_surface(volume), min_share=_MIN_COMPONENT) if volume is not None else None
@@ -152,7 +153,7 @@ def measure_depths(
     ]
     near = choose_neighbours([p.camera for p in photographs], center, options.neighbours)
     bound = SweptSurface(*front)
-    current, verdict, mesh = bound, None, front if volume is not None else None
+    current, carving, mesh = bound, None, front if volume is not None else None
     dense: list[Tensor] = []
     maps: list[DepthMap] = []
     with torch.inference_mode():
@@ -160,7 +161,7 @@ def measure_depths(
             if folder is not None:
                 maps = [m.to(device) for m in patch_match(photographs, near, center, radius, folder)]
             else:
-                views = [p.at(2**level, current, bound, device) for p in photographs]
+                views = [p.at_level(2**level, current, bound, device) for p in photographs]
                 if dense:
                     views = [replace(v, inverse=_enlarged(d, v)) for v, d in zip(views, dense, strict=True)]
                 steps = _steps(views, near, center)
@@ -173,23 +174,23 @@ def measure_depths(
             result = carve_depths(volume, maps, min_weight=1.0)
             mesh = keep_large_components(*extract_surface(result), min_share=_MIN_COMPONENT)
             current = SweptSurface(*mesh)
-            if options.judge:
-                seen = [p.at(2**level, current, bound, device) for p in photographs]
+            if options.verify_carving:
+                seen = [p.at_level(2**level, current, bound, device) for p in photographs]
                 more = choose_neighbours(
                     [p.camera for p in photographs], center, options.neighbours + _VERIFICATION_NEIGHBOURS
                 )
-                verdict = verify_carving(volume, result, seen, more, options.window, _steps(seen, more, center))
-                mesh = keep_large_components(*extract_surface(verdict.volume), min_share=_MIN_COMPONENT)
+                carving = verify_carving(volume, result, seen, more, options.window, _steps(seen, more, center))
+                mesh = keep_large_components(*extract_surface(carving.volume), min_share=_MIN_COMPONENT)
                 current = SweptSurface(*mesh)
-    apart = 1.5 * pixel_size([p.camera for p in photographs], center)
-    points = oriented_points(maps, [p.color_linear for p in photographs], apart)
-    return StereoMeasurement(maps, points, mesh, verdict)
+    point_spacing = 1.5 * pixel_size([p.camera for p in photographs], center)
+    points = oriented_points(maps, [p.color_linear for p in photographs], point_spacing)
+    return StereoMeasurement(maps, points, mesh, carving)
 
 
 def _sweep_view(
     views: list[SweptView], index: int, near: list[int], step: float, solid: SweptSurface | None, options: StereoOptions
 ) -> tuple[Tensor, Tensor]:
-    """Inverse depth and correlation of a view; `solid` is what the first level sweeps through."""
+    """Inverse depth and correlation (H, W) of a view; at the first level the sweep passes through all of `solid`."""
     view = views[index]
     if not near or not view.valid.any():
         return torch.zeros_like(view.image), torch.zeros_like(view.image)
@@ -198,14 +199,14 @@ def _sweep_view(
     if solid is not None:
         thickness = torch.from_numpy(solid.thickness(view.camera, view.bound.cpu().numpy())).to(view.bound.device)
         reach = float(np.quantile(thickness[view.valid].cpu().numpy(), 0.98))
-        # a very thick object, seen from far apart, is swept in longer steps
+        # a very thick object, seen from far point_spacing, is swept in longer steps
         step = max(step, reach / options.steps)
         inward, outward = int(np.clip(np.ceil(reach / step), 4, options.steps)), 2
     return sweep(view, [views[j] for j in near], step, SweepSettings(options.window, inward, outward), thickness)
 
 
 def _steps(views: list[SweptView], near: list[list[int]], center: Array) -> list[float]:
-    """Steps of inverse depth of a pixel; infinite for views without neighbours."""
+    """Step of inverse depth for one pixel of parallax, for each view; infinite without neighbours."""
     return [
         inverse_depth_step(view.camera, [views[j].camera for j in others], center) if others else float("inf")
         for view, others in zip(views, near, strict=True)
@@ -213,7 +214,7 @@ def _steps(views: list[SweptView], near: list[list[int]], center: Array) -> list
 
 
 def _volume(capture: Capture, scene: Scene | None, options: StereoOptions) -> Volume:
-    """The surface that an earlier initializer made, or else the hull of the masks, as distances."""
+    """Signed distances of the surface of an earlier initializer, else of the hull of the masks."""
     if scene is None:
         hull = VisualHullOptions(pixels_per_voxel=options.pixels_per_voxel, max_resolution=options.max_resolution)
         return hull_volume(capture, hull)

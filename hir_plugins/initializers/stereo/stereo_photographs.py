@@ -1,4 +1,4 @@
-"""Photographs as stereo sees them: cut to the object, at several sizes, with what a surface shows in them."""
+"""Photographs for stereo: cropped to the object, at several resolutions, with the depth of surfaces."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from hir_core.mesh.ray_casting import MeshQueries
 from hir_plugins.initializers.stereo.surface_sweep import SweptView
 
 _CROP_MARGIN_PIXELS = 16
-"""Pixels around the object that are kept: windows reach over its outline."""
+"""Pixels around the object that remain after the crop: windows extend beyond its outline."""
 
 
 @dataclass(frozen=True)
 class StereoPhotograph:
-    """The part of a photograph that may show the object; sides are multiples of the largest factor asked for."""
+    """A photograph cropped to the object; its sides are multiples of the largest reduction factor."""
 
     camera: Camera
     brightness: NDArray[np.float32]
-    """H W, sRGB, black beside the object."""
+    """(H, W), sRGB, black outside the object."""
     color_linear: NDArray[np.float32]
-    """H W 3."""
+    """(H, W, 3)."""
     inside: NDArray[np.float32]
-    """H W, coverage of the object."""
+    """(H, W), coverage of the object."""
     clipped: NDArray[np.float32]
-    """H W."""
+    """(H, W), 1 at clipped pixels."""
 
-    def at(self, factor: int, front: SweptSurface, bound: SweptSurface, device: str) -> SweptView:
-        """The photograph made `factor` times smaller, with the depth of both surfaces."""
+    def at_level(self, factor: int, front: SweptSurface, bound: SweptSurface, device: str) -> SweptView:
+        """The photograph reduced by `factor`, with the inverse depths of both surfaces."""
         camera = self.camera.downsampled(factor)
         inside, clipped = _reduced(self.inside, factor), _reduced(self.clipped, factor)
         inverse = front.inverse_depth(camera)
@@ -48,14 +48,14 @@ class StereoPhotograph:
 
 
 def crop_to_object(view: View, shrink: int, multiple: int, center: Array, radius: float) -> StereoPhotograph | None:
-    """A view made `shrink` times smaller and cut to its mask, else to a ball; None where it shows nothing of it."""
+    """A view reduced by `shrink` and cropped to its mask, else to a sphere; None if the object is not in the image."""
     assert view.camera is not None
     pixels = view.pixels(shrink)
     camera = view.camera.downsampled(shrink)
     brightness = linear_to_srgb(np.clip(pixels.color_linear.mean(axis=2), 0, 1)).astype(np.float32)
     inside = _sphere_mask(camera, center, radius) if pixels.mask is None else pixels.mask
     if pixels.mask is not None:
-        # the background moves with a turntable, and is black in renders: it must not be compared
+        # the background must not be matched: it is static behind a turntable, and black in renders
         brightness = brightness * pixels.mask
     rows, columns = np.nonzero((inside > 0.5).any(axis=1))[0], np.nonzero((inside > 0.5).any(axis=0))[0]
     if not len(rows):
@@ -72,7 +72,7 @@ def crop_to_object(view: View, shrink: int, multiple: int, center: Array, radius
 
 
 class SweptSurface:
-    """A mesh that rays are cast at, in a frame of its own size: Embree works in float32."""
+    """A mesh for ray casting, in its unit frame because Embree uses float32."""
 
     def __init__(self, positions: Array, faces: NDArray[np.int64]) -> None:
         self._center = 0.5 * (positions.min(axis=0) + positions.max(axis=0))
@@ -80,16 +80,16 @@ class SweptSurface:
         self._queries = MeshQueries((positions - self._center) / self._size, faces)
 
     def inverse_depth(self, camera: Camera) -> NDArray[np.float32]:
-        """H W, of what the camera sees first; 0 where it sees nothing."""
+        """Inverse depth (H, W) of the first intersection; 0 where there is none."""
         return self._inverse(camera, last=False)
 
     def thickness(self, camera: Camera, front: NDArray[np.float32]) -> NDArray[np.float32]:
-        """H W, in inverse depth: how far behind the front the last of the surface lies."""
+        """Difference in inverse depth (H, W) between the first and the last intersection."""
         back = self._inverse(camera, last=True)
         return np.where((front > 0) & (back > 0), front - back, 0).astype(np.float32)
 
     def signed_distance(self, points: Array) -> NDArray[np.float32]:
-        """(N,), positive inside, in the unit of the world."""
+        """Signed distance (N,), positive inside, in world units."""
         outside = self._queries.signed_distance((points - self._center) / self._size)
         return np.asarray(-outside * self._size, dtype=np.float32)
 
@@ -108,11 +108,11 @@ class SweptSurface:
 
 
 def choose_neighbours(cameras: Sequence[Camera], center: Array, count: int) -> list[list[int]]:
-    """For each camera those whose direction to the object differs by about 10°, the nearest to that first."""
+    """For each camera at most `count` others whose directions to the object differ by about 10°, the best first."""
     toward = np.array([c.center - center for c in cameras])
     toward /= np.linalg.norm(toward, axis=1, keepdims=True)
     angle = np.degrees(np.arccos(np.clip(toward @ toward.T, -1, 1)))
-    # too near measures no depth, too far looks different: a ratio of 2 either way costs the same
+    # a small baseline is inaccurate, a large one changes the appearance: a ratio of 2 either way costs the same
     cost = np.abs(np.log(np.maximum(angle, 0.5) / 10.0))
     cost[angle < 1.5] = np.inf
     cost[angle > 50] = np.inf
@@ -128,7 +128,7 @@ def _sphere_mask(camera: Camera, center: Array, radius: float) -> NDArray[np.flo
 
 
 def _crop_range(first: int, last: int, size: int, multiple: int) -> tuple[int, int]:
-    """`first`…`last` with a margin, its length a multiple; where the picture is too small, what fits of it."""
+    """The range `first`…`last` with a margin, extended to a multiple of `multiple` as far as the image allows."""
     low = max(first - _CROP_MARGIN_PIXELS, 0)
     length = -(-(min(last + _CROP_MARGIN_PIXELS, size) - low) // multiple) * multiple
     if low + length > size:

@@ -1,1 +1,1 @@
-"""A closed, coloured start surface from a sampled field."""
+"""Surfaces from sampled fields: extraction, cleaning, vertex colours."""

@@ -1,4 +1,4 @@
-"""The scene that a run starts from: one coloured mesh."""
+"""The initial scene of a run: one mesh with vertex colours."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hir_plugins.initializers.surface.vertex_colors import vertex_colors
 
 
 def make_scene(positions: Array, faces: NDArray[np.int64], capture: Capture, colored: bool) -> Scene:
-    """A scene of one mesh, coloured from the photographs where asked."""
+    """A scene of one mesh; its vertices are coloured from the photographs if `colored`."""
     colors = vertex_colors(positions, faces, capture.views, working_downsample(capture)) if colored else None
     return Scene(
         mesh=Mesh(

@@ -1,4 +1,4 @@
-"""From a sampled field to a clean closed surface."""
+"""The zero surface of a sampled field, and its connected components."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def extract_surface(volume: Volume) -> tuple[Array, Faces]:
     """The zero surface of a field that is negative on its border: a closed manifold, outward (Lewiner et al. 2003)."""
     from skimage.measure import marching_cubes
 
-    # a sample near zero would put several vertices onto one place; removing them tears the surface
+    # samples near zero would make coincident vertices; merging those would open the surface
     least = np.float32(0.01 * volume.spacing)
     values = np.where(np.abs(volume.values) < least, -least, volume.values)
     vertices, faces, _, _ = marching_cubes(values, 0.0)
@@ -34,9 +34,9 @@ def signed_volume(positions: Array, faces: Faces) -> float:
 
 
 def keep_large_components(positions: Array, faces: Faces, min_share: float) -> tuple[Array, Faces]:
-    """The pieces with at least `min_share` of the largest piece's area; hollows inside of them are filled.
+    """The components with at least `min_share` of the largest component's area; cavities inside them are filled.
 
-    Unused vertices are removed. Raises `StageError` where nothing encloses a volume.
+    Unused vertices are removed. Raises `StageError` if no component encloses a volume.
     """
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
@@ -52,8 +52,8 @@ def keep_large_components(positions: Array, faces: Faces, min_share: float) -> t
     solid = volumes > 0
     if not solid.any():
         raise StageError("the first surface encloses nothing; give it finer voxels or more photographs")
-    kept = solid & (areas >= min_share * areas[solid].max())
-    return without_unused_vertices(positions, faces[kept[face_label]])
+    selected = solid & (areas >= min_share * areas[solid].max())
+    return without_unused_vertices(positions, faces[selected[face_label]])
 
 
 def without_unused_vertices(positions: Array, faces: Faces) -> tuple[Array, Faces]:

@@ -1,4 +1,4 @@
-"""A first mesh that later stages can work on: manifold, without crumbs, its triangles even, as fine as pixels."""
+"""Makes an extracted mesh usable for later stages: manifold, without small components, evenly remeshed."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from hir_plugins.initializers.surface.isosurface import without_unused_vertices
 Faces = NDArray[np.int64]
 
 _REMESHING_ROUNDS = 2
-"""Of remeshing: voxels are even already, so that two rounds do."""
+"""Iterations of remeshing; two suffice because voxels give even triangles."""
 
 
-def pixel_size(cameras: Sequence[Camera], place: Array) -> float:
-    """Length in the world that a pixel of the median photograph covers at a `place` (3,)."""
-    return float(np.median([np.linalg.norm(c.center - place) / c.intrinsics[0, 0] for c in cameras]))
+def pixel_size(cameras: Sequence[Camera], position: Array) -> float:
+    """Size in world units of a pixel at a `position` (3,), median over the cameras."""
+    return float(np.median([np.linalg.norm(c.center - position) / c.intrinsics[0, 0] for c in cameras]))
 
 
 def edge_length(capture: Capture, positions: Array, pixels: float, spacing: float = 0.0) -> float:
-    """Length of `pixels` photographs' pixels at the mesh, but no finer than voxels of `spacing` can tell; 0 for 0."""
+    """Size in world units of `pixels` pixels at the mesh, at least 1.25 voxels of `spacing`; 0 for 0 pixels."""
     if pixels <= 0:
         return 0.0
     middle = 0.5 * (positions.min(axis=0) + positions.max(axis=0))
@@ -33,10 +33,10 @@ def edge_length(capture: Capture, positions: Array, pixels: float, spacing: floa
 
 
 def clean_mesh(positions: Array, faces: Faces, edge_length: float, min_component: float) -> tuple[Array, Faces]:
-    """The mesh without edges of three faces and small pieces, remeshed to `edge_length`; 0 keeps its triangles.
+    """The mesh without non-manifold edges and small components, remeshed to `edge_length`; 0 keeps its triangles.
 
-    Pieces with less than a share `min_component` of the largest one's area go. Open meshes stay open. Raises
-    `StageError` where nothing is left.
+    Components with less than a share `min_component` of the largest one's area are removed. Open meshes stay open.
+    Raises `StageError` if nothing is left.
     """
     positions, faces = _large_components(*_without_non_manifold_edges(positions, faces), min_component)
     if edge_length > 0:
@@ -45,7 +45,7 @@ def clean_mesh(positions: Array, faces: Faces, edge_length: float, min_component
 
 
 def _without_non_manifold_edges(positions: Array, faces: Faces) -> tuple[Array, Faces]:
-    """Without the smallest of the faces that meet at an edge of more than two, nor faces without area."""
+    """The mesh without degenerate faces; of more than two faces at an edge, the smallest are removed."""
     import open3d
 
     mesh = open3d.geometry.TriangleMesh(
@@ -69,8 +69,8 @@ def _large_components(positions: Array, faces: Faces, min_share: float) -> tuple
     graph = coo_matrix((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(positions),) * 2)
     _, label = connected_components(graph, directed=False)
     a, b, c = (positions[faces[:, i]] - positions.mean(axis=0) for i in range(3))
-    piece = label[faces[:, 0]]
-    areas = np.bincount(piece, np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2)
+    component = label[faces[:, 0]]
+    areas = np.bincount(component, np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2)
     if not (areas > 0).any():
         raise empty
-    return without_unused_vertices(positions, faces[areas[piece] >= min_share * areas.max()])
+    return without_unused_vertices(positions, faces[areas[component] >= min_share * areas.max()])

@@ -1,4 +1,4 @@
-"""What photographs are about: a ball around where all cameras look."""
+"""A bounding sphere of the object, from the cameras' viewing directions and the capture's points."""
 
 from __future__ import annotations
 
@@ -11,7 +11,11 @@ from hir_core.capture import Array, Camera, Capture
 
 
 def object_bounding_sphere(capture: Capture) -> tuple[Array, float]:
-    """Centre and radius of what the photographs are about: the points that lie near where all cameras look."""
+    """Centre (3,) and radius of the object.
+
+    With at least 20 points it is the sphere around those that most photographs show. Otherwise its centre is where the
+    cameras look, and its radius a quarter of their median distance.
+    """
     cameras = [view.camera for view in capture.views if view.camera is not None]
     o = np.array([c.center for c in cameras])
     d = np.array([c.world_to_camera[2, :3] for c in cameras])
@@ -30,7 +34,7 @@ def object_bounding_sphere(capture: Capture) -> tuple[Array, float]:
 
 
 def _in_most_photographs(points: Array, cameras: Sequence[Camera]) -> NDArray[np.bool_]:
-    """Points that lie inside the pictures of two thirds of all cameras: the object, not the room behind it."""
+    """Which points (N,) are inside the images of two thirds of all cameras: the object, not the background."""
     inside = np.zeros(len(points))
     for camera in cameras:
         pixels, depth = camera.project(points)

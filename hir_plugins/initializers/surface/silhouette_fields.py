@@ -13,10 +13,10 @@ from hir_core.capture import Array, Camera, Capture, View
 from hir_core.errors import CaptureError
 
 MIN_MASK_SHARE = 1e-5
-"""A mask with less coverage than this shows nothing, one with more than 1 - this no background."""
+"""A mask with a smaller mean is empty; one with a mean above 1 minus this has no background."""
 
 _EXACT_BAND_PIXELS = 2.5
-"""Pixels around the outline within which distances are measured to the outline itself."""
+"""Distance from the outline, in pixels, within which distances to the subpixel contour are computed."""
 
 
 @dataclass(frozen=True)
@@ -25,16 +25,16 @@ class SilhouetteField:
 
     name: str
     camera: Camera
-    """Of the size of `distance`."""
+    """Has the resolution of `distance`."""
     distance: NDArray[np.float16]
-    """H W."""
+    """(H, W)."""
 
 
 def signed_distance(mask: NDArray[np.float32]) -> NDArray[np.float32]:
     """Distance (H, W) in pixels from each pixel's centre to the mask's 0.5 contour, positive inside.
 
-    Near the contour it is the distance to the contour that runs through the soft edge, farther off that of the
-    thresholded mask (within half a pixel). A mask without a contour gives plus or minus H + W everywhere.
+    Near the contour it is exact for the antialiased mask; farther away it is that of the thresholded mask, within half
+    a pixel. A mask without a contour gives plus or minus H + W everywhere.
     """
     import cv2
     from scipy.spatial import cKDTree
@@ -59,7 +59,7 @@ def signed_distance(mask: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def silhouette_fields(views: Sequence[View], downsample: int = 1) -> list[SilhouetteField]:
-    """The fields of all views that have a camera and a mask with an outline; others are named in a warning."""
+    """The fields of all views with a camera and a mask; masks without an outline are named in a warning."""
     fields: list[SilhouetteField] = []
     empty: list[str] = []
     for view in views:
@@ -75,15 +75,15 @@ def silhouette_fields(views: Sequence[View], downsample: int = 1) -> list[Silhou
         fields.append(SilhouetteField(view.name, view.camera.downsampled(downsample), distance.astype(np.float16)))
     if empty:
         warnings.warn(
-            f"{len(empty)} masks show no outline (all object or all background) and are not used for the "
-            f"hull: {', '.join(empty[:5])}",
+            f"{len(empty)} masks have no outline (all object or all background) and are not used for the hull: "
+            f"{', '.join(empty[:5])}",
             stacklevel=2,
         )
     return fields
 
 
 def working_downsample(capture: Capture, max_pixels: int = 96_000_000, max_side: int = 1600) -> int:
-    """The factor by which photographs are made smaller so that all of them fit into `max_pixels`."""
+    """The smallest reduction factor at which all photographs together have at most `max_pixels` pixels."""
     cameras = [view.camera for view in capture.views if view.camera is not None]
     total = sum(c.width * c.height for c in cameras)
     side = max((max(c.width, c.height) for c in cameras), default=1)
@@ -94,9 +94,9 @@ def working_downsample(capture: Capture, max_pixels: int = 96_000_000, max_side:
 
 
 def focus_and_radius(fields: Sequence[SilhouetteField]) -> tuple[Array, float]:
-    """Where the masks look at (3,), and the radius of a ball around it that contains what most of them show.
+    """Focus (3,) of the masks, and the radius of a sphere around it that covers most of them.
 
-    The focus is the point nearest to the rays through the masks' centres (least squares, reweighted against outliers).
+    The focus is the point nearest to the rays through the masks' centres (iteratively reweighted least squares).
     """
     origins, directions, extents = [], [], []
     for field in fields:
@@ -111,25 +111,25 @@ def focus_and_radius(fields: Sequence[SilhouetteField]) -> tuple[Array, float]:
         extents.append(float(np.hypot(reach[0] / focal[0], reach[1] / focal[1])))
     o, d = np.array(origins), np.array(directions)
     across = np.eye(3) - d[:, :, None] * d[:, None, :]
-    spread = float(np.linalg.norm(o - o.mean(axis=0), axis=1).max())
-    if spread == 0:
-        raise CaptureError("all cameras stand at one place: a hull needs views from several sides")
+    camera_extent = float(np.linalg.norm(o - o.mean(axis=0), axis=1).max())
+    if camera_extent == 0:
+        raise CaptureError("all cameras are at one position; a visual hull needs photographs from several sides")
     weights = np.ones(len(o))
     focus = o.mean(axis=0)
     for _ in range(10):
         system = np.einsum("v,vij->ij", weights, across)
-        # nearly parallel rays leave the depth free: keep it near the cameras
+        # nearly parallel rays do not determine the depth: regularise it
         system = system + np.eye(3) * 1e-9 * weights.sum()
         focus = np.linalg.solve(system, np.einsum("v,vij,vj->i", weights, across, o) + 1e-9 * weights.sum() * focus)
         miss = np.linalg.norm(np.einsum("vij,vj->vi", across, focus - o), axis=1)
-        weights = 1 / (1 + (miss / max(float(np.median(miss)), 1e-9 * spread)) ** 2)
+        weights = 1 / (1 + (miss / max(float(np.median(miss)), 1e-9 * camera_extent)) ** 2)
     depth = np.einsum("vj,vj->v", focus - o, d)
-    ahead = depth > 1e-6 * spread
+    ahead = depth > 1e-6 * camera_extent
     if not ahead.any():
         raise CaptureError(
-            "the cameras look away from each other: their masks share no place; check the axes of the capture's cameras"
+            "the cameras look away from each other, so their masks have no common object; check the axes of the cameras"
         )
     tangents = np.minimum(np.array(extents), 2.0)
-    # what is nearer than the focus looks larger: r = t (z + r)
+    # the near side of the sphere appears larger: r = t (z + r)
     radii = np.where(tangents < 0.9, tangents * depth / (1 - np.minimum(tangents, 0.9)), tangents * depth * 10)
     return focus, float(np.quantile(radii[ahead], 0.9))

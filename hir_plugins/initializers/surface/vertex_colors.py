@@ -20,8 +20,7 @@ _CHUNK_VERTICES = 8192
 def vertex_colors(
     positions: Array, faces: NDArray[np.int64], views: Sequence[View], downsample: int = 1
 ) -> NDArray[np.float32]:
-    """Linear colours (V, 3): median over the views in which a vertex is visible, weighted by the cosine of the view
-    angle.
+    """Linear colours (V, 3): the median over the views in which a vertex is visible, weighted by the view's cosine.
 
     An invisible vertex gets the mean of its neighbours, ring by ring from the visible ones. If no vertex is visible,
     all are grey (0.5).

@@ -12,9 +12,11 @@ from hir_core.capture import Array
 
 @dataclass(frozen=True)
 class Volume:
-    """Samples of a field at the centres of cubes; `origin` is the centre of the first one."""
+    """A signed-distance field, sampled at the centres of cubic voxels."""
 
     values: NDArray[np.float32]
-    """X Y Z, in the unit of `spacing`, positive inside."""
+    """(X, Y, Z), in the unit of `spacing`, positive inside."""
     origin: Array
+    """(3,), centre of the first voxel."""
     spacing: float
+    """Side of a voxel in world units."""

@@ -1,4 +1,4 @@
-"""Paths that a capture's files name: they may lead nowhere but into the capture's folder."""
+"""Paths in a capture's files, which must stay inside the capture's folder."""
 
 from __future__ import annotations
 
@@ -29,31 +29,31 @@ PHOTO_SUFFIXES = (
     ".rw2",
     ".orf",
 )
-"""Endings of files that are taken for photographs, in the order in which a name without an ending is completed."""
+"""Suffixes of photographs, in the order in which they are tried for a name without a suffix."""
 
 MAX_TEXT_BYTES = 256 << 20
-"""Text files of a capture larger than this are refused: a thousand cameras are a megabyte."""
+"""Largest accepted size of a capture's text files; a thousand cameras need one megabyte."""
 
 
 def contained_path(folder: Path, name: str, owner: Path) -> Path:
-    """The path of `name`, as the file `owner` names it, in `folder`; one that leads out of it is a `CaptureError`."""
+    """The path of `name`, which the file `owner` names, in `folder`; paths outside it raise `CaptureError`."""
     if not name or "\0" in name:
-        raise CaptureError(f"{owner}: the file name {name!r} is not a file name")
-    # a drive letter or a leading backslash is absolute on Windows only: refused everywhere, so that captures travel
+        raise CaptureError(f"{owner}: {name!r} is not a file name; name a file of the capture")
+    # drive letters and leading backslashes are refused on all systems, so that captures are portable
     if Path(name).is_absolute() or PureWindowsPath(name).drive or PureWindowsPath(name).root:
         raise CaptureError(f"{owner}: {name!r} is an absolute path; name files relative to the capture's folder")
     path = folder / name.replace("\\", "/")
     try:
         contained = path.resolve().is_relative_to(folder.resolve())
     except (OSError, RuntimeError) as error:
-        raise CaptureError(f"{owner}: {name!r} cannot be followed ({error})") from None
+        raise CaptureError(f"{owner}: {name!r} cannot be resolved ({error}); rename the file") from None
     if not contained:
-        raise CaptureError(f"{owner}: {name!r} leads out of {folder}; put the file into the capture's folder")
+        raise CaptureError(f"{owner}: {name!r} leads out of {folder}; move the file into the capture's folder")
     return path
 
 
 def find_photo(folder: Path, name: str, owner: Path) -> Path:
-    """As `inside`, for a photograph that exists; a name without its ending (NeRF-synthetic) is completed."""
+    """As `contained_path`, for an existing photograph; a missing suffix (NeRF-synthetic) is completed."""
     path = contained_path(folder, name, owner)
     if path.is_file():
         return path
@@ -62,20 +62,20 @@ def find_photo(folder: Path, name: str, owner: Path) -> Path:
             candidate = path.with_name(path.name + ending)
             if candidate.is_file():
                 return contained_path(folder, name + ending, owner)
-    raise CaptureError(f"{owner} names the image {name!r}, which is not in {folder}")
+    raise CaptureError(f"{owner} names the image {name!r}, which is not in {folder}; add the file or remove its entry")
 
 
 def photos_in_first_folder(capture: Path, folders: Sequence[str]) -> list[Path]:
-    """The photographs, by name, of the first of `folders` that the capture has; none of them is a `CaptureError`."""
+    """The photographs, by name, of the first of `folders` that exists; if none exists, `CaptureError` is raised."""
     for name in folders:
         if (capture / name).is_dir():
             found = sorted(p for p in (capture / name).iterdir() if p.suffix.lower() in PHOTO_SUFFIXES)
             return [contained_path(capture, p.relative_to(capture).as_posix(), capture) for p in found]
-    raise CaptureError(f"{capture} has none of the folders {', '.join(folders)}")
+    raise CaptureError(f"{capture} has none of the folders {', '.join(folders)}; put the images into one of them")
 
 
 def unique_names(paths: Iterable[Path], folder: Path) -> list[str]:
-    """One name for each file: its stem, or its path with `_` for `/` where stems repeat."""
+    """One name for each file: its stem, or its relative path with `_` for `/` if stems repeat."""
     listed = list(paths)
     stems = [path.stem for path in listed]
     if len(set(stems)) == len(stems):

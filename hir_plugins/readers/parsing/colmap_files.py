@@ -1,4 +1,7 @@
-"""The files of a COLMAP model, text and binary, parsed without COLMAP."""
+"""The files of a COLMAP model, text and binary, parsed without COLMAP.
+
+Why not by pycolmap: docs/adr/own_implementations.md.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,7 @@ _MAX_BINARY_BYTES = 8 << 30
 
 @dataclass(frozen=True)
 class ColmapImage:
-    """A registered picture."""
+    """A registered image."""
 
     name: str
     camera_id: int
@@ -31,7 +34,7 @@ class ColmapImage:
 
 
 def read_cameras(folder: Path) -> dict[int, LensCamera]:
-    """Cameras of cameras.bin or cameras.txt by their number."""
+    """Cameras of cameras.bin or cameras.txt by identifier."""
     cameras: dict[int, LensCamera] = {}
     if (folder / "cameras.bin").is_file():
         stream = _Binary(folder / "cameras.bin")
@@ -39,7 +42,7 @@ def read_cameras(folder: Path) -> dict[int, LensCamera]:
             number, model, width, height = stream.take("<iiQQ")
             known = {identity: (name, size) for identity, name, size in _MODELS}
             if model not in known:
-                raise CaptureError(f"{stream.path}: camera model number {model} is not known")
+                raise CaptureError(f"{stream.path}: the camera model number {model} is unknown; export the model again")
             name, size = known[model]
             cameras[number] = lens_camera(name, stream.take(f"<{size}d"), width, height, str(stream.path))
     else:
@@ -52,14 +55,14 @@ def read_cameras(folder: Path) -> dict[int, LensCamera]:
                         name, values[2:], int(values[0]), int(values[1]), str(path)
                     )
                 case _:
-                    raise CaptureError(f"{path}: the line {line[:80]!r} is not a camera")
+                    raise CaptureError(f"{path}: the line {line[:80]!r} is not a camera; export the model again")
     if not cameras:
-        raise CaptureError(f"{folder} holds a COLMAP model without cameras")
+        raise CaptureError(f"{folder} has a COLMAP model without cameras; export the model again")
     return cameras
 
 
 def read_images(folder: Path) -> list[ColmapImage]:
-    """Registered pictures of images.bin or images.txt, by name."""
+    """Registered images of images.bin or images.txt, by name."""
     images: list[ColmapImage] = []
     if (folder / "images.bin").is_file():
         stream = _Binary(folder / "images.bin")
@@ -77,17 +80,17 @@ def read_images(folder: Path) -> list[ColmapImage]:
                 continue
             fields = line.split(maxsplit=9)
             if len(fields) != 10:
-                raise CaptureError(f"{path}: the line {line[:80]!r} is not a picture")
+                raise CaptureError(f"{path}: the line {line[:80]!r} is not an image; export the model again")
             pose = _numbers(fields[1:8], path, line)
             images.append(ColmapImage(fields[9].strip(), _integer(fields[8], path, line), _pose(pose, str(path))))
-            next(lines, None)  # the picture's points, perhaps an empty line
+            next(lines, None)  # the image's observations, possibly an empty line
     if not images:
-        raise CaptureError(f"{folder} holds a COLMAP model without registered images")
+        raise CaptureError(f"{folder} has a COLMAP model without registered images; reconstruct it again")
     return sorted(images, key=lambda image: image.name)
 
 
 def read_points(folder: Path) -> OrientedPoints | None:
-    """Points and linear colours of points3D.bin or points3D.txt; None where there is no such file or it is empty."""
+    """Points and linear colours of points3D.bin or points3D.txt; None if there is no such file or it is empty."""
     rows: list[tuple[float, ...]] = []
     if (folder / "points3D.bin").is_file():
         stream = _Binary(folder / "points3D.bin")
@@ -123,7 +126,7 @@ def _pose(values: list[float] | tuple[float, ...], owner: str) -> Array:
     """4×4 from a quaternion (w, x, y, z) and a translation."""
     numbers = np.array(values, dtype=np.float64)
     if not np.isfinite(numbers).all() or not np.linalg.norm(numbers[:4]) > 1e-9:
-        raise CaptureError(f"{owner}: a picture has a pose that is NaN, infinite or without a rotation")
+        raise CaptureError(f"{owner}: the pose of an image is NaN, infinite or has no rotation; export the model again")
     pose = np.eye(4)
     pose[:3, :3] = quaternion_rotation(numbers[:4])
     pose[:3, 3] = numbers[4:]
@@ -131,20 +134,20 @@ def _pose(values: list[float] | tuple[float, ...], owner: str) -> Array:
 
 
 class _Binary:
-    """A little-endian file that is never read past its end."""
+    """A little-endian binary file with bounds checks."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
             if path.stat().st_size > _MAX_BINARY_BYTES:
-                raise CaptureError(f"{path} is larger than {_MAX_BINARY_BYTES >> 30} GB")
+                raise CaptureError(f"{path} is larger than {_MAX_BINARY_BYTES >> 30} GB; reduce the model")
             self._bytes = path.read_bytes()
         except OSError as error:
             raise CaptureError(f"{path} cannot be read ({error.strerror})") from None
         self._at = 0
 
     def count(self) -> int:
-        """A number of records; each has at least one byte, so a larger one is a broken file."""
+        """A number of records; each has at least one byte, so a number above the file's size is an error."""
         (number,) = self.take("<Q")
         if number > len(self._bytes):
             raise self._short()
@@ -172,7 +175,7 @@ class _Binary:
         return value
 
     def _short(self) -> CaptureError:
-        return CaptureError(f"{self.path} ends in the middle of a record; it is broken or of another version of COLMAP")
+        return CaptureError(f"{self.path} ends in the middle of a record; export the model again")
 
 
 def _lines(path: Path, keep_empty: bool = False) -> Iterator[str]:
@@ -183,7 +186,7 @@ def _lines(path: Path, keep_empty: bool = False) -> Iterator[str]:
     except OSError as error:
         raise CaptureError(f"{path} cannot be read ({error.strerror})") from None
     except UnicodeDecodeError:
-        raise CaptureError(f"{path} is not text") from None
+        raise CaptureError(f"{path} is not a text file; export the model again") from None
     for line in text.splitlines():
         if not line.startswith("#") and (keep_empty or line.strip()):
             yield line.strip()
@@ -193,11 +196,11 @@ def _numbers(fields: list[str], path: Path, line: str, count: int = 0) -> list[f
     try:
         values = [float(field) for field in fields]
     except ValueError:
-        raise CaptureError(f"{path}: the line {line[:80]!r} holds something that is not a number") from None
+        raise CaptureError(f"{path}: the line {line[:80]!r} contains a value that is not a number") from None
     if count and len(values) != count:
-        raise CaptureError(f"{path}: the line {line[:80]!r} is too short")
+        raise CaptureError(f"{path}: the line {line[:80]!r} is too short; export the model again")
     if not all(math.isfinite(value) for value in values):
-        raise CaptureError(f"{path}: the line {line[:80]!r} holds NaN or infinite numbers")
+        raise CaptureError(f"{path}: the line {line[:80]!r} contains NaN or infinite numbers")
     return values
 
 

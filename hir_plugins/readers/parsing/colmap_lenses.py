@@ -1,4 +1,4 @@
-"""COLMAP's camera models."""
+"""COLMAP's camera models as `LensCamera`."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ _MODELS: Final = (
 def lens_camera(
     model: str, parameters: tuple[float, ...] | list[float], width: int, height: int, owner: str
 ) -> LensCamera:
-    """A COLMAP camera; models that OpenCV's lenses do not hold raise `CaptureError`."""
+    """A camera from COLMAP's model name and parameters; models without an OpenCV lens raise `CaptureError`."""
     p = tuple(float(value) for value in parameters)
     sizes = {name: size for _, name, size in _MODELS}
     if model not in sizes or len(p) != sizes[model]:
-        raise CaptureError(f"{owner}: a camera {model!r} with {len(p)} parameters is not known")
+        raise CaptureError(f"{owner}: the camera model {model!r} with {len(p)} parameters is unknown")
     if not all(math.isfinite(value) for value in p):
-        raise CaptureError(f"{owner}: a camera has parameters that are NaN or infinite")
+        raise CaptureError(f"{owner}: a camera has parameters that are NaN or infinite; export the model again")
     if not 0 < width < 1 << 20 or not 0 < height < 1 << 20:
-        raise CaptureError(f"{owner}: a camera has a picture of {width}×{height}")
+        raise CaptureError(f"{owner}: a camera has images of {width}×{height} pixels; export the model again")
     match model:
         case "SIMPLE_PINHOLE":
             return LensCamera(p[0], p[0], p[1], p[2], width, height)
@@ -51,6 +51,7 @@ def lens_camera(
             return LensCamera(p[0], p[0], p[1], p[2], width, height, (*p[3:], 0.0, 0.0, 0.0)[:4], "fisheye")
         case _:
             raise CaptureError(
-                f"{owner}: the camera model {model} cannot be used; let COLMAP undistort the images "
-                "(colmap image_undistorter) and give its result"
+                f"{owner}: the camera model {model} is not supported; undistort the images with colmap "
+                "image_undistorter "
+                "and give its result"
             )

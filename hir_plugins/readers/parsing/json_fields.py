@@ -1,4 +1,4 @@
-"""JSON documents of a capture, and their numbers."""
+"""JSON files of a capture, and numbers in them."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from hir_plugins.readers.parsing.capture_paths import MAX_TEXT_BYTES
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """The object in a JSON file; anything else is a `CaptureError` naming the file."""
+    """The object in a JSON file; anything else raises a `CaptureError` that names the file."""
     try:
         if path.stat().st_size > MAX_TEXT_BYTES:
-            raise CaptureError(f"{path} is larger than {MAX_TEXT_BYTES >> 20} MB; it is not a file of cameras")
+            raise CaptureError(f"{path} is larger than {MAX_TEXT_BYTES >> 20} MB; it is not a camera file")
         content = json.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise CaptureError(f"{path} cannot be read ({error.strerror})") from None
     except (ValueError, RecursionError) as error:
-        raise CaptureError(f"{path} is not valid JSON ({error})") from None
+        raise CaptureError(f"{path} is not valid JSON ({error}); export it again") from None
     if not isinstance(content, dict):
-        raise CaptureError(f"{path} does not hold a JSON object")
+        raise CaptureError(f"{path} is not a JSON object; export it again")
     return content
 
 
 def number_field(table: dict[str, Any], key: str, owner: str, default: float | None = None) -> float | None:
-    """A finite number of a JSON object, or `default` where the key is absent or null."""
+    """A finite number of a JSON object, or `default` if the key is absent or null."""
     value = table.get(key)
     if value is None:
         return default
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise CaptureError(f"{owner}: {key!r} is {value!r}, not a number")
+        raise CaptureError(f"{owner}: {key!r} is {value!r}; write a finite number")
     return float(value)

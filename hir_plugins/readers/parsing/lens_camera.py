@@ -1,4 +1,4 @@
-"""A view of a photograph from the intrinsics, lens and pose that a capture's file states."""
+"""A view from the intrinsics, the lens and the pose in a capture's file."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from hir_plugins.readers.parsing.picture_decoding import photo_size
 
 @dataclass(frozen=True)
 class LensCamera:
-    """A camera as files describe it, for a picture of `width` × `height`, 0 where the file does not say."""
+    """Intrinsics and lens of a camera in a file, for images of `width` × `height`; 0 if the file has no size."""
 
     fx: float
     fy: float
@@ -33,28 +33,29 @@ class LensCamera:
 def make_view(
     name: str, photo: Path, lens: LensCamera, world_to_camera: Array, owner: str, mask: Path | None = None
 ) -> View:
-    """The view of `photo`, its intrinsics scaled where the file speaks of a larger or smaller picture.
+    """The view of `photo`; intrinsics are scaled if the file is for a larger or smaller image.
 
-    A picture of another shape, which was cropped or turned, and impossible intrinsics are a `CaptureError` of `owner`.
+    An image of another aspect ratio, and impossible intrinsics, raise a `CaptureError` that names `owner`.
     """
     width, height = photo_size(photo)
     orient = False
     if (lens.width, lens.height) == (height, width) and width != height:
-        # the camera was solved on the picture turned upright
+        # the camera was estimated on the image in display orientation
         turned = photo_size(photo, orient=True)
         orient, (width, height) = turned == (lens.width, lens.height), turned
     named_width, named_height = lens.width or width, lens.height or height
     scale_x, scale_y = width / named_width, height / named_height
     if not 0.98 < scale_x / scale_y < 1.02:
         raise CaptureError(
-            f"{owner}: the image is {width}×{height}, the camera's {named_width:g}×{named_height:g}: "
-            "they differ in shape, so the image was cropped or turned"
+            f"{owner}: the image is {width}×{height}, but the camera is for {named_width:g}×{named_height:g}; use the "
+            "images that the cameras were estimated with, neither cropped nor rotated"
         )
     numbers = (lens.fx * scale_x, lens.fy * scale_y, lens.cx * scale_x, lens.cy * scale_y)
     if not np.isfinite(numbers).all() or numbers[0] <= 0 or numbers[1] <= 0:
         raise CaptureError(
-            f"{owner}: the focal length {lens.fx:g}, {lens.fy:g} and centre {lens.cx:g}, {lens.cy:g} "
-            "are not those of a camera"
+            f"{owner}: the focal length {lens.fx:g}, {lens.fy:g} or the centre {lens.cx:g}, {lens.cy:g} is not "
+            "possible; "
+            "export the cameras again"
         )
     fisheye = None
     try:

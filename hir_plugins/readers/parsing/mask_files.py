@@ -1,4 +1,4 @@
-"""Finds the mask that belongs to a photograph, as people name them."""
+"""Finds the mask file of a photograph by the usual names."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from pathlib import Path
 from hir_plugins.readers.parsing.capture_paths import PHOTO_SUFFIXES
 
 FOLDERS = ("masks", "mask", "Masks", "Mask", "object_mask", "silhouettes")
-"""Folders of masks that captures have, beside the folder of photographs or in the capture's own."""
+"""Usual folders of masks, beside the folder of photographs or in the capture's folder."""
 
 _AFFIXES = ("", "mask", "masks", "alpha", "matte", "silhouette", "seg")
 
 
 def match_mask(photo: Path, masks: Iterable[Path]) -> Path | None:
-    """The mask of `photo` among files: the same name, before endings and whatever says "mask"; case does not count.
+    """The mask of `photo` among files of the same name, without suffixes and words such as "mask"; case is ignored.
 
-    `a.jpg` is matched by `a.png`, `A.PNG`, `a.jpg.png`, `a_mask.png`, `mask-a.png`, in this order of preference.
+    `a.jpg` matches `a.png`, `A.PNG`, `a.jpg.png`, `a_mask.png`, `mask-a.png`, in this order of preference.
     """
     listed = [mask for mask in masks if mask.suffix.lower() in PHOTO_SUFFIXES and mask != photo]
     for wanted in (
@@ -38,7 +38,7 @@ def find_mask(photo: Path, capture: Path) -> Path | None:
             continue
         # Stanford-ORB: train_mask beside train
         for name in (*FOLDERS, f"{photo.parent.name}_mask", f"{photo.parent.name}_masks"):
-            # photographs in folders of their own (train/a.png) have masks in folders of the same name
+            # photographs in subfolders (train/a.png) have masks in subfolders of the same name
             inner = _listed(parent / name / photo.parent.name)
             found = match_mask(photo, inner) or match_mask(photo, _listed(parent / name))
             if found is not None and found.resolve().is_relative_to(capture.resolve()):
@@ -47,7 +47,7 @@ def find_mask(photo: Path, capture: Path) -> Path | None:
 
 
 def unmatched_masks(photos: Iterable[Path], capture: Path) -> list[Path]:
-    """Files in the capture's folders of masks that belong to none of all its photographs."""
+    """Files in the capture's folders of masks that belong to none of its photographs."""
     photos = list(photos)
     matched = {find_mask(photo, capture) for photo in photos}
     listed = [file for name in FOLDERS for file in _listed(capture / name) if file.suffix.lower() in PHOTO_SUFFIXES]
@@ -56,7 +56,7 @@ def unmatched_masks(photos: Iterable[Path], capture: Path) -> list[Path]:
 
 @lru_cache(maxsize=64)
 def _listed_at(folder: Path, changed_ns: int) -> tuple[Path, ...]:
-    del changed_ns  # part of the key: a folder that changes is listed again
+    del changed_ns  # part of the cache's key: a changed folder is listed again
     return tuple(sorted(p for p in folder.iterdir() if p.is_file()))
 
 
@@ -68,7 +68,7 @@ def _listed(folder: Path) -> tuple[Path, ...]:
 
 
 def _name_without_affixes(stem: str) -> str:
-    """A name without endings and words that say that it is a mask."""
+    """A name in lower case, without image suffixes and words such as "mask"."""
     name = stem.lower()
     for suffix in PHOTO_SUFFIXES:
         name = name.removesuffix(suffix)

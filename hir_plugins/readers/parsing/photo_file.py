@@ -1,4 +1,4 @@
-"""One photograph on disk: its size from the header, and its linear pixels when they are asked for."""
+"""One photograph on disk: linear pixels, mask and clipped pixels, read on demand."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from hir_core.errors import CaptureError
 from hir_plugins.readers.parsing.picture_decoding import read_encoded
 
 SATURATED_LEVEL = 254 / 255
-"""Encoded values from here up are taken for clipped, in any channel and at any bit depth."""
+"""Pixels with an encoded value of at least this, in any channel, are clipped."""
 
 
 @dataclass(frozen=True)
 class PhotoFile:
-    """Reads a photograph (and a mask beside it) when called; picklable, holds no pixels."""
+    """Reads a photograph, and its mask file, when called; picklable, without pixels in memory."""
 
     path: Path
     mask_path: Path | None = None
     orient: bool = False
-    """Turn the picture as its EXIF orientation says. Cameras solved by other programs are for pictures as stored."""
+    """Apply the EXIF orientation. Cameras from other programs are for images as stored."""
     lens: Lens | None = None
-    """A fisheye, whose distortion a `Camera` cannot hold: what comes out is a pinhole picture."""
+    """A fisheye lens, which `Camera` cannot represent; the result is a pinhole image."""
     width: int = 0
-    """Checked against the file where it is not 0."""
+    """Checked against the file unless it is 0."""
     height: int = 0
     alpha: Literal["mask", "ignore"] = "mask"
 
@@ -40,7 +40,9 @@ class PhotoFile:
         height, width = encoded.shape[:2]
         if self.width and (width, height) != (self.width, self.height):
             raise CaptureError(
-                f"{self.path} is {width}×{height}, its camera {self.width}×{self.height}; one of the two was changed"
+                f"{self.path} is {width}×{height}, its camera {self.width}×{self.height}; use the image that the "
+                "camera "
+                "was read with"
             )
         color, saturated = _linear(encoded)
         mask: NDArray[np.float32] | None = None
@@ -53,12 +55,12 @@ class PhotoFile:
 
 
 def read_mask(path: Path, width: int, height: int, orient: bool = False) -> NDArray[np.float32]:
-    """Coverage (H, W) in 0…1 of a mask file: its alpha channel where that varies, else its brightness."""
+    """Coverage (H, W) in 0…1 of a mask file: its alpha channel if that varies, else its brightness."""
     pixels = read_encoded(path, orient)
     if pixels.shape[:2] != (height, width):
         raise CaptureError(
-            f"the mask {path} is {pixels.shape[1]}×{pixels.shape[0]}, its image {width}×{height}; "
-            "make them the same size"
+            f"the mask {path} is {pixels.shape[1]}×{pixels.shape[0]}, its image {width}×{height}; give them the same "
+            "size"
         )
     if pixels.shape[2] in (2, 4) and pixels[..., -1].min() < pixels[..., -1].max():
         return np.ascontiguousarray(_to_unit_range(pixels[..., -1]))
@@ -82,7 +84,7 @@ def _linear(encoded: NDArray[Any]) -> tuple[NDArray[np.float32], NDArray[np.bool
 
 @lru_cache(maxsize=2)
 def _decoding_table(kind: str) -> NDArray[np.float32]:
-    """A table is ten times as fast as the power of each pixel."""
+    """Linear value of each sRGB code; ten times as fast as evaluating the curve for each pixel."""
     codes = np.iinfo(kind).max + 1
     table: NDArray[np.float32] = srgb_to_linear(np.arange(codes) / (codes - 1)).astype(np.float32)
     table.setflags(write=False)

@@ -14,14 +14,8 @@ from numpy.typing import NDArray
 from hir_core.errors import CaptureError, InputError, MissingExtraError
 
 _LINEAR_SUFFIXES = (".exr", ".hdr")
-
-
 _RAW_SUFFIXES = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".rw2", ".orf")
-
-
 _HEIF_SUFFIXES = (".heic", ".heif")
-
-
 _ORIENTATION_TAG = 0x0112
 
 
@@ -29,7 +23,7 @@ Result = TypeVar("Result")
 
 
 def photo_size(path: Path, orient: bool = False) -> tuple[int, int]:
-    """Width and height of a photograph, from its header; what is no picture is a `CaptureError`."""
+    """Width and height of a photograph, from its header; a file that is no image raises `CaptureError`."""
     if path.suffix.lower() in (*_LINEAR_SUFFIXES, *_RAW_SUFFIXES):
         pixels = read_encoded(path, orient)
         return pixels.shape[1], pixels.shape[0]
@@ -59,7 +53,7 @@ def read_encoded(path: Path, orient: bool = False) -> NDArray[Any]:
 
 
 def _pillow(path: Path) -> Any:
-    """An opened but not decoded picture, of a size that is allowed."""
+    """An opened image of an allowed size; its pixels are not decoded yet."""
     from PIL import Image, UnidentifiedImageError
 
     if path.suffix.lower() in _HEIF_SUFFIXES:
@@ -67,30 +61,30 @@ def _pillow(path: Path) -> Any:
             from pillow_heif import register_heif_opener
         except ImportError:
             raise CaptureError(
-                f"{path} is a HEIC picture; install its reader with: pip install pillow-heif, "
-                "or save the photographs as JPEG"
+                f"{path} is a HEIC image; install its reader with: pip install pillow-heif, or save the photographs "
+                "as JPEG"
             ) from None
         register_heif_opener()
     if not path.is_file():
-        raise CaptureError(f"{path} is {'a folder, not a picture' if path.is_dir() else 'not there'}")
+        raise CaptureError(f"{path} {'is a folder' if path.is_dir() else 'does not exist'}; give an image file")
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # Pillow warns of large pictures; the limit below decides
+            warnings.simplefilter("ignore")  # Pillow warns of large images; the limit below decides
             image = Image.open(path)
     except UnidentifiedImageError:
-        raise CaptureError(f"{path} is not a picture that can be read (PNG, JPEG, TIFF, WebP, …)") from None
+        raise CaptureError(f"{path} is not a readable image; save it as PNG, JPEG, TIFF or WebP") from None
     except Image.DecompressionBombError:
-        raise CaptureError(f"{path} has far more than {MAX_PIXELS} pixels; make it smaller") from None
-    except Exception as error:  # whatever a broken header makes a decoder raise
-        raise CaptureError(f"{path} is a broken picture ({error}); make it again or leave it out") from None
+        raise CaptureError(f"{path} has far more than {MAX_PIXELS} pixels; reduce it") from None
+    except Exception as error:  # decoders raise many types on damaged headers
+        raise CaptureError(f"{path} is damaged ({error}); export the image again or remove it") from None
     if image.width * image.height > MAX_PIXELS:
         image.close()
-        raise CaptureError(f"{path} is {image.width}×{image.height}, more than {MAX_PIXELS} pixels; make it smaller")
+        raise CaptureError(f"{path} is {image.width}×{image.height}, more than {MAX_PIXELS} pixels; reduce it")
     return image
 
 
 def _orientation(path: Path, image: Any) -> int:
-    """EXIF's, 1 where there is none; of a PNG Pillow decodes the pixels to find it, and they may be broken."""
+    """The EXIF orientation, 1 if there is none. For a PNG Pillow decodes the pixels, which may be damaged."""
     return int(_decode_or_refuse(path, lambda: image.getexif().get(_ORIENTATION_TAG, 1)))
 
 
@@ -101,7 +95,7 @@ def _decoded(image: Any) -> NDArray[Any]:
     if image.mode == "F":
         pixels = np.asarray(image, dtype=np.float32)
         if not np.isfinite(pixels).all():
-            raise ValueError("it holds NaN or infinite values")
+            raise ValueError("it contains NaN or infinite values")
         return pixels[..., None]
     if image.mode not in ("L", "LA", "RGB", "RGBA"):
         transparent = image.mode in ("PA", "RGBa", "La") or "transparency" in image.info
@@ -111,7 +105,7 @@ def _decoded(image: Any) -> NDArray[Any]:
 
 
 def _has_sixteen_bit_color(path: Path, image: Any) -> bool:
-    """Pillow reads 16-bit colour at 8 bits and does not say so: the header knows."""
+    """Whether the header says 16 bits per channel: Pillow reads such colour images at 8 bits without a warning."""
     if image.format == "PNG":
         with path.open("rb") as stream:
             header = stream.read(26)
@@ -128,13 +122,13 @@ def _read_sixteen_bit_color(path: Path) -> NDArray[Any]:
         import cv2
     except ImportError:
         raise MissingExtraError(
-            f"{path} has 16 bits a channel, which needs opencv; install it with: pip install 'hir[reconstruct]'"
+            f"{path} has 16 bits per channel, which needs opencv; install it with: pip install 'hir[reconstruct]'"
         ) from None
     pixels = _decode_or_refuse(path, lambda: cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED))
     if pixels is None:
-        raise CaptureError(f"{path} is a broken picture; make it again or leave it out")
+        raise CaptureError(f"{path} is damaged; export the image again or remove it")
     pixels = pixels[..., None] if pixels.ndim == 2 else pixels
-    if pixels.shape[2] >= 3:  # OpenCV keeps blue first
+    if pixels.shape[2] >= 3:  # OpenCV's order is BGR
         pixels = pixels[..., [2, 1, 0, 3][: pixels.shape[2]]]
     return np.ascontiguousarray(pixels)
 
@@ -144,13 +138,16 @@ def _read_raw(path: Path) -> NDArray[Any]:
         import rawpy
     except ImportError:
         raise CaptureError(
-            f"{path} is a camera's raw file; install its reader with: pip install rawpy, "
-            "or develop the photographs to JPEG or 16-bit TIFF, all with the same settings"
+            f"{path} is a raw photograph; install its reader with: pip install rawpy, or convert all photographs with "
+            "the "
+            "same settings to JPEG or 16-bit TIFF"
         ) from None
     with _decode_or_refuse(path, lambda: rawpy.imread(str(path))) as raw:
         sizes = raw.sizes
         if sizes.raw_width * sizes.raw_height > MAX_PIXELS:
-            raise CaptureError(f"{path} is {sizes.raw_width}×{sizes.raw_height}, more than {MAX_PIXELS} pixels")
+            raise CaptureError(
+                f"{path} is {sizes.raw_width}×{sizes.raw_height}, more than {MAX_PIXELS} pixels; reduce it"
+            )
         developed = _decode_or_refuse(
             path, lambda: raw.postprocess(gamma=(1, 1), no_auto_bright=True, output_bps=16, use_camera_wb=True)
         )
@@ -160,12 +157,12 @@ def _read_raw(path: Path) -> NDArray[Any]:
 def _decode_or_refuse(path: Path, decode: Callable[[], Result]) -> Result:
     try:
         return decode()
-    except Exception as error:  # decoders raise many types on broken pictures
-        raise CaptureError(f"{path} is a broken picture ({error}); make it again or leave it out") from None
+    except Exception as error:  # decoders raise many types on damaged images
+        raise CaptureError(f"{path} is damaged ({error}); export the image again or remove it") from None
 
 
 def _apply_orientation(pixels: NDArray[Any], orientation: int) -> NDArray[Any]:
-    """Undoes the EXIF orientation 1…8 (JEITA CP-3451, tag 274)."""
+    """The image (H, W, C) in display orientation, from the EXIF orientation 1…8 (JEITA CP-3451, tag 274)."""
     if orientation in (5, 6, 7, 8):
         pixels = pixels.swapaxes(0, 1)
     if orientation in (2, 3, 6, 7):

@@ -1,4 +1,4 @@
-"""Numbers of cameras from numpy files and projection matrices, without pickles."""
+"""Cameras from numpy files, without pickles, and from projection matrices."""
 
 from __future__ import annotations
 
@@ -14,40 +14,44 @@ _MAX_BYTES = 256 << 20
 
 
 def load_arrays(path: Path) -> dict[str, Array]:
-    """The float arrays of a .npy (as "array") or .npz; pickled objects are refused."""
+    """The numeric arrays of a .npz by name, or of a .npy as "array"; pickled objects raise `CaptureError`."""
     try:
         if path.stat().st_size > _MAX_BYTES:
-            raise CaptureError(f"{path} is larger than {_MAX_BYTES >> 20} MB; it is not a file of cameras")
+            raise CaptureError(f"{path} is larger than {_MAX_BYTES >> 20} MB; it is not a camera file")
         if path.suffix == ".npz":
             with zipfile.ZipFile(path) as archive:
-                # a few bytes of zip can unfold to gigabytes
+                # a small zip file can decompress to gigabytes
                 if sum(entry.file_size for entry in archive.infolist()) > _MAX_BYTES:
-                    raise CaptureError(f"{path} unfolds to more than {_MAX_BYTES >> 20} MB")
+                    raise CaptureError(
+                        f"{path} decompresses to more than {_MAX_BYTES >> 20} MB; it is not a camera file"
+                    )
             with np.load(path, allow_pickle=False) as arrays:
-                found = {name: np.asarray(arrays[name]) for name in arrays.files}
+                stored = {name: np.asarray(arrays[name]) for name in arrays.files}
         else:
-            found = {"array": np.load(path, allow_pickle=False)}
+            stored = {"array": np.load(path, allow_pickle=False)}
     except CaptureError:
         raise
-    except Exception as error:  # numpy parses headers as Python text: broken ones raise whatever its tokenizer does
-        raise CaptureError(f"{path} cannot be read as numbers of cameras ({' '.join(str(error).split())})") from None
-    numbers: dict[str, Array] = {name: a.astype(np.float64) for name, a in found.items() if a.dtype.kind in "fiu"}
+    except Exception as error:  # numpy parses headers as Python: damaged ones raise any of its tokenizer's errors
+        raise CaptureError(
+            f"{path} cannot be read as arrays ({' '.join(str(error).split())}); export the cameras again"
+        ) from None
+    numbers: dict[str, Array] = {name: a.astype(np.float64) for name, a in stored.items() if a.dtype.kind in "fiu"}
     for name, array in numbers.items():
         if not np.isfinite(array).all():
-            raise CaptureError(f"{path}: {name!r} holds NaN or infinite values")
+            raise CaptureError(f"{path}: {name!r} contains NaN or infinite values; export the cameras again")
     return numbers
 
 
 def decompose_projection(projection: Array, owner: str) -> tuple[Array, Array]:
     """Intrinsics 3×3 and world_to_camera 4×4 of a projection matrix P = K [R | t] (3×4, any scale and sign).
 
-    Hartley & Zisserman, section 6.2.4: RQ decomposition. A matrix without inverse raises `CaptureError`.
+    RQ decomposition (Hartley & Zisserman, section 6.2.4). A singular matrix raises `CaptureError`.
     """
     if projection.shape != (3, 4):
-        raise CaptureError(f"{owner}: its projection matrix has the shape {projection.shape}; 3×4 is needed")
+        raise CaptureError(f"{owner}: the projection matrix has the shape {projection.shape}; write a 3×4 matrix")
     left = projection[:, :3]
     if abs(np.linalg.det(left)) < 1e-12 * np.abs(left).max() ** 3:
-        raise CaptureError(f"{owner}: its projection matrix is that of no camera")
+        raise CaptureError(f"{owner}: the projection matrix is singular, so it is no camera; export the cameras again")
     if np.linalg.det(left) < 0:
         projection = -projection
         left = projection[:, :3]

@@ -1,4 +1,4 @@
-"""Which way is up where files do not say: the cameras tell, for people hold them level."""
+"""The up direction of a world whose files do not define it, from the orientation of the cameras."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from hir_core.capture import Array
 
 
 def upright_rotation(world_to_cameras: Sequence[Array]) -> Array:
-    """Rotation 4×4 that turns the cameras' common up to +Y.
+    """Rotation 4×4 from the files' world to one in which the cameras' common up direction is +Y.
 
-    Up is the direction to which the pictures' horizontal axes are most nearly at right angles, where it agrees with the
-    mean of the cameras' own ups within 45°; else that mean; else, for cameras without a common up, the first one's.
+    People hold cameras level, so up is the direction most nearly perpendicular to the images' horizontal axes. It must
+    agree with the mean up axis of the cameras within 45°; otherwise that mean is used. For cameras without a common up
+    direction it is the first camera's.
     """
     rights = np.array([pose[0, :3] for pose in world_to_cameras])
     ups = np.array([-pose[1, :3] for pose in world_to_cameras])
@@ -22,11 +23,11 @@ def upright_rotation(world_to_cameras: Sequence[Array]) -> Array:
     up = mean / strength if strength > 0.2 else ups[0] / np.linalg.norm(ups[0])
     values, vectors = np.linalg.eigh(rights.T @ rights / len(rights))
     candidate = vectors[:, 0] * np.sign(vectors[:, 0] @ up or 1.0)
-    # the horizontal axes must span a plane, or any direction across a line would do
+    # the horizontal axes must span a plane; otherwise the perpendicular direction is ambiguous
     if strength > 0.2 and candidate @ up > np.sqrt(0.5) and values[1] > 4 * values[0] + 1e-6:
         up = candidate
     backward = -world_to_cameras[0][2, :3]
-    # the first camera looks along -Z, as far as up allows
+    # the first camera looks along -Z, projected onto the horizontal plane
     z = backward - (backward @ up) * up
     if np.linalg.norm(z) < 1e-6:
         z = np.cross(rights[0], up)

@@ -1,4 +1,4 @@
-"""The visual hull as a field: at each place the least of the masks' signed distances (Laurentini 1994)."""
+"""The visual hull, sampled on a grid: coarsely everywhere, finely near its surface."""
 
 from __future__ import annotations
 
@@ -8,50 +8,51 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hir_core.capture import Array
-from hir_plugins.initializers.hull.hull_field import _CHUNK_POINTS, HullField
+from hir_plugins.initializers.hull.hull_field import CHUNK_POINTS, HullField
 from hir_plugins.initializers.hull.inconsistent_masks import without_inconsistent_masks
 from hir_plugins.initializers.hull.object_box import FIELD_SLOPE, empty_hull_error, object_box
 from hir_plugins.initializers.surface.volume import Volume
 
 
-def sample_hull(carver: HullField, voxel_pixels: float, max_resolution: int, drop_bad_views: bool) -> Volume:
-    """Finds the object's box, then samples the hull: everywhere on a coarse grid, finely where the surface is.
+def sample_hull(field: HullField, voxel_pixels: float, max_resolution: int, drop_bad_views: bool) -> Volume:
+    """The hull's field in a box around the object, in world units; the outermost layer of voxels is outside.
 
-    The volume is in world units; its outermost layer is outside.
+    `voxel_pixels` is the side of a voxel in pixels at the object, `max_resolution` the largest number of voxels along a
+    side. The fine grid is evaluated only where the coarse one comes near the surface.
     """
-    low, high, _ = object_box(carver)
+    low, high, _ = object_box(field)
     if drop_bad_views:
-        carver, low, high = without_inconsistent_masks(carver, low, high)
+        field, low, high = without_inconsistent_masks(field, low, high)
     extent = float((high - low).max())
-    fine = max(voxel_pixels * carver.pixel, extent / max_resolution)
+    fine = max(voxel_pixels * field.pixel, extent / max_resolution)
     ratio = max(2, min(6, round(extent / fine / 48)))
     coarse = fine * ratio
     size = np.ceil((high - low) / coarse).astype(int) + 2
     origin = (low + high) / 2 - size * coarse / 2
     centres = _grid(origin + coarse / 2, coarse, size)
     reach = np.sqrt(3) / 2 * coarse * FIELD_SLOPE + fine
-    rough = carver.field(centres, cut=2 * reach).reshape(*size)
+    rough = field.field(centres, cut=2 * reach).reshape(*size)
     dense = rough
     for axis in range(3):
         dense = dense.repeat_interleave(ratio, dim=axis)
     active = (rough.abs() <= reach).nonzero()
     offsets = _grid(np.zeros(3), 1.0, np.array([ratio] * 3)).long()
-    for part in active.split(max(1, _CHUNK_POINTS // ratio**3)):
+    for part in active.split(max(1, CHUNK_POINTS // ratio**3)):
         where = (part[:, None] * ratio + offsets[None]).reshape(-1, 3)
         points = torch.from_numpy(origin + fine / 2).float() + where.float() * fine
-        dense[where[:, 0], where[:, 1], where[:, 2]] = carver.field(points, cut=4 * fine)
+        dense[where[:, 0], where[:, 1], where[:, 2]] = field.field(points, cut=4 * fine)
     values_np = dense.numpy()
     for axis in range(3):
         side = np.moveaxis(values_np, axis, 0)
         side[[0, -1]] = np.minimum(side[[0, -1]], -fine)
     if not (values_np > 0).any():
         raise empty_hull_error()
-    # the sign is all that counts far from the surface; a bound keeps the interpolation finite
+    # only the sign matters far from the surface; a bound keeps the interpolation finite
     values_np = np.clip(values_np, -4 * fine, 4 * fine)
     return Volume(
-        values=np.ascontiguousarray(values_np * carver.radius, dtype=np.float32),
-        origin=carver.center + (origin + fine / 2) * carver.radius,
-        spacing=fine * carver.radius,
+        values=np.ascontiguousarray(values_np * field.radius, dtype=np.float32),
+        origin=field.center + (origin + fine / 2) * field.radius,
+        spacing=fine * field.radius,
     )
 
 
