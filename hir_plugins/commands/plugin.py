@@ -1,4 +1,4 @@
-"""The built-in commands, and the page that shows an asset in a report. Heavy imports stay inside the commands."""
+"""The built-in commands, and the page that displays an asset in a report. Heavy imports are inside the functions."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from hir_plugins.commands.viewer.command import view_command
 
 @hookimpl
 def hir_register_commands(cli: click.Group) -> None:
-    """`hir batch`, `hir bench`, `hir view`."""
+    """Adds `hir batch`, `hir bench` and `hir view`."""
     for command in (batch_command, bench_command, view_command):
         cli.add_command(command)
 
 
 @hookimpl
 def hir_asset_page(run_folder: Path) -> str | None:
-    """The page of `hir view`, without the run's photographs."""
+    """The page of `hir view`, without the photographs of the run."""
     from hir_plugins.commands.viewer.viewer_page import view_page
 
     return view_page(run_folder, photographs=False)
