@@ -18,23 +18,23 @@ from hir_core.errors import CaptureError
 
 @dataclass(frozen=True)
 class View:
-    """One photograph: a name, perhaps a camera, and the way to its pixels, which are read when they are asked for."""
+    """One photograph: its name, its camera where it is known, and a function that reads its pixels on demand."""
 
     name: str
     camera: Camera | None
     read: Callable[[], Pixels]
-    """Reads the file; readers give a picklable callable."""
+    """Reads the file; readers provide a picklable callable."""
     mask: NDArray[np.float32] | None = None
-    """A mask that replaces the file's own, of the picture without distortion; set by mask sources."""
+    """A mask that replaces the one of the file, for the undistorted image; set by mask sources."""
     distortion: tuple[float, ...] = ()
-    """OpenCV order k1 k2 p1 p2 [k3 …] of the photograph that `read` gives; `pixels` removes it, so that `camera` is a
-    pinhole with the same intrinsics."""
+    """OpenCV order k1 k2 p1 p2 [k3 …], of the photograph that `read` returns. `pixels` removes the distortion, so that
+    `camera` is a pinhole with the same intrinsics."""
     exposure: float = 1.0
-    """Gain of this photograph: its linear values are radiance × exposure."""
+    """The linear values of this photograph are radiance × exposure."""
     path: Path | None = None
-    """The photograph's file; `hir` computes a run anew when its bytes change."""
+    """The photograph's file; a run is computed again when its bytes change."""
     mask_path: Path | None = None
-    """The file that `read` takes the mask from where that is not the photograph itself; watched like `path`."""
+    """The file that `read` takes the mask from, where it is not the photograph itself; checked like `path`."""
 
     def pixels(self, downsample: int = 1) -> Pixels:
         """Linear colour, mask and saturation at 1/`downsample` of the resolution, without lens distortion."""
@@ -62,7 +62,7 @@ class OrientedPoints:
 
 @dataclass(frozen=True)
 class EnvironmentSource:
-    """A light that a capture names: a lat-long file, its strength, and the axes it is given in."""
+    """The light of a capture: a lat-long file, its strength and its axes."""
 
     path: Path
     strength: float = 1.0
@@ -80,9 +80,9 @@ class Capture:
     points: OrientedPoints | None = None
     light_frame: Literal["world", "camera"] = "world"
     world_from_source: Array = field(default_factory=lambda: np.eye(4))
-    """4×4 similarity from the axes of the files to those of `views`; whoever moves the world composes it."""
+    """4×4 similarity from the axes of the files to those of `views`; `transformed` composes it."""
     environment: EnvironmentSource | None = None
-    """The true light where the files name it: for evaluation only, never read by a fit."""
+    """The true light where the files contain it: for evaluation only, never used by a fit."""
     reader: str = ""
 
     def transformed(self, new_from_old: Array) -> Capture:

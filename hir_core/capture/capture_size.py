@@ -1,19 +1,15 @@
-"""Number and size of a capture's photographs: what time and memory depend on."""
+"""Number and size of a capture's photographs, which determine time and memory."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from hir_core.capture.capture import Capture
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclass(frozen=True)
 class CaptureSize:
-    """What the memory of a run depends on."""
+    """Number of photographs and size of the largest one, in pixels."""
 
     views: int
     width: int
@@ -26,7 +22,7 @@ class CaptureSize:
 
 
 def size_of(capture: Capture) -> CaptureSize:
-    """Number of photographs and the size of the largest; without cameras the first photograph is looked at."""
+    """Number of photographs and the size of the largest; without cameras that of the first photograph."""
     sizes = [(v.camera.width, v.camera.height) for v in capture.views if v.camera is not None]
     if not sizes and capture.views:
         height, width = capture.views[0].pixels().color_linear.shape[:2]

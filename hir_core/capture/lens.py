@@ -1,4 +1,4 @@
-"""Lens distortion: pictures are made pinhole where their pixels are read, so nothing after that knows of lenses."""
+"""Lens distortion, removed where pixels are read: all later code has pinhole images."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from hir_core.errors import CaptureError, MissingExtraError
 
 @dataclass(frozen=True)
 class Lens:
-    """How a pinhole picture's pixels lie in the picture that a lens took."""
+    """Maps pixels of a pinhole image to pixels of the image as taken."""
 
     intrinsics: tuple[float, float, float, float]
-    """fx, fy, cx, cy of the picture as taken, in pixels, centres at .5."""
+    """fx, fy, cx, cy of the image as taken, in pixels, centres at .5."""
     coefficients: tuple[float, ...]
     """OpenCV order: k1 k2 p1 p2 [k3 k4 k5 k6], or k1 k2 k3 k4 of a fisheye."""
     model: Literal["radial", "fisheye"]
     pinhole: tuple[float, float, float, float]
-    """fx, fy, cx, cy of the picture without distortion, which has the same size."""
+    """fx, fy, cx, cy of the undistorted image, which has the same size."""
 
     def distort(self, pixels: Array) -> Array:
-        """Where the pinhole picture's pixels (N, 2) lie in the picture as taken."""
+        """The positions (N, 2) in the image as taken of pixels (N, 2) of the pinhole image."""
         fx, fy, cx, cy = self.pinhole
         x, y = (pixels[:, 0] - cx) / fx, (pixels[:, 1] - cy) / fy
         x, y = (_fisheye if self.model == "fisheye" else _radial)(x, y, self.coefficients)
@@ -36,25 +36,25 @@ class Lens:
 
 
 def camera_lens(camera: Camera, distortion: tuple[float, ...]) -> Lens:
-    """The lens in front of a pinhole camera: its picture without distortion has the same intrinsics.
+    """The lens of a camera whose undistorted image has the same intrinsics.
 
-    Coefficients that fold the picture over itself raise `CaptureError`.
+    Coefficients that fold the image over itself raise `CaptureError`.
     """
     k = camera.intrinsics
     intrinsics = (float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]))
     lens = Lens(intrinsics, tuple(distortion), "radial", intrinsics)
-    if not _keeps_order(lens, camera.width, camera.height):
-        raise CaptureError(f"the distortion coefficients {distortion} fold the picture over itself; check them")
+    if not _is_monotonic(lens, camera.width, camera.height):
+        raise CaptureError(f"the distortion coefficients {distortion} fold the image over itself; check them")
     return lens
 
 
 def fisheye_lens(
     intrinsics: tuple[float, float, float, float], coefficients: tuple[float, ...], width: int, height: int
 ) -> Lens:
-    """The fisheye whose pinhole picture shows as much as can be of the picture as taken.
+    """The fisheye lens whose pinhole image shows as much as possible of the image as taken.
 
-    The pinhole keeps the principal point and is zoomed until its border lies inside. A picture that no zoom between a
-    quarter and 2 makes pinhole raises `CaptureError`.
+    The pinhole camera keeps the principal point and is zoomed until its border lies inside. `CaptureError` where no
+    zoom between 0.25 and 2 achieves that.
     """
     fx, fy, cx, cy = intrinsics
     low, high = 0.25, 2.0
@@ -67,11 +67,11 @@ def fisheye_lens(
             and (border >= -1e-6).all()
             and (border[:, 0] <= width + 1e-6).all()
             and (border[:, 1] <= height + 1e-6).all()
-            and _keeps_order(lens, width, height)
+            and _is_monotonic(lens, width, height)
         )
 
     if not fits(high):
-        raise CaptureError(f"the distortion coefficients {coefficients} fold the picture over itself; check them")
+        raise CaptureError(f"the distortion coefficients {coefficients} fold the image over itself; check them")
     for _ in range(40):
         middle = (low + high) / 2
         low, high = (low, middle) if fits(middle) else (middle, high)
@@ -79,21 +79,21 @@ def fisheye_lens(
 
 
 def undistort(pixels: Pixels, lens: Lens) -> Pixels:
-    """The pinhole picture: bilinear in linear light; a pixel next to a clipped one counts as clipped.
+    """The pinhole image, bilinear in linear light; a pixel next to a clipped one counts as clipped.
 
-    Where the lens did not look (the corners, at a strong pincushion) the nearest pixel of its picture is repeated.
+    Outside the image as taken (in corners, at strong pincushion distortion) its nearest pixel is repeated.
     """
     color = resample(pixels.color_linear, lens)
     mask = None if pixels.mask is None else resample(pixels.mask, lens)
     if mask is not None and pixels.mask is not None:
-        # weigh by the mask, so that the background does not bleed into the object's edge
+        # weighted by the mask, so that the background does not bleed into the edge of the object
         weighted = resample(pixels.color_linear * pixels.mask[..., None], lens)
         color = np.where(mask[..., None] > 1e-3, weighted / np.maximum(mask[..., None], 1e-3), color)
     return Pixels(color, mask, resample(pixels.saturated.astype(np.float32), lens) > 0)
 
 
 def resample(image: NDArray[np.float32], lens: Lens) -> NDArray[np.float32]:
-    """The values of an image (H W or H W C), as taken, at the pinhole picture's pixels."""
+    """An image as taken (H W or H W C), resampled at the pixels of the pinhole image."""
     try:
         import cv2
     except ImportError:
@@ -107,10 +107,10 @@ def resample(image: NDArray[np.float32], lens: Lens) -> NDArray[np.float32]:
 
 @lru_cache(maxsize=2)
 def _lookup(lens: Lens, height: int, width: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Columns and rows (H, W); kept, because most captures have one lens."""
+    """Columns and rows (H, W) in OpenCV's convention; cached, because most captures have one lens."""
     columns = np.arange(width, dtype=np.float64) + 0.5
     lookup = np.empty((height, width, 2), dtype=np.float32)
-    for row in range(height):  # row by row: the float64 of a whole large picture would be gigabytes
+    for row in range(height):  # row by row: the float64 of a whole large image would take gigabytes
         # OpenCV's pixel centres lie at whole numbers, ours at .5
         lookup[row] = lens.distort(np.stack([columns, np.full(width, row + 0.5)], axis=1)) - 0.5
     return lookup[..., 0].copy(), lookup[..., 1].copy()
@@ -133,8 +133,8 @@ def _fisheye(x: Array, y: Array, coefficients: tuple[float, ...]) -> tuple[Array
     r = np.hypot(x, y)
     angle = np.arctan(r)
     a2 = angle * angle
-    bent = angle * (1 + a2 * (k1 + a2 * (k2 + a2 * (k3 + a2 * k4))))
-    scale = np.where(r > 1e-12, bent / np.maximum(r, 1e-12), 1.0)
+    distorted = angle * (1 + a2 * (k1 + a2 * (k2 + a2 * (k3 + a2 * k4))))
+    scale = np.where(r > 1e-12, distorted / np.maximum(r, 1e-12), 1.0)
     return x * scale, y * scale
 
 
@@ -145,12 +145,12 @@ def _border(width: int, height: int) -> Array:
     return unit * [width, height]
 
 
-def _keeps_order(lens: Lens, width: int, height: int) -> bool:
-    """Along rays from the principal point the distorted radius must grow, or the polynomial has turned back."""
+def _is_monotonic(lens: Lens, width: int, height: int) -> bool:
+    """Whether the distorted radius grows along rays from the principal point; else the polynomial folds back."""
     centre = np.array(lens.pinhole[2:])
     steps = np.linspace(0.02, 1.0, 50)[:, None, None]
     rays = centre + steps * (_border(width, height)[None] - centre)
-    bent = lens.distort(rays.reshape(-1, 2)).reshape(rays.shape)
-    radius = np.linalg.norm((bent - lens.intrinsics[2:]) / lens.intrinsics[:2], axis=2)
+    distorted = lens.distort(rays.reshape(-1, 2)).reshape(rays.shape)
+    radius = np.linalg.norm((distorted - lens.intrinsics[2:]) / lens.intrinsics[:2], axis=2)
     reach = np.linalg.norm((rays - centre) / lens.pinhole[:2], axis=2)
     return bool((np.diff(radius, axis=0)[np.diff(reach, axis=0) > 1e-9] > 0).all())

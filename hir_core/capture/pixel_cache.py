@@ -1,4 +1,4 @@
-"""Keeps decoded photographs for the length of a run, within a bound, so that no file is decoded twice."""
+"""A cache of decoded photographs, bounded in memory, that lives as long as a run."""
 
 from __future__ import annotations
 
@@ -14,55 +14,55 @@ DEFAULT_BYTES = 1 << 30
 
 
 class PixelCache:
-    """Decoded photographs, the first ones that fit; the others are decoded again when they are asked for."""
+    """Stores the first photographs that fit into the limit; others are decoded again each time."""
 
     def __init__(self, max_bytes: int = DEFAULT_BYTES) -> None:
         self._max_bytes = max_bytes
-        self._kept: dict[str, Pixels] = {}
+        self._cached: dict[str, Pixels] = {}
         self._bytes = 0
         self._lock = Lock()
 
     @property
     def bytes(self) -> int:
-        """Memory that is taken."""
+        """Memory in use."""
         return self._bytes
 
     def wrap(self, capture: Capture) -> Capture:
-        """The same capture, whose views read through this cache."""
+        """The same capture with views that read through this cache."""
         return replace(capture, views=tuple(replace(v, read=self._reader(v.name, v.read)) for v in capture.views))
 
     def undistort(self, capture: Capture) -> Capture:
-        """The same capture, its photographs without lens distortion from here on: that too is done once."""
+        """The same capture with undistorted photographs: they are undistorted once and cached."""
         views = []
         for view in capture.views:
             if view.camera is not None and any(view.distortion):
                 self._forget(view.name)
-                plain = replace(view, mask=None)
-                view = replace(view, read=self._reader(f"{view.name} undistorted", plain.pixels), distortion=())
+                without_mask = replace(view, mask=None)
+                view = replace(view, read=self._reader(f"{view.name} undistorted", without_mask.pixels), distortion=())
             views.append(view)
         return replace(capture, views=tuple(views))
 
     def _forget(self, name: str) -> None:
         with self._lock:
-            kept = self._kept.pop(name, None)
-            self._bytes -= 0 if kept is None else _size(kept)
+            cached = self._cached.pop(name, None)
+            self._bytes -= 0 if cached is None else _size(cached)
 
     def _reader(self, name: str, read: Callable[[], Pixels]) -> Callable[[], Pixels]:
-        # no eviction: stages go through the views in order, where dropping the oldest would never be a hit
-        def cached() -> Pixels:
+        # no eviction: stages read the views in order, so that evicting the oldest would give no hit
+        def read_cached() -> Pixels:
             with self._lock:
-                kept = self._kept.get(name)
-            if kept is not None:
-                return kept
+                cached = self._cached.get(name)
+            if cached is not None:
+                return cached
             pixels = read()
             size = _size(pixels)
             with self._lock:
-                if name not in self._kept and self._bytes + size <= self._max_bytes:
-                    self._kept[name] = pixels
+                if name not in self._cached and self._bytes + size <= self._max_bytes:
+                    self._cached[name] = pixels
                     self._bytes += size
             return pixels
 
-        return cached
+        return read_cached
 
 
 def _size(pixels: Pixels) -> int:

@@ -1,4 +1,4 @@
-"""What a photograph holds once it is decoded: linear colour, mask, clipped pixels."""
+"""A decoded photograph: linear colour, mask and clipped pixels."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from hir_core.errors import CaptureError
 
 @dataclass(frozen=True)
 class Pixels:
-    """What a photograph holds: linear colour (unassociated with the mask), the object's coverage, saturated pixels."""
+    """Linear colour (not premultiplied by the mask), the object's coverage, and saturated pixels."""
 
     color_linear: NDArray[np.float32]
     """H W 3, scene-linear, not multiplied by the mask."""
     mask: NDArray[np.float32] | None
-    """H W coverage of the object in 0…1, None where it is not known."""
+    """H W coverage of the object in 0…1; None where it is unknown."""
     saturated: NDArray[np.bool_]
-    """H W, where the sensor clipped: the truth may be brighter."""
+    """H W, where the sensor clipped: the true radiance may be higher."""
 
     def downsampled(self, factor: int) -> Pixels:
         """Averages blocks of factor×factor pixels; colour is weighted by the mask, so backgrounds do not bleed in."""
@@ -40,7 +40,7 @@ def block_mean(image: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
     """An image (H, W, …) at 1/`factor`, each pixel the mean of a block; a border that fills no block is cut."""
     height, width = image.shape[0] // factor, image.shape[1] // factor
     if height == 0 or width == 0:
-        raise CaptureError(f"an image of {image.shape[1]}×{image.shape[0]} cannot be made {factor} times smaller")
+        raise CaptureError(f"an image of {image.shape[1]}×{image.shape[0]} cannot be downsampled by {factor}")
     total = np.zeros((height, width, *image.shape[2:]), np.float32)
     for row in range(factor):  # numpy's mean over two axes takes 4 to 6 times as long, at factors 4 and 2
         for column in range(factor):

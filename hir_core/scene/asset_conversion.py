@@ -1,4 +1,4 @@
-"""The only crossings between torch and the exporters: a fitted scene becomes an asset, an asset a scene."""
+"""Conversion between scenes (torch) and assets (numpy); the only link between torch and the exporters."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from hir_core.scene.scene import EnvironmentMap, Material, Mesh, Scene, Topology
 
 
 def bake(scene: Scene, *, name: str = "asset", provenance: Mapping[str, Any] | None = None) -> Asset:
-    """The scene as numpy, in the place and scale it has: one vertex for each pair of position and UV.
+    """The scene as an asset in the same frame: one vertex for each pair of position and texture coordinate.
 
-    With a normal map the mesh has tangents; a vertex whose corners have different ones is then several.
-    Albedos, roughness and light are held in the ranges of an asset (albedo at most 1, light not negative). Raises
-    `StageError` where there is no material, or a texture without texture coordinates; `InputError` for NaN.
+    With a normal map the mesh has tangents, and a vertex whose corners have different tangents is split. Albedos,
+    roughness and light are clamped to the ranges of an asset (albedo at most 1, light not negative). Raises
+    `StageError` for a scene without material and for textures without texture coordinates, `InputError` for NaN.
     """
     if scene.material is None:
         raise StageError("the scene has no material to bake; let the reflectance stage run")
     mesh = _bake_mesh(scene.mesh, _has_textures(scene.material))
     if scene.material.normal is not None:
-        mesh = with_tangents(mesh)  # the frames that the normal map was fitted in
+        mesh = with_tangents(mesh)  # the tangent frames that the normal map was fitted in
     asset = Asset(
         mesh=mesh,
         material=_bake_material(scene.material),
@@ -42,7 +42,7 @@ def bake(scene: Scene, *, name: str = "asset", provenance: Mapping[str, Any] | N
 
 
 def scene_from_asset(asset: Asset, device: torch.device | str = "cpu") -> Scene:
-    """The scene that `bake` made the asset of: equal positions are one vertex again; normals follow from the faces."""
+    """The inverse of `bake`: equal positions become one vertex again; normals follow from the faces."""
     first, group = weld(asset.mesh.positions)
     faces = asset.mesh.faces.astype(np.int64)
     mesh = Mesh(
@@ -97,11 +97,11 @@ def _bake_mesh(mesh: Mesh, needs_uvs: bool) -> AssetMesh:
 
 def _bake_material(material: Material) -> AssetMaterial:
     limit = PAPER_SPECULAR_MAX if material.model == "paper" else 1.0
-    roughness = _held(material.roughness, ALPHA_MIN, 1.0)
+    roughness = _clamped(material.roughness, ALPHA_MIN, 1.0)
     return AssetMaterial(
         model=material.model,
-        diffuse_albedo=_held(material.diffuse_albedo, 0.0, 1.0),
-        specular_albedo=_held(material.specular_albedo, 0.0, limit),
+        diffuse_albedo=_clamped(material.diffuse_albedo, 0.0, 1.0),
+        specular_albedo=_clamped(material.specular_albedo, 0.0, limit),
         roughness=roughness[..., 0],
         normal=None if material.normal is None else _unit(_numpy(material.normal)),
         observed=None if material.observed is None else _numpy(material.observed),
@@ -110,15 +110,15 @@ def _bake_material(material: Material) -> AssetMaterial:
 
 def _bake_environment(environment: EnvironmentMap) -> AssetEnvironment:
     rotation = np.eye(3) if environment.to_world is None else _numpy(environment.to_world).astype(np.float64)
-    return AssetEnvironment(_held(environment.radiance, 0.0, np.inf), rotation, environment.frame)
+    return AssetEnvironment(_clamped(environment.radiance, 0.0, np.inf), rotation, environment.frame)
 
 
-def _held(values: Tensor, low: float, high: float) -> NDArray[np.float32]:
+def _clamped(values: Tensor, low: float, high: float) -> NDArray[np.float32]:
     return np.clip(_numpy(values).astype(np.float32), np.float32(low), np.float32(high))
 
 
-def _unit(vectors: NDArray[Any]) -> NDArray[np.float32]:
-    """Unit vectors in float32; where the length is 0 (a folded vertex, a blurred map) +Y in the world, +Z in a map."""
+def _unit(vectors: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Unit vectors in float32; one of length 0 (a folded vertex, a blurred map) becomes +Y in a mesh, +Z in a map."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     up = np.zeros_like(vectors)
     up[..., 2 if vectors.ndim == 3 else 1] = 1

@@ -1,4 +1,4 @@
-"""The frame that all fits run in: the object is centred at the origin and reaches radius 1."""
+"""The working frame, in which all fits run: the object is centred at the origin and has radius 1."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ def unit_similarity(mesh: Mesh) -> NDArray[np.float64]:
     used = positions[np.unique(mesh.faces.cpu().numpy())]
     if not len(used) or not np.isfinite(used).all():
         raise StageError(
-            "the first mesh is empty or has vertices that are not finite; try another chain of initializers"
+            "the initial mesh is empty or has vertices that are not finite; try another chain of initializers"
         )
     center = (used.min(axis=0) + used.max(axis=0)) / 2
     radius = float(np.linalg.norm(used - center, axis=1).max())
     if radius == 0:
-        raise StageError("the first mesh is a single point; try another chain of initializers")
+        raise StageError("the initial mesh is a single point; try another chain of initializers")
     similarity = np.eye(4)
     similarity[:3, :3] /= radius
     similarity[:3, 3] = -center / radius

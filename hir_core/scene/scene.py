@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal, TypeVar
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -13,7 +13,7 @@ from torch import Tensor
 
 @dataclass(frozen=True, eq=False)
 class Topology:
-    """How vertices make triangles; shared by all meshes that differ only in positions."""
+    """The connectivity of a mesh; shared by all meshes that differ only in positions."""
 
     faces: Int[Tensor, "F 3"]
     uv_faces: Int[Tensor, "F 3"] | None = None
@@ -49,7 +49,7 @@ class Topology:
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Triangles in the world; texture coordinates have a topology of their own, so seams do not tear."""
+    """Triangles in the world. Texture coordinates have their own topology, so that seams do not split vertices."""
 
     positions: Float[Tensor, "V 3"]
     topology: Topology
@@ -77,21 +77,21 @@ class Mesh:
         )
         length = normals.norm(dim=1, keepdim=True)
         up = torch.tensor([0.0, 1.0, 0.0], dtype=normals.dtype, device=normals.device).expand_as(normals)
-        # scale first: areas of a millimetre scene in metres underflow when squared
+        # divide before squaring: the areas of a scene of millimetres, in metres, underflow when squared
         return torch.where(length > 0, normals / length.clamp_min(torch.finfo(normals.dtype).tiny), up)
 
     def with_positions(self, positions: Float[Tensor, "V 3"]) -> Mesh:
-        """The same triangles at other places."""
+        """The same triangles with other positions."""
         return replace(self, positions=positions)
 
 
 Texture = Float[Tensor, "H W C"] | Float[Tensor, " C"]
-"""A map (row 0 at v = 0, the top) or one value for the whole surface."""
+"""A texture (row 0 at v = 0, the top) or one value for the whole surface."""
 
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """A BRDF of docs/conventions.md and its parameters; a map that is not needed is a constant or absent."""
+    """A BRDF of docs/conventions.md and its parameters; each parameter is a texture or a constant."""
 
     model: Literal["paper", "dielectric"]
     diffuse_albedo: Texture
@@ -101,12 +101,12 @@ class Material:
     normal: Float[Tensor, "H W 3"] | None = None
     """Unit vectors in tangent space, +Y up, MikkTSpace."""
     observed: Bool[Tensor, "H W"] | None = None
-    """Texels that some view saw."""
+    """Texels that are observed in at least one view."""
 
 
 @dataclass(frozen=True, eq=False)
 class EnvironmentMap:
-    """Distant light as a lat-long image (docs/conventions.md), in the world or carried by the camera."""
+    """Distant light as a lat-long image (docs/conventions.md), fixed in the world or to the camera."""
 
     radiance: Float[Tensor, "H W 3"]
     to_world: Float[Tensor, "3 3"] | None = None
@@ -116,7 +116,7 @@ class EnvironmentMap:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What a run fits."""
+    """Mesh, material and light: what a run reconstructs."""
 
     mesh: Mesh
     material: Material | None = None
@@ -127,13 +127,16 @@ class Scene:
         return _to_device(self, torch.device(device))
 
 
-def _to_device(value, device):  # type: ignore[no-untyped-def]
-    """Moves the tensors of nested frozen dataclasses."""
-    from dataclasses import fields, is_dataclass
+Part = TypeVar("Part", bound=Topology | Mesh | Material | EnvironmentMap | Scene)
 
-    if isinstance(value, Tensor):
-        return value.to(device)
-    if is_dataclass(value):
-        moved = {f.name: _to_device(getattr(value, f.name), device) for f in fields(value)}
-        return type(value)(**moved)  # type: ignore[misc]
-    return value
+
+def _to_device(part: Part, device: torch.device) -> Part:
+    """The same dataclass with all tensors, also of nested dataclasses, on a device."""
+    moved: dict[str, Any] = {}
+    for field in fields(part):
+        value = getattr(part, field.name)
+        if isinstance(value, Tensor):
+            moved[field.name] = value.to(device)
+        elif isinstance(value, Topology | Mesh | Material | EnvironmentMap):
+            moved[field.name] = _to_device(value, device)
+    return replace(part, **moved)

@@ -1,4 +1,4 @@
-"""Scenes between stages on disk: arrays without pickle, images as float32 OpenEXR."""
+"""Scenes of finished stages on disk: arrays without pickle, images as float32 OpenEXR."""
 
 from __future__ import annotations
 
@@ -36,19 +36,19 @@ def save_stage_scene(scene: Scene, folder: Path) -> None:
     if environment is not None:
         document["environment"] = environment.frame
         arrays |= {"environment.radiance": environment.radiance, "environment.to_world": environment.to_world}
-    with atomic_directory(folder) as place:
-        plain = {}
+    with atomic_directory(folder) as new_folder:
+        arrays_to_store = {}
         for name, value in arrays.items():
             if value is None:
                 continue
             array = value.detach().numpy()
             if array.ndim == 3 and array.dtype == np.float32 and array.shape[2] in (1, 3, 4):
-                write_exr(place / f"{name}.exr", array)
+                write_exr(new_folder / f"{name}.exr", array)
             else:
-                plain[name] = array
-        with atomic_path(place / "arrays.npz") as temporary:
-            np.savez(temporary, **plain)  # type: ignore[arg-type]
-        write_json(place / "scene.json", document)
+                arrays_to_store[name] = array
+        with atomic_path(new_folder / "arrays.npz") as temporary:
+            np.savez(temporary, **arrays_to_store)  # type: ignore[arg-type]
+        write_json(new_folder / "scene.json", document)
 
 
 def load_stage_scene(folder: Path, device: str = "cpu") -> Scene:
@@ -57,28 +57,28 @@ def load_stage_scene(folder: Path, device: str = "cpu") -> Scene:
     try:
         return _scene_of(document, _arrays(folder)).to(device)
     except (KeyError, TypeError, AttributeError) as error:
-        raise InputError(f"{folder} is no whole scene of a stage ({error}); run without --resume") from error
+        raise InputError(f"{folder} is not a complete scene of a stage ({error}); run without --resume") from error
 
 
 def _arrays(folder: Path) -> dict[str, torch.Tensor]:
-    found = {name: torch.from_numpy(array) for name, array in read_arrays(folder / "arrays.npz").items()}
+    tensors = {name: torch.from_numpy(array) for name, array in read_arrays(folder / "arrays.npz").items()}
     for path in sorted(folder.glob("*.exr")):
-        found[path.stem] = torch.from_numpy(np.ascontiguousarray(read_exr(path)))
-    return found
+        tensors[path.stem] = torch.from_numpy(np.ascontiguousarray(read_exr(path)))
+    return tensors
 
 
-def _scene_of(document: dict[str, Any], found: dict[str, torch.Tensor]) -> Scene:
+def _scene_of(document: dict[str, Any], tensors: dict[str, torch.Tensor]) -> Scene:
     mesh = Mesh(
-        found["positions"],
-        Topology(found["faces"], found.get("uv_faces")),
-        found.get("uvs"),
-        found.get("vertex_colors"),
+        tensors["positions"],
+        Topology(tensors["faces"], tensors.get("uv_faces")),
+        tensors.get("uvs"),
+        tensors.get("vertex_colors"),
     )
     material = environment = None
     if document["material"] is not None:
-        material = Material(model=document["material"], **{n: found.get(f"material.{n}") for n in _MATERIAL})  # type: ignore[arg-type]
+        material = Material(model=document["material"], **{n: tensors.get(f"material.{n}") for n in _MATERIAL})  # type: ignore[arg-type]
     if document["environment"] is not None:
         environment = EnvironmentMap(
-            found["environment.radiance"], found.get("environment.to_world"), document["environment"]
+            tensors["environment.radiance"], tensors.get("environment.to_world"), document["environment"]
         )
     return Scene(mesh, material, environment)

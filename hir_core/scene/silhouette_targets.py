@@ -1,4 +1,4 @@
-"""Masks and the cameras that see them, as the geometry renderers take them."""
+"""Masks with their cameras: the input of the geometry renderers."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class SilhouetteTargets:
             mask = view.pixels(downsample).mask
             if mask is None:
                 raise CaptureError(
-                    f"view {view.name} has no mask; name a mask source, such as: --set 'masks=[\"grabcut\"]'"
+                    f"view {view.name} has no mask; set a mask source, such as: --set 'masks=[\"grabcut\"]'"
                 )
             if not np.isfinite(mask).all():
                 raise CaptureError(f"the mask of view {view.name} holds values that are not finite; write it again")
@@ -48,7 +48,7 @@ class SilhouetteTargets:
         return SilhouetteTargets(tuple(self.cameras[i] for i in indices), tuple(self.masks[i] for i in indices))
 
     def to(self, device: torch.device) -> SilhouetteTargets:
-        """The same with the masks on a device."""
+        """The same targets with the masks on a device."""
         return SilhouetteTargets(self.cameras, tuple(m.to(device) for m in self.masks))
 
     @property
@@ -62,8 +62,8 @@ def intersection_over_union(
 ) -> Float[Tensor, " B"]:
     """IoU of each view (Zhu et al. 2023, L_sil = 1 − IoU); 1 where both silhouette and mask are empty.
 
-    A view whose mask is empty gives a gradient that shrinks the silhouette, not none.
+    For an empty mask the gradient shrinks the silhouette.
     """
     union = area + mask_area.to(area) - intersection
-    # an empty pair has nothing to be wrong about; half a pixel keeps 0/0 and its gradient away
+    # an empty silhouette and an empty mask agree; the epsilon avoids 0/0 and its gradient
     return (intersection + 1e-6) / (union + 1e-6)

@@ -1,4 +1,4 @@
-"""The sRGB curve on tensors, with a gradient everywhere; `hir_exporters.conventions` has it on arrays."""
+"""The sRGB transfer function on tensors, differentiable everywhere; for arrays: `hir_exporters.conventions`."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ _TOE, _TOE_ENCODED = 0.0031308, 0.04045
 
 
 def linear_to_srgb(linear: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
-    """Continued beyond 1; negative values are black."""
+    """Encodes linear values; the curve continues beyond 1, negative values become 0."""
     linear = linear.clamp_min(0)
-    # the power is taken of the toe's end at least: its slope at 0 is infinite, and `where` would make it NaN
+    # the power has an infinite slope at 0, which `where` would turn into NaN, so its argument is bounded below
     return torch.where(linear <= _TOE, 12.92 * linear, 1.055 * linear.clamp_min(_TOE) ** (1 / 2.4) - 0.055)
 
 
 def srgb_to_linear(encoded: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
-    """The inverse."""
+    """The inverse of `linear_to_srgb`."""
     bright = ((encoded.clamp_min(_TOE_ENCODED) + 0.055) / 1.055) ** 2.4
     return torch.where(encoded <= _TOE_ENCODED, encoded / 12.92, bright)
 
