@@ -1,1 +1,1 @@
-"""Documents and arrays on disk, shared by captures, scenes and runs."""
+"""JSON documents, array archives and file names, shared by captures, scenes and runs."""

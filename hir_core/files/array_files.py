@@ -1,4 +1,4 @@
-"""Archives of arrays (.npz) that a run keeps, read without pickle; damaged ones are refused in one sentence."""
+"""Array archives (.npz) of a run, read without pickle; a damaged one raises one error that names it."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from hir_core.errors import InputError
 
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """All arrays of an archive by name; `InputError` where there is none, it is damaged, or holds objects."""
+    """All arrays of an archive by name; a missing or damaged archive, or one with objects, raises `InputError`."""
     try:
-        # a file that is no archive, numpy leaves open
+        # numpy does not close a file that is no archive
         with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as stored:
             return {name: stored[name] for name in stored.files}
-    except Exception as error:  # zip, zlib and numpy's headers, which are parsed as Python, raise whatever they like
+    except Exception as error:  # zipfile, zlib and numpy's header parser raise many types
         reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{path} cannot be read ({reason}); run without --resume") from error

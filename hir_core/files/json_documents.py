@@ -1,4 +1,4 @@
-"""JSON documents on disk: plain, bounded, the same bytes for the same document."""
+"""JSON documents on disk: of limited size, with the same bytes for the same document."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _MAX_JSON_BYTES = 256 << 20
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """A JSON object from a file; what is wrong with it is an error that names the file."""
+    """A JSON object from a file; anything else raises an `InputError` that names the file."""
     try:
         if path.stat().st_size > _MAX_JSON_BYTES:
             raise InputError(f"{path} is larger than {_MAX_JSON_BYTES >> 20} MiB")
@@ -30,13 +30,13 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def write_json(path: Path, document: Mapping[str, Any]) -> None:
-    """The same bytes for the same document; NaN is refused rather than written."""
+    """Writes a document with sorted keys: the same bytes for the same document; NaN becomes null."""
     text = json.dumps(jsonable(document), indent=1, sort_keys=True, allow_nan=False, ensure_ascii=False)
     write_text_atomic(path, text + "\n")
 
 
 def jsonable(value: Any) -> Any:
-    """Plain lists, dicts and numbers of what a report may hold; NaN and infinities become null."""
+    """A report's value as plain lists, dicts, strings and numbers; NaN and infinities become None."""
     if isinstance(value, Mapping):
         return {str(k): jsonable(v) for k, v in value.items()}
     if isinstance(value, list | tuple | set | frozenset):

@@ -1,1 +1,1 @@
-"""From a folder of photographs to a `Capture`: which reader, and what is wrong with the photographs."""
+"""From a folder of photographs to a `Capture`: the choice of the reader, the capture check, the camera export."""

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def with_automatic_masks(capture: Capture, plugins: PluginManager) -> Capture:
-    """The capture with the masks that a run would find without cameras, for views that have none yet."""
+    """The capture with masks from the automatic sources that need no cameras, for views without a mask."""
     for registered in plugins.components("mask_source"):
         traits = registered.component.traits
         if "automatic" not in traits or "needs_cameras" in traits or registered.missing:

@@ -1,4 +1,4 @@
-"""Solved cameras for other programs: transforms.json and COLMAP's text files."""
+"""Writes estimated cameras for other programs: transforms.json and COLMAP's text files."""
 
 from __future__ import annotations
 
@@ -21,14 +21,18 @@ _OPENGL_FROM_OPENCV = np.diag([1.0, -1, -1, 1])
 
 
 def export_cameras(cameras: Mapping[str, Camera], photographs: Mapping[str, Path], form: str, output: Path) -> Path:
-    """Writes cameras by name, with the paths of their photographs; returns the file or folder that was written.
+    """Writes cameras by name, with the paths of their photographs; returns the written file or folder.
 
     `transforms`: `output`/transforms.json (nerfstudio's fields; +Z up, cameras look along -z). `colmap`: the folder
-    `output`/sparse/0 with cameras.txt, images.txt and an empty points3D.txt; +Y up as in the run.
+    `output`/sparse/0 with cameras.txt, images.txt and an empty points3D.txt; +Y up as in the run. A missing photograph
+    or an unknown `form` raises `ConfigError`.
     """
-    lost = sorted(set(cameras) - set(photographs))
-    if lost:
-        raise ConfigError(f"the capture no longer holds the photograph {lost[0]}, whose camera the run solved")
+    missing = sorted(set(cameras) - set(photographs))
+    if missing:
+        raise ConfigError(
+            f"the photograph {missing[0]}, whose camera the run estimated, is missing from the capture; restore its "
+            "file"
+        )
     files = {name: os.path.relpath(photographs[name], output) for name in cameras}
     if form == "transforms":
         frames = [_frame(cameras[name], files[name]) for name in sorted(cameras)]
@@ -43,7 +47,7 @@ def export_cameras(cameras: Mapping[str, Camera], photographs: Mapping[str, Path
         write_text_atomic(folder / "images.txt", header + "\n\n".join(pictures) + "\n\n")
         write_text_atomic(folder / "points3D.txt", "# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[]\n")
         return folder
-    raise ConfigError(f"cameras are written as {' or '.join(FORMATS)}, not as {form!r}")
+    raise ConfigError(f"cameras cannot be written as {form!r}; use {' or '.join(FORMATS)}")
 
 
 def _frame(camera: Camera, file: str) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Advice of `hir check`: one sentence for each fault of a capture."""
+"""Advice of `hir check`: one sentence for each problem of a capture."""
 
 from __future__ import annotations
 
@@ -16,55 +16,57 @@ _MIN_HEADLIGHT_SCORE = 0.5
 
 
 def advice_for(check: CaptureCheck) -> list[str]:
-    """One sentence for each thing worth knowing, the gravest first."""
-    views, said = check.views, []
+    """One sentence for each problem, the most severe first."""
+    views, advice = check.views, []
     if len(views) < 20:
-        said.append(f"{len(views)} photographs are few; 30 to 80 from all sides give a better shape")
+        advice.append(f"{len(views)} photographs are few: take 30 to 80 from all sides for an accurate shape")
     if 0 < check.with_camera < len(views):
-        said.append(f"{len(views) - check.with_camera} of {len(views)} photographs have no camera")
+        advice.append(f"{len(views) - check.with_camera} of {len(views)} photographs have no camera: they are left out")
     scores = [v.agreement for v in views if v.agreement is not None]
     if scores:
         middle = float(np.median(scores))
         if middle < 0.7:
-            said.append(f"cameras and masks do not agree (IoU {middle:.2f}): check the cameras' axes and the masks")
+            advice.append(f"masks and cameras do not agree (IoU {middle:.2f}): check the cameras' axes and the masks")
         bad = [v.name for v in views if v.agreement is not None and v.agreement < middle - 0.12]
         if bad and middle >= 0.7:
-            said.append(f"the masks of {', '.join(bad[:5])} disagree with the others")
+            advice.append(
+                f"the masks of {', '.join(bad[:5])} disagree with the others: correct them, or remove these photographs"
+            )
     empty = [v.name for v in views if v.mask_share == 0]
     if empty:
-        said.append(
-            f"the masks of {len(empty)} photographs show nothing, such as {empty[0]}: mend them, or leave "
-            "these photographs out"
+        advice.append(
+            f"the masks of {len(empty)} photographs are empty, such as {empty[0]}: correct them, or remove these "
+            "photographs"
         )
     sizes = {(v.width, v.height) for v in views}
     if len(sizes) > 1:
-        said.append(f"the photographs have {len(sizes)} sizes")
+        advice.append(f"the photographs have {len(sizes)} sizes")
     blurred = [v.name for v in views if v.sharpness < 0.5]
     if blurred:
-        said.append(f"{len(blurred)} photographs are blurred compared with the others: {', '.join(blurred[:5])}")
+        advice.append(f"{len(blurred)} photographs are blurred compared with the others: {', '.join(blurred[:5])}")
     flat = [v.name for v in views if v.sharpness == 0 and v.saturated == 0 and v.brightness == 0]
     if flat:
-        said.append(f"{len(flat)} photographs are black, such as {flat[0]}")
+        advice.append(f"{len(flat)} photographs are black, such as {flat[0]}: remove them")
     if check.duplicates:
-        said.append(
+        advice.append(
             f"{len(check.duplicates)} pairs of photographs are the same, such as {' and '.join(check.duplicates[0])}"
         )
     clipped = [v.name for v in views if v.saturated > 0.05]
     if clipped:
-        said.append(f"{len(clipped)} photographs have more than 5 % clipped pixels, such as {clipped[0]}")
+        advice.append(f"{len(clipped)} photographs have more than 5 % clipped pixels, such as {clipped[0]}")
     brightness = np.array([v.brightness for v in views if v.brightness > 0])
     if len(brightness) and brightness.max() > 4 * np.median(brightness):
-        said.append("the photographs' brightness differs by more than a factor of 4: were exposures fixed?")
+        advice.append("the photographs' brightness differs by more than a factor of 4: fix the exposure")
     cut = [v.name for v in views if v.touches_border]
     if cut:
-        said.append(f"the object reaches the border of {len(cut)} photographs, such as {cut[0]}")
+        advice.append(f"the object reaches the border of {len(cut)} photographs, such as {cut[0]}")
     if check.directions_covered is not None and check.directions_covered < 0.25:
-        said.append("the photographs look from few sides: what no camera sees will be guessed")
+        advice.append("the photographs cover few directions: parts that are in no photograph will be inpainted")
     if check.flashes > len(views) / 2:
-        said.append(
-            f"the flash fired in {check.flashes} photographs: its light moves with the camera, which "
-            "light_frame = camera fits"
+        advice.append(
+            f"the flash fired in {check.flashes} photographs, so the light moves with the camera: set light_frame = "
+            "camera"
         )
     if check.headlight is not None and check.headlight > _MIN_HEADLIGHT_SCORE:
-        said.append("the light moves with the camera (a flash, or a turntable): light_frame = camera fits it")
-    return said
+        advice.append("the light moves with the camera (a flash, or a turntable): set light_frame = camera")
+    return advice

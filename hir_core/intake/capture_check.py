@@ -1,8 +1,8 @@
-"""What can be said about a capture before anything is fitted: is it sharp and complete, do masks and cameras agree?"""
+"""Checks a capture before a fit: sharpness, exposure, duplicates, coverage, agreement of masks and cameras."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,21 +16,21 @@ from hir_core.intake.picture_statistics import find_duplicates, sharpness
 from hir_core.intake.reduced_pictures import reduce_to_side
 from hir_core.intake.view_directions import directions_covered
 
-if TYPE_CHECKING:
-    pass
-
 _SIDE_PIXELS = 160
-"""Longer side at which pictures are compared."""
+"""Longer side at which photographs are compared."""
 _SHARPNESS_SIDE_PIXELS = 640
-"""Longer side at which blur is measured: what is blurred less costs nothing."""
+"""Longer side at which blur is measured: blur below this resolution does not matter."""
 
 
 def check_capture(capture: Capture, surface: tuple[Array, Array] | None = None) -> CaptureCheck:
-    """Reads every photograph once, small. `surface`: points and outward normals (N, 3), to tell how the light moves."""
+    """The check of a capture; each photograph is read once and reduced.
+
+    `surface` are points and outward normals (N, 3) of the object, to detect a light that moves with the camera.
+    """
     read = [_read(view) for view in capture.views]
     small = [(pixels, camera) for pixels, camera, *_ in read]
-    sharpness = np.array([sharp for *_, sharp, _ in read])
-    middle = float(np.median(sharpness)) if len(sharpness) else 0.0
+    sharpness_values = np.array([sharp for *_, sharp, _ in read])
+    middle = float(np.median(sharpness_values)) if len(sharpness_values) else 0.0
     agreement = mask_agreement([c for _, c in small], [p.mask for p, _ in small])
     views = tuple(
         _view_check(view, pixels, size, clipped, sharp / middle if middle > 0 else 1.0, agreed)
@@ -50,11 +50,11 @@ def check_capture(capture: Capture, surface: tuple[Array, Array] | None = None) 
         flashes=sum(camera_record(view.path).flash is True for view in capture.views if view.path is not None),
         headlight=headlight,
     )
-    return CaptureCheck(**{**vars(check), "advice": tuple(advice_for(check))})
+    return replace(check, advice=tuple(advice_for(check)))
 
 
 def _read(view: View) -> tuple[Pixels, Camera | None, tuple[int, int], float, float]:
-    """Small pixels and camera; width and height, sharpness and clipped share of the full size."""
+    """Reduced pixels and camera; width and height, sharpness and clipped share at full resolution."""
     pixels = view.pixels()
     height, width = pixels.color_linear.shape[:2]
     weight = np.ones(pixels.saturated.shape, np.float32) if pixels.mask is None else pixels.mask
@@ -64,7 +64,12 @@ def _read(view: View) -> tuple[Pixels, Camera | None, tuple[int, int], float, fl
 
 
 def _view_check(
-    view: View, pixels: Pixels, size: tuple[int, int], clipped: float, sharpness: float, agreement: float | None
+    view: View,
+    pixels: Pixels,
+    size: tuple[int, int],
+    clipped: float,
+    relative_sharpness: float,
+    agreement: float | None,
 ) -> ViewCheck:
     weight = np.ones(pixels.saturated.shape) if pixels.mask is None else pixels.mask
     total = max(float(weight.sum()), 1e-9)
@@ -78,7 +83,7 @@ def _view_check(
         height=size[1],
         saturated=clipped,
         brightness=float((pixels.color_linear.mean(axis=2) * weight).sum() / total),
-        sharpness=float(sharpness),
+        sharpness=float(relative_sharpness),
         mask_share=None if pixels.mask is None else float(pixels.mask.mean()),
         touches_border=border,
         agreement=agreement,

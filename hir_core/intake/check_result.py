@@ -1,4 +1,4 @@
-"""What a check of a capture reports."""
+"""Result of a capture check."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ViewCheck:
-    """One photograph. Shares are of the object's pixels where there is a mask, else of all."""
+    """One photograph. Shares are of the object's pixels if there is a mask, else of all pixels."""
 
     name: str
     width: int
@@ -21,25 +21,29 @@ class ViewCheck:
     brightness: float
     """Mean linear value."""
     sharpness: float
-    """Relative to the capture's median; much below 1 is blurred or out of focus."""
+    """Relative to the capture's median; below 0.5 the photograph is blurred or out of focus."""
     mask_share: float | None
-    """Share of the picture that is object; None without a mask."""
+    """Share of the image that is object; None without a mask."""
     touches_border: bool = False
+    """Whether the object touches the image's border."""
     agreement: float | None = None
-    """Intersection over union of the mask and of what all masks and cameras together leave there."""
+    """Intersection over union of the mask and the re-projected hull of all masks; None without camera or mask."""
 
 
 @dataclass(frozen=True)
 class CaptureCheck:
-    """The findings, and sentences for what should be mended or known."""
+    """Results for all photographs and for the capture."""
 
     views: tuple[ViewCheck, ...]
     duplicates: tuple[tuple[str, str], ...]
+    """Pairs of names of equal photographs."""
     with_camera: int
+    """Number of photographs with a camera."""
     directions_covered: float | None
-    """Share of the sphere of directions within 30° of some camera, seen from the object; None without cameras."""
+    """Share of the directions from the object within 30° of a camera; None without cameras."""
     flashes: int
-    """Photographs whose record says that the flash fired."""
+    """Number of photographs whose EXIF record says that the flash fired."""
     headlight: float | None
-    """1 for a light carried by the camera, 0 for one that stands in the world; None where it cannot be told."""
+    """1 for a light that moves with the camera, 0 for a static light; None if unknown."""
     advice: tuple[str, ...] = field(default=())
+    """One sentence for each problem."""

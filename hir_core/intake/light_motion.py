@@ -19,11 +19,11 @@ _MIN_HEADLIGHT_CORRELATION = 0.4
 def headlight_score(
     pixels: Sequence[Pixels], cameras: Sequence[Camera], positions: Array, normals: Array
 ) -> float | None:
-    """How much the surface's brightness follows the camera: 0 for a light in the world, 1 for a lamp at the camera.
+    """0 for a static light, 1 for a light at the camera; None if fewer than 200 points are visible in three views.
 
-    A matt place keeps its brightness from all sides under a light that stands still. Under a lamp at the camera it goes
-    with the cosine of the view. So the logarithm of brightness is regressed on the logarithm of that cosine, each
-    place's own mean taken out. None where fewer than 200 places are seen from three views.
+    The radiance of a diffuse point is the same in all views under a static light. Under a light at the camera it is
+    proportional to the cosine between normal and view direction. The score is the slope of the regression of
+    log radiance on log cosine, after each point's mean is subtracted, if they correlate.
     """
     step = max(1, len(positions) // 4000)
     points, facing = positions[::step], normals[::step]

@@ -1,4 +1,4 @@
-"""Whether masks and cameras agree: each mask against the re-projected hull of all masks."""
+"""Agreement of masks and cameras: each mask compared with the re-projected hull of all masks."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ _GRID_RESOLUTION = 56
 def mask_agreement(cameras: Sequence[Camera | None], masks: Sequence[NDArray[np.float32] | None]) -> list[float | None]:
     """Per view the IoU of its mask and the re-projected hull of all masks; None for views without mask or camera.
 
-    The hull is carved on a coarse grid with a vote of nine in ten views, so that a wrong mask shows in its own figure.
+    The hull, on a coarse grid, consists of points that nine in ten masks agree on, so that a wrong mask lowers only its
+    own value.
     """
     result: list[float | None] = [None] * len(cameras)
     pairs = {
@@ -44,11 +45,11 @@ def mask_agreement(cameras: Sequence[Camera | None], masks: Sequence[NDArray[np.
 
 
 def _consensus_hull(pairs: Sequence[tuple[Camera, NDArray[np.float32]]]) -> tuple[Array, float] | None:
-    """Grid points (N, 3) that nine in ten of the masks that show them call object, and the grid's spacing."""
+    """Grid points (N, 3) that are object in nine of ten masks, and the grid's spacing; None without such points."""
     focus, distance = camera_focus([c for c, _ in pairs])
     low, high = focus - 0.8 * distance, focus + 0.8 * distance
     points, cell = np.zeros((0, 3)), 0.0
-    for _ in range(3):  # zoom onto what is left
+    for _ in range(3):  # refine the grid around the remaining points
         axes = [np.linspace(low[i], high[i], _GRID_RESOLUTION) for i in range(3)]
         cell = float(max(a[1] - a[0] for a in axes))
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -67,7 +68,7 @@ def _consensus_hull(pairs: Sequence[tuple[Camera, NDArray[np.float32]]]) -> tupl
 
 
 def _project_cells(points: Array, cell: float, camera: Camera) -> NDArray[np.bool_]:
-    """Pixels (H, W) whose centre lies within half a cell of a point, as seen by the camera."""
+    """Pixels (H, W) whose centre is within half a cell of a projected point."""
     shown = np.zeros((camera.height, camera.width), dtype=bool)
     at, depth = camera.project(points)
     ahead = depth > 0

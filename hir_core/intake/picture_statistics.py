@@ -1,4 +1,4 @@
-"""Sharpness of a photograph, and photographs that are the same."""
+"""Sharpness of photographs, and duplicates among them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def sharpness(pixels: Pixels) -> float:
-    """Energy of the finest detail over the energy of coarser detail, inside the mask: blind to contrast."""
+    """Ratio of fine to coarse differences of brightness inside the mask; independent of contrast, 0 if unknown."""
     image = linear_to_srgb(np.clip(pixels.color_linear.mean(axis=2), 0, 1))
     inner = np.ones_like(image, dtype=bool) if pixels.mask is None else pixels.mask > 0.99
     if min(image.shape) < 8 or inner.sum() < 64:
@@ -30,7 +30,7 @@ def sharpness(pixels: Pixels) -> float:
 
 
 def find_duplicates(pixels: Sequence[Pixels]) -> list[tuple[int, int]]:
-    """Pairs of pictures that are the same but for noise."""
+    """Index pairs of photographs that are equal except for noise."""
     prints = []
     for picture in pixels:
         image = linear_to_srgb(np.clip(picture.color_linear.mean(axis=2), 0, 1))

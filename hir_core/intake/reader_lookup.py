@@ -1,4 +1,4 @@
-"""Finds the reader of a capture and reads one of its splits."""
+"""Selects the reader of a capture and reads one of its splits."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def find_reader(path: Path, plugins: PluginManager, name: str = "auto") -> tuple[str, CaptureReader]:
-    """The reader of that name, or the first installed one that knows the capture's format."""
+    """The reader of that name, or with `auto` the first installed one that matches the capture."""
     if not path.exists():
         raise CaptureError(f"{path} does not exist; give the folder of a capture")
     if name != "auto":
@@ -28,16 +28,16 @@ def find_reader(path: Path, plugins: PluginManager, name: str = "auto") -> tuple
         if reader.matches(path):
             return registered.component.name, reader
         tried.append(f"{registered.component.name} ({registered.component.summary.rstrip('.')})")
-    raise CaptureError(f"{path} is no capture that an installed reader knows; there are: {', '.join(tried) or 'none'}")
+    raise CaptureError(f"{path} is no capture that an installed reader knows; installed: {', '.join(tried) or 'none'}")
 
 
 def read_capture(path: Path, split: str, plugins: PluginManager, reader: str = "auto") -> Capture:
-    """Cameras and names of one split; the capture records which reader read it."""
+    """The capture of one split, with the name of the reader."""
     name, found = find_reader(path, plugins, reader)
     known = found.splits(path)
     if split not in known:
-        raise CaptureError(f"{path} has no split {split!r}; it has: {', '.join(known) or 'none'}")
+        raise CaptureError(f"{path} has no split {split!r}; use one of: {', '.join(known) or 'none'}")
     try:
         return replace(found.read(path, split), reader=name)
-    except OSError as error:  # such as a name in a file of cameras that is longer than the system takes
+    except OSError as error:  # for example a file name in a camera file that is too long for the system
         raise CaptureError(f"{path} cannot be read as {name}: {error.strerror or error}") from error

@@ -1,4 +1,4 @@
-"""Photographs reduced by a whole factor, with their cameras."""
+"""Photographs reduced to a maximum side, with their cameras."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a capture's cameras look, and how much of the sphere of directions they cover."""
+"""The focus of a capture's cameras, and the share of viewing directions that they cover."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def directions_covered(cameras: Sequence[Camera]) -> float | None:
-    """Share of directions from what the cameras look at that lie within 30° of a camera."""
+    """Share of the directions from the cameras' focus that are within 30° of a camera; None for fewer than two."""
     if len(cameras) < 2:
         return None
     focus, _ = camera_focus(cameras)
@@ -28,7 +28,7 @@ def directions_covered(cameras: Sequence[Camera]) -> float | None:
 
 
 def camera_focus(cameras: Sequence[Camera]) -> tuple[Array, float]:
-    """Where the cameras look (least squares), and their median distance from there."""
+    """The point (3,) nearest to the cameras' optical axes (least squares), and their median distance from it."""
     o = np.array([c.center for c in cameras])
     d = np.array([c.world_to_camera[2, :3] for c in cameras])
     across = np.eye(3) - d[:, :, None] * d[:, None, :]

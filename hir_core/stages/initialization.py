@@ -10,20 +10,20 @@ from typing import Any
 import numpy as np
 
 from hir_core.capture import Capture, CoordinateFrames
-from hir_core.capture.capture_store import file_hash
 from hir_core.config import RunConfig
 from hir_core.errors import CaptureError, StageError
 from hir_core.plugins.interfaces import Initializer, MaskSource
 from hir_core.plugins.manager import PluginManager
 from hir_core.plugins.progress import Progress
-from hir_core.run.stage_context import StageContext, passed_on
+from hir_core.run.capture_store import file_hash
+from hir_core.run.stage_context import StageContext, forward_warnings
 from hir_core.scene import Scene
 from hir_core.scene.frames import move_scene, unit_similarity
 
 
 @dataclass(frozen=True)
 class InitializationReport:
-    """What the chain of initializers found."""
+    """Result of the chain of initializers, for run.json."""
 
     initializers: tuple[str, ...]
     frames: CoordinateFrames
@@ -49,27 +49,26 @@ def initialize(
     """
     assert config.initializers != "auto", "`resolve_initializers` comes first"
     scene: Scene | None = None
-    capture = _apply_masks(capture, scene, config, context, with_cameras=False)
+    capture = apply_masks(capture, scene, config, context, with_cameras=False)
     chain = config.initializers
     details: dict[str, Mapping[str, Any]] = {}
     masked = False
     for i, name in enumerate(chain):
         if not masked and capture.views and all(view.camera is not None for view in capture.views):
-            capture = _apply_masks(capture, scene, config, context, with_cameras=True)
+            capture = apply_masks(capture, scene, config, context, with_cameras=True)
             masked = True
         context.report(Progress("initializer", i, len(chain), 0.0, message=name))
         initializer: Initializer = context.plugins.create("initializer", name, config.initializer.get(name))
         workspace = context.workspace / f"{i + 1}-{name}"
         workspace.mkdir(parents=True, exist_ok=True)
-        with passed_on(context):
+        with forward_warnings(context):
             capture, scene = initializer.initialize(capture, scene, workspace)
         if own_report := initializer.report():
             details[name] = dict(own_report)
         capture = _registered_only(capture, context)
     if scene is None:
         raise StageError(
-            f"the initializers {', '.join(chain)} made no surface; end the chain with one that does, "
-            "such as visual_hull or mesh_file"
+            f"the initializers {', '.join(chain)} made no surface; end the chain with one that makes a surface"
         )
     working_from_asset = unit_similarity(scene.mesh)
     moved_capture = capture.transformed(working_from_asset)
@@ -99,8 +98,8 @@ def resolve_initializers(capture: Capture, config: RunConfig, plugins: PluginMan
     if not chain:
         known = ", ".join(r.component.name for r in plugins.components("initializer")) or "none"
         raise CaptureError(
-            f"{capture.path}: no plugin suggests how to start from it; name a chain, such as "
-            f"--set 'initializers=[\"visual_hull\"]' (installed: {known})"
+            f"{capture.path}: no plugin suggests initializers for it; name them with --set 'initializers=[…]' "
+            f"(installed: {known})"
         )
     for name in chain:
         plugins.find("initializer", name)
@@ -121,7 +120,7 @@ def _with_expected_masks(capture: Capture, config: RunConfig, plugins: PluginMan
 
 
 def hashes_of_files_read(capture: Capture, config: RunConfig, plugins: PluginManager) -> list[str]:
-    """Hashes of the files beyond the photographs that the stage's components read: other files, another result."""
+    """Hashes of the files, besides the photographs, that the stage's components read; part of the stage's cache key."""
     components = [("mask_source", name, config.mask_source) for name in _mask_sources(config, plugins)]
     components += [("initializer", name, config.initializer) for name in config.initializers]
     hashes: list[str] = []
@@ -139,11 +138,11 @@ def _mask_sources(config: RunConfig, plugins: PluginManager) -> list[str]:
     return [r.component.name for r in offered if "automatic" in r.component.traits and not r.missing]
 
 
-def _apply_masks(
+def apply_masks(
     capture: Capture, scene: Scene | None, config: RunConfig, context: StageContext, with_cameras: bool
 ) -> Capture:
     """`_masked`, with the sources' warnings for the user and run.json."""
-    with passed_on(context):
+    with forward_warnings(context):
         return _masked(capture, scene, config, context.plugins, with_cameras)
 
 
@@ -175,10 +174,13 @@ def _masked(
 
 
 def _registered_only(capture: Capture, context: StageContext) -> Capture:
-    """Without the views that an initializer for cameras could not place, once it placed any."""
-    placed = tuple(view for view in capture.views if view.camera is not None)
-    if placed and len(placed) < len(capture.views):
-        lost = [view.name for view in capture.views if view.camera is None]
-        context.warn(f"{len(lost)} of {len(capture.views)} photographs have no camera and are left out: {lost[0]}, …")
-        return replace(capture, views=placed)
+    """The capture without unregistered views, if any view has a camera; a warning reports their number."""
+    registered = tuple(view for view in capture.views if view.camera is not None)
+    if registered and len(registered) < len(capture.views):
+        unregistered = [view.name for view in capture.views if view.camera is None]
+        context.warn(
+            f"{len(unregistered)} of {len(capture.views)} photographs have no camera and are left out: "
+            f"{unregistered[0]}, …"
+        )
+        return replace(capture, views=registered)
     return capture

@@ -1,4 +1,4 @@
-"""What `hir check` advises: a sentence for each fault, none without."""
+"""Advice of `hir check`: one sentence for each problem, none for a good capture."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def test_a_good_capture_needs_no_advice() -> None:
 
 
 @pytest.mark.parametrize(
-    ("check", "said"),
+    ("check", "sentence"),
     [
         (replace(GOOD, views=VIEWS[:6], with_camera=6), "6 photographs are few"),
         (replace(GOOD, with_camera=20), "5 of 25 photographs have no camera"),
@@ -35,14 +35,14 @@ def test_a_good_capture_needs_no_advice() -> None:
         (with_view(brightness=1.5), "differs by more than a factor of 4"),
         (with_view(touches_border=True), "reaches the border of 1 photographs, such as 02"),
         (replace(GOOD, duplicates=(("03", "04"),)), "1 pairs of photographs are the same, such as 03 and 04"),
-        (replace(GOOD, directions_covered=0.1), "look from few sides"),
+        (replace(GOOD, directions_covered=0.1), "cover few directions"),
         (replace(GOOD, flashes=13), "the flash fired in 13 photographs"),
         (replace(GOOD, headlight=0.8), "the light moves with the camera (a flash"),
     ],
 )
-def test_each_fault_has_its_sentence(check: CaptureCheck, said: str) -> None:
-    [sentence] = advice_for(check)
-    assert said in sentence
+def test_each_problem_has_one_sentence(check: CaptureCheck, sentence: str) -> None:
+    [advice] = advice_for(check)
+    assert sentence in advice
 
 
 def test_a_black_photograph_is_not_only_blurred() -> None:

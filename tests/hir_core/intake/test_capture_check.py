@@ -148,7 +148,7 @@ def test_pictures_too_small_or_too_empty_for_a_judgement(sample: Capture) -> Non
     ]
     found = check_capture(replace(sample, views=tuple(empty)))
     assert all(view.mask_share == 0 for view in found.views)
-    assert any("masks of 24 photographs show nothing, such as 003" in sentence for sentence in found.advice)
+    assert any("masks of 24 photographs are empty, such as 003" in sentence for sentence in found.advice)
     tiny = [replace(v, read=StoredPixels(v.read().downsampled(64)), camera=None) for v in sample.views]
     assert all(np.isfinite(v.sharpness) for v in check_capture(replace(sample, views=tuple(tiny))).views)
     pixels, cameras = [v.read() for v in sample.views], list(sample.cameras)

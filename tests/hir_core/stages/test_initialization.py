@@ -1,4 +1,4 @@
-"""The chain that starts a run: which masks win, which photographs are left out, what a chain must end in."""
+"""The chain of initializers: order of mask sources, unregistered photographs, and a chain without a surface."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from hir_core.plugins.interfaces import Initializer, MaskSource
 from hir_core.plugins.manager import PluginManager
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import Scene
-from hir_core.stages.initialization import _apply_masks, initialize
+from hir_core.stages.initialization import apply_masks, initialize, resolve_initializers
 
 CAMERA = Camera(np.array([[50.0, 0, 4], [0, 50, 4], [0, 0, 1]]), np.eye(4), 8, 8)
 BLACK = Pixels(np.zeros((8, 8, 3), np.float32), None, np.zeros((8, 8), bool))
@@ -35,7 +35,7 @@ class EveryOther(MaskSource):
 
 
 class Half(MaskSource):
-    """One half everywhere; its trait says that it looks at cameras."""
+    """One half everywhere; its trait says that it needs cameras."""
 
     def __init__(self, _: object) -> None:
         pass
@@ -45,7 +45,7 @@ class Half(MaskSource):
 
 
 class LosesOne(Initializer):
-    """Places all photographs but the last, and makes no surface."""
+    """Gives all photographs but the last a camera, and makes no surface."""
 
     def __init__(self, _: object) -> None:
         pass
@@ -56,7 +56,7 @@ class LosesOne(Initializer):
 
 
 class Plugin:
-    """What this file offers."""
+    """The components of this file."""
 
     @hookimpl
     def hir_register_mask_sources(self) -> list[Component]:
@@ -71,12 +71,12 @@ class Plugin:
 
 
 @pytest.fixture
-def told(tmp_path: Path) -> tuple[StageContext, list[str]]:
-    """A stage's context, and what it warns of."""
-    plugins, said = PluginManager(), []
+def stage(tmp_path: Path) -> tuple[StageContext, list[str]]:
+    """A stage's context, and its warnings."""
+    plugins, warned = PluginManager(), []
     plugins.register(Plugin(), "test", "1")
     assert plugins.problems == []
-    return StageContext(plugins, tmp_path, warn=said.append), said
+    return StageContext(plugins, tmp_path, warn=warned.append), warned
 
 
 def capture_of(count: int, camera: Camera | None = None) -> Capture:
@@ -88,35 +88,55 @@ def means(capture: Capture) -> list[float | None]:
     return [None if mask is None else float(mask.mean()) for mask in masks]
 
 
-def test_a_later_source_fills_what_an_earlier_one_left(told: tuple[StageContext, list[str]]) -> None:
-    context, _ = told
+def test_a_later_source_fills_what_an_earlier_one_left(stage: tuple[StageContext, list[str]]) -> None:
+    context, _ = stage
     config = replace(RunConfig(), masks=("every_other", "half"))
-    first = _apply_masks(capture_of(4), None, config, context, with_cameras=False)
-    assert means(first) == [1.0, None, 1.0, None], "half looks at cameras, which there are none of yet"
-    both = _apply_masks(capture_of(4, CAMERA), None, replace(config, masks=("half",)), context, with_cameras=True)
+    first = apply_masks(capture_of(4), None, config, context, with_cameras=False)
+    assert means(first) == [1.0, None, 1.0, None], "half needs cameras, and there are none yet"
+    both = apply_masks(capture_of(4, CAMERA), None, replace(config, masks=("half",)), context, with_cameras=True)
     assert means(both) == [0.5] * 4
 
 
-def test_masks_of_the_files_stay_unless_sources_are_named(told: tuple[StageContext, list[str]]) -> None:
-    context, _ = told
-    given = capture_of(2)
-    given = replace(given, views=tuple(replace(v, mask=np.full((8, 8), 0.25, np.float32)) for v in given.views))
-    assert means(_apply_masks(given, None, RunConfig(), context, with_cameras=False)) == [0.25, 0.25]
+def test_masks_of_the_files_stay_unless_sources_are_named(stage: tuple[StageContext, list[str]]) -> None:
+    context, _ = stage
+    masked = capture_of(2)
+    masked = replace(masked, views=tuple(replace(v, mask=np.full((8, 8), 0.25, np.float32)) for v in masked.views))
+    assert means(apply_masks(masked, None, RunConfig(), context, with_cameras=False)) == [0.25, 0.25]
     named = replace(RunConfig(), masks=("every_other",))
-    assert means(_apply_masks(given, None, named, context, with_cameras=False)) == [1.0, 0.25]
+    assert means(apply_masks(masked, None, named, context, with_cameras=False)) == [1.0, 0.25]
 
 
-def test_photographs_without_a_camera_are_left_out_and_told(told: tuple[StageContext, list[str]]) -> None:
-    context, said = told
+def test_photographs_without_a_camera_are_left_out_with_a_warning(stage: tuple[StageContext, list[str]]) -> None:
+    context, warned = stage
     config = replace(RunConfig(), initializers=("loses_one",), masks=())
     with pytest.raises(StageError, match="the initializers loses_one made no surface"):
         initialize(capture_of(3), config, context)
-    assert said == ["1 of 3 photographs have no camera and are left out: 2, …"]
+    assert warned == ["1 of 3 photographs have no camera and are left out: 2, …"]
 
 
-def test_a_chain_that_nobody_suggests_is_an_error_that_names_what_there_is(
-    told: tuple[StageContext, list[str]],
+def test_the_chain_is_computed_once_and_with_the_masks_of_the_run(stage: tuple[StageContext, list[str]]) -> None:
+    """A suggestion sees the masks that the stage will give, and the stage runs the chain that it is given."""
+    context, _ = stage
+    asked: list[float | None] = []
+
+    class Suggests:
+        @hookimpl
+        def hir_suggest_initializers(self, capture: Capture) -> list[str]:
+            asked.extend(means(capture)[:1])
+            return ["loses_one"]
+
+    context.plugins.register(Suggests(), "suggests", "1")
+    config = replace(RunConfig(), masks=("every_other",))
+    chain = resolve_initializers(capture_of(3), config, context.plugins)
+    assert chain == ("loses_one",) and asked == [1.0]
+    with pytest.raises(StageError, match="made no surface"):
+        initialize(capture_of(3), replace(config, initializers=chain), context)
+    assert asked == [1.0], "the stage does not ask again"
+
+
+def test_a_capture_without_a_suggested_chain_is_an_error_that_names_the_installed_initializers(
+    stage: tuple[StageContext, list[str]],
 ) -> None:
-    context, _ = told
-    with pytest.raises(CaptureError, match=r"no plugin suggests how to start .*there are: loses_one"):
-        initialize(capture_of(3), replace(RunConfig(), masks=()), context)
+    context, _ = stage
+    with pytest.raises(CaptureError, match=r"no plugin suggests initializers .*installed: loses_one"):
+        resolve_initializers(capture_of(3), replace(RunConfig(), masks=()), context.plugins)

@@ -70,5 +70,5 @@ def test_depth_maps_of_a_ball_make_a_ball(scale: float, place: float) -> None:
 
 def test_maps_without_depth_make_no_surface() -> None:
     camera = look_at(np.array([0, 0, 3.0]), np.zeros(3), 60.0, 8, 8)
-    with pytest.raises(StageError, match="agree on no surface"):
+    with pytest.raises(StageError, match="give no surface"):
         tsdf_surface([DepthMap(camera, torch.zeros(8, 8), torch.zeros(8, 8))], 0.1)

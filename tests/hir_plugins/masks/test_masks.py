@@ -91,7 +91,7 @@ def test_masks_that_no_reader_found_are_watched(tmp_path: Path) -> None:
 def test_folders_that_do_not_fit_are_errors(tmp_path: Path) -> None:
     capture = capture_with(tmp_path, {"zzz.png": np.zeros((24, 32), np.uint8)})
     assert Folder(FolderOptions()).masks(capture, None) == [None, None]
-    for path, says in (("masks", "named like a photograph"), ("nowhere", "not a folder"), ("..", "leads out")):
+    for path, says in (("masks", "the name of a photograph"), ("nowhere", "not a folder"), ("..", "leads out")):
         with pytest.raises(CaptureError, match=says):
             Folder(FolderOptions(path=path)).masks(capture, None)
     Image.new("L", (30, 24)).save(tmp_path / "masks" / "a.png")
@@ -140,7 +140,7 @@ def test_a_wild_border_is_an_error() -> None:
     color = np.random.default_rng(0).uniform(size=(32, 32, 3)).astype(np.float32)
     camera = look_at(np.array([0, 0, 4.0]), np.zeros(3), 100.0, 32, 32)
     view = make_view("a", camera, np.zeros((32, 32), np.float32), color)
-    with pytest.raises(CaptureError, match="many colours"):
+    with pytest.raises(CaptureError, match="several colours"):
         ColorKey(ColorKeyOptions()).masks(Capture(Path("x"), (view,)), None)
 
 

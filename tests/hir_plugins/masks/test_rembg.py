@@ -55,7 +55,7 @@ def test_nothing_is_downloaded(photographs: Capture, tmp_path: Path, monkeypatch
 def test_what_is_no_network_is_named(photographs: Capture) -> None:
     with pytest.raises(CaptureError, match="has no model 'magic'"):
         Rembg(RembgOptions(model="magic")).masks(photographs, None)
-    with pytest.raises(CaptureError, match="no such weights"):
+    with pytest.raises(CaptureError, match="does not exist"):
         Rembg(RembgOptions(weights="none.onnx")).masks(photographs, None)
     (photographs.path / "broken.onnx").write_bytes(b"not a network")
     with pytest.raises(CaptureError, match="not a network"):
