@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
@@ -20,6 +21,10 @@ Tables = dict[str, dict[str, Any]]
 
 MAX_SETTINGS_DEPTH = 32
 """Settings are a few tables deep; a far deeper file would exceed Python's recursion limit."""
+
+
+DEFAULT_PRESET = "default_preset"
+"""Key of a preset's file: `true` in the preset that is used where none is named."""
 
 
 @dataclass(frozen=True)
@@ -165,7 +170,8 @@ class ReflectanceSettings:
 class RunConfig:
     """All settings of a run; `hir config show` prints them."""
 
-    preset: str = "fast"
+    preset: str = ""
+    """The preset below the other settings; by default the one that says `default_preset = true`."""
     initializers: tuple[str, ...] | Literal["auto"] = "auto"
     """The chain that finds cameras, points and a surface."""
     masks: tuple[str, ...] | Literal["auto"] = "auto"
@@ -217,10 +223,11 @@ def load_config(
         assign(assigned, assignment)
     for name in (assigned.get("preset", ""), from_file.get("preset", "")):
         if not isinstance(name, str):
-            raise ConfigError(f"preset is {name!r}; it is the name of a preset, such as {RunConfig.preset!r}")
+            raise ConfigError(f"preset is {name!r}; it is the name of a preset: {', '.join(plugins.presets())}")
         preset = preset or name
-    preset = preset or RunConfig.preset
+    preset = preset or _default_preset(plugins)
     settings: dict[str, Any] = read_toml(plugins.preset(preset))
+    settings.pop(DEFAULT_PRESET, None)
     for layer in (from_file, assigned, {k: v for k, v in overrides.items() if v is not None}):
         settings = merge(settings, layer)
     settings["preset"] = preset
@@ -231,6 +238,18 @@ def load_config(
         plugins.register_named(name)
     _check_components(config, plugins)
     return config
+
+
+def _default_preset(plugins: PluginManager) -> str:
+    """The name of the preset that declares itself the default; `ConfigError` where none or several do."""
+    found = []
+    for name, path in plugins.presets().items():
+        with suppress(ConfigError):  # a preset that is not used may be broken
+            found += [name] if read_toml(path).get(DEFAULT_PRESET) is True else []
+    if len(found) != 1:
+        which = f"the presets {', '.join(found)} are all the default" if found else "no installed preset is the default"
+        raise ConfigError(f"{which}; name one with --preset: {', '.join(plugins.presets()) or 'none is installed'}")
+    return found[0]
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -295,7 +314,7 @@ def _check_components(config: RunConfig, plugins: PluginManager) -> None:
     observers = plugins.observers()
     for name, options in config.observers.items():
         if name not in observers:
-            raise ConfigError(f"there is no observer {name!r}; there are: {', '.join(observers) or 'none'}")
+            raise ConfigError(f"there is no observer {name!r}; installed: {', '.join(observers) or 'none'}")
         if options is not False:
             build_options(observers[name], options, f"observer {name!r}")
     for stage in (config.geometry, config.reflectance):

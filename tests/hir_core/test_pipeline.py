@@ -65,7 +65,7 @@ def test_cameras_and_asset_share_the_world(finished: Run, tiny_capture: Path) ->
     """The asset, projected by cameras.json, covers the photographs' masks."""
     from hir_exporters.textures.image_files import read_ldr
 
-    from hir_core.capture.capture_store import read_cameras
+    from hir_core.run.capture_store import read_cameras
 
     asset = load_scene(finished.directory.scene)
     cameras = read_cameras(finished.directory.cameras)
@@ -85,9 +85,7 @@ def test_asset_lies_where_the_files_have_the_object(finished: Run) -> None:
     asset = load_scene(finished.directory.scene)
     radius = np.linalg.norm(asset.mesh.positions, axis=1).max()
     assert radius == pytest.approx(1.0, abs=0.04), "the true mesh has radius 1; a pixel of 64² is 0.04 wide"
-    matrix = np.array(
-        finished.directory.read_run()["stages"]["initializer"]["report"]["frames"]["asset_from_source"]
-    )
+    matrix = np.array(finished.directory.read_run()["stages"]["initializer"]["report"]["frames"]["asset_from_source"])
     np.testing.assert_allclose(matrix[:3, :3], [[1, 0, 0], [0, 0, 1], [0, -1, 0]], atol=1e-12)
     np.testing.assert_allclose(matrix[:3, 3], 0, atol=1e-12)
 
@@ -185,4 +183,4 @@ def test_interrupt_leaves_a_run_that_goes_on(tiny_capture: Path, tmp_path: Path)
     first, second = run.record("initializer"), run.record("geometry")
     assert first is not None and first.finished and second is not None and not second.finished
     done = subprocess.run([*words, "--resume", "--until", "geometry"], capture_output=True, text=True, check=True)
-    assert "initializer: reused" in done.stderr and "geometry: done again" in done.stderr
+    assert "initializer: reused" in done.stderr and "geometry: computed again" in done.stderr

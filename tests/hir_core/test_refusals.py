@@ -93,9 +93,9 @@ def test_files_that_are_too_large_or_missing_are_named(tmp_path: Path, monkeypat
         (["=3"], "write it as key=value"),
         (["geometry=3", "geometry.iterations=3"], "'geometry' was set to a value before; it is a table here"),
         ([".".join("a" * 40) + "=1"], "nested deeper than 32 levels"),
-        (["preset=[]"], "preset is []; it is the name of a preset, such as 'fast'"),
-        (["observers.nobody.a=1"], "there is no observer 'nobody'; there are: "),
-        (["geometry.renderer=nobody"], "there is no geometry renderer named 'nobody'; there are: contour"),
+        (["preset=[]"], "preset is []; it is the name of a preset: "),
+        (["observers.nobody.a=1"], "there is no observer 'nobody'; installed: "),
+        (["geometry.renderer=nobody"], "there is no geometry renderer named 'nobody'; installed: contour"),
     ],
 )
 def test_a_wrong_assignment_is_explained(words: list[str], said: str) -> None:
@@ -171,9 +171,9 @@ def test_a_component_whose_code_is_not_there_names_its_distribution(target: str,
 
 def test_nothing_to_choose_from_is_said() -> None:
     nobody = PluginManager()
-    with pytest.raises(PluginError, match="there is no regularizer named 'it'; there are: none"):
+    with pytest.raises(PluginError, match="there is no regularizer named 'it'; installed: none"):
         nobody.find("regularizer", "it")
-    with pytest.raises(ConfigError, match="there is no preset 'fast'; there are: none"):
+    with pytest.raises(ConfigError, match="there is no preset 'fast'; installed: none"):
         nobody.preset("fast")
     with pytest.raises(
         PluginError, match="no reflectance renderer has the trait 'reference'; name one with --renderer"
@@ -187,7 +187,7 @@ BLACK = Pixels(np.zeros((4, 6, 3), np.float32), None, np.zeros((4, 6), bool))
 
 
 def test_pictures_and_masks_that_do_not_fit_are_named() -> None:
-    with pytest.raises(CaptureError, match="an image of 6×4 cannot be made 5 times smaller"):
+    with pytest.raises(CaptureError, match="an image of 6×4 cannot be downsampled by 5"):
         View("a", None, lambda: BLACK).pixels(5)
     with pytest.raises(CaptureError, match="the mask of a is 3×2, its image 6×4"):
         View("a", None, lambda: BLACK, mask=np.ones((2, 3), np.float32)).pixels()

@@ -1,4 +1,4 @@
-"""The photometric loss and its fit, through a renderer of one line whose values are known."""
+"""The photometric loss and its fit, through a one-line renderer with known values."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ RNG = np.random.default_rng(0)
 
 
 class Product(PreparedReflectance):
-    """Diffuse plus specular albedo times roughness, under the mean of the light; remembers what it was asked."""
+    """Diffuse plus specular albedo times roughness, under the mean of the light; records the requested pixels."""
 
     def __init__(self, sick: Callable[[int], bool] = lambda call: False) -> None:
         self.asked: list[torch.Tensor] = []
@@ -150,7 +150,7 @@ def test_the_loss_is_the_weighted_sum_of_absolute_differences(capture: Capture, 
     assert report == GradientReport(1, {}) and warnings == []
 
 
-def test_terms_join_the_loss_and_pull(capture: Capture, tmp_path: Path) -> None:
+def test_regularizers_are_part_of_the_loss(capture: Capture, tmp_path: Path) -> None:
     pixels = object_pixels(capture, [0, 1], 1, "cpu")
 
     def energy(state: Scene) -> torch.Tensor:
@@ -165,7 +165,7 @@ def test_terms_join_the_loss_and_pull(capture: Capture, tmp_path: Path) -> None:
     np.testing.assert_allclose(material.diffuse_albedo, 0.9, atol=0.02)
 
 
-def test_only_what_is_wanted_moves(capture: Capture, tmp_path: Path) -> None:
+def test_only_requested_parameters_are_fitted(capture: Capture, tmp_path: Path) -> None:
     pixels = object_pixels(capture, [0, 1], 1, "cpu")
     start = scene()
     assert start.material is not None
@@ -245,7 +245,7 @@ def test_a_step_sees_one_view_or_some_pixels_of_all(capture: Capture, tmp_path: 
     assert orders[0] != orders[1] and sorted(orders[0]) == sorted(orders[1]) == list(range(30))
 
 
-def test_trouble_names_pixels_and_views_and_is_warned_of(capture: Capture, tmp_path: Path) -> None:
+def test_nonfinite_pixels_are_counted_by_view_in_a_warning(capture: Capture, tmp_path: Path) -> None:
     pixels = object_pixels(capture, [0, 1], 1, "cpu")
     sick = Product(lambda call: call in (3, 4))
     material, _, report, _, warnings = run(scene(), pixels, tmp_path, GradientSettings(), prepared=sick)
@@ -254,7 +254,7 @@ def test_trouble_names_pixels_and_views_and_is_warned_of(capture: Capture, tmp_p
     assert bool(torch.isfinite(material.diffuse_albedo).all())
 
 
-def test_views_in_trouble_are_named_one_by_one(tmp_path: Path) -> None:
+def test_nonfinite_views_are_named(tmp_path: Path) -> None:
     """Of eight the first five."""
     index = torch.stack([torch.arange(8), torch.ones(8, dtype=torch.long), torch.zeros(8, dtype=torch.long)], dim=1)
     pixels = ObjectPixels(index, torch.ones(8, 3), torch.zeros(8, 1, dtype=torch.bool), list(range(9)))
@@ -276,7 +276,7 @@ def test_views_in_trouble_are_named_one_by_one(tmp_path: Path) -> None:
         ("radiance", "light"),
     ],
 )
-def test_trouble_of_a_term_names_the_values_it_was_given(tmp_path: Path, field: str, name: str) -> None:
+def test_a_nonfinite_term_names_its_parameter(tmp_path: Path, field: str, name: str) -> None:
     start = scene()
     assert start.material is not None and start.environment is not None
     sick = torch.full((2, 4, 3) if field == "radiance" else (1,) if field == "roughness" else (3,), torch.nan)
@@ -310,7 +310,7 @@ def test_trouble_of_a_term_names_the_values_it_was_given(tmp_path: Path, field: 
         )
 
 
-def test_the_state_is_kept_as_often_as_asked(tmp_path: Path) -> None:
+def test_the_state_is_stored_in_the_given_interval(tmp_path: Path) -> None:
     run(scene(), _bright(1.0), tmp_path, GradientSettings(), checkpoint_seconds=0.0)
     assert [p.name for p in (tmp_path / "checkpoints").iterdir()] == ["gradient.npz"]
 

@@ -1,4 +1,4 @@
-"""Hard captures, each fitted for real: what the fit makes of path-traced photographs of a scene that is known."""
+"""Hard captures: real fits to path-traced photographs of known scenes."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -41,7 +41,7 @@ from tests.fixtures.scenes import square
 
 @pytest.mark.parametrize("alpha", [1e-3, 0.03, 0.3, 1.0])
 def test_lobes_from_a_mirrors_to_a_matt_ones(alpha: float, tmp_path: Path) -> None:
-    """A light of 16 rows tells no lobe below 0.1 from a narrower one; at 1 it may as well be called diffuse."""
+    """A light of 16 rows cannot distinguish lobes below 0.1; a lobe of 1 may be fitted as diffuse."""
     truth = Scene(ball(), look((0.3, 0.2, 0.1), 0.5, alpha), lamps())
     capture = photographs(truth, around(8))
     scene, _ = fitted(
@@ -58,7 +58,7 @@ def test_lobes_from_a_mirrors_to_a_matt_ones(alpha: float, tmp_path: Path) -> No
 
 @pytest.mark.parametrize("albedo", [0.0, 1.0])
 def test_black_and_white(albedo: float, tmp_path: Path) -> None:
-    """Under a known light a black ball is black and a white one white, in every texel that was seen."""
+    """Under a known light a black ball is black and a white one white, in every observed texel."""
     truth = Scene(ball(), look((albedo,) * 3), sky())
     scene, report = fitted(truth.mesh, photographs(truth, around(8)), tmp_path, light=sky(), model="diffuse")
     values, _ = observed(scene)
@@ -67,7 +67,7 @@ def test_black_and_white(albedo: float, tmp_path: Path) -> None:
 
 
 def test_white_beside_black_is_as_white_as_alone(tmp_path: Path) -> None:
-    """In sRGB a black pixel counts for a thousand white ones: what it says must not hold the white side down."""
+    """In sRGB a black pixel weighs as much as a thousand white ones; it must not darken the white side."""
     mesh = ball()
     texture, surface = painted(mesh, lambda p: (p[:, :1] > 0).float().expand(-1, 3))
     truth = Scene(mesh, look(texture), sky())
@@ -82,8 +82,8 @@ def test_white_beside_black_is_as_white_as_alone(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_metal_like_a_mirror_is_coloured_and_not_painted(tmp_path: Path) -> None:
-    """Without diffuse part a tinted light would look the same: the light is known."""
+def test_a_mirror_like_metal_has_a_coloured_lobe(tmp_path: Path) -> None:
+    """The light is known, because without a diffuse part a tinted light looks the same."""
     gold = torch.tensor([0.9, 0.6, 0.2])
     truth = Scene(ball(), look((0.0, 0.0, 0.0), gold, 1e-3), lamps(32))
     scene, report = fitted(
@@ -105,7 +105,7 @@ def test_a_metal_like_a_mirror_is_coloured_and_not_painted(tmp_path: Path) -> No
 
 
 def test_grazing_views(tmp_path: Path) -> None:
-    """A square that is seen from 12° above its plane alone."""
+    """A square that is observed only from 12° above its plane."""
     mesh, low = square(), np.radians(12)
     texture, _ = painted(mesh, lambda p: 0.5 + 0.3 * p[:, [0, 2, 0]] * torch.tensor([1.0, 1.0, -1.0]))
     shards, out, up = np.arange(8) * np.pi / 4, 4 * np.cos(low), 4 * np.sin(low)
@@ -121,7 +121,7 @@ def test_grazing_views(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("model", ["diffuse", "auto"])
 def test_views_that_all_graze_end_with_one_clear_sentence(model: str, tmp_path: Path) -> None:
-    """From 4° above a plane a pixel shows too much of it to teach anything."""
+    """From 4° above a plane a pixel covers too much of it."""
     mesh, low, shards = square(), np.radians(4), np.arange(8) * np.pi / 4
     eyes = [(4 * np.cos(low) * np.sin(a), 4 * np.sin(low), 4 * np.cos(low) * np.cos(a)) for a in shards]
     truth = Scene(mesh, look(BROWN), sky())
@@ -129,8 +129,8 @@ def test_views_that_all_graze_end_with_one_clear_sentence(model: str, tmp_path: 
         fitted(mesh, photographs(truth, eyes, size=64), tmp_path, light=sky(), model=model)
 
 
-def test_a_view_that_is_white_from_edge_to_edge_tells_nothing_and_spoils_nothing(tmp_path: Path) -> None:
-    """Exposed 100 times as long as the others, and known to be: all its pixels are clipped."""
+def test_a_fully_clipped_view_changes_nothing(tmp_path: Path) -> None:
+    """Its known exposure is 100 times that of the others: all its pixels are clipped."""
     truth = Scene(ball(), look(BROWN), lamps())
     capture = photographs(truth, around(8), exposures=[100.0] + [1.0] * 7)
     first = capture.views[0].read()
@@ -141,7 +141,7 @@ def test_a_view_that_is_white_from_edge_to_edge_tells_nothing_and_spoils_nothing
     assert unseen_db(scene, truth) > 45
 
 
-def test_views_that_are_all_white_are_no_reason_for_anything(tmp_path: Path) -> None:
+def test_fully_clipped_views_select_nothing(tmp_path: Path) -> None:
     truth = Scene(ball(), look(BROWN), lamps())
     capture = photographs(truth, around(8), exposures=[300.0] * 8)
     scene, report = fitted(truth.mesh, capture, tmp_path, options={"steps": 50})
@@ -166,7 +166,7 @@ def test_one_view(tmp_path: Path) -> None:
     assert float(filled.min()) >= float(values.min()) - 1e-6 and float(filled.max()) <= float(values.max()) + 1e-6
 
 
-def test_what_no_view_sees_is_marked_and_filled_smoothly(tmp_path: Path) -> None:
+def test_unobserved_texels_are_marked_and_inpainted_smoothly(tmp_path: Path) -> None:
     mesh = ball()
     texture, surface = painted(mesh, lambda p: 0.5 + 0.3 * p)
     places = [(-0.5, 0.3), (-0.25, -0.2), (0.0, 0.3), (0.2, -0.3), (0.45, 0.1), (0.6, -0.2)]
@@ -229,7 +229,7 @@ def test_a_light_that_is_upside_down(tmp_path: Path) -> None:
 
 
 def test_a_deep_bowl_needs_indirect_light(tmp_path: Path) -> None:
-    """Inside, the photographs hold six reflections; the fit with one is nearer to the albedo than the one with none."""
+    """The photographs have six bounces; a fit with one is closer to the albedo than a fit with none."""
     mesh, color = unwrap_mesh(bowl(), 128)[0], torch.tensor([0.6, 0.4, 0.2])
     truth = Scene(mesh, look(color), sky())
     eyes = above(10, 0.7)
@@ -247,7 +247,7 @@ def test_a_deep_bowl_needs_indirect_light(tmp_path: Path) -> None:
 
 
 def test_seams_do_not_show(tmp_path: Path) -> None:
-    """The fitted texture has the same colour on both sides of each edge that the atlas cut."""
+    """The fitted texture has the same colour on both sides of each seam edge."""
     mesh = ball()
     texture, _ = painted(mesh, lambda p: 0.5 + 0.3 * p)
     truth = Scene(mesh, look(texture), sky())
@@ -272,7 +272,7 @@ def test_seams_do_not_show(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("texels", [64, 512, pytest.param(4096, marks=pytest.mark.slow)])
 def test_textures_of_any_size(texels: int, tmp_path: Path) -> None:
-    """Between the pixels of a texture that is finer than the photographs stands what its vertices have of them."""
+    """A texture that is finer than the photographs gets the colours of the vertices between their pixels."""
     mesh = ball(texels)
     texture, _ = painted(mesh, lambda p: 0.5 + 0.3 * torch.sin(4 * p), 512)
     truth = Scene(mesh, look(texture), sky())

@@ -1,4 +1,4 @@
-"""For each answer of the ladder a scene for which it is right, by all photographs' word."""
+"""For each model a scene for which it is right: the whole stage selects it from photographs."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -44,8 +44,8 @@ MATERIALS: dict[str, Callable[[Mesh], Material]] = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", MATERIALS)
-def test_the_ladder_ends_where_the_truth_is(name: str, tmp_path: Path) -> None:
-    """Under a light that is not known, by all photographs' word."""
+def test_the_true_model_is_selected(name: str, tmp_path: Path) -> None:
+    """Under an unknown light."""
     mesh = ball()
     truth = Scene(mesh, MATERIALS[name](mesh), lamps())
     scene, report = fitted(mesh, photographs(truth, around(16)), tmp_path)
@@ -54,7 +54,7 @@ def test_the_ladder_ends_where_the_truth_is(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_ladder_finds_that_the_width_varies(tmp_path: Path) -> None:
+def test_a_varying_width_is_selected(tmp_path: Path) -> None:
     mesh = ball()
     truth = Scene(mesh, look((0.3, 0.2, 0.1), 0.3, checked(mesh, 0.1, 0.6)), lamps())
     scene, report = fitted(mesh, photographs(truth, around(16)), tmp_path, light=lamps(), brdf="paper")
@@ -63,8 +63,8 @@ def test_the_ladder_finds_that_the_width_varies(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_ladder_finds_indirect_light(tmp_path: Path) -> None:
-    """In a bowl whose light is known; the direct fit's albedo has the light between the walls in it, and is near 1."""
+def test_indirect_light_is_selected(tmp_path: Path) -> None:
+    """In a bowl under a known light; without it the albedo contains the light between the walls and is near 1."""
     mesh, color = unwrap_mesh(bowl(), 128)[0], torch.tensor([0.6, 0.4, 0.2])
     truth = Scene(mesh, look(color), sky())
     capture = photographs(truth, above(12, 0.9), depth=3, size=48)
@@ -77,8 +77,8 @@ def test_the_ladder_finds_indirect_light(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_light_between_walls_is_found_where_more_of_it_is_than_the_model_has(tmp_path: Path) -> None:
-    """Six reflections in the photographs, one in the model, few cells: what is left may be called a lobe, or dents."""
+def test_indirect_light_is_selected_where_there_are_more_bounces_than_in_the_model(tmp_path: Path) -> None:
+    """Six bounces in the photographs, one in the model, few cells: a lobe or normals may imitate the rest."""
     mesh, color = unwrap_mesh(bowl(), 128)[0], torch.tensor([0.6, 0.4, 0.2])
     truth = Scene(mesh, look(color), sky())
     capture = photographs(truth, above(12, 0.9), depth=8, size=48)
@@ -90,8 +90,8 @@ def test_light_between_walls_is_found_where_more_of_it_is_than_the_model_has(tmp
     assert float((values.mean(dim=0) - color).abs().max()) < 0.1
 
 
-def test_without_a_specular_part_the_answer_is_diffuse(tmp_path: Path) -> None:
-    """Everything is open: light on the camera, both models, indirect light."""
+def test_without_a_specular_part_diffuse_is_selected(tmp_path: Path) -> None:
+    """All candidates are allowed: light on the camera, both BRDFs, indirect light."""
     truth = Scene(ball(), look(BROWN), lamps())
     capture = photographs(truth, around(16))
     scene, report = fitted(truth.mesh, capture, tmp_path, light_frame="auto", options={"steps": 100})
@@ -104,7 +104,7 @@ def test_without_a_specular_part_the_answer_is_diffuse(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("frame", ["world", "camera"])
-def test_whether_the_light_goes_with_the_camera(frame: str, tmp_path: Path) -> None:
+def test_the_frame_of_the_light_is_selected(frame: str, tmp_path: Path) -> None:
     truth = Scene(ball(), look(BROWN), replace(sky(), frame=frame))
     scene, report = fitted(
         truth.mesh, photographs(truth, around(12)), tmp_path, light_frame="auto", brdf="paper", options={"steps": 100}
