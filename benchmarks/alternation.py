@@ -17,7 +17,7 @@ from torch import Tensor
 from benchmarks.reflectance_task import asked_task
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene.srgb import srgb_slope, srgb_to_linear
-from hir_plugins.commands.bench.suites.reflectance_fits import DOWNSAMPLE, FITTED
+from hir_plugins.commands.bench.suites.reflectance_fits import DOWNSAMPLE, FITTED_MODEL
 from hir_plugins.reflectance_renderers.transport_ggx.fit.final_albedo import SRGB_SLOPE_FLOOR_LINEAR, solve_final_albedo
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
 from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import (
@@ -51,9 +51,12 @@ def main() -> None:
         task.row(name, time.perf_counter() - began, found)
 
     for effort in EFFORTS:
-        row(f"gradient steps, effort {effort:g}", lambda solver, e=effort: solver.fit(FITTED, None, every, e, _silent))
+        row(
+            f"gradient steps, effort {effort:g}",
+            lambda solver, e=effort: solver.fit(FITTED_MODEL, None, every, e, _silent),
+        )
     for rounds in ROUNDS:
-        row(f"closed form, {rounds} in turn", lambda solver, n=rounds: Fit(FITTED, alternated(solver, every, n)))
+        row(f"closed form, {rounds} in turn", lambda solver, n=rounds: Fit(FITTED_MODEL, alternated(solver, every, n)))
 
 
 def _silent(share: float) -> None:
@@ -64,16 +67,18 @@ def alternated(solver: TransportSolver, views: Sequence[int], rounds: int) -> Pa
     """Light, then albedos, so often, from what gradient steps begin with."""
     photographs = solver._photographs(views)
     parameters = solver._initial_parameters(
-        FITTED, Fit(ModelSpec(), solver._initial_parameters(ModelSpec(), None, photographs)), photographs
+        FITTED_MODEL, Fit(ModelSpec(), solver._initial_parameters(ModelSpec(), None, photographs)), photographs
     )
-    stream = solver._mini_batches(photographs, FITTED)
+    stream = solver._mini_batches(photographs, FITTED_MODEL)
     blocks = [stream.make(parameters, number) for number in range(stream.count)]
-    specular = specular_matrices(blocks, FITTED.brdf)
+    specular = specular_matrices(blocks, FITTED_MODEL.brdf)
     refresh_matrices(blocks, specular, parameters)
     for _ in range(rounds):
-        problem = LightProblem(solver._transport, blocks, specular, parameters, FITTED.bounces)
+        problem = LightProblem(solver._transport, blocks, specular, parameters, FITTED_MODEL.bounces)
         parameters = replace(parameters, light=problem.solution().log())
-        found = solve_final_albedo(solver._transport, zip(blocks, specular, strict=True), parameters, FITTED.bounces)
+        found = solve_final_albedo(
+            solver._transport, zip(blocks, specular, strict=True), parameters, FITTED_MODEL.bounces
+        )
         parameters = replace(parameters, diffuse=found.with_closed_form_albedo.diffuse)
     return parameters
 

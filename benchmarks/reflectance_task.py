@@ -14,7 +14,7 @@ from hir_core.scene import Scene
 from hir_core.stages.reflectance.initial_scene import initial_scene
 from hir_plugins.commands.bench.inputs.bench_captures import decode_images, true_scene
 from hir_plugins.commands.bench.inputs.scene_evaluator import SceneEvaluator
-from hir_plugins.commands.bench.suites.reflectance_fits import DOWNSAMPLE, FITTED
+from hir_plugins.commands.bench.suites.reflectance_fits import DOWNSAMPLE, FITTED_MODEL
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Task:
 
     def row(self, name: str, seconds: float | None, shown: Scene) -> None:
         """Judges a scene."""
-        errors = self.evaluator(shown, FITTED.bounces)
+        errors = self.evaluator(shown, FITTED_MODEL.bounces)
         relit = ", ".join(f"{value:.1f}" for key, value in errors.items() if key.startswith("relight"))
         unseen = f"{errors['unseen dB']:.1f} / {errors['frame dB']:.1f}"
         print(f"| {name} | {'–' if seconds is None else f'{seconds:.0f}'} | {unseen} | {relit} |", flush=True)

@@ -20,7 +20,7 @@ from benchmarks.true_materials import true_scene
 from hir_core.plugins.interfaces import ReflectanceSolver
 from hir_core.rendering.light_files import load_light
 from hir_core.scene import EnvironmentMap, Scene
-from hir_plugins.commands.bench.suites.reflectance_fits import DOWNSAMPLE, FITTED
+from hir_plugins.commands.bench.suites.reflectance_fits import DOWNSAMPLE, FITTED_MODEL
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import latlong, texel_directions
 
 
@@ -72,7 +72,7 @@ def fitted(task: Task, variant: Variant) -> Scene:
     solver = renderer.prepare(variant.change(task.start), task.train, DOWNSAMPLE)
     assert isinstance(solver, ReflectanceSolver)
     every = range(len(task.train.views))
-    spec = replace(FITTED, light_is_known=variant.known_light)
+    spec = replace(FITTED_MODEL, light_is_known=variant.known_light)
     fit = solver.fit(spec, None, every, variant.effort, lambda _: None)
     if variant.normals:
         fit = solver.fit(replace(spec, normals="map"), fit, every, variant.effort, lambda _: None)

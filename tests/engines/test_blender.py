@@ -1,4 +1,4 @@
-"""An exported .glb in Blender looks like our own render of the asset: way round, hand and colour."""
+"""Blender renders an exported .glb like hir's path tracer: orientation, handedness and colour."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from parity.engines import blender_python, in_blender
 
 from hir_core.metrics import composite, unassociate
 from hir_core.plugins.manager import PluginManager
-from hir_core.rendering.run_pictures import orbit_cameras
+from hir_core.rendering.orbit_cameras import orbit_cameras
 from tests.fixtures.octant_asset import asset
 
 
 @pytest.fixture(scope="module")
 def blender() -> Path:
-    """The Python that has bpy; the test skips where there is none."""
+    """The Python interpreter with bpy; the test is skipped if there is none."""
     if not blender_python().exists():
         pytest.skip("bpy is not installed: run tools/setup.sh blender, or set HIR_BLENDER_PYTHON")
     return blender_python()
 
 
 @pytest.mark.slow
-def test_blender_shows_what_we_render(blender: Path, tmp_path: Path) -> None:
-    """Mean difference below 2 of 255 codes, and ten times nearer than any mirrored, turned or swapped picture."""
+def test_blender_renders_the_same_image(blender: Path, tmp_path: Path) -> None:
+    """The mean difference is below 2 of 255 codes, and a tenth of that to any mirrored, rotated or swapped image."""
     from hir_core.rendering.reference_renderer import reference_renderer, render_view
     from hir_core.scene.asset_conversion import scene_from_asset
     from hir_core.stages.export.asset_export import export_asset
@@ -34,12 +34,12 @@ def test_blender_shows_what_we_render(blender: Path, tmp_path: Path) -> None:
     _, renderer = reference_renderer(plugins)
     for i in (0, 2):
         camera = orbit_cameras(6, 25.0, 256)[i]
-        [shown] = in_blender(tmp_path / "octants.glb", tmp_path / "octants.hdr", [camera], 64)
+        [rendered] = in_blender(tmp_path / "octants.glb", tmp_path / "octants.hdr", [camera], 64)
         ours = composite(*unassociate(render_view(renderer, scene_from_asset(asset()), camera, f"shot {i}")))
-        right = np.abs(shown - ours).mean()
+        right = np.abs(rendered - ours).mean()
         for wrong in (ours[:, ::-1], ours[::-1], np.rot90(ours), ours[..., ::-1]):
-            assert np.abs(shown - wrong).mean() > 10 * right
+            assert np.abs(rendered - wrong).mean() > 10 * right
         inside = ours.sum(axis=-1) > 0
         flat = inside & (np.abs(np.gradient(ours.mean(axis=-1))).max(axis=0) < 0.01)
-        print(f"side {i}: {np.abs(shown[flat] - ours[flat]).mean(axis=0) * 255} codes")
-        assert np.abs(shown[flat] - ours[flat]).mean(axis=0).max() < 2 / 255
+        print(f"side {i}: {np.abs(rendered[flat] - ours[flat]).mean(axis=0) * 255} codes")
+        assert np.abs(rendered[flat] - ours[flat]).mean(axis=0).max() < 2 / 255

@@ -1,4 +1,4 @@
-"""The ready scripts of examples/engines, run as the files that they are."""
+"""The scripts of examples/engines, run unchanged."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from parity.browser import module_folder, pictures_in_browser
 from parity.engines import blender_python
 
 from hir_core.capture import Camera
-from hir_core.rendering.run_pictures import look_at
+from hir_core.rendering.orbit_cameras import look_at
 from tests.fixtures.octant_asset import asset
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "examples" / "engines"
@@ -22,7 +22,7 @@ pytestmark = pytest.mark.slow
 
 
 def camera(away: float, width: int, height: int) -> Camera:
-    """Where both scripts put it: 35 degrees high, `away` radii of the box's sphere in the direction (0.5, 0.4, 1)."""
+    """The camera of both scripts: 35° vertical field of view, `away` bounding-sphere radii along (0.5, 0.4, 1)."""
     radius = float(np.linalg.norm([0.9, 0.6, 0.7]))
     toward = np.array([0.5, 0.4, 1.0])
     focal = height / 2 / np.tan(np.radians(17.5))
@@ -31,7 +31,7 @@ def camera(away: float, width: int, height: int) -> Camera:
 
 
 def assert_like_ours(picture: np.ndarray, seen_from: Camera) -> None:
-    """Inside the outline the picture is our path tracer's, and five times nearer than its mirror images and turns."""
+    """Inside the silhouette the image matches our path tracer; mirrored and rotated images have five times its error."""
     from hir_core.metrics import composite, unassociate
     from hir_core.plugins.manager import PluginManager
     from hir_core.rendering.reference_renderer import reference_renderer, render_view
@@ -60,7 +60,7 @@ ANSWER = """<script>
 
 
 def test_the_threejs_page(chromium: list[str], tmp_path: Path) -> None:
-    """As it is, but for where three.js lies; the address is given by a script that stands before."""
+    """Unchanged but for the path of three.js; a script before it sets the URL's parameters."""
     if module_folder("three") is None:
         pytest.skip("three.js is not installed: run tools/setup.sh test")
     create_exporter("glb").write(asset(), tmp_path / "octants.glb")

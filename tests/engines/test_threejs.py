@@ -1,4 +1,4 @@
-"""An exported .glb in three.js looks like our own render of the asset: way round, hand and colour."""
+"""three.js renders an exported .glb like hir's path tracer: orientation, handedness and colour."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from parity.engines import in_browser
 
 from hir_core.metrics import composite, unassociate
 from hir_core.plugins.manager import PluginManager
-from hir_core.rendering.run_pictures import orbit_cameras
+from hir_core.rendering.orbit_cameras import orbit_cameras
 from tests.fixtures.octant_asset import asset
 
 
 @pytest.fixture(scope="module")
 def shots(chromium: list[str], tmp_path_factory: pytest.TempPathFactory) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Pairs of pictures over black (H, W, 3), three.js' and ours, from two sides."""
+    """Pairs of images over black (H, W, 3), rendered by three.js and by us, from two sides."""
     if module_folder("three") is None:
         pytest.skip("three.js is not installed: run tools/setup.sh test")
     from hir_core.rendering.reference_renderer import reference_renderer, render_view
@@ -34,9 +34,9 @@ def shots(chromium: list[str], tmp_path_factory: pytest.TempPathFactory) -> list
     pairs = []
     for i in (0, 2):
         camera = orbit_cameras(6, 25.0, 256)[i]
-        [shown] = in_browser("three.html", folder / "octants.glb", folder / "octants.hdr", [camera])
+        [rendered] = in_browser("three.html", folder / "octants.glb", folder / "octants.hdr", [camera])
         ours = composite(*unassociate(render_view(renderer, scene_from_asset(asset()), camera, f"shot {i}")))
-        pairs.append((shown, ours))
+        pairs.append((rendered, ours))
     return pairs
 
 
@@ -44,41 +44,41 @@ def error(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.abs(a - b).mean())
 
 
-def test_same_way_round_same_hand_same_channels(shots: list[tuple[np.ndarray, np.ndarray]]) -> None:
-    """Our render explains three's picture ten times better than any mirrored, turned or channel-swapped one."""
-    for shown, ours in shots:
+def test_same_orientation_handedness_and_channels(shots: list[tuple[np.ndarray, np.ndarray]]) -> None:
+    """Our image is ten times closer to that of three.js than any mirrored, rotated or channel-swapped one."""
+    for rendered, ours in shots:
         wrong = {
             "mirrored": ours[:, ::-1],
             "upside down": ours[::-1],
-            "turned": np.rot90(ours),
+            "rotated": np.rot90(ours),
             "red for blue": ours[..., ::-1],
         }
-        right = error(shown, ours)
+        right = error(rendered, ours)
         for name, picture in wrong.items():
-            assert error(shown, picture) > 10 * right, name
+            assert error(rendered, picture) > 10 * right, name
     (first, _), (_, second) = shots
     assert error(first, second) > 10 * error(*shots[0]), "the two sides differ"
 
 
 def test_same_colours(shots: list[tuple[np.ndarray, np.ndarray]]) -> None:
-    """Away from borders of colours: within 2 of 255 codes, and no channel brighter or darker by more than a hundredth.
+    """Away from edges of colours: within 2 of 255 codes, and no channel brighter or darker by more than 1 %.
 
-    Measured from the first side: 1.1, 1.5 and 0.8 codes, ratios 1.002, 1.000, 1.002; with the light turned wrongly the
-    worst channel is 15 codes off or more. What remains is three.js' prefiltering of the light.
+    Measured from the first side: 1.1, 1.5 and 0.8 codes, ratios 1.002, 1.000, 1.002. With a wrongly rotated light the
+    worst channel differs by 15 codes or more. The remaining difference is three.js' prefiltering of the light.
     """
-    for shown, ours in shots:
+    for rendered, ours in shots:
         inside = ours.sum(axis=-1) > 0
         flat = inside & (np.abs(np.gradient(ours.mean(axis=-1))).max(axis=0) < 0.01)
         assert flat.sum() > 5000
-        assert np.abs(shown[flat] - ours[flat]).mean(axis=0).max() < 2 / 255
-        np.testing.assert_allclose(shown[flat].mean(axis=0) / ours[flat].mean(axis=0), 1.0, atol=0.01)
+        assert np.abs(rendered[flat] - ours[flat]).mean(axis=0).max() < 2 / 255
+        np.testing.assert_allclose(rendered[flat].mean(axis=0) / ours[flat].mean(axis=0), 1.0, atol=0.01)
 
 
 @pytest.mark.parametrize(
     ("name", "library"), [("draco", "DracoPy"), pytest.param("meshopt", "meshopt", marks=pytest.mark.slow)]
 )
-def test_compressed_files_look_the_same(name: str, library: str, chromium: list[str], tmp_path: Path) -> None:
-    """three.js' own decoder: less than a code apart in the mean, and not a mirrored or empty picture."""
+def test_compressed_files_give_the_same_image(name: str, library: str, chromium: list[str], tmp_path: Path) -> None:
+    """Decoded by three.js: the mean difference is below one code, and the image is neither mirrored nor empty."""
     pytest.importorskip(library, reason="hir[compress] is not installed")
     if module_folder("three") is None:
         pytest.skip("three.js is not installed: run tools/setup.sh test")
@@ -92,7 +92,7 @@ def test_compressed_files_look_the_same(name: str, library: str, chromium: list[
     assert error(pictures["none"], pictures[name]) < 1 / 255
 
 
-def test_the_page_states_what_the_formula_costs(shared: Path) -> None:
+def test_the_page_contains_the_measured_costs(shared: Path) -> None:
     text = (Path(__file__).resolve().parents[2] / "docs" / "engines" / "threejs.md").read_text(encoding="utf-8")
     table = text.split("<!-- costs -->")[1].split("<!-- /costs -->")[0].strip().splitlines()
     assert table[2:] == rows(shared / "envmaps" / "studio.hdr")

@@ -7,18 +7,19 @@ import platform
 import sys
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from hir_core import __version__
+from hir_core.config import RunConfig
 from hir_core.errors import HirError, InputError, MissingExtraError
 from hir_core.plugins.progress import Progress
 from hir_core.run.run_directory import RunDirectory
 from hir_plugins.commands.batch.retries import StoreError, is_infrastructure_error, one_line
 from hir_plugins.commands.batch.scheduling.messages import OutcomeState, ProgressMessage, TaskOutcome, TaskSpec
-from hir_plugins.commands.batch.stage_groups import STAGE_GROUPS
+from hir_plugins.commands.batch.stage_groups import STAGE_GROUPS, StageGroup
 from hir_plugins.commands.batch.storage import object_store
 from hir_plugins.commands.batch.storage.content_hash import result_key
 from hir_plugins.commands.batch.storage.layout import Destination
@@ -28,9 +29,50 @@ from hir_plugins.commands.batch.storage.worker_scratch import WorkerScratch, def
 from hir_plugins.commands.batch.summary.run_summary import summarize_run
 
 
-def run_task(spec: TaskSpec, on_progress: Callable[[ProgressMessage], None]) -> TaskOutcome:
+class StageRunner(Protocol):
+    """Runs the stages of a group in a run directory; returns the names of the stages that were reused."""
+
+    def __call__(
+        self,
+        config: RunConfig,
+        capture: Path,
+        run: Path,
+        group: StageGroup,
+        on_progress: Callable[[Progress], None],
+        on_message: Callable[[str], None],
+    ) -> Sequence[str]: ...
+
+
+def run_stages(
+    config: RunConfig,
+    capture: Path,
+    run: Path,
+    group: StageGroup,
+    on_progress: Callable[[Progress], None],
+    on_message: Callable[[str], None],
+) -> Sequence[str]:
+    """Resumes the run until the last stage of the group."""
+    from hir_core.pipeline import reconstruct
+    from hir_core.plugins.manager import PluginManager
+
+    result = reconstruct(
+        capture,
+        run,
+        config=config,
+        resume=True,
+        until=group.last_stage,
+        plugins=PluginManager.discover(tuple(config.plugins)),
+        on_progress=on_progress,
+        on_message=on_message,
+    )
+    return result.reused
+
+
+def run_task(
+    spec: TaskSpec, on_progress: Callable[[ProgressMessage], None], stage_runner: StageRunner = run_stages
+) -> TaskOutcome:
     """Runs one task. Every exception becomes an outcome: Ray only notices if the process itself dies."""
-    worker = Worker(spec, on_progress)
+    worker = Worker(spec, on_progress, stage_runner)
     try:
         return worker.run()
     except Exception as error:
@@ -45,7 +87,10 @@ def run_task(spec: TaskSpec, on_progress: Callable[[ProgressMessage], None]) -> 
 class Worker:
     """One task, its timings and its log."""
 
-    def __init__(self, spec: TaskSpec, on_progress: Callable[[ProgressMessage], None]) -> None:
+    def __init__(
+        self, spec: TaskSpec, on_progress: Callable[[ProgressMessage], None], stage_runner: StageRunner
+    ) -> None:
+        self._run_stages = stage_runner
         self.spec, self.group = spec, STAGE_GROUPS[spec.group]
         self.content_hash = spec.content_hash
         self.seconds: dict[str, float] = {}
@@ -79,7 +124,8 @@ class Worker:
             scratch.prepare_run(key)
             stored = self._restore(destination, key, scratch)
             self._end_phase("stage")
-            self._reconstruct(capture, scratch.run)
+            reused = self._run_stages(spec.config, capture, scratch.run, self.group, self._report, self._log)
+            self.reused = set(self.group.stages) <= set(reused)
             self._end_phase("compute")
             if lease_owner(destination.lease) != spec.lease_token:
                 raise StoreError("another batch has acquired the lease of this destination")
@@ -129,23 +175,6 @@ class Worker:
                     break
             stored.add(group.name)
         return stored
-
-    def _reconstruct(self, capture: Path, run: Path) -> None:
-        from hir_core.pipeline import reconstruct
-        from hir_core.plugins.manager import PluginManager
-
-        config = self.spec.config
-        result = reconstruct(
-            capture,
-            run,
-            config=config,
-            resume=True,
-            until=self.group.last_stage,
-            plugins=PluginManager.discover(tuple(config.plugins)),
-            on_progress=self._report,
-            on_message=self._log,
-        )
-        self.reused = set(self.group.stages) <= set(result.reused)
 
     def _publish(self, destination: Destination, scratch: WorkerScratch) -> dict[str, Any]:
         """Publishes the result, then its record, then removes the stored stages: a batch that dies in between can

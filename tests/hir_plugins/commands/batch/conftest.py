@@ -28,6 +28,8 @@ class UnreliableStore(MemoryFileSystem):
     protocol = "unreliable"
     requests = itertools.count(1)
     failures = 0
+    read_only_name = ""
+    """Files with this name cannot be written."""
 
     @classmethod
     def _strip_protocol(cls, path: str) -> str:
@@ -48,6 +50,8 @@ class UnreliableStore(MemoryFileSystem):
 
     def put_file(self, lpath: str, rpath: str, *args: object, **kwargs: object) -> None:
         self._count_request()
+        if UnreliableStore.read_only_name and rpath.endswith(UnreliableStore.read_only_name):
+            raise PermissionError(13, "Access Denied")
         super().put_file(lpath, rpath, *args, **kwargs)
 
     def get_file(self, rpath: str, lpath: str, *args: object, **kwargs: object) -> None:

@@ -21,6 +21,7 @@ from hir_plugins.commands.batch.storage.archive import pack, result_files, unpac
 from hir_plugins.commands.batch.storage.layout import Destination
 from hir_plugins.commands.batch.storage.storage_path import StoragePath
 from hir_plugins.commands.batch.storage.worker_scratch import remove_stale_scratch, worker_scratch
+from tests.hir_plugins.commands.batch.conftest import UnreliableStore
 
 
 @pytest.fixture
@@ -88,19 +89,13 @@ def test_result_replaces_an_older_one_as_a_whole(kind: str, run: Path, memory: S
 
 
 def test_interrupted_upload_leaves_no_run(run: Path, memory: StoragePath, monkeypatch: pytest.MonkeyPatch) -> None:
-    destination = Destination(memory)
+    destination = Destination(StoragePath(memory.url.replace("memory", "unreliable")))
     destination.publish("cup", run)
-    upload = object_store.upload
-
-    def interrupted(sources: dict[str, Path], path: StoragePath) -> None:
-        upload({name: sources[name] for name in list(sources)[:1]}, path)
-        raise StoreError("refused")
-
-    monkeypatch.setattr(object_store, "upload", interrupted)
-    with pytest.raises(StoreError):
-        destination.publish("cup", run)
+    with monkeypatch.context() as patch:
+        patch.setattr(UnreliableStore, "read_only_name", "cup.glb")
+        with pytest.raises(InputError, match=r"cup\.glb cannot be written: .*; check the address and your permissions"):
+            destination.publish("cup", run)
     assert not object_store.exists(destination.result("cup") / "run.json"), "without run.json a folder is not a run"
-    monkeypatch.setattr(object_store, "upload", upload)
     destination.publish("cup", run)
     assert object_store.read(destination.result("cup") / "run.json") == (run / "run.json").read_bytes()
 

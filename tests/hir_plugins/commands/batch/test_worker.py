@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
+from typing import NoReturn
 
 import pytest
 
@@ -14,7 +14,7 @@ from hir_core.config import RunConfig, load_config
 from hir_core.pipeline import reconstruct
 from hir_core.plugins.manager import PluginManager
 from hir_plugins.commands.batch.scheduling.messages import ProgressMessage, TaskOutcome, TaskSpec
-from hir_plugins.commands.batch.scheduling.worker import run_task
+from hir_plugins.commands.batch.scheduling.worker import StageRunner, run_stages, run_task
 from hir_plugins.commands.batch.stage_groups import STAGE_GROUPS
 from hir_plugins.commands.batch.storage import object_store
 from hir_plugins.commands.batch.storage.content_hash import content_hash, settings_hash
@@ -37,8 +37,10 @@ def task_for(source: StoragePath | Path, out: StoragePath, config: RunConfig, ca
     )
 
 
-def run(spec: TaskSpec, messages: list[ProgressMessage] | None = None) -> TaskOutcome:
-    return run_task(spec, (messages if messages is not None else []).append)
+def run(
+    spec: TaskSpec, messages: list[ProgressMessage] | None = None, stage_runner: StageRunner = run_stages
+) -> TaskOutcome:
+    return run_task(spec, (messages if messages is not None else []).append, stage_runner)
 
 
 def test_four_tasks_on_a_store_give_the_bytes_of_a_single_run(
@@ -58,8 +60,8 @@ def test_four_tasks_on_a_store_give_the_bytes_of_a_single_run(
         if i == 0:
             assert run(spec).reused, "stored stages are not computed again"
         content = outcome.content_hash
-        kept = set(object_store.list_files(Destination(out).unfinished("cow")))
-        assert {Path(name).stem for name in kept} == ({g.name for g in STAGE_GROUPS[: i + 1]} if i < 3 else set()), (
+        stored = set(object_store.list_files(Destination(out).unfinished("cow")))
+        assert {Path(name).stem for name in stored} == ({g.name for g in STAGE_GROUPS[: i + 1]} if i < 3 else set()), (
             group
         )
     assert content == content_hash(tiny) and {message.stage for message in messages} >= {
@@ -102,28 +104,23 @@ def test_broken_capture_fails_with_one_sentence_and_a_log(
     )
 
 
-def test_errors_are_classified(
-    tiny: Path, config: RunConfig, memory: StoragePath, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_errors_are_classified(tiny: Path, config: RunConfig, memory: StoragePath, tmp_path: Path) -> None:
     spec = task_for(tiny, memory / "out", config, tmp_path / "node")
     other = run(replace(spec, version="0.0.1"))
     assert other.state == "failed" and "install the same version" in other.reason
     gone = run(replace(spec, source=str(tmp_path / "gone")))
     assert gone.state == "failed" and "does not exist on this node" in gone.reason
 
-    def full(*_: object, **__: object) -> None:
+    def disk_full(*_: object) -> NoReturn:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("hir_core.pipeline.reconstruct", full)
-    assert run(spec).state == "infrastructure_error", "another node may have a disk"
+    assert run(spec, stage_runner=disk_full).state == "infrastructure_error", "another node may have free space"
 
-    def defective(*_: object, **__: object) -> None:
+    def defective(*_: object) -> NoReturn:
         raise ZeroDivisionError("division by zero")
 
-    monkeypatch.setattr("hir_core.pipeline.reconstruct", defective)
-    assert run(spec).reason == "this is a bug: ZeroDivisionError: division by zero"
-    monkeypatch.setattr("hir_core.pipeline.reconstruct", lambda *_, **__: SimpleNamespace(reused=()))
+    assert run(spec, stage_runner=defective).reason == "this is a bug: ZeroDivisionError: division by zero"
     object_store.write(Destination(memory / "out").lease, json_bytes({"owner": "another batch"}))
-    superseded = run(spec)
+    superseded = run(spec, stage_runner=lambda *_: ())
     assert superseded.state == "infrastructure_error" and "another batch" in superseded.reason
     assert object_store.list_files(Destination(memory / "out").unfinished("cow")) == {}

@@ -1,4 +1,4 @@
-"""The studies behind docs/reflectance.md: that they measure what they say."""
+"""The studies of docs/reflectance.md: closed-form light, and light seen from the cameras."""
 
 from __future__ import annotations
 
@@ -18,29 +18,29 @@ from hir_plugins.reflectance_renderers.transport_ggx.solver import Fit
 from tests.hir_plugins.reflectance_renderers.transport_ggx.test_light_and_albedo import solver_of
 
 
-def light_problem(rung: ModelSpec) -> tuple[Any, Parameters, LightProblem]:
-    """A ball with what its photographs begin with, in several blocks."""
+def light_problem(spec: ModelSpec) -> tuple[Any, Parameters, LightProblem]:
+    """A sphere with the initial parameters of its fit, in several mini-batches."""
     solver, _ = solver_of(block_pixels=400)
     photographs = solver._photographs(range(6))
-    parameters = solver._begin(rung, None, photographs)
-    stream = solver._stream(photographs, rung)
-    blocks = [stream.make(parameters, number) for number in range(stream.count)]
-    specular = specular_matrices(blocks, rung.brdf)
+    parameters = solver._initial_parameters(spec, None, photographs)
+    batches = solver._mini_batches(photographs, spec)
+    blocks = [batches.make(parameters, number) for number in range(batches.count)]
+    specular = specular_matrices(blocks, spec.brdf)
     refresh_matrices(blocks, specular, parameters)
-    return solver, parameters, LightProblem(solver._transport, blocks, specular, parameters, rung.bounces)
+    return solver, parameters, LightProblem(solver._transport, blocks, specular, parameters, spec.bounces)
 
 
-@pytest.mark.parametrize("rung", [ModelSpec(), ModelSpec("dielectric", "uniform", bounces=1)])
-def test_the_light_in_closed_form_shows_what_was_photographed(rung: ModelSpec) -> None:
-    solver, parameters, problem = light_problem(rung)
-    found = problem.solution()
-    assert bool((found > 0).all()) and bool(torch.isfinite(found).all())
-    before = solver.errors(Fit(rung, parameters), range(6)).mean()
-    after = solver.errors(Fit(rung, replace(parameters, light=found.log())), range(6)).mean()
+@pytest.mark.parametrize("spec", [ModelSpec(), ModelSpec("dielectric", "uniform", bounces=1)])
+def test_the_closed_form_light_reproduces_the_photographs(spec: ModelSpec) -> None:
+    solver, parameters, problem = light_problem(spec)
+    radiance = problem.solution()
+    assert bool((radiance > 0).all()) and bool(torch.isfinite(radiance).all())
+    before = solver.errors(Fit(spec, parameters), range(6)).mean()
+    after = solver.errors(Fit(spec, replace(parameters, light=radiance.log())), range(6)).mean()
     assert after < 0.2 * before
 
 
-def test_what_a_light_shows_is_linear_and_its_transpose_is_one() -> None:
+def test_rendering_is_linear_in_the_light_and_its_transpose_is_the_adjoint() -> None:
     """⟨A x, y⟩ = ⟨x, Aᵀ y⟩, which conjugate gradients rely on."""
     _, parameters, problem = light_problem(ModelSpec("dielectric", "uniform", bounces=1))
     torch.manual_seed(0)
@@ -51,9 +51,9 @@ def test_what_a_light_shows_is_linear_and_its_transpose_is_one() -> None:
     assert left == pytest.approx(float((light * problem._transposed(weights)).sum()), rel=1e-3)
 
 
-def test_a_light_seen_from_itself_is_itself() -> None:
-    even = EnvironmentMap(torch.full((16, 32, 3), 0.7), torch.eye(3))
-    assert torch.allclose(seen_from(even, 8), torch.full((8, 16, 3), 0.7))
+def test_a_light_resampled_in_its_own_frame_is_unchanged() -> None:
+    uniform = EnvironmentMap(torch.full((16, 32, 3), 0.7), torch.eye(3))
+    assert torch.allclose(seen_from(uniform, 8), torch.full((8, 16, 3), 0.7))
     bright = torch.zeros(16, 32, 3)
     bright[4:6, 10:12] = 1.0
     assert float(seen_from(EnvironmentMap(bright, torch.eye(3)), 16).sub(bright).abs().max()) < 1e-6
