@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from hir_exporters.files.atomic import write_text_atomic
@@ -50,7 +49,7 @@ def export_cameras(cameras: Mapping[str, Camera], photographs: Mapping[str, Path
     raise ConfigError(f"cameras cannot be written as {form!r}; use {' or '.join(FORMATS)}")
 
 
-def _frame(camera: Camera, file: str) -> dict[str, Any]:
+def _frame(camera: Camera, file: str) -> dict[str, object]:
     pose = _Z_UP_FROM_Y_UP @ np.linalg.inv(camera.world_to_camera) @ _OPENGL_FROM_OPENCV
     k = camera.intrinsics
     frame = {

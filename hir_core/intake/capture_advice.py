@@ -53,13 +53,17 @@ def advice_for(check: CaptureCheck) -> list[str]:
         )
     clipped = [v.name for v in views if v.saturated > 0.05]
     if clipped:
-        advice.append(f"{len(clipped)} photographs have more than 5 % clipped pixels, such as {clipped[0]}")
+        advice.append(
+            f"{len(clipped)} photographs have more than 5 % clipped pixels, such as {clipped[0]}: reduce the exposure"
+        )
     brightness = np.array([v.brightness for v in views if v.brightness > 0])
     if len(brightness) and brightness.max() > 4 * np.median(brightness):
         advice.append("the photographs' brightness differs by more than a factor of 4: fix the exposure")
     cut = [v.name for v in views if v.touches_border]
     if cut:
-        advice.append(f"the object reaches the border of {len(cut)} photographs, such as {cut[0]}")
+        advice.append(
+            f"the object reaches the border of {len(cut)} photographs, such as {cut[0]}: keep it inside the frame"
+        )
     if check.directions_covered is not None and check.directions_covered < 0.25:
         advice.append("the photographs cover few directions: parts that are in no photograph will be inpainted")
     if check.flashes > len(views) / 2:

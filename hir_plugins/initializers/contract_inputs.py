@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from hir_core.capture import Capture
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from hir_core.testing.captures import TinyCapture
 
 
-def object_mesh_file(truth: TinyCapture, capture: Capture, folder: Path) -> tuple[Capture, dict[str, Any]]:
+def object_mesh_file(truth: TinyCapture, capture: Capture, folder: Path) -> tuple[Capture, dict[str, object]]:
     """The true surface as a file, in the axes of the capture's own files."""
     import trimesh
 
@@ -28,7 +28,7 @@ def object_mesh_file(truth: TinyCapture, capture: Capture, folder: Path) -> tupl
     return capture, {"path": str(folder / "object.ply"), "axes": "source"}
 
 
-def without_masks(truth: TinyCapture, capture: Capture, folder: Path) -> tuple[Capture, dict[str, Any]]:
+def without_masks(truth: TinyCapture, capture: Capture, folder: Path) -> tuple[Capture, dict[str, object]]:
     """Photographs, cameras and oriented points without masks."""
     del capture, folder
     return truth.without_masks(), {}

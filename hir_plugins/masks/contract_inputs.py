@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from hir_exporters.conventions import linear_to_srgb
@@ -16,13 +16,13 @@ if TYPE_CHECKING:
     from hir_core.testing.captures import TinyCapture
 
 
-def photographs_with_alpha(truth: TinyCapture, capture: Capture, folder: Path) -> tuple[Capture, dict[str, Any]]:
+def photographs_with_alpha(truth: TinyCapture, capture: Capture, folder: Path) -> tuple[Capture, dict[str, object]]:
     """The photographs with their coverage, as if they had an alpha channel."""
     del capture, folder
     return truth.capture, {}
 
 
-def folder_of_masks(truth: TinyCapture, capture: Capture, folder: Path) -> tuple[Capture, dict[str, Any]]:
+def folder_of_masks(truth: TinyCapture, capture: Capture, folder: Path) -> tuple[Capture, dict[str, object]]:
     """Masks as image files in a folder of the capture."""
     del folder
     for view, mask in zip(capture.views, truth.masks, strict=True):
@@ -30,7 +30,7 @@ def folder_of_masks(truth: TinyCapture, capture: Capture, folder: Path) -> tuple
     return capture, {"path": "cut_out"}
 
 
-def photographs_with_weights(truth: TinyCapture, capture: Capture, folder: Path) -> tuple[Capture, dict[str, Any]]:
+def photographs_with_weights(truth: TinyCapture, capture: Capture, folder: Path) -> tuple[Capture, dict[str, object]]:
     """The photographs, and a network that compares each pixel with the background's colour; needs `onnx`."""
     del folder
     weights = truth.folder / "weights.onnx"

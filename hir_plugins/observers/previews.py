@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from hir_core.plugins import hookimpl
 from hir_core.plugins.options import build_options
 from hir_plugins.observers.options import PreviewsOptions
 
 if TYPE_CHECKING:
+    from hir_core.config import RunConfig
     from hir_core.scene import Scene
 
 NAME = "previews"
@@ -28,14 +29,14 @@ class PreviewsObserver:
         return {NAME: PreviewsOptions}
 
     @hookimpl
-    def hir_run_started(self, config: Any, run_folder: Path) -> None:
+    def hir_run_started(self, config: RunConfig, run_folder: Path) -> None:
         table = config.observers.get(NAME, False)
         self._folder = None if table is False else run_folder / NAME
         if table is not False:
             self._options = build_options(PreviewsOptions, table, "observer 'previews'")
 
     @hookimpl
-    def hir_stage_finished(self, stage: str, scene: Scene | None, report: Mapping[str, Any]) -> None:
+    def hir_stage_finished(self, stage: str, scene: Scene | None, report: Mapping[str, object]) -> None:
         if self._folder is None or scene is None or not len(scene.mesh.faces):
             return
         from hir_exporters.textures.image_files import write_png

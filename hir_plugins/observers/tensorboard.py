@@ -12,6 +12,7 @@ from hir_core.plugins.options import build_options
 from hir_plugins.observers.options import TensorBoardOptions
 
 if TYPE_CHECKING:
+    from hir_core.config import RunConfig
     from hir_core.plugins.progress import Progress
     from hir_core.scene import Scene
 
@@ -32,7 +33,7 @@ class TensorBoardObserver:
         return {NAME: TensorBoardOptions}
 
     @hookimpl
-    def hir_run_started(self, config: Any, run_folder: Path) -> None:
+    def hir_run_started(self, config: RunConfig, run_folder: Path) -> None:
         table = config.observers.get(NAME, False)
         self._folder = None
         if table is False:
@@ -57,7 +58,7 @@ class TensorBoardObserver:
                 writer.add_scalar(name, value, step)
 
     @hookimpl
-    def hir_stage_finished(self, stage: str, scene: Scene | None, report: Mapping[str, Any]) -> None:
+    def hir_stage_finished(self, stage: str, scene: Scene | None, report: Mapping[str, object]) -> None:
         if self._folder is None:
             return
         writer = self._writer_of(stage)

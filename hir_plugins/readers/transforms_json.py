@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Final, final
 
 from hir_core.capture import Capture, EnvironmentSource, View
 from hir_core.errors import CaptureError
@@ -98,8 +98,8 @@ def _files(path: Path) -> dict[str, Path]:
 
 
 def _frames_of_split(
-    content: dict[str, Any], split: str, source: Path, own_file: bool
-) -> list[tuple[int, dict[str, Any]]]:
+    content: dict[str, object], split: str, source: Path, own_file: bool
+) -> list[tuple[int, dict[str, object]]]:
     frames = content.get("frames")
     if not isinstance(frames, list) or not frames or not all(isinstance(f, dict) for f in frames):
         raise CaptureError(
@@ -116,7 +116,9 @@ def _frames_of_split(
     return chosen
 
 
-def _view(content: dict[str, Any], frame: dict[str, Any], source: Path, index: int, photo: Path, name: str) -> View:
+def _view(
+    content: dict[str, object], frame: dict[str, object], source: Path, index: int, photo: Path, name: str
+) -> View:
     owner = f"{source}, frame {index}"
     merged = {**content, **frame}
     camera_to_source = rigid_transform(frame.get("transform_matrix"), owner)
@@ -126,7 +128,7 @@ def _view(content: dict[str, Any], frame: dict[str, Any], source: Path, index: i
     return make_view(name, photo, _lens(merged, owner, photo), rigid_inverse(world_from_camera), owner, mask)
 
 
-def _lens(table: dict[str, Any], owner: str, photo: Path) -> LensCamera:
+def _lens(table: dict[str, object], owner: str, photo: Path) -> LensCamera:
     fisheye = table.get("camera_model") == "OPENCV_FISHEYE" or table.get("is_fisheye") is True
     model = table.get("camera_model", "OPENCV")
     if model not in _MODELS:
@@ -154,7 +156,7 @@ def _lens(table: dict[str, Any], owner: str, photo: Path) -> LensCamera:
     return LensCamera(fx, fy, cx, cy, width, height, coefficients, "fisheye" if fisheye else "radial")
 
 
-def _environment(content: dict[str, Any], source: Path) -> EnvironmentSource | None:
+def _environment(content: dict[str, object], source: Path) -> EnvironmentSource | None:
     entry = content.get("environment")
     if entry is None:
         return None
@@ -172,7 +174,7 @@ def _environment(content: dict[str, Any], source: Path) -> EnvironmentSource | N
     )
 
 
-def _text(frame: dict[str, Any], key: str, source: Path, index: int) -> str:
+def _text(frame: dict[str, object], key: str, source: Path, index: int) -> str:
     value = frame.get(key)
     if not isinstance(value, str):
         raise CaptureError(f"{source}, frame {index}: {key!r} is {value!r}, not a file name")

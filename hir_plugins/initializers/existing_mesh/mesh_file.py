@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, final
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 import torch
@@ -22,6 +22,9 @@ from hir_plugins.initializers.surface.object_bounds import object_bounding_spher
 from hir_plugins.initializers.surface.silhouette_fields import working_downsample
 from hir_plugins.initializers.surface.vertex_colors import vertex_colors
 
+if TYPE_CHECKING:
+    import trimesh
+
 _MAX_BYTES = 4 << 30
 
 
@@ -31,7 +34,7 @@ class MeshFile(Initializer):
 
     def __init__(self, config: MeshFileOptions) -> None:
         self._config = config
-        self._report: dict[str, Any] = {}
+        self._report: dict[str, object] = {}
 
     def initialize(self, capture: Capture, scene: Scene | None, workspace: Path) -> tuple[Capture, Scene | None]:
         """The unchanged capture, and the file's mesh. Unreadable, empty or non-finite meshes raise `CaptureError`."""
@@ -71,7 +74,7 @@ class MeshFile(Initializer):
         """The mesh."""
         return [self._path(capture)]
 
-    def report(self) -> Mapping[str, Any]:
+    def report(self) -> Mapping[str, object]:
         """The mean distance between the mesh and the points that it was aligned with."""
         return self._report
 
@@ -124,7 +127,7 @@ class MeshFile(Initializer):
         return transform if axes == "world" else capture.world_from_source @ transform
 
 
-def load_mesh(path: Path) -> Any:
+def load_mesh(path: Path) -> trimesh.Trimesh:
     """The file's triangles as one `trimesh.Trimesh`, with the stored vertices; several objects are joined."""
     import trimesh
 
@@ -145,7 +148,7 @@ def load_mesh(path: Path) -> Any:
     return mesh
 
 
-def _texture_coordinates(mesh: Any) -> NDArray[np.float32] | None:
+def _texture_coordinates(mesh: trimesh.Trimesh) -> NDArray[np.float32] | None:
     """UV per vertex (V, 2), origin top left; None if the file has none, or not one finite UV per vertex."""
     uv = getattr(mesh.visual, "uv", None)
     if uv is None or len(uv) != len(mesh.vertices) or not np.isfinite(uv).all():
@@ -154,11 +157,11 @@ def _texture_coordinates(mesh: Any) -> NDArray[np.float32] | None:
     return flip_v(np.asarray(uv, dtype=np.float32)).astype(np.float32)
 
 
-def _file_colors(mesh: Any) -> NDArray[np.float32] | None:
+def _file_colors(mesh: trimesh.Trimesh) -> NDArray[np.float32] | None:
     """Linear vertex colours (V, 3) of the file; None if it has none."""
     if getattr(mesh.visual, "kind", None) != "vertex":
         return None
-    colors = np.asarray(mesh.visual.vertex_colors)
+    colors = np.asarray(mesh.visual.vertex_colors)  # type: ignore[union-attr] # of ColorVisuals, by its kind
     if len(colors) != len(mesh.vertices):
         return None
     return srgb_to_linear(colors[:, :3].astype(np.float32) / 255).astype(np.float32)

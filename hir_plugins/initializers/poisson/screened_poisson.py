@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from hir_exporters.files.subprocess_call import Arrays
+from numpy.typing import NDArray
 
 
-def surface(positions: Any, normals: Any, depth: Any, trim: Any) -> Arrays:
+def surface(
+    positions: NDArray[np.float64], normals: NDArray[np.float64], depth: NDArray[np.int64], trim: NDArray[np.float64]
+) -> Arrays:
     """Vertices and triangles through points (N, 3) in a unit box.
 
     The share `trim` of the vertices with the lowest point density is removed.

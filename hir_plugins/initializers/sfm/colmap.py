@@ -41,7 +41,7 @@ class Colmap(Initializer):
     def __init__(self, config: ColmapOptions) -> None:
         # COLMAP is deterministic only with one thread: each thread has its own random numbers
         self._config = replace(config, threads=threads(config.threads))
-        self._report: dict[str, Any] = {}
+        self._report: dict[str, object] = {}
 
     def initialize(self, capture: Capture, scene: Scene | None, workspace: Path) -> tuple[Capture, Scene | None]:
         """The capture with estimated cameras and sparse points.
@@ -87,7 +87,7 @@ class Colmap(Initializer):
         path = Path(self._config.scale_bar)
         return [path if path.is_absolute() else capture.path / path] if self._config.scale_bar else []
 
-    def report(self) -> Mapping[str, Any]:
+    def report(self) -> Mapping[str, object]:
         """How many cameras were estimated, and the source of the scale."""
         return self._report
 
@@ -111,7 +111,7 @@ class Colmap(Initializer):
         return replace(capture, points=cloud)
 
 
-def solved_capture(capture: Capture, images: Sequence[SfmImage], model: Any) -> Capture:
+def solved_capture(capture: Capture, images: Sequence[SfmImage], model: pycolmap.Reconstruction) -> Capture:
     """The capture with a reconstruction's cameras, lenses and points, in the reconstruction's world."""
     registered = {image.name: image for image in model.images.values() if image.has_pose}
     views = []
@@ -126,7 +126,7 @@ def solved_capture(capture: Capture, images: Sequence[SfmImage], model: Any) -> 
     return replace(capture, views=tuple(views), points=sparse_points(model))
 
 
-def sparse_points(model: Any) -> OrientedPoints | None:
+def sparse_points(model: pycolmap.Reconstruction) -> OrientedPoints | None:
     """The points of a reconstruction with observations in three images and a mean error below two pixels."""
     points = [(p.xyz, p.color) for p in model.points3D.values() if p.track.length() >= 3 and p.error < 2]
     if not points:
@@ -135,7 +135,7 @@ def sparse_points(model: Any) -> OrientedPoints | None:
     return OrientedPoints(positions=np.array([xyz for xyz, _ in points]), colors=colors)
 
 
-def _solved_view(view: View, image: SfmImage, registered_image: Any, solved: Any) -> View:
+def _solved_view(view: View, image: SfmImage, registered_image: pycolmap.Image, solved: pycolmap.Camera) -> View:
     pose = np.eye(4)
     pose[:3] = registered_image.cam_from_world().matrix()
     lens = lens_camera(solved.model.name, list(solved.params), solved.width, solved.height, view.name)
@@ -192,6 +192,7 @@ def _solved_from_source(solved: Capture, original: Capture) -> Array:
     old, new = (np.array(centers) for centers in zip(*pairs, strict=True))
     options = pycolmap.RANSACOptions()
     options.max_error, options.random_seed = 0.05 * float(np.ptp(new, axis=0).max()), 0
+    # pycolmap returns a dict here, not the Sim3d of its stubs
     fit: Any = pycolmap.estimate_sim3d_robust(old, new, options)
     if fit is None:
         warnings.warn(

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Thread
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pycolmap
@@ -21,6 +21,9 @@ _MAX_EXHAUSTIVE_IMAGES = 150
 
 _EMBEDDING_DIMENSIONS = 64
 """Dimensions of a descriptor in the vocabulary tree, of 128: the value of COLMAP's own vocabularies."""
+
+
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -103,7 +106,7 @@ def match_features(database: Path, folder: Path, count: int, options: ColmapOpti
         "device": pycolmap.Device.cpu,
     }
     if method == "exhaustive":
-        run: Callable[[Any], Any] = lambda token: pycolmap.match_exhaustive(  # noqa: E731
+        run: Callable[[pycolmap.CancellationToken], object] = lambda token: pycolmap.match_exhaustive(  # noqa: E731
             str(database), cancellation_token=token, **common
         )
     elif method == "sequential":
@@ -144,10 +147,10 @@ def _vocabulary(database: Path, folder: Path, options: ColmapOptions) -> Path:
     return path
 
 
-def run_cancellable(call: Callable[[Any], Any]) -> Any:
+def run_cancellable(call: Callable[[pycolmap.CancellationToken], Result]) -> Result:
     """Runs COLMAP in a thread, so that Ctrl-C cancels it and its database stays valid."""
     token = pycolmap.CancellationToken()
-    outcome: list[Any] = []
+    outcome: list[Result] = []
     failure: list[BaseException] = []
 
     def work() -> None:

@@ -104,6 +104,7 @@ def scale_of_gps(views: Sequence[View]) -> MetricScale | None:
     options = pycolmap.RANSACOptions()
     options.max_error = _OUTLIER_METRES
     options.random_seed = 0
+    # pycolmap returns a dict here, not the Sim3d of its stubs
     fit: Any = pycolmap.estimate_sim3d_robust(centers, metres, options)
     if fit is None:
         return None

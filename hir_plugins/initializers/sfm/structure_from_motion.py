@@ -5,9 +5,8 @@ from __future__ import annotations
 import json
 import shutil
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import pycolmap
 from hir_exporters.files.atomic import write_text_atomic
@@ -29,7 +28,9 @@ def attempts(options: ColmapOptions, masked: bool) -> list[Attempt]:
     return planned if options.retry else planned[:1]
 
 
-def solve_attempt(images: Sequence[SfmImage], folder: Path, attempt: Attempt, options: ColmapOptions) -> list[Any]:
+def solve_attempt(
+    images: Sequence[SfmImage], folder: Path, attempt: Attempt, options: ColmapOptions
+) -> list[pycolmap.Reconstruction]:
     """Reconstructions of one attempt, the largest first."""
     return _map(build_database(images, folder, attempt, options), folder, attempt, options)
 
@@ -52,7 +53,7 @@ def build_database(images: Sequence[SfmImage], folder: Path, attempt: Attempt, o
     return database
 
 
-def _discard_other_settings(folder: Path, settings: dict[str, Any]) -> None:
+def _discard_other_settings(folder: Path, settings: Mapping[str, object]) -> None:
     record = folder / "settings.json"
     text = json.dumps(settings, sort_keys=True)
     if not record.is_file() or record.read_text(encoding="utf-8") != text:
@@ -62,7 +63,7 @@ def _discard_other_settings(folder: Path, settings: dict[str, Any]) -> None:
         write_text_atomic(record, text)
 
 
-def _map(database: Path, folder: Path, attempt: Attempt, options: ColmapOptions) -> list[Any]:
+def _map(database: Path, folder: Path, attempt: Attempt, options: ColmapOptions) -> list[pycolmap.Reconstruction]:
     models = folder / "models"
     shutil.rmtree(models, ignore_errors=True)
     models.mkdir()
@@ -86,12 +87,14 @@ def _map(database: Path, folder: Path, attempt: Attempt, options: ColmapOptions)
     return sorted(found.values(), key=lambda model: -model.num_reg_images())
 
 
-def largest_reconstruction(images: Sequence[SfmImage], masked: bool, workspace: Path, options: ColmapOptions) -> Any:
+def largest_reconstruction(
+    images: Sequence[SfmImage], masked: bool, workspace: Path, options: ColmapOptions
+) -> pycolmap.Reconstruction | None:
     """The largest reconstruction of all attempts; None if there is none.
 
     No further attempt is made once `options.min_registered_share` of the images are registered.
     """
-    best: Any = None
+    best: pycolmap.Reconstruction | None = None
     for number, attempt in enumerate(attempts(options, masked)):
         if number and masked and not attempt.masked:
             warnings.warn(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pycolmap
@@ -19,7 +18,7 @@ from hir_plugins.initializers.sfm.structure_from_motion import attempts, build_d
 
 def triangulate(
     images: Sequence[SfmImage], cameras: Sequence[Camera], masked: bool, workspace: Path, options: ColmapOptions
-) -> Any:
+) -> pycolmap.Reconstruction:
     """A reconstruction with the given cameras, one for each image, and triangulated points."""
     folder = workspace / "triangulation"
     database = build_database(images, folder, attempts(options, masked)[0], options)
@@ -38,7 +37,7 @@ def triangulate(
     )
 
 
-def _reconstruction_of_poses(cameras: dict[str, Camera], database: Path) -> Any:
+def _reconstruction_of_poses(cameras: dict[str, Camera], database: Path) -> pycolmap.Reconstruction:
     """A reconstruction of the given poses, with the identifiers of the database."""
     posed = pycolmap.Reconstruction()
     opened = pycolmap.Database.open(str(database))
@@ -60,6 +59,6 @@ def _reconstruction_of_poses(cameras: dict[str, Camera], database: Path) -> Any:
     return posed
 
 
-def _rigid3d(camera: Camera) -> Any:
+def _rigid3d(camera: Camera) -> pycolmap.Rigid3d:
     pose = np.ascontiguousarray(camera.world_to_camera[:3], dtype=np.float64)
     return pycolmap.Rigid3d(pose)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, final
+from typing import final
 
 import numpy as np
 import torch
@@ -75,7 +75,7 @@ class Stereo(Initializer):
                 "install one with: pip install pycolmap-cuda12, or leave the method at auto"
             )
         self._config = config
-        self._report: dict[str, Any] = {}
+        self._report: dict[str, object] = {}
 
     def initialize(self, capture: Capture, scene: Scene | None, workspace: Path) -> tuple[Capture, Scene | None]:
         """The capture with dense oriented points, and a mesh. Captures without cameras raise `CaptureError`."""
@@ -126,7 +126,7 @@ class Stereo(Initializer):
         positions, faces = clean_mesh(positions, faces, edge, _MIN_COMPONENT)
         return make_scene(positions, faces, capture, self._config.vertex_colors)
 
-    def report(self) -> Mapping[str, Any]:
+    def report(self) -> Mapping[str, object]:
         """Method and device, the number of points, and the shares of the volume that were carved and confirmed."""
         return self._report
 

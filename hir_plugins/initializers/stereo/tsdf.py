@@ -45,7 +45,7 @@ def _in_voxels(depth_map: DepthMap, middle: Array, voxel: float) -> tuple[Array,
     return depth, intrinsics, pose
 
 
-def _fused(maps: Sequence[tuple[Array, Array, Array]]) -> Any:
+def _fused(maps: Sequence[tuple[Array, Array, Array]]) -> open3d.t.geometry.TriangleMesh:
     core: Any = open3d.core
     kinds, one = (core.float32, core.float32), core.SizeVector([1])
     grid = open3d.t.geometry.VoxelBlockGrid(("tsdf", "weight"), kinds, (one, one), 1.0, 16, 1000)

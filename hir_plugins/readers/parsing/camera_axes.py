@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from hir_exporters.conventions import Z_UP_TO_Y_UP
 from numpy.typing import NDArray
@@ -25,7 +23,7 @@ texture: the image's centre is +X, a quarter from the left is +Y, the top row is
 BLENDER_FROM_LATLONG.setflags(write=False)
 
 
-def rigid_transform(matrix: Any, owner: str, tolerance: float = 1e-2) -> Array:
+def rigid_transform(matrix: object, owner: str, tolerance: float = 1e-2) -> Array:
     """A 4×4 rigid transform from nested lists 4×4 or 3×4; a uniform scale of its axes is removed.
 
     Axes that are skewed by more than `tolerance`, mirrored or not finite raise `CaptureError`. Smaller errors, as in a

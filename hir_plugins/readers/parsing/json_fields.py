@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from hir_core.errors import CaptureError
 from hir_plugins.readers.parsing.capture_paths import MAX_TEXT_BYTES
 
 
-def read_json(path: Path) -> dict[str, Any]:
+def read_json(path: Path) -> dict[str, object]:
     """The object in a JSON file; anything else raises a `CaptureError` that names the file."""
     try:
         if path.stat().st_size > MAX_TEXT_BYTES:
@@ -26,7 +26,7 @@ def read_json(path: Path) -> dict[str, Any]:
     return content
 
 
-def number_field(table: dict[str, Any], key: str, owner: str, default: float | None = None) -> float | None:
+def number_field(table: Mapping[str, object], key: str, owner: str, default: float | None = None) -> float | None:
     """A finite number of a JSON object, or `default` if the key is absent or null."""
     value = table.get(key)
     if value is None:

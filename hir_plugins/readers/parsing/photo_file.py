@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from hir_exporters.conventions import srgb_to_linear
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hir_core.capture import Pixels
 from hir_core.capture.lens import Lens, undistort
 from hir_core.errors import CaptureError
-from hir_plugins.readers.parsing.picture_decoding import read_encoded
+from hir_plugins.readers.parsing.picture_decoding import EncodedPixels, read_encoded
 
 SATURATED_LEVEL = 254 / 255
 """Pixels with an encoded value of at least this, in any channel, are clipped."""
@@ -68,7 +68,7 @@ def read_mask(path: Path, width: int, height: int, orient: bool = False) -> NDAr
     return np.asarray(_to_unit_range(colors).mean(axis=2), dtype=np.float32)
 
 
-def _linear(encoded: NDArray[Any]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+def _linear(encoded: EncodedPixels) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Linear colour (H, W, 3) and clipped pixels (H, W) of encoded pixels (H, W, C)."""
     colors = encoded[..., : 1 if encoded.shape[2] <= 2 else 3]
     if encoded.dtype == np.float32:
@@ -91,7 +91,7 @@ def _decoding_table(kind: str) -> NDArray[np.float32]:
     return table
 
 
-def _to_unit_range(values: NDArray[Any]) -> NDArray[np.float32]:
+def _to_unit_range(values: EncodedPixels) -> NDArray[np.float32]:
     if values.dtype == np.float32:
         return np.asarray(np.clip(values, 0, 1), dtype=np.float32)
     return values.astype(np.float32) / np.float32(np.iinfo(values.dtype).max)

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from hir_exporters.textures.image_files import MAX_PIXELS, read_hdr
 from numpy.typing import NDArray
 
 from hir_core.errors import CaptureError, InputError, MissingExtraError
+
+if TYPE_CHECKING:
+    from PIL import Image
 
 _LINEAR_SUFFIXES = (".exr", ".hdr")
 _RAW_SUFFIXES = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".rw2", ".orf")
@@ -20,6 +23,9 @@ _ORIENTATION_TAG = 0x0112
 
 
 Result = TypeVar("Result")
+
+EncodedPixels = NDArray[Any]
+"""(H, W, C): uint8 or uint16 in sRGB, or float32 linear; the dtype depends on the file."""
 
 
 def photo_size(path: Path, orient: bool = False) -> tuple[int, int]:
@@ -33,7 +39,7 @@ def photo_size(path: Path, orient: bool = False) -> tuple[int, int]:
     return (height, width) if turned else (width, height)
 
 
-def read_encoded(path: Path, orient: bool = False) -> NDArray[Any]:
+def read_encoded(path: Path, orient: bool = False) -> EncodedPixels:
     """Pixels (H, W, C) as stored: uint8 or uint16 in sRGB, or float32 linear (.exr, .hdr, raw); C = 1, 2, 3 or 4."""
     suffix = path.suffix.lower()
     if suffix in _LINEAR_SUFFIXES:
@@ -52,9 +58,11 @@ def read_encoded(path: Path, orient: bool = False) -> NDArray[Any]:
     return _apply_orientation(pixels, orientation)
 
 
-def _pillow(path: Path) -> Any:
+def _pillow(path: Path) -> Image.Image:
     """An opened image of an allowed size; its pixels are not decoded yet."""
-    from PIL import Image, UnidentifiedImageError
+    from PIL import UnidentifiedImageError
+    from PIL.Image import DecompressionBombError
+    from PIL.Image import open as open_image
 
     if path.suffix.lower() in _HEIF_SUFFIXES:
         try:
@@ -70,10 +78,10 @@ def _pillow(path: Path) -> Any:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Pillow warns of large images; the limit below decides
-            image = Image.open(path)
+            image = open_image(path)
     except UnidentifiedImageError:
         raise CaptureError(f"{path} is not a readable image; save it as PNG, JPEG, TIFF or WebP") from None
-    except Image.DecompressionBombError:
+    except DecompressionBombError:
         raise CaptureError(f"{path} has far more than {MAX_PIXELS} pixels; reduce it") from None
     except Exception as error:  # decoders raise many types on damaged headers
         raise CaptureError(f"{path} is damaged ({error}); export the image again or remove it") from None
@@ -83,12 +91,12 @@ def _pillow(path: Path) -> Any:
     return image
 
 
-def _orientation(path: Path, image: Any) -> int:
+def _orientation(path: Path, image: Image.Image) -> int:
     """The EXIF orientation, 1 if there is none. For a PNG Pillow decodes the pixels, which may be damaged."""
     return int(_decode_or_refuse(path, lambda: image.getexif().get(_ORIENTATION_TAG, 1)))
 
 
-def _decoded(image: Any) -> NDArray[Any]:
+def _decoded(image: Image.Image) -> EncodedPixels:
     image.load()
     if image.mode in ("I;16", "I;16L", "I;16B", "I"):
         return np.clip(np.asarray(image.convert("I")), 0, 65535).astype(np.uint16)[..., None]
@@ -104,20 +112,21 @@ def _decoded(image: Any) -> NDArray[Any]:
     return pixels[..., None] if pixels.ndim == 2 else pixels
 
 
-def _has_sixteen_bit_color(path: Path, image: Any) -> bool:
+def _has_sixteen_bit_color(path: Path, image: Image.Image) -> bool:
     """Whether the header says 16 bits per channel: Pillow reads such colour images at 8 bits without a warning."""
     if image.format == "PNG":
         with path.open("rb") as stream:
             header = stream.read(26)
         return len(header) == 26 and header[24] == 16 and header[25] in (2, 4, 6)
     if image.format == "TIFF":
-        bits = image.tag_v2.get(258, (8,))
-        samples = image.tag_v2.get(277, 1)
+        tags: Mapping[int, Any] = image.tag_v2  # type: ignore[attr-defined] # only of Pillow's TIFF images
+        bits = tags.get(258, (8,))
+        samples = tags.get(277, 1)
         return samples > 1 and max(bits if isinstance(bits, tuple) else (bits,)) == 16
     return False
 
 
-def _read_sixteen_bit_color(path: Path) -> NDArray[Any]:
+def _read_sixteen_bit_color(path: Path) -> EncodedPixels:
     try:
         import cv2
     except ImportError:
@@ -133,7 +142,7 @@ def _read_sixteen_bit_color(path: Path) -> NDArray[Any]:
     return np.ascontiguousarray(pixels)
 
 
-def _read_raw(path: Path) -> NDArray[Any]:
+def _read_raw(path: Path) -> EncodedPixels:
     try:
         import rawpy
     except ImportError:
@@ -161,7 +170,7 @@ def _decode_or_refuse(path: Path, decode: Callable[[], Result]) -> Result:
         raise CaptureError(f"{path} is damaged ({error}); export the image again or remove it") from None
 
 
-def _apply_orientation(pixels: NDArray[Any], orientation: int) -> NDArray[Any]:
+def _apply_orientation(pixels: EncodedPixels, orientation: int) -> EncodedPixels:
     """The image (H, W, C) in display orientation, from the EXIF orientation 1…8 (JEITA CP-3451, tag 274)."""
     if orientation in (5, 6, 7, 8):
         pixels = pixels.swapaxes(0, 1)
