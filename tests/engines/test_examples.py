@@ -31,7 +31,7 @@ def camera(away: float, width: int, height: int) -> Camera:
 
 
 def assert_like_ours(picture: np.ndarray, seen_from: Camera) -> None:
-    """Inside the silhouette the image matches our path tracer; mirrored and rotated images have five times its error."""
+    """Inside the silhouette the image matches our path tracer; mirrored and rotated ones have five times its error."""
     from hir_core.metrics import composite, unassociate
     from hir_core.plugins.manager import PluginManager
     from hir_core.rendering.reference_renderer import reference_renderer, render_view

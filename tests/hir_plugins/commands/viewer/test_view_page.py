@@ -103,6 +103,7 @@ def test_lit_picture_is_our_render_and_its_light_turns(page: Path, shot: Shot) -
     assert turned > 3 * right
 
 
+@pytest.mark.slow
 def test_the_light_is_switched_and_displayed_as_background(page: Path, shot: Shot) -> None:
     """Under the uniform light a diffuse surface has 0.8 of its albedo; the background is the light of its direction."""
     uniform, albedo = (srgb_to_linear(shot(page, settings)) for settings in ("light=uniform", "channel=albedo"))
@@ -182,6 +183,7 @@ def test_channels_show_the_maps(page: Path, shot: Shot) -> None:
     assert normals[2] > 0.8, "the middle faces the camera"
 
 
+@pytest.mark.slow
 def test_a_photograph_is_displayed_beside_the_asset(chromium: list[str], tmp_path: Path) -> None:
     """The photograph of this run is our own render: both halves of the window show the same image."""
     from hir_core.metrics import composite, unassociate
