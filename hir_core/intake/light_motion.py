@@ -49,9 +49,9 @@ def headlight_score(
     a, b = a - np.nanmean(a, axis=0), b - np.nanmean(b, axis=0)
     known = np.isfinite(a)
     x, y = b[known], a[known]
-    spread = float((x * x).sum())
-    if spread < 1e-6 or float((y * y).sum()) < 1e-9:
+    variance = float((x * x).sum())
+    if variance < 1e-6 or float((y * y).sum()) < 1e-9:
         return 0.0
-    slope = float((x * y).sum()) / spread
-    correlation = float((x * y).sum()) / np.sqrt(spread * float((y * y).sum()))
+    slope = float((x * y).sum()) / variance
+    correlation = float((x * y).sum()) / np.sqrt(variance * float((y * y).sum()))
     return float(np.clip(slope, 0, 1)) if correlation > _MIN_HEADLIGHT_CORRELATION else 0.0

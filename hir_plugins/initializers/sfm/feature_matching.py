@@ -96,13 +96,9 @@ def match_features(database: Path, folder: Path, count: int, options: ColmapOpti
     method = options.matching
     if method == "auto":
         method = "exhaustive" if count <= _MAX_EXHAUSTIVE_IMAGES else "vocabulary"
-    verification = pycolmap.TwoViewGeometryOptions()
-    # the generator is seeded for each pair: a result depends neither on earlier pairs, which a resumed run skips, nor
-    # on the thread
-    verification.ransac.random_seed = options.seed
     common: dict[str, Any] = {
         "matching_options": matching,
-        "verification_options": verification,
+        "verification_options": verification_options(options),
         "device": pycolmap.Device.cpu,
     }
     if method == "exhaustive":
@@ -119,6 +115,17 @@ def match_features(database: Path, folder: Path, count: int, options: ColmapOpti
             str(database), pairing_options=pairing, cancellation_token=token, **common
         )
     run_cancellable(run)
+
+
+def verification_options(options: ColmapOptions) -> pycolmap.TwoViewGeometryOptions:
+    """Options of the geometric verification of a pair.
+
+    The generator is seeded for each pair: a result depends neither on earlier pairs, which a resumed run skips, nor on
+    the thread.
+    """
+    verification = pycolmap.TwoViewGeometryOptions()
+    verification.ransac.random_seed = options.seed
+    return verification
 
 
 def _vocabulary(database: Path, folder: Path, options: ColmapOptions) -> Path:

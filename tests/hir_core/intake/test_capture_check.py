@@ -42,7 +42,7 @@ def test_a_good_capture_gets_no_blame(sample: Capture) -> None:
     check = check_capture(sample)
     # its highlights are clipped indeed
     assert [a for a in check.advice if "clipped" not in a] == [] and check.duplicates == ()
-    # the hull is coarse, 1/56 of the object, and voted by nine in ten: 0.84 to 0.91 here
+    # the hull is coarse, 1/56 of the object, and tolerates one mask in ten: 0.84 to 0.91 here
     assert all(v.agreement is not None and v.agreement > 0.8 for v in check.views)
     assert all((v.width, v.height) == (256, 256) for v in check.views)
     # the upper hemisphere
@@ -57,7 +57,7 @@ def test_a_wrong_mask_is_named(sample: Capture) -> None:
     assert worst.name == sample.views[5].name and any(worst.name in a and "mask" in a for a in check.advice)
 
 
-def test_wrong_axes_are_told(sample: Capture) -> None:
+def test_wrong_axes_are_reported(sample: Capture) -> None:
     views = []
     for view in sample.views:
         assert view.camera is not None
@@ -103,7 +103,7 @@ def lit_ball(cameras: list[Camera], headlight: bool) -> list[Pixels]:
     return pictures
 
 
-def test_a_lamp_at_the_camera_is_told_from_the_sun() -> None:
+def test_a_light_at_the_camera_is_distinguished_from_the_sun() -> None:
     cameras = dome(16, 3.0, np.zeros(3), 160.0, 64)
     normals = np.random.default_rng(0).normal(size=(3000, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -138,8 +138,8 @@ def test_a_fired_flash_is_a_light_on_the_camera(sample: Capture, tmp_path: Path)
     assert not any("flash fired" in sentence for sentence in check_capture(sample).advice)
 
 
-def test_pictures_too_small_or_too_empty_for_a_judgement(sample: Capture) -> None:
-    """No sharpness, no hull and no direction: said as none, not as a fault."""
+def test_small_or_empty_photographs_give_no_score(sample: Capture) -> None:
+    """Without sharpness, hull or directions the results are None, not problems."""
     few = check_capture(replace(sample, views=sample.views[:2]))
     assert all(view.agreement is None for view in few.views)
     empty = [
@@ -152,7 +152,7 @@ def test_pictures_too_small_or_too_empty_for_a_judgement(sample: Capture) -> Non
     tiny = [replace(v, read=StoredPixels(v.read().downsampled(64)), camera=None) for v in sample.views]
     assert all(np.isfinite(v.sharpness) for v in check_capture(replace(sample, views=tuple(tiny))).views)
     pixels, cameras = [v.read() for v in sample.views], list(sample.cameras)
-    assert headlight_score(pixels, cameras, np.zeros((10, 3)), np.ones((10, 3))) is None, "ten points tell nothing"
+    assert headlight_score(pixels, cameras, np.zeros((10, 3)), np.ones((10, 3))) is None, "ten points are too few"
 
 
 class Ones(MaskSource):

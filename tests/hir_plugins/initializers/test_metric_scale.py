@@ -21,8 +21,8 @@ LENGTH = float(np.linalg.norm(ENDS[0] - ENDS[1]))
 
 def views_around(count: int, radius: float = 2.5) -> list[View]:
     angles = np.linspace(0, 1.5, count)
-    places = [radius * np.array([np.sin(t), 0.3, np.cos(t)]) for t in angles]
-    cameras = [look_at(p, np.zeros(3), 300.0, 320, 240) for p in places]
+    positions = [radius * np.array([np.sin(t), 0.3, np.cos(t)]) for t in angles]
+    cameras = [look_at(p, np.zeros(3), 300.0, 320, 240) for p in positions]
     return [make_view(f"photo {i}.jpg", c, np.ones((240, 320), np.float32)) for i, c in enumerate(cameras)]
 
 
@@ -111,7 +111,11 @@ def test_the_place_of_a_photograph_is_read(tmp_path: Path) -> None:
 
 def test_gps_around_a_building_tells_the_metres(tmp_path: Path) -> None:
     found = scale_of_gps(photographed(tmp_path, 40.0, 1.0))
-    assert found is not None and found.metres_per_unit_per_unit == pytest.approx(40.0, rel=0.03) and "12 photographs" in found.source
+    assert (
+        found is not None
+        and found.metres_per_unit_per_unit == pytest.approx(40.0, rel=0.03)
+        and "12 photographs" in found.source
+    )
 
 
 def test_gps_around_a_table_tells_nothing(tmp_path: Path) -> None:

@@ -58,10 +58,10 @@ def cube_depth(camera: Camera) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def painted_cube() -> Capture:
-    places = [2.5 * np.array([np.sin(t), h, np.cos(t)]) for t in (0.5, 0.65, 0.8, 0.95) for h in (0.45, 0.6)]
+    positions = [2.5 * np.array([np.sin(t), h, np.cos(t)]) for t in (0.5, 0.65, 0.8, 0.95) for h in (0.45, 0.6)]
     views = []
-    for i, place in enumerate(places):
-        camera = look_at(place, np.zeros(3), 260.0, 192, 160)
+    for i, position in enumerate(positions):
+        camera = look_at(position, np.zeros(3), 260.0, 192, 160)
         views.append(make_view(f"{i}", camera, (cube_depth(camera) > 0).astype(np.float32), room(camera, 0)))
     return Capture(Path("made-in-memory"), tuple(views))
 
@@ -69,7 +69,7 @@ def painted_cube() -> Capture:
 def test_depth_without_a_hull_is_right_to_a_fraction_of_a_pixel(painted_cube: Capture) -> None:
     options = StereoOptions(max_image_size=192, neighbours=4, window=5, device="cpu")
     measured = measure_depths(painted_cube, None, options)
-    assert measured.mesh is None and measured.verdict is None
+    assert measured.mesh is None and measured.carving is None
     errors, shares = [], []
     for found in measured.maps:
         # the map is of a part of the picture: its own camera says which
@@ -341,11 +341,11 @@ def test_stereo_leaves_a_convex_thing_as_its_outlines_show_it(painted: bool) -> 
 def test_what_colmap_measures_is_carved_like_our_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Everything around COLMAP's PatchMatch; PatchMatch itself needs CUDA: its place is taken by the true depth."""
     capture = bowl_capture(dent=True)
-    asked: dict[str, float] = {}
+    depth_range: dict[str, float] = {}
 
     def measured(workspace: str, options: pycolmap.PatchMatchOptions, cancellation_token: object) -> None:
         folder = Path(workspace)
-        asked.update(low=options.depth_min, high=options.depth_max)
+        depth_range.update(low=options.depth_min, high=options.depth_max)
         model = pycolmap.Reconstruction(str(folder / "sparse"))
         choose_neighbours = (folder / "stereo" / "patch-match.cfg").read_text().splitlines()
         assert choose_neighbours[0::2] == [model.images[i].name for i in sorted(model.images)]
@@ -360,12 +360,12 @@ def test_what_colmap_measures_is_carved_like_our_own(tmp_path: Path, monkeypatch
             stored = pycolmap.DepthMap.from_array(depth, options.depth_min, options.depth_max)
             stored.write(str(folder / "stereo" / "depth_maps" / f"{image.name}.geometric.bin"))
 
-    monkeypatch.setattr("hir_plugins.initializers.stereo.stereo.available", lambda: True)
+    monkeypatch.setattr("pycolmap.has_cuda", True)
     monkeypatch.setattr("pycolmap.patch_match_stereo", measured)
     stereo = Stereo(QUICK)
     solved, scene = stereo.initialize(capture, None, tmp_path)
     assert stereo.report()["method"] == "COLMAP PatchMatch on cuda"
-    assert asked["low"] < 3 - 0.8 and asked["high"] > 3 + 0.8
+    assert depth_range["low"] < 3 - 0.8 and depth_range["high"] > 3 + 0.8
     assert abs(dent_of(scene) - BOWL) < 0.02 and solved.points is not None
 
 

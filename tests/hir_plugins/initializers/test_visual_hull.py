@@ -140,18 +140,18 @@ def test_one_bad_mask_is_left_out_and_named() -> None:
     assert abs(mesh.volume / good.volume - 1) < 0.02
 
 
-def test_tolerated_views_vote() -> None:
+def test_a_tolerated_view_does_not_carve() -> None:
     cameras = dome(24, 3.0, np.zeros(3), 120.0, 64)
     capture = shape_capture(cameras, BALL)
     views = list(capture.views)
     views[3] = make_view("003", cameras[3], np.roll(views[3].pixels().mask, 30, axis=1))  # type: ignore[arg-type]
     spoilt = replace(capture, views=tuple(views))
     strict = solid(hull(spoilt, drop_bad_views=False, vertex_colors=False)).volume
-    voted = solid(hull(spoilt, drop_bad_views=False, tolerated_views=1, vertex_colors=False)).volume
+    tolerant = solid(hull(spoilt, drop_bad_views=False, tolerated_views=1, vertex_colors=False)).volume
     ball = 4 / 3 * np.pi * 0.5**3
     assert strict < 0.6 * ball
     # chords of voxels a tenth of the radius cut about 1 % off a ball
-    assert 0.99 * ball < voted < 1.25 * ball
+    assert 0.99 * ball < tolerant < 1.25 * ball
 
 
 def test_an_empty_mask_does_not_carve() -> None:
@@ -170,7 +170,7 @@ def test_an_object_that_some_pictures_cut_off() -> None:
     assert abs(mesh.volume / (4 / 3 * np.pi * 0.5**3) - 1) < 0.12
 
 
-def test_masks_that_share_no_place_are_an_error() -> None:
+def test_masks_without_a_common_point_are_an_error() -> None:
     cameras = dome(12, 3.0, np.zeros(3), 120.0, 64)
     capture = shape_capture(cameras, BALL)
     turned = tuple(
@@ -210,7 +210,7 @@ def test_vertices_take_the_colour_that_views_agree_on() -> None:
 
 
 @pytest.mark.slow
-def test_hidden_places_do_not_take_the_colour_in_front_of_them() -> None:
+def test_occluded_vertices_do_not_take_the_colour_of_the_occluder() -> None:
     # a green ball behind a white wall for half of the views: occluded vertices must stay green
     boxes = np.array([[[-0.2, -0.2, -0.2], [0.2, 0.2, 0.2]], [[-0.2, -0.2, 0.6], [0.2, 0.2, 0.7]]])
     cameras = dome(40, 4.0, np.array([0, 0, 0.2]), 200.0, 96)

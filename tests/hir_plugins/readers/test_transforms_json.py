@@ -186,8 +186,8 @@ def test_fisheye_angles(picture: Path) -> None:
     lens = view.read.lens  # type: ignore[attr-defined]
     angle = 0.3
     fx, _, cx, cy = lens.pinhole
-    bent = lens.distort(np.array([[cx + fx * np.tan(angle), cy]]))
-    np.testing.assert_allclose(bent, [[32 + 80 * (angle + 0.02 * angle**3 - 0.01 * angle**5), 24]], atol=1e-9)
+    distorted = lens.distort(np.array([[cx + fx * np.tan(angle), cy]]))
+    np.testing.assert_allclose(distorted, [[32 + 80 * (angle + 0.02 * angle**3 - 0.01 * angle**5), 24]], atol=1e-9)
 
 
 def test_views_can_be_pickled(picture: Path) -> None:

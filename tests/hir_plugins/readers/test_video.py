@@ -1,4 +1,4 @@
-"""Frames of a video: sharp, spread, of the time that is asked for."""
+"""Frames of a video: sharp, distributed over time, at the requested time."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_the_sharp_half_is_taken_and_spread(video: Path) -> None:
+def test_sharp_frames_of_all_parts_are_taken(video: Path) -> None:
     reader = VideoReader(NoOptions())
     assert reader.matches(video) and reader.matches(video.parent) and reader.splits(video) == ["train"]
     capture = reader.read(video)
