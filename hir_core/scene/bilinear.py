@@ -78,3 +78,17 @@ def latlong_texels(
     x = axis_neighbours(u * width - 0.5, width, "repeat")
     y = axis_neighbours(v * height - 0.5, height, "extend")
     return bilinear_weights(x, y, width)
+
+
+def bilinear_values(
+    texels: Float[Tensor, "T C"], x: AxisNeighbours, y: AxisNeighbours, width: int
+) -> Float[Tensor, "N C"]:
+    """Values of a flattened image of `width` columns, by linear interpolation: exact for a constant image."""
+    first, second = x.fraction[:, None], y.fraction[:, None]
+    upper = torch.lerp(_row(texels, y.low, x.low, width), _row(texels, y.low, x.high, width), first)
+    lower = torch.lerp(_row(texels, y.high, x.low, width), _row(texels, y.high, x.high, width), first)
+    return torch.lerp(upper, lower, second)
+
+
+def _row(texels: Tensor, row: Tensor, column: Tensor, width: int) -> Tensor:
+    return texels.index_select(0, row * width + column)

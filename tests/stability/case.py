@@ -28,7 +28,7 @@ class Case:
     area: Area
     function: str
     """Dotted name of what is tested."""
-    given: str
+    input_text: str
     """The input, in words."""
     expected: str
     ours: Callable[[], Any]
@@ -48,7 +48,7 @@ class Case:
     @property
     def name(self) -> str:
         """An identifier for pytest."""
-        return f"{self.area}-{self.function.rpartition('.')[2]}-{self.given}".replace(" ", "_")
+        return f"{self.area}-{self.function.rpartition('.')[2]}-{self.input_text}".replace(" ", "_")
 
     @property
     def shown(self) -> str:
@@ -100,9 +100,9 @@ def _truth(case: Case) -> Any:
     if isinstance(case.truth, int | float):
         return case.truth
     with mpmath.workdps(DIGITS):
-        given = {name: mpmath.mpf(float(np.float32(value))) for name, value in case.values.items()}
+        input_text = {name: mpmath.mpf(float(np.float32(value))) for name, value in case.values.items()}
         # constants of a formula are typed in decimal; mpmath reads the same float64 as Python
-        return eval(case.truth or case.shown, _MANY_DIGITS, given | dict(case.exact))
+        return eval(case.truth or case.shown, _MANY_DIGITS, input_text | dict(case.exact))
 
 
 def _naive(case: Case) -> np.ndarray | None:

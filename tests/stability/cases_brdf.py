@@ -10,7 +10,7 @@ import torch
 from hir_exporters.materials import brdf_numpy as numpy_brdf
 
 from hir_plugins.reflectance_renderers import brdf_torch
-from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes import frame, visible_normal
+from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes import tangent_frame, visible_normal
 from tests.stability.case import Case
 
 _GGX = "a*a / (pi * (c*c*(a*a - 1) + 1)**2)"
@@ -158,15 +158,15 @@ def _naive_visible(alpha: np.float32) -> list[np.float32]:
 
 def _frames() -> list[Case]:
     cases = []
-    for tilt in (0.0, 1e-4, 3e-4, 1e-3):
-        normal = np.array([math.sin(tilt), 0, -math.cos(tilt)], np.float32)
+    for normal_offset in (0.0, 1e-4, 3e-4, 1e-3):
+        normal = np.array([math.sin(normal_offset), 0, -math.cos(normal_offset)], np.float32)
         cases.append(
             Case(
                 "reflectance",
-                "hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes.frame",
-                f"normal {tilt:g} rad from −z, where a frame of one sign has its pole",
+                "hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes.tangent_frame",
+                f"normal {normal_offset:g} rad from −z, where a frame of one sign has its pole",
                 "tangents at right angles, of length 1",
-                lambda n=normal: _skew(*(v[0].numpy() for v in frame(torch.from_numpy(n)[None])), n),
+                lambda n=normal: _skew(*(v[0].numpy() for v in tangent_frame(torch.from_numpy(n)[None])), n),
                 lambda n=normal: _skew(*_frisvad(n), n),
                 0.0,
                 tolerance=1e-6,

@@ -20,7 +20,7 @@ from hir_plugins.regularizers.total_variation import environment_variation
 from tests.stability.case import Case
 
 
-def _votes() -> list[Case]:
+def _comparisons() -> list[Case]:
     one, zero = np.array([0.01]), np.zeros(3)
     return [
         Case(
@@ -236,4 +236,4 @@ def _adam_step(size: float) -> torch.Tensor:
     return x.detach()[0]
 
 
-CASES = [*_votes(), *_pictures(), *_steps()]
+CASES = [*_comparisons(), *_pictures(), *_steps()]

@@ -7,11 +7,11 @@ import numpy as np
 from hir_core.capture import Camera, similarity_scale
 from hir_core.capture.lens import Lens
 from hir_core.testing.captures import similarity_between
-from hir_plugins.initializers.existing_mesh.mesh_alignment import _unit
-from hir_plugins.readers.parsing.camera_axes import rigid, rigid_inverse
+from hir_plugins.initializers.existing_mesh.mesh_alignment import _unit_from_points
+from hir_plugins.readers.parsing.camera_axes import rigid_inverse, rigid_transform
 from hir_plugins.readers.parsing.colmap_files import quaternion_rotation
 from hir_plugins.readers.parsing.pose_files import decompose_projection
-from hir_plugins.readers.parsing.upright import upright
+from hir_plugins.readers.parsing.upright import upright_rotation
 from tests.stability.case import Case
 
 _PINHOLE = (100.0, 100.0, 50.0, 50.0)
@@ -73,10 +73,10 @@ def _rotations() -> list[Case]:
         cases.append(
             Case(
                 "initialization",
-                "hir_plugins.readers.parsing.camera_axes.rigid",
+                "hir_plugins.readers.parsing.camera_axes.rigid_transform",
                 f"axes of length {scale:g} in float32",
                 "a rotation to 1e-12: RᵀR = 1",
-                lambda m=matrix: np.abs((r := rigid(m, "it")[:3, :3]).T @ r - np.eye(3)).max(),
+                lambda m=matrix: np.abs((r := rigid_transform(m, "it")[:3, :3]).T @ r - np.eye(3)).max(),
                 lambda m=matrix: np.abs((r := m[:3, :3]).T @ r - np.eye(3)).max(),
                 0.0,
                 tolerance=1e-12,
@@ -88,7 +88,7 @@ def _rotations() -> list[Case]:
     cases.append(
         Case(
             "initialization",
-            "hir_plugins.readers.parsing.camera_axes.rigid_inverse",
+            "hir_plugins.readers.parsing.camera_axes.rigid_transform_inverse",
             "a camera 2·10⁷ m from the origin",
             "the rotation's transpose, exactly",
             lambda: rigid_inverse(pose)[:3, :3],
@@ -176,10 +176,10 @@ def _similarities() -> list[Case]:
     cases.append(
         Case(
             "initialization",
-            "hir_plugins.initializers.existing_mesh.mesh_alignment._unit",
+            "hir_plugins.initializers.existing_mesh.mesh_alignment._unit_from_points",
             "points all in one place",
             "their place, at scale 1",
-            lambda: _unit(same),
+            lambda: _unit_from_points(same),
             lambda: np.eye(4)[:3] / np.median(np.linalg.norm(same - same.mean(0), axis=1)),
             lambda: np.array([[1.0, 0, 0, -1], [0, 1, 0, -1], [0, 0, 1, -1], [0, 0, 0, 1]]),
             formula="A / spread",
@@ -195,10 +195,10 @@ def _similarities() -> list[Case]:
         cases.append(
             Case(
                 "initialization",
-                "hir_plugins.readers.parsing.upright.upright",
+                "hir_plugins.readers.parsing.upright.upright_rotation",
                 f"cameras {name}",
                 "a rotation: RᵀR = 1",
-                lambda p=poses: np.abs((r := upright(p)[:3, :3]).T @ r - np.eye(3)).max(),
+                lambda p=poses: np.abs((r := upright_rotation(p)[:3, :3]).T @ r - np.eye(3)).max(),
                 lambda p=poses: np.abs((r := _plain_upright(p)).T @ r - np.eye(3)).max(),
                 0.0,
                 tolerance=1e-9,

@@ -9,9 +9,9 @@ import numpy as np
 import torch
 from hir_exporters.conventions import direction_to_latlong_uv, latlong_solid_angles
 from hir_exporters.light.environment_map import mean_radiance, resample_latlong, rotate_latlong
-from hir_exporters.light.prefilter import even_roughness, filament_roughness
+from hir_exporters.light.prefilter import filament_roughness, linear_roughness
 
-from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import LIGHT_LIMIT, Unknowns, width_of
+from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import MAX_RADIANCE, Parameters, logit_of_alpha
 from hir_plugins.reflectance_renderers.transport_ggx.operator import light_pyramid
 from tests.stability.case import Case
 
@@ -198,18 +198,18 @@ def _nearest(image: np.ndarray, turn: np.ndarray) -> np.ndarray:
 
 
 def _limits() -> list[Case]:
-    def unknowns(light: float) -> Unknowns:
-        return Unknowns(torch.full((1, 2, 3), light), torch.zeros(1, 3), None, None)
+    def parameters(light: float) -> Parameters:
+        return Parameters(torch.full((1, 2, 3), light), torch.zeros(1, 3), None, None)
 
     cases = [
         Case(
             "reflectance",
-            "hir_plugins.reflectance_renderers.transport_ggx.fit.parameters.Unknowns.radiance",
+            "hir_plugins.reflectance_renderers.transport_ggx.fit.parameters.Parameters.radiance",
             f"a logarithm of {x:g}",
             "held at 1e5",
-            lambda x=x: unknowns(x).radiance.max(),
+            lambda x=x: parameters(x).radiance.max(),
             "exp(x)",
-            LIGHT_LIMIT,
+            MAX_RADIANCE,
             {"x": x},
             tolerance=1e-5,
         )
@@ -218,10 +218,10 @@ def _limits() -> list[Case]:
     cases += [
         Case(
             "reflectance",
-            "hir_plugins.reflectance_renderers.transport_ggx.fit.parameters.width_of",
+            "hir_plugins.reflectance_renderers.transport_ggx.fit.parameters.logit_of_alpha",
             f"a width α of {a:g}",
             "a slope is left: within ±6.91",
-            lambda a=a: width_of(torch.tensor(a)),
+            lambda a=a: logit_of_alpha(torch.tensor(a)),
             "log((a - 0.01) / (1 - a))",
             math.log(999.0) * (1 if a > 0.5 else -1),
             {"a": a},
@@ -240,7 +240,7 @@ def _limits() -> list[Case]:
             0.0,
             formula="level / (levels − 1)",
         )
-        for f in (even_roughness, filament_roughness)
+        for f in (linear_roughness, filament_roughness)
     ]
     return cases
 

@@ -11,9 +11,8 @@ from hir_exporters.textures.uv_rasterization import rasterize_triangles
 
 from hir_core.mesh.texel_rasterization import dilate
 from hir_core.scene.asset_conversion import _unit
-from hir_core.scene.bilinear import texture_texels
+from hir_core.scene.bilinear import latlong_texels, texture_texels
 from hir_plugins.initializers.surface.vertex_colors import _fill_unseen, _weighted_median
-from hir_plugins.reflectance_renderers.transport_ggx.operator import light_pyramid
 from hir_plugins.reflectance_renderers.transport_ggx.textures.texel_equations import (
     TexelEquations,
     solve_texels,
@@ -62,7 +61,7 @@ def _charts() -> list[Case]:
         cases.append(
             Case(
                 "reflectance",
-                "hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid.bilinear",
+                "hir_core.scene.bilinear.latlong_texels",
                 f"u = {u:g} of a 4×8 light",
                 "texels of the row, weights of sum 1",
                 lambda u=u: _in_range(*_bilinear(u)),
@@ -97,7 +96,7 @@ def _plain_barycentrics(c: np.ndarray) -> float:
 
 def _bilinear(u: float) -> tuple[torch.Tensor, torch.Tensor]:
     one = torch.tensor([1])
-    return light_pyramid.bilinear(torch.tensor([u]), torch.tensor([0.5]), 4 * one, 8 * one, 0 * one)
+    return latlong_texels(torch.tensor([u]), torch.tensor([0.5]), 4 * one, 8 * one)
 
 
 def _in_range(index: torch.Tensor, weight: torch.Tensor) -> float:

@@ -57,7 +57,7 @@ def _row(case: Case, found: Outcome) -> str:
     name = case.function.partition(".")[2]
     cells = [
         f"`{name}`",
-        case.given,
+        case.input_text,
         case.expected,
         _number(found.result),
         _number(found.truth),

@@ -29,4 +29,4 @@ def test_page_has_a_row_for_every_case() -> None:
     rows = [line for line in PAGE.read_text(encoding="utf-8").splitlines() if line.startswith("| `")]
     assert len(rows) == len(ALL), "run: make stability"
     for case, row in zip(sorted(ALL, key=lambda c: list(TITLES).index(c.area)), rows, strict=True):
-        assert case.given in row and case.expected in row, f"run: make stability ({case.name})"
+        assert case.input_text in row and case.expected in row, f"run: make stability ({case.name})"

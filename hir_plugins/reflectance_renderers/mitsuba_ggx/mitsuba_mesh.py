@@ -130,8 +130,8 @@ class Surface:
     def _corners(
         self, faces: DrJitArray, index: DrJitArray, active: DrJitArray
     ) -> tuple[DrJitArray, DrJitArray, DrJitArray]:
-        found = dr.gather(mi.Vector4u, faces, index, active)
-        return found.x, found.y, found.z
+        corners = dr.gather(mi.Vector4u, faces, index, active)
+        return corners.x, corners.y, corners.z
 
 
 def _vector(values: DrJitArray, index: DrJitArray, active: DrJitArray) -> DrJitArray:

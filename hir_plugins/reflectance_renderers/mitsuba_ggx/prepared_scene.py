@@ -230,8 +230,8 @@ class _Radiance(torch.autograd.Function):
         prepared, material, environment, pixels, seed = ctx.call
         names = ("diffuse", "specular", "alpha", "normal", "light")
         needs = dict(zip(names, ctx.needs_input_grad[4:], strict=True))
-        found = prepared.gradients(material, environment, pixels, upstream[0], seed, needs)
-        return (None, None, None, None, *[found.get(name) for name in names])
+        gradients = prepared.gradients(material, environment, pixels, upstream[0], seed, needs)
+        return (None, None, None, None, *[gradients.get(name) for name in names])
 
 
 def upload(material: Material, surface: Surface) -> Shading:

@@ -1,4 +1,4 @@
-"""Random points in the unit square, well spread among the samples of one pixel."""
+"""Random points in the unit square, well distributed among the samples of one pixel."""
 
 from __future__ import annotations
 

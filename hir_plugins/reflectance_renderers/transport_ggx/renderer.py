@@ -52,7 +52,8 @@ class TransportGGX(ReflectanceRenderer):
         self._options = config
 
     def memory(self, size: CaptureSize) -> int:
-        """The irradiance cache, and the largest of the lobes of a fit, the equations of the textures, the per-texel BRDF.
+        """The irradiance cache, and the largest of the lobes of a fit, the equations of the textures, the per-texel
+        BRDF.
 
         Includes the hemispheres of a light that moves with the camera, because model selection may try one.
         """

@@ -1,4 +1,4 @@
-"""The optimisation loop: batches, schedule, guards, checkpoints, progress."""
+"""The optimisation loop: batches, schedule, non-finite steps, checkpoints, progress."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from hir_core.plugins.progress import Progress
 from tests.fixtures.meshes import bumpy_sphere, mesh_of
 
 
-def test_every_view_comes_once_an_epoch_and_never_twice_in_a_batch() -> None:
+def test_every_item_is_drawn_once_an_epoch_and_never_twice_in_a_batch() -> None:
     batches = Batches(10, 4, seed=3)
     drawn = [batches(step) for step in range(5)]
     assert all(len(set(batch)) == 4 for batch in drawn)
@@ -28,7 +28,7 @@ def test_every_view_comes_once_an_epoch_and_never_twice_in_a_batch() -> None:
     assert Batches(3, 8)(7) == [0, 1, 2]
 
 
-def test_schedule_warms_up_and_ends_where_it_is_told() -> None:
+def test_schedule_warms_up_and_ends_at_its_end() -> None:
     schedule = Schedule(100, warmup=10, end=0.1)
     assert schedule(0) == pytest.approx(0.1)
     assert schedule(9) == schedule(10) == pytest.approx(1.0)
@@ -41,7 +41,7 @@ def _line(value: float) -> tuple[torch.Tensor, torch.optim.Adam]:
     return x, torch.optim.Adam([x], 0.1)
 
 
-def test_it_finds_a_minimum_and_keeps_the_curves() -> None:
+def test_it_finds_a_minimum_and_records_the_curves() -> None:
     x, optimizer = _line(3.0)
     report = optimize(
         lambda _: {"far": (x - 1).square().sum(), "flat": torch.zeros(())},
@@ -52,11 +52,11 @@ def test_it_finds_a_minimum_and_keeps_the_curves() -> None:
     assert x.item() == pytest.approx(1.0, abs=1e-3)
     assert report.steps == 300 and not report.skipped
     assert report.curves["far"].shape == (300,) and report.curves["far"][0] == pytest.approx(4.0)
-    # the caller's rate is given back
+    # the optimizer has its own learning rate again
     assert optimizer.param_groups[0]["lr"] == 0.1
 
 
-def test_a_bad_value_is_skipped_counted_and_blamed() -> None:
+def test_a_nonfinite_value_is_skipped_and_counted_under_its_term() -> None:
     x, optimizer = _line(3.0)
 
     def loss(step: int) -> dict[str, torch.Tensor]:
@@ -68,7 +68,7 @@ def test_a_bad_value_is_skipped_counted_and_blamed() -> None:
     assert x.item() == pytest.approx(1.0, abs=0.05)
 
 
-def test_a_bad_gradient_of_a_good_value_is_blamed_too() -> None:
+def test_a_nonfinite_gradient_of_a_finite_value_is_counted_under_its_term() -> None:
     x, optimizer = _line(0.5)
 
     def loss(step: int) -> dict[str, torch.Tensor]:
@@ -80,7 +80,7 @@ def test_a_bad_gradient_of_a_good_value_is_blamed_too() -> None:
     assert bool(torch.isfinite(x).all())
 
 
-def test_nothing_but_bad_steps_is_an_error_that_names_the_term() -> None:
+def test_only_nonfinite_steps_are_an_error_that_names_the_term() -> None:
     x, optimizer = _line(1.0)
     with pytest.raises(StageError, match=r"20 steps in a row.*'light'"):
         optimize(lambda _: {"light": x.sum() * float("inf")}, optimizer, Schedule(100), stage="test")
@@ -103,18 +103,18 @@ def test_a_resumed_loop_ends_where_an_unbroken_one_does(tmp_path: Path, make) ->
             target = torch.tensor([float(i) for i in Batches(5, 3)(step)])
             return {"far": (x - target + torch.rand(3)).square().sum()}
 
-        heard: list[Progress] = []
+        received: list[Progress] = []
         report = optimize(
             loss,
             optimizer,
             Schedule(40, end=0.1),
             stage="test",
-            report=heard.append,
+            report=received.append,
             checkpointing=Checkpointing(path, -1.0),
             extra_state=seen,
         )
         assert report.steps == 40 and len(report.curves["far"]) == 40
-        assert sum(len(p.scalars["far"]) for p in heard) == 40, "observers hear all steps after a resume, too"
+        assert sum(len(p.scalars["far"]) for p in received) == 40, "observers receive all steps, after a resume too"
         return x.detach(), seen.steps, report.curves["far"]
 
     torch.manual_seed(0)
@@ -122,18 +122,18 @@ def test_a_resumed_loop_ends_where_an_unbroken_one_does(tmp_path: Path, make) ->
     torch.manual_seed(0)
     with pytest.raises(KeyboardInterrupt):
         run(17, tmp_path / "b.npz", torch.zeros(3))
-    # what the second start was given does not matter, random numbers included: it goes on from the checkpoint
+    # the initial values of the second call do not matter, nor does its random seed: it resumes from the checkpoint
     torch.manual_seed(5)
     resumed = run(None, tmp_path / "b.npz", torch.full((3,), 9.0))
     assert torch.equal(resumed[0], whole[0]) and resumed[1] == whole[1] == list(range(40))
     assert np.array_equal(resumed[2], whole[2])
-    # a loop that ended is not run again
+    # a finished loop is not run again
     again = run(3, tmp_path / "b.npz", torch.zeros(3))
     assert torch.equal(again[0], whole[0]) and again[1] == whole[1]
 
 
 class Seen:
-    """Something that a loop changes beside its parameters."""
+    """State that a loop changes besides its parameters."""
 
     def __init__(self) -> None:
         self.steps: list[int] = []
@@ -157,7 +157,7 @@ def test_a_short_loop_leaves_no_checkpoint(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_a_checkpoint_that_does_not_fit_is_left_alone(tmp_path: Path) -> None:
+def test_a_checkpoint_of_other_shapes_or_damaged_is_ignored(tmp_path: Path) -> None:
     x, optimizer = _line(1.0)
     path = tmp_path / "state.npz"
     assert load_checkpoint(path, optimizer) is None
@@ -169,22 +169,22 @@ def test_a_checkpoint_that_does_not_fit_is_left_alone(tmp_path: Path) -> None:
         assert load_checkpoint(path, optimizer) is None and x.item() == 1.0
 
 
-def test_observers_hear_in_blocks_that_add_up_to_all_steps() -> None:
+def test_observers_receive_groups_of_steps_that_add_up_to_all_steps() -> None:
     x, optimizer = _line(3.0)
-    heard: list[Progress] = []
+    received: list[Progress] = []
     optimize(
         lambda _: {"far": x.square().sum()},
         optimizer,
         Schedule(500),
         stage="test",
-        report=heard.append,
+        report=received.append,
         first_step=100,
         total_steps=1000,
     )
-    assert sum(len(p.scalars["loss"]) for p in heard) == 500
-    assert heard[-1].step == 600 and heard[-1].steps == 1000
+    assert sum(len(p.scalars["loss"]) for p in received) == 500
+    assert received[-1].step == 600 and received[-1].steps == 1000
     # four a second at most, and one at the end
-    assert len(heard) <= heard[-1].seconds / 0.25 + 1
+    assert len(received) <= received[-1].seconds / 0.25 + 1
 
 
 def test_large_steps_solve_their_own_equation() -> None:
@@ -219,18 +219,54 @@ def test_the_caller_may_end_a_loop() -> None:
     assert report.stopped_early and report.steps == 7 and len(report.curves["far"]) == 7
 
 
-def test_of_many_bad_steps_the_first_are_told_and_all_counted() -> None:
+def test_of_many_nonfinite_steps_the_first_are_described_and_all_counted() -> None:
     x, optimizer = _line(3.0)
 
     def loss(step: int) -> dict[str, torch.Tensor]:
         return {"far": (x - 1).square().sum() * (float("nan") if step % 2 else 1.0)}
 
-    report = optimize(loss, optimizer, Schedule(100), stage="test", locate=lambda step, term: f"place {step}")
+    report = optimize(loss, optimizer, Schedule(100), stage="test", locate=lambda step, term: f"vertex {step}")
     assert report.skipped == {"far": 50} and len(report.diagnostics) == MAX_CONSECUTIVE_NONFINITE_STEPS
-    assert report.diagnostics[0] == "step 1: far is not finite at place 1"
+    assert report.diagnostics[0] == "step 1: far is not finite at vertex 1"
 
 
 def test_no_terms_are_a_loss_of_zero() -> None:
     x, optimizer = _line(3.0)
     report = optimize(lambda _: {}, optimizer, Schedule(3), stage="test")
     assert report.curves["loss"].tolist() == [0.0] * 3 and x.item() == 3.0
+
+
+def test_a_loop_can_stop_at_the_first_nonfinite_step() -> None:
+    x, optimizer = _line(3.0)
+
+    def loss(step: int) -> dict[str, torch.Tensor]:
+        return {"far": (x - 1).square().sum() * (float("nan") if step == 4 else 1.0)}
+
+    report = optimize(loss, optimizer, Schedule(50), stage="test", stop_at_nonfinite=True)
+    assert report.stopped_early and report.steps == 5 and report.skipped == {"far": 1}
+
+
+def test_gradients_may_be_changed_before_the_step() -> None:
+    x, optimizer = _line(3.0)
+
+    def freeze(step: int) -> None:
+        if step < 10:
+            x.grad = None
+
+    optimize(lambda _: {"far": (x - 1).square().sum()}, optimizer, Schedule(10), stage="test", after_backward=freeze)
+    assert x.item() == 3.0
+
+
+def test_checkpoints_are_only_stored_at_multiples(tmp_path: Path) -> None:
+    x, optimizer = _line(3.0)
+    path = tmp_path / "a.npz"
+
+    def loss(step: int) -> dict[str, torch.Tensor]:
+        if step == 13:
+            raise KeyboardInterrupt
+        return {"far": (x - 1).square().sum()}
+
+    with pytest.raises(KeyboardInterrupt):
+        optimize(loss, optimizer, Schedule(50), stage="test", checkpointing=Checkpointing(path, -1.0, every_steps=5))
+    checkpoint = load_checkpoint(path, optimizer)
+    assert checkpoint is not None and checkpoint[0] == 10

@@ -1,4 +1,4 @@
-"""The BRDF functions against the definitions, in float64 and at the borders of their domain."""
+"""The BRDF functions against their definitions, in float64 and at the limits of their domain."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_masking_conserves_the_visible_area(alpha: float, cos_o: float) -> None:
 
 
 def test_the_albedo_is_the_exporters_own() -> None:
-    """The fit and the export couple the diffuse part by the same figures."""
+    """The fit and the export couple the diffuse part by the same table."""
     rng = np.random.default_rng(0)
     cos, alpha = rng.random(2000), rng.uniform(1e-4, 1, 2000)
     ours = brdf_torch.directional_albedo_terms(torch.from_numpy(cos), torch.from_numpy(alpha))
@@ -113,7 +113,7 @@ def test_dielectric_lobe_is_reciprocal() -> None:
 @pytest.mark.parametrize("alpha", [0.15, 0.4, 1.0])
 @pytest.mark.parametrize("cos_o", [0.05, 0.3, 1.0])
 def test_white_furnace(alpha: float, cos_o: float) -> None:
-    """In a white surround nothing reflects more than it gets; a white coupled dielectric reflects exactly all."""
+    """In a white surround nothing reflects more than it receives; a white coupled dielectric reflects everything."""
     wi, solid_angle = hemisphere_grid(600)
     wo = torch.tensor([[math.sqrt(1 - cos_o**2), 0, cos_o]], dtype=torch.float64)
     a, one = torch.tensor([alpha], dtype=torch.float64), torch.ones(1, dtype=torch.float64)
@@ -130,8 +130,8 @@ def test_white_furnace(alpha: float, cos_o: float) -> None:
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize("model", MODELS)
-def test_nothing_is_ever_not_finite(model: str, dtype: torch.dtype) -> None:
-    """Every combination of extreme values, also those no geometry can produce."""
+def test_extreme_values_stay_finite(model: str, dtype: torch.dtype) -> None:
+    """Every combination of extreme values, also impossible ones."""
     cos = torch.tensor([-1.0, -1e-9, 0.0, 1e-12, 1e-4, 0.5, 1.0, 1.0 + 1e-6], dtype=dtype)
     alphas = torch.tensor([-1.0, 0.0, 1e-4, 1e-3, 0.5, 1.0, 2.0], dtype=dtype)
     n_wi, n_wo, n_h, h_wo, alpha = (
@@ -186,7 +186,7 @@ def test_shapes_broadcast_over_light_directions() -> None:
 
 @pytest.mark.parametrize("alpha", [1e-3, 0.1, 1.0])
 def test_opposite_directions_have_no_half_vector_and_no_lobe(alpha: float) -> None:
-    """A direction that grazes a microfacet comes straight back from behind: one in ten million that a fit draws."""
+    """A grazing sample can be reflected to the opposite direction: one in ten million samples of a fit."""
     width = torch.tensor([alpha], requires_grad=True)
     nothing = torch.zeros(1)
     value = brdf_torch.specular_lobe(width, torch.tensor([-0.1]), torch.tensor([0.1]), nothing, nothing)

@@ -83,8 +83,8 @@ class Transport:
 
     def vector_irradiance(self, radiance: Float[Tensor, "H W 3"]) -> Float[Tensor, "C 3 3"]:
         """Vector irradiance of each cell from direct light (Gershun 1939): axes first, then colours."""
-        found = self._vector_sky @ self.pyramid.flatten(radiance)[self.level]
-        return found.reshape(3, len(self.irradiance_cache), 3).transpose(0, 1)
+        vectors = self._vector_sky @ self.pyramid.flatten(radiance)[self.level]
+        return vectors.reshape(3, len(self.irradiance_cache), 3).transpose(0, 1)
 
     def sky_only(self, radiance: Float[Tensor, "H W 3"]) -> Float[Tensor, "S 3"]:
         """Radiance of all that a ray can hit, without light reflected by the surface."""

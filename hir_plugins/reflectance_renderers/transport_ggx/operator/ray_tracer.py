@@ -51,13 +51,13 @@ class RayTracer:
 
     def occluded(self, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> NDArray[np.bool_]:
         """Whether each ray (N, 3), (N, 3) hits the mesh."""
-        found = [
+        chunks = [
             np.asarray(
                 self._scene.ray_test(self._ray(origins[s : s + RAYS_PER_LAUNCH], directions[s : s + RAYS_PER_LAUNCH]))
             ).astype(bool)
             for s in range(0, len(origins), RAYS_PER_LAUNCH)
         ]
-        return np.concatenate(found) if found else np.empty(0, bool)
+        return np.concatenate(chunks) if chunks else np.empty(0, bool)
 
     def _ray(self, origins: NDArray[np.float32], directions: NDArray[np.float32]):  # type: ignore[no-untyped-def]
         mi = self._mi

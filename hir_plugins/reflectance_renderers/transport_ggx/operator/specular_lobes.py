@@ -104,7 +104,7 @@ def trace_lobes(
     """Draws `samples` visible normals for each point, traces their reflections and looks them up in the light.
 
     A direction that hits the surface reads the radiance of the cache cell there (`face_cells`: the cell of each face).
-    `rotation` (per view) turns world directions into the light's own frame.
+    `rotation` (per view) rotates world directions into the light's own frame.
     """
     parts = []
     alpha = alpha.detach().expand(len(points), 1)

@@ -12,6 +12,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from hir_core.capture import Camera, Capture
+from hir_core.scene.bilinear import AxisNeighbours, bilinear_values
 from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import CLIPPED_LINEAR_LEVEL, interior_mask
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
 
@@ -98,19 +99,17 @@ class LookupImage:
         """Those of `rows` of (P, 3) positions that are inside the image, their colours, and whether all four pixels
         around them are complete.
         """
-        place, depth = (np.asarray(a) for a in self.camera.project(position[rows].cpu().numpy().astype(np.float64)))
+        pixel, depth = (np.asarray(a) for a in self.camera.project(position[rows].cpu().numpy().astype(np.float64)))
         height, width = self.complete.shape
-        corner = np.floor(np.nan_to_num(place, nan=-1, posinf=-1, neginf=-1) - 0.5)
+        corner = np.floor(np.nan_to_num(pixel, nan=-1, posinf=-1, neginf=-1) - 0.5)
         within = (depth > 0) & (corner >= 0).all(axis=1) & (corner < np.array([width - 1, height - 1])).all(axis=1)
-        x, y = corner[within].astype(np.int64).T
-        across, down = torch.from_numpy((place[within] - 0.5 - corner[within]).astype(np.float32))[..., None].unbind(1)
-        first = torch.from_numpy(y * width + x)
-        color = self.color.reshape(-1, 3)
-        upper = torch.lerp(color.index_select(0, first), color.index_select(0, first + 1), across)
-        lower = torch.lerp(color.index_select(0, first + width), color.index_select(0, first + width + 1), across)
-        shown = self.complete.reshape(-1).index_select(0, first)
-        value = torch.lerp(upper, lower, down)
-        return rows[torch.from_numpy(within).to(rows.device)], value.to(position), shown.to(position.device)
+        column, row = (torch.from_numpy(index) for index in corner[within].astype(np.int64).T)
+        fraction = torch.from_numpy((pixel[within] - 0.5 - corner[within]).astype(np.float32))
+        x = AxisNeighbours(column, column + 1, fraction[:, 0])
+        y = AxisNeighbours(row, row + 1, fraction[:, 1])
+        value = bilinear_values(self.color.reshape(-1, 3), x, y, width)
+        complete = self.complete.reshape(-1).index_select(0, row * width + column)
+        return rows[torch.from_numpy(within).to(rows.device)], value.to(position), complete.to(position.device)
 
 
 class ImageCache:

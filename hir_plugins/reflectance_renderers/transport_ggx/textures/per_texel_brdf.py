@@ -139,27 +139,27 @@ def predict_pixels(lit: LitSurface, pixels: ObservedPixels, all_parameters: bool
 
 def pixel_brdfs(lit: LitSurface, pixels: ObservedPixels) -> PointBrdfs:
     """The BRDFs of the points behind pixels."""
-    found = []
+    brdfs = []
     for rows in _parts(len(pixels), len(lit.views)):
         points = pixels.points.take(rows)
-        found.append(lit.solve(points.face, points.barycentric, points.position, points.normal, True)[1])
-    return PointBrdfs.join(found)
+        brdfs.append(lit.solve(points.face, points.barycentric, points.position, points.normal, True)[1])
+    return PointBrdfs.join(brdfs)
 
 
 def texel_brdfs(
     lit: LitSurface, texels: TexelSurface, report: Callable[[float], None]
 ) -> tuple[PointBrdfs, Float[Tensor, " N"]]:
     """The BRDFs of the N texels of an atlas, and the number of photographs that see each."""
-    found, count, done = [], [], 0
+    brdfs, count, done = [], [], 0
     for rows in _parts(len(texels.face), len(lit.views)):
-        _, values, seen = lit.solve(
+        _, values, observations = lit.solve(
             texels.face[rows], texels.barycentric[rows], texels.position[rows], texels.normal[rows], True
         )
-        found.append(values)
-        count.append(seen.count)
+        brdfs.append(values)
+        count.append(observations.count)
         done += len(rows)
         report(done / len(texels.face))
-    return PointBrdfs.join(found), torch.cat(count)
+    return PointBrdfs.join(brdfs), torch.cat(count)
 
 
 def _parts(points: int, views: int) -> Iterator[Tensor]:

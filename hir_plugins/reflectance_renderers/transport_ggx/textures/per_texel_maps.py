@@ -115,12 +115,12 @@ class _Maps:
         observed = torch.zeros_like(texels.covered)
         observed[texels.covered] = known
 
-        def image(found: Float[Tensor, "N C"]) -> Float[Tensor, "H W C"]:
-            texture = found.new_zeros(*texels.covered.shape, found.shape[1])
-            texture[texels.covered] = found
+        def image(rows: Float[Tensor, "N C"]) -> Float[Tensor, "H W C"]:
+            texture = rows.new_zeros(*texels.covered.shape, rows.shape[1])
+            texture[texels.covered] = rows
             return dilate(fill_unobserved(texture, mesh, observed, texels), texels.covered, PADDING_TEXELS)
 
-        albedo, specular, alpha, normal_offset = (image(found) for found in values.all())
+        albedo, specular, alpha, normal_offset = (image(rows) for rows in values.all())
         return cls(albedo, specular, alpha, normal_offset, observed)
 
     def at(self, uv: Float[Tensor, "P 2"]) -> PointBrdfs:

@@ -114,7 +114,7 @@ def quadrature(light: EnvironmentMap, normal, eye, formula, alpha: float):  # ty
 @pytest.mark.parametrize("alpha", [1e-3, 0.1, 1.0])
 @pytest.mark.parametrize("specular", [0.0, 0.04, 1.0])
 def test_white_furnace(alpha: float, specular: float) -> None:
-    """A white coupled dielectric cannot be told from its white surround; the paper's model never exceeds it."""
+    """A white coupled dielectric equals its white surround; the paper's model never exceeds it."""
     sphere, camera = icosphere(4), looking_at((0, 0, 4), 32, 32)
     trace = renderer(render_samples=256)
     torch.manual_seed(0)
@@ -138,7 +138,7 @@ def test_energy_in_a_concave_object_grows_with_depth_and_stays_below_one() -> No
 
 @pytest.mark.parametrize("axis", list(AXES))
 def test_mirror_shows_the_axis_it_faces(axis: str) -> None:
-    """From +x a mirror ball reflects +x; after the light is turned, the colour that came there."""
+    """From +x a mirror ball reflects +x; with a rotated light, the colour that is then there."""
     trace, eye = renderer(render_samples=32, max_depth=2), tuple(4.0 * c for c in AXES[axis])
     scene = Scene(icosphere(4), material("paper", 0, 1, 0.02), six_colors())
     image = trace.render(scene, looking_at(eye, 33, 33))  # type: ignore[arg-type]
@@ -151,7 +151,7 @@ def test_mirror_shows_the_axis_it_faces(axis: str) -> None:
 
 
 def test_light_of_the_camera_travels_with_it() -> None:
-    """A mirror reflects what is behind the photographer, −z in the camera's axes, from all views of one batch."""
+    """A mirror reflects what is behind the camera, −z in its axes, in all views of one batch."""
     light = replace(six_colors(), frame="camera")
     cameras = [looking_at(tuple(4.0 * c for c in d), 33, 33) for d in AXES.values()]  # type: ignore[arg-type]
     scene = Scene(icosphere(4), material("paper", 0, 1, 0.02), light)
@@ -212,8 +212,8 @@ def test_agrees_with_mitsubas_own_path_integrator() -> None:
     path = mi.load_dict({"type": "path", "max_depth": 3, "hide_emitters": True})
     theirs, again = (np.array(mi.render(scene, integrator=path, spp=1024, seed=seed)) for seed in (0, 1))
     torch.manual_seed(0)
-    look = material("dielectric", 0.7, 0.1, 0.25)
-    ours = renderer(render_samples=1024).render(Scene(mesh, look, light), camera).numpy()
+    surface_material = material("dielectric", 0.7, 0.1, 0.25)
+    ours = renderer(render_samples=1024).render(Scene(mesh, surface_material, light), camera).numpy()
     np.testing.assert_allclose(ours[..., 3], theirs[..., 3], atol=0.04)
     assert abs(ours[..., :3].mean() / theirs[..., :3].mean() - 1) < 3e-3
     inside = ours[..., 3] == 1
@@ -223,7 +223,7 @@ def test_agrees_with_mitsubas_own_path_integrator() -> None:
 
 
 def test_coverage_is_antialiased_and_its_own() -> None:
-    """The area of a sphere's outline in pixels, and fractions only at the rim."""
+    """The area of a sphere's silhouette in pixels, and fractions only at its edge."""
     camera = looking_at((0, 0, 4), 64, 56)
     image = renderer(render_samples=64).render(Scene(icosphere(5), material("paper", 0.5, 0, 1), white()), camera)
     assert image.shape == (56, 64, 4)
@@ -240,18 +240,18 @@ def test_coverage_is_antialiased_and_its_own() -> None:
 
 
 @pytest.mark.parametrize(("scale", "shift"), [(1e-3, 0.0), (1e4, 0.0), (0.05, 3.0)])
-def test_scale_and_place_do_not_matter(scale: float, shift: float) -> None:
-    """A millimetre thing far from the origin is rendered as the same thing of radius 1 at the origin."""
+def test_scale_and_position_do_not_matter(scale: float, shift: float) -> None:
+    """An object of a millimetre far from the origin is rendered like the same object of radius 1 at the origin."""
     mesh, camera = bumpy_sphere(3), looking_at((1, 2, 3), 24, 24)
     similarity = np.diag([scale, scale, scale, 1.0])
     similarity[:3, 3] = shift
     moved = mesh.with_positions(mesh.positions * scale + shift)
-    look, light = material("dielectric", 0.5, 0.04, 0.3), uneven()
+    surface_material, light = material("dielectric", 0.5, 0.04, 0.3), uneven()
     trace = renderer(render_samples=64)
     torch.manual_seed(0)
-    there = trace.render(Scene(moved, look, light), camera.transformed(similarity))
+    there = trace.render(Scene(moved, surface_material, light), camera.transformed(similarity))
     torch.manual_seed(0)
-    here = trace.render(Scene(mesh, look, light), camera)
+    here = trace.render(Scene(mesh, surface_material, light), camera)
     assert float((there - here).abs().mean()) < 1e-3
 
 
@@ -265,12 +265,17 @@ def test_hard_values_stay_finite(model: str) -> None:
     pixels = torch.stack([torch.zeros_like(x), x, y], -1).reshape(-1, 3)
     for light in (sun, torch.zeros(16, 32, 3)):
         for diffuse, specular, alpha in ((0, 0, 1e-4), (1, 1, 1e-3), (0.5, 0.04, 1.0), (0, 1, 1e-4)):
-            look = material(model, diffuse, specular, alpha)
-            leaves = [look.diffuse_albedo, look.specular_albedo, look.roughness, light.clone()]
+            surface_material = material(model, diffuse, specular, alpha)
+            leaves = [
+                surface_material.diffuse_albedo,
+                surface_material.specular_albedo,
+                surface_material.roughness,
+                light.clone(),
+            ]
             for leaf in leaves:
                 leaf.requires_grad_()
             prepared = renderer(samples=16).prepare(Scene(mesh), capture_of(cameras))
-            value = prepared.radiance(look, EnvironmentMap(leaves[3]), pixels)
+            value = prepared.radiance(surface_material, EnvironmentMap(leaves[3]), pixels)
             assert torch.isfinite(value).all()
             assert (value >= 0).all()
             for gradient in torch.autograd.grad(value.sum(), leaves):
@@ -283,28 +288,28 @@ def test_hard_values_stay_finite(model: str) -> None:
 def textured(model: str) -> tuple[Mesh, Material, EnvironmentMap]:
     torch.manual_seed(1)
     maps = 0.2 + 0.6 * torch.rand(8, 8, 3), 0.05 + 0.3 * torch.rand(4, 4, 3), 0.2 + 0.3 * torch.rand(4, 4, 1)
-    look = Material(model, *maps)  # type: ignore[arg-type]
+    surface_material = Material(model, *maps)  # type: ignore[arg-type]
     mesh = bumpy_sphere(3)
     uvs = torch.from_numpy(direction_to_latlong_uv(mesh.positions.numpy())).float()
-    return replace(mesh, uvs=uvs, topology=Topology(mesh.faces, mesh.faces)), look, uneven(8, 16)
+    return replace(mesh, uvs=uvs, topology=Topology(mesh.faces, mesh.faces)), surface_material, uneven(8, 16)
 
 
 @pytest.mark.parametrize("model", ["paper", "dielectric"])
 @pytest.mark.parametrize("name", ["diffuse_albedo", "specular_albedo", "roughness", "radiance"])
 def test_derivative_matches_central_differences(model: str, name: str) -> None:
     """Along a direction: the difference of both estimates is known to 2 % and lies within 4 standard errors."""
-    mesh, look, light = textured(model)
+    mesh, surface_material, light = textured(model)
     # α moves the samples themselves, which leaves more noise in the differences
     samples = 1024 if name == "roughness" else 256
     prepared = renderer(samples=samples).prepare(Scene(mesh), capture_of([looking_at((0, 1, 4), 24, 24)]))
     y, x = torch.meshgrid(torch.arange(6, 18), torch.arange(6, 18), indexing="ij")
     pixels = torch.stack([torch.zeros_like(x), x, y], -1).reshape(-1, 3)
     weights = torch.rand(len(pixels), 3, generator=torch.Generator().manual_seed(2))
-    start = light.radiance if name == "radiance" else getattr(look, name)
+    start = light.radiance if name == "radiance" else getattr(surface_material, name)
     direction = 0.5 + torch.rand(start.shape, generator=torch.Generator().manual_seed(3))
 
     def value(at: torch.Tensor) -> torch.Tensor:
-        there = look if name == "radiance" else replace(look, **{name: at})
+        there = surface_material if name == "radiance" else replace(surface_material, **{name: at})
         sky = EnvironmentMap(at) if name == "radiance" else light
         return (prepared.radiance(there, sky, pixels) * weights).sum()
 
@@ -325,27 +330,27 @@ def test_derivative_matches_central_differences(model: str, name: str) -> None:
 
 
 def test_black_albedo_has_the_derivative_of_its_irradiance() -> None:
-    """In a white surround d(radiance)/d(ρd) = 1 for a convex body, also where it is black now."""
-    look = material("paper", 0, 0, 0.3)
-    look.diffuse_albedo.requires_grad_()
+    """In a white surround d(radiance)/d(ρd) = 1 for a convex body, also where its albedo is 0."""
+    surface_material = material("paper", 0, 0, 0.3)
+    surface_material.diffuse_albedo.requires_grad_()
     prepared = renderer(samples=256).prepare(Scene(icosphere(4)), capture_of([looking_at((0, 0, 4), 16, 16)]))
-    value = prepared.radiance(look, white(), torch.tensor([[0, 8, 8], [0, 7, 6]]))
-    gradient = torch.autograd.grad(value.mean(0).sum(), look.diffuse_albedo)[0]
+    value = prepared.radiance(surface_material, white(), torch.tensor([[0, 8, 8], [0, 7, 6]]))
+    gradient = torch.autograd.grad(value.mean(0).sum(), surface_material.diffuse_albedo)[0]
     np.testing.assert_allclose(gradient, 1, atol=0.02)
 
 
-def test_derivative_uses_samples_of_its_own() -> None:
+def test_derivative_uses_independent_samples() -> None:
     """Σ (y − t)² with noisy y: with the value's own samples the gradient would be biased by the variance."""
-    look, light = material("paper", 0.5, 0, 1), uneven()
+    surface_material, light = material("paper", 0.5, 0, 1), uneven()
     capture = capture_of([looking_at((0, 0, 4), 16, 16)])
     prepared = renderer(samples=1, gradient_samples=1).prepare(Scene(icosphere(3)), capture)
     pixels = torch.tensor([[0, x, y] for x in range(6, 10) for y in range(6, 10)])
     torch.manual_seed(0)
-    exact = torch.stack([prepared.radiance(look, light, pixels) for _ in range(300)]).mean(0)
+    exact = torch.stack([prepared.radiance(surface_material, light, pixels) for _ in range(300)]).mean(0)
     slopes = []
     for _ in range(300):
         albedo = torch.full((3,), 0.5, requires_grad=True)
-        value = prepared.radiance(replace(look, diffuse_albedo=albedo), light, pixels)
+        value = prepared.radiance(replace(surface_material, diffuse_albedo=albedo), light, pixels)
         loss = (value - exact).square().sum()
         slopes.append(float(torch.autograd.grad(loss, albedo)[0].sum()))
     # at the optimum the expected gradient is zero
@@ -353,13 +358,13 @@ def test_derivative_uses_samples_of_its_own() -> None:
 
 
 def test_steps_do_not_compile_again() -> None:
-    """After the first step every kernel is found in the cache, whatever the seed, the batch and the values."""
+    """After the first step every kernel comes from the cache, for any seed, batch and values."""
     import drjit as dr
 
-    mesh, look, light = textured("dielectric")
+    mesh, surface_material, light = textured("dielectric")
     cameras = [looking_at((0, 1, 4), 24, 24), looking_at((4, 1, 0), 24, 24)]
     prepared = renderer(samples=8).prepare(Scene(mesh), capture_of(cameras))
-    albedo = look.diffuse_albedo.clone().requires_grad_()
+    albedo = surface_material.diffuse_albedo.clone().requires_grad_()
     dr.set_flag(dr.JitFlag.KernelHistory, True)
     try:
         misses = []
@@ -372,7 +377,7 @@ def test_steps_do_not_compile_again() -> None:
                 ],
                 1,
             )
-            prepared.radiance(replace(look, diffuse_albedo=albedo * 0.9), light, pixels).sum().backward()
+            prepared.radiance(replace(surface_material, diffuse_albedo=albedo * 0.9), light, pixels).sum().backward()
             misses.append(sum(kernel.get("cache_hit") == 0 for kernel in dr.kernel_history()))
     finally:
         dr.set_flag(dr.JitFlag.KernelHistory, False)
@@ -382,8 +387,8 @@ def test_steps_do_not_compile_again() -> None:
 # -- normal maps, errors --------------------------------------------------------------------------------------------
 
 
-def test_normal_map_tilts_the_surface_as_gltf_says() -> None:
-    """Red is +u, green is up in the texture (−v): a lit floor brightens when it is tilted towards the light."""
+def test_normal_map_has_the_axes_of_gltf() -> None:
+    """Red is +u, green is up in the texture (−v): a lit floor is brighter where its normal points towards the light."""
     d = torch.from_numpy(latlong_directions(16, 32)).float()
     camera = looking_at((0, 4, 0), 16, 16)
 
@@ -407,9 +412,9 @@ def test_wrong_input_is_named() -> None:
     camera = looking_at((0, 0, 4), 8, 8)
     with pytest.raises(StageError, match="needs a material"):
         renderer().render(Scene(icosphere(1)), camera)
-    look = Material("paper", torch.rand(4, 4, 3), torch.zeros(3), torch.ones(1))
+    surface_material = Material("paper", torch.rand(4, 4, 3), torch.zeros(3), torch.ones(1))
     with pytest.raises(StageError, match="no texture coordinates"):
-        renderer().render(Scene(icosphere(1), look, white()), camera)
+        renderer().render(Scene(icosphere(1), surface_material, white()), camera)
     with pytest.raises(ConfigError, match="max_depth"):
         renderer(max_depth=1)
     empty = Mesh(torch.zeros(0, 3), Topology(torch.zeros(0, 3, dtype=torch.long)))

@@ -1,4 +1,4 @@
-"""The first look at Mitsuba: once, remembered, and a sentence where it fails."""
+"""The test of Mitsuba's variant: it runs once, its success is cached, and a failure is one sentence."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def empty_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Pat
     mitsuba_variant.check_variant.cache_clear()
 
 
-def test_success_is_remembered_for_later_processes(empty_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_success_is_cached_for_later_processes(empty_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[str] = []
 
     def examine(name: str, label: str) -> Finding:

@@ -26,7 +26,7 @@ from tests.fixtures.made_captures import (
     bowl,
     fitted,
     lamps,
-    look,
+    make_material,
     photographs,
     reflectance_settings,
     unseen_db,
@@ -52,7 +52,7 @@ def scripted(factor: float | None) -> ReflectanceSolver[Any, Any]:
 @pytest.fixture(scope="module")
 def shadowed() -> tuple[Scene, Capture]:
     """A bowl under lamps, and its photographs."""
-    truth = Scene(unwrap_mesh(bowl(), TEXELS)[0], look(BROWN), lamps())
+    truth = Scene(unwrap_mesh(bowl(), TEXELS)[0], make_material(BROWN), lamps())
     return truth, photographs(truth, around(16))
 
 

@@ -1,4 +1,4 @@
-"""Values of single points: against a float64 reference by autograd, and on photographs that say little."""
+"""BRDFs of single points: against a float64 reference by autograd, and with few or extreme photographs."""
 
 from __future__ import annotations
 
@@ -153,7 +153,7 @@ def test_radiance_is_the_references(model: str) -> None:
 
 
 @pytest.mark.parametrize("model", ["paper", "dielectric"])
-def test_what_was_photographed_is_shown_again_from_elsewhere(model: str) -> None:
+def test_fitted_points_predict_other_views(model: str) -> None:
     generator = torch.Generator().manual_seed(2)
     at, values, light = points(generator), truth(generator), probes()
     seen = photographs(at, values, light, eyes(generator), model)
@@ -170,7 +170,7 @@ def test_what_was_photographed_is_shown_again_from_elsewhere(model: str) -> None
     )
 
 
-def test_least_squares_end_as_low_as_descent() -> None:
+def test_least_squares_reach_the_cost_of_gradient_descent() -> None:
     """Adam in float64 on the same energy: a slow reference that shares no code."""
     generator = torch.Generator().manual_seed(3)
     at, light, priors = points(generator), probes(), Priors(iterations=40)
@@ -205,8 +205,8 @@ def test_least_squares_end_as_low_as_descent() -> None:
     assert cost[:few].double().sum() < 1.01 * total.detach()
 
 
-def test_a_patch_is_the_probe_between_its_texels_and_goes_on_beside_them() -> None:
-    """From one patch: the same lobe exactly, one a little aside nearly, also over the seam of the panorama."""
+def test_a_patch_interpolates_the_probe_and_extrapolates_nearby() -> None:
+    """The patch of a lobe gives that lobe exactly and a nearby one approximately, also across the panorama's seam."""
     light = ProbeTable(probes())
     angle = torch.linspace(0, 2 * math.pi, 257)[:-1]  # all around, so some are at the seam
     eye = torch.stack([torch.sin(angle), torch.full_like(angle, 0.3), torch.cos(angle)], dim=1)
@@ -232,15 +232,15 @@ def test_a_patch_is_the_probe_between_its_texels_and_goes_on_beside_them() -> No
 
 
 @pytest.mark.parametrize("model", ["paper", "dielectric"])
-def test_equations_hold_the_gradient_of_the_cost(model: str) -> None:
-    """Of albedo and ρs exactly, against autograd in float64; of α and the tilt as far as differences go."""
+def test_normal_equations_contain_the_gradient_of_the_cost(model: str) -> None:
+    """Against autograd in float64: exact for albedo and ρs, as accurate as differences for α and the normal offset."""
     generator = torch.Generator().manual_seed(5)
     at, light, values, stand = points(generator), probes(), truth(generator), eyes(generator)
     seen = photographs(at, truth(generator), light, stand, model)
     fit = PointBrdfFit(at, seen, ProbeTable(light), model, Priors(0, 0, 0, 0))  # type: ignore[arg-type]
     state = fit.state(values)
-    said = normal_equations(fit.arrays, state, state)
-    de, fe, ae, e1, e2 = (torch.from_numpy(np.array(value)).double() for value in said.errors)
+    equations = normal_equations(fit.arrays, state, state)
+    de, fe, ae, e1, e2 = (torch.from_numpy(np.array(value)).double() for value in equations.errors)
     free = double(values)
     level = level_of(free.alpha).requires_grad_()
     for value in (free.albedo, free.specular, free.normal_offset):
@@ -252,7 +252,7 @@ def test_equations_hold_the_gradient_of_the_cost(model: str) -> None:
         off = linear_to_srgb(reference(at, now, toward, light, model)) - linear_to_srgb(seen.color[row].double())
         part = huber_loss(off, torch.zeros_like(off), delta=fit.arrays.priors.huber_srgb, reduction="none").sum(dim=1)
         cost = cost + (seen.weight[row].double() * part).sum()
-    assert float(np.array(said.cost).sum()) == pytest.approx(float(cost.detach()), rel=1e-4)
+    assert float(np.array(equations.cost).sum()) == pytest.approx(float(cost.detach()), rel=1e-4)
     by_albedo, by_specular, by_level, by_tilt = torch.autograd.grad(
         cost, (free.albedo, free.specular, level, free.normal_offset)
     )

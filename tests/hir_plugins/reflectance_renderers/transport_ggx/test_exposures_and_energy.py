@@ -1,4 +1,4 @@
-"""Photographs of drifting exposure, and surfaces that would give back more light than they get."""
+"""Fits of photographs with different exposures."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FACTORS = np.array([1.0, 1.3, 0.8, 1.1, 0.7, 1.25])
 
 
 def photographs(factors: np.ndarray) -> tuple[Capture, Scene]:
-    """A grey ball under a smooth light from six sides, each picture brightened by its factor."""
+    """A grey ball under a smooth light from six sides; each photograph is multiplied by its factor."""
     light = 0.5 + 0.4 * texel_directions(16, 32)[:, 1:2]
     sky = EnvironmentMap((light * torch.tensor([0.9, 0.8, 0.7])).reshape(16, 32, 3).float())
     grey = Material("paper", torch.full((3,), 0.5), torch.zeros(3), torch.ones(1))
@@ -58,12 +58,12 @@ def test_drifting_exposures_are_found_and_cost_nothing() -> None:
     assert errors[True] < 0.05 * errors[False]
 
 
-def test_a_photograph_that_was_not_fitted_is_judged_at_its_own_exposure() -> None:
+def test_a_held_out_photograph_is_compared_at_its_own_exposure() -> None:
     capture, scene = photographs(FACTORS)
     options = TransportGGXOptions(vertices=0, cache_cells=800, steps=150, view_gain=True)
     solver = TransportGGX(options).prepare(scene, capture)
     fit = solver.fit(ModelSpec(), None, range(5), 1.0, lambda _: None)  # type: ignore[attr-defined]
     found = -10 * np.log10(solver.errors(fit, [5])[0])  # type: ignore[attr-defined]
-    as_others = replace(fit, parameters=replace(fit.parameters, gain=None))
-    # what is left is the rim that no other photograph shows
+    as_others = replace(fit, parameters=replace(fit.parameters, log_exposure=None))
+    # the remaining error is at the rim, which no other photograph shows
     assert found > 28 and found > 6 - 10 * np.log10(solver.errors(as_others, [5])[0])  # type: ignore[attr-defined]

@@ -1,4 +1,4 @@
-"""Places that store irradiance: as many as are allowed, where they are needed."""
+"""The irradiance cache: its number of cells is limited, and they are dense where normals vary."""
 
 from __future__ import annotations
 
@@ -23,31 +23,33 @@ from tests.hir_plugins.reflectance_renderers.transport_ggx.test_transport_ggx im
 
 
 def drum() -> Mesh:
-    """Two discs and a rim of 24 rectangles whose smooth normals turn by a right angle from edge to edge."""
+    """Two discs and a rim of 24 rectangles whose smooth normals change by a right angle from edge to edge."""
     import trimesh
 
     made = trimesh.creation.cylinder(radius=1.0, height=0.3, sections=24)
-    turned = np.asarray(made.vertices)[:, [1, 2, 0]].astype(np.float32)
-    return Mesh(torch.from_numpy(turned.copy()), Topology(torch.from_numpy(np.asarray(made.faces, dtype=np.int64))))
+    upright = np.asarray(made.vertices)[:, [1, 2, 0]].astype(np.float32)
+    return Mesh(torch.from_numpy(upright.copy()), Topology(torch.from_numpy(np.asarray(made.faces, dtype=np.int64))))
 
 
-def turned_degrees(mesh: Mesh, most: int) -> torch.Tensor:
+def normal_deviation_degrees(mesh: Mesh, max_cells: int) -> torch.Tensor:
     """Angle between each vertex's normal and its cell's."""
     surface = refine(mesh, 12_000)
-    cells = build_irradiance_cache(surface, most)
-    assert 0.8 * most < len(cells) <= most and bool((torch.bincount(cells.of_vertex, minlength=len(cells)) > 0).all())
+    cells = build_irradiance_cache(surface, max_cells)
+    assert 0.8 * max_cells < len(cells) <= max_cells and bool(
+        (torch.bincount(cells.of_vertex, minlength=len(cells)) > 0).all()
+    )
     return torch.rad2deg(torch.acos((cells.normals[cells.of_vertex] * surface.normals).sum(1).clamp(-1, 1)))
 
 
-def test_cells_are_small_where_normals_turn() -> None:
-    assert float(turned_degrees(drum(), 2500).quantile(0.95)) < 10
-    assert float(turned_degrees(icosphere(5), 2500).quantile(0.95)) < 5
+def test_cells_are_small_where_normals_vary() -> None:
+    assert float(normal_deviation_degrees(drum(), 2500).quantile(0.95)) < 10
+    assert float(normal_deviation_degrees(icosphere(5), 2500).quantile(0.95)) < 5
 
 
-@pytest.mark.parametrize("most", [50, 400, 3000])
-def test_never_more_than_asked_for(most: int) -> None:
-    turned_degrees(bumpy_sphere(5), most)
-    turned_degrees(drum(), most)
+@pytest.mark.parametrize("max_cells", [50, 400, 3000])
+def test_the_number_of_cells_is_limited(max_cells: int) -> None:
+    normal_deviation_degrees(bumpy_sphere(5), max_cells)
+    normal_deviation_degrees(drum(), max_cells)
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1e6])
@@ -63,7 +65,7 @@ def test_a_mesh_without_extent_has_a_cell() -> None:
 
 
 def test_a_coarse_rim_shades_as_the_path_tracer_shades_it() -> None:
-    """Cells that are alike in place alone leave a root mean square of 7.0 %."""
+    """Cells that are clustered by position only have a root mean square error of 7.0 %."""
     mesh, light, material = drum(), smooth_light(), gloss("paper", 0.5, 0.0, 0.5)
     shown = radiance(mesh, material, light, TransportGGXOptions(vertices=40_000, cache_cells=3000))
     torch.manual_seed(0)

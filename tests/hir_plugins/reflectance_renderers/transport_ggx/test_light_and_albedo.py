@@ -1,4 +1,4 @@
-"""What is shading and what is albedo: a ball of one grey under a light from above."""
+"""The separation of shading and albedo: a uniform grey ball under a light from above."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.hir_plugins.reflectance_renderers.transport_ggx.test_exposures_and_en
 
 
 def solver_of(**options: Any) -> tuple[Any, torch.Tensor]:
-    """A solver, and which vertices lie in the ball's middle, which all photographs show well."""
+    """A solver, and the vertices near the ball's equator, which all photographs show well."""
     capture, scene = photographs(np.ones(6))
     solver = TransportGGX(TransportGGXOptions(vertices=0, cache_cells=800, steps=150, **options)).prepare(
         scene, capture
@@ -24,7 +24,7 @@ def solver_of(**options: Any) -> tuple[Any, torch.Tensor]:
     return solver, scene.mesh.positions[:, 1].abs() < 0.6
 
 
-def spread(parameters: Parameters, middle: torch.Tensor) -> float:
+def log_albedo_deviation(parameters: Parameters, middle: torch.Tensor) -> float:
     """Standard deviation of log albedo."""
     return float(parameters.diffuse_albedo[middle].log().std(dim=0).mean())
 
@@ -33,19 +33,21 @@ def spread(parameters: Parameters, middle: torch.Tensor) -> float:
     ("options", "known", "uniform"),
     [({}, False, True), ({"initial_albedo": "photographs"}, False, False), ({}, True, False)],
 )
-def test_a_fit_begins_with_one_albedo_unless_it_is_told_or_knows_the_light(
+def test_the_initial_albedo_is_uniform_unless_set_otherwise_or_the_light_is_known(
     options: dict[str, Any], known: bool, uniform: bool
 ) -> None:
     solver, middle = solver_of(**options)
-    begun = spread(
+    deviation = log_albedo_deviation(
         solver._initial_parameters(ModelSpec(light_is_known=known), None, solver._photographs(range(6))), middle
     )
-    assert begun < 1e-6 if uniform else begun > 0.1
+    assert deviation < 1e-6 if uniform else deviation > 0.1
 
 
-def test_few_edges_in_the_albedo_are_preferred() -> None:
-    spreads = []
+def test_a_piecewise_constant_albedo_is_preferred() -> None:
+    deviations = []
     for weight in (1e-3, 0.0):
         solver, middle = solver_of(albedo_smoothness=weight)
-        spreads.append(spread(solver.fit(ModelSpec(), None, range(6), 1.0, lambda _: None).parameters, middle))
-    assert spreads[0] < 0.85 * spreads[1]
+        deviations.append(
+            log_albedo_deviation(solver.fit(ModelSpec(), None, range(6), 1.0, lambda _: None).parameters, middle)
+        )
+    assert deviations[0] < 0.85 * deviations[1]

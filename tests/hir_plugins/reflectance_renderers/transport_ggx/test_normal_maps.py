@@ -1,4 +1,4 @@
-"""Normals that are bent from the mesh's: against formulas, the path tracer, and a scene that has a normal map."""
+"""Shading normals: against formulas, the path tracer, and a scene with a normal map."""
 
 from __future__ import annotations
 
@@ -31,11 +31,22 @@ from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGG
 from hir_plugins.reflectance_renderers.transport_ggx.solver import TransportSolver
 from hir_plugins.reflectance_renderers.transport_ggx.textures.normal_map import mapped_normals, normal_map
 from hir_plugins.reflectance_renderers.transport_ggx.textures.texture_shading import sample
-from tests.fixtures.made_captures import BROWN, TEXELS, around, ball, fitted, lamps, look, photographs, sky, unseen_db
+from tests.fixtures.made_captures import (
+    BROWN,
+    TEXELS,
+    around,
+    ball,
+    fitted,
+    lamps,
+    make_material,
+    photographs,
+    sky,
+    unseen_db,
+)
 
 
 def waves(place: Tensor) -> Tensor:
-    """Tilts in the world of dents that an icosphere of 642 vertices just resolves."""
+    """Normal offsets, in the world, of dents that an icosphere of 642 vertices just resolves."""
     return 0.35 * torch.stack([torch.sin(7 * place[:, 1]), torch.sin(6 * place[:, 2]), torch.cos(7 * place[:, 0])], 1)
 
 
@@ -53,7 +64,7 @@ def prepared(scene: Scene, capture: Capture, **options: int) -> TransportSolver:
     return solver
 
 
-def test_no_tilt_bends_nothing_and_a_huge_one_stays_above_the_horizon() -> None:
+def test_a_zero_offset_keeps_the_normal_and_a_huge_one_stays_above_the_horizon() -> None:
     torch.manual_seed(0)
     normal = normalize(torch.randn(50, 3), dim=1)
     torch.testing.assert_close(offset_normals(normal, torch.zeros(50, 3)), normal)
@@ -68,7 +79,7 @@ def test_no_tilt_bends_nothing_and_a_huge_one_stays_above_the_horizon() -> None:
         torch.testing.assert_close(turned.detach().norm(dim=1), torch.ones(50))
 
 
-def test_bending_has_the_gradient_of_its_formula() -> None:
+def test_offset_normals_have_the_gradient_of_their_formula() -> None:
     torch.manual_seed(1)
     normal = normalize(torch.randn(6, 3, dtype=torch.float64), dim=1)
     normal_offset = torch.randn(6, 3, dtype=torch.float64, requires_grad=True)
@@ -82,11 +93,11 @@ def test_bending_has_the_gradient_of_its_formula() -> None:
 
 
 def test_vector_irradiance_is_the_irradiance_of_other_normals() -> None:
-    """On a ball under soft light from one side: that of the next cell's normal, but for what is below the horizon."""
+    """On a ball under soft light from one side: that of the next cell's normal, except light below the horizon."""
     d = texel_directions(32, 64)
     light = (0.05 + (4 * (d @ normalize(torch.tensor([0.3, 1.0, 0.2]), dim=0) - 1)).exp())[:, None].expand(-1, 3)
     radiance = light.reshape(32, 64, 3).contiguous()
-    truth = Scene(ball(), look(BROWN), EnvironmentMap(radiance))
+    truth = Scene(ball(), make_material(BROWN), EnvironmentMap(radiance))
     transport = prepared(truth, photographs(truth, around(1)))._transport
     normal = transport.irradiance_cache.normals
     _, irradiance = transport.sources(radiance, torch.zeros(len(transport.surface.positions), 3), 0)
@@ -97,9 +108,9 @@ def test_vector_irradiance_is_the_irradiance_of_other_normals() -> None:
     assert float(moved) > 0.02 * float(irradiance.mean()) and float(error) < 0.15 * float(moved)
 
 
-def test_a_normal_map_holds_the_normals_it_was_made_of() -> None:
+def test_a_normal_map_contains_the_normals_it_was_made_of() -> None:
     mesh = ball()
-    truth = Scene(mesh, look(BROWN), sky())
+    truth = Scene(mesh, make_material(BROWN), sky())
     capture = photographs(truth, around(1))
     transport = prepared(truth, capture)._transport
     grid = torch.tensor([(0, x, y) for y in range(32) for x in range(32)])
@@ -117,7 +128,7 @@ def test_a_normal_map_holds_the_normals_it_was_made_of() -> None:
 @pytest.mark.parametrize("model", ["paper", "dielectric"])
 def test_shading_of_a_normal_map_is_the_path_tracers(model: str) -> None:
     mesh = ball()
-    material = replace(look((0.5, 0.3, 0.2), 0.2, 0.3, model), normal=dented(mesh, 256))
+    material = replace(make_material((0.5, 0.3, 0.2), 0.2, 0.3, model), normal=dented(mesh, 256))
     truth = Scene(mesh, material, lamps())
     capture = photographs(truth, around(2), depth=2)
     grid = torch.tensor([(v, x, y) for v in range(2) for y in range(32) for x in range(32)])
@@ -136,7 +147,7 @@ def test_shading_of_a_normal_map_is_the_path_tracers(model: str) -> None:
 
 
 def _inner(capture: Capture) -> Tensor:
-    """Pixels (N,) away from the outline."""
+    """Pixels (N,) away from the silhouette."""
     masks = [view.read().mask for view in capture.views]
     inner = [binary_erosion(mask > 0, iterations=3) for mask in masks if mask is not None]
     return torch.from_numpy(np.stack(inner)).reshape(-1)
@@ -144,9 +155,9 @@ def _inner(capture: Capture) -> Tensor:
 
 @pytest.mark.parametrize("model", ["paper", "dielectric"])
 def test_a_lobes_derivative_in_the_normal(model: str) -> None:
-    """To first order what the matrices give when they are made again for the moved normals."""
+    """To first order that of matrices that are rebuilt for the moved normals."""
     mesh = ball()
-    truth = Scene(mesh, look(BROWN), lamps())
+    truth = Scene(mesh, make_material(BROWN), lamps())
     capture = photographs(truth, around(1))
     transport = prepared(truth, capture)._transport
     grid = torch.tensor([(0, x, y) for y in range(8, 24) for x in range(8, 24)])
@@ -172,12 +183,12 @@ def test_a_lobes_derivative_in_the_normal(model: str) -> None:
 
 
 def bumpy(mesh: Mesh) -> Scene:
-    """Dark and glossy: what shows of dents are the highlights that they move."""
-    return Scene(mesh, replace(look((0.1, 0.08, 0.05), 0.3, 0.3), normal=dented(mesh, 256)), lamps())
+    """Dark and glossy: dents are visible only through the highlights that they move."""
+    return Scene(mesh, replace(make_material((0.1, 0.08, 0.05), 0.3, 0.3), normal=dented(mesh, 256)), lamps())
 
 
 def test_dents_are_found_in_photographs(tmp_path: Path) -> None:
-    """Under a known light; without them unseen views miss 6 dB."""
+    """Under a known light; without a normal map unseen views are 6 dB worse."""
     mesh = ball()
     truth = bumpy(mesh)
     capture = photographs(truth, around(14), size=64)
@@ -198,8 +209,8 @@ def test_dents_are_found_in_photographs(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_ladder_finds_dents(tmp_path: Path) -> None:
-    """Under a light that is not known."""
+def test_model_selection_finds_dents(tmp_path: Path) -> None:
+    """Under an unknown light."""
     mesh = ball()
     truth = bumpy(mesh)
     scene, report = fitted(
@@ -210,8 +221,8 @@ def test_the_ladder_finds_dents(tmp_path: Path) -> None:
     assert unseen_db(scene, truth) > 30
 
 
-def test_a_light_on_the_camera_has_no_vote_on_dents(tmp_path: Path) -> None:
-    """Nor can they be asked for: the light that reaches a place differs from photograph to photograph."""
+def test_a_light_on_the_camera_excludes_normal_maps(tmp_path: Path) -> None:
+    """A setting that requests them is an error: the light at a point differs between photographs."""
     truth = bumpy(ball())
     with pytest.raises(ConfigError, match="normal_map"):
         fitted(truth.mesh, photographs(truth, around(6)), tmp_path, model="normal_map", light_frame="camera")

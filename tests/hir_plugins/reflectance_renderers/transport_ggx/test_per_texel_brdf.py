@@ -1,4 +1,4 @@
-"""Lobes in texels: a ball of threads, matt and metallic, that photographs show from many sides."""
+"""Per-texel BRDFs: a ball of matt and metallic threads, photographed from many sides."""
 
 from __future__ import annotations
 
@@ -11,7 +11,17 @@ from torch import Tensor
 
 from hir_core.capture import Capture
 from hir_core.scene import Scene
-from tests.fixtures.made_captures import TEXELS, around, ball, fitted, lamps, look, painted, photographs, unseen_db
+from tests.fixtures.made_captures import (
+    TEXELS,
+    around,
+    ball,
+    fitted,
+    lamps,
+    make_material,
+    painted,
+    photographs,
+    unseen_db,
+)
 
 
 def brocade(frequency: float = 9.0, texels: int = TEXELS) -> Scene:
@@ -26,11 +36,11 @@ def brocade(frequency: float = 9.0, texels: int = TEXELS) -> Scene:
         return painted(mesh, color, texels)[0]
 
     diffuse, specular = threads((0.02, 0.02, 0.02), (0.3, 0.5, 0.2)), threads((0.6, 0.5, 0.2), (0.03, 0.03, 0.03))
-    return Scene(mesh, look(diffuse, specular, threads((0.3,), (0.6,)), "dielectric"), lamps())
+    return Scene(mesh, make_material(diffuse, specular, threads((0.3,), (0.6,)), "dielectric"), lamps())
 
 
-def test_threads_are_told_apart(tmp_path: Path) -> None:
-    """Under a known light, from unseen sides; one lobe for all misses decibels."""
+def test_threads_of_two_materials_are_separated(tmp_path: Path) -> None:
+    """Under a known light, from unseen sides; one BRDF for the whole surface is some decibels worse."""
     truth = brocade()
     capture = photographs(truth, around(24), size=64)
     one, own = (
@@ -58,7 +68,7 @@ def test_threads_are_told_apart(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_ladder_finds_threads_that_are_finer_than_vertices(tmp_path: Path) -> None:
+def test_model_selection_finds_threads_that_are_finer_than_vertices(tmp_path: Path) -> None:
     """Under a light that is not known; maps at vertices .15 apart gain nothing from columns of .22."""
     truth = brocade(14.0, 128)
     scene, report = fitted(truth.mesh, photographs(truth, around(32), size=96), tmp_path, texels=128, brdf="dielectric")
@@ -67,8 +77,8 @@ def test_the_ladder_finds_threads_that_are_finer_than_vertices(tmp_path: Path) -
     assert unseen_db(scene, truth) > 39  # 41.0 measured
 
 
-def test_few_photographs_and_dark_ones_make_no_nonsense(tmp_path: Path) -> None:
-    """Three views, one of them black: texels that too few see are filled, and all values stay physical."""
+def test_few_or_black_photographs_give_physical_values(tmp_path: Path) -> None:
+    """Three views, one of them black: texels with too few photographs are inpainted, all values are physical."""
     truth = brocade()
     seen = photographs(truth, around(3), size=32)
     black = seen.views[1]

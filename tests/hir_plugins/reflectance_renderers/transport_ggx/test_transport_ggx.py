@@ -1,4 +1,4 @@
-"""Cached transport against formulas and against the path tracer, which shares no code with it but the BRDF."""
+"""Cached transport against formulas and against the path tracer, which shares no code with it except the BRDF."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def smooth_light(height: int = 32) -> EnvironmentMap:
 
 
 def two_spheres() -> Mesh:
-    """A large sphere and a small one that shadows and reflects in it."""
+    """A large sphere, and a small one that casts a shadow on it and is reflected in it."""
     large, small = icosphere(4), icosphere(3, 0.45)
     positions = torch.cat([large.positions, small.positions + torch.tensor([0.3, 1.2, 0.9])])
     return Mesh(positions, Topology(torch.cat([large.faces, small.faces + len(large.positions)])))
@@ -144,7 +144,7 @@ def test_a_mirror_shows_the_axis_it_faces() -> None:
         assert int((shown - colors[expected]).abs().sum() < 0.2) == 1, (eye, shown)
 
 
-def test_light_on_the_camera_looks_the_same_from_everywhere() -> None:
+def test_light_on_the_camera_gives_the_same_picture_from_everywhere() -> None:
     light = replace(smooth_light(), frame="camera")
     sphere, material = icosphere(4), gloss(alpha=0.3)
     seen = capture(view((0, 0, 4.0)), view((4.0, 0, 0)))
@@ -197,7 +197,7 @@ def test_lookup_of_a_texel_centre_is_that_texel() -> None:
 
 
 def test_texels_are_recovered_from_their_own_photographs() -> None:
-    """Pixels made from a known texture and known gains give that texture back where pixels fall."""
+    """Pixels computed from a known texture and known gains give that texture back where there are pixels."""
     generator = torch.Generator().manual_seed(0)
     truth = torch.rand(24, 24, 3, generator=generator) * 0.8 + 0.1
     uv = torch.rand(20000, 2, generator=generator)
@@ -231,7 +231,7 @@ def test_clipped_pixels_never_darken_a_texel() -> None:
 
 
 def test_a_specular_map_can_grow_where_one_value_for_all_went_to_zero() -> None:
-    """At ρs = 6e-6 a logistic has no slope: a map that started there would stay there, whatever photographs show."""
+    """At ρs = 6e-6 a logistic has no slope: a map that started there could not change."""
     options = replace(OPTIONS, steps=1)
     scene = Scene(icosphere(3), gloss(), smooth_light(16))
     solver = TransportGGX(options).prepare(scene, capture())

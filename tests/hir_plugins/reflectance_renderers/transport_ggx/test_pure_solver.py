@@ -1,0 +1,84 @@
+"""Results of the solver depend on the arguments of a call alone, never on the calls before it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from hir_core.capture import Capture
+from hir_core.plugins.interfaces import CheckpointLocation
+from hir_core.plugins.model_spec import ModelSpec
+from hir_core.scene import Scene
+from hir_core.stages.atlas import unwrap_mesh
+from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
+from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGGX
+from hir_plugins.reflectance_renderers.transport_ggx.solver import TransportSolver
+from tests.fixtures.made_captures import BROWN, TEXELS, around, bowl, lamps, make_material, photographs
+
+VIEWS = range(6)
+OPTIONS = TransportGGXOptions(vertices=0, cache_cells=200, steps=12)
+DIRECT = ModelSpec(light_is_known=True)
+INDIRECT = ModelSpec(light_is_known=True, bounces=1)
+
+
+@pytest.fixture(scope="module")
+def capture() -> tuple[Scene, Capture]:
+    """A bowl under lamps, with a grey texture, and its photographs."""
+    truth = Scene(unwrap_mesh(bowl(), TEXELS)[0], make_material(BROWN), lamps())
+    grey = make_material(torch.full((TEXELS, TEXELS, 3), 0.5))
+    return replace(truth, material=grey), photographs(truth, around(len(VIEWS)))
+
+
+def solver_of(capture: tuple[Scene, Capture]) -> TransportSolver:
+    return TransportGGX(OPTIONS).prepare(*capture)
+
+
+def silent(share: float) -> None:
+    """Ignores the progress."""
+
+
+def albedo(scene: Scene) -> torch.Tensor:
+    assert scene.material is not None
+    return scene.material.diffuse_albedo
+
+
+def test_a_scene_is_refined_and_shaded_alike_after_another_scene_was_made(capture: tuple[Scene, Capture]) -> None:
+    solver = solver_of(capture)
+    pixels = torch.tensor([(0, x, 16) for x in range(8, 24)])
+
+    def radiance(scene: Scene) -> torch.Tensor:
+        assert scene.material is not None and scene.environment is not None
+        return solved.prepared.radiance(scene.material, scene.environment, pixels)
+
+    solved = solver.scene(solver.fit(INDIRECT, None, VIEWS, 1.0, silent), VIEWS, silent)
+    refined = solver.refine(solved, None, VIEWS[:4], silent)
+    assert refined is not None and refined.prepared is solved.prepared
+    before, shaded = albedo(refined.scene), radiance(solved.scene)
+    other = solver.scene(solver.fit(DIRECT, None, VIEWS, 0.5, silent), VIEWS, silent)
+    assert not torch.equal(albedo(other.scene), albedo(solved.scene))
+    again = solver.refine(solved, None, VIEWS[:4], silent)
+    assert again is not None and torch.equal(albedo(again.scene), before)
+    assert torch.equal(radiance(solved.scene), shaded) and float(shaded.max()) > 0
+    material, light = solved.scene.material, solved.scene.environment
+    assert material is not None and light is not None
+    assert not torch.equal(solver.radiance(material, light, pixels), shaded), "indirect light belongs to the scene"
+
+
+def test_a_finished_fit_is_read_from_its_checkpoint(capture: tuple[Scene, Capture], tmp_path: Path) -> None:
+    """By another solver, whatever it fitted before; without a checkpoint nothing is written."""
+    glossy = ModelSpec("paper", "uniform", light_is_known=True)
+    location = CheckpointLocation(tmp_path / "fit_1", 0.0)
+    fit = solver_of(capture).fit(glossy, None, VIEWS, 1.0, silent, location)
+    written = {path.name: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
+    assert set(written) == {"fit_1.npz", "fit_1_diffuse.npz"}, "the diffuse fit before it has its own"
+    resumed = solver_of(capture)
+    resumed.fit(DIRECT, None, VIEWS, 0.5, silent)
+    shares: list[float] = []
+    again = resumed.fit(glossy, None, VIEWS, 1.0, shares.append, location)
+    assert shares == [1.0] and {path.name: path.stat().st_mtime_ns for path in tmp_path.iterdir()} == written
+    assert torch.equal(again.parameters.diffuse, fit.parameters.diffuse)
+    assert again.parameters.width is not None and fit.parameters.width is not None
+    assert torch.equal(again.parameters.width, fit.parameters.width)
