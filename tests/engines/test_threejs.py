@@ -74,9 +74,8 @@ def test_same_colours(shots: list[tuple[np.ndarray, np.ndarray]]) -> None:
         np.testing.assert_allclose(rendered[flat].mean(axis=0) / ours[flat].mean(axis=0), 1.0, atol=0.01)
 
 
-@pytest.mark.parametrize(
-    ("name", "library"), [("draco", "DracoPy"), pytest.param("meshopt", "meshopt", marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "library"), [("draco", "DracoPy"), ("meshopt", "meshopt")])
 def test_compressed_files_give_the_same_image(name: str, library: str, chromium: list[str], tmp_path: Path) -> None:
     """Decoded by three.js: the mean difference is below one code, and the image is neither mirrored nor empty."""
     pytest.importorskip(library, reason="hir[compress] is not installed")

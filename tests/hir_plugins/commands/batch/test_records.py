@@ -32,7 +32,7 @@ print("ready", flush=True)
 while True:
     manifest.write(jobs)
 """
-HOLD_LEASE = """
+KEEP_LEASE = """
 import sys, time
 from hir_plugins.commands.batch.storage.lease import Lease
 from hir_plugins.commands.batch.storage.storage_path import StoragePath
@@ -89,7 +89,7 @@ def test_other_files_are_no_manifest(memory: StoragePath, content: bytes) -> Non
 def test_one_batch_at_a_time_until_it_dies(tmp_path: Path) -> None:
     path = StoragePath(str(tmp_path / "lease.json"))
     messages: list[str] = []
-    with python(HOLD_LEASE, path.url) as other:
+    with python(KEEP_LEASE, path.url) as other:
         with (
             pytest.raises(InputError, match=f"another batch is writing to .* \\(process {other.pid} on"),
             Lease(path, messages.append),

@@ -209,7 +209,7 @@ class TestSuites:
 
 
 class TestCaptures:
-    def test_made_smaller_keeps_colours_and_every_other_split(self, tmp_path: Path) -> None:
+    def test_reduced_captures_keep_colours_and_every_other_split(self, tmp_path: Path) -> None:
         folder = bench_captures.make_reduced_capture(SAMPLE, tmp_path / "small", 5, 64)
         frames = json.loads((folder / "transforms_train.json").read_text())["frames"]
         assert len(frames) == 5 and bench_captures.capture_size(folder) == (5, 64)
@@ -220,7 +220,7 @@ class TestCaptures:
         np.testing.assert_allclose(small[..., 3].mean(), large[..., 3].mean(), atol=0.5 / 255)
         assert (folder / "transforms_relight_0.json").is_file() and list(folder.glob("*.hdr"))
 
-    def test_stretched_repeats_views_and_enlarges_pictures(self, tmp_path: Path) -> None:
+    def test_resized_captures_repeat_views_and_enlarge_images(self, tmp_path: Path) -> None:
         folder = bench_captures.make_resized_capture(SAMPLE, tmp_path / "large", 26, 320)
         frames = json.loads((folder / "transforms_train.json").read_text())["frames"]
         assert len(frames) == 26 and bench_captures.capture_size(folder) == (26, 320)
