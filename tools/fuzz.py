@@ -45,16 +45,16 @@ def main() -> int:
     share, failed = options.seconds / len(names), []
     for name in names:
         (options.findings / f"{name}.txt").unlink(missing_ok=True)
-        words = [sys.executable, __file__, "--child", name, "--seconds", str(share), "--findings", options.findings]
+        arguments = [sys.executable, __file__, "--child", name, "--seconds", str(share), "--findings", options.findings]
         done = subprocess.run(
-            [*map(str, words), *(["--plain"] if options.plain else [])], capture_output=True, text=True
+            [*map(str, arguments), *(["--plain"] if options.plain else [])], capture_output=True, text=True
         )
         tried = next((line for line in done.stdout.splitlines() if line.startswith("tried ")), "died")
         print(f"{name:<22} {tried}", flush=True)
         if done.returncode:
             failed.append(name)
-            told = options.findings / f"{name}.txt"
-            why = told.read_text() if told.is_file() else done.stdout + done.stderr
+            output = options.findings / f"{name}.txt"
+            why = output.read_text() if output.is_file() else done.stdout + done.stderr
             print("\n".join([f"exit code {done.returncode}", *why.splitlines()[-25:]]), flush=True)
     print(
         f"{len(names)} targets, {options.seconds:.0f} s: "
@@ -120,7 +120,7 @@ def child(name: str, seconds: float, findings: Path, plain: bool) -> int:
         corpus.mkdir(exist_ok=True)
         for number, seed in enumerate(seeds):
             (corpus / f"seed-{number}").write_bytes(seed)
-        words = [
+        arguments = [
             sys.argv[0],
             str(corpus),
             "-rss_limit_mb=0",
@@ -129,7 +129,7 @@ def child(name: str, seconds: float, findings: Path, plain: bool) -> int:
             "-max_len=65536",
             f"-artifact_prefix={findings}/libfuzzer-",
         ]
-        engine.Setup(words, attack, custom_mutator=changed)
+        engine.Setup(arguments, attack, custom_mutator=changed)
         engine.Fuzz()
     except BaseException as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)

@@ -110,9 +110,9 @@ def main() -> int:
     for module in WARM:
         import_module(module)
     with tempfile.TemporaryDirectory() as folder:
-        place = options.keep or Path(folder)
-        place.mkdir(parents=True, exist_ok=True)
-        return kill_and_resume(captured(place / "capture", options.kind), place, options)
+        folder = options.keep or Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        return kill_and_resume(captured(folder / "capture", options.kind), folder, options)
 
 
 def captured(folder: Path, kind: str) -> Path:
@@ -132,20 +132,20 @@ def captured(folder: Path, kind: str) -> Path:
     return folder
 
 
-def kill_and_resume(capture: Path, place: Path, options: argparse.Namespace) -> int:
+def kill_and_resume(capture: Path, folder: Path, options: argparse.Namespace) -> int:
     """Prints a line for each kill; returns 0 if all runs ended with the files of the unbroken one, else 1."""
     kills, kind = options.kills, options.kind
     started = time.monotonic()
-    if wait(start(capture, place / "whole", kind)) != 0:
-        print((place / "whole.log").read_text())
+    if wait(start(capture, folder / "whole", kind)) != 0:
+        print((folder / "whole.log").read_text())
         return 1
     length = time.monotonic() - started
-    truth = final_files(place / "whole")
+    truth = final_files(folder / "whole")
     print(f"unbroken run: {length:.1f} s, {len(truth)} files, {sum(map(len, truth.values())) / 1e6:.1f} MB", flush=True)
     draw = random.Random(options.seed)
     same, where = 0, Counter()
     for number in range(kills):
-        run = place / f"run-{number}"
+        run = folder / f"run-{number}"
         moment = draw.uniform(0.0, length)
         child = start(capture, run, kind)
         time.sleep(moment)

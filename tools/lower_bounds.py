@@ -42,17 +42,17 @@ def lowest() -> list[str]:
 
 def tested(folder: Path) -> int:
     """Makes the environment and runs the tests; their exit code."""
-    place = folder / "lower-bounds"
-    venv.EnvBuilder(with_pip=True, clear=True).create(place)
-    python = place / "bin" / "python"
+    environment_folder = folder / "lower-bounds"
+    venv.EnvBuilder(with_pip=True, clear=True).create(environment_folder)
+    python = environment_folder / "bin" / "python"
     constraints = folder / "lowest.txt"
     constraints.write_text("\n".join(lowest()) + "\n")
-    words = ["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--constraint", str(constraints)]
-    subprocess.run([python, *words, str(ROOT), *TOOLS], check=True)
+    arguments = ["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--constraint", str(constraints)]
+    subprocess.run([python, *arguments, str(ROOT), *TOOLS], check=True)
     print("\n".join(lowest()), flush=True)
     # old releases warn of what newer Pythons will take away: no fault of theirs or ours
-    words = ["-m", "pytest", "-q", "-p", "no:cacheprovider", "-W", "default", *TESTS]
-    return subprocess.run([python, *words], cwd=ROOT).returncode
+    arguments = ["-m", "pytest", "-q", "-p", "no:cacheprovider", "-W", "default", *TESTS]
+    return subprocess.run([python, *arguments], cwd=ROOT).returncode
 
 
 if __name__ == "__main__":

@@ -95,11 +95,11 @@ def measure(name: str, place: Path, children: int) -> bool:
     copy(subject, place)
     paths = [str(place / "mutants"), str(place)]
     environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(paths)}
-    words = [sys.executable, "-m", "mutmut", "run", "--max-children", str(children)]
-    done = subprocess.run(words, cwd=place, env=environment, capture_output=True, text=True)
+    arguments = [sys.executable, "-m", "mutmut", "run", "--max-children", str(children)]
+    done = subprocess.run(arguments, cwd=place, env=environment, capture_output=True, text=True)
     if done.returncode:
-        said = [line for line in done.stdout.splitlines() if line[1:2] != " "]  # not the spinner's
-        print(f"{name}: mutmut stopped early", *said[-30:], done.stderr[-3000:], sep="\n")
+        output_lines = [line for line in done.stdout.splitlines() if line[1:2] != " "]  # not the spinner's
+        print(f"{name}: mutmut stopped early", *output_lines[-30:], done.stderr[-3000:], sep="\n")
         return False
     counted: Counter[str] = Counter()
     left: dict[str, str] = {}
@@ -156,9 +156,9 @@ for mutant in sys.argv[1:]:
 
 def changed_lines(mutants: list[str], place: Path, environment: dict[str, str]) -> list[str]:
     """For each change the line as it was and as it became."""
-    words = [sys.executable, "-c", SHOW, *mutants]
+    arguments = [sys.executable, "-c", SHOW, *mutants]
     return subprocess.run(
-        words, cwd=place, env=environment, capture_output=True, text=True, check=True
+        arguments, cwd=place, env=environment, capture_output=True, text=True, check=True
     ).stdout.splitlines()
 
 

@@ -30,7 +30,7 @@ def shoot(report: Path, picture: Path, width: int, height: int, theme: str = "li
     server = ThreadingHTTPServer(("127.0.0.1", 0), partial(_Quiet, directory=str(report.parent)))
     threading.Thread(target=server.serve_forever, daemon=True).start()
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
-        words = [
+        arguments = [
             *chromium,
             f"--user-data-dir={profile}",
             "--hide-scrollbars",
@@ -40,7 +40,7 @@ def shoot(report: Path, picture: Path, width: int, height: int, theme: str = "li
             f"--screenshot={picture}",
             f"http://127.0.0.1:{server.server_port}/{report.name}#still&theme={theme}",
         ]
-        subprocess.run(words, check=True, capture_output=True, timeout=180)
+        subprocess.run(arguments, check=True, capture_output=True, timeout=180)
     server.shutdown()
     server.server_close()
 

@@ -60,7 +60,7 @@ def closure(root: str, extras: frozenset[str]) -> dict[str, str]:
 
 def write_sbom(requirements: Path, out: Path) -> None:
     """A CycloneDX document of pinned requirements."""
-    words = [
+    arguments = [
         "requirements",
         str(requirements),
         "--pyproject",
@@ -71,25 +71,25 @@ def write_sbom(requirements: Path, out: Path) -> None:
         "-o",
         str(out),
     ]
-    subprocess.run([sys.executable, "-m", "cyclonedx_py", *words], check=True)
+    subprocess.run([sys.executable, "-m", "cyclonedx_py", *arguments], check=True)
     document = json.loads(out.read_text())
     print(f"{out}: {document['bomFormat']} {document['specVersion']}, {len(document['components'])} components")
 
 
 def audit(requirements: Path) -> int:
     """1 where pip-audit knows of a vulnerability; says how many packages it could ask about."""
-    words = ["-r", str(requirements), "--no-deps", "--disable-pip", "--progress-spinner", "off", "-f", "json"]
-    done = subprocess.run([sys.executable, "-m", "pip_audit", *words], capture_output=True, text=True)
+    arguments = ["-r", str(requirements), "--no-deps", "--disable-pip", "--progress-spinner", "off", "-f", "json"]
+    done = subprocess.run([sys.executable, "-m", "pip_audit", *arguments], capture_output=True, text=True)
     try:
         packages = json.loads(done.stdout)["dependencies"]
     except (ValueError, KeyError):
         packages = []
-    asked = [p for p in packages if "skip_reason" not in p]
-    if not asked:
+    audited = [p for p in packages if "skip_reason" not in p]
+    if not audited:
         print("vulnerabilities: the database cannot be reached from here, so none was looked up")
         return 0
-    known = [f"{p['name']} {p['version']}: {v['id']}" for p in asked for v in p["vulns"]]
-    print(f"vulnerabilities: {len(known)} known in {len(asked)} of {len(packages)} packages")
+    known = [f"{p['name']} {p['version']}: {v['id']}" for p in audited for v in p["vulns"]]
+    print(f"vulnerabilities: {len(known)} known in {len(audited)} of {len(packages)} packages")
     print("\n".join(known))
     return 1 if known else 0
 

@@ -131,10 +131,10 @@ def visible(
         pixel, depth = camera.project(points)
         inside = ((pixel >= 0) & (pixel <= [camera.width, camera.height])).all(axis=1) & (depth > 0)
         toward = camera.center - lifted
-        asked = np.flatnonzero(inside & ~seen & ((toward * normals).sum(axis=1) > 0))
+        candidates = np.flatnonzero(inside & ~seen & ((toward * normals).sum(axis=1) > 0))
         # rays go on beyond the camera, where nothing of an object that it looks at can be
-        occluded = rays.occluded(lifted[asked].astype(np.float32), toward[asked].astype(np.float32))
-        seen[asked[~occluded]] = True
+        occluded = rays.occluded(lifted[candidates].astype(np.float32), toward[candidates].astype(np.float32))
+        seen[candidates[~occluded]] = True
     return seen
 
 

@@ -81,39 +81,39 @@ OUTLINES: Final[Mapping[str, Outline]] = {
 
 def write_plugin(name: str, kind: str, folder: Path) -> list[Path]:
     """Writes an installable plugin into the new folder `folder/<distribution>`; returns its files."""
-    words = _words(name, kind)
+    values = _template_values(name, kind)
     outline = OUTLINES[kind]
-    words["use"] = Template(outline.use).substitute(words)
-    place = folder / words["distribution"]
-    if place.exists():
-        raise ConfigError(f"{place} exists; choose another name, or remove it")
-    package = words["package"]
+    values["use"] = Template(outline.use).substitute(values)
+    destination = folder / values["distribution"]
+    if destination.exists():
+        raise ConfigError(f"{destination} exists; choose another name, or remove it")
+    package = values["package"]
     layout = {
         "pyproject.toml": "pyproject",
         "README.md": "readme",
         f"{package}/plugin.py": "plugin",
         f"{package}/options.py": "options",
-        f"{package}/{words['module']}.py": kind,
+        f"{package}/{values['module']}.py": kind,
         "tests/test_contracts.py": "tests",
     }
-    with atomic_directory(place) as temporary:
+    with atomic_directory(destination) as temporary:
         for file, template in layout.items():
-            write_text_atomic(temporary / file, _filled(template, words))
+            write_text_atomic(temporary / file, _filled(template, values))
         write_text_atomic(temporary / package / "__init__.py", f'"""{outline.summary}"""\n')
-    return sorted(file for file in place.rglob("*") if file.is_file())
+    return sorted(file for file in destination.rglob("*") if file.is_file())
 
 
 def write_one_file(name: str, folder: Path) -> Path:
     """Writes a regularizer as one file for `--plugin`; returns it."""
-    words = _words(name, "regularizer")
-    path = folder / f"{words['name']}.py"
+    values = _template_values(name, "regularizer")
+    path = folder / f"{values['name']}.py"
     if path.exists():
         raise ConfigError(f"{path} exists; choose another name, or remove it")
-    write_text_atomic(path, _filled("one_file", words))
+    write_text_atomic(path, _filled("one_file", values))
     return path
 
 
-def _words(name: str, kind: str) -> dict[str, str]:
+def _template_values(name: str, kind: str) -> dict[str, str]:
     """All names that follow from the one that was given."""
     plain = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_").removeprefix("hir_")
     if not re.fullmatch(r"[a-z][a-z0-9_]*", plain):
@@ -127,7 +127,7 @@ def _words(name: str, kind: str) -> dict[str, str]:
         "distribution": package.replace("_", "-"),
         "Class": "".join(part.capitalize() for part in plain.split("_")),
         "kind": kind,
-        "words": kind.replace("_", " "),
+        "kind_label": kind.replace("_", " "),
         "hook": KINDS[kind],
         "summary": outline.summary,
         "option": outline.option,
@@ -138,10 +138,10 @@ def _words(name: str, kind: str) -> dict[str, str]:
     }
 
 
-def _tuple(words: tuple[str, ...]) -> str:
-    return "(" + ", ".join(f'"{word}"' for word in words) + ("," if len(words) == 1 else "") + ")"
+def _tuple(values: tuple[str, ...]) -> str:
+    return "(" + ", ".join(f'"{word}"' for word in values) + ("," if len(values) == 1 else "") + ")"
 
 
-def _filled(template: str, words: Mapping[str, str]) -> str:
+def _filled(template: str, values: Mapping[str, str]) -> str:
     text = (files("hir_core.scaffold") / "templates" / f"{template}.txt").read_text(encoding="utf-8")
-    return Template(text).substitute(words)
+    return Template(text).substitute(values)

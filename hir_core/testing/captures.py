@@ -83,9 +83,9 @@ def surface_points(count: int = 3000) -> OrientedPoints:
         direction /= np.linalg.norm(direction, axis=1, keepdims=True)
         positions.append(centre + radius * direction)
         normals.append(direction)
-    place, normal = np.concatenate(positions), np.concatenate(normals)
-    outside = distance_to_surface(place) > -1e-9
-    return OrientedPoints(place[outside], normal[outside], _color(place[outside], 3.0))
+    position, normal = np.concatenate(positions), np.concatenate(normals)
+    outside = distance_to_surface(position) > -1e-9
+    return OrientedPoints(position[outside], normal[outside], _color(position[outside], 3.0))
 
 
 def similarity_between(source: Array, target: Array) -> tuple[Array, float]:

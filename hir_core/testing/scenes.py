@@ -97,14 +97,14 @@ def uneven_light(rows: int = 32) -> EnvironmentMap:
 
 def looking_at(eye: tuple[float, float, float], size: int = 32, focal: float = 1.5) -> Camera:
     """A camera at `eye` that looks at the origin; `focal` in image widths."""
-    place = np.array(eye, dtype=np.float64)
-    forward = -place / np.linalg.norm(place)
+    position = np.array(eye, dtype=np.float64)
+    forward = -position / np.linalg.norm(position)
     up = np.array([0.0, 1.0, 0.0]) if abs(forward[1]) < 0.99 else np.array([0.0, 0.0, 1.0])
     right = np.cross(forward, up)
     right /= np.linalg.norm(right)
     pose = np.eye(4)
     pose[:3, :3] = np.stack([right, np.cross(forward, right), forward])
-    pose[:3, 3] = -pose[:3, :3] @ place
+    pose[:3, 3] = -pose[:3, :3] @ position
     return Camera(np.array([[focal * size, 0, size / 2], [0, focal * size, size / 2], [0, 0, 1.0]]), pose, size, size)
 
 

@@ -87,35 +87,35 @@ def _replaced(value: Any, rng: random.Random) -> Any:
             return {k: v for k, v in value.items() if k != key}
         return value | {key: _replaced(value[key], rng)}
     if isinstance(value, list) and value and rng.random() < 0.85:
-        place = rng.randrange(len(value))
+        position = rng.randrange(len(value))
         if rng.random() < 0.15:
-            return value[:place] + value[place + 1 :] if rng.random() < 0.5 else value + value
-        return [*value[:place], _replaced(value[place], rng), *value[place + 1 :]]
+            return value[:position] + value[position + 1 :] if rng.random() < 0.5 else value + value
+        return [*value[:position], _replaced(value[position], rng), *value[position + 1 :]]
     return rng.choice(STRANGE)
 
 
 def _edited(data: bytes, rng: random.Random) -> bytes:
     if not data:
         return rng.choice(BLOCKS)
-    place = rng.randrange(len(data))
+    position = rng.randrange(len(data))
     match rng.randrange(7):
         case 0:
-            return data[:place] + bytes([rng.randrange(256)]) + data[place + 1 :]
+            return data[:position] + bytes([rng.randrange(256)]) + data[position + 1 :]
         case 1:
-            return data[:place] + rng.choice(BLOCKS) + data[place + 4 :]
+            return data[:position] + rng.choice(BLOCKS) + data[position + 4 :]
         case 2:
-            return data[:place]
+            return data[:position]
         case 3:
-            end = min(len(data), place + rng.randint(1, 64))
-            return data[:place] + data[place:end] * rng.randint(0, 3) + data[end:]
+            end = min(len(data), position + rng.randint(1, 64))
+            return data[:position] + data[position:end] * rng.randint(0, 3) + data[end:]
         case 4:
-            return data[:place] + rng.choice(WORDS) + data[place:]
+            return data[:position] + rng.choice(WORDS) + data[position:]
         case 5:
             numbers = list(re.finditer(rb"-?\d+(\.\d+)?", data[:20000]))
             if not numbers:
-                return data[:place] + data[place + 1 :]
+                return data[:position] + data[position + 1 :]
             found = rng.choice(numbers)
             return data[: found.start()] + rng.choice(WORDS) + data[found.end() :]
         case _:
             other = rng.randrange(len(data))
-            return data[:place] + data[other:]
+            return data[:position] + data[other:]

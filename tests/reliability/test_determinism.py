@@ -79,10 +79,10 @@ def test_two_processes_with_other_hash_seeds_have_identical_files(tiny_capture: 
     settings = [word for assignment in QUICK for word in ("--set", assignment)]
     for number in ("1", "2"):
         arguments = [sys.executable, "-m", "hir_core.cli", "reconstruct", str(tiny_capture), "-o", "run", *settings]
-        place = tmp_path / number
-        place.mkdir()
+        run_folder = tmp_path / number
+        run_folder.mkdir()
         environment = os.environ | {"PYTHONHASHSEED": number, "OMP_NUM_THREADS": number}
-        subprocess.run([*arguments, "--deterministic", "-q"], cwd=place, check=True, env=environment)
+        subprocess.run([*arguments, "--deterministic", "-q"], cwd=run_folder, check=True, env=environment)
     assert files(tmp_path / "1" / "run") == files(tmp_path / "2" / "run")
 
 
@@ -92,9 +92,9 @@ def distance(a: Path, b: Path) -> tuple[float, float]:
     if one.mesh.positions.shape != two.mesh.positions.shape:
         return float("inf"), float("inf")
     radius = float(np.linalg.norm(one.mesh.positions - one.mesh.positions.mean(0), axis=1).max())
-    place = float(np.sqrt(np.mean((one.mesh.positions - two.mesh.positions) ** 2))) / radius
+    distance_rms = float(np.sqrt(np.mean((one.mesh.positions - two.mesh.positions) ** 2))) / radius
     albedo = [np.asarray(asset.material.diffuse_albedo).reshape(-1, 3).mean(0) for asset in (one, two)]
-    return place, float(np.abs(albedo[0] - albedo[1]).max())
+    return distance_rms, float(np.abs(albedo[0] - albedo[1]).max())
 
 
 @pytest.mark.slow
@@ -114,6 +114,6 @@ def test_thread_counts_change_less_than_what_was_measured(tiny_capture: Path, tm
         ]
         environment = os.environ | {"OMP_NUM_THREADS": number}
         subprocess.run([*arguments, *settings, "-q", "--device", "cpu"], check=True, env=environment)
-    place, albedo = distance(tmp_path / "1", tmp_path / "2")
-    assert place <= ACROSS_THREADS and albedo <= ACROSS_THREADS, (place, albedo)
+    rms, albedo = distance(tmp_path / "1", tmp_path / "2")
+    assert rms <= ACROSS_THREADS and albedo <= ACROSS_THREADS, (rms, albedo)
     shutil.rmtree(tmp_path / "1")

@@ -34,13 +34,13 @@ def test_a_silent_stage_is_said_to_be_alive(capsys: pytest.CaptureFixture[str]) 
     times: list[float] = []
     with ProgressBar() as bar:
 
-        def heard(progress: Progress) -> None:
+        def on_progress(progress: Progress) -> None:
             before = len(capsys.readouterr().err)
             bar.update(progress)
             if len(capsys.readouterr().err) and not before:
                 times.append(time.monotonic())
 
-        listener = ProgressListener("initializer", PluginManager(), heard)
+        listener = ProgressListener("initializer", PluginManager(), on_progress)
         started = time.monotonic()
         with listener.heartbeat():
             time.sleep(5.6)

@@ -213,7 +213,7 @@ def test_a_texture_of_nan_stops_the_stage_and_is_named(
         _fit(capture, context[0], Lamp(lambda _: False), poison="texture")
 
 
-def test_persistent_trouble_keeps_the_last_good_state(tmp_path: Path) -> None:
+def test_persistent_nonfinite_gradients_keep_the_last_finite_state(tmp_path: Path) -> None:
     x = torch.tensor([3.0], requires_grad=True)
     optimizer = torch.optim.Adam([x], 0.1)
     good: list[float] = []

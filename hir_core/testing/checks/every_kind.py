@@ -147,28 +147,28 @@ def traits_are_known(subject: Subject) -> None:
 @contract()
 def imports_light(subject: Subject) -> None:
     """The module that registers the component loads nothing heavy: every `hir` command imports it."""
-    place = subject.registered.module
-    file = getattr(sys.modules.get(place), "__file__", None)
-    if not place or file is None:
+    source = subject.registered.module
+    file = getattr(sys.modules.get(source), "__file__", None)
+    if not source or file is None:
         raise NotApplicable("no module registers it")
-    if place.startswith("hir_plugin_"):  # loaded from a file by its path
-        place = file
-    loaded = _loaded_by(place, tuple(sys.path))
+    if source.startswith("hir_plugin_"):  # loaded from a file by its path
+        source = file
+    loaded = _loaded_by(source, tuple(sys.path))
     heavy = [name for name in HEAVY if name in loaded]
-    require(not heavy, f"importing {place} loads {', '.join(heavy)}; import them in the module that `target` names")
+    require(not heavy, f"importing {source} loads {', '.join(heavy)}; import them in the module that `target` names")
 
 
 @cache
-def _loaded_by(place: str, path: tuple[str, ...]) -> frozenset[str]:
+def _loaded_by(source: str, path: tuple[str, ...]) -> frozenset[str]:
     """Top-level modules that a fresh interpreter holds after it imported a module, or ran a file."""
-    if place.endswith(".py"):
+    if source.endswith(".py"):
         load = "from pathlib import Path; from hir_core.plugins.manager import module_from_file"
-        load += f"\nmodule_from_file(Path({place!r}))"
+        load += f"\nmodule_from_file(Path({source!r}))"
     else:
-        load = f"from importlib import import_module; import_module({place!r})"
+        load = f"from importlib import import_module; import_module({source!r})"
     tell = "print('\\n' + ' '.join({m.partition('.')[0] for m in sys.modules}))"
     code = f"import sys; sys.path[:] = {list(path)!r}\n{load}\n{tell}"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=Path(sys.executable).parent)
     if done.returncode != 0:
-        raise PluginError(f"{place} cannot be imported: {done.stderr.strip().splitlines()[-1]}")
+        raise PluginError(f"{source} cannot be imported: {done.stderr.strip().splitlines()[-1]}")
     return frozenset(done.stdout.splitlines()[-1].split())

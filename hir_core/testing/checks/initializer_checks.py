@@ -29,38 +29,38 @@ def _case(subject: Subject) -> tuple[TinyCapture, Capture, Initializer]:
     if "case" not in subject.memory:
         finds = subject.has("finds_cameras")
         truth = tiny_capture(subject.folder(), *((24, 256, 40.0) if finds else (16, 96, 12.0)))
-        given = truth.without_cameras() if finds else truth.capture
+        input_capture = truth.without_cameras() if finds else truth.capture
         options: dict[str, Any] = {}
         if subject.testing is not None:
-            given, options = subject.testing(truth, given, subject.folder())
-        subject.memory["case"] = truth, given, options
-    truth, given, options = subject.memory["case"]
-    return truth, given, subject.create(**options)
+            input_capture, options = subject.testing(truth, input_capture, subject.folder())
+        subject.memory["case"] = truth, input_capture, options
+    truth, input_capture, options = subject.memory["case"]
+    return truth, input_capture, subject.create(**options)
 
 
 def _initialized(subject: Subject) -> tuple[TinyCapture, Capture, Capture, Scene | None]:
-    truth, given, initializer = _case(subject)
+    truth, input_capture, initializer = _case(subject)
     if "initialized" not in subject.memory:
         seeded(0)
-        subject.memory["initialized"] = initializer.initialize(given, None, subject.folder())
+        subject.memory["initialized"] = initializer.initialize(input_capture, None, subject.folder())
     capture, scene = subject.memory["initialized"]
-    return truth, given, capture, scene
+    return truth, input_capture, capture, scene
 
 
 def exercise(subject: Subject, device: str) -> Exercise:
     """Cameras and vertices."""
     del device
-    _, given, initializer = _case(subject)
+    _, input_capture, initializer = _case(subject)
 
     def run() -> dict[str, np.ndarray]:
-        capture, scene = initializer.initialize(given, None, subject.folder())
+        capture, scene = initializer.initialize(input_capture, None, subject.folder())
         subject.memory.setdefault("initialized", (capture, scene))
         found = {"cameras": np.array([v.camera.world_to_camera for v in capture.views if v.camera is not None])}
         if scene is not None:
             found["vertices"] = scene.mesh.positions.cpu().numpy()
         return found
 
-    return Exercise({"capture": given}, run)
+    return Exercise({"capture": input_capture}, run)
 
 
 @contract("initializer", traits={"makes_surface"}, slow=True)
@@ -70,7 +70,7 @@ def surface_is_the_true_one(subject: Subject) -> None:
     """
     import torch
 
-    _, given, capture, scene = _initialized(subject)
+    _, input_capture, capture, scene = _initialized(subject)
     require(scene is not None, "it declares 'makes_surface' and returns no scene")
     assert scene is not None
     mesh = scene.mesh
@@ -79,7 +79,7 @@ def surface_is_the_true_one(subject: Subject) -> None:
     require(len(faces) > 20, f"the mesh has {len(faces)} triangles")
     require(int(faces.min()) >= 0 and int(faces.max()) < len(mesh.positions), "faces name vertices that are not there")
     # the files' axes are those of the truth, so that the surface is known in any world
-    truth_from_world = given.world_from_source @ np.linalg.inv(capture.world_from_source)
+    truth_from_world = input_capture.world_from_source @ np.linalg.inv(capture.world_from_source)
     vertices = mesh.positions.double().cpu().numpy() @ truth_from_world[:3, :3].T + truth_from_world[:3, 3]
     away = np.abs(distance_to_surface(vertices))
     half, most = np.quantile(away, [0.5, 0.95])
@@ -116,8 +116,8 @@ def cameras_are_the_true_ones(subject: Subject) -> None:
 @contract("initializer", slow=True)
 def views_are_kept(subject: Subject) -> None:
     """It returns the views it was given, by name and in their order, but for those it found no camera for."""
-    _, given, capture, _ = _initialized(subject)
-    before, after = [v.name for v in given.views], [v.name for v in capture.views]
+    _, input_capture, capture, _ = _initialized(subject)
+    before, after = [v.name for v in input_capture.views], [v.name for v in capture.views]
     placed = [v.name for v in capture.views if v.camera is not None]
     require(
         after == before or ([n for n in before if n in set(after)] == after and placed == after),
@@ -130,17 +130,17 @@ def unusable_captures_are_refused(subject: Subject) -> None:
     """Captures without views, without cameras and masks, with empty masks or with one view work, or raise a `HirError`
     (`CaptureError`, `StageError`) with a sentence: never another error, never a mesh that is not finite.
     """
-    truth, given, initializer = _case(subject)
+    truth, input_capture, initializer = _case(subject)
     nothing = [replace(v, camera=None) for v in truth.without_masks().views]
     empty = [
         replace(v, mask=np.zeros((v.camera.height, v.camera.width), np.float32)) if v.camera else v
         for v in truth.capture.views
     ]
     cases = {
-        "no views": replace(given, views=(), points=None),
-        "neither cameras nor masks nor points": replace(given, views=tuple(nothing[:4]), points=None),
-        "masks that show nothing": replace(given, views=tuple(empty), points=None),
-        "a single view": replace(given, views=given.views[:1], points=None),
+        "no views": replace(input_capture, views=(), points=None),
+        "neither cameras nor masks nor points": replace(input_capture, views=tuple(nothing[:4]), points=None),
+        "masks that show nothing": replace(input_capture, views=tuple(empty), points=None),
+        "a single view": replace(input_capture, views=input_capture.views[:1], points=None),
     }
     for name, capture in cases.items():
         _refused(initializer, capture, name, subject.folder())

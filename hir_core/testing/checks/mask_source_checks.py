@@ -21,24 +21,24 @@ def _case(subject: Subject) -> tuple[TinyCapture, Capture, MaskSource]:
     """The truth; opaque photographs with cameras and points, or what `testing` makes of them; the source."""
     if "case" not in subject.memory:
         truth = tiny_capture(subject.folder(), views=8, size=96)
-        given, options = truth.without_masks(), dict[str, Any]()
+        input_capture, options = truth.without_masks(), dict[str, Any]()
         if subject.testing is not None:
-            given, options = subject.testing(truth, given, subject.folder())
-        subject.memory["case"] = truth, given, options
-    truth, given, options = subject.memory["case"]
-    return truth, given, subject.create(**options)
+            input_capture, options = subject.testing(truth, input_capture, subject.folder())
+        subject.memory["case"] = truth, input_capture, options
+    truth, input_capture, options = subject.memory["case"]
+    return truth, input_capture, subject.create(**options)
 
 
 def exercise(subject: Subject, device: str) -> Exercise:
     """All masks."""
     del device
-    _, given, source = _case(subject)
+    _, input_capture, source = _case(subject)
 
     def run() -> dict[str, np.ndarray]:
-        found = source.masks(given, None)
-        return {given.views[i].name: mask for i, mask in enumerate(found) if mask is not None}
+        found = source.masks(input_capture, None)
+        return {input_capture.views[i].name: mask for i, mask in enumerate(found) if mask is not None}
 
-    return Exercise({"capture": given}, run)
+    return Exercise({"capture": input_capture}, run)
 
 
 @contract("mask_source")
@@ -46,15 +46,15 @@ def masks_are_the_true_ones(subject: Subject) -> None:
     """One mask (height, width) of float32 in 0…1 for each view, or None; those that it gives overlap the true coverage
     by an IoU of at least 0.9, and it gives at least one.
     """
-    truth, given, source = _case(subject)
+    truth, input_capture, source = _case(subject)
     seeded(0)
-    masks = source.masks(given, None)
+    masks = source.masks(input_capture, None)
     require(
-        isinstance(masks, list) and len(masks) == len(given.views),
-        f"{len(given.views)} views get {len(masks) if isinstance(masks, list) else type(masks).__name__} masks",
+        isinstance(masks, list) and len(masks) == len(input_capture.views),
+        f"{len(input_capture.views)} views get {len(masks) if isinstance(masks, list) else type(masks).__name__} masks",
     )
     require(any(mask is not None for mask in masks), "no view of a capture made for it gets a mask")
-    for view, mask, true in zip(given.views, masks, truth.masks, strict=True):
+    for view, mask, true in zip(input_capture.views, masks, truth.masks, strict=True):
         if mask is None:
             continue
         require(mask.shape == true.shape, f"the mask of view {view.name} is {mask.shape}, its picture {true.shape}")
@@ -71,16 +71,16 @@ def masks_are_the_true_ones(subject: Subject) -> None:
 @contract("mask_source")
 def unusable_photographs_are_refused(subject: Subject) -> None:
     """No views, photographs of one colour, of noise, of one pixel: masks in 0…1, None, or a `HirError`."""
-    _, given, source = _case(subject)
+    _, input_capture, source = _case(subject)
     random = np.random.default_rng(0)
     pictures = {
         "photographs of one colour": np.full((32, 32, 3), 0.2, np.float32),
         "photographs of noise": random.random((32, 32, 3)).astype(np.float32),
         "photographs of one pixel": np.full((1, 1, 3), 0.2, np.float32),
     }
-    cases = {"no views": replace(given, views=(), points=None)}
+    cases = {"no views": replace(input_capture, views=(), points=None)}
     for name, picture in pictures.items():
-        cases[name] = replace(given, views=tuple(_with(v, picture) for v in given.views), points=None)
+        cases[name] = replace(input_capture, views=tuple(_with(v, picture) for v in input_capture.views), points=None)
     for name, capture in cases.items():
         try:
             masks = source.masks(capture, None)

@@ -72,9 +72,9 @@ def _imports(module: str, package: str) -> Iterator[tuple[str, str]]:
             continue
         body = ast.parse(path.read_text(encoding="utf-8")).body
         inside = current.partition(".")[0] == own and own not in OURS
-        entered, words = (None, set[str]()) if used == "*" else _reached(body, used if inside else "")
+        entered, used_names = (None, set[str]()) if used == "*" else _reached(body, used if inside else "")
         for name, taken, line in _imported(body, current, entered):
-            alias = taken if entered is None or taken in words else ""
+            alias = taken if entered is None or taken in used_names else ""
             top = name.partition(".")[0]
             if top in sys.stdlib_module_names:
                 continue
@@ -88,15 +88,15 @@ def _imports(module: str, package: str) -> Iterator[tuple[str, str]]:
 def _reached(body: list[ast.stmt], name: str) -> tuple[set[str], set[str]]:
     """Definitions of a module that one of them leads to, and all words that these use."""
     definitions = {n.name: n for n in body if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef)}
-    found, words, waiting = set[str](), {name}, [name]
+    found, used_names, waiting = set[str](), {name}, [name]
     while waiting:
         current = waiting.pop()
         if current in definitions and current not in found:
             found.add(current)
             used = {n.id for n in ast.walk(definitions[current]) if isinstance(n, ast.Name)}
-            waiting += sorted(used - words)
-            words |= used
-    return found, words
+            waiting += sorted(used - used_names)
+            used_names |= used
+    return found, used_names
 
 
 def _imported(body: list[ast.stmt], module: str, entered: set[str] | None) -> Iterator[tuple[str, str, int]]:

@@ -171,8 +171,8 @@ class TestLight:
         emitter = {"type": "envmap", "bitmap": mi.Bitmap(radiance.astype(np.float32))}
         pixels = light_metrics.SPHERE_PIXELS
         film = {"type": "hdrfilm", "width": pixels, "height": pixels, "rfilter": {"type": "box"}}
-        look = mi.ScalarTransform4f().look_at([0, 0, 4], [0, 0, 0], [0, 1, 0])
-        sensor = {"type": "orthographic", "to_world": look, "film": film}
+        camera_at = mi.ScalarTransform4f().look_at([0, 0, 4], [0, 0, 0], [0, 1, 0])
+        sensor = {"type": "orthographic", "to_world": camera_at, "film": film}
         normals = light_metrics.sphere_normals()
         ticks = (np.arange(pixels) + 0.5) / pixels * 2 - 1
         x, y = np.meshgrid(ticks, -ticks)

@@ -25,7 +25,7 @@ class Options:
     """Factor of the term."""
 
 
-class Spread(Regularizer):
+class Dispersion(Regularizer):
     """Squared distance of all vertices from their mean."""
 
     def __init__(self, config: Options) -> None:
@@ -71,7 +71,7 @@ class WithNone:
     """Factor of the term."""
 
 
-class TakesNone(Spread):
+class TakesNone(Dispersion):
     def energy(self, scene: Scene) -> Tensor:
         return (scene.mesh.positions - scene.mesh.positions.mean(dim=0)).square().sum()
 
@@ -91,12 +91,12 @@ class Weighted:
     """Would never arrive."""
 
 
-class Loose(Spread):
+class Loose(Dispersion):
     def prepare(self, scene: Scene, **options: Any) -> Callable[[Scene], Tensor]:
         return self.energy
 
 
-class Meddling(Spread):
+class Meddling(Dispersion):
     def prepare(self, scene: Scene) -> Callable[[Scene], Tensor]:
         if scene.material is not None:
             scene.material.roughness.clamp_(max=0.4)
@@ -106,7 +106,7 @@ class Meddling(Spread):
 _CREATED = itertools.count()
 
 
-class Moody(Spread):
+class Moody(Dispersion):
     def __init__(self, config: Options) -> None:
         super().__init__(config)
         self.mood = 1 + 5e-5 * (next(_CREATED) % 2)
@@ -115,28 +115,28 @@ class Moody(Spread):
         return self.mood * super().energy(scene)
 
 
-class Vector(Spread):
+class Vector(Dispersion):
     def energy(self, scene: Scene) -> Tensor:
         return super().energy(scene).reshape(1)
 
 
-class HalfGradient(Spread):
+class HalfGradient(Dispersion):
     def energy(self, scene: Scene) -> Tensor:
         value = super().energy(scene)
         return 0.5 * (value + value.detach())
 
 
-class AboutTheOrigin(Spread):
+class AboutTheOrigin(Dispersion):
     def energy(self, scene: Scene) -> Tensor:
         return scene.mesh.positions.square().sum()
 
 
-class Root(Spread):
+class Root(Dispersion):
     def energy(self, scene: Scene) -> Tensor:
         return super().energy(scene).sqrt()
 
 
-def made(implementation: type = Spread, **changes: Any) -> Component:
+def made(implementation: type = Dispersion, **changes: Any) -> Component:
     """A descriptor of the sound one, with changes."""
     is_ok: dict[str, Any] = {
         "name": "spread",
@@ -174,7 +174,7 @@ BROKEN: dict[str, Component] = {
 """The contract that each of them breaks, and no other."""
 
 
-class GoesElsewhere(Spread):
+class GoesElsewhere(Dispersion):
     """On CUDA it computes something else; for machines that have one."""
 
     def energy(self, scene: Scene) -> Tensor:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import weakref
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
+from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._pytree import tree_leaves
 
 from hir_core.plugins.model_spec import ModelSpec
-from hir_plugins.reflectance_renderers.transport_ggx import solver
 from hir_plugins.reflectance_renderers.transport_ggx.fit import joint_optimization
 from hir_plugins.reflectance_renderers.transport_ggx.fit.joint_optimization import FitSettings
 from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import ObservedPixels
@@ -31,11 +33,30 @@ def test_irradiance_of_many_points_is_that_of_their_matrix(monkeypatch: pytest.M
     assert torch.equal(irradiance_of(*arguments, sources), pixel_irradiance(*arguments).matrix @ sources)
 
 
+class LargestTensor(TorchDispatchMode):
+    """Records the number of elements of the largest dense tensor that an operation returns."""
+
+    elements = 0
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        result = func(*args, **(kwargs or {}))
+        for leaf in tree_leaves(result):
+            if isinstance(leaf, torch.Tensor) and leaf.layout == torch.strided:
+                self.elements = max(self.elements, leaf.numel())
+        return result
+
+
 def test_the_initial_guess_under_a_moving_light_needs_no_matrix_of_all_pixels(monkeypatch: pytest.MonkeyPatch) -> None:
     """For 300 views of 512² the matrix takes 2 GB, and only the mean of three numbers is needed."""
     fit, _ = solver_of()
-    monkeypatch.setattr(solver, "pixel_irradiance", lambda *_: pytest.fail("3 kB a pixel"))
-    initial = fit._initial_parameters(ModelSpec(light_frame="camera"), None, fit._photographs(range(6)))
+    photographs = fit._photographs(range(6))
+    with LargestTensor() as matrix:
+        pixel_irradiance(fit._transport, photographs.points, fit._options.diffuse_samples, fit._rotation)
+    assert matrix.elements >= len(photographs) * fit._options.diffuse_samples, "the matrix is recorded"
+    monkeypatch.setattr(camera_light, "PIXELS_PER_CHUNK", len(photographs) // 8)
+    with LargestTensor() as guess:
+        initial = fit._initial_parameters(ModelSpec(light_frame="camera"), None, photographs)
+    assert guess.elements < matrix.elements / 4
     assert bool(torch.isfinite(initial.diffuse).all())
 
 
