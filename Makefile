@@ -1,4 +1,4 @@
-# Everything a person types. Each target makes its environment first and says what it installs.
+# All commands for users and developers. Each target creates the environment that it needs.
 PYTHON := .venv/bin/python
 HIR := .venv/bin/hir
 DEMO := demo
@@ -6,21 +6,21 @@ DEMO := demo
 .PHONY: demo test test-all lint docs stability kill-test fuzz coverage mutation lower-bounds supply-chain bench paper-table ablations scaling clean setup setup-test help
 
 help:
-	@echo "make demo      reconstruct the sample capture, export it, say where the files are"
-	@echo "make test      lint, then every test that is quick"
-	@echo "make test-all  the slow ones too"
-	@echo "make lint      ruff and mypy"
-	@echo "make docs      the documentation as a site, in build/docs"
-	@echo "make parity    open exports in three.js, Babylon.js, Filament, Blender, Godot; write docs/engines/parity.md"
-	@echo "make stability  the table of numerical hard cases, docs/stability.md"
-	@echo "make kill-test  kill a small run at 50 random moments, resume, compare all files"
-	@echo "make fuzz      feed changed files to every reader for 10 minutes"
-	@echo "make bench     measure every component beside its reference; write docs/benchmarks.md and README's table"
-	@echo "make paper-table, ablations, scaling  the paper's experiments; write docs/experiments.md; each goes on where it stopped"
-	@echo "make coverage  branches of hir_core and hir_exporters that tests reach, slow ones of plugins, benchmarks and batches too"
-	@echo "make mutation  change each line of materials, conventions and losses; count what their tests notice"
-	@echo "make lower-bounds, make supply-chain   the oldest dependencies; SBOM and known vulnerabilities"
-	@echo "make clean     remove .venv and what the demo made"
+	@echo "make demo      reconstruct and export the sample capture"
+	@echo "make test      lint, then every test that is not marked slow"
+	@echo "make test-all  all tests"
+	@echo "make lint      ruff check, ruff format --check, mypy"
+	@echo "make docs      build the documentation site in build/docs"
+	@echo "make parity    render exports in three.js, Babylon.js, Filament, Blender and Godot; write docs/engines/parity.md"
+	@echo "make stability  write the table of numerical edge cases, docs/stability.md"
+	@echo "make kill-test  kill a small run at 50 random moments, resume it, compare all files"
+	@echo "make fuzz      run every reader on mutated files for 10 minutes"
+	@echo "make bench     measure every component against its reference; write docs/benchmarks.md and the table of README.md"
+	@echo "make paper-table, ablations, scaling  experiments of the paper, resumable; write docs/studies/paper_experiments.md"
+	@echo "make coverage  branch coverage of hir_core and hir_exporters"
+	@echo "make mutation  mutation tests of materials, conventions and losses"
+	@echo "make lower-bounds, make supply-chain   test the oldest dependencies; write an SBOM and list known vulnerabilities"
+	@echo "make clean     remove .venv and the output of the demo"
 
 setup:
 	@tools/setup.sh run
@@ -38,13 +38,14 @@ demo: setup
 	@echo "report:  $(CURDIR)/$(DEMO)/run/report.html"
 
 test: lint
-	@OMP_NUM_THREADS=1 $(PYTHON) -m pytest -n 2 --dist loadfile # two processes of one thread: made for two cores
+	@OMP_NUM_THREADS=1 $(PYTHON) -m pytest -n 2 --dist loadfile # two processes with one thread each, for two cores
 
 test-all: setup-test
 	@$(PYTHON) -m pytest -m "not gpu" --random-order
 
 lint: setup-test
 	@$(PYTHON) -m ruff check .
+	@$(PYTHON) -m ruff format --check --quiet .
 	@$(PYTHON) -m mypy
 
 docs: setup-test
@@ -60,7 +61,7 @@ parity: setup-test
 coverage: setup-test
 	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --constraint requirements/ci.txt coverage
 	@OMP_NUM_THREADS=1 $(PYTHON) -m coverage run -m pytest -q
-	@OMP_NUM_THREADS=1 $(PYTHON) -m coverage run -m pytest -q -m slow tests/testing tests/bench tests/batch
+	@OMP_NUM_THREADS=1 $(PYTHON) -m coverage run -m pytest -q -m slow tests/hir_core/testing tests/hir_plugins/commands
 	@$(PYTHON) -m coverage combine --quiet
 	@$(PYTHON) -m coverage report --skip-covered --sort=cover
 
@@ -79,7 +80,7 @@ stability: setup-test
 	@$(PYTHON) -m tests.stability.table
 
 fuzz: setup-test
-	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --constraint requirements/ci.txt atheris || true # without it changes are drawn at random
+	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --constraint requirements/ci.txt atheris || true # without atheris mutations are random
 	@OMP_NUM_THREADS=1 $(PYTHON) tools/fuzz.py --seconds 600
 
 kill-test: setup-test
@@ -87,7 +88,7 @@ kill-test: setup-test
 	@OMP_NUM_THREADS=1 $(PYTHON) tools/kill_test.py --kills 10 --kind traced
 	@OMP_NUM_THREADS=1 $(PYTHON) tools/kill_test.py --kills 10 --kind sfm
 
-# what fits is measured on HIR_SHARED's captures where they are, else on the sample capture, whose true mesh is not known
+# fits are measured on the captures of HIR_SHARED; without these on the sample capture, which has no true mesh
 CAPTURE = $(firstword $(wildcard $(or $(HIR_SHARED),../shared)/captures/spot) examples/sample_capture)
 
 bench: setup-test
