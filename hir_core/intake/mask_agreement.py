@@ -38,9 +38,9 @@ def mask_agreement(cameras: Sequence[Camera | None], masks: Sequence[NDArray[np.
             result[index] = 0.0
             continue
         points, cell = hull
-        shown = _project_cells(points, cell, camera)
+        silhouette = _project_cells(points, cell, camera)
         solid = mask > 0.5
-        result[index] = float((shown & solid).sum() / max((shown | solid).sum(), 1))
+        result[index] = float((silhouette & solid).sum() / max((silhouette | solid).sum(), 1))
     return result
 
 
@@ -53,14 +53,14 @@ def _consensus_hull(pairs: Sequence[tuple[Camera, NDArray[np.float32]]]) -> tupl
         axes = [np.linspace(low[i], high[i], _GRID_RESOLUTION) for i in range(3)]
         cell = float(max(a[1] - a[0] for a in axes))
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-        shown, inside = np.zeros(len(grid)), np.zeros(len(grid))
+        image_count, mask_count = np.zeros(len(grid)), np.zeros(len(grid))
         for camera, mask in pairs:
             at, depth = camera.project(grid)
             x, y = np.floor(np.clip(at, -1, 1e6)).astype(int).T
             seen = (depth > 0) & (x >= 0) & (y >= 0) & (x < camera.width) & (y < camera.height)
-            shown += seen
-            inside[seen] += mask[y[seen], x[seen]] > 0.5
-        points = grid[(inside >= 0.9 * shown) & (shown >= max(2.0, shown.max() / 2))]
+            image_count += seen
+            mask_count[seen] += mask[y[seen], x[seen]] > 0.5
+        points = grid[(mask_count >= 0.9 * image_count) & (image_count >= max(2.0, image_count.max() / 2))]
         if len(points) < 2:
             return None
         low, high = points.min(axis=0) - 1.5 * cell, points.max(axis=0) + 1.5 * cell
@@ -69,7 +69,7 @@ def _consensus_hull(pairs: Sequence[tuple[Camera, NDArray[np.float32]]]) -> tupl
 
 def _project_cells(points: Array, cell: float, camera: Camera) -> NDArray[np.bool_]:
     """Pixels (H, W) whose centre is within half a cell of a projected point."""
-    shown = np.zeros((camera.height, camera.width), dtype=bool)
+    covered = np.zeros((camera.height, camera.width), dtype=bool)
     at, depth = camera.project(points)
     ahead = depth > 0
     at, half = at[ahead], 0.5 * cell * camera.intrinsics[0, 0] / depth[ahead]
@@ -80,5 +80,5 @@ def _project_cells(points: Array, cell: float, camera: Camera) -> NDArray[np.boo
             x, y = x0 + dx, y0 + dy
             near = (np.abs(x + 0.5 - at[:, 0]) <= half + 0.5) & (np.abs(y + 0.5 - at[:, 1]) <= half + 0.5)
             near &= (x >= 0) & (y >= 0) & (x < camera.width) & (y < camera.height)
-            shown[y[near], x[near]] = True
-    return shown
+            covered[y[near], x[near]] = True
+    return covered

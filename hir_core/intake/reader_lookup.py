@@ -33,11 +33,11 @@ def find_reader(path: Path, plugins: PluginManager, name: str = "auto") -> tuple
 
 def read_capture(path: Path, split: str, plugins: PluginManager, reader: str = "auto") -> Capture:
     """The capture of one split, with the name of the reader."""
-    name, found = find_reader(path, plugins, reader)
-    known = found.splits(path)
+    name, selected = find_reader(path, plugins, reader)
+    known = selected.splits(path)
     if split not in known:
         raise CaptureError(f"{path} has no split {split!r}; use one of: {', '.join(known) or 'none'}")
     try:
-        return replace(found.read(path, split), reader=name)
+        return replace(selected.read(path, split), reader=name)
     except OSError as error:  # for example a file name in a camera file that is too long for the system
         raise CaptureError(f"{path} cannot be read as {name}: {error.strerror or error}") from error

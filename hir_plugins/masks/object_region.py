@@ -36,10 +36,10 @@ def object_points(capture: Capture) -> tuple[Array, Array, float]:
     for _ in range(5):
         center = np.median(near, axis=0)
         distance = np.linalg.norm(near - center, axis=1)
-        kept = near[distance <= 3 * np.median(distance)]
-        if len(kept) == len(near):
+        inliers = near[distance <= 3 * np.median(distance)]
+        if len(inliers) == len(near):
             break
-        near = kept
+        near = inliers
     center = np.median(near, axis=0)
     return near, center, float(np.quantile(np.linalg.norm(near - center, axis=1), 0.97))
 

@@ -52,12 +52,12 @@ def surface_colors(scene: Scene, face: NDArray[np.int64], barycentric: NDArray[n
         texture = material.diffuse_albedo.detach().cpu().numpy()
         height, width = texture.shape[:2]
         row = np.clip((v * height).astype(int), 0, height - 1)
-        found: NDArray[np.float64] = texture[row, np.clip((u * width).astype(int), 0, width - 1)]
-        return found
+        linear: NDArray[np.float64] = texture[row, np.clip((u * width).astype(int), 0, width - 1)]
+        return linear
     if mesh.vertex_colors is not None:
         colors = mesh.vertex_colors.detach().cpu().numpy()[mesh.faces.detach().cpu().numpy()[face]]
-        found = (colors * weights).sum(axis=1)
-        return found
+        linear = (colors * weights).sum(axis=1)
+        return linear
     return np.full((len(face), 3), 0.6)
 
 

@@ -59,10 +59,10 @@ class PhotosReader(CaptureReader):
         # portrait and landscape photographs of one camera count as one size
         (usual, _), *others = Counter(tuple(sorted(size)) for size in sizes.values()).most_common()
         if others:
-            odd = [p.name for p, size in sizes.items() if tuple(sorted(size)) != usual]
+            unusual = [p.name for p, size in sizes.items() if tuple(sorted(size)) != usual]
             warnings.warn(
-                f"{len(odd)} of {len(photos)} photographs are not {usual[1]}×{usual[0]} as the others are, "
-                f"such as {odd[0]}; they get separate intrinsics",
+                f"{len(unusual)} of {len(photos)} photographs are not {usual[1]}×{usual[0]} as the others are, "
+                f"such as {unusual[0]}; they get separate intrinsics",
                 stacklevel=2,
             )
         names = unique_names(photos, path)
@@ -86,7 +86,7 @@ def _photos(path: Path) -> list[Path]:
         folder = path / name
         if not folder.is_dir():
             continue
-        found = sorted(p for p in folder.iterdir() if p.suffix.lower() in PHOTO_SUFFIXES and p.is_file())
-        if len(found) >= 2:
-            return [contained_path(path, p.relative_to(path).as_posix(), path) for p in found]
+        photos = sorted(p for p in folder.iterdir() if p.suffix.lower() in PHOTO_SUFFIXES and p.is_file())
+        if len(photos) >= 2:
+            return [contained_path(path, p.relative_to(path).as_posix(), path) for p in photos]
     return []

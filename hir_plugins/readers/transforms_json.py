@@ -52,13 +52,13 @@ class TransformsJsonReader(CaptureReader):
     def splits(self, path: Path) -> list[str]:
         """Names of the splits, train and test first; only a single transforms.json is opened, for its file lists."""
         files = _files(path)
-        found = set(files)
+        splits = set(files)
         if list(files) == ["train"]:
             content = read_json(files["train"])
             listed = {split for split, key in _SPLIT_LISTS.items() if content.get(key)}
-            found |= listed if "train" in listed else set()
+            splits |= listed if "train" in listed else set()
         order = {"train": 0, "test": 1, "val": 2}
-        return sorted(found, key=lambda split: (order.get(split, 3), split))
+        return sorted(splits, key=lambda split: (order.get(split, 3), split))
 
     def read(self, path: Path, split: str = "train") -> Capture:
         """Cameras, names and image sizes (from the headers) of one split; no other split's file is opened."""
@@ -90,11 +90,11 @@ def _files(path: Path) -> dict[str, Path]:
     if path.is_file():
         named = path.name.startswith("transforms") and path.suffix == ".json"
         return {path.stem.partition("transforms_")[2] or "train": path} if named else {}
-    found = {f.stem.partition("transforms_")[2]: f for f in sorted(path.glob("transforms_*.json")) if f.is_file()}
+    split_files = {f.stem.partition("transforms_")[2]: f for f in sorted(path.glob("transforms_*.json")) if f.is_file()}
     whole = path / "transforms.json"
-    if "train" not in found and whole.is_file():
-        found["train"] = whole
-    return found
+    if "train" not in split_files and whole.is_file():
+        split_files["train"] = whole
+    return split_files
 
 
 def _frames_of_split(

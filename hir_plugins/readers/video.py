@@ -124,10 +124,10 @@ def sharpest_in_intervals(sharp: NDArray[np.floating], count: int) -> list[int]:
 def _video(path: Path) -> Path | None:
     if path.is_file():
         return path if path.suffix.lower() in VIDEO_SUFFIXES else None
-    found = [p for p in sorted(path.glob("*")) if p.suffix.lower() in VIDEO_SUFFIXES and p.is_file()]
-    if len(found) != 1:
+    videos = [p for p in sorted(path.glob("*")) if p.suffix.lower() in VIDEO_SUFFIXES and p.is_file()]
+    if len(videos) != 1:
         return None
-    return found[0] if found[0].resolve().is_relative_to(path.resolve()) else None
+    return videos[0] if videos[0].resolve().is_relative_to(path.resolve()) else None
 
 
 _SELF_CONTAINED = {

@@ -42,8 +42,8 @@ class HullField:
         inside = self.field(points) > -float(axis[1] - axis[0])
         if not inside.any():
             return 2
-        shown = torch.isfinite(self.per_view(points[inside])).sum(dim=0)
-        return max(2, (int(shown.max()) + 1) // 2)
+        view_count = torch.isfinite(self.per_view(points[inside])).sum(dim=0)
+        return max(2, (int(view_count.max()) + 1) // 2)
 
     def without(self, bad: NDArray[np.bool_]) -> HullField:
         """A field in the same frame without the views marked in `bad` (V,)."""
@@ -124,7 +124,7 @@ class _ViewTensors:
 
 
 def _view_tensors(field: SilhouetteField, world_from_unit: Array) -> _ViewTensors:
-    # composed in float64 and freed of the world's place and scale before it becomes float32
+    # composed in float64, without the world's position and scale, before the conversion to float32
     pose = field.camera.world_to_camera @ world_from_unit
     projection = field.camera.intrinsics @ pose[:3] / world_from_unit[0, 0]
     focal = float(np.sqrt(abs(np.linalg.det(field.camera.intrinsics[:2, :2]))))
@@ -139,8 +139,8 @@ def _sample(view: _ViewTensors, points: Tensor) -> Tensor:
     pixels = local[:, :2] / depth.clamp_min(1e-6)[:, None]
     scale = torch.tensor([2 / width, 2 / height])
     grid = pixels * scale - 1
-    shown = (depth > 1e-6) & (grid.abs() <= 1).all(dim=1)
+    visible = (depth > 1e-6) & (grid.abs() <= 1).all(dim=1)
     sampled = torch.nn.functional.grid_sample(
         view.distance.float(), grid[None, None].clamp(-2, 2), padding_mode="border", align_corners=False
     )[0, 0, 0]
-    return torch.where(shown, sampled * depth / view.focal, torch.inf)
+    return torch.where(visible, sampled * depth / view.focal, torch.inf)

@@ -69,7 +69,7 @@ def _map(database: Path, folder: Path, attempt: Attempt, options: ColmapOptions)
     models.mkdir()
     images = str(folder.parent / "images")
     if options.mapper == "global":
-        found = run_cancellable(lambda token: pycolmap.global_mapping(str(database), images, str(models)))
+        reconstructions = run_cancellable(lambda token: pycolmap.global_mapping(str(database), images, str(models)))
     else:
         pipeline = pycolmap.IncrementalPipelineOptions()
         pipeline.num_threads = options.threads
@@ -79,12 +79,12 @@ def _map(database: Path, folder: Path, attempt: Attempt, options: ColmapOptions)
         pipeline.mapper.abs_pose_min_num_inliers = attempt.min_inliers
         pipeline.mapper.abs_pose_refine_focal_length = options.refine_intrinsics
         pipeline.mapper.abs_pose_refine_extra_params = options.refine_intrinsics
-        found = run_cancellable(
+        reconstructions = run_cancellable(
             lambda token: pycolmap.incremental_mapping(
                 str(database), images, str(models), options=pipeline, cancellation_token=token
             )
         )
-    return sorted(found.values(), key=lambda model: -model.num_reg_images())
+    return sorted(reconstructions.values(), key=lambda model: -model.num_reg_images())
 
 
 def largest_reconstruction(

@@ -166,9 +166,9 @@ def measure_depths(
                     views = [replace(v, inverse=_enlarged(d, v)) for v, d in zip(views, dense, strict=True)]
                 steps = _steps(views, near, center)
                 solid = bound if level == options.levels - 1 else None
-                found = [_sweep_view(views, i, near[i], steps[i], solid, options) for i in range(len(views))]
-                maps = consistent_depths(views, found, near, steps, options.window, options.min_views)
-                dense = [inverse for inverse, _ in found] if volume is None else []
+                swept = [_sweep_view(views, i, near[i], steps[i], solid, options) for i in range(len(views))]
+                maps = consistent_depths(views, swept, near, steps, options.window, options.min_views)
+                dense = [inverse for inverse, _ in swept] if volume is None else []
             if volume is None:
                 continue
             result = carve_depths(volume, maps, min_weight=1.0)

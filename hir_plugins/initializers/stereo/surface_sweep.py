@@ -133,10 +133,10 @@ def semi_global(cost: Tensor, base: Tensor, known: Tensor, step: float, settings
                 path = costs[i].clone()
                 if before is not None:
                     least = before.min(dim=1, keepdim=True).values
-                    kept = torch.minimum(before, least + settings.large_change)
-                    kept[:, 1:] = torch.minimum(kept[:, 1:], before[:, :-1] + settings.small_change)
-                    kept[:, :-1] = torch.minimum(kept[:, :-1], before[:, 1:] + settings.small_change)
-                    path += (kept - least) * joined[i - 1 if forward else i][:, None]
+                    cheapest = torch.minimum(before, least + settings.large_change)
+                    cheapest[:, 1:] = torch.minimum(cheapest[:, 1:], before[:, :-1] + settings.small_change)
+                    cheapest[:, :-1] = torch.minimum(cheapest[:, :-1], before[:, 1:] + settings.small_change)
+                    path += (cheapest - least) * joined[i - 1 if forward else i][:, None]
                 sums[i] += path
                 before = path
     return total

@@ -69,8 +69,8 @@ def photos_in_first_folder(capture: Path, folders: Sequence[str]) -> list[Path]:
     """The photographs, by name, of the first of `folders` that exists; if none exists, `CaptureError` is raised."""
     for name in folders:
         if (capture / name).is_dir():
-            found = sorted(p for p in (capture / name).iterdir() if p.suffix.lower() in PHOTO_SUFFIXES)
-            return [contained_path(capture, p.relative_to(capture).as_posix(), capture) for p in found]
+            photos = sorted(p for p in (capture / name).iterdir() if p.suffix.lower() in PHOTO_SUFFIXES)
+            return [contained_path(capture, p.relative_to(capture).as_posix(), capture) for p in photos]
     raise CaptureError(f"{capture} has none of the folders {', '.join(folders)}; put the images into one of them")
 
 

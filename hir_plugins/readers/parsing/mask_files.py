@@ -25,9 +25,9 @@ def match_mask(photo: Path, masks: Iterable[Path]) -> Path | None:
         lambda m: m.stem == photo.name,
         lambda m: _name_without_affixes(m.stem) == _name_without_affixes(photo.stem),
     ):
-        found = sorted(mask for mask in listed if wanted(mask))
-        if found:
-            return found[0]
+        matched = sorted(mask for mask in listed if wanted(mask))
+        if matched:
+            return matched[0]
     return None
 
 
@@ -40,9 +40,9 @@ def find_mask(photo: Path, capture: Path) -> Path | None:
         for name in (*FOLDERS, f"{photo.parent.name}_mask", f"{photo.parent.name}_masks"):
             # photographs in subfolders (train/a.png) have masks in subfolders of the same name
             inner = _listed(parent / name / photo.parent.name)
-            found = match_mask(photo, inner) or match_mask(photo, _listed(parent / name))
-            if found is not None and found.resolve().is_relative_to(capture.resolve()):
-                return found
+            mask = match_mask(photo, inner) or match_mask(photo, _listed(parent / name))
+            if mask is not None and mask.resolve().is_relative_to(capture.resolve()):
+                return mask
     return None
 
 

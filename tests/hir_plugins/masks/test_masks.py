@@ -15,7 +15,7 @@ from hir_core.config import load_config
 from hir_core.errors import CaptureError
 from hir_core.plugins import NoOptions
 from hir_core.plugins.manager import PluginManager
-from hir_core.stages.initialization import files_read
+from hir_core.stages.initialization import hashes_of_files_read
 from hir_plugins.masks.alpha import Alpha
 from hir_plugins.masks.color_key import ColorKey
 from hir_plugins.masks.folder import Folder
@@ -76,7 +76,7 @@ def test_masks_that_no_reader_found_are_watched(tmp_path: Path) -> None:
 
     def hashes(capture: Capture, *assignments: str) -> list[str]:
         config = load_config(plugins, assignments=assignments)
-        return files_read((), capture, config, plugins)
+        return hashes_of_files_read(capture, replace(config, initializers=()), plugins)
 
     before = hashes(capture)
     assert len(before) == 2

@@ -95,7 +95,7 @@ def test_cut_binaries_are_one_error(model: Path) -> None:
         ("cameras.txt", "1 SIMPLE_RADIAL 64 48 80 32 24 -40\n", "fold"),
         ("cameras.txt", "2 SIMPLE_PINHOLE 64 48 80 32 24\n", "camera 1"),
         ("cameras.txt", "", "without cameras"),
-        ("images.txt", "1 1 0 0 0 0 0 5 1\n", "not a picture"),
+        ("images.txt", "1 1 0 0 0 0 0 5 1\n", "not an image"),
         ("images.txt", "1 0 0 0 0 0 0 5 1 a.png\n\n", "rotation"),
         ("images.txt", "1 1 0 0 0 0 0 5 1 ../a.png\n\n", "a.png"),
         ("images.txt", "1 1 0 0 0 0 0 5 1 missing.png\n\n", "missing.png"),
