@@ -12,6 +12,7 @@ from torch import Tensor
 from hir_core.errors import StageError
 from hir_core.mesh.texel_rasterization import texel_surface
 from hir_core.scene import Mesh, Texture
+from hir_core.scene.bilinear import axis_neighbours
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,14 +28,12 @@ class SurfaceSamples:
             return texture.expand(len(self.positions), -1)
         height, width = texture.shape[:2]
         uvs = self.uvs.to(texture.dtype)
-        x, y = uvs[:, 0] * width - 0.5, uvs[:, 1] * height - 0.5
-        left, top = x.floor(), y.floor()
-        s, t = (x - left)[:, None], (y - top)[:, None]
-        columns = left.long() % width, (left.long() + 1) % width
-        rows = top.long() % height, (top.long() + 1) % height
+        x = axis_neighbours(uvs[:, 0] * width - 0.5, width, "repeat")
+        y = axis_neighbours(uvs[:, 1] * height - 0.5, height, "repeat")
+        s, t = x.fraction[:, None], y.fraction[:, None]
         # interpolation by differences: a constant texture gives exactly equal values
-        upper = texture[rows[0], columns[0]] + (texture[rows[0], columns[1]] - texture[rows[0], columns[0]]) * s
-        lower = texture[rows[1], columns[0]] + (texture[rows[1], columns[1]] - texture[rows[1], columns[0]]) * s
+        upper = texture[y.low, x.low] + (texture[y.low, x.high] - texture[y.low, x.low]) * s
+        lower = texture[y.high, x.low] + (texture[y.high, x.high] - texture[y.high, x.low]) * s
         return upper + (lower - upper) * t
 
 

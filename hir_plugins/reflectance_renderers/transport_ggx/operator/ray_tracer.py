@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hir_plugins.reflectance_renderers.drjit_types import DrJitArray, MitsubaObject
 from hir_plugins.reflectance_renderers.mitsuba_variant import mitsuba_on
 
 RAYS_PER_LAUNCH = 1 << 21
@@ -59,10 +61,10 @@ class RayTracer:
         ]
         return np.concatenate(chunks) if chunks else np.empty(0, bool)
 
-    def _ray(self, origins: NDArray[np.float32], directions: NDArray[np.float32]):  # type: ignore[no-untyped-def]
+    def _ray(self, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> MitsubaObject:
         mi = self._mi
         return mi.Ray3f(mi.Point3f(*_columns(origins, mi)), mi.Vector3f(*_columns(directions, mi)))
 
 
-def _columns(array: NDArray[np.float32], mi) -> list:  # type: ignore[no-untyped-def, type-arg]
+def _columns(array: NDArray[np.float32], mi: ModuleType) -> list[DrJitArray]:
     return [mi.Float(np.ascontiguousarray(array[:, i], dtype=np.float32)) for i in range(3)]

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields, replace
-from typing import Any
 
 import numpy as np
 import torch
@@ -57,8 +56,7 @@ class Lobes:
 
     def take(self, rows: Tensor) -> Lobes:
         """The lobes of the pixels of `rows`."""
-        parts: dict[str, Any] = {name: getattr(self, name)[rows] for name in _PER_PIXEL}
-        return replace(self, **parts)
+        return replace(self, **{name: getattr(self, name)[rows] for name in _PER_PIXEL})
 
     def weights(
         self, alpha: Float[Tensor, "#P 1"], normal: Float[Tensor, "P 3"] | None = None
@@ -112,11 +110,22 @@ def trace_lobes(
         part = slice(start, start + PIXELS_PER_CHUNK)
         rows = points.take(torch.arange(len(points), device=points.face.device)[part])
         parts.append(_trace(tracer, rows, face_cells, alpha[part], samples, pyramid, offset, rotation, seed + start))
-    joined: dict[str, Any] = {name: torch.cat([getattr(p, name) for p in parts]) for name in _PER_PIXEL}
-    return Lobes(**joined, sources=pyramid.texels + cells)
+    joined = {name: torch.cat([getattr(p, name) for p in parts]) for name in _PER_PIXEL}
+    return replace(parts[0], **joined, sources=pyramid.texels + cells)
 
 
-def _trace(tracer, points, face_cells, alpha, samples, pyramid, offset, rotation, seed):  # type: ignore[no-untyped-def]
+def _trace(
+    tracer: RayTracer,
+    points: SurfacePoints,
+    face_cells: NDArray[np.int64],
+    alpha: Float[Tensor, "P 1"],
+    samples: int,
+    pyramid: Pyramid,
+    offset: float,
+    rotation: Float[Tensor, "N 3 3"] | None,
+    seed: int,
+) -> Lobes:
+    """The lobes of one chunk of points, without the number of sources."""
     device = points.position.device
     count = len(points)
     tangent, bitangent = tangent_frame(points.normal)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from jaxtyping import Bool, Float
@@ -37,6 +36,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.textures.texture_solve impo
     TEXEL_HUBER_SRGB,
     TEXEL_PRIOR_WEIGHT,
     TEXEL_SMOOTHNESS_WEIGHT,
+    TextureReport,
     refined_mesh,
     texel_equations,
     texture_size,
@@ -50,7 +50,7 @@ def solve_per_texel_maps(
     downsample: int,
     options: TransportGGXOptions,
     report: Callable[[float], None],
-) -> tuple[Material, Parameters, list[TexelEquations], dict[str, Any]]:
+) -> tuple[Material, Parameters, list[TexelEquations], TextureReport]:
     """Maps of albedo, ρs, α and normal at the size of the scene's texture, the parameters with their light, the
     equations of the albedo, and a report. Texels with too few photographs are inpainted.
 
@@ -89,14 +89,14 @@ def solve_per_texel_maps(
             observed=maps.observed,
         )
     report(1.0)
-    facts: dict[str, Any] = {
+    report_values: TextureReport = {
         "texels": int(texels.covered.sum()),
         "observations": int(count.sum()),
         "observed": round(int(maps.observed.sum()) / max(int(texels.covered.sum()), 1), 4),
     }
     if lit.parameters.exposure is not None:
-        facts["view_gain"] = [round(float(e), 4) for e in lit.parameters.exposure]
-    return material, lit.parameters, equations, facts
+        report_values["view_gain"] = [round(float(e), 4) for e in lit.parameters.exposure]
+    return material, lit.parameters, equations, report_values
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TypeAlias
 
 import torch
 from jaxtyping import Bool, Float
@@ -15,6 +15,7 @@ from hir_core.scene import Material, Mesh, Scene, Topology
 from hir_core.scene.bilinear import texture_texels
 from hir_core.scene.srgb import srgb_slope
 from hir_core.stages.atlas import TexelSurface, dilate, fill_unobserved, texel_surface, texture_of_vertices
+from hir_plugins.reflectance_renderers.transport_ggx.fit.final_albedo import SRGB_SLOPE_FLOOR_LINEAR
 from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import ObservedPixels, observe_pixels
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
 from hir_plugins.reflectance_renderers.transport_ggx.fit.shading_normals import offset_normals
@@ -44,8 +45,9 @@ TEXEL_SMOOTHNESS_WEIGHT = 0.02
 """Weight of differences between neighbouring texels: regularises where pixels do not separate texels."""
 MIN_OBSERVED_VERTEX_SHARE = 0.99
 """A texel also counts as observed if this share of its vertices is."""
-SRGB_SLOPE_FLOOR_LINEAR = 0.003
-"""The slope of sRGB, a pixel's weight, does not grow below this linear value, where noise dominates."""
+
+TextureReport: TypeAlias = dict[str, int | float | list[float]]
+"""Figures for run.json, by key."""
 
 
 def solve_scene(
@@ -59,7 +61,7 @@ def solve_scene(
     rotation: Tensor | None,
     options: TransportGGXOptions,
     report: Callable[[float], None],
-) -> tuple[Material, list[TexelEquations], dict[str, Any]]:
+) -> tuple[Material, list[TexelEquations], TextureReport]:
     """The material of a fit, the equations of its albedo, and a report. What the model does not vary is a constant."""
     assert scene.material is not None
     height, width = texture_size(scene.material)
@@ -123,10 +125,13 @@ def solve_scene(
             )
         report(1.0)
     share = int(observed.sum()) / max(int(surface.covered.sum()), 1)
-    facts: dict[str, Any] = {"texture_equations": sum(len(e.gain) for e in equations), "observed": round(share, 4)}
+    report_values: TextureReport = {
+        "texture_equations": sum(len(e.gain) for e in equations),
+        "observed": round(share, 4),
+    }
     if parameters.exposure is not None:
-        facts["view_gain"] = [round(float(e), 4) for e in parameters.exposure]
-    return material, equations, facts
+        report_values["view_gain"] = [round(float(e), 4) for e in parameters.exposure]
+    return material, equations, report_values
 
 
 def _equations(
