@@ -60,6 +60,13 @@ def interpolate(
     return total + values[third[face]] * weights[:, 2:]
 
 
+def texture_of_vertices(mesh: Mesh, values: Float[Tensor, "V C"], surface: TexelSurface) -> Float[Tensor, "H W C"]:
+    """A texture of values that are linear on each face; 0 outside the charts."""
+    texture = values.new_zeros((*surface.covered.shape, values.shape[1]))
+    texture[surface.covered] = interpolate(values, mesh.faces, surface.face, surface.barycentric)
+    return texture
+
+
 def dilate(texture: Float[Tensor, "H W C"], covered: Bool[Tensor, "H W"], iterations: int) -> Float[Tensor, "H W C"]:
     """Extends charts by one ring of texels in each iteration, so that bilinear filtering at seams reads the chart.
 

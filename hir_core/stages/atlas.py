@@ -9,22 +9,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from jaxtyping import Float
 from numpy.typing import NDArray
-from torch import Tensor
 
 from hir_core.capture import Camera, Capture
 from hir_core.config import AtlasSettings
 from hir_core.errors import ConfigError, StageError
-from hir_core.mesh.texel_rasterization import TexelSurface, dilate, interpolate, texel_surface
-from hir_core.mesh.texture_inpainting import fill_unobserved
+from hir_core.mesh.texel_rasterization import TexelSurface, dilate, texel_surface, texture_of_vertices
 from hir_core.mesh.uv_charts import cut_and_pack
 from hir_core.scene import Material, Mesh, Scene, Topology
 
 if TYPE_CHECKING:
     from hir_core.run.stage_context import StageContext
-
-__all__ = ["TexelSurface", "dilate", "fill_unobserved", "texel_surface", "texture_size", "unwrap", "unwrap_mesh"]
 
 SIDE_MIN, SIDE_MAX = 64, 4096
 """Sides in texels of a derived texture."""
@@ -141,10 +136,3 @@ def _baked_colors(mesh: Mesh, surface: TexelSurface, padding: int) -> Material:
         return Material("paper", like.new_full((3,), 0.5), black, fully_rough)
     texture = texture_of_vertices(mesh, mesh.vertex_colors.clamp(0, 1), surface)
     return Material("paper", dilate(texture, surface.covered, 2 * padding), black, fully_rough)
-
-
-def texture_of_vertices(mesh: Mesh, values: Float[Tensor, "V C"], surface: TexelSurface) -> Float[Tensor, "H W C"]:
-    """A texture of values that are linear on each face; 0 outside the charts."""
-    texture = values.new_zeros((*surface.covered.shape, values.shape[1]))
-    texture[surface.covered] = interpolate(values, mesh.faces, surface.face, surface.barycentric)
-    return texture

@@ -12,9 +12,10 @@ from dataclasses import dataclass, field, replace
 import torch
 from torch import Tensor
 
+from hir_core.mesh.texel_rasterization import dilate, texel_surface
+from hir_core.mesh.texture_inpainting import fill_unobserved
 from hir_core.plugins.interfaces import PreparedReflectance
 from hir_core.scene import Scene
-from hir_core.stages.atlas import dilate, fill_unobserved, texel_surface
 from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import Surface
 from hir_plugins.reflectance_renderers.transport_ggx.textures.texel_equations import TexelEquations, solve_texels
 from hir_plugins.reflectance_renderers.transport_ggx.textures.texture_solve import (

@@ -9,9 +9,8 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from hir_core.mesh.texel_rasterization import dilate, interpolate
+from hir_core.mesh.texel_rasterization import dilate, interpolate, texel_surface
 from hir_core.scene import Mesh
-from hir_core.stages.atlas import texel_surface
 from hir_plugins.reflectance_renderers.transport_ggx.fit.shading_normals import offset_normals
 from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import Surface, SurfacePoints
 

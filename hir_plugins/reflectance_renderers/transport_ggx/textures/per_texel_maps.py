@@ -9,8 +9,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from hir_core.mesh.texel_rasterization import TexelSurface, dilate, texel_surface
+from hir_core.mesh.texture_inpainting import fill_unobserved
 from hir_core.scene import Material, Mesh, Scene
-from hir_core.stages.atlas import TexelSurface, dilate, fill_unobserved, texel_surface
 from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import ObservedPixels, observe_pixels
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import MIN_ALPHA, Parameters
 from hir_plugins.reflectance_renderers.transport_ggx.fit.shading_normals import offset_normals

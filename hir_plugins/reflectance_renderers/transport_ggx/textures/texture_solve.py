@@ -10,11 +10,12 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from hir_core.capture import Capture
+from hir_core.mesh.texel_rasterization import TexelSurface, dilate, texel_surface, texture_of_vertices
+from hir_core.mesh.texture_inpainting import fill_unobserved
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene import Material, Mesh, Scene, Topology
 from hir_core.scene.bilinear import texture_texels
 from hir_core.scene.srgb import srgb_slope
-from hir_core.stages.atlas import TexelSurface, dilate, fill_unobserved, texel_surface, texture_of_vertices
 from hir_plugins.reflectance_renderers.transport_ggx.fit.final_albedo import SRGB_SLOPE_FLOOR_LINEAR
 from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import ObservedPixels, observe_pixels
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters

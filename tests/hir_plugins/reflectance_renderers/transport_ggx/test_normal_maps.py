@@ -14,8 +14,8 @@ from torch.nn.functional import normalize
 
 from hir_core.capture import Capture
 from hir_core.errors import ConfigError
+from hir_core.mesh.texel_rasterization import dilate, texel_surface
 from hir_core.scene import EnvironmentMap, Mesh, Scene
-from hir_core.stages.atlas import dilate, texel_surface
 from hir_plugins.reflectance_renderers.mitsuba_ggx.options import MitsubaGGXOptions
 from hir_plugins.reflectance_renderers.mitsuba_ggx.renderer import MitsubaGGX
 from hir_plugins.reflectance_renderers.transport_ggx.fit.shading_normals import (
