@@ -31,17 +31,17 @@ from parity.shots import cameras_around
 
 def main() -> int:
     """Exit code 0 where the page was written."""
-    words = argparse.ArgumentParser(prog="parity", description=__doc__)
-    words.add_argument("--work", type=Path, default=ROOT / "runs" / "parity", help="Runs and exported files.")
-    words.add_argument("--size", type=int, default=384, help="Pixels a side.")
-    words.add_argument("--samples", type=int, default=256, help="Paths a pixel, ours and Blender's.")
-    words.add_argument("--only", action="append", default=[], help="An object: spot, avocado, metal.")
-    words.add_argument("--engine", action="append", default=[], help="Part of an engine's name; all by default.")
-    words.add_argument("--reconstruct", action="store_true", help="Make runs that are missing; minutes each.")
-    words.add_argument("--keep", action="store_true", help="Take pictures that an earlier call left in --work.")
-    words.add_argument("--kept-only", action="store_true", help="Draw nothing: write the page of kept pictures.")
-    words.add_argument("--output", type=Path, default=ROOT / "docs" / "engines", help="Where parity.md goes.")
-    asked = words.parse_args()
+    arguments = argparse.ArgumentParser(prog="parity", description=__doc__)
+    arguments.add_argument("--work", type=Path, default=ROOT / "runs" / "parity", help="Runs and exported files.")
+    arguments.add_argument("--size", type=int, default=384, help="Pixels a side.")
+    arguments.add_argument("--samples", type=int, default=256, help="Paths a pixel, ours and Blender's.")
+    arguments.add_argument("--only", action="append", default=[], help="An object: spot, avocado, metal.")
+    arguments.add_argument("--engine", action="append", default=[], help="Part of an engine's name; all by default.")
+    arguments.add_argument("--reconstruct", action="store_true", help="Make runs that are missing; minutes each.")
+    arguments.add_argument("--keep", action="store_true", help="Take pictures that an earlier call left in --work.")
+    arguments.add_argument("--kept-only", action="store_true", help="Draw nothing: write the page of kept pictures.")
+    arguments.add_argument("--output", type=Path, default=ROOT / "docs" / "engines", help="Where parity.md goes.")
+    asked = arguments.parse_args()
     shared = Path(os.environ.get("HIR_SHARED", ROOT.parent / "shared"))
     plugins, rows = PluginManager.discover(), []
     for name in asked.only or ["spot", "avocado", "metal"]:

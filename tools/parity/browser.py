@@ -95,8 +95,8 @@ def pictures_in_browser(
     threading.Thread(target=server.serve_forever, daemon=True).start()
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         address = f"http://127.0.0.1:{server.server_port}/"
-        words = [*chromium, f"--user-data-dir={profile}", address]
-        process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        arguments = [*chromium, f"--user-data-dir={profile}", address]
+        process = subprocess.Popen(arguments, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         try:
             came = finished.wait(seconds)
         finally:

@@ -116,8 +116,8 @@ def in_blender(file: Path, light: Path | None, cameras: Sequence[Camera], sample
     with tempfile.TemporaryDirectory() as folder:
         shots = Path(folder) / "shots.json"
         shots.write_text(json.dumps([shot_document(camera) for camera in cameras]), encoding="utf-8")
-        words = [blender_python(), BLENDER_SCRIPT, file, "-" if light is None else light, shots, folder, samples]
-        done = subprocess.run([str(w) for w in words], capture_output=True, text=True, check=False)
+        arguments = [blender_python(), BLENDER_SCRIPT, file, "-" if light is None else light, shots, folder, samples]
+        done = subprocess.run([str(w) for w in arguments], capture_output=True, text=True, check=False)
         pictures = [Path(folder) / f"{index}.png" for index in range(len(cameras))]
         if not all(picture.is_file() for picture in pictures):
             raise RuntimeError(f"Blender gave no pictures of {file.name}: {done.stdout[-600:]} {done.stderr[-600:]}")

@@ -56,10 +56,10 @@ def in_godot(file: Path, light: Path, cameras: Sequence[Camera]) -> list[NDArray
         return [read_ldr(picture)[..., :3] for picture in pictures]
 
 
-def _run(folder: Path, words: list[str], done: Callable[[], bool]) -> str:
+def _run(folder: Path, arguments: list[str], done: Callable[[], bool]) -> str:
     """What Godot says until it ends, or until `done` does."""
     log = folder / "godot.log"
-    command = ["xvfb-run", "-a", "-s", "-screen 0 640x480x24", "godot3", "--path", str(folder), *words]
+    command = ["xvfb-run", "-a", "-s", "-screen 0 640x480x24", "godot3", "--path", str(folder), *arguments]
     with open(log, "wb") as stream:
         process = subprocess.Popen(
             command, stdout=stream, stderr=stream, start_new_session=True, env={**os.environ, "HOME": str(folder)}

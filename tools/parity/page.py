@@ -56,8 +56,8 @@ def write_page(folder: Path, rows: list[Row], size: int, samples: int) -> None:
         engines = ", ".join(f"{row.engine} {row.file}".strip() for row in shown)
         pictures.append(f"![{subject}: {engines}](images/parity_{subject}.jpg)")
     sources = {row.subject: row.engine.rpartition(", ")[2] for row in rows if row.frame is None and row.pictures}
-    words = {"a run": "a whole run of `hir reconstruct`", "a model": "the model that its capture was rendered from"}
-    origins = "; ".join(f"{name} is {words[how]}" for name, how in sources.items() if how in words)
+    arguments = {"a run": "a whole run of `hir reconstruct`", "a model": "the model that its capture was rendered from"}
+    origins = "; ".join(f"{name} is {arguments[how]}" for name, how in sources.items() if how in arguments)
     fields = {
         "origins": origins or "no captured object was asked for",
         "table": "\n".join(table),
