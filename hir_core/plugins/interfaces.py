@@ -82,7 +82,7 @@ class GeometryRenderer(ABC):
 
     @abstractmethod
     def render(self, mesh: Mesh, cameras: Sequence[Camera]) -> Float[Tensor, "B H W"]:
-        """Antialiased coverage in 0…1, differentiable in the positions where the trait `differentiable` says so."""
+        """Antialiased coverage in 0…1; differentiable in the positions with the trait `differentiable`."""
 
     @abstractmethod
     def overlap(self, mesh: Mesh, targets: SilhouetteTargets) -> tuple[Float[Tensor, " B"], Float[Tensor, " B"]]:

@@ -107,8 +107,8 @@ def fit_by_gradient(
         rows = draw(step)
         state = current()
         assert state.material is not None and state.environment is not None
-        shown = prepared.radiance(state.material, state.environment, pixels.index[rows])
-        difference = _in_loss_space(shown, settings) - _in_loss_space(pixels.color[rows], settings)
+        predicted = prepared.radiance(state.material, state.environment, pixels.index[rows])
+        difference = _in_loss_space(predicted, settings) - _in_loss_space(pixels.color[rows], settings)
         difference = without_clipped_excess(difference, pixels.saturated[rows])
         return {"rgb": settings.rgb_weight * difference.abs().sum(), **energies(state)}
 
@@ -116,8 +116,8 @@ def fit_by_gradient(
         with torch.no_grad():
             state, rows = current(), draw(step)
             assert state.material is not None and state.environment is not None
-            shown = prepared.radiance(state.material, state.environment, pixels.index[rows])
-            nonfinite = ~torch.isfinite(shown - pixels.color[rows]).all(dim=1)
+            predicted = prepared.radiance(state.material, state.environment, pixels.index[rows])
+            nonfinite = ~torch.isfinite(predicted - pixels.color[rows]).all(dim=1)
         views = pixels.index[rows][nonfinite, 0].unique().tolist()
         if term == "rgb" and views:
             return f"{int(nonfinite.sum())} pixels of view {', '.join(map(str, views[:MAX_NAMED_VIEWS]))}"

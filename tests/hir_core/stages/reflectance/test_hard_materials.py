@@ -27,7 +27,7 @@ from tests.fixtures.made_captures import (
     bowl,
     fitted,
     lamps,
-    look,
+    make_material,
     observed,
     painted,
     photographs,
@@ -42,7 +42,7 @@ from tests.fixtures.scenes import square
 @pytest.mark.parametrize("alpha", [1e-3, 0.03, 0.3, 1.0])
 def test_lobes_from_a_mirrors_to_a_matt_ones(alpha: float, tmp_path: Path) -> None:
     """A light of 16 rows cannot distinguish lobes below 0.1; a lobe of 1 may be fitted as diffuse."""
-    truth = Scene(ball(), look((0.3, 0.2, 0.1), 0.5, alpha), lamps())
+    truth = Scene(ball(), make_material((0.3, 0.2, 0.1), 0.5, alpha), lamps())
     capture = photographs(truth, around(8))
     scene, _ = fitted(
         truth.mesh, capture, tmp_path, light=lamps(), model="specular", brdf="paper", options={"steps": 400}
@@ -59,7 +59,7 @@ def test_lobes_from_a_mirrors_to_a_matt_ones(alpha: float, tmp_path: Path) -> No
 @pytest.mark.parametrize("albedo", [0.0, 1.0])
 def test_black_and_white(albedo: float, tmp_path: Path) -> None:
     """Under a known light a black ball is black and a white one white, in every observed texel."""
-    truth = Scene(ball(), look((albedo,) * 3), sky())
+    truth = Scene(ball(), make_material((albedo,) * 3), sky())
     scene, report = fitted(truth.mesh, photographs(truth, around(8)), tmp_path, light=sky(), model="diffuse")
     values, _ = observed(scene)
     assert report.solver["observed"] > 0.8
@@ -70,7 +70,7 @@ def test_white_beside_black_is_as_white_as_alone(tmp_path: Path) -> None:
     """In sRGB a black pixel weighs as much as a thousand white ones; it must not darken the white side."""
     mesh = ball()
     texture, surface = painted(mesh, lambda p: (p[:, :1] > 0).float().expand(-1, 3))
-    truth = Scene(mesh, look(texture), sky())
+    truth = Scene(mesh, make_material(texture), sky())
     scene, report = fitted(mesh, photographs(truth, around(10)), tmp_path, light=sky(), model="diffuse")
     assert scene.material is not None and scene.material.observed is not None
     right = torch.zeros_like(surface.covered)
@@ -85,7 +85,7 @@ def test_white_beside_black_is_as_white_as_alone(tmp_path: Path) -> None:
 def test_a_mirror_like_metal_has_a_coloured_lobe(tmp_path: Path) -> None:
     """The light is known, because without a diffuse part a tinted light looks the same."""
     gold = torch.tensor([0.9, 0.6, 0.2])
-    truth = Scene(ball(), look((0.0, 0.0, 0.0), gold, 1e-3), lamps(32))
+    truth = Scene(ball(), make_material((0.0, 0.0, 0.0), gold, 1e-3), lamps(32))
     scene, report = fitted(
         truth.mesh,
         photographs(truth, around(12)),
@@ -110,7 +110,7 @@ def test_grazing_views(tmp_path: Path) -> None:
     texture, _ = painted(mesh, lambda p: 0.5 + 0.3 * p[:, [0, 2, 0]] * torch.tensor([1.0, 1.0, -1.0]))
     shards, out, up = np.arange(8) * np.pi / 4, 4 * np.cos(low), 4 * np.sin(low)
     eyes = [(out * np.sin(a), up, out * np.cos(a)) for a in shards]
-    truth = Scene(mesh, look(texture), sky())
+    truth = Scene(mesh, make_material(texture), sky())
     scene, report = fitted(
         mesh, photographs(truth, eyes, size=64), tmp_path, light=sky(), model="diffuse", options={"vertices": 2000}
     )
@@ -124,14 +124,14 @@ def test_views_that_all_graze_end_with_one_clear_sentence(model: str, tmp_path: 
     """From 4° above a plane a pixel covers too much of it."""
     mesh, low, shards = square(), np.radians(4), np.arange(8) * np.pi / 4
     eyes = [(4 * np.cos(low) * np.sin(a), 4 * np.sin(low), 4 * np.cos(low) * np.cos(a)) for a in shards]
-    truth = Scene(mesh, look(BROWN), sky())
-    with pytest.raises(StageError, match=r"from more than 6 degrees: mesh, masks and cameras .* see with: hir check"):
+    truth = Scene(mesh, make_material(BROWN), sky())
+    with pytest.raises(StageError, match=r"from more than 6 degrees: mesh, masks and cameras .* inspect them with: hir check"):
         fitted(mesh, photographs(truth, eyes, size=64), tmp_path, light=sky(), model=model)
 
 
 def test_a_fully_clipped_view_changes_nothing(tmp_path: Path) -> None:
     """Its known exposure is 100 times that of the others: all its pixels are clipped."""
-    truth = Scene(ball(), look(BROWN), lamps())
+    truth = Scene(ball(), make_material(BROWN), lamps())
     capture = photographs(truth, around(8), exposures=[100.0] + [1.0] * 7)
     first = capture.views[0].read()
     assert first.mask is not None and first.saturated[first.mask > 0].all()
@@ -142,7 +142,7 @@ def test_a_fully_clipped_view_changes_nothing(tmp_path: Path) -> None:
 
 
 def test_fully_clipped_views_select_nothing(tmp_path: Path) -> None:
-    truth = Scene(ball(), look(BROWN), lamps())
+    truth = Scene(ball(), make_material(BROWN), lamps())
     capture = photographs(truth, around(8), exposures=[300.0] * 8)
     scene, report = fitted(truth.mesh, capture, tmp_path, options={"steps": 50})
     assert report.model == "diffuse" and report.solver["observed"] == 0
@@ -153,7 +153,7 @@ def test_one_view(tmp_path: Path) -> None:
     """It is fitted without a comparison; the far side is marked as unobserved and inpainted."""
     mesh, eye = ball(), (0.5, 1.0, 3.8)
     texture, surface = painted(mesh, lambda p: 0.5 + 0.3 * p)
-    truth = Scene(mesh, look(texture), sky())
+    truth = Scene(mesh, make_material(texture), sky())
     warnings: list[str] = []
     scene, report = fitted(mesh, photographs(truth, [eye]), tmp_path, warnings=warnings)
     assert report.comparisons == () and any("1 views are too few" in text for text in warnings)
@@ -171,7 +171,7 @@ def test_unobserved_texels_are_marked_and_inpainted_smoothly(tmp_path: Path) -> 
     texture, surface = painted(mesh, lambda p: 0.5 + 0.3 * p)
     places = [(-0.5, 0.3), (-0.25, -0.2), (0.0, 0.3), (0.2, -0.3), (0.45, 0.1), (0.6, -0.2)]
     eyes = [(4 * np.sin(a), 4 * y, 4 * np.cos(a)) for a, y in places]
-    truth = Scene(mesh, look(texture), sky())
+    truth = Scene(mesh, make_material(texture), sky())
     scene, _ = fitted(mesh, photographs(truth, eyes), tmp_path, light=sky(), model="diffuse")
     values, seen = observed(scene)
     assert scene.material is not None
@@ -202,7 +202,7 @@ def mean_direction(light: EnvironmentMap) -> Tensor:
 def test_a_light_with_one_bright_texel(tmp_path: Path) -> None:
     radiance = torch.full((ROWS, 2 * ROWS, 3), 0.1)
     radiance[4, 9] = 40.0
-    truth = Scene(ball(), look(BROWN), EnvironmentMap(radiance))
+    truth = Scene(ball(), make_material(BROWN), EnvironmentMap(radiance))
     scene, report = fitted(truth.mesh, photographs(truth, around(10)), tmp_path, brdf="paper")
     assert report.model == "diffuse"
     assert scene.environment is not None
@@ -216,7 +216,7 @@ def test_a_light_that_is_upside_down(tmp_path: Path) -> None:
     upright = sky()
     found = []
     for name, light in (("up", upright), ("down", replace(upright, radiance=upright.radiance.flip(0)))):
-        truth = Scene(ball(), look(BROWN), light)
+        truth = Scene(ball(), make_material(BROWN), light)
         scene, _ = fitted(truth.mesh, photographs(truth, around(10)), tmp_path / name, model="diffuse")
         assert scene.environment is not None
         assert float(mean_direction(scene.environment) @ mean_direction(light)) > np.cos(np.radians(3))
@@ -231,7 +231,7 @@ def test_a_light_that_is_upside_down(tmp_path: Path) -> None:
 def test_a_deep_bowl_needs_indirect_light(tmp_path: Path) -> None:
     """The photographs have six bounces; a fit with one is closer to the albedo than a fit with none."""
     mesh, color = unwrap_mesh(bowl(), 128)[0], torch.tensor([0.6, 0.4, 0.2])
-    truth = Scene(mesh, look(color), sky())
+    truth = Scene(mesh, make_material(color), sky())
     eyes = above(10, 0.7)
     start = replace(truth, material=Material("paper", torch.full((128, 128, 3), 0.5), torch.zeros(3), torch.ones(1)))
     options = TransportGGXOptions(vertices=0, cache_cells=2000)
@@ -250,7 +250,7 @@ def test_seams_do_not_show(tmp_path: Path) -> None:
     """The fitted texture has the same colour on both sides of each seam edge."""
     mesh = ball()
     texture, _ = painted(mesh, lambda p: 0.5 + 0.3 * p)
-    truth = Scene(mesh, look(texture), sky())
+    truth = Scene(mesh, make_material(texture), sky())
     scene, _ = fitted(mesh, photographs(truth, around(12, 0.9)), tmp_path, light=sky(), model="diffuse")
     assert scene.material is not None and mesh.uvs is not None and mesh.topology.uv_faces is not None
     sides: dict[tuple[int, int], list[Tensor]] = {}
@@ -275,7 +275,7 @@ def test_textures_of_any_size(texels: int, tmp_path: Path) -> None:
     """A texture that is finer than the photographs gets the colours of the vertices between their pixels."""
     mesh = ball(texels)
     texture, _ = painted(mesh, lambda p: 0.5 + 0.3 * torch.sin(4 * p), 512)
-    truth = Scene(mesh, look(texture), sky())
+    truth = Scene(mesh, make_material(texture), sky())
     scene, report = fitted(
         mesh,
         photographs(truth, around(10), size=64),

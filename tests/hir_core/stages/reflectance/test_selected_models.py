@@ -19,7 +19,7 @@ from tests.fixtures.made_captures import (
     bowl,
     fitted,
     lamps,
-    look,
+    make_material,
     observed,
     painted,
     photographs,
@@ -35,10 +35,12 @@ def checked(mesh: Mesh, low: float, high: float) -> Tensor:
 
 
 MATERIALS: dict[str, Callable[[Mesh], Material]] = {
-    "paper, specular": lambda mesh: look((0.4, 0.2, 0.1), 0.25, 0.2),
-    "dielectric, specular": lambda mesh: look((0.4, 0.2, 0.1), 0.04, 0.2, "dielectric"),
-    "paper, specular, coloured": lambda mesh: look((0.05, 0.05, 0.05), (0.9, 0.6, 0.2), 0.2),
-    "paper, specular map": lambda mesh: look((0.3, 0.2, 0.1), checked(mesh, 0.02, 0.42).expand(-1, -1, 3), 0.2),
+    "paper, specular": lambda mesh: make_material((0.4, 0.2, 0.1), 0.25, 0.2),
+    "dielectric, specular": lambda mesh: make_material((0.4, 0.2, 0.1), 0.04, 0.2, "dielectric"),
+    "paper, specular, coloured": lambda mesh: make_material((0.05, 0.05, 0.05), (0.9, 0.6, 0.2), 0.2),
+    "paper, specular map": lambda mesh: make_material(
+        (0.3, 0.2, 0.1), checked(mesh, 0.02, 0.42).expand(-1, -1, 3), 0.2
+    ),
 }
 
 
@@ -56,7 +58,7 @@ def test_the_true_model_is_selected(name: str, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_varying_width_is_selected(tmp_path: Path) -> None:
     mesh = ball()
-    truth = Scene(mesh, look((0.3, 0.2, 0.1), 0.3, checked(mesh, 0.1, 0.6)), lamps())
+    truth = Scene(mesh, make_material((0.3, 0.2, 0.1), 0.3, checked(mesh, 0.1, 0.6)), lamps())
     scene, report = fitted(mesh, photographs(truth, around(16)), tmp_path, light=lamps(), brdf="paper")
     assert "roughness map" in report.model
     assert unseen_db(scene, truth) > 30
@@ -66,7 +68,7 @@ def test_a_varying_width_is_selected(tmp_path: Path) -> None:
 def test_indirect_light_is_selected(tmp_path: Path) -> None:
     """In a bowl under a known light; without it the albedo contains the light between the walls and is near 1."""
     mesh, color = unwrap_mesh(bowl(), 128)[0], torch.tensor([0.6, 0.4, 0.2])
-    truth = Scene(mesh, look(color), sky())
+    truth = Scene(mesh, make_material(color), sky())
     capture = photographs(truth, above(12, 0.9), depth=3, size=48)
     scene, report = fitted(
         mesh, capture, tmp_path, texels=128, light=sky(), options={"steps": 150, "cache_cells": 4000, "vertices": 8000}
@@ -80,7 +82,7 @@ def test_indirect_light_is_selected(tmp_path: Path) -> None:
 def test_indirect_light_is_selected_where_there_are_more_bounces_than_in_the_model(tmp_path: Path) -> None:
     """Six bounces in the photographs, one in the model, few cells: a lobe or normals may imitate the rest."""
     mesh, color = unwrap_mesh(bowl(), 128)[0], torch.tensor([0.6, 0.4, 0.2])
-    truth = Scene(mesh, look(color), sky())
+    truth = Scene(mesh, make_material(color), sky())
     capture = photographs(truth, above(12, 0.9), depth=8, size=48)
     scene, report = fitted(mesh, capture, tmp_path, texels=128, light=sky(), options={"steps": 150})
     assert "1 bounce" in report.model
@@ -92,7 +94,7 @@ def test_indirect_light_is_selected_where_there_are_more_bounces_than_in_the_mod
 
 def test_without_a_specular_part_diffuse_is_selected(tmp_path: Path) -> None:
     """All candidates are allowed: light on the camera, both BRDFs, indirect light."""
-    truth = Scene(ball(), look(BROWN), lamps())
+    truth = Scene(ball(), make_material(BROWN), lamps())
     capture = photographs(truth, around(16))
     scene, report = fitted(truth.mesh, capture, tmp_path, light_frame="auto", options={"steps": 100})
     assert report.model == "diffuse" and not any(row.accepted for row in report.comparisons[1:])
@@ -105,7 +107,7 @@ def test_without_a_specular_part_diffuse_is_selected(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("frame", ["world", "camera"])
 def test_the_frame_of_the_light_is_selected(frame: str, tmp_path: Path) -> None:
-    truth = Scene(ball(), look(BROWN), replace(sky(), frame=frame))
+    truth = Scene(ball(), make_material(BROWN), replace(sky(), frame=frame))
     scene, report = fitted(
         truth.mesh, photographs(truth, around(12)), tmp_path, light_frame="auto", brdf="paper", options={"steps": 100}
     )
