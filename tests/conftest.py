@@ -1,4 +1,4 @@
-"""Fixtures that tests of several packages share."""
+"""Fixtures for the tests of several packages."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ pytest_plugins = ["tests.fixtures.runs", "tests.fixtures.one_pixel_pictures"]
 
 ROOT = Path(__file__).resolve().parent.parent
 
-settings.register_profile("hir", deadline=None)  # a busy machine is no failure
+settings.register_profile("hir", deadline=None)  # a busy machine must not fail a test
 settings.load_profile("hir")
 
 
 @pytest.fixture(scope="session")
 def shared() -> Path:
-    """The folder of test data that is too large for the repository; tests that need it skip where it is missing."""
+    """The folder of test data too large for the repository; tests that need it are skipped where it is missing."""
     folder = Path(os.environ.get("HIR_SHARED", ROOT.parent / "shared"))
     if not folder.is_dir():
         pytest.skip(f"test data not found at {folder}; set HIR_SHARED to its folder")
@@ -28,7 +28,7 @@ def shared() -> Path:
 
 @pytest.fixture(scope="session")
 def chromium() -> list[str]:
-    """The command of a headless Chromium that draws in software; tests that need it skip where it is missing."""
+    """The command of a headless Chromium with software rendering; tests that need it are skipped where it is missing."""
     command = chromium_command()
     if command is None:
         pytest.skip("no Chromium on the path: run tools/setup.sh test as root, or install chromium")

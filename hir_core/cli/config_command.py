@@ -31,7 +31,7 @@ def show_command(
 
     plugins = PluginManager.discover(plugin_files)
     config = load_config(plugins, preset, config_file, assignments, plugins=plugin_files or None)
-    click.echo(tomli_w.dumps(_plain(asdict(config))), nl=False)
+    click.echo(tomli_w.dumps({key: _plain(value) for key, value in asdict(config).items()}), nl=False)
 
 
 @config_group.command("schema")
@@ -54,7 +54,7 @@ def schema_command(plugin_files: tuple[str, ...]) -> None:
     click.echo(json.dumps(schema, indent=2))
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     """Tuples as lists, which TOML has."""
     if isinstance(value, dict):
         return {k: _plain(v) for k, v in value.items()}

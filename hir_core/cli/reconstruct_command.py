@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import click
 
 from hir_core.config import ModelName
 from hir_core.run.run_directory import STAGE_NAMES
 from hir_core.terminal.command_options import FOLDER, plugin_option, settings_options, verbosity_options
+
+if TYPE_CHECKING:
+    from hir_core.pipeline import Run
 
 
 @click.command("reconstruct")
@@ -109,7 +112,8 @@ def _check_heavy_packages() -> None:
         )
 
 
-def _summary(result: Any) -> None:
+def _summary(result: Run) -> None:
+    """Prints where the results are."""
     directory = result.directory
     lines = [("asset", directory.scene), ("files", directory.exports), ("report", directory.path / "report.html")]
     for name, path in lines:

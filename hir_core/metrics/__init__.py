@@ -1,4 +1,4 @@
-"""Figures that say how far a fit is from the truth (docs/evaluation.md): pictures, surfaces, albedo, light."""
+"""Errors of a fit against the truth (docs/evaluation.md): images, surfaces, albedo, light."""
 
 from hir_core.metrics.image_metrics import (
     OBJECT_COVERAGE,

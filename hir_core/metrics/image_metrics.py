@@ -1,6 +1,6 @@
-"""How far a fit is from a photograph: PSNR, SSIM, LPIPS, FLIP, masks (docs/evaluation.md). numpy in, numbers out.
+"""Errors of a fit against a photograph: PSNR, SSIM, LPIPS, FLIP, masks (docs/evaluation.md), on numpy arrays.
 
-One definition for all: fit and photograph are each composited over black with their **own** coverage, as
+One definition everywhere: fit and photograph are each composited over black with their **own** coverage, as
 sRGB × coverage, in the 8-bit range and clipped, never rounded. `frame` is over all pixels, `object` over pixels of true
 coverage > 0.5.
 """
@@ -24,7 +24,7 @@ OBJECT_COVERAGE: Final = 0.5
 """True coverage above which a pixel belongs to the object."""
 
 PSNR_MAX: Final = 100.0
-"""dB reported for equal images: an infinity would make every mean infinite."""
+"""dB for equal images; infinity would make every mean infinite."""
 
 
 def composite(color_linear: Image, coverage: Image) -> Image:
@@ -35,22 +35,23 @@ def composite(color_linear: Image, coverage: Image) -> Image:
 
 
 def unassociate(premultiplied: Image) -> tuple[Image, Image]:
-    """Colour (H, W, 3) and coverage (H, W) of a render (H, W, 4); black where nothing covers."""
+    """Colour (H, W, 3) and coverage (H, W) of a render (H, W, 4); black where the coverage is 0."""
     alpha = np.clip(premultiplied[..., 3], 0.0, 1.0)
     color = premultiplied[..., :3] / np.maximum(alpha, 1e-6)[..., None]
     return np.where(alpha[..., None] > 0, color, 0.0).astype(np.float32), alpha.astype(np.float32)
 
 
 def psnr(fit: Image, truth: Image, where: NDArray[np.bool_] | None = None) -> float | None:
-    """Peak signal to noise ratio in dB of pictures in 0…1; at most `PSNR_MAX`; None where no pixel counts."""
+    """Peak signal to noise ratio in dB of pictures in 0…1; at most `PSNR_MAX`; None without a pixel."""
     return psnr_without_noise(fit, fit, truth, where)
 
 
 def psnr_without_noise(
     first: Image, second: Image, truth: Image, where: NDArray[np.bool_] | None = None
 ) -> float | None:
-    """PSNR that ever more samples would lead to, from two renders of independent noise, which is not in the mean
-    product of their differences from the truth. Of one render given twice, `psnr`.
+    """PSNR of the noise-free render, estimated from two renders with independent noise.
+
+    The mean product of their differences from the truth has no noise term. With one render twice it is `psnr`.
     """
     product = (np.asarray(first, np.float64) - truth) * (np.asarray(second, np.float64) - truth)
     if where is not None:
@@ -83,21 +84,21 @@ def ssim(fit: Image, truth: Image) -> float | None:
 
 
 class ChannelScale:
-    """Linear scale (3,) of each channel that brings fits nearest to their truths, gathered picture by picture."""
+    """Least-squares linear scale (3,) per channel between fits and truths, accumulated image by image."""
 
     def __init__(self) -> None:
         self._power = np.zeros(3)
         self._product = np.zeros(3)
 
     def add(self, fit_linear: Image, true_linear: Image) -> None:
-        """Takes linear colours (N, 3) of the fit and of the truth at the same places."""
+        """Adds linear colours (N, 3) of the fit and of the truth at the same pixels."""
         fit, truth = np.asarray(fit_linear, np.float64), np.asarray(true_linear, np.float64)
         self._power += (fit * fit).sum(axis=0)
         self._product += (fit * truth).sum(axis=0)
 
     @property
     def value(self) -> NDArray[np.float64]:
-        """Least squares; 1 where the fit is black."""
+        """The scale; 1 where the fit is black."""
         return np.where(self._power > 0, self._product / np.maximum(self._power, 1e-300), 1.0)
 
 
@@ -112,7 +113,7 @@ class Figures:
     flip: float | None
 
     def document(self) -> dict[str, Any]:
-        """As it stands in evaluation JSON."""
+        """For metrics.json."""
         return {
             "psnr": {"frame": self.frame, "object": self.object},
             "ssim": self.ssim,
@@ -124,7 +125,7 @@ class Figures:
 def compare(
     fit: Image, truth: Image, true_coverage: Image, lpips: Perceptual | None = None, flip: Perceptual | None = None
 ) -> Figures:
-    """All figures of two composited pictures."""
+    """All metrics of two composited images."""
     inside = true_coverage > OBJECT_COVERAGE
     return Figures(
         psnr(fit, truth),
@@ -137,12 +138,12 @@ def compare(
 
 def mask_iou(fit: Image, truth: Image) -> float | None:
     """Intersection over union of two coverages (H, W), each thresholded at one half; None where both are empty."""
-    ours, theirs = fit > OBJECT_COVERAGE, truth > OBJECT_COVERAGE
-    union = int((ours | theirs).sum())
-    return int((ours & theirs).sum()) / union if union else None
+    fit_mask, true_mask = fit > OBJECT_COVERAGE, truth > OBJECT_COVERAGE
+    union = int((fit_mask | true_mask).sum())
+    return int((fit_mask & true_mask).sum()) / union if union else None
 
 
 def mean(values: list[float | None]) -> float | None:
-    """Mean of those that are there."""
-    there = [value for value in values if value is not None]
-    return float(np.mean(there)) if there else None
+    """Mean without the None values; None where all are None."""
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known else None

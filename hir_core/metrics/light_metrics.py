@@ -1,7 +1,7 @@
-"""How far a light is from the true one: texel by texel up to a scale, and by the three spheres that it would light.
+"""Errors of a light against the true one: per texel up to a scale, and of three spheres under both lights.
 
-A light that no surface of the scene could show is not to be found by anybody; what counts is what it does to objects.
-The three spheres (LeGendre et al. 2019, DeepLight) show it: a mirror, a matte silver one, a diffuse one.
+Parts of a light that no surface reflects are not observable, so the effect on objects counts more than texels. The
+three spheres are those of DeepLight (LeGendre et al. 2019): mirror, matte silver, diffuse.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 ROWS: Final = 64
-"""Lights are compared as lat-long images of ROWS × 2 ROWS; each texel counts by its solid angle."""
+"""Lights are compared as lat-long images of ROWS × 2 ROWS; texels are weighted by solid angle."""
 
 SPHERE_PIXELS: Final = 48
 MATTE_ROWS: Final = 32
@@ -30,19 +30,19 @@ SPHERES: Final = ("mirror", "silver", "diffuse")
 
 @dataclass(frozen=True)
 class LightFigures:
-    """Errors after the one scale of all channels that makes each of them least; relative to the truth's own size."""
+    """Relative errors, each after the scalar that minimises it."""
 
     scale: float
-    """What the fitted light is multiplied by to be nearest to the truth, texel by texel."""
+    """Least-squares factor from the fitted to the true texels."""
     texels: float
     """Root mean square difference over the sphere of directions, over the truth's root mean square."""
     spheres: Mapping[str, float]
-    """The same over the pixels of each sphere, each with the scale that suits it."""
+    """The same over the pixels of each sphere, with a scale per sphere."""
     angular_deg: Mapping[str, float]
-    """Mean angle between the RGB vectors of both pictures of each sphere: colour alone."""
+    """Mean angle between RGB vectors of both images of each sphere: the error of colour alone."""
 
     def document(self) -> dict[str, Any]:
-        """As it stands in evaluation JSON."""
+        """For metrics.json."""
         return {
             "scale": self.scale,
             "texels": self.texels,
@@ -66,7 +66,7 @@ def compare_lights(fit: NDArray[np.floating], truth: NDArray[np.floating]) -> Li
 
 
 def scale_invariant_error(fit: Array, truth: Array, weight: Array) -> tuple[float, float]:
-    """The least-squares scale of `fit` (…, 3), and the relative error that is left; `weight` (…) of each place."""
+    """The least-squares scale of `fit` (…, 3), and the remaining relative error; `weight` (…) per element."""
     w = weight[..., None]
     power = float((w * fit * fit).sum())
     scale = float((w * fit * truth).sum()) / power if power > 0 else 0.0
@@ -76,7 +76,7 @@ def scale_invariant_error(fit: Array, truth: Array, weight: Array) -> tuple[floa
 
 
 def angular_error_deg(fit: Array, truth: Array) -> float:
-    """Mean angle between RGB vectors (…, 3), over places where both have light."""
+    """Mean angle between RGB vectors (…, 3), where both are lit."""
     lengths = np.linalg.norm(fit, axis=-1) * np.linalg.norm(truth, axis=-1)
     lit = lengths > 1e-12
     if not lit.any():
@@ -88,9 +88,9 @@ def angular_error_deg(fit: Array, truth: Array) -> float:
 def three_spheres(radiance: Array, pixels: int = SPHERE_PIXELS) -> dict[str, Array]:
     """Radiance (P, 3) of the pixels of a mirror, a silver and a diffuse white sphere, seen along −Z from far away.
 
-    The silver one has a GGX lobe of width `SILVER_ALPHA` without Fresnel and shadowing-masking, scaled to reflect all
-    light: the mean of the light under `D(h) h·n`. `sphere_normals` has the pixels. The two matte ones see the light at
-    `MATTE_ROWS`.
+    The silver sphere has a GGX lobe of width `SILVER_ALPHA` without Fresnel and shadowing-masking, normalised so that
+    it reflects all light: the mean of the light under `D(h) h·n`. `sphere_normals` has the pixels. The silver and
+    diffuse spheres use the light at `MATTE_ROWS`.
     """
     normals = sphere_normals(pixels)
     rows, columns = MATTE_ROWS, 2 * MATTE_ROWS

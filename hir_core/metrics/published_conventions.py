@@ -1,9 +1,8 @@
-"""The same pictures by the conventions of published tables, so that figures can be laid beside theirs.
+"""Image errors by the conventions of published tables, for comparison with them.
 
-Our own definition stands in `hir_core.metrics.image_metrics`. Stanford-ORB (Kuang et al. 2023) compares what lies
-inside the
-*true* mask, eroded by 5×5 pixels, and divides by the whole frame; its relit pictures, and its albedos, may each be
-scaled by a factor a channel. The paper (Zhu et al. 2023) has the whole frame, which is our `psnr.frame`.
+The project's own definition is in `hir_core.metrics.image_metrics`. Stanford-ORB (Kuang et al. 2023) compares pixels
+inside the *true* mask, eroded by 5×5 pixels, and divides by the whole frame; relit images and albedos may be scaled by
+one factor per channel. The paper (Zhu et al. 2023) uses the whole frame, which is `psnr.frame`.
 """
 
 from __future__ import annotations
@@ -23,10 +22,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class OrbFigures:
-    """One picture by Stanford-ORB's rules."""
+    """One image by the rules of Stanford-ORB."""
 
     psnr_h: float
-    """Linear, clipped at 4, after the picture's brightness was brought to that of its sRGB."""
+    """Linear, clipped at 4, after the mean was scaled to that of the sRGB image."""
     psnr_l: float
     """sRGB, clipped at 1."""
     ssim: float
@@ -34,7 +33,7 @@ class OrbFigures:
     """With VGG."""
 
     def document(self) -> dict[str, Any]:
-        """As it stands in evaluation JSON."""
+        """For metrics.json."""
         return {"psnr_h": self.psnr_h, "psnr_l": self.psnr_l, "ssim": self.ssim, "lpips": self.lpips}
 
 
@@ -53,13 +52,13 @@ def stanford_orb(
         high,
         frame_psnr(fit_srgb, true_srgb, mask),
         float(small_window_ssim(fit_srgb, true_srgb).mean()),
-        # its tables encode pictures that are encoded already once more before they ask LPIPS
+        # the published code applies the sRGB curve twice before LPIPS
         None if lpips is None else lpips(_image(_srgb(fit_srgb)), _image(_srgb(true_srgb))),
     )
 
 
 def stanford_orb_albedo(fit_linear: Image, true_linear: Image, true_coverage: Image) -> float:
-    """PSNR of linear albedos after a factor a channel."""
+    """PSNR of linear albedos after one factor per channel."""
     mask = eroded(true_coverage)
     fit, truth = masked(fit_linear, mask), np.maximum(masked(true_linear, mask), 0)
     return frame_psnr(np.clip(fit * best_scale(fit, truth), 0, 1), np.clip(truth, 0, 1), mask)
@@ -67,7 +66,7 @@ def stanford_orb_albedo(fit_linear: Image, true_linear: Image, true_coverage: Im
 
 def eroded(coverage: Image) -> NDArray[np.bool_]:
     """Pixels (H, W) whose 5×5 neighbours inside the frame are all covered by more than a half."""
-    # outside the frame nothing speaks against a pixel, as OpenCV's erosion has it
+    # pixels outside the frame count as covered, as in the erosion of OpenCV
     return np.asarray(
         minimum_filter(np.asarray(coverage > 0.5, dtype=np.uint8), size=5, mode="constant", cval=1), dtype=bool
     )
@@ -85,7 +84,7 @@ def best_scale(fit: Array, truth: Array) -> Array:
 
 
 def frame_psnr(fit: Array, truth: Array, mask: NDArray[np.bool_]) -> float:
-    """dB over the whole frame, never below what a flat grey inside the mask would have had."""
+    """dB over the whole frame, at least that of a constant grey inside the mask."""
     error = float(np.mean((fit - truth) ** 2))
     grey = float(np.mean((0.5 * mask[..., None] - truth) ** 2))
     return min(100.0, -10 * float(np.log10(max(min(error, grey), 1e-10))))

@@ -1,7 +1,7 @@
-"""How far a mesh is from the true one: distances, F-score, normals. By exact points on triangles, not by samples alone.
+"""Errors of a mesh against the true one: distances, F-score, normals.
 
-Points are drawn evenly from either surface and their nearest point on the *triangles* of the other is found, so equal
-surfaces have distance 0 however they are cut, and no figure depends on how densely the other surface was sampled.
+Points are sampled uniformly by area on either surface; the distance is to the nearest point on the *triangles* of the
+other. So equal surfaces have distance 0 for every triangulation, and no figure depends on the sampling of the other.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Faces = NDArray[np.integer]
 
 SAMPLES: Final = 100_000
 THRESHOLDS: Final = (0.005, 0.01, 0.02)
-"""Distances, in radii of the truth, within which a point counts as right (F-score, Knapitsch et al. 2017)."""
+"""Distances, in radii of the truth, within which a point is correct (F-score, Knapitsch et al. 2017)."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class SurfaceFigures:
         return 0.5 * (self.accuracy + self.completeness)
 
     def document(self) -> dict[str, Any]:
-        """As it stands in evaluation JSON."""
+        """For metrics.json."""
         return {
             "chamfer": self.chamfer,
             "accuracy": self.accuracy,
@@ -61,7 +61,7 @@ def compare_surfaces(
 ) -> SurfaceFigures:
     """Figures of one mesh against another in the same frame; each is (V, 3) and (F, 3).
 
-    With `cameras`, only points of the truth that one of them sees count: nobody photographs the inside of an object.
+    With `cameras`, only those points of the truth count that are visible in one of them.
     """
     low, high = (getattr(np, f)(truth[0], axis=0) for f in ("min", "max"))
     center, radius = (low + high) / 2, 0.5 * float(np.linalg.norm(high - low))
@@ -123,7 +123,7 @@ def angles_deg(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.flo
 def visible(
     points: NDArray[np.float64], normals: NDArray[np.float64], mesh: tuple[Positions, Faces], cameras: Sequence[Camera]
 ) -> NDArray[np.bool_]:
-    """Points (N,) of a surface that some camera sees: in its frame, from the front, with nothing before them."""
+    """Whether points (N,) of a surface are visible in some camera: in its frame, front-facing, not occluded."""
     rays = MeshQueries(np.asarray(mesh[0], np.float32), np.asarray(mesh[1], np.int64))
     lifted = points + 1e-3 * normals
     seen = np.zeros(len(points), dtype=bool)
@@ -132,7 +132,7 @@ def visible(
         inside = ((pixel >= 0) & (pixel <= [camera.width, camera.height])).all(axis=1) & (depth > 0)
         toward = camera.center - lifted
         candidates = np.flatnonzero(inside & ~seen & ((toward * normals).sum(axis=1) > 0))
-        # rays go on beyond the camera, where nothing of an object that it looks at can be
+        # rays continue behind the camera, where the object cannot be
         occluded = rays.occluded(lifted[candidates].astype(np.float32), toward[candidates].astype(np.float32))
         seen[candidates[~occluded]] = True
     return seen

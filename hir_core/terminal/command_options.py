@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import click
 
-Function = TypeVar("Function", bound=Callable[..., Any])
+Function = TypeVar("Function", bound=Callable[..., object])
 
-FOLDER: Any = click.Path(path_type=Path)
+FOLDER = click.Path(path_type=Path)
 
 
 def plugin_option(function: Function) -> Function:

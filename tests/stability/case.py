@@ -1,7 +1,7 @@
-"""One hard case: what hir computes, what a naive formula makes of the same numbers, and the truth in many digits.
+"""One numerical edge case: the result of hir, the result of a naive formula, and the truth in many digits.
 
-A case counts only where the naive formula fails it: it gives something that is not finite, raises, or is off by more
-than the tolerance that hir's own function keeps.
+A case is valid only where the naive formula fails: its result is not finite, it raises, or its error exceeds the
+tolerance of the case.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 DIGITS = 60
-"""Decimal digits of the truth: no cancellation of a float32 formula survives them."""
+"""Decimal digits of the truth, enough for every cancellation of a float32 formula."""
 
 Area = Literal["initialization", "geometry", "reflectance", "export"]
 
@@ -27,23 +27,23 @@ class Case:
 
     area: Area
     function: str
-    """Dotted name of what is tested."""
+    """Dotted name of the tested function."""
     input_text: str
-    """The input, in words."""
+    """Description of the input."""
     expected: str
     ours: Callable[[], Any]
     """Calls the function."""
     naive: str | Callable[[], Any]
-    """A formula of the names in `values`, evaluated in float32; or a function, with `formula` to show."""
+    """A formula in the names of `values`, evaluated in float32; or a function, with `formula` as its text."""
     truth: str | float | Callable[[], Any] = ""
-    """The same in many digits; by default the naive formula itself, which cancels nothing there."""
+    """The same in many digits; by default the naive formula itself."""
     values: Mapping[str, float] = field(default_factory=dict)
     exact: Mapping[str, Any] = field(default_factory=dict)
-    """Values for the truth that float32 cannot hold, as mpmath numbers; `values` stand for the rest."""
+    """Values for the truth that float32 cannot represent, as mpmath numbers; `values` has the others."""
     tolerance: float = 1e-5
     """Largest error: |result − truth| over |truth|, or over 1 where the truth is 0."""
     formula: str = ""
-    """What is shown for a naive function."""
+    """Text for a naive function."""
 
     @property
     def name(self) -> str:
@@ -58,7 +58,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came out of a case."""
+    """The result of a case."""
 
     result: np.ndarray
     truth: np.ndarray
@@ -69,14 +69,14 @@ class Outcome:
 
 
 def examine(case: Case) -> Outcome:
-    """Computes all three."""
+    """Computes result, truth and naive result."""
     result, truth = array_of(case.ours()), array_of(_truth(case))
     naive = _naive(case)
     return Outcome(result, truth, error_of(result, truth), naive, error_of(naive, truth))
 
 
 def error_of(found: np.ndarray | None, truth: np.ndarray) -> float:
-    """Largest difference relative to the largest true value; infinite where anything is missing or not finite."""
+    """Largest difference relative to the largest true value; infinite where a value is missing or not finite."""
     if found is None or found.shape != truth.shape or not np.isfinite(found).all():
         return float("inf")
     size = float(np.abs(truth).max(initial=0.0)) or 1.0
@@ -100,9 +100,9 @@ def _truth(case: Case) -> Any:
     if isinstance(case.truth, int | float):
         return case.truth
     with mpmath.workdps(DIGITS):
-        input_text = {name: mpmath.mpf(float(np.float32(value))) for name, value in case.values.items()}
-        # constants of a formula are typed in decimal; mpmath reads the same float64 as Python
-        return eval(case.truth or case.shown, _MANY_DIGITS, input_text | dict(case.exact))
+        values = {name: mpmath.mpf(float(np.float32(value))) for name, value in case.values.items()}
+        # mpmath reads decimal constants of a formula as the same float64 as Python
+        return eval(case.truth or case.shown, _MANY_DIGITS, values | dict(case.exact))
 
 
 def _naive(case: Case) -> np.ndarray | None:

@@ -1,4 +1,4 @@
-"""BRDF terms at the ends of their range: lobes narrower than float32, grazing directions, no half vector."""
+"""BRDF terms at the limits of their range: lobes narrower than float32, grazing directions, no half vector."""
 
 from __future__ import annotations
 

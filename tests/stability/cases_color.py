@@ -1,4 +1,4 @@
-"""Colour curves, pictures of light, RGBE and 8-bit codes at the ends of their range."""
+"""Colour curves, pictures of light, RGBE and 8-bit codes at the limits of their range."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Figures of a fit: votes of one view, schedules of no step, pictures without contrast, scales against black."""
+"""Figures of a fit: comparisons with one view, schedules without steps, images without contrast, scales of black."""
 
 from __future__ import annotations
 

@@ -177,8 +177,8 @@ def _similarities() -> list[Case]:
         Case(
             "initialization",
             "hir_plugins.initializers.existing_mesh.mesh_alignment._unit_from_points",
-            "points all in one place",
-            "their place, at scale 1",
+            "all points equal",
+            "their position, at scale 1",
             lambda: _unit_from_points(same),
             lambda: np.eye(4)[:3] / np.median(np.linalg.norm(same - same.mean(0), axis=1)),
             lambda: np.array([[1.0, 0, 0, -1], [0, 1, 0, -1], [0, 0, 1, -1], [0, 0, 0, 1]]),

@@ -1,4 +1,4 @@
-"""Directions near the poles of a lat-long image, suns that a resampling could lose, lights of one pixel."""
+"""Directions near the poles of a lat-long image, suns that a resampling could miss, lights of one pixel."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ def _normals() -> list[Case]:
         )
     flat = _ROOF.copy()
     flat[3] = flat[1]
-    for name, roof in (("a triangle without area", flat), ("all corners in one place", _ROOF * 0)):
+    for name, roof in (("a triangle without area", flat), ("all vertices at one point", _ROOF * 0)):
         cases.append(
             Case(
                 "geometry",
@@ -206,7 +206,7 @@ def _smoothness() -> list[Case]:
         Case(
             "geometry",
             "hir_plugins.regularizers.edge_length.EdgeLength",
-            "gradient with all vertices in one place",
+            "gradient with all vertices at one point",
             "0 values that are not finite",
             lambda: _bad_gradients(lambda m: EdgeLength(EdgeLengthOptions()).prepare(Scene(m))(Scene(m)), _ROOF * 0),
             lambda: _bad_gradients(

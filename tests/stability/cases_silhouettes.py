@@ -1,4 +1,4 @@
-"""Silhouettes of surfaces behind the camera, through its plane, twice in one place; overlaps of nothing."""
+"""Silhouettes of surfaces behind the camera, through its plane, duplicated; overlaps of empty masks."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def _overlap(positions: np.ndarray, faces: np.ndarray, which: int) -> torch.Tens
 
 
 def _summed(positions: np.ndarray, faces: np.ndarray) -> float:
-    """Every triangle for itself, both ways round."""
+    """Each triangle alone, in both orientations."""
     p = positions.astype(np.float32)
     pixels = p[:, :2] * np.float32(60) / p[:, 2:] + np.float32(32)
     a, b, c = pixels[faces[:, 0]], pixels[faces[:, 1]], pixels[faces[:, 2]]
@@ -50,7 +50,7 @@ def _areas() -> list[Case]:
     fold = np.vstack([_SQUARE, [[-0.5, -0.5, 2.2], [0.5, -0.5, 2.2]]])
     touching = np.array([[-0.5, -0.2, 2.0], [0.5, -0.2, 2.0], [0.5, 0.5, 0.0], [-0.5, 0.5, 0.0]])
     shapes = {
-        "a square given twice": (_SQUARE, np.vstack([_FACES, _FACES]), _AREA),
+        "a duplicated square": (_SQUARE, np.vstack([_FACES, _FACES]), _AREA),
         "a square and its back": (_SQUARE, np.vstack([_FACES, _FACES[:, ::-1]]), _AREA),
         "a fin of three faces on one edge": (fold, np.vstack([_FACES, [[0, 1, 4], [1, 5, 4]]]), _AREA),
         "a square behind the camera": (behind, _FACES, 0.0),

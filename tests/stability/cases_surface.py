@@ -1,4 +1,4 @@
-"""Textures: charts without area, texels that nothing covers or sees, seams, materials at the ends of their range."""
+"""Textures: charts without area, uncovered and unobserved texels, seams, materials at the limits of their range."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def _charts() -> list[Case]:
     square = np.array([[[0.0, 0], [8, 0], [0, 8]], [[8, 8], [0, 8], [8, 0]]])
     shapes = {
         "without area, across the others": np.array([[0.0, 4], [8, 4], [4, 4]]),
-        "all corners in one place": np.full((3, 2), 3.5),
+        "all vertices at one point": np.full((3, 2), 3.5),
     }
     for name, extra in shapes.items():
         corners = np.concatenate([square, extra[None]])

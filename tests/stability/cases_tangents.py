@@ -42,7 +42,7 @@ def _textures() -> list[Case]:
         Case(
             "export",
             "hir_exporters.mesh.vertex_welding.weld",
-            "two vertices, one with −0 in place of 0",
+            "two vertices, one with −0 instead of 0",
             "one vertex",
             lambda: len(weld(signs)[0]),
             lambda: len({row.tobytes() for row in signs}),

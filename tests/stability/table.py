@@ -17,14 +17,14 @@ TITLES = {
     "initialization": "Initialization: cameras, files, first colours",
     "geometry": "Geometry: meshes, silhouettes, steps",
     "reflectance": "Reflectance: BRDF, light, textures",
-    "export": "Export: codes, materials, tangents",
+    "export": "Export: quantization, materials, tangents",
 }
 
-INTRODUCTION = """# Hard cases
+INTRODUCTION = """# Numerical edge cases
 
-Inputs at the ends of their range, where the formula of a textbook gives NaN, an infinity, or a wrong number. Each row
-calls the function named, compares it with the same value in 60 digits (mpmath) or in closed form, and runs the naive
-formula on the same numbers; a row stands here only where the naive one fails. `make stability` computes this page, and
+Inputs at the limits of their range, where a textbook formula gives NaN, infinity, or a wrong number. Each row calls the
+named function, compares the result with the value in 60 digits (mpmath) or in closed form, and evaluates the naive
+formula on the same numbers. A row is listed only where the naive formula fails. `make stability` writes this page, and
 every row is a test (`tests/stability`).
 
 The error is the largest difference over the largest true value (over 1 where the truth is 0). *Not finite*: NaN,
@@ -38,9 +38,9 @@ def all_cases() -> list[Case]:
 
 
 def page() -> str:
-    """The whole page."""
+    """The text of the page."""
     cases = all_cases()
-    parts = [INTRODUCTION, f"{len(cases)} cases; none of hir's results is off by more than its row's tolerance.\n"]
+    parts = [INTRODUCTION, f"{len(cases)} cases; every result of hir is within the tolerance of its row.\n"]
     for area, title in TITLES.items():
         rows = [case for case in cases if case.area == area]
         parts.append(f"## {title}\n\n{len(rows)} cases.\n")
@@ -69,14 +69,14 @@ def _row(case: Case, found: Outcome) -> str:
 
 
 def _number(value: np.ndarray) -> str:
-    """One number, or a few; of more the first and how many."""
+    """Up to three numbers; of more values the first three and their count."""
     flat = value.ravel()
     shown = ", ".join(f"{v:.8g}" for v in flat[:3])
     return shown if flat.size <= 3 else f"{shown}, … ({flat.size})"
 
 
 def main() -> None:
-    """Writes the page and says what is in it."""
+    """Writes and prints the page."""
     text = page()
     PAGE.write_text(text, encoding="utf-8")
     print(text)

@@ -5,11 +5,10 @@ from __future__ import annotations
 import pickle
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from hir_core.capture import Capture
+from hir_core.capture import Capture, View
 from hir_core.errors import HirError
 from hir_core.plugins.interfaces import CaptureReader
 from hir_core.testing.captures import TinyCapture, similarity_between, surface_points, tiny_capture
@@ -82,11 +81,12 @@ def cameras_are_where_they_were(subject: Subject) -> None:
     capture = subject.create().read(path)
     pairs = _paired(truth, capture)
     if all(view.camera is None for view, _ in pairs):
-        return  # a format without cameras: they are found later
+        return  # a format without cameras: an initializer computes them
     lost = [view.name for view, _ in pairs if view.camera is None]
     require(not lost, f"the view {', '.join(lost)} has no camera, others have")
-    have = np.array([view.camera.center for view, _ in pairs])
-    true = np.array([known.camera.center for _, known in pairs])
+    cameras = [(view.camera, known.camera) for view, known in pairs if view.camera and known.camera]
+    have = np.array([camera.center for camera, _ in cameras])
+    true = np.array([known.center for _, known in cameras])
     world, left = similarity_between(true, have)
     size = float(np.cbrt(np.linalg.det(world[:3, :3])))
     require(
@@ -98,9 +98,9 @@ def cameras_are_where_they_were(subject: Subject) -> None:
     require(up[1] > np.cos(np.radians(30)), f"what was up is now {np.round(up, 2).tolist()}; +Y must be up")
     points = surface_points(60).positions
     moved = points @ world[:3, :3].T + world[:3, 3]
-    for view, known in pairs:
-        expected, _ = known.camera.project(points)
-        found, depth = view.camera.project(moved)
+    for (view, _), (camera, known) in zip(pairs, cameras, strict=True):
+        expected, _ = known.project(points)
+        found, depth = camera.project(moved)
         off = float(np.abs(found - expected).max())
         require(
             off < 0.05 and depth.min() > 0,
@@ -223,8 +223,8 @@ def _raises(call: Callable[[], object], what: str) -> None:
     require(False, f"{what} is read without an error")
 
 
-def _paired(truth: TinyCapture, capture: Capture) -> list[tuple[Any, Any]]:
-    """Views with the true ones, by name where names survive a format, else in the order of names."""
+def _paired(truth: TinyCapture, capture: Capture) -> list[tuple[View, View]]:
+    """Views with the true ones: by name where the format keeps names, else in the order of names."""
     names = [view.name for view in capture.views]
     require(len(set(names)) == len(names), f"names of views repeat: {', '.join(names)}")
     require(

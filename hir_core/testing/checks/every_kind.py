@@ -92,7 +92,7 @@ def options_round_trip(subject: Subject) -> None:
     except (TypeError, ValueError) as error:
         raise PluginError(f"the defaults {plain} cannot be written as JSON: {error}") from None
     try:
-        toml = tomli_w.dumps(_lists(plain))
+        toml = tomli_w.dumps({name: _lists(value) for name, value in plain.items()})
     except TypeError as error:
         raise PluginError(f"the defaults {plain} cannot be written as TOML: {error}; TOML has no None") from None
     for form, table in (("JSON", json.loads(written)), ("TOML", tomllib.loads(toml))):
@@ -100,7 +100,7 @@ def options_round_trip(subject: Subject) -> None:
         require(again == default, f"after {form} the options are {again}, not {default}")
 
 
-def _lists(value: Any) -> Any:
+def _lists(value: object) -> object:
     if isinstance(value, dict):
         return {k: _lists(v) for k, v in value.items()}
     return [_lists(v) for v in value] if isinstance(value, tuple | list) else value

@@ -13,7 +13,7 @@ from hir_core.testing.contract import Subject, contract, require
 from hir_core.testing.exercise import Exercise, seeded
 
 if TYPE_CHECKING:
-    from hir_core.capture import Capture
+    from hir_core.capture import Capture, View
     from hir_core.plugins.interfaces import MaskSource
 
 
@@ -95,8 +95,8 @@ def unusable_photographs_are_refused(subject: Subject) -> None:
         require(sound, f"given {name}, masks leave 0…1")
 
 
-def _with(view: Any, picture: np.ndarray) -> Any:
-    """The view with another picture in memory, its camera made for it."""
+def _with(view: View, picture: np.ndarray) -> View:
+    """The view with another picture, and a camera of the size of the picture."""
     height, width = picture.shape[:2]
     camera = None if view.camera is None else replace(view.camera, width=width, height=height)
     return replace(view, camera=camera, read=StoredPixels(picture, None), path=None, mask=None)

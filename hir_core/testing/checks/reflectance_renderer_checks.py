@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from hir_core.capture import Camera, Capture
-    from hir_core.plugins.interfaces import PreparedReflectance
+    from hir_core.plugins.interfaces import PreparedReflectance, ReflectanceRenderer
     from hir_core.scene import EnvironmentMap, Material, Mesh, Scene
 
 SIZE = 24
@@ -177,7 +177,9 @@ def reciprocity(subject: Subject) -> None:
         middle = _grid()[(SIZE // 2 - 2) * SIZE : (SIZE // 2 + 2) * SIZE]
         middle = middle[(middle[:, 1] - SIZE // 2).abs() < 3]
 
-        def middle_of(material: Material, p: Any = prepared, lit: Any = light, at: Tensor = middle) -> Tensor:
+        def middle_of(
+            material: Material, p: PreparedReflectance = prepared, lit: EnvironmentMap = light, at: Tensor = middle
+        ) -> Tensor:
             found: Tensor = p.radiance(material, lit, at).mean()
             return found
 
@@ -382,12 +384,13 @@ def _blocks(image: Tensor, side: int = 4) -> Tensor:
     return image.reshape(height // side, side, width // side, side, channels).mean(dim=(1, 3))
 
 
-def _reference(subject: Subject) -> Any:
-    """The installed reference, for direct light; the traits say which one it is."""
+def _reference(subject: Subject) -> ReflectanceRenderer:
+    """The installed renderer with the trait `reference`, for direct light."""
     found = [r for r in subject.plugins.components("reflectance_renderer") if "reference" in r.component.traits]
     usable = [r for r in found if not r.missing]
     if not usable:
         raise NotApplicable("no reference renderer is installed")
     fields = getattr(usable[0].component.config, "__dataclass_fields__", {})
     options = {name: value for name, value in (("max_depth", 2), ("samples", 64)) if name in fields}
-    return subject.plugins.create("reflectance_renderer", usable[0].component.name, options)
+    renderer: ReflectanceRenderer = subject.plugins.create("reflectance_renderer", usable[0].component.name, options)
+    return renderer
