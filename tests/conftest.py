@@ -28,7 +28,7 @@ def shared() -> Path:
 
 @pytest.fixture(scope="session")
 def chromium() -> list[str]:
-    """The command of a headless Chromium with software rendering; tests that need it are skipped where it is missing."""
+    """The command of a headless Chromium with software rendering; tests that need it are skipped without it."""
     command = chromium_command()
     if command is None:
         pytest.skip("no Chromium on the path: run tools/setup.sh test as root, or install chromium")

@@ -1,4 +1,4 @@
-"""`hir new-plugin`: a plugin that can be installed and that passes the contract tests as it is written."""
+"""`hir new-plugin`: writes an installable plugin that passes the contract tests."""
 
 from __future__ import annotations
 
@@ -17,52 +17,52 @@ from hir_core.plugins.manager import KINDS
 
 
 @dataclass(frozen=True)
-class Outline:
-    """What differs between the kinds beside the implementation."""
+class KindTemplate:
+    """The parts of a plugin that depend on its kind, without the implementation."""
 
     summary: str
     option: str
-    """The one option of the scaffold, with its docstring."""
+    """The option of the component, with its docstring."""
     requires: tuple[str, ...] = ()
     traits: tuple[str, ...] = ()
     testing: str = ""
     use: str = ""
 
 
-OUTLINES: Final[Mapping[str, Outline]] = {
-    "capture_reader": Outline(
-        "Reads captures whose cameras lie in a JSON file.",
-        'suffix: str = ".png"\n    """Ending of the photographs."""',
+KIND_TEMPLATES: Final[Mapping[str, KindTemplate]] = {
+    "capture_reader": KindTemplate(
+        "Reads captures whose cameras are in a JSON file.",
+        'suffix: str = ".png"\n    """File suffix of the photographs."""',
         testing="write_sample",
         use="hir check CAPTURE",
     ),
-    "mask_source": Outline(
-        "Masks what differs from the colour of a photograph's border.",
+    "mask_source": KindTemplate(
+        "Masks pixels that differ from the colour of the image border.",
         'tolerance: float = 0.06\n    """Distance in sRGB below which a pixel is background."""',
         use="hir reconstruct PHOTOS -o RUN --set 'masks=[\"$name\"]'",
     ),
-    "initializer": Outline(
-        "Starts from the convex hull of the capture's points.",
-        'min_points: int = 10\n    """With fewer points than this there is no hull."""',
+    "initializer": KindTemplate(
+        "Makes the convex hull of the capture's points the first mesh.",
+        'min_points: int = 10\n    """Minimum number of points for a hull."""',
         ("torch", "jaxtyping"),
         ("makes_surface",),
         use='hir reconstruct PHOTOS -o RUN --set \'initializers=["colmap", "$name"]\'',
     ),
-    "geometry_renderer": Outline(
-        "Silhouettes, for a start those of contour.",
+    "geometry_renderer": KindTemplate(
+        "Silhouettes; at first those of contour.",
         'lines: int = 4\n    """Rows and columns per pixel of a picture."""',
         ("torch", "jaxtyping"),
         ("differentiable",),
         use="hir reconstruct PHOTOS -o RUN --set geometry.renderer=$name",
     ),
-    "reflectance_renderer": Outline(
-        "Shading, for a start that of mitsuba_ggx.",
-        'samples: int = 64\n    """Paths for each pixel of a step."""',
+    "reflectance_renderer": KindTemplate(
+        "Shading; at first that of mitsuba_ggx.",
+        'samples: int = 64\n    """Paths per pixel and step."""',
         ("torch", "jaxtyping", "mitsuba"),
         ("material", "environment", "stochastic"),
         use="hir reconstruct PHOTOS -o RUN --set reflectance.renderer=$name",
     ),
-    "regularizer": Outline(
+    "regularizer": KindTemplate(
         "Keeps the diffuse albedo near its mean.",
         'strength: float = 1.0\n    """Factor of the term."""',
         ("torch", "jaxtyping"),
@@ -70,7 +70,7 @@ OUTLINES: Final[Mapping[str, Outline]] = {
         "ideal",
         use="hir reconstruct PHOTOS -o RUN --set reflectance.regularizers.$name.weight=1",
     ),
-    "exporter": Outline(
+    "exporter": KindTemplate(
         "Writes positions and triangles as JSON.",
         'digits: int = 7\n    """Decimals of positions."""',
         testing="read_back",
@@ -82,8 +82,8 @@ OUTLINES: Final[Mapping[str, Outline]] = {
 def write_plugin(name: str, kind: str, folder: Path) -> list[Path]:
     """Writes an installable plugin into the new folder `folder/<distribution>`; returns its files."""
     values = _template_values(name, kind)
-    outline = OUTLINES[kind]
-    values["use"] = Template(outline.use).substitute(values)
+    template = KIND_TEMPLATES[kind]
+    values["use"] = Template(template.use).substitute(values)
     destination = folder / values["distribution"]
     if destination.exists():
         raise ConfigError(f"{destination} exists; choose another name, or remove it")
@@ -97,14 +97,14 @@ def write_plugin(name: str, kind: str, folder: Path) -> list[Path]:
         "tests/test_contracts.py": "tests",
     }
     with atomic_directory(destination) as temporary:
-        for file, template in layout.items():
-            write_text_atomic(temporary / file, _filled(template, values))
-        write_text_atomic(temporary / package / "__init__.py", f'"""{outline.summary}"""\n')
+        for file, source in layout.items():
+            write_text_atomic(temporary / file, _filled(source, values))
+        write_text_atomic(temporary / package / "__init__.py", f'"""{template.summary}"""\n')
     return sorted(file for file in destination.rglob("*") if file.is_file())
 
 
 def write_one_file(name: str, folder: Path) -> Path:
-    """Writes a regularizer as one file for `--plugin`; returns it."""
+    """Writes a regularizer as one .py file for `--plugin`; returns its path."""
     values = _template_values(name, "regularizer")
     path = folder / f"{values['name']}.py"
     if path.exists():
@@ -114,11 +114,11 @@ def write_one_file(name: str, folder: Path) -> Path:
 
 
 def _template_values(name: str, kind: str) -> dict[str, str]:
-    """All names that follow from the one that was given."""
+    """The values of the templates, derived from the name and kind. `ConfigError` for an invalid name."""
     plain = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_").removeprefix("hir_")
     if not re.fullmatch(r"[a-z][a-z0-9_]*", plain):
-        raise ConfigError(f"the name {name!r} does not begin with a letter; such as albedo-chroma-prior")
-    outline = OUTLINES[kind]
+        raise ConfigError(f"the name {name!r} does not begin with a letter; an example is albedo-chroma-prior")
+    template = KIND_TEMPLATES[kind]
     package = f"hir_{plain}"
     return {
         "name": plain,
@@ -129,12 +129,12 @@ def _template_values(name: str, kind: str) -> dict[str, str]:
         "kind": kind,
         "kind_label": kind.replace("_", " "),
         "hook": KINDS[kind],
-        "summary": outline.summary,
-        "option": outline.option,
-        "requires": _tuple(outline.requires),
-        "extra": "reconstruct" if outline.requires else "",
-        "traits": "{" + ", ".join(f'"{trait}"' for trait in outline.traits) + "}" if outline.traits else "",
-        "testing": f"{package}.implementation:{outline.testing}" if outline.testing else "",
+        "summary": template.summary,
+        "option": template.option,
+        "requires": _tuple(template.requires),
+        "extra": "reconstruct" if template.requires else "",
+        "traits": "{" + ", ".join(f'"{trait}"' for trait in template.traits) + "}" if template.traits else "",
+        "testing": f"{package}.implementation:{template.testing}" if template.testing else "",
     }
 
 

@@ -54,7 +54,7 @@ def test_one_file_passes_and_is_used_by_its_path(tmp_path: Path) -> None:
     check_component("grey_albedo", plugins=PluginManager.discover((str(path),)))
 
 
-def test_names_that_are_none_and_places_that_are_taken_are_refused(tmp_path: Path) -> None:
+def test_invalid_names_and_existing_folders_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="does not begin with a letter"):
         write_plugin("42", "regularizer", tmp_path)
     write_plugin("hir-mine", "mask_source", tmp_path)
@@ -63,7 +63,7 @@ def test_names_that_are_none_and_places_that_are_taken_are_refused(tmp_path: Pat
         write_plugin("mine", "mask_source", tmp_path)
 
 
-def test_command_says_how_to_go_on(tmp_path: Path) -> None:
+def test_command_prints_the_next_steps(tmp_path: Path) -> None:
     done = CliRunner().invoke(cli, ["new-plugin", "my-term", "--kind", "regularizer", "-o", str(tmp_path)])
     assert done.exit_code == 0, done.output
     assert f"pip install -e {tmp_path / 'hir-my-term'}" in done.output
