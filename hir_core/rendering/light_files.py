@@ -32,5 +32,3 @@ def is_same_light(a: EnvironmentSource | None, b: EnvironmentSource | None) -> b
         and np.allclose(a.source_from_environment, b.source_from_environment)
         and (a.path == b.path or a.path.read_bytes() == b.path.read_bytes())
     )
-
-

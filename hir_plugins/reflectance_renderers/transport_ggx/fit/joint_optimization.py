@@ -90,7 +90,7 @@ def fit(
         difference = _difference(transport, batch, matrices, parameters, settings)
         zero = torch.zeros_like(difference)
         pixels = torch.nn.functional.huber_loss(difference, zero, delta=settings.huber_srgb)
-        pixel_loss = float(pixels)
+        pixel_loss = float(pixels.detach())
         return {PIXEL_TERM: pixels, "smoothness": smoothness_energy(parameters, settings.smoothness, edges)}
 
     def freeze_alpha(step: int) -> None:

@@ -125,7 +125,9 @@ def test_views_that_all_graze_end_with_one_clear_sentence(model: str, tmp_path: 
     mesh, low, shards = square(), np.radians(4), np.arange(8) * np.pi / 4
     eyes = [(4 * np.cos(low) * np.sin(a), 4 * np.sin(low), 4 * np.cos(low) * np.cos(a)) for a in shards]
     truth = Scene(mesh, make_material(BROWN), sky())
-    with pytest.raises(StageError, match=r"from more than 6 degrees: mesh, masks and cameras .* inspect them with: hir check"):
+    with pytest.raises(
+        StageError, match=r"from more than 6 degrees: mesh, masks and cameras .* inspect them with: hir check"
+    ):
         fitted(mesh, photographs(truth, eyes, size=64), tmp_path, light=sky(), model=model)
 
 
