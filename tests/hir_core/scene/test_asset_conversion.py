@@ -64,7 +64,7 @@ def test_there_and_back_and_there_is_the_same_asset() -> None:
                 np.testing.assert_array_equal(after, before)
 
 
-def test_scene_has_one_vertex_for_each_place() -> None:
+def test_scene_has_one_vertex_for_each_position() -> None:
     scene = textured_scene()
     back = scene_from_asset(bake(scene))
     assert len(back.mesh.positions) == len(scene.mesh.positions)

@@ -145,7 +145,7 @@ def test_error_against_all_pairs(
 
 @pytest.mark.parametrize(("per_width", "noise"), [(8, 0.3), (60, 0.3), (60, 4.0)])
 def test_no_mean_leaves_its_bound(per_width: float, noise: float) -> None:
-    """At every place; for noise, for values that follow the guide, and for waves that no cell resolves."""
+    """At every sample; for noise, for values that follow the guide, and for waves that no cell resolves."""
     positions, guide, values = surface(1200, per_width, noise)
     cubes = cubes_of(positions, CUTOFF, CELL)
     bound = weight_error(cubes, guide, CELL)
@@ -170,7 +170,7 @@ def test_narrow_cells_and_a_far_cutoff_are_all_pairs() -> None:
     assert errors[-1] < 1e-12
 
 
-def test_the_order_of_places_means_nothing() -> None:
+def test_the_order_of_samples_does_not_matter() -> None:
     positions, guide, values = surface(1000, 20, 0.5)
     shuffled = torch.randperm(1000, generator=torch.Generator().manual_seed(0))
     one = bilateral_deviation(cubes_of(positions, CUTOFF, CELL), guide, values, CELL)
@@ -179,7 +179,7 @@ def test_the_order_of_places_means_nothing() -> None:
 
 
 def test_pairs_grow_linearly() -> None:
-    """Four times the texels of one surface make four times the pairs of place and cell, not sixteen."""
+    """Four times the texels of one surface make four times the pairs of sample and cell, not sixteen."""
     pairs = []
     for count in (8_000, 32_000):
         positions, guide, values = surface(count, count / 200, 0.1)
@@ -251,13 +251,13 @@ def test_joint_bilateral_smooths_noise_and_keeps_edges_of_any_map() -> None:
     assert float(right - left) == pytest.approx(0.2, abs=0.01)
 
 
-def test_one_place_none_and_many_in_one_spot() -> None:
+def test_one_sample_no_sample_and_many_at_one_point() -> None:
     values = torch.rand(6, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
     guide = torch.zeros(6, 3, dtype=torch.float64)
     for count in (0, 1):
         found = bilateral_deviation(cubes_of(torch.zeros(count, 3), CUTOFF, CELL), guide[:count], values[:count], CELL)
         assert found.shape == (count, 3)
-        assert not found.any(), "a place alone is its own mean"
+        assert not found.any(), "an isolated sample is its own mean"
     found = bilateral_deviation(cubes_of(torch.ones(6, 3), CUTOFF, CELL), guide, values, CELL)
     assert torch.allclose(found, values - values.mean(0), atol=1e-15), "duplicates are averaged"
 
@@ -296,7 +296,7 @@ def test_over_texels_of_an_atlas_it_stays_finite() -> None:
 
 
 @pytest.mark.parametrize("regularizer", [BilateralSpecular(DEFAULTS), JointBilateral(JointBilateralOptions())])
-def test_a_term_without_effect_is_said(regularizer: BilateralSpecular | JointBilateral) -> None:
+def test_a_term_without_effect_causes_a_warning(regularizer: BilateralSpecular | JointBilateral) -> None:
     scene = textured()
     assert scene.material is not None
     constant = Material("paper", torch.full((3,), 0.5), torch.full((3,), 0.04, requires_grad=True), torch.ones(1))
@@ -310,7 +310,7 @@ def test_a_term_without_effect_is_said(regularizer: BilateralSpecular | JointBil
 
 
 @pytest.mark.slow
-def test_a_million_places_stay_within_two_gigabytes() -> None:
+def test_a_million_samples_stay_within_two_gigabytes() -> None:
     """In a process of its own: the peak is that of the term, with what importing torch takes."""
     code = (
         "import resource, torch\n"

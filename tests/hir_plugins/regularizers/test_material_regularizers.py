@@ -48,16 +48,21 @@ def test_total_variation_of_a_half_lit_sky_is_its_horizon() -> None:
 
 def test_total_variation_gradients_match_finite_differences() -> None:
     torch.manual_seed(0)
-    look = Material("paper", torch.rand(8, 8, 3).double(), torch.rand(8, 8, 3).double(), torch.rand(4, 4, 1).double())
-    scene = Scene(square(), look, EnvironmentMap(torch.rand(4, 8, 3).double()))
+    make_material = Material(
+        "paper", torch.rand(8, 8, 3).double(), torch.rand(8, 8, 3).double(), torch.rand(4, 4, 1).double()
+    )
+    scene = Scene(square(), make_material, EnvironmentMap(torch.rand(4, 8, 3).double()))
     energy = TotalVariation(TotalVariationOptions(environment=0.5)).prepare(scene)
 
     def value(diffuse: torch.Tensor, roughness: torch.Tensor, light: torch.Tensor) -> torch.Tensor:
-        there = replace(look, diffuse_albedo=diffuse, roughness=roughness)
+        there = replace(make_material, diffuse_albedo=diffuse, roughness=roughness)
         return energy(replace(scene, material=there, environment=EnvironmentMap(light)))
 
     assert scene.environment is not None
-    leaves = [t.clone().requires_grad_() for t in (look.diffuse_albedo, look.roughness, scene.environment.radiance)]
+    leaves = [
+        t.clone().requires_grad_()
+        for t in (make_material.diffuse_albedo, make_material.roughness, scene.environment.radiance)
+    ]
     assert torch.autograd.gradcheck(value, leaves, eps=1e-7, rtol=1e-5)
 
 
@@ -104,14 +109,16 @@ def test_variation_over_triangles_without_area_is_nothing_and_finite() -> None:
 
 def test_variation_at_vertices_matches_finite_differences_and_is_0_where_flat() -> None:
     torch.manual_seed(0)
-    look = Material("paper", torch.rand(8, 8, 3).double(), torch.rand(8, 8, 3).double(), torch.rand(4, 4, 1).double())
-    scene = Scene(grid(5), look)
+    make_material = Material(
+        "paper", torch.rand(8, 8, 3).double(), torch.rand(8, 8, 3).double(), torch.rand(4, 4, 1).double()
+    )
+    scene = Scene(grid(5), make_material)
     energy = TotalVariation(TotalVariationOptions(samples="vertices")).prepare(scene)
 
     def value(diffuse: Tensor, roughness: Tensor) -> Tensor:
-        return energy(replace(scene, material=replace(look, diffuse_albedo=diffuse, roughness=roughness)))
+        return energy(replace(scene, material=replace(make_material, diffuse_albedo=diffuse, roughness=roughness)))
 
-    leaves = [t.clone().requires_grad_() for t in (look.diffuse_albedo, look.roughness)]
+    leaves = [t.clone().requires_grad_() for t in (make_material.diffuse_albedo, make_material.roughness)]
     assert torch.autograd.gradcheck(value, leaves, eps=1e-7, rtol=1e-5)
     flat = Material("paper", *(torch.full((8, 8, c), 0.3).double().requires_grad_() for c in (3, 3, 1)))
     nothing = energy(replace(scene, material=flat))
@@ -119,7 +126,7 @@ def test_variation_at_vertices_matches_finite_differences_and_is_0_where_flat() 
     assert not torch.autograd.grad(nothing, flat.diffuse_albedo)[0].any()
 
 
-def test_a_variation_of_constants_alone_is_said_to_do_nothing() -> None:
+def test_a_variation_of_constants_alone_causes_a_warning() -> None:
     constant = Material("paper", torch.rand(3), torch.rand(3), torch.rand(1))
     with pytest.warns(UserWarning, match="has no effect"):
         TotalVariation(TotalVariationOptions()).prepare(Scene(square(), constant))
@@ -225,19 +232,19 @@ def test_a_term_of_the_settings_acts(name: str, renderer: str, method: str, tmp_
     """Through both renderers, and after the solver: fitted with it, a term is far below what it is without."""
     given = {"renderer": renderer, "method": method, "model": "specular_map"}
     plain = small_fit(tmp_path / "plain", [], **given, regularizers={"total_variation": {"weight": 1e-9}})
-    told: list[str] = []
-    smooth = small_fit(tmp_path / "term", told, **given, regularizers={name: TERMS[name]})
+    warnings_seen: list[str] = []
+    smooth = small_fit(tmp_path / "term", warnings_seen, **given, regularizers={name: TERMS[name]})
     options = {key: value for key, value in TERMS[name].items() if key != "weight"}
     term = PLUGINS.create("regularizer", name, options).prepare(plain)
     assert float(term(smooth)) < 0.6 * float(term(plain))
-    assert not [text for text in told if "no effect" in text]
+    assert not [text for text in warnings_seen if "no effect" in text]
 
 
-def test_a_term_that_cannot_act_is_said(tmp_path: Path) -> None:
-    told: list[str] = []
+def test_a_term_that_cannot_act_causes_a_warning(tmp_path: Path) -> None:
+    warnings_seen: list[str] = []
     terms = {"bilateral_specular": {"weight": 1.0}}
-    small_fit(tmp_path / "constant", told, model="specular", regularizers=terms)
-    assert any("bilateral_specular has no effect" in text for text in told)
-    told.clear()
-    small_fit(tmp_path / "steps", told, model="specular_map", gradient={"iterations": 0}, regularizers=terms)
-    assert any("reflectance.gradient.iterations is 0" in text for text in told)
+    small_fit(tmp_path / "constant", warnings_seen, model="specular", regularizers=terms)
+    assert any("bilateral_specular has no effect" in text for text in warnings_seen)
+    warnings_seen.clear()
+    small_fit(tmp_path / "steps", warnings_seen, model="specular_map", gradient={"iterations": 0}, regularizers=terms)
+    assert any("reflectance.gradient.iterations is 0" in text for text in warnings_seen)

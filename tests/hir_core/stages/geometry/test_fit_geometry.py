@@ -280,7 +280,7 @@ def test_repair_moves_back_to_an_earlier_state_where_the_surface_folded() -> Non
     assert (back < away).all()
 
 
-def test_grazing_sheets_are_pushed_apart() -> None:
+def test_grazing_sheets_are_separated() -> None:
     lower, faces = icosphere(4)
     upper = lower + np.array([0.0, 1.999, 0.0])
     positions, both = np.concatenate([lower, upper]), np.concatenate([faces, faces + len(lower)])
