@@ -210,12 +210,12 @@ def _validate_environment(environment: AssetEnvironment) -> None:
         raise InputError(f"environment.frame is {environment.frame!r}; it is 'world' or 'camera'")
 
 
-def _check_shape(name: str, value: NDArray[Any], shape: tuple[int | None, ...], wanted: str = "") -> None:
+def _check_shape(name: str, value: NDArray[Any], shape: tuple[int | None, ...], expected: str = "") -> None:
     fits = value.ndim == len(shape) and all(
-        want is None or have == want for have, want in zip(value.shape, shape, strict=False)
+        size is None or actual == size for actual, size in zip(value.shape, shape, strict=False)
     )
     if not fits:
-        names = wanted or "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
+        names = expected or "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
         raise InputError(f"{name} has the shape {value.shape}; it must be {names}")
     if value.size == 0:
         raise InputError(f"{name} is empty")

@@ -1,7 +1,7 @@
 """Axes, colour, UV and environment conventions shared by every layer (docs/conventions.md).
 
-World: right-handed, +Y up. Images are linear inside, sRGB at the border. UV origin is top-left (glTF).
-Environments are lat-long images as OpenEXR, USD and Mitsuba have them: the centre is +Z, a quarter of the width is +X.
+World: right-handed, +Y up. Images are linear in memory; 8-bit files are sRGB. The UV origin is top-left (glTF).
+Environments are lat-long images as in OpenEXR, USD and Mitsuba: the centre is +Z, a quarter of the width is +X.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ LUMINANCE_WEIGHTS: Final[NDArray[np.float64]] = np.array([0.2126, 0.7152, 0.0722
 LUMINANCE_WEIGHTS.setflags(write=False)
 
 ALPHA_MIN: Final = 1e-4
-"""Smallest GGX width that a material may have; below it the lobe cannot be told from a mirror in float32."""
+"""Smallest GGX width that a material may have; below it, float32 cannot distinguish the lobe from a mirror."""
 
 
 def srgb_to_linear(encoded: ArrayLike) -> NDArray[np.floating]:
-    """IEC 61966-2-1 decoding, element by element; the linear toe continues below zero, so no NaN appears.
+    """IEC 61966-2-1 decoding, element by element; the linear segment is extended below zero, so that there is no NaN.
 
-    float32 stays float32, every other type becomes float64.
+    float32 stays float32, all other types become float64.
     """
     x = _floating(encoded)
     curved = ((np.maximum(x, 0.0) + 0.055) / 1.055) ** 2.4
@@ -34,7 +34,7 @@ def srgb_to_linear(encoded: ArrayLike) -> NDArray[np.floating]:
 
 
 def linear_to_srgb(linear: ArrayLike) -> NDArray[np.floating]:
-    """Inverse of `srgb_to_linear`; values above 1 follow the curve, values below 0 the toe."""
+    """Inverse of `srgb_to_linear`; values above 1 follow the curve, values below 0 the linear segment."""
     x = _floating(linear)
     curved = 1.055 * np.maximum(x, 0.0) ** (1.0 / 2.4) - 0.055
     return np.where(x <= 0.0031308, x * 12.92, curved).astype(x.dtype, copy=False)
@@ -47,7 +47,7 @@ def luminance(linear_rgb: ArrayLike) -> NDArray[np.floating]:
 
 
 def flip_v(uvs: ArrayLike) -> NDArray[np.floating]:
-    """UVs (..., 2) with the origin moved between top-left (glTF, ours) and bottom-left (USD, OBJ, PLY)."""
+    """UVs (..., 2) converted between the origins top-left (glTF, assets) and bottom-left (USD, OBJ, PLY)."""
     uvs = _floating(uvs)
     flipped = uvs.copy()
     flipped[..., 1] = 1 - uvs[..., 1]
@@ -61,7 +61,7 @@ def direction_to_latlong_uv(directions: ArrayLike) -> NDArray[np.floating]:
     """
     d = _floating(directions)
     x, y, z = d[..., 0], d[..., 1], d[..., 2]
-    # beside the seam the quotient is a whole unit in the last place off 1/2: no remainder rounds up to 1
+    # Next to the seam the quotient differs from 1/2 by at least one unit in the last place: % never rounds up to 1.
     u = (0.5 - np.arctan2(x, z) / (2 * np.pi)) % 1.0
     # atan2 keeps full precision at the poles, where acos loses half of the digits.
     v = np.arctan2(np.hypot(x, z), y) / np.pi

@@ -1,4 +1,4 @@
-"""Opens the same exported objects in every engine that is here and writes docs/engines/parity.md with pictures.
+"""Renders the same exported objects in all installed engines and writes docs/engines/parity.md with pictures.
 
     make parity            three objects, all engines; about 15 minutes on two cores
 
@@ -23,7 +23,7 @@ from hir_exporters.formats import create_exporter
 from hir_core.capture import Camera
 from hir_core.metrics import psnr
 from hir_core.plugins.manager import PluginManager
-from parity.engines import ROOT, Opening, Picture, openings, ours
+from parity.engines import ROOT, EngineRun, Picture, engine_runs, render_reference
 from parity.page import Row, write_page
 from parity.scenes import MODELS, Subject, finished_run, metal_egg, model, with_light
 from parity.shots import cameras_around
@@ -31,33 +31,35 @@ from parity.shots import cameras_around
 
 def main() -> int:
     """Exit code 0 where the page was written."""
-    arguments = argparse.ArgumentParser(prog="parity", description=__doc__)
-    arguments.add_argument("--work", type=Path, default=ROOT / "runs" / "parity", help="Runs and exported files.")
-    arguments.add_argument("--size", type=int, default=384, help="Pixels a side.")
-    arguments.add_argument("--samples", type=int, default=256, help="Paths a pixel, ours and Blender's.")
-    arguments.add_argument("--only", action="append", default=[], help="An object: spot, avocado, metal.")
-    arguments.add_argument("--engine", action="append", default=[], help="Part of an engine's name; all by default.")
-    arguments.add_argument("--reconstruct", action="store_true", help="Make runs that are missing; minutes each.")
-    arguments.add_argument("--keep", action="store_true", help="Take pictures that an earlier call left in --work.")
-    arguments.add_argument("--kept-only", action="store_true", help="Draw nothing: write the page of kept pictures.")
-    arguments.add_argument("--output", type=Path, default=ROOT / "docs" / "engines", help="Where parity.md goes.")
-    asked = arguments.parse_args()
+    parser = argparse.ArgumentParser(prog="parity", description=__doc__)
+    parser.add_argument("--work", type=Path, default=ROOT / "runs" / "parity", help="Runs and exported files.")
+    parser.add_argument("--size", type=int, default=384, help="Pixels a side.")
+    parser.add_argument("--samples", type=int, default=256, help="Paths a pixel, ours and Blender's.")
+    parser.add_argument("--only", action="append", default=[], help="An object: spot, avocado, metal.")
+    parser.add_argument("--engine", action="append", default=[], help="Part of an engine's name; all by default.")
+    parser.add_argument("--reconstruct", action="store_true", help="Reconstruct missing runs; minutes each.")
+    parser.add_argument("--reuse", action="store_true", help="Reuse pictures of an earlier call in --work.")
+    parser.add_argument(
+        "--reuse-only", action="store_true", help="Render nothing: write the page from earlier pictures."
+    )
+    parser.add_argument("--output", type=Path, default=ROOT / "docs" / "engines", help="Where parity.md goes.")
+    options = parser.parse_args()
     shared = Path(os.environ.get("HIR_SHARED", ROOT.parent / "shared"))
     plugins, rows = PluginManager.discover(), []
-    for name in asked.only or ["spot", "avocado", "metal"]:
-        subject = _subject(name, shared, asked.work, asked.reconstruct)
+    for name in options.only or ["spot", "avocado", "metal"]:
+        subject = _subject(name, shared, options.work, options.reconstruct)
         rows += _rows(
             subject,
-            asked.work,
-            asked.size,
-            asked.samples,
+            options.work,
+            options.size,
+            options.samples,
             plugins,
-            asked.engine,
-            asked.keep or asked.kept_only,
-            asked.kept_only,
+            options.engine,
+            options.reuse or options.reuse_only,
+            options.reuse_only,
         )
-    write_page(asked.output, rows, asked.size, asked.samples)
-    print(asked.output / "parity.md")
+    write_page(options.output, rows, options.size, options.samples)
+    print(options.output / "parity.md")
     return 0
 
 
@@ -84,43 +86,43 @@ def _rows(
     samples: int,
     plugins: PluginManager,
     chosen: list[str],
-    keep: bool,
-    kept_only: bool,
+    reuse: bool,
+    reuse_only: bool,
 ) -> list[Row]:
     folder = work / "files"
     light = folder / f"{subject.name}_khr.hdr"
-    if not keep or not light.is_file():
+    if not reuse or not light.is_file():
         _export(subject.asset, folder, subject.name)
     asset = with_light(subject, light)
     cameras = cameras_around(asset.mesh, size)
     start = time.perf_counter()
     truth = _pictures(
         work / "pictures" / f"{subject.name}_ours.npy",
-        keep,
-        lambda: ours(asset, cameras, subject.bounces, samples, plugins),
+        reuse,
+        lambda: render_reference(asset, cameras, subject.bounces, samples, plugins),
     )
     print(f"{subject.name}: our renderer, {time.perf_counter() - start:.0f} s", flush=True)
     rows = [Row(subject.name, f"hir, path traced, {subject.origin}", "", truth, None, None, "")]
-    for opening in openings(samples):
-        if chosen and not any(word.lower() in opening.engine.lower() for word in chosen):
+    for engine_run in engine_runs(samples):
+        if chosen and not any(word.lower() in engine_run.engine.lower() for word in chosen):
             continue
-        rows.append(_row(subject.name, opening, work, light, cameras, truth, keep, kept_only))
+        rows.append(_row(subject.name, engine_run, work, light, cameras, truth, reuse, reuse_only))
         print(f"{subject.name}: {rows[-1].sentence()}", flush=True)
     return rows
 
 
-def _pictures(file: Path, keep: bool, draw: Callable[[], list[Picture]]) -> list[Picture]:
-    """What is drawn, or what an earlier call drew."""
-    if keep and file.is_file():
+def _pictures(file: Path, reuse: bool, render: Callable[[], list[Picture]]) -> list[Picture]:
+    """Rendered pictures, or those of an earlier call."""
+    if reuse and file.is_file():
         return list(np.load(file, allow_pickle=False))
-    pictures = draw()
+    pictures = render()
     file.parent.mkdir(parents=True, exist_ok=True)
     np.save(file, np.stack(pictures), allow_pickle=False)
     return pictures
 
 
 def _export(asset: Asset, folder: Path, name: str) -> None:
-    """Every file that a row opens, and the light that all are given."""
+    """Exports the files of all rows and their common light."""
     create_exporter("glb", GltfConfig(profile="khr")).write(asset, folder / f"{name}_khr.glb")
     create_exporter("glb", GltfConfig(profile="metalrough")).write(asset, folder / f"{name}_metalrough.glb")
     create_exporter("glb", GltfConfig(profile="blender")).write(asset, folder / f"{name}_blender.glb")
@@ -131,27 +133,27 @@ def _export(asset: Asset, folder: Path, name: str) -> None:
 
 def _row(
     name: str,
-    opening: Opening,
+    engine_run: EngineRun,
     work: Path,
     light: Path,
     cameras: list[Camera],
     truth: list[Picture],
-    keep: bool,
-    kept_only: bool,
+    reuse: bool,
+    reuse_only: bool,
 ) -> Row:
-    if opening.missing:
-        return Row(name, opening.engine, opening.file, [], None, None, f"not run: needs {opening.missing}")
+    if engine_run.missing:
+        return Row(name, engine_run.engine, engine_run.file, [], None, None, f"not run: needs {engine_run.missing}")
     try:
-        file = work / "pictures" / f"{name}_{opening.engine.split()[0]}_{opening.file}.npy"
-        asset = work / "files" / f"{name}_{opening.file}"
-        if kept_only and not file.is_file():
-            return Row(name, opening.engine, opening.file, [], None, None, "")
-        pictures = _pictures(file, keep, lambda: opening.draw(asset, light, cameras))
+        file = work / "pictures" / f"{name}_{engine_run.engine.split()[0]}_{engine_run.file}.npy"
+        asset = work / "files" / f"{name}_{engine_run.file}"
+        if reuse_only and not file.is_file():
+            return Row(name, engine_run.engine, engine_run.file, [], None, None, "")
+        pictures = _pictures(file, reuse, lambda: engine_run.render(asset, light, cameras))
     except RuntimeError as error:
-        return Row(name, opening.engine, opening.file, [], None, None, f"failed: {error}")
+        return Row(name, engine_run.engine, engine_run.file, [], None, None, f"failed: {error}")
     frame = [psnr(p, t, np.ones(t.shape[:2], bool)) for p, t in zip(pictures, truth, strict=True)]
     inside = [psnr(p, t, t.max(axis=-1) > 0) for p, t in zip(pictures, truth, strict=True)]
-    return Row(name, opening.engine, opening.file, pictures, _mean(frame), _mean(inside), "")
+    return Row(name, engine_run.engine, engine_run.file, pictures, _mean(frame), _mean(inside), "")
 
 
 def _mean(values: list[float | None]) -> float:

@@ -1,7 +1,7 @@
-"""Opens a page with an engine in a headless Chromium and brings back the pictures that it draws.
+"""Opens a page with an engine in a headless Chromium and returns the pictures that it renders.
 
-The page gets its files from a server of this machine: `/shots.json`, whatever is handed to it as `served`, and npm
-packages under `/modules/`. It answers each picture as PNG to `/picture/N`, in order, or what went wrong to `/failed`.
+A local server serves `/shots.json`, the files in `served`, and npm packages under `/modules/`. The page posts each
+picture as PNG to `/picture/N`, or an error message to `/failed`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ TYPES = {".js": "text/javascript", ".json": "application/json", ".html": "text/h
 
 
 def chromium_command() -> list[str] | None:
-    """The command of a headless Chromium that draws in software, or None where there is none."""
+    """The command of a headless Chromium with software rendering, or None if it is not installed."""
     names = ("chromium", "chromium-browser", "google-chrome")
     browser = next((found for found in map(shutil.which, names) if found), None)
     if browser is None:
@@ -48,7 +48,7 @@ def chromium_command() -> list[str] | None:
 
 
 def module_folder(name: str) -> Path | None:
-    """Where an npm package lies, or None where it is not installed."""
+    """The folder of an npm package, or None if it is not installed."""
     return next((folder / name for folder in MODULES if (folder / name).is_dir()), None)
 
 
@@ -66,7 +66,7 @@ def pictures_in_browser(
     served: Mapping[str, bytes],
     seconds: float = 300,
 ) -> list[NDArray[np.float32]]:
-    """sRGB pictures (H, W, 4), unassociated, that the page draws of each shot. Raises `RuntimeError` where it fails."""
+    """sRGB pictures (H, W, 4), unassociated alpha, of each shot. Raises `RuntimeError` where the page fails."""
     bodies = {"/": page.read_bytes(), "/shots.json": json.dumps(list(shots)).encode(), **served}
     answers: dict[str, bytes] = {}
     finished = threading.Event()
@@ -89,7 +89,7 @@ def pictures_in_browser(
                 finished.set()
 
         def log_message(self, *_: object) -> None:
-            """Says nothing."""
+            """Suppresses the log."""
 
     server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
     threading.Thread(target=server.serve_forever, daemon=True).start()
@@ -98,7 +98,7 @@ def pictures_in_browser(
         arguments = [*chromium, f"--user-data-dir={profile}", address]
         process = subprocess.Popen(arguments, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         try:
-            came = finished.wait(seconds)
+            completed = finished.wait(seconds)
         finally:
             process.terminate()
             process.wait(20)
@@ -106,7 +106,7 @@ def pictures_in_browser(
             server.server_close()
     if "/failed" in answers:
         raise RuntimeError(f"{page.name}: {answers['/failed'].decode(errors='replace')}")
-    if not came:
+    if not completed:
         raise RuntimeError(f"{page.name} gave {len(answers)} of {len(shots)} pictures within {seconds:.0f} s")
     return [decoded_picture(answers[f"/picture/{i}"]) for i in range(len(shots))]
 

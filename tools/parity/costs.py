@@ -1,8 +1,7 @@
-"""What three.js' published formula costs on the metal object, part by part: `python -m parity.costs`.
+"""The error of each term of three.js' published formula on the metal object: `python -m parity.costs`.
 
-Points of the surface from four sides, directions and light are those of our own model
-(`hir_exporters.engines.surface_points`),
-so that each row differs from it in nothing but what it names. PSNR in dB, sRGB.
+Surface points in four views, directions and light are those of our own model (`hir_exporters.engines.surface_points`):
+each row differs from it only in the term that it names. PSNR in dB, sRGB.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ def rows(light: Path) -> list[str]:
     assert isinstance(surface, MetallicSurface)
     texels = MaterialSamples(points, surface, None)
     specular = sample_texels(asset.material.specular_albedo, True, points.uvs)
-    wanted = _encoded(points.shade(model_brdf(points.slices, "dielectric", 0 * specular, specular)))
+    reference = _encoded(points.shade(model_brdf(points.slices, "dielectric", 0 * specular, specular)))
 
     f0, schlick = texels.base, points.slices.schlick[..., None]
     a, b = points.lobe_terms()
@@ -51,7 +50,9 @@ def rows(light: Path) -> list[str]:
         "height-correlated G, light prefiltered for n = v = r": prefiltered,
         "all of it": three(points, texels),
     }
-    return [f"| {name} | {-10 * np.log10(np.mean((_encoded(p) - wanted) ** 2)):.1f} |" for name, p in pictures.items()]
+    return [
+        f"| {name} | {-10 * np.log10(np.mean((_encoded(p) - reference) ** 2)):.1f} |" for name, p in pictures.items()
+    ]
 
 
 def _encoded(linear: Array) -> Array:

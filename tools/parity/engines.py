@@ -17,45 +17,45 @@ from numpy.typing import NDArray
 from hir_core.capture import Camera
 from hir_core.plugins.manager import PluginManager
 from parity.browser import HERE, chromium_command, decoded_picture, module_folder, module_version, pictures_in_browser
-from parity.godot3 import godot_missing, godot_version, in_godot
+from parity.godot3 import godot_missing, godot_version, render_in_godot
 from parity.shots import shot_document
 
 Picture = NDArray[np.float32]
 """sRGB over black (H, W, 3)."""
 
 ROOT = HERE.parent.parent
-BLENDER_SCRIPT = ROOT / "tools" / "render_in_blender.py"
+BLENDER_SCRIPT = ROOT / "tools" / "render_render_in_blender.py"
 
 
 @dataclass(frozen=True)
-class Opening:
-    """One row of the table: an engine, and the exported file that it opens."""
+class EngineRun:
+    """One row of the table: an engine and the exported file that it renders."""
 
     engine: str
     file: str
     """Suffix of the export's name, such as `khr.glb`."""
-    draw: Callable[[Path, Path, Sequence[Camera]], list[Picture]]
+    render: Callable[[Path, Path, Sequence[Camera]], list[Picture]]
     """Pictures of (file, light.hdr, cameras)."""
     missing: str
-    """What has to be installed before it can run; empty where it can."""
+    """What must be installed before it can run; empty if it can."""
 
 
-def openings(blender_samples: int) -> list[Opening]:
+def engine_runs(blender_samples: int) -> list[EngineRun]:
     """All rows, whether they can run on this machine or not."""
     no_browser = "" if chromium_command() else "Chromium"
     blender = "" if blender_python().exists() else "bpy: tools/setup.sh blender, or HIR_BLENDER_PYTHON"
 
-    def web(engine: str, package: str, page: str, file: str = "khr.glb") -> Opening:
+    def web(engine: str, package: str, page: str, file: str = "khr.glb") -> EngineRun:
         here = module_folder(package) is not None
         title = f"{engine} {module_version(package)}" if here else engine
         missing = no_browser or ("" if here else f"npm package {package}: npm --prefix tools/parity ci")
-        return Opening(title, file, lambda f, light, cameras: in_browser(page, f, light, cameras), missing)
+        return EngineRun(title, file, lambda f, light, cameras: render_in_browser(page, f, light, cameras), missing)
 
-    def cycles(file: str, own_light: bool = False) -> Opening:
-        return Opening(
+    def cycles(file: str, light_in_file: bool = False) -> EngineRun:
+        return EngineRun(
             "Blender 5.0.1 Cycles",
             file,
-            lambda f, light, cameras: in_blender(f, None if own_light else light, cameras, blender_samples),
+            lambda f, light, cameras: render_in_blender(f, None if light_in_file else light, cameras, blender_samples),
             blender,
         )
 
@@ -64,28 +64,28 @@ def openings(blender_samples: int) -> list[Opening]:
         web("Babylon.js", "babylonjs", "babylon.html"),
         web("Babylon.js", "babylonjs", "babylon.html", "lit.glb"),
         web("Filament", "filament", "filament.html"),
-        Opening(
+        EngineRun(
             f"Godot {godot_version()}" if not godot_missing() else "Godot 3",
             "metalrough.glb",
-            in_godot,
+            render_in_godot,
             godot_missing(),
         ),
         cycles("blender.glb"),
         cycles("khr.glb"),
-        cycles("usda_lit.usda", own_light=True),
+        cycles("usda_lit.usda", light_in_file=True),
     ]
 
 
-def ours(
+def render_reference(
     asset: Asset, cameras: Sequence[Camera], bounces: int | None, samples: int, plugins: PluginManager
 ) -> list[Picture]:
-    """The reference renderer's pictures, path-traced, with as many reflections as the asset's model has."""
+    """Pictures of the reference renderer, path-traced with the number of bounces of the asset's model."""
     from hir_core.metrics import composite, unassociate
     from hir_core.rendering.reference_renderer import reference_renderer, render_view
     from hir_core.scene.asset_conversion import scene_from_asset
     from hir_core.scene.frames import move_scene
 
-    # renderers are used to an object of radius 1 about the origin
+    # The renderer expects an object of radius 1 around the origin.
     low, high = asset.mesh.positions.min(axis=0).astype(float), asset.mesh.positions.max(axis=0).astype(float)
     scale = 2 / float(np.linalg.norm(high - low))
     working_from_asset = np.diag([scale, scale, scale, 1.0])
@@ -99,8 +99,8 @@ def ours(
     return pictures
 
 
-def in_browser(page: str, file: Path, light: Path, cameras: Sequence[Camera]) -> list[Picture]:
-    """A page of this folder shows the file; beside the light it is given the cubemap, where one lies there."""
+def render_in_browser(page: str, file: Path, light: Path, cameras: Sequence[Camera]) -> list[Picture]:
+    """Renders the file with a page of this folder. A .ktx beside the light is served as well."""
     chromium = chromium_command()
     assert chromium is not None
     served: Mapping[str, bytes] = {"/asset.glb": file.read_bytes(), "/asset.hdr": light.read_bytes()}
@@ -111,24 +111,26 @@ def in_browser(page: str, file: Path, light: Path, cameras: Sequence[Camera]) ->
     return [over_black(picture) for picture in pictures]
 
 
-def in_blender(file: Path, light: Path | None, cameras: Sequence[Camera], samples: int) -> list[Picture]:
-    """Cycles in a process of its own; without `light` a USD's dome light."""
+def render_in_blender(file: Path, light: Path | None, cameras: Sequence[Camera], samples: int) -> list[Picture]:
+    """Renders with Cycles in a subprocess; without `light`, with the dome light of a USD file."""
     with tempfile.TemporaryDirectory() as folder:
         shots = Path(folder) / "shots.json"
         shots.write_text(json.dumps([shot_document(camera) for camera in cameras]), encoding="utf-8")
         arguments = [blender_python(), BLENDER_SCRIPT, file, "-" if light is None else light, shots, folder, samples]
-        done = subprocess.run([str(w) for w in arguments], capture_output=True, text=True, check=False)
+        process = subprocess.run([str(w) for w in arguments], capture_output=True, text=True, check=False)
         pictures = [Path(folder) / f"{index}.png" for index in range(len(cameras))]
         if not all(picture.is_file() for picture in pictures):
-            raise RuntimeError(f"Blender gave no pictures of {file.name}: {done.stdout[-600:]} {done.stderr[-600:]}")
+            raise RuntimeError(
+                f"Blender rendered no pictures of {file.name}: {process.stdout[-600:]} {process.stderr[-600:]}"
+            )
         return [over_black(decoded_picture(picture.read_bytes())) for picture in pictures]
 
 
 def over_black(picture: NDArray[np.float32]) -> Picture:
-    """Encoded colour times coverage, as docs/evaluation.md composes both pictures."""
+    """Encoded colour times coverage, as in docs/evaluation.md."""
     return np.asarray(picture[..., :3] * picture[..., 3:], np.float32)
 
 
 def blender_python() -> Path:
-    """The Python that has bpy."""
+    """The Python interpreter that has bpy."""
     return Path(os.environ.get("HIR_BLENDER_PYTHON", ROOT / ".venv-blender" / "bin" / "python"))

@@ -1,4 +1,4 @@
-"""Godot 3, as Debian packages it, on a virtual screen with Mesa's software renderer: files in, pictures out."""
+"""Godot 3, as Debian packages it, on a virtual screen with Mesa's software renderer: renders files to pictures."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ from hir_core.capture import Camera
 from parity.shots import shot_document
 
 PROJECT: Final = Path(__file__).resolve().parent / "godot"
-SECONDS: Final = 900
+TIMEOUT_S: Final = 900
 
 
 def godot_missing() -> str:
-    """What has to be installed, or nothing."""
+    """What must be installed; empty if nothing."""
     return "" if shutil.which("godot3") and shutil.which("xvfb-run") else "Godot 3: apt-get install godot3 xvfb"
 
 
 def godot_version() -> str:
-    """As the program says it: 3.2.3."""
-    said = subprocess.run(["godot3", "--version"], capture_output=True, text=True, check=False).stdout
-    return ".".join(said.split(".")[:3])
+    """The version number, such as 3.2.3."""
+    output = subprocess.run(["godot3", "--version"], capture_output=True, text=True, check=False).stdout
+    return ".".join(output.split(".")[:3])
 
 
-def in_godot(file: Path, light: Path, cameras: Sequence[Camera]) -> list[NDArray[np.float32]]:
-    """Opaque sRGB pictures over black (H, W, 3), imported by the editor and drawn by GLES3.
+def render_in_godot(file: Path, light: Path, cameras: Sequence[Camera]) -> list[NDArray[np.float32]]:
+    """Opaque sRGB pictures over black (H, W, 3), imported by the editor and rendered by GLES3.
 
-    Raises `RuntimeError` where it gives none.
+    Raises `RuntimeError` where Godot renders none.
     """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -47,25 +47,25 @@ def in_godot(file: Path, light: Path, cameras: Sequence[Camera]) -> list[NDArray
         shutil.copy(file, folder / "asset.glb")
         shutil.copy(light, folder / "asset.hdr")
         (folder / "shots.json").write_text(json.dumps([shot_document(c) for c in cameras]), encoding="utf-8")
-        # the editor imports what it finds; it is ended when that is done
+        # The editor imports the files on start; it is terminated when the import has finished.
         _run(folder, ["--editor"], lambda: any((folder / ".import").glob("asset.glb-*.md5")))
         pictures = [folder / f"{index}.png" for index in range(len(cameras))]
-        said = _run(folder, ["-s", "shots.gd"], lambda: False)
+        output = _run(folder, ["-s", "shots.gd"], lambda: False)
         if not all(picture.is_file() for picture in pictures):
-            raise RuntimeError(f"Godot gave no pictures of {file.name}: {said[-600:]}")
+            raise RuntimeError(f"Godot rendered no pictures of {file.name}: {output[-600:]}")
         return [read_ldr(picture)[..., :3] for picture in pictures]
 
 
 def _run(folder: Path, arguments: list[str], done: Callable[[], bool]) -> str:
-    """What Godot says until it ends, or until `done` does."""
+    """Runs Godot until it exits or `is_done` returns True; returns its output."""
     log = folder / "godot.log"
     command = ["xvfb-run", "-a", "-s", "-screen 0 640x480x24", "godot3", "--path", str(folder), *arguments]
     with open(log, "wb") as stream:
         process = subprocess.Popen(
             command, stdout=stream, stderr=stream, start_new_session=True, env={**os.environ, "HOME": str(folder)}
         )
-        end = time.monotonic() + SECONDS
-        while process.poll() is None and time.monotonic() < end and not done():
+        end = time.monotonic() + TIMEOUT_S
+        while process.poll() is None and time.monotonic() < end and not is_done():
             time.sleep(0.5)
         if process.poll() is None:
             os.killpg(process.pid, signal.SIGTERM)

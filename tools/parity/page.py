@@ -12,13 +12,13 @@ from PIL import Image, ImageDraw, ImageFont
 
 _TEXT = Path(__file__).with_name("parity.template.md")
 _TILE = 192
-_LETTERS = 18
-"""A line beside a row of pictures holds these."""
+_CHARACTERS_PER_LINE = 18
+"""Characters of a line beside a row of pictures."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """What one engine made of one object's file."""
+    """The result of one engine for one object."""
 
     subject: str
     engine: str
@@ -31,7 +31,7 @@ class Row:
     note: str
 
     def sentence(self) -> str:
-        """One line for a person."""
+        """One line of the log."""
         if self.frame is None or self.inside is None:
             return f"{self.engine} {self.file} {self.note}"
         return f"{self.engine} {self.file}: {self.frame:.1f} / {self.inside:.1f} dB"
@@ -51,15 +51,15 @@ def write_page(folder: Path, rows: list[Row], size: int, samples: int) -> None:
     (folder / "images").mkdir(parents=True, exist_ok=True)
     pictures = []
     for subject in subjects:
-        shown = [row for row in rows if row.subject == subject and row.pictures]
-        _sheet(shown).save(folder / "images" / f"parity_{subject}.jpg", quality=88)
-        engines = ", ".join(f"{row.engine} {row.file}".strip() for row in shown)
+        rendered = [row for row in rows if row.subject == subject and row.pictures]
+        _sheet(rendered).save(folder / "images" / f"parity_{subject}.jpg", quality=88)
+        engines = ", ".join(f"{row.engine} {row.file}".strip() for row in rendered)
         pictures.append(f"![{subject}: {engines}](images/parity_{subject}.jpg)")
     sources = {row.subject: row.engine.rpartition(", ")[2] for row in rows if row.frame is None and row.pictures}
     arguments = {"a run": "a whole run of `hir reconstruct`", "a model": "the model that its capture was rendered from"}
     origins = "; ".join(f"{name} is {arguments[how]}" for name, how in sources.items() if how in arguments)
     fields = {
-        "origins": origins or "no captured object was asked for",
+        "origins": origins or "no captured object was selected",
         "table": "\n".join(table),
         "notes": "\n".join(notes),
         "pictures": "\n\n".join(pictures),
@@ -84,7 +84,7 @@ def _sheet(rows: list[Row]) -> Image.Image:
     sheet = Image.new("RGB", (margin + width * _TILE, len(rows) * _TILE), (20, 21, 24))
     draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(13)
     for index, row in enumerate(rows):
-        lines = [*textwrap.wrap(row.engine, _LETTERS), row.file]
+        lines = [*textwrap.wrap(row.engine, _CHARACTERS_PER_LINE), row.file]
         if row.frame is not None:
             lines.append(f"{row.frame:.1f} / {row.inside:.1f} dB")
         draw.multiline_text((10, index * _TILE + 60), "\n".join(line for line in lines if line), (225, 224, 220), font)

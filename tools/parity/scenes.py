@@ -59,7 +59,7 @@ def metal_egg(light: Path) -> Subject:
 
 
 def with_light(subject: Subject, hdr: Path) -> Asset:
-    """The asset under the light as it was written: what every engine is given."""
+    """The asset under the light as it was written: as for every engine."""
     return replace(subject.asset, environment=AssetEnvironment(np.maximum(read_hdr(hdr), 0)))
 
 

@@ -1,4 +1,4 @@
-"""Cameras as other programs want them, and where they stand around an asset."""
+"""Cameras around an asset, in the conventions of other programs."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def cameras_around(mesh: AssetMesh, size: int, sides: int = SIDES) -> list[Camer
 
 
 def shot_document(camera: Camera) -> dict[str, Any]:
-    """A camera as three.js, Babylon.js, Filament and Blender want it: it looks along -z with y up; column by column."""
+    """A camera in the convention of three.js, Babylon.js, Filament and Blender: -z forward, y up; column-major."""
     camera_to_world = np.linalg.inv(camera.world_to_camera) @ np.diag([1.0, -1, -1, 1])
     distance = float(np.linalg.norm(camera_to_world[:3, 3]))
     return {

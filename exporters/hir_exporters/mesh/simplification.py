@@ -66,14 +66,14 @@ def simplify(mesh: AssetMesh, triangles: int) -> AssetMesh:
         if not len(moves[0]):
             break
         _apply(state, *moves)
-    kept, compact = np.unique(state.vertices, return_inverse=True)
+    used, compact = np.unique(state.vertices, return_inverse=True)
     return replace(
         mesh,
-        positions=mesh.positions[kept],
-        normals=mesh.normals[kept],
-        uvs=mesh.uvs[kept],
+        positions=mesh.positions[used],
+        normals=mesh.normals[used],
+        uvs=mesh.uvs[used],
         faces=compact.reshape(-1, 3).astype(np.int32),
-        tangents=None if mesh.tangents is None else mesh.tangents[kept],
+        tangents=None if mesh.tangents is None else mesh.tangents[used],
     )
 
 

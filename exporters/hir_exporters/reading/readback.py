@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from hir_exporters.conventions import srgb_to_linear
 from hir_exporters.errors import HirError, InputError
@@ -23,6 +23,7 @@ from hir_exporters.reading.usd_containment import check_inside, check_layers
 
 if TYPE_CHECKING:
     import trimesh
+    from pxr import UsdShade
     from pygltflib import GLTF2
 
 Pixels = NDArray[Any]
@@ -136,7 +137,7 @@ def read_usd(path: Path) -> ReadBack:
         raise InputError(f"{path} cannot be read back as USD ({_one_line(error)})") from error
 
 
-def _by_corner(values: Any, interpolation: str, faces: NDArray[np.int32]) -> NDArray[np.float64]:
+def _by_corner(values: ArrayLike, interpolation: str, faces: NDArray[np.int32]) -> NDArray[np.float64]:
     """Values (F, 3, C) of corners from values of points or of corners."""
     array = np.asarray(values, np.float64)
     return array.reshape(*faces.shape, -1) if interpolation == "faceVarying" else array[faces]
@@ -166,11 +167,11 @@ def _gltf_material(
     packed = pixels(core.metallicRoughnessTexture)
     weight, color = pixels(specular.get("specularTexture")), pixels(specular.get("specularColorTexture"))
     surface = MetallicSurface(
-        base_color=_times(core.baseColorFactor[:3], _linear(pixels(core.baseColorTexture))),
+        base_color=_times_color(core.baseColorFactor[:3], pixels(core.baseColorTexture)),
         metallic=_times(core.metallicFactor, None if packed is None else packed[..., 2]),
         roughness=_times(core.roughnessFactor, None if packed is None else packed[..., 1]),
         specular_weight=_times(specular.get("specularFactor", 1.0), None if weight is None else weight[..., 3]),
-        specular_color=_times(specular.get("specularColorFactor", [1.0] * 3), _linear(color)),
+        specular_color=_times_color(specular.get("specularColorFactor", [1.0] * 3), color),
         ior=extensions.get("KHR_materials_ior", {}).get("ior", 1.5),
         residual=0.0,
     )
@@ -180,8 +181,8 @@ def _gltf_material(
         image = pixels(old.get("specularGlossinessTexture"))
         gloss = _times(old.get("glossinessFactor", 1.0), None if image is None else image[..., 3])
         specular_surface = SpecularSurface(
-            _times(old["diffuseFactor"][:3], _linear(pixels(old.get("diffuseTexture")))),
-            _times(old["specularFactor"], _linear(image)),
+            _times_color(old["diffuseFactor"][:3], pixels(old.get("diffuseTexture"))),
+            _times_color(old["specularFactor"], image),
             1 - gloss,
             residual=0.0,
         )
@@ -190,9 +191,9 @@ def _gltf_material(
 
 
 def _usd_material(
-    shader: Any, path: Path
+    shader: UsdShade.Shader, path: Path
 ) -> tuple[MetallicSurface, SpecularSurface | None, NDArray[np.float32] | None]:
-    def value(name: str, default: Any) -> NDArray[np.floating]:
+    def value(name: str, default: ArrayLike) -> NDArray[np.floating]:
         source = shader.GetInput(name)
         if not source:
             return np.asarray(default, np.float32)
@@ -219,7 +220,7 @@ def _usd_material(
     return surface, specular_surface, normal.astype(np.float32) if normal.ndim == 3 else None
 
 
-def _usd_texture(connection: Any, channel: str, path: Path) -> NDArray[np.floating]:
+def _usd_texture(connection: UsdShade.ConnectableAPI, channel: str, path: Path) -> NDArray[np.floating]:
     from pxr import Ar, UsdShade
 
     node = UsdShade.Shader(connection.GetPrim())
@@ -277,14 +278,18 @@ def _unit(pixels: Pixels) -> NDArray[np.float32]:
     return pixels.astype(np.float32) / np.float32(255) if pixels.dtype == np.uint8 else pixels.astype(np.float32)
 
 
-def _linear(pixels: Pixels | None) -> Any:
-    if pixels is None:
-        return None
+def _linear(pixels: Pixels) -> NDArray[np.floating]:
+    """Linear colour (H, W, 3) of sRGB pixels."""
     if pixels.dtype != np.uint8:
         return srgb_to_linear(pixels[..., :3])
     return srgb_to_linear(np.arange(256, dtype=np.float32) / np.float32(255))[pixels[..., :3]]
 
 
-def _times(factor: Any, texture: Pixels | None) -> NDArray[np.floating]:
+def _times_color(factor: ArrayLike, pixels: Pixels | None) -> NDArray[np.floating]:
+    """A linear factor times an sRGB texture, if there is one."""
+    return _times(factor, None if pixels is None else _linear(pixels))
+
+
+def _times(factor: ArrayLike, texture: Pixels | None) -> NDArray[np.floating]:
     constant = np.asarray(factor, np.float32)
     return constant if texture is None else _unit(texture) * constant

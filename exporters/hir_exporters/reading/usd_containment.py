@@ -14,18 +14,18 @@ def check_layers(path: Path) -> None:
     """Follows sublayers, references and payloads without composing them; raises `InputError` for one outside."""
     from pxr import Sdf
 
-    waiting, seen = [str(path)], {str(path)}
-    while waiting:
-        layer = Sdf.Layer.FindOrOpen(waiting.pop())
+    pending, visited = [str(path)], {str(path)}
+    while pending:
+        layer = Sdf.Layer.FindOrOpen(pending.pop())
         if layer is None:
             continue  # composing the stage reports it
         for name in layer.GetCompositionAssetDependencies():
             target = layer.ComputeAbsolutePath(name)
             check_inside(path, target, name)
-            if target not in seen:
-                seen.add(target)
-                waiting.append(target)
-        if len(seen) > MAX_LAYERS:
+            if target not in visited:
+                visited.add(target)
+                pending.append(target)
+        if len(visited) > MAX_LAYERS:
             raise InputError(f"{path} composes more than {MAX_LAYERS} layers; flatten it first")
 
 

@@ -7,12 +7,12 @@ textures. Its lobe includes multiple scattering, and its non-metal has the exact
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from hir_exporters.usd.preview_surface import UsdSurface
 
 if TYPE_CHECKING:
-    from pxr import Sdf
+    from pxr import Sdf, UsdShade
 
 MATERIALX_VERSION: Final = "1.39"
 
@@ -37,7 +37,7 @@ def openpbr_layer(
     material = UsdShade.Material.Define(stage, root.GetPath().AppendChild("Material"))
     material.GetPrim().CreateAttribute("config:mtlx:version", types.String, custom=True).Set(MATERIALX_VERSION)
 
-    def node(name: str, identifier: str) -> Any:
+    def node(name: str, identifier: str) -> UsdShade.Shader:
         shader = UsdShade.Shader.Define(stage, material.GetPath().AppendChild(f"OpenPBR{name}"))
         shader.CreateIdAttr(identifier)
         return shader
@@ -53,7 +53,7 @@ def openpbr_layer(
         coordinates.CreateInput("geomprop", types.String).Set("st")
         uv = coordinates.CreateOutput("out", types.Float2)
 
-    def image(name: str) -> Any:
+    def image(name: str) -> UsdShade.Output:
         kind = _IMAGES[name]
         texture = node("".join(part.title() for part in name.split("_")), f"ND_image_{kind}")
         file = texture.CreateInput("file", types.Asset)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from hir_exporters.materials.material_conversion import to_specular_workflow, to
 from hir_exporters.materials.texture_packing import pack_color, pack_surface
 
 if TYPE_CHECKING:
-    from pxr import Usd, UsdShade
+    from pxr import Sdf, Usd, UsdShade
 
 Image8 = NDArray[np.uint8]
 
@@ -101,7 +101,9 @@ def usd_surface(material: AssetMaterial, workflow: Literal["auto", "metallic", "
     )
 
 
-def add_material(surface: UsdSurface, stage: Usd.Stage, path: Any, textures: Mapping[str, str]) -> UsdShade.Material:
+def add_material(
+    surface: UsdSurface, stage: Usd.Stage, path: Sdf.Path, textures: Mapping[str, str]
+) -> UsdShade.Material:
     """Adds a material whose surface output is a UsdPreviewSurface with constants and textures as inputs."""
     from pxr import Gf, Sdf, UsdShade
 
@@ -146,7 +148,7 @@ def _connect_textures(
         node.CreateInput("st", types.Float2).ConnectToSource(coordinates)
         return node
 
-    def connect(name: str, kind: Any, source: UsdShade.Shader, channel: str) -> None:
+    def connect(name: str, kind: Sdf.ValueTypeName, source: UsdShade.Shader, channel: str) -> None:
         output = source.CreateOutput(channel, types.Float3 if channel == "rgb" else types.Float)
         (shader.GetInput(name) or shader.CreateInput(name, kind)).ConnectToSource(output)
 

@@ -47,11 +47,11 @@ def test_every_level_is_the_integral() -> None:
     rng = np.random.default_rng(0)
     for level, rough in zip(cube[1:], roughness[1:], strict=True):
         directions, side = face_directions(level.shape[1]), level.shape[1]
-        places = [(rng.integers(6), rng.integers(side), rng.integers(side)) for _ in range(12)]
-        places.append(np.unravel_index(level.sum(-1).argmax(), level.shape[:3]))
-        for place in places:
-            expected = integrated(radiance, directions[place], rough**2)
-            assert np.abs(level[place] - expected).max() < 0.01 * level.max(), (rough, place)
+        texels = [(rng.integers(6), rng.integers(side), rng.integers(side)) for _ in range(12)]
+        texels.append(np.unravel_index(level.sum(-1).argmax(), level.shape[:3]))
+        for texel in texels:
+            expected = integrated(radiance, directions[texel], rough**2)
+            assert np.abs(level[texel] - expected).max() < 0.01 * level.max(), (rough, texel)
 
 
 def test_faces_are_those_of_opengl(six_colors: np.ndarray) -> None:

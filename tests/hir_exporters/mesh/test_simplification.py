@@ -172,7 +172,7 @@ def test_every_texel_belongs_to_one_triangle(make_sphere: Sphere) -> None:
     mesh = make_sphere(7, 13)
     cover = rasterize_uvs(mesh.uvs, mesh.faces, 64)
     assert cover.overlap == 0 and (cover.weights >= -1e-9).all()
-    places = cover.interpolated(mesh.uvs, mesh.faces) * 64 - 0.5
-    np.testing.assert_allclose(places[:, 1] * 64 + places[:, 0], cover.texels, atol=1e-6)
+    texel_positions = cover.interpolated(mesh.uvs, mesh.faces) * 64 - 0.5
+    np.testing.assert_allclose(texel_positions[:, 1] * 64 + texel_positions[:, 0], cover.texels, atol=1e-6)
     full = rasterize_uvs(np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]]), np.array([[0, 1, 2], [0, 2, 3]]), 32)
     np.testing.assert_array_equal(full.texels, np.arange(1024))

@@ -222,14 +222,14 @@ def test_the_predictor_of_png_is_that_of_its_text() -> None:
         np.testing.assert_array_equal(_paeth(left, up, corner), wanted)
 
 
-def test_a_cut_off_exr_is_told_once_and_not_row_by_row(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_cut_off_exr_is_reported_once_and_not_row_by_row(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     image_files.write_exr(tmp_path / "cut.exr", np.random.default_rng(0).random((256, 256, 3), dtype=np.float32))
     (tmp_path / "cut.exr").write_bytes((tmp_path / "cut.exr").read_bytes()[:5000])
     with pytest.raises(InputError, match=r"cut\.exr is a broken OpenEXR file"):
         image_files.read_exr(tmp_path / "cut.exr")
     print("the streams are there again", flush=True)
-    told = capfd.readouterr()
-    assert told.out == "the streams are there again\n" and told.err == ""
+    output = capfd.readouterr()
+    assert output.out == "the streams are there again\n" and output.err == ""
 
 
 @pytest.mark.parametrize(

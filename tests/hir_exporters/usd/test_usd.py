@@ -42,8 +42,10 @@ def test_the_other_validator_is_content_too(textured_asset: Asset, tmp_path: Pat
             if path.suffix.startswith(".usd"):
                 issues = core.ValidationEngine(init_rules=True).validate(str(path)).issues()
                 # That a text file is slower to load than a binary one is what was asked for.
-                told = [i for i in issues if i.severity != core.IssueSeverity.NONE and "Ascii" not in i.rule.__name__]
-                assert told == [], path.name
+                issues_found = [
+                    i for i in issues if i.severity != core.IssueSeverity.NONE and "Ascii" not in i.rule.__name__
+                ]
+                assert issues_found == [], path.name
 
 
 @pytest.mark.parametrize("suffix", FORMATS)
@@ -134,7 +136,7 @@ def test_nested_provenance_is_kept(textured_asset: Asset, tmp_path: Path) -> Non
     assert data["run"]["seed"] == 3 and data["run"]["stages"] == '["a", null]' and data["x_y"] == 0.5
 
 
-def test_too_many_triangles_for_quick_look_are_reduced_and_told(
+def test_too_many_triangles_for_quick_look_are_reduced_with_a_warning(
     constant_asset: Asset, make_sphere: Callable[..., AssetMesh], tmp_path: Path
 ) -> None:
     asset = dataclasses.replace(constant_asset, mesh=make_sphere(225, 230))
