@@ -27,7 +27,7 @@ ROWS, COLUMNS = 24, 48
 """Of the light."""
 WIDTHS = torch.tensor([0.05, 0.1, 0.2, 0.35, 0.55, 0.8, 1.0])
 STEPS, BATCH, FEWEST = 500, 60_000, 4
-TILT = 0.5
+NORMAL_OFFSET_SCALE = 0.5
 SATURATED = 0.99
 KNOTS = 9
 """Of the velvet's dependence on the angle of view."""
@@ -69,7 +69,7 @@ class PointModel(torch.nn.Module):
         self.diffuse = torch.nn.Parameter(torch.logit(0.7 * mean))
         self.specular = torch.nn.Parameter(torch.logit((0.5 * mean).clamp_min(0.02)), parts.lobe)
         self.width = torch.nn.Parameter(torch.zeros(len(mean)), parts.lobe)
-        self.tilt = torch.nn.Parameter(torch.zeros(len(mean), 3), parts.normals)
+        self.normal_offset = torch.nn.Parameter(torch.zeros(len(mean), 3), parts.normals)
         self.velvet = torch.nn.Parameter(torch.full((len(mean), 3), -3.6), parts.velvet)
         self.grazing = torch.nn.Parameter(torch.linspace(0.5, -0.5, KNOTS), parts.velvet)
         self.response = torch.nn.Parameter(torch.zeros(STOPS), parts.response)
@@ -78,8 +78,8 @@ class PointModel(torch.nn.Module):
         theta = (torch.arange(ROWS) + 0.5) / ROWS * np.pi
         phi = (torch.arange(COLUMNS) + 0.5) / COLUMNS * 2 * np.pi
         t, p = (x.reshape(-1) for x in torch.meshgrid(theta, phi, indexing="ij"))
-        places = torch.stack([t.sin() * p.cos(), t.sin() * p.sin(), t.cos()], dim=1)
-        cosine, area = places @ places.T, t.sin() * (np.pi / ROWS) * (2 * np.pi / COLUMNS)
+        unit_directions = torch.stack([t.sin() * p.cos(), t.sin() * p.sin(), t.cos()], dim=1)
+        cosine, area = unit_directions @ unit_directions.T, t.sin() * (np.pi / ROWS) * (2 * np.pi / COLUMNS)
         half = ((1 + cosine) / 2).clamp_min(0)
         square = WIDTHS[:, None, None] ** 2
         lobes = square / (half * (square - 1) + 1) ** 2 * cosine.clamp_min(0) * area
@@ -88,7 +88,9 @@ class PointModel(torch.nn.Module):
 
     def forward(self, which: Tensor, toward: Tensor) -> Tensor:
         """Radiance (M, 3) of points `which` (M,) in directions (M, 3)."""
-        normal = torch.nn.functional.normalize(self.normals[which] + TILT * self.tilt[which], dim=1)
+        normal = torch.nn.functional.normalize(
+            self.normals[which] + NORMAL_OFFSET_SCALE * self.normal_offset[which], dim=1
+        )
         light = self.light.exp()
         diffuse = torch.sigmoid(self.diffuse[which]) * looked_up(self.cosines @ light, normal)
         if self.parts.velvet:

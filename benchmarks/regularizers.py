@@ -39,12 +39,12 @@ MOST_PAIRS = 10_000
 """Places up to which all pairs are summed."""
 
 
-def inputs(run: Path, places: int, white: bool = False) -> tuple[Tensor, Tensor, Tensor]:
+def inputs(run: Path, samples: int, white: bool = False) -> tuple[Tensor, Tensor, Tensor]:
     """Positions in σ1, albedo in σ2 and specular noise at about so many texels of a run's surface."""
     scene = load_stage_scene(run / "stages" / "4-reflectance" / "scene")
     assert scene.material is not None
     side = 256
-    side = round(side * (places / len(sample_surface(scene.mesh, "texels", (side, side)).positions)) ** 0.5)
+    side = round(side * (samples / len(sample_surface(scene.mesh, "texels", (side, side)).positions)) ** 0.5)
     spots = sample_surface(scene.mesh, "texels", (side, side))
     generator = torch.Generator().manual_seed(0)
     diffuse = spots.values(scene.material.diffuse_albedo)
@@ -56,10 +56,10 @@ def inputs(run: Path, places: int, white: bool = False) -> tuple[Tensor, Tensor,
     return scaled, diffuse / DEFAULTS.sigma_albedo, specular
 
 
-def measured(method: str, run: Path, places: int, white: bool) -> dict[str, float]:
+def measured(method: str, run: Path, samples: int, white: bool) -> dict[str, float]:
     """Seconds of preparation and of value with gradients, memory above the inputs, and the results' digests."""
-    _evaluated(method, *(t[:500].clone() for t in inputs(run, places, white)))  # what is loaded once
-    given = inputs(run, places, white)
+    _evaluated(method, *(t[:500].clone() for t in inputs(run, samples, white)))  # what is loaded once
+    given = inputs(run, samples, white)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     prepared, stepped = _evaluated(method, *given)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -97,7 +97,7 @@ def speed(run: Path, counts: list[int]) -> None:
             )
             pairs = "–" if slow is None else f"{1e3 * slow['step']:.0f}"
             print(
-                f"| {'white noise' if white else 'fitted'} | {fast['places']:.0f} | {1e3 * fast['prepare']:.0f} | "
+                f"| {'white noise' if white else 'fitted'} | {fast['samples']:.0f} | {1e3 * fast['prepare']:.0f} | "
                 f"{1e3 * fast['step']:.0f} | {fast['memory']:.0f} | {pairs} | {errors} |",
                 flush=True,
             )
@@ -165,8 +165,10 @@ def sigma(avocado: Path, spot: Path, count: int = 20_000) -> None:
         guide = diffuse + 0.03 * torch.randn(diffuse.shape, generator=generator)
         diagonal = (positions.amax(0) - positions.amin(0)).norm()
         widths = (0.025, 0.05, 0.1, 0.2, 0.4)
-        spread = float(specular.std())
-        print(f"\n{name}: {len(positions)} places; noise of ρs 0.02, of ρd 0.03; spread of the true ρs {spread:.3f}\n")
+        true_deviation = float(specular.std())
+        print(
+            f"\n{name}: {len(positions)} places; noise of ρs 0.02, of ρd 0.03; deviation of the true ρs {true_deviation:.3f}\n"
+        )
         print(f"| σ1 \\ σ2 | {' | '.join(map(str, widths))} |\n|{'---|' * 6}")
         for near in (0.01, 0.02, 0.03, 0.04, 0.06):
             cubes = cubes_of(positions / (near * diagonal), 3.0, 0.75)
@@ -185,9 +187,9 @@ def _true_avocado(path: Path, count: int) -> tuple[Tensor, Tensor, Tensor]:
     metal = torch.from_numpy(
         np.asarray(material.metallicRoughnessTexture.convert("RGB"), dtype=np.float32)[..., 2:] / 255
     )
-    places = _texels(mesh, count)
-    base, metalness = places.values(color), places.values(metal)
-    return places.positions, base * (1 - metalness), 0.04 * (1 - metalness) + metalness * base
+    samples = _texels(mesh, count)
+    base, metalness = samples.values(color), samples.values(metal)
+    return samples.positions, base * (1 - metalness), 0.04 * (1 - metalness) + metalness * base
 
 
 def _true_spot(path: Path, count: int) -> tuple[Tensor, Tensor, Tensor]:
@@ -195,10 +197,10 @@ def _true_spot(path: Path, count: int) -> tuple[Tensor, Tensor, Tensor]:
 
     mesh: Any = trimesh.load(path, force="mesh", process=False)
     picture = Image.open(path.with_name("spot_texture.png")).convert("RGB")
-    places = _texels(mesh, count)
-    diffuse = places.values(srgb_to_linear(torch.from_numpy(np.asarray(picture, dtype=np.float32) / 255)))
+    samples = _texels(mesh, count)
+    diffuse = samples.values(srgb_to_linear(torch.from_numpy(np.asarray(picture, dtype=np.float32) / 255)))
     dark = (diffuse.mean(dim=1, keepdim=True) < 0.4).float()
-    return places.positions, diffuse, 0.04 + 0.08 * dark.expand(-1, 3)
+    return samples.positions, diffuse, 0.04 + 0.08 * dark.expand(-1, 3)
 
 
 def _texels(mesh: Any, count: int) -> SurfaceSamples:

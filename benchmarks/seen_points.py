@@ -118,14 +118,14 @@ def photographed(
     return read(color), toward, seen
 
 
-def blended(points: SeenPoints, spread: float, nearest: int = 0) -> Array:
+def blended(points: SeenPoints, falloff: float, nearest: int = 0) -> Array:
     """Mean colour (N, 3) of the photographs, those within about `spread` radians of the unseen view before others;
     of the `nearest` alone where that is not 0.
     """
     cosine = np.clip((points.directions * points.direction[:, None]).sum(axis=2), -1, 1)
     angle = np.where(points.seen, np.arccos(cosine), np.inf)
     last = np.partition(angle, nearest - 1, axis=1)[:, [nearest - 1]] if nearest else np.inf
-    weight = (points.seen & (angle <= last)) / (np.where(points.seen, angle, 0) ** 2 + spread**2)
+    weight = (points.seen & (angle <= last)) / (np.where(points.seen, angle, 0) ** 2 + falloff**2)
     return np.asarray((points.colors * weight[..., None]).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-12)[:, None])
 
 
@@ -140,12 +140,12 @@ def main() -> None:
     capture, run = map(Path, sys.argv[1:3])
     points = seen_points(capture, run, PluginManager.discover())
     print(f"{len(points.color):,} points, {points.seen.sum(axis=1).mean():.1f} photographs each")
-    for name, spread, nearest in (
+    for name, falloff, nearest in (
         ("one colour for all directions", 1e3, 0),
         ("photographs blended, 0.03 rad", 0.03, 0),
         ("the four nearest blended", 0.01, 4),
     ):
-        print(f"{name}: {decibels(points, blended(points, spread, nearest)):.2f} dB")
+        print(f"{name}: {decibels(points, blended(points, falloff, nearest)):.2f} dB")
 
 
 if __name__ == "__main__":

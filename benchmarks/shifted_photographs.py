@@ -73,8 +73,8 @@ def main() -> None:
             pictures = np.stack([_moved(shown, by) for by in moves])
             # elsewhere `shown` is the true picture
             known &= np.stack([_moved(known[..., None] * 1.0, by)[..., 0] > KNOWN for by in moves]).all(axis=0)
-            told = ", ".join(f"{way} {_decibels((p - true)[known]):.2f}" for way, p in zip(WAYS, pictures, strict=True))
-            print(f"{view.name}, a photograph {np.degrees(angles[number]):.0f}° aside: {told} dB", flush=True)
+            line = ", ".join(f"{way} {_decibels((p - true)[known]):.2f}" for way, p in zip(WAYS, pictures, strict=True))
+            print(f"{view.name}, a photograph {np.degrees(angles[number]):.0f}° aside: {line} dB", flush=True)
             weight = known / angles[number] ** 2
             blends, total = blends + pictures * weight[..., None], total + weight
         known = total > 0
@@ -91,8 +91,8 @@ def _angles(vectors: Array, other: Array) -> Array:
 
 def _moved(picture: Array, by: Array) -> Array:
     """Every pixel (H, W, C) read `by` (rows, columns) pixels away."""
-    places = np.moveaxis(np.indices(by.shape[:2]).transpose(1, 2, 0) + by, -1, 0)
-    read = [map_coordinates(channel, places, order=3, mode="nearest") for channel in np.moveaxis(picture, -1, 0)]
+    coordinates = np.moveaxis(np.indices(by.shape[:2]).transpose(1, 2, 0) + by, -1, 0)
+    read = [map_coordinates(channel, coordinates, order=3, mode="nearest") for channel in np.moveaxis(picture, -1, 0)]
     return np.clip(np.stack(read, axis=-1), 0, 1)
 
 

@@ -36,11 +36,11 @@ def textured_mesh(path: Path, world_from_source: Array) -> Mesh:
 
     loaded = cast(Any, trimesh.load(path / TRUE_MESH, process=False, force="mesh"))
     moved = np.asarray(loaded.vertices) @ world_from_source[:3, :3].T + world_from_source[:3, 3]
-    places, vertex = np.unique(moved.round(6), axis=0, return_inverse=True)
+    unique_positions, vertex = np.unique(moved.round(6), axis=0, return_inverse=True)
     corners = np.asarray(loaded.faces, np.int64)
     uvs = np.asarray(loaded.visual.uv, np.float32) * [1, -1] + [0, 1]
     topology = Topology(torch.from_numpy(vertex.reshape(-1)[corners]), torch.from_numpy(corners))
-    return Mesh(_tensor(places), topology, _tensor(uvs))
+    return Mesh(_tensor(unique_positions), topology, _tensor(uvs))
 
 
 def spot() -> Material:

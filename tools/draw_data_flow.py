@@ -86,8 +86,8 @@ def picture() -> str:
     """The whole SVG."""
     parts = []
     y = TOP
-    starts = [i for i, step in enumerate(STEPS) if step.stage]
-    for start, end in zip(starts, [*starts[1:], len(STEPS)], strict=True):
+    first_steps = [i for i, step in enumerate(STEPS) if step.stage]
+    for start, end in zip(first_steps, [*first_steps[1:], len(STEPS)], strict=True):
         group = STEPS[start:end]
         parts += _stage(group, y, final=end == len(STEPS))
         y += ROW * len(group) + 34

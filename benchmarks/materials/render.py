@@ -159,7 +159,7 @@ def _render(
 
 def _sensor(mi: Any, pose: NDArray[np.float64], side: int, samples: int) -> dict[str, Any]:
     eye, back, up = pose[:3, 3], pose[:3, 2], pose[:3, 1]
-    look = mi.ScalarTransform4f().look_at(origin=eye.tolist(), target=(eye - back).tolist(), up=up.tolist())
+    camera_to_world = mi.ScalarTransform4f().look_at(origin=eye.tolist(), target=(eye - back).tolist(), up=up.tolist())
     film = {
         "type": "hdrfilm",
         "width": side,
@@ -171,7 +171,7 @@ def _sensor(mi: Any, pose: NDArray[np.float64], side: int, samples: int) -> dict
     return {
         "type": "perspective",
         "fov": float(np.degrees(FIELD_OF_VIEW)),
-        "to_world": look,
+        "to_world": camera_to_world,
         "film": film,
         "sampler": {"type": "independent", "sample_count": samples},
     }

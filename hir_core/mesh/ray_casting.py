@@ -1,9 +1,7 @@
 """Ray casting and nearest points on a mesh, by Embree through open3d; arrays in, arrays out.
 
-The only wrapper of open3d's `RaycastingScene`. Geometry code and evaluation use it on the CPU. The reflectance
-renderers trace rays through Mitsuba instead, which also runs on CUDA:
-`hir_plugins.reflectance_renderers.transport_ggx.operator.ray_tracer` for arrays, and
-`hir_plugins.reflectance_renderers.mitsuba_ggx.mitsuba_mesh` inside Dr.Jit kernels.
+The only wrapper of open3d's `RaycastingScene`. Geometry code and evaluation use it on the CPU. The built-in
+reflectance renderers trace rays through Mitsuba instead, which also runs on CUDA.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ _FADE_RINGS = 2
 """Rings of neighbours over which a push fades out."""
 
 
-def push_apart(positions: Positions, faces: Faces, allowed: int, rounds: int = 10) -> Positions:
+def separate_sheets(positions: Positions, faces: Faces, allowed: int, rounds: int = 10) -> Positions:
     """Pushes intersecting triangles apart, by a tenth of an edge a round, until at most `allowed` intersect.
 
     This is for sheets that graze each other, where smoothing would only shrink a thin part. Returns the positions with

@@ -14,7 +14,7 @@ from hir_core.scene import Scene
 from hir_core.scene.energy_conservation import with_conserved_energy
 from hir_core.stages.reflectance.fit_sequence import FitSequence
 from hir_core.stages.reflectance.gradient_fit import fit_by_gradient, gradient_steps, object_pixels
-from hir_core.stages.reflectance.initial_scene import initial_scene
+from hir_core.stages.reflectance.initial_material_and_light import initial_scene
 from hir_core.stages.reflectance.model_selection import select_model
 from hir_core.stages.reflectance.path_traced_refinement import refine_albedo, refine_by_path_tracing
 from hir_core.stages.reflectance.reflectance_report import LightAndMaterial, ReflectanceReport, comparison_reports

@@ -68,6 +68,7 @@ def test_wrong_axes_are_reported(sample: Capture) -> None:
 
 
 def test_blur_duplicates_and_clipping(sample: Capture) -> None:
+    sample = replace(sample, views=sample.views[:8])
     pixels = sample.views[3].read()
     blurred = np.stack([gaussian_filter(pixels.color_linear[..., i], 3) for i in range(3)], axis=-1)
     assert any("blurred" in a and sample.views[3].name in a for a in spoilt(sample, 3, color_linear=blurred).advice)
@@ -133,9 +134,11 @@ def test_a_fired_flash_is_a_light_on_the_camera(sample: Capture, tmp_path: Path)
     exif = Image.Exif()
     exif.get_ifd(0x8769)[0x9209] = 1
     Image.new("RGB", (8, 8)).save(tmp_path / "flash.jpg", exif=exif)
-    flashed = replace(sample, views=tuple(replace(view, path=tmp_path / "flash.jpg") for view in sample.views))
+    flashed = replace(sample, views=tuple(replace(view, path=tmp_path / "flash.jpg") for view in sample.views[:4]))
     assert any("the flash fired" in sentence for sentence in check_capture(flashed).advice)
-    assert not any("flash fired" in sentence for sentence in check_capture(sample).advice)
+    assert not any(
+        "flash fired" in sentence for sentence in check_capture(replace(sample, views=sample.views[:4])).advice
+    )
 
 
 def test_small_or_empty_photographs_give_no_score(sample: Capture) -> None:

@@ -107,8 +107,8 @@ def test_counts_of_known_meshes() -> None:
     assert inspect_mesh(*torus()).genus == 1
     assert not inspect_mesh(ball[0], ball[1][1:]).watertight
     assert not inspect_mesh(ball[0], np.concatenate([ball[1][1:], ball[1][:1, ::-1]])).watertight
-    apart = np.concatenate([ball[0], ball[0] + [3.0, 0, 0]]), np.concatenate([ball[1], ball[1] + 162])
-    assert inspect_mesh(*apart).components == 2 and inspect_mesh(*apart).self_intersecting == 0
+    two_balls = np.concatenate([ball[0], ball[0] + [3.0, 0, 0]]), np.concatenate([ball[1], ball[1] + 162])
+    assert inspect_mesh(*two_balls).components == 2 and inspect_mesh(*two_balls).self_intersecting == 0
     assert inspect_mesh(np.zeros((0, 3)), np.zeros((0, 3), int)).triangles == 0
 
 

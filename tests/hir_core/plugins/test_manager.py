@@ -115,21 +115,21 @@ def test_missing_extra_names_the_command() -> None:
         manager.create("regularizer", "thing")
 
 
-def test_observer_that_raises_is_reported_once_and_the_others_are_told() -> None:
-    told: list[str] = []
+def test_observer_that_raises_is_reported_once_and_the_others_are_notified() -> None:
+    notified: list[str] = []
 
     def broken(stage: str) -> None:
         raise RuntimeError("no disk")
 
     def sound(stage: str) -> None:
-        told.append(stage)
+        notified.append(stage)
 
     manager = PluginManager()
     manager.register(types.SimpleNamespace(__name__="sound", hir_stage_finished=hookimpl(sound)), "one", "1")
     manager.register(types.SimpleNamespace(__name__="broken", hir_stage_finished=hookimpl(broken)), "two", "1")
     for stage in ("geometry", "atlas"):
         manager.notify("hir_stage_finished", stage=stage, scene=None, report={})
-    assert told == ["geometry", "atlas"]
+    assert notified == ["geometry", "atlas"]
     (problem,) = manager.problems
     assert "two:broken" in problem and "no disk" in problem
 
@@ -241,7 +241,7 @@ def test_observers_have_checked_options(tmp_path: Path) -> None:
     assert config.observers == {"watcher": {"every": 3}}
     with pytest.raises(ConfigError, match="unknown option 'evry'; did you mean 'every'"):
         load_config(manager, assignments=[*named, "observers.watcher.evry=3"])
-    with pytest.raises(ConfigError, match="no observer 'wacher'; there are: previews, tensorboard, watcher"):
+    with pytest.raises(ConfigError, match="no observer 'wacher'; installed: previews, tensorboard, watcher"):
         load_config(manager, assignments=[*named, "observers.wacher={}"])
 
 
@@ -252,7 +252,7 @@ def test_a_plugin_from_a_file_names_the_packages_to_install(tmp_path: Path) -> N
         manager.create("regularizer", "thing")
 
 
-def test_a_second_preset_or_observer_of_a_name_is_told_and_ignored(tmp_path: Path) -> None:
+def test_a_second_preset_or_observer_of_a_name_is_reported_and_ignored(tmp_path: Path) -> None:
     class Twice:
         @hookimpl
         def hir_register_presets(self) -> dict[str, str]:

@@ -154,14 +154,14 @@ def test_run_json_is_the_same_for_the_same_run_and_timings_hold_the_rest(tmp_pat
 
 
 def test_listener_tells_in_blocks_and_keeps_every_scalar(tmp_path: Path) -> None:
-    told: list[Progress] = []
-    listener = ProgressListener("geometry", PluginManager(), told.append)
+    reports: list[Progress] = []
+    listener = ProgressListener("geometry", PluginManager(), reports.append)
     for step in range(1, 1001):
         listener.report(Progress("", step, 1000, step * 1e-4, {"loss": np.array([1 / step])}))
     listener.close(0.1)
-    assert len(told) < 10, "1000 steps in far less than a second are at most four blocks a second, first and last"
-    assert told[-1].step == 1000 and told[0].stage == "geometry"
-    assert sum(len(p.scalars.get("loss", ())) for p in told) == 1000
+    assert len(reports) < 10, "1000 steps in far less than a second are at most four blocks a second, first and last"
+    assert reports[-1].step == 1000 and reports[0].stage == "geometry"
+    assert sum(len(p.scalars.get("loss", ())) for p in reports) == 1000
     listener.write(tmp_path / "curves.npz")
     steps, values = read_curves(tmp_path / "curves.npz")["loss"]
     np.testing.assert_array_equal(steps, np.arange(1, 1001))
@@ -173,13 +173,13 @@ def test_a_second_phase_of_a_stage_has_its_own_time_left(monkeypatch: pytest.Mon
     clock = iter([0.0, 600.0, 610.0])
     monkeypatch.setattr("hir_core.run.progress_listener.time.perf_counter", lambda: now[0])
     now = [next(clock)]
-    told: list[Progress] = []
-    listener = ProgressListener("geometry", PluginManager(), told.append)
+    reports: list[Progress] = []
+    listener = ProgressListener("geometry", PluginManager(), reports.append)
     now[0] = next(clock)
     listener.report(Progress("geometry", 800, 800, 600.0))
     now[0] = next(clock)
     listener.report(Progress("geometry", 100, 300, 10.0))
     listener.close(610.0)
-    assert told[-1].seconds == 610.0 and listener._last is not None
+    assert reports[-1].seconds == 610.0 and listener._last is not None
     assert Progress("x", 100, 300, 610.0, phase_seconds=10.0).seconds_left == pytest.approx(20.0)
-    assert told[-1].phase_seconds == pytest.approx(10.0)
+    assert reports[-1].phase_seconds == pytest.approx(10.0)

@@ -70,10 +70,10 @@ def test_a_hole_is_a_hole(contour: Contour) -> None:
 
 def test_components_in_front_of_each_other_count_once(contour: Contour) -> None:
     positions, faces = icosphere(2)
-    apart = np.concatenate([positions * 0.5, positions * 0.5 + [0.3, 0.2, -0.8]])
+    two_parts = np.concatenate([positions * 0.5, positions * 0.5 + [0.3, 0.2, -0.8]])
     both = np.concatenate([faces, faces + len(positions)])
     view = camera(256, (0.2, 0.3, 4.0))
-    assert _area(contour, apart, both, view) == pytest.approx([polygons.area(apart, both, view)], rel=2e-4)
+    assert _area(contour, two_parts, both, view) == pytest.approx([polygons.area(two_parts, both, view)], rel=2e-4)
 
 
 def test_open_and_non_manifold_meshes_need_no_special_care(contour: Contour) -> None:

@@ -110,7 +110,7 @@ def test_pickles_and_nans_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_projections_come_apart_as_they_were_made(seed: int) -> None:
+def test_projections_are_decomposed_into_their_factors(seed: int) -> None:
     rng = np.random.default_rng(seed)
     rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     rotation *= np.sign(np.linalg.det(rotation))

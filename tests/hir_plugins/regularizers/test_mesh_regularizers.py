@@ -74,7 +74,7 @@ def test_paper_values_on_an_octahedron() -> None:
     assert _value(TERMS["normal_consistency"](), mesh).item() == pytest.approx(12 * (2 / 3) ** 2)
 
 
-def test_bending_of_a_sphere_is_that_of_calculus() -> None:
+def test_normal_variation_of_a_sphere_is_that_of_calculus() -> None:
     # ∫ |Δx|² = ∫ (2H)² = 4 · 4π, for every sphere
     assert _value(TERMS["bending"](), mesh_of(*icosphere(4), torch.float64)).item() == pytest.approx(
         16 * np.pi, rel=0.02

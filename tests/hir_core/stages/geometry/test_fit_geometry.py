@@ -13,7 +13,7 @@ from hir_core.capture import Capture
 from hir_core.config import GeometrySettings
 from hir_core.errors import CaptureError, StageError
 from hir_core.mesh.mesh_validity import inspect_mesh
-from hir_core.mesh.self_intersection_repair import push_apart, smooth_intersections
+from hir_core.mesh.self_intersection_repair import separate_sheets, smooth_intersections
 from hir_core.plugins.manager import PluginManager
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import Mesh, Scene
@@ -285,7 +285,7 @@ def test_grazing_sheets_are_separated() -> None:
     upper = lower + np.array([0.0, 1.999, 0.0])
     positions, both = np.concatenate([lower, upper]), np.concatenate([faces, faces + len(lower)])
     assert inspect_mesh(positions, both).self_intersecting > 0
-    repaired = push_apart(positions, both, allowed=0)
+    repaired = separate_sheets(positions, both, allowed=0)
     assert inspect_mesh(repaired, both).self_intersecting == 0
     edge = np.linalg.norm(lower[faces[:, 0]] - lower[faces[:, 1]], axis=1).mean()
     moved = np.linalg.norm(repaired - positions, axis=1)

@@ -171,8 +171,8 @@ def test_one_view(tmp_path: Path) -> None:
 def test_unobserved_texels_are_marked_and_inpainted_smoothly(tmp_path: Path) -> None:
     mesh = ball()
     texture, surface = painted(mesh, lambda p: 0.5 + 0.3 * p)
-    places = [(-0.5, 0.3), (-0.25, -0.2), (0.0, 0.3), (0.2, -0.3), (0.45, 0.1), (0.6, -0.2)]
-    eyes = [(4 * np.sin(a), 4 * y, 4 * np.cos(a)) for a, y in places]
+    angles = [(-0.5, 0.3), (-0.25, -0.2), (0.0, 0.3), (0.2, -0.3), (0.45, 0.1), (0.6, -0.2)]
+    eyes = [(4 * np.sin(a), 4 * y, 4 * np.cos(a)) for a, y in angles]
     truth = Scene(mesh, make_material(texture), sky())
     scene, _ = fitted(mesh, photographs(truth, eyes), tmp_path, light=sky(), model="diffuse")
     values, seen = observed(scene)

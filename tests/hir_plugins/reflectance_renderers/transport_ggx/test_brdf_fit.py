@@ -190,8 +190,8 @@ def test_least_squares_reach_the_cost_of_gradient_descent() -> None:
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, 300)
     for _ in range(300):
         values = PointBrdfs(torch.sigmoid(free[0]), torch.sigmoid(free[1]), alpha_of(free[2]), free[3])
-        spread = PointBrdfs(*(getattr(values, name)[row] for name in PointBrdfs.__dataclass_fields__))
-        off = linear_to_srgb(reference(many, spread, toward, light, "dielectric").clamp_min(0)) - wanted
+        row_brdfs = PointBrdfs(*(getattr(values, name)[row] for name in PointBrdfs.__dataclass_fields__))
+        off = linear_to_srgb(reference(many, row_brdfs, toward, light, "dielectric").clamp_min(0)) - wanted
         part = weight * huber_loss(off, torch.zeros_like(off), delta=priors.huber_srgb, reduction="none").sum(1)
         along = values.normal_offset - (values.normal_offset * normal).sum(1, keepdim=True) * normal
         held = priors.albedo * (values.albedo - start.albedo[:few]).square().sum(1)
@@ -253,13 +253,13 @@ def test_normal_equations_contain_the_gradient_of_the_cost(model: str) -> None:
         part = huber_loss(off, torch.zeros_like(off), delta=fit.arrays.priors.huber_srgb, reduction="none").sum(dim=1)
         cost = cost + (seen.weight[row].double() * part).sum()
     assert float(np.array(equations.cost).sum()) == pytest.approx(float(cost.detach()), rel=1e-4)
-    by_albedo, by_specular, by_level, by_tilt = torch.autograd.grad(
+    by_albedo, by_specular, by_level, by_offset = torch.autograd.grad(
         cost, (free.albedo, free.specular, level, free.normal_offset)
     )
     assert torch.allclose(de.T, by_albedo, rtol=1e-3, atol=1e-4)
     assert torch.allclose(fe.T, by_specular, rtol=1e-3, atol=1e-4)
     tangent, bitangent = (axis.double() for axis in fit._frame)
-    wanted = torch.stack([by_level[:, 0], (by_tilt * tangent).sum(1), (by_tilt * bitangent).sum(1)])
+    wanted = torch.stack([by_level[:, 0], (by_offset * tangent).sum(1), (by_offset * bitangent).sum(1)])
     found = torch.stack([ae, e1, e2])
     for mine, true in zip(found, wanted, strict=True):
         assert (mine - true).norm() < 0.1 * true.norm()
