@@ -15,7 +15,7 @@ from hir_core.config import GeometrySettings
 from hir_core.errors import StageError
 from hir_core.mesh.attribute_transfer import remeshed
 from hir_core.mesh.mesh_validity import MeshState, inspect_mesh
-from hir_core.mesh.self_intersection_repair import push_apart, smooth_intersections
+from hir_core.mesh.self_intersection_repair import separate_sheets, smooth_intersections
 from hir_core.plugins.interfaces import GeometryRenderer
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import Mesh, Scene
@@ -133,7 +133,7 @@ def _repair(mesh: Mesh, allowed: int, silhouette_mesh: Mesh | None) -> tuple[Mes
     if state.self_intersecting <= allowed:
         return mesh, state
     positions, faces = _arrays(mesh)
-    positions = push_apart(positions, faces, allowed)
+    positions = separate_sheets(positions, faces, allowed)
     if silhouette_mesh is not None:
         positions = smooth_intersections(positions, faces, allowed, toward=_arrays(silhouette_mesh)[0])
     positions = smooth_intersections(positions, faces, allowed)

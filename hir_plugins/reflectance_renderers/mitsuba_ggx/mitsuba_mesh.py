@@ -15,6 +15,7 @@ from hir_core.errors import StageError
 from hir_core.scene import Mesh
 from hir_plugins.reflectance_renderers.drjit_arrays import floats, to_float, to_uint
 from hir_plugins.reflectance_renderers.drjit_types import DrJitArray
+from hir_plugins.reflectance_renderers.ray_acceleration import mesh_scene
 
 _RAY_OFFSET = 2e-5
 """Distance of ray origins from the surface, in radii of the object: a few float32 steps."""
@@ -62,7 +63,7 @@ class Surface:
         if mesh.uvs is not None and mesh.topology.uv_faces is not None:
             self._uvs = to_float(mesh.uvs, mi)
             self._uv_faces = to_uint(_four(mesh.topology.uv_faces), mi)
-        self.scene = _acceleration(unit, mesh.faces)
+        self.scene = mesh_scene(mi, to_float(unit, mi), to_uint(mesh.faces, mi), len(unit), len(mesh.faces))
 
     @property
     def has_uvs(self) -> bool:
@@ -145,12 +146,3 @@ def _mix(values: list[DrJitArray], weights: tuple[DrJitArray, DrJitArray, DrJitA
 
 def _four(rows: Tensor) -> Tensor:
     return torch.nn.functional.pad(rows, (0, 1))
-
-
-def _acceleration(positions: Tensor, faces: Tensor) -> DrJitArray:
-    mesh = mi.Mesh("surface", vertex_count=len(positions), face_count=len(faces))
-    parameters = mi.traverse(mesh)
-    parameters["vertex_positions"] = to_float(positions, mi)
-    parameters["faces"] = to_uint(faces, mi)
-    parameters.update()
-    return mi.load_dict({"type": "scene", "surface": mesh})

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from hir_plugins.reflectance_renderers.drjit_types import DrJitArray, MitsubaObject
 from hir_plugins.reflectance_renderers.mitsuba_variant import mitsuba_on
+from hir_plugins.reflectance_renderers.ray_acceleration import mesh_scene
 
 RAYS_PER_LAUNCH = 1 << 21
 """Bounds the memory of a launch at about 100 MB."""
@@ -29,12 +30,9 @@ class RayTracer:
 
     def __init__(self, positions: NDArray[np.float32], faces: NDArray[np.int32], device: str = "cpu") -> None:
         mi = mitsuba_on(device)
-        mesh = mi.Mesh("surface", vertex_count=len(positions), face_count=len(faces))
-        parameters = mi.traverse(mesh)
-        parameters["vertex_positions"] = mi.Float(np.ascontiguousarray(positions, dtype=np.float32).ravel())
-        parameters["faces"] = mi.UInt32(np.ascontiguousarray(faces, dtype=np.uint32).ravel())
-        parameters.update()
-        self._scene = mi.load_dict({"type": "scene", "surface": mesh})
+        flat_positions = mi.Float(np.ascontiguousarray(positions, dtype=np.float32).ravel())
+        flat_faces = mi.UInt32(np.ascontiguousarray(faces, dtype=np.uint32).ravel())
+        self._scene = mesh_scene(mi, flat_positions, flat_faces, len(positions), len(faces))
         self._mi = mi
 
     def closest(self, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> Hits:
