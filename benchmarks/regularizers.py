@@ -167,7 +167,7 @@ def sigma(avocado: Path, spot: Path, count: int = 20_000) -> None:
         widths = (0.025, 0.05, 0.1, 0.2, 0.4)
         true_deviation = float(specular.std())
         print(
-            f"\n{name}: {len(positions)} places; noise of ρs 0.02, of ρd 0.03; deviation of the true ρs {true_deviation:.3f}\n"
+            f"\n{name}: {len(positions)} points; noise of ρs 0.02, of ρd 0.03; deviation of ρs {true_deviation:.3f}\n"
         )
         print(f"| σ1 \\ σ2 | {' | '.join(map(str, widths))} |\n|{'---|' * 6}")
         for near in (0.01, 0.02, 0.03, 0.04, 0.06):

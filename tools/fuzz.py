@@ -1,4 +1,4 @@
-"""Feeds changed files to every reader for as long as asked; anything but `HirError` is a finding.
+"""Runs every reader on mutated files for a given time; any exception but `HirError` is a finding.
 
     python tools/fuzz.py [--seconds 600] [--only NAME…] [--findings FOLDER] [--plain]
 
@@ -33,7 +33,7 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=600)
     parser.add_argument("--only", nargs="*", default=[])
     parser.add_argument("--findings", type=Path, default=ROOT / "build" / "fuzz")
-    parser.add_argument("--plain", action="store_true", help="no atheris")
+    parser.add_argument("--plain", action="store_true", help="random mutations without atheris")
     parser.add_argument("--child", help=argparse.SUPPRESS)
     options = parser.parse_args()
     options.findings.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""Kills a small run with SIGKILL at random moments, resumes it, and compares every file with an unbroken run's.
+"""Kills a small run with SIGKILL at random moments, resumes it, and compares all files with those of a whole run.
 
     python tools/kill_test.py [--kills 50] [--seed 0] [--kind cached|traced|sfm] [--keep FOLDER]
 
@@ -60,8 +60,8 @@ KINDS = {
         "initializer.colmap.max_features": "1024",
     },
 }
-"""The renderer on cached transport with model selection; the path tracer with gradient steps; cameras solved from
-photographs alone, and the colours that a mesh has in them."""
+"""Cached transport with model selection; the path tracer with gradient steps; cameras and mesh colours solved from
+photographs alone."""
 
 UNTIL = {"sfm": "initializer"}
 PHOTOGRAPHS = 8
@@ -97,7 +97,7 @@ WARM = (
 """Imported once, before any child: none of it starts a thread."""
 
 CLOCKED = {"timings.json", "report.html", "log.txt", ".lock", "database.db"}
-"""Files that tell seconds, and COLMAP's database, whose pages lie in the order of its writes."""
+"""Files that contain times, and COLMAP's database, whose pages are in the order of its writes."""
 
 
 def main() -> int:
@@ -105,7 +105,7 @@ def main() -> int:
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--kind", choices=KINDS, default="cached")
-    parser.add_argument("--keep", type=Path, help="work here and leave everything")
+    parser.add_argument("--keep", type=Path, help="work in this folder and keep it")
     options = parser.parse_args()
     for module in WARM:
         import_module(module)
@@ -116,7 +116,7 @@ def main() -> int:
 
 
 def captured(folder: Path, kind: str) -> Path:
-    """What is reconstructed: the sample capture, small, or photographs of a painted room without cameras."""
+    """The input: the reduced sample capture, or photographs of a painted room without cameras."""
     from tests.fixtures.runs import make_tiny
 
     if kind != "sfm":
@@ -133,7 +133,7 @@ def captured(folder: Path, kind: str) -> Path:
 
 
 def kill_and_resume(capture: Path, folder: Path, options: argparse.Namespace) -> int:
-    """Prints a line for each kill; returns 0 if all runs ended with the files of the unbroken one, else 1."""
+    """Prints a line for each kill; returns 0 if all runs ended with the files of the uninterrupted one, else 1."""
     kills, kind = options.kills, options.kind
     started = time.monotonic()
     if wait(start(capture, folder / "whole", kind)) != 0:
@@ -167,7 +167,7 @@ def kill_and_resume(capture: Path, folder: Path, options: argparse.Namespace) ->
 
 
 def start(capture: Path, run: Path, kind: str) -> int:
-    """A child process that does the run, resuming what is there; its id."""
+    """Starts or resumes the run in a child process; returns its id."""
     child = os.fork()
     if child:
         return child
@@ -208,17 +208,17 @@ def wait(child: int) -> int:
 
 
 def final_files(run: Path) -> dict[str, bytes]:
-    """What a run leaves, without the files that tell seconds."""
+    """The files of a run without those that contain times."""
     return {str(p.relative_to(run)): p.read_bytes() for p in run.rglob("*") if p.is_file() and p.name not in CLOCKED}
 
 
 def differences(truth: dict[str, bytes], found: dict[str, bytes]) -> list[str]:
-    """Names of files that are missing, new or of other bytes."""
+    """Names of files that are missing, new or different."""
     return sorted(name for name in truth.keys() | found.keys() if truth.get(name) != found.get(name))
 
 
 def interrupted_in(run: Path) -> tuple[str, int]:
-    """The stage under way and the number of states that it has kept, COLMAP's database counted as one."""
+    """The current stage and its number of checkpoints; COLMAP's database counts as one."""
     kept = len([*run.rglob("work/checkpoints/*.npz"), *run.rglob("work/**/database.db")]) if run.exists() else 0
     ended = False
     for record in sorted(run.glob("stages/*/stage.json")):

@@ -1,4 +1,4 @@
-"""Installs hir with the oldest versions that pyproject.toml allows, and runs the tests that need no more than that.
+"""Installs hir with the oldest versions that pyproject.toml allows, and runs the tests that need no other packages.
 
     python tools/lower_bounds.py [FOLDER]
 
@@ -30,7 +30,7 @@ def main() -> int:
 
 
 def lowest() -> list[str]:
-    """`name==version` of each dependency of the base install, as old as it may be."""
+    """`name==version` of each dependency of the base install, in the oldest allowed version."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     bounds = []
     for line in project["dependencies"]:
@@ -41,7 +41,7 @@ def lowest() -> list[str]:
 
 
 def tested(folder: Path) -> int:
-    """Makes the environment and runs the tests; their exit code."""
+    """Creates the environment and runs the tests; returns their exit code."""
     environment_folder = folder / "lower-bounds"
     venv.EnvBuilder(with_pip=True, clear=True).create(environment_folder)
     python = environment_folder / "bin" / "python"

@@ -1,4 +1,4 @@
-"""For `make docs`: pages link to files of the repository, too, which a site does not hold; those become code."""
+"""For `make docs`: links to repository files, which are not part of the site, become code."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ LINK = re.compile(r"(?<!!)\[([^\]]+)\]\(((?:\.\./)+[^)#\s]+)(#[^)]*)?\)")
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
-    """Keeps links between pages; a link that leaves docs/ becomes its words, as code where they name a file."""
+    """Keeps links between pages; a link out of docs/ becomes its text, as code where it names a file."""
     folder = Path(config["docs_dir"])
     here = (folder / page.file.src_uri).parent
 

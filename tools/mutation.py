@@ -1,4 +1,4 @@
-"""Changes each line of the modules whose numbers matter, and counts the changes that their tests notice (mutmut).
+"""Mutates each line of the numerical modules and counts the mutants that their tests detect (mutmut).
 
     python tools/mutation.py [conventions|materials|losses …] [--workspace FOLDER] [--children 1]
 
@@ -22,12 +22,12 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 SURVIVED = {0: "survived", 33: "no test", 5: "no test", None: "not measured"}
-"""mutmut's exit codes of changes that nothing noticed; by all others a test failed, or did not end."""
+"""Exit codes of mutmut for surviving mutants; with all others a test failed or timed out."""
 
 
 @dataclass(frozen=True)
 class Subject:
-    """Modules and the quick tests that are to notice their changes."""
+    """Modules and the quick tests that must detect their mutants."""
 
     modules: tuple[str, ...]
     tests: tuple[str, ...]
@@ -90,7 +90,7 @@ def main() -> int:
 
 
 def measure(name: str, place: Path, children: int) -> bool:
-    """Prints the score of a subject and what survived; was it measured?"""
+    """Prints the score of a subject and its surviving mutants; returns whether it was measured."""
     subject = SUBJECTS[name]
     copy(subject, place)
     paths = [str(place / "mutants"), str(place)]
@@ -119,7 +119,7 @@ def measure(name: str, place: Path, children: int) -> bool:
 
 
 def copy(subject: Subject, place: Path) -> None:
-    """What mutmut works on; files that are the same stay as they are, so that their results hold."""
+    """Copies the files for mutmut; unchanged files are not touched, so that their results stay valid."""
     # Python remembers that a folder of its path is not there: it must be before mutmut fills it
     (place / "mutants").mkdir(parents=True, exist_ok=True)
     folders = {"hir_core": ROOT / "hir_core", "hir_plugins": ROOT / "hir_plugins", "tests": ROOT / "tests"}
@@ -141,7 +141,7 @@ def copy(subject: Subject, place: Path) -> None:
 
 
 def same(path: Path, other: Path) -> bool:
-    """Have both files the same content?"""
+    """Whether both files have the same content."""
     return other.is_file() and path.read_bytes() == other.read_bytes()
 
 
@@ -155,7 +155,7 @@ for mutant in sys.argv[1:]:
 
 
 def changed_lines(mutants: list[str], place: Path, environment: dict[str, str]) -> list[str]:
-    """For each change the line as it was and as it became."""
+    """The original and the mutated line of each mutant."""
     arguments = [sys.executable, "-c", SHOW, *mutants]
     return subprocess.run(
         arguments, cwd=place, env=environment, capture_output=True, text=True, check=True

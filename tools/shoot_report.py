@@ -1,4 +1,4 @@
-"""Pictures of a report for the documentation: `python tools/shoot_report.py RUN OUT.jpg [--theme dark]`.
+"""Screenshots of a report for the documentation: `python tools/shoot_report.py RUN OUT.jpg [--theme dark]`.
 
 The page is served to a headless Chromium from this machine, so that the frame with the asset shares its clock.
 """
@@ -19,7 +19,7 @@ from parity.browser import chromium_command
 
 class _Quiet(SimpleHTTPRequestHandler):
     def log_message(self, *_: Any) -> None:
-        """Says nothing."""
+        """Prints nothing."""
 
 
 def shoot(report: Path, picture: Path, width: int, height: int, theme: str = "light", scale: float = 1.0) -> None:
@@ -52,7 +52,7 @@ def main() -> None:
     parser.add_argument("--theme", choices=("light", "dark"), default="light")
     parser.add_argument("--width", type=int, default=1280)
     parser.add_argument("--height", type=int, default=1150)
-    parser.add_argument("--top", type=int, default=0, help="Leave out so many pixels at the top.")
+    parser.add_argument("--top", type=int, default=0, help="Number of pixels to remove at the top.")
     options = parser.parse_args()
     from PIL import Image
 

@@ -1,4 +1,4 @@
-"""What `hir` brings along: build/sbom.json (CycloneDX), and known vulnerabilities where their database can be reached.
+"""Dependencies of `hir`: build/sbom.json (CycloneDX), and known vulnerabilities if their database is reachable.
 
     python tools/supply_chain.py [--extras reconstruct]
 
@@ -37,7 +37,7 @@ def main() -> int:
 
 
 def closure(root: str, extras: frozenset[str]) -> dict[str, str]:
-    """Versions of all installed distributions that `root[extras]` needs, `root` included; others are passed over."""
+    """Versions of all installed distributions that `root[extras]` needs, `root` included; others are skipped."""
     found: dict[str, str] = {}
     waiting, done = [(root, extras)], set()
     while waiting:
@@ -77,7 +77,7 @@ def write_sbom(requirements: Path, out: Path) -> None:
 
 
 def audit(requirements: Path) -> int:
-    """1 where pip-audit knows of a vulnerability; says how many packages it could ask about."""
+    """1 where pip-audit finds a vulnerability; prints the number of audited packages."""
     arguments = ["-r", str(requirements), "--no-deps", "--disable-pip", "--progress-spinner", "off", "-f", "json"]
     done = subprocess.run([sys.executable, "-m", "pip_audit", *arguments], capture_output=True, text=True)
     try:

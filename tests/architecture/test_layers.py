@@ -1,4 +1,4 @@
-"""Nothing imports upwards, and what must start fast imports nothing heavy."""
+"""No layer imports an upper layer, and commands that must start fast import no heavy package."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ HEAVY = ("torch", "mitsuba", "drjit", "open3d", "pycolmap", "xatlas")
 
 
 def imported_packages(path: Path) -> set[str]:
-    """Top-level names of all that a file imports, inside functions too."""
-    found = set()
+    """Top-level names of all imports of a file, inside functions too."""
+    result = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            found |= {alias.name.partition(".")[0] for alias in node.names}
+            result |= {alias.name.partition(".")[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
-            found.add(node.module.partition(".")[0])
-    return found
+            result.add(node.module.partition(".")[0])
+    return result
 
 
 @pytest.mark.parametrize("layer", LAYERS)
@@ -55,7 +55,7 @@ def test_the_sdk_needs_no_torch() -> None:
 
 
 def modules_after(code: str) -> set[str]:
-    """Top-level modules that are loaded once `code` ran in a process of its own."""
+    """Top-level modules that are loaded after `code` ran in a new process."""
     done = subprocess.run(
         [
             sys.executable,
@@ -70,7 +70,7 @@ def modules_after(code: str) -> set[str]:
 
 
 def run_hir(*arguments: str) -> str:
-    """Code that runs `hir` with these words and goes on."""
+    """Code that runs `hir` with these arguments and continues."""
     lines = (
         "from hir_core.cli import main",
         "try:",
@@ -100,7 +100,7 @@ def test_starts_light(code: str) -> None:
 
 
 def test_hir_plugins_takes_a_second_or_less() -> None:
-    """Seconds of the processor, which do not depend on what else the machine does; the best of three."""
+    """CPU seconds, which depend little on other processes; the best of three."""
     best = float("inf")
     for _ in range(3):
         before = os.times()

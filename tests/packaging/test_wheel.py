@@ -1,4 +1,4 @@
-"""The wheel on its own: the asset SDK and the light commands need nothing but the base dependencies."""
+"""The wheel: the asset SDK and the light commands need the base dependencies only."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ HEAVY = ("torch", "mitsuba", "drjit", "open3d", "pycolmap")
 
 
 def message(*arguments: object, folder: Path) -> str:
-    """What a command prints; it runs outside the checkout, and one that fails shows what it said."""
+    """The output of a command outside the checkout; a failure shows its output."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
     done = subprocess.run([str(w) for w in arguments], capture_output=True, text=True, cwd=folder, env=environment)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -29,7 +29,7 @@ def message(*arguments: object, folder: Path) -> str:
 
 @pytest.fixture(scope="module")
 def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of programs of an environment that holds the wheel and its base dependencies."""
+    """The bin folder of an environment with the wheel and its base dependencies."""
     folder = tmp_path_factory.mktemp("wheel")
     message(sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", folder, ROOT, folder=folder)
     (wheel,) = folder.glob("hir-*.whl")
@@ -89,7 +89,7 @@ def test_a_saved_scene_is_exported(programs: Path, tmp_path: Path) -> None:
 
 
 def test_the_ten_lines_of_the_readme(programs: Path, tmp_path: Path) -> None:
-    """What `pip install` alone gives is enough for them."""
+    """They need no extra."""
     text = (ROOT / "exporters" / "README.md").read_text(encoding="utf-8")
     [block] = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     message(programs / "python", "-c", block, folder=tmp_path)

@@ -1,4 +1,4 @@
-"""Everything that reads data of strangers, as functions of bytes: each may refuse them with `HirError`, no other way.
+"""Every reader of untrusted files, as a function of bytes. A reader may refuse them with `HirError` only.
 
 A target has seeds, whole files that it reads, which fuzzers change. `tests/reliability/test_fuzz.py` changes them with
 hypothesis, a few hundred times; `tools/fuzz.py` for minutes, with atheris where it is installed.
@@ -27,10 +27,10 @@ from hir_core.plugins.manager import PluginManager
 from tests.reliability import seeds
 
 _REFUSED = 3
-"""Exit code of a fork that refused its file in words of ours."""
+"""Exit code of a fork that refused its file with a `HirError`."""
 
 PLACE = Path("/dev/shm") if Path("/dev/shm").is_dir() else Path(tempfile.gettempdir())
-"""Files are written millions of times: into memory where the system has such a folder."""
+"""Files are written millions of times, so in memory where the system has such a folder."""
 
 
 @dataclass(frozen=True)
@@ -39,20 +39,20 @@ class Target:
 
     name: str
     file: str
-    """Where its bytes go, in a folder that `seed_folder` filled."""
+    """Name of the file, in a folder that `seed_folder` filled."""
     read: Callable[[Path], object]
     """Reads the folder."""
     seed_folder: Callable[[Path], None]
     """Makes a folder that can be read."""
     slow: bool = False
-    """Takes more than a few milliseconds: fewer examples in the quick tests."""
+    """It takes more than a few milliseconds, so quick tests use fewer examples."""
 
     def seeds(self) -> list[bytes]:
-        """Whole files."""
+        """Valid files."""
         return [(folder_of(self) / self.file).read_bytes(), *seeds.corpus(self.name)]
 
     def __call__(self, data: bytes) -> bool:
-        """Writes the file and reads the folder: True if it was read, False if it was refused as it should be."""
+        """Writes the file and reads the folder: True if it was read, False if it was refused with `HirError`."""
         folder = folder_of(self)
         original = (folder / self.file).read_bytes()
         (folder / self.file).write_bytes(data)
@@ -72,7 +72,7 @@ def _one_sentence(error: HirError) -> bool:
 
 @cache
 def folder_of(target: Target) -> Path:
-    """A folder of the target's own, made once a process."""
+    """A folder of the target, made once per process."""
     folder = Path(tempfile.mkdtemp(prefix=f"hir-fuzz-{target.name}-", dir=PLACE))
     target.seed_folder(folder)
     return folder

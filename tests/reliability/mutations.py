@@ -1,4 +1,4 @@
-"""Changes to a file that readers trip over: bytes anywhere, and in JSON, TOML and text the values one by one."""
+"""Mutations of a file: of bytes, and of single values in JSON, TOML and text."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ STRANGE: tuple[Any, ...] = (
     "1e400",
     "__import__",
 )
-"""What nobody expects in a place for something else."""
+"""Values of unexpected types and sizes."""
 
 WORDS = (
     b"nan",
@@ -55,11 +55,11 @@ WORDS = (
     b"1 2",
 )
 BLOCKS = (b"\0\0\0\0", b"\xff\xff\xff\xff", b"\x7f\xff\xff\xff", b"\xff\xff\xff\x7f", b"\0\0\x80\x7f", b"\0\0\xc0\x7f")
-"""Integers at their ends, and infinity and NaN as float32."""
+"""Integers at their limits, and infinity and NaN as float32."""
 
 
 def mutated(data: bytes, rng: random.Random) -> bytes:
-    """One to four changes; half of those to a JSON document keep it one."""
+    """One to four mutations; half of those of a JSON document keep it valid JSON."""
     document = _document(data) if rng.random() < 0.7 else None
     if document is not None:
         for _ in range(rng.randint(1, 3)):
@@ -80,7 +80,7 @@ def _document(data: bytes) -> Any:
 
 
 def _replaced(value: Any, rng: random.Random) -> Any:
-    """The document with one value, somewhere in it, strange, missing or twice."""
+    """The document with one value replaced, removed or duplicated."""
     if isinstance(value, dict) and value and rng.random() < 0.85:
         key = rng.choice(sorted(value))
         if rng.random() < 0.15:

@@ -1,4 +1,4 @@
-"""Whole files that readers accept, small: what fuzzers begin with."""
+"""Small valid files: the seeds of the fuzzers."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from hir_plugins.commands.bench.results.bench_result import Result, Row, Timing
 
 ROOT = Path(__file__).resolve().parents[2]
 MESHES = ("obj", "ply", "stl", "off", "glb")
-"""What `mesh_file` takes a start from; `trimesh` reads all of them."""
+"""Mesh formats of `mesh_file`; `trimesh` reads all of them."""
 ASSETS = ("obj", "ply", "glb", "gltf")
 _K = np.array([[80.0, 0, 32], [0, 80, 24], [0, 0, 1]])
 _POSE = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 5], [0, 0, 0, 1]])
@@ -58,7 +58,7 @@ def scene(folder: Path) -> None:
 
 
 def run(folder: Path) -> None:
-    """A run that ended, without its pictures."""
+    """A finished run without its pictures."""
     from hir_core.run.run_directory import STAGE_NAMES, RunDirectory, StageRecord
 
     directory = RunDirectory(folder)
@@ -123,7 +123,7 @@ def settings(folder: Path) -> None:
 
 
 def stage_scene(folder: Path) -> None:
-    """What a stage leaves."""
+    """The stored result of a stage."""
     import torch
 
     from hir_core.scene import Mesh, Scene, Topology
@@ -135,7 +135,7 @@ def stage_scene(folder: Path) -> None:
 
 
 def checkpoint(folder: Path) -> None:
-    """A state of an optimizer of three numbers."""
+    """An optimizer state with three parameters."""
     import torch
 
     from hir_core.optimization.checkpoints import save_checkpoint
@@ -156,7 +156,7 @@ def two_views(folder: Path) -> Capture:
 
 
 def stage_capture(folder: Path) -> None:
-    """What the first stage leaves of its capture."""
+    """The capture as the first stage stores it."""
     points = OrientedPoints(np.eye(3), np.eye(3), np.ones((3, 3)))
     save_capture(replace(two_views(folder), points=points), folder)
 
@@ -310,7 +310,7 @@ def mesh(folder: Path) -> None:
 
 
 def usd(folder: Path) -> None:
-    """The asset as our exporters write it."""
+    """The asset as the exporters write it."""
     from hir_exporters.formats import create_exporter
 
     for kind in ("usda", "usdz"):

@@ -27,7 +27,7 @@ ACROSS_THREADS = 4e-4
 
 
 def files(folder: Path) -> dict[str, bytes]:
-    """Every file that tells no seconds."""
+    """Every file that contains no times."""
     paths = [p for p in sorted(folder.rglob("*")) if p.is_file() and p.name not in CLOCKED]
     return {str(p.relative_to(folder)): p.read_bytes() for p in paths}
 

@@ -1,4 +1,4 @@
-"""A disk that is full, a folder that is read-only: one sentence, and what was there before is still whole."""
+"""A full disk and a read-only folder give one sentence, and existing files stay intact."""
 
 from __future__ import annotations
 

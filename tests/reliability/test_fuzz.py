@@ -1,4 +1,4 @@
-"""Readers refuse changed files with one sentence or read them; nothing else happens (minutes of it: `make fuzz`)."""
+"""Readers read mutated files or refuse them with one sentence (`make fuzz` runs this for minutes)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.reliability.fuzz_targets import TARGETS, Target, remove_folders
 from tests.reliability.mutations import mutated
 
 SECONDS = 5.0
-"""Longer than any of these small files should take, on a machine that does other things too."""
+"""An upper limit for each of these small files on a busy machine."""
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -1,4 +1,4 @@
-"""Data of strangers opens no file outside its folder, unfolds to no gigabytes, and runs no code."""
+"""Untrusted files open no file outside their folder, expand to no gigabytes, and execute no code."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SECRET = encode_png(np.full((2, 2, 3), 0.75, np.float32))
 
 @pytest.fixture
 def capture(tmp_path: Path) -> Path:
-    """A folder beside files that it must not open."""
+    """A folder next to files that it must not open."""
     (tmp_path / "secret.png").write_bytes(SECRET)
     (tmp_path / "secret.bin").write_bytes(b"\0" * 4096)
     (tmp_path / "secret.mtl").write_text("newmtl m\nKd 0.1 0.9 0.1\n")
@@ -61,7 +61,7 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 
 def triangle_gltf(**more: object) -> dict[str, object]:
-    """A .gltf of one triangle whose buffer lies inside it."""
+    """A .gltf of one triangle whose buffer is embedded."""
     data = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32).tobytes()
     uri = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
     return {
@@ -219,7 +219,7 @@ def test_archives_of_numbers_that_would_unfold_are_refused(tmp_path: Path) -> No
 
 
 class Trap:
-    """Leaves a file when it is unpickled."""
+    """Creates a file when it is unpickled."""
 
     place = ""
 

@@ -1,4 +1,4 @@
-"""Ctrl-C ends a command within two seconds, wherever it is, and what is on disk goes on."""
+"""Ctrl-C ends a command within two seconds at any point, and the run can be resumed."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ a = torch.rand(9000, 9000)
 print("ready", flush=True)
 {call}
 """
-"""One call into native code of a minute or more, in which Python handles no signal."""
+"""A call into native code of a minute or more, in which Python handles no signal."""
 
 
 def test_a_call_into_native_code_does_not_hold_it_up() -> None:
@@ -55,7 +55,7 @@ def test_a_call_into_native_code_does_not_hold_it_up() -> None:
 
 @pytest.mark.slow
 def test_any_moment_of_a_run_ends_in_time_and_resumes(tiny_capture: Path, tmp_path: Path) -> None:
-    """Twelve moments of runs that go on after each; one that has ended makes room for the next."""
+    """Twelve interrupts of a run that is resumed after each; after its end a new run starts."""
     settings = [word for assignment in QUICK for word in ("--set", assignment)]
     arguments = [
         sys.executable,
@@ -95,6 +95,6 @@ def test_any_moment_of_a_run_ends_in_time_and_resumes(tiny_capture: Path, tmp_pa
 
 
 def _has_ended(run: Path) -> bool:
-    """Has every stage ended, and is the report there?"""
+    """Whether every stage has ended and the report exists."""
     records = [RunDirectory(run).record(name) for name in STAGE_NAMES]
     return all(record is not None and record.finished for record in records) and (run / "report.html").exists()

@@ -52,7 +52,7 @@ def _until(condition, process: subprocess.Popen[str]) -> None:  # type: ignore[n
 
 @pytest.mark.slow
 def test_a_killed_command_goes_on_inside_its_stage(tiny_capture: Path, tmp_path: Path) -> None:
-    """The real command: SIGKILL once the geometry stage has kept a state; the resume goes on from there."""
+    """The real command: SIGKILL after the geometry stage has stored a checkpoint; the resumed run continues from it."""
     run = tmp_path / "run"
     arguments = _command(
         tiny_capture, run, "--until", "geometry", "--deterministic", "--set", "checkpoint_seconds=0.05"

@@ -1,4 +1,4 @@
-"""Runs of a night: memory that does not grow, progress that is never silent, logs that rotate."""
+"""Long runs: memory does not grow, progress is reported regularly, logs rotate."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`--max-memory`: estimates, what shrinks, and that it is said and written down."""
+"""`--max-memory`: estimates, reduced settings, and their messages and records."""
 
 from __future__ import annotations
 
@@ -117,11 +117,11 @@ FEW_STEPS = (
     "reflectance_renderer.transport_ggx.steps=30",
     "checkpoint_seconds=10",
 )
-"""Memory is that of full length: batches, caches and unknowns are the same in every step."""
+"""Memory is that of full length: batches, caches and parameters are the same in every step."""
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="no peak of memory is told")
+@pytest.mark.skipif(sys.platform == "win32", reason="the peak memory is not available")
 def test_300_views_of_512_take_at_most_4_gigabytes(shared: Path, tmp_path: Path) -> None:
     """docs/reliability.md has the figures."""
     from hir_plugins.commands.bench.inputs.bench_captures import make_resized_capture

@@ -1,4 +1,4 @@
-"""NaN put in at every point of a fit: caught in its step, blamed on term, view and vertices, left out, counted."""
+"""NaN at every point of a fit: detected in its step, reported with term, view and vertices, skipped, counted."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from hir_core.scene import Material, Scene
 from hir_core.scene.frames import unit_similarity
 from hir_core.stages.geometry.geometry_fit import fit_geometry
 from hir_core.stages.reflectance.gradient_fit import fit_by_gradient, object_pixels
-from hir_core.stages.reflectance.initial_scene import initial_scene
+from hir_core.stages.reflectance.initial_material_and_light import initial_scene
 from hir_core.testing.captures import tiny_capture
 from hir_core.testing.scenes import sphere
 from hir_plugins.geometry_renderers.contour import Contour
@@ -55,7 +55,7 @@ def context(tmp_path: Path) -> tuple[StageContext, list[str]]:
 def test_a_value_of_one_view_is_named(
     capture: Capture, context: tuple[StageContext, list[str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The third view's area is NaN whenever it is looked at: each step that draws it is left out, the rest fits."""
+    """The area of the third view is always NaN: each step with this view is skipped, the others are fitted."""
     plain = Contour.overlap
     bad = capture.views[2]
 
@@ -157,7 +157,7 @@ def test_a_photograph_of_nan_is_named_or_its_pixels_left_out(
 
 
 class Lamp:
-    """A prepared renderer of one line: the albedo under the mean of the light; NaN where it is asked for."""
+    """A prepared renderer of one line: the albedo under the mean of the light; NaN on request."""
 
     def __init__(self, sick: Callable[[int], bool], views: tuple[int, ...] = ()) -> None:
         self.calls, self._sick, self._views = 0, sick, views

@@ -1,4 +1,4 @@
-"""What moves, scales, mirrors, reorders or recolours the input changes the result only as it must."""
+"""Motions, scales, reflections, reorderings and recolourings of the input change the result accordingly and no more."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ SETTINGS = GeometrySettings(
     views_per_step=8,
     regularizers={"laplacian": {"weight": 0.05}},
 )
-"""All views in every step, one mesh: nothing depends on an order that is drawn."""
+"""All views in every step, one mesh: nothing depends on a random order."""
 
 
 @pytest.fixture(scope="module")
@@ -249,7 +249,7 @@ def test_srgb_is_its_own_inverse_and_rises(values: list[float]) -> None:
 def test_swapped_channels_give_swapped_textures_and_light(
     tiny_capture: Path, quick: Callable[..., Run], tmp_path: Path
 ) -> None:
-    """A whole fit of photographs whose red, green and blue changed places; the mesh is the same to the last bit."""
+    """A whole fit of photographs whose red, green and blue were permuted; the mesh is the same to the last bit."""
     swapped = tmp_path / "tiny"
     shutil.copytree(tiny_capture, swapped)
     for path in (swapped / "train").iterdir():
