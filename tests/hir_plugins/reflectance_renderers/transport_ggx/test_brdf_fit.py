@@ -121,7 +121,7 @@ def reference(at: ShadingPoints, values: PointBrdfs, toward: Tensor, light: Radi
 
 
 def double(values: PointBrdfs) -> PointBrdfs:
-    return PointBrdfs(*(getattr(values, n).double() for n in ("albedo", "specular", "alpha", "tilt")))
+    return PointBrdfs(*(getattr(values, n).double() for n in ("albedo", "specular", "alpha", "normal_offset")))
 
 
 def photographs(
