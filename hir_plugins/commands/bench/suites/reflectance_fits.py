@@ -23,7 +23,7 @@ from hir_core.plugins.interfaces import ReflectanceSolver
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import Scene
-from hir_core.stages.reflectance.initial_scene import initial_scene
+from hir_core.stages.reflectance.initial_material_and_light import initial_scene
 from hir_core.stages.reflectance.path_traced_refinement import refine_by_path_tracing
 from hir_core.stages.reflectance.reflectance_fit import fit_reflectance
 from hir_plugins.commands.bench.bench_options import BenchOptions
