@@ -206,13 +206,13 @@ def test_texels_are_recovered_from_their_own_photographs() -> None:
     target = gain * (truth.reshape(-1, 3)[index] * weight[..., None]).sum(1)
     nowhere = torch.zeros(20000, 3, dtype=torch.long)
     equations = TexelEquations(index, weight, gain, target, 0 * gain, torch.ones_like(gain), gain < 0, nowhere)
-    texture, seen = solve_texels([equations], torch.full_like(truth, 0.5), huber=0.05, prior=1e-4)
+    texture, seen = solve_texels([equations], torch.full_like(truth, 0.5), huber_srgb=0.05, prior=1e-4)
     assert bool(seen.all())
     assert float((texture - truth).abs().mean()) < 1e-3
     half = TexelEquations(
         *(v[uv[:, 0] < 0.4] for v in (index, weight, gain, target, 0 * gain, torch.ones_like(gain), gain < 0, nowhere))
     )
-    texture, seen = solve_texels([half], torch.full_like(truth, 0.5), huber=0.05, prior=1e-4)
+    texture, seen = solve_texels([half], torch.full_like(truth, 0.5), huber_srgb=0.05, prior=1e-4)
     assert not bool(seen[:, 11:].any())
     torch.testing.assert_close(texture[:, 11:], torch.full_like(texture[:, 11:], 0.5))
 
@@ -226,7 +226,7 @@ def test_clipped_pixels_never_darken_a_texel() -> None:
     target = torch.where(clipped, 0.3, 0.8)
     nowhere = torch.zeros(4000, 3, dtype=torch.long)
     equations = TexelEquations(index, weight, gain, target, 0 * gain, torch.ones_like(gain), clipped, nowhere)
-    texture, _ = solve_texels([equations], torch.full((8, 8, 3), 0.5), huber=0.05, prior=1e-4)
+    texture, _ = solve_texels([equations], torch.full((8, 8, 3), 0.5), huber_srgb=0.05, prior=1e-4)
     torch.testing.assert_close(texture, torch.full_like(texture, 0.8), atol=1e-3, rtol=0)
 
 
