@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from hir_core.errors import MissingExtraError
+from hir_core.run import installation_check
 from hir_core.run.installation_check import Finding
 from hir_plugins.reflectance_renderers import mitsuba_variant
 
