@@ -1,20 +1,20 @@
-"""Writes docs/benchmarks.md and README's table from benchmarks/results, and moves plots to docs/images; tests compare.
+"""Writes docs/benchmarks.md, its plots and README's table from benchmarks/results; tests compare.
 
 `python tools/write_benchmarks.py [--runs RUN…]`: with runs, the figures of finished and evaluated runs are first stored
-in benchmarks/results/whole_runs.json. `hir bench … -o benchmarks/results` writes the other files. The plots that it
-writes beside them are moved to docs/images, the one place of generated figures.
+in benchmarks/results/whole_runs.json. `hir bench … -o benchmarks/results` writes the other files. Plots are drawn from
+them to docs/images, the one place of generated figures; those that `hir bench` wrote are removed.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import shutil
 from pathlib import Path
 from typing import Any
 
 from hir_plugins.commands.bench.results.bench_result import Result
 from hir_plugins.commands.bench.results.markdown_tables import result_markdown
+from hir_plugins.commands.bench.results.plot import plot_svg
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "benchmarks" / "results"
@@ -157,8 +157,9 @@ def main() -> None:
         )
         (RESULTS / "whole_runs.json").write_text(text + "\n", encoding="utf-8")
     for suite in SUITES:
-        if (RESULTS / f"{suite}.svg").is_file():
-            shutil.move(RESULTS / f"{suite}.svg", plot(suite))
+        if (RESULTS / f"{suite}.json").is_file():
+            plot(suite).write_text(plot_svg(Result.read(RESULTS / f"{suite}.json")), encoding="utf-8")
+        (RESULTS / f"{suite}.svg").unlink(missing_ok=True)
     PAGE.write_text(page(), encoding="utf-8")
     README.write_text(with_table(README.read_text(encoding="utf-8")), encoding="utf-8")
 

@@ -12,10 +12,10 @@ from benchmarks.experiments.studies import STUDIES
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("studies", nargs="*", choices=[[], *STUDIES], help="All of them by default.")
-    parser.add_argument("--minutes", type=float, default=0.0, help="Stop then; what has begun goes on next time.")
+    parser.add_argument("studies", nargs="*", choices=[[], *STUDIES], help="Default: all.")
+    parser.add_argument("--minutes", type=float, default=0.0, help="Stop after M minutes; the next call continues.")
     parser.add_argument(
-        "--page", action="store_true", help="Only write docs/experiments.md from the results there are."
+        "--page", action="store_true", help="Only write docs/studies/paper_experiments.md from the results there are."
     )
     options = parser.parse_args()
     end = time.monotonic() + 60 * options.minutes if options.minutes else None
@@ -29,13 +29,13 @@ def main() -> None:
                 continue
             left = None if end is None else end - time.monotonic()
             if left is not None and left <= 0:
-                print("out of time; the next call goes on", flush=True)
+                print("out of time; the next call continues", flush=True)
                 return
             started = time.monotonic()
             try:
                 cell.run(left)
             except subprocess.TimeoutExpired:
-                print(f"{name}: {label}: not finished; the next call goes on", flush=True)
+                print(f"{name}: {label}: not finished; the next call continues", flush=True)
                 return
             print(f"{name}: {label}: {time.monotonic() - started:.0f} s", flush=True)
     print(write_page())

@@ -1,4 +1,4 @@
-"""docs/experiments.md from the results that are stored: nothing is run here."""
+"""docs/studies/paper_experiments.md from the stored results; nothing is run here."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from benchmarks.experiments.studies import (
     Study,
 )
 
-PAGE = ROOT / "docs" / "experiments.md"
+PAGE = ROOT / "docs" / "studies" / "paper_experiments.md"
 WHOLE_RUNS = RESULTS.parent / "whole_runs.json"
-TEMPLATE = Path(__file__).with_name("experiments.template.md")
+TEMPLATE = Path(__file__).with_name("paper_experiments.template.md")
 
 PAPER_VIEWS, GEOMETRY_STEPS, REFLECTANCE_STEPS = 80, 200, 400
 """Steps for each view of the paper's two stages (METHOD, phases 2a and 2b)."""
@@ -56,7 +56,7 @@ def page() -> str:
 
 
 def study_table(study: Study) -> str:
-    """One row a cell, and which cells have not run."""
+    """One row per cell, and the names of cells that have not run."""
     lines = [
         study.text,
         "",
@@ -71,7 +71,7 @@ def study_table(study: Study) -> str:
 
 
 def cells_of(result: Result | None) -> list[str]:
-    """The figures of one row; dashes where there is none."""
+    """The figures of one row; dashes where a figure is missing."""
     if result is None:
         return ["–"] * 10
     test, relit = result["figures"].get("test", {}), result["figures"].get("relight_0", {})
@@ -135,7 +135,7 @@ def best_cells() -> list[str]:
 
 
 def paper_time() -> str:
-    """All steps of the paper's recipe at the seconds that a few of them took."""
+    """The time of the paper's recipe, extrapolated from the seconds per step of a few steps."""
     result = PAPER_STEPS.stored()
     if result is None:
         return "not measured yet"
@@ -156,7 +156,7 @@ def not_run(study: Study) -> list[str]:
 
 
 def lpips_sentence() -> str:
-    """Why LPIPS's cells are empty, in the words of the run."""
+    """Why LPIPS is missing, as the evaluation reported it."""
     for study in (PRESETS, IMAGES, TERMS, LIGHTS):
         for _, cell in study.rows:
             found = (cell.stored() or {"figures": {}})["figures"].get("test", {}).get("lpips_missing")
@@ -166,5 +166,5 @@ def lpips_sentence() -> str:
 
 
 def number(value: float | None, digits: int, unit: str = "") -> str:
-    """With so many digits; a dash where there is none."""
+    """The value with `digits` decimals; a dash for None."""
     return "–" if value is None else f"{value:.{digits}f}{unit}"

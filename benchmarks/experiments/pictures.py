@@ -43,7 +43,9 @@ def main() -> None:
     }
     plugins = PluginManager.discover()
     asset = load_scene(options.run / "scene")
-    tiles = {name: on_paper(render_asset(apply_edit(asset, edit), plugins, SIDE, TURN_DEG)) for name, edit in edits.items()}
+    tiles = {
+        name: on_paper(render_asset(apply_edit(asset, edit), plugins, SIDE, TURN_DEG)) for name, edit in edits.items()
+    }
     sheet([list(tiles.values())], [list(tiles)], IMAGES / "experiments_edit.jpg")
     rows, captions = [], []
     for split, light in (("relight_0", "city"), ("relight_1", "studio")):

@@ -1,4 +1,4 @@
-"""What is varied in each study; cells that several studies share are run once."""
+"""What each study varies; cells that several studies share run once."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from benchmarks.experiments.cells import Cell
 SIDE = 128
 LIGHTER = (
     "geometry.iterations=150",
-    "geometry.photograph_iterations=50",
+    "geometry.photo_consistency_iterations=50",
     "reflectance_renderer.transport_ggx.steps=100",
     "reflectance_renderer.transport_ggx.cache_cells=3000",
     "reflectance_renderer.transport_ggx.vertices=15000",
     "reflectance_renderer.transport_ggx.pixels=40000",
     "reflectance_renderer.transport_ggx.texture_pixels=400000",
 )
-"""Small photographs and fewer steps: studies of differences need many runs more than the last decibel."""
+"""Small photographs and fewer steps: studies of differences need many runs rather than the lowest error."""
 
 
 @dataclass(frozen=True)
 class Study:
-    """Rows of a table of docs/experiments.md."""
+    """Rows of a table of docs/studies/paper_experiments.md."""
 
     title: str
     text: str
@@ -53,7 +53,7 @@ TERMS = Study(
     (
         ("all of `fast`", BASE),
         ("without bending energy", studied("no_bending", "geometry.regularizers.laplacian=false")),
-        ("without photographs in the geometry stage", studied("no_photographs", "geometry.photographs='off'")),
+        ("without photographs in the geometry stage", studied("no_photographs", "geometry.photo_consistency='off'")),
         (
             "without smoothness of the light",
             studied("no_light_smoothness", "reflectance_renderer.transport_ggx.light_smoothness=0.0"),
@@ -63,11 +63,11 @@ TERMS = Study(
             studied("no_light_whiteness", "reflectance_renderer.transport_ggx.light_whiteness=0.0"),
         ),
         (
-            "without few edges in the albedo",
+            "without smoothness of the albedo",
             studied("no_albedo_smoothness", "reflectance_renderer.transport_ggx.albedo_smoothness=0.0"),
         ),
         (
-            "albedo begun from the photographs, shading included",
+            "initial albedo from the photographs, shading included",
             studied("albedo_start", "reflectance_renderer.transport_ggx.initial_albedo='photographs'"),
         ),
         ("diffuse alone: no lobe", studied("diffuse", "reflectance.model='diffuse'")),
@@ -87,12 +87,12 @@ LIGHTS = Study(
     "A lamp on the camera, and light around",
     f"The same cow: 60 photographs of {SIDE}² that Cycles rendered with a lamp beside the lens "
     "(`tools/render_capture_in_blender.py`), and 60 of captures/spot in its hall. Held-out views choose between light "
-    "in the world and light on the camera; the last row forbids the right one.",
+    "in the world and light on the camera; the last row excludes the correct one.",
     (
         ("light around", studied("hall_60", views=60)),
         ("lamp on the camera", studied("flash_60", capture="made:flash", views=60)),
         (
-            "lamp on the camera, light held in the world",
+            "lamp on the camera, light frame fixed to the world",
             studied("flash_world", "reflectance.light_frame='world'", capture="made:flash", views=60),
         ),
     ),
@@ -101,8 +101,8 @@ LIGHTS = Study(
 SCALING = Study(
     "Scaling",
     "Whole runs of `fast` as it is: processor seconds (those of geometry + reflectance) and peak memory by number and "
-    "size of photographs, one thread: what a clock shows where nothing else runs. "
-    "captures/spot has 80 photographs of 512²: where more are asked for they come again, larger ones are enlarged.",
+    "size of photographs, one thread, which equals wall-clock time on an idle machine. "
+    "captures/spot has 80 photographs of 512²: more photographs are repetitions, larger ones are enlarged.",
     tuple((f"{views} × {side}²", full(views, side)) for views in (20, 80, 300) for side in (256, 512, 1024)),
 )
 

@@ -20,7 +20,7 @@ def test_table_of_the_readme_is_that_of_the_results() -> None:
 
 
 def test_each_suite_has_one_plot() -> None:
-    """Plots lie in docs/images alone: the tool moves those that `hir bench` writes beside its results."""
+    """Plots are in docs/images alone: the tool removes those that `hir bench` writes beside its results."""
     assert not list(TOOL.RESULTS.rglob("*.svg")), ADVICE
     measured = [suite for suite in TOOL.SUITES if (TOOL.RESULTS / f"{suite}.json").is_file()]
     assert measured and all(TOOL.plot(suite).is_file() for suite in measured)

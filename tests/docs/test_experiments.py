@@ -1,4 +1,4 @@
-"""docs/experiments.md is what the stored results give; a cell's result is known by what it was asked for."""
+"""docs/studies/paper_experiments.md is what the stored results give; a result belongs to one set of settings."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def experiments(monkeypatch: pytest.MonkeyPatch) -> dict[str, ModuleType]:
 
 
 def test_page_is_what_the_results_give(experiments: dict[str, ModuleType]) -> None:
-    written = (ROOT / "docs" / "experiments.md").read_text(encoding="utf-8")
+    written = (ROOT / "docs" / "studies" / "paper_experiments.md").read_text(encoding="utf-8")
     assert experiments["page"].page() == written, "run: python -m benchmarks.experiments --page"
 
 
