@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from hir_core.capture import Capture, Pixels, View
-from hir_core.config import GeometrySettings, ReflectanceSettings
+from hir_core.config import GeometrySettings, GradientSettings, ReflectanceSettings
 from hir_core.errors import HirError, StageError
 from hir_core.optimization.checkpoints import load_checkpoint
 from hir_core.optimization.optimization_loop import MAX_CONSECUTIVE_NONFINITE_STEPS, Checkpointing, optimize

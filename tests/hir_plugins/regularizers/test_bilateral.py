@@ -280,7 +280,7 @@ def test_a_width_that_resolves_nothing_is_named() -> None:
     guide = torch.tensor([[0.0], [1e6], [2.0], [3.0]])
     with pytest.raises(StageError, match="larger sigma"):
         bilateral_deviation(cubes, guide, torch.rand(4, 3), CELL)
-    for options in (BilateralSpecularOptions(sigma_albedo=0.0), BilateralSpecularOptions(cell=-1.0)):
+    for options in (BilateralSpecularOptions(sigma_albedo=0.0), BilateralSpecularOptions(cell_size=-1.0)):
         with pytest.raises(ConfigError, match="must be greater than 0"):
             BilateralSpecular(options)
 
