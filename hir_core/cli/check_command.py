@@ -54,9 +54,9 @@ def check_command(
     Uses the mask sources of `hir reconstruct` that need no cameras. -v lists every photograph.
     """
     from hir_core.files.json_documents import jsonable
-    from hir_core.intake.automatic_masks import with_automatic_masks
     from hir_core.intake.capture_check import check_capture
     from hir_core.intake.contact_sheet import contact_sheet
+    from hir_core.intake.mask_sources import with_automatic_masks
     from hir_core.intake.reader_lookup import read_capture
     from hir_core.plugins.manager import PluginManager
 

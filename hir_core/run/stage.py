@@ -56,8 +56,6 @@ def report_document(report: Any) -> dict[str, Any]:
         document = report.as_document()
     elif is_dataclass(report) and not isinstance(report, type):
         document = asdict(report)
-    elif isinstance(report, dict):
-        document = report
     else:
         raise TypeError(f"a stage's report must be a dataclass, not {type(report).__name__}")
     return dict(jsonable(document))

@@ -12,6 +12,7 @@ import numpy as np
 from hir_core.capture import Capture, CoordinateFrames
 from hir_core.config import RunConfig
 from hir_core.errors import CaptureError, StageError
+from hir_core.intake.mask_sources import apply_mask_sources, mask_source_names
 from hir_core.plugins.interfaces import Initializer, MaskSource
 from hir_core.plugins.manager import PluginManager
 from hir_core.plugins.progress import Progress
@@ -111,7 +112,7 @@ def _with_expected_masks(capture: Capture, config: RunConfig, plugins: PluginMan
     if config.masks == "auto":
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # the stage repeats them, for the user and run.json
-            return _masked(capture, None, config, plugins, with_cameras=False)
+            return apply_mask_sources(capture, None, "auto", config.mask_source, plugins, with_cameras=False)
     if not config.masks or not capture.views:
         return capture
     height, width = capture.views[0].pixels().color_linear.shape[:2]
@@ -121,7 +122,7 @@ def _with_expected_masks(capture: Capture, config: RunConfig, plugins: PluginMan
 
 def hashes_of_files_read(capture: Capture, config: RunConfig, plugins: PluginManager) -> list[str]:
     """Hashes of the files, besides the photographs, that the stage's components read; part of the stage's cache key."""
-    components = [("mask_source", name, config.mask_source) for name in _mask_sources(config, plugins)]
+    components = [("mask_source", name, config.mask_source) for name in mask_source_names(config.masks, plugins)]
     components += [("initializer", name, config.initializer) for name in config.initializers]
     hashes: list[str] = []
     for kind, name, options in components:
@@ -131,46 +132,14 @@ def hashes_of_files_read(capture: Capture, config: RunConfig, plugins: PluginMan
     return hashes
 
 
-def _mask_sources(config: RunConfig, plugins: PluginManager) -> list[str]:
-    if config.masks != "auto":
-        return list(config.masks)
-    offered = plugins.components("mask_source")
-    return [r.component.name for r in offered if "automatic" in r.component.traits and not r.missing]
-
-
 def apply_masks(
     capture: Capture, scene: Scene | None, config: RunConfig, context: StageContext, with_cameras: bool
 ) -> Capture:
-    """`_masked`, with the sources' warnings for the user and run.json."""
+    """The capture with masks of the configured sources; their warnings go to the user and to run.json."""
     with forward_warnings(context):
-        return _masked(capture, scene, config, context.plugins, with_cameras)
-
-
-def _masked(
-    capture: Capture, scene: Scene | None, config: RunConfig, plugins: PluginManager, with_cameras: bool
-) -> Capture:
-    """Calls the mask sources in their order for the views that still lack a mask.
-
-    `with_cameras` chooses between sources that need cameras and sources that do not. Sources that the settings name
-    replace masks that the views have already.
-    """
-    needed = [i for i, view in enumerate(capture.views) if view.pixels().mask is None]
-    names = _mask_sources(config, plugins)
-    if config.masks != "auto":
-        needed = list(range(len(capture.views))) if names else []
-    for name in names:
-        needs_cameras = "needs_cameras" in plugins.find("mask_source", name).component.traits
-        if not needed or needs_cameras is not with_cameras:
-            continue
-        source: MaskSource = plugins.create("mask_source", name, config.mask_source.get(name))
-        masks = source.masks(capture, scene)
-        views = list(capture.views)
-        for i in needed:
-            if masks[i] is not None:
-                views[i] = replace(views[i], mask=masks[i])
-        needed = [i for i in needed if masks[i] is None]
-        capture = replace(capture, views=tuple(views))
-    return capture
+        return apply_mask_sources(
+            capture, scene, config.masks, config.mask_source, context.plugins, with_cameras=with_cameras
+        )
 
 
 def _registered_only(capture: Capture, context: StageContext) -> Capture:

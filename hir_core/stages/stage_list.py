@@ -115,13 +115,7 @@ def _fit_reflectance(state: RunState, context: StageContext) -> StageResult[Fitt
     from hir_core.stages.reflectance.reflectance_fit import fit_reflectance
 
     fitted, report = fit_reflectance(scene, state.capture, state.config.reflectance, context)
-    return StageResult(FittedScene(fitted, _bounces(report)), report)
-
-
-def _bounces(report: Any) -> int | None:
-    """Of the reflectance stage's report."""
-    bounces: int | None = report.get("bounces") if isinstance(report, dict) else report.bounces
-    return bounces
+    return StageResult(FittedScene(fitted, report.bounces), report)
 
 
 def _save_fitted(state: RunState, value: FittedScene, folder: Path) -> None:

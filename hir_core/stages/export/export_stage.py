@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from hir_exporters.files.atomic import atomic_directory
 
-from hir_core.capture.capture_store import read_cameras
+from hir_core.run.capture_store import read_cameras
 from hir_core.run.stage_context import StageContext
 from hir_core.stages.export.asset_export import export_asset
 from hir_core.stages.export.export_rerendering import Rerender

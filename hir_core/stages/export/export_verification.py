@@ -17,7 +17,8 @@ from hir_exporters.engines.engine_shaders import engine_psnr
 from hir_exporters.errors import HirError
 from hir_exporters.exporter import ExportReport
 from hir_exporters.light.environment_map import mean_radiance
-from hir_exporters.reading.asset_decoding import decode_asset, read_environment
+from hir_exporters.reading.asset_decoding import decode_asset
+from hir_exporters.reading.environment_import import read_environment
 from hir_exporters.reading.file_verification import READERS, compare_with_asset, read_back
 
 from hir_core.stages.export.export_rerendering import GOOD_PSNR

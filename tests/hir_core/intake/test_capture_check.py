@@ -11,11 +11,11 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 
 from hir_core.capture import Camera, Capture, Pixels
-from hir_core.intake.automatic_masks import with_automatic_masks
 from hir_core.intake.capture_check import check_capture
 from hir_core.intake.check_result import CaptureCheck
 from hir_core.intake.contact_sheet import contact_sheet
 from hir_core.intake.light_motion import headlight_score
+from hir_core.intake.mask_sources import with_automatic_masks
 from hir_core.intake.view_directions import directions_covered
 from hir_core.plugins import Component, NoOptions, hookimpl
 from hir_core.plugins.interfaces import MaskSource
