@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from hir_exporters.asset import Asset, AssetEnvironment, validate_asset
 from hir_exporters.conventions import ALPHA_MIN, linear_to_srgb
-from hir_exporters.reading.mesh_import import read_environment
+from hir_exporters.reading.environment_import import read_environment
 from hir_exporters.scene_format import load_scene, save_scene
 from hir_exporters.textures.image_files import write_png
 from numpy.typing import NDArray

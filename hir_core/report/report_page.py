@@ -21,12 +21,12 @@ from hir_core.report import (
 )
 from hir_core.report.page_templates import read_asset, render
 from hir_core.report.page_values import report_of
-from hir_core.run.run_directory import RunDirectory, damage_told
+from hir_core.run.run_directory import RunDirectory, refuse_damaged_documents
 
 
 def refresh_page(directory: RunDirectory, plugins: PluginManager) -> Path:
     """Writes report.html; returns its path. `InputError` where a document of the run is damaged."""
-    with damage_told(directory.path):
+    with refuse_damaged_documents(directory.path):
         text = _page(directory, plugins)
     path = directory.path / "report.html"
     write_text_atomic(path, text)
