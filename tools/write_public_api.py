@@ -1,4 +1,4 @@
-"""Writes docs/reference/public_api.txt: the plugin interface as names and signatures, and a mark for CHANGELOG.md."""
+"""Writes docs/reference/public_api.txt: the plugin interface as names and signatures, and a hash for CHANGELOG.md."""
 
 from __future__ import annotations
 
@@ -72,8 +72,8 @@ def lines() -> Iterator[str]:
             yield f"function {module}.{name}{_signature(getattr(import_module(module), name))}"
     for name in MANAGER:
         yield f"method hir_core.plugins.manager.PluginManager.{name}{_signature(getattr(PluginManager, name))}"
-    for kind, words in TRAITS.items():
-        yield f"traits {kind}: {' '.join(sorted(words)) or '-'}"
+    for kind, arguments in TRAITS.items():
+        yield f"traits {kind}: {' '.join(sorted(arguments)) or '-'}"
     for check in all_checks().values():
         traits = [*sorted(check.traits), *(f"not {trait}" for trait in sorted(check.unless))]
         yield f"check {check.name}: {' '.join(sorted(check.kinds))}{' if ' + ', '.join(traits) if traits else ''}"
@@ -101,8 +101,8 @@ def _signature(function: Any) -> str:
     return str(inspect.signature(function)).replace("'", "")
 
 
-def mark(text: str) -> str:
-    """Eight letters that stand for the interface; a change of it must be noted with its mark."""
+def interface_hash(text: str) -> str:
+    """Hash of the interface, eight hexadecimal digits; CHANGELOG.md notes a change with it."""
     return hashlib.blake2b(text.encode(), digest_size=4).hexdigest()
 
 
@@ -115,4 +115,4 @@ if __name__ == "__main__":
     text = page()
     FILE.parent.mkdir(parents=True, exist_ok=True)
     FILE.write_text(text, encoding="utf-8")
-    print(f"note the change in CHANGELOG.md with the mark: plugin interface {mark(text)}")
+    print(f"note the change in CHANGELOG.md with the hash: plugin interface {interface_hash(text)}")

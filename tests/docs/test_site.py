@@ -50,9 +50,9 @@ def test_interface_is_as_it_was_noted() -> None:
     changed = sorted(set(now.splitlines()) ^ set(stored.splitlines()))
     assert now == stored, f"the plugin interface changed: {changed[:6]}; run: python tools/write_public_api.py"
     changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
-    assert f"plugin interface {api.mark(stored)}" in changes, (
+    assert f"plugin interface {api.interface_hash(stored)}" in changes, (
         f"CHANGELOG.md does not say what changed in the plugin interface; note it with the words "
-        f"'plugin interface {api.mark(stored)}'"
+        f"'plugin interface {api.interface_hash(stored)}'"
     )
 
 
@@ -80,7 +80,7 @@ def test_each_kind_of_change_is_noticed(change: str, monkeypatch: pytest.MonkeyP
     else:
         fewer = {name: check for name, check in testing.all_checks().items() if name != "white_furnace"}
         monkeypatch.setattr(testing, "all_checks", lambda: fewer)
-    assert api.mark(api.page()) != api.mark(before)
+    assert api.interface_hash(api.page()) != api.interface_hash(before)
 
 
 def test_site_builds_without_a_warning(tmp_path: Path) -> None:
