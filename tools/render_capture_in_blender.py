@@ -40,7 +40,7 @@ def main() -> None:
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
     scene = make_scene(options)
-    lamp = light_of(scene, options)
+    lamp = load_light(scene, options)
     known = options.folder / "strength.json"
     if known.is_file():
         strength = float(json.loads(known.read_text())["strength"])
@@ -102,7 +102,7 @@ def make_scene(options: argparse.Namespace) -> bpy.types.Scene:
     return scene
 
 
-def light_of(scene: bpy.types.Scene, options: argparse.Namespace) -> bpy.types.Object | None:
+def load_light(scene: bpy.types.Scene, options: argparse.Namespace) -> bpy.types.Object | None:
     """A lamp that goes with the camera, or None where the light is a panorama."""
     nodes, links = scene.world.node_tree.nodes, scene.world.node_tree.links
     background = nodes["Background"]

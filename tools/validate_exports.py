@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Final
 
 from hir_exporters.asset import Asset
-from hir_exporters.configs import GltfConfig, UsdConfig, UsdzConfig
+from hir_exporters.format_options import GltfConfig, UsdConfig, UsdzConfig
 from hir_exporters.formats import create_exporter
 from hir_exporters.reading.validators import Finding, validate_gltf, validate_omniverse, validate_usd
 from hir_exporters.scene_format import load_scene

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, Final
 
-from hir_exporters.configs import (
+from hir_exporters.errors import ExportError
+from hir_exporters.format_options import (
     CubemapConfig,
     EnvironmentConfig,
     GltfConfig,
@@ -17,7 +18,6 @@ from hir_exporters.configs import (
     UsdConfig,
     UsdzConfig,
 )
-from hir_exporters.errors import ExportError
 
 if TYPE_CHECKING:
     from hir_exporters.exporter import Exporter

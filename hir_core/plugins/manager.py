@@ -176,7 +176,7 @@ class PluginManager:
     def preset(self, name: str) -> Path:
         """The TOML file of a preset."""
         if name not in self._presets:
-            raise ConfigError(f"there is no preset {name!r}; there are: {', '.join(self.presets()) or 'none'}")
+            raise ConfigError(f"there is no preset {name!r}; installed: {', '.join(self.presets()) or 'none'}")
         return self._presets[name][0]
 
     def observers(self) -> dict[str, type]:

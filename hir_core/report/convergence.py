@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from hir_core.files.json_documents import read_json
 from hir_core.plugins.progress import MODEL_FITTED
 from hir_core.report.curve_svg import curve_svg
-from hir_core.report.page_values import Document
 from hir_core.report.tables import notice
+from hir_core.report.value_formatting import Document
 from hir_core.run.progress_listener import read_curves
 from hir_core.run.run_directory import STAGE_NAMES, RunDirectory
 

@@ -13,8 +13,8 @@ from markupsafe import Markup
 from hir_core.errors import InputError
 from hir_core.files.json_documents import read_json
 from hir_core.report.page_templates import render
-from hir_core.report.page_values import number
 from hir_core.report.tables import notice
+from hir_core.report.value_formatting import number
 from hir_core.run.run_directory import RunDirectory
 
 TEXTURES = {

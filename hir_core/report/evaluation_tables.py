@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from markupsafe import Markup
 
-from hir_core.report.page_values import Document, number
 from hir_core.report.tables import Cell, Row, notice, table
+from hir_core.report.value_formatting import Document, number
 
 IMAGE_HEADINGS = (
     "",

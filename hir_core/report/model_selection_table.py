@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from markupsafe import Markup
 
-from hir_core.report.page_values import Document, duration, number, report_of
 from hir_core.report.tables import Cell, Row, notice, table
+from hir_core.report.value_formatting import Document, duration, number, report_of
 
 REFINEMENTS = {
     "albedo_refinement": "Albedo, solved again with renders by {renderer}",

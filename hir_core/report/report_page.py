@@ -20,7 +20,8 @@ from hir_core.report import (
     tables,
 )
 from hir_core.report.page_templates import read_asset, render
-from hir_core.report.page_values import report_of
+from hir_core.report.tiles import tiles
+from hir_core.report.value_formatting import report_of
 from hir_core.run.run_directory import RunDirectory, refuse_damaged_documents
 
 
@@ -41,7 +42,7 @@ def _page(directory: RunDirectory, plugins: PluginManager) -> str:
         js=read_asset("page.js"),
         title=document["capture"]["name"],
         lead=_lead(document),
-        tiles=tables.tiles(document, timings),
+        tiles=tiles(document, timings),
         model=embedded_viewer.viewer(directory, plugins),
         comparison=embedded_pictures.comparison(directory),
         textures=embedded_pictures.textures(directory, report_of(document, "bake")),

@@ -32,7 +32,7 @@ class SilhouetteTargets:
             mask = view.pixels(downsample).mask
             if mask is None:
                 raise CaptureError(
-                    f"view {view.name} has no mask; set a mask source, such as: --set 'masks=[\"grabcut\"]'"
+                    f"view {view.name} has no mask; set mask sources with --set 'masks=[…]' (`hir plugins` lists them)"
                 )
             if not np.isfinite(mask).all():
                 raise CaptureError(f"the mask of view {view.name} holds values that are not finite; write it again")

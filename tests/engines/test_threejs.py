@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hir_exporters.configs import GltfConfig
+from hir_exporters.format_options import GltfConfig
 from hir_exporters.formats import create_exporter
 from parity.browser import module_folder
 from parity.costs import rows

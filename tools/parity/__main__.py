@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 from hir_exporters.asset import Asset
-from hir_exporters.configs import GltfConfig, UsdConfig
+from hir_exporters.format_options import GltfConfig, UsdConfig
 from hir_exporters.formats import create_exporter
 
 from hir_core.capture import Camera

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from hir_exporters.asset import Asset, AssetMaterial, AssetMesh
-from hir_exporters.configs import GltfConfig
 from hir_exporters.errors import ExportError
+from hir_exporters.format_options import GltfConfig
 from hir_exporters.gltf import image_based_light, ior, specular, specular_glossiness
 from hir_exporters.gltf.binary import BinaryWriter
 from hir_exporters.gltf.draco import add_draco_primitive

@@ -11,9 +11,9 @@ from urllib.parse import quote
 
 from hir_exporters.asset import Asset, validate_asset
 from hir_exporters.budgets import apply_budget
-from hir_exporters.configs import GltfConfig
 from hir_exporters.exporter import Edit, Exporter, ExportReport
 from hir_exporters.files.atomic import write_bytes_atomic
+from hir_exporters.format_options import GltfConfig
 from hir_exporters.gltf.binary import glb_bytes
 from hir_exporters.gltf.gltf_document import GatheredAsset, build_document, gather_asset
 from hir_exporters.gltf.lods import level_of_detail

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from hir_exporters.asset import textures
-from hir_exporters.configs import GltfConfig
+from hir_exporters.format_options import GltfConfig
 from hir_exporters.gltf.gltf_document import GatheredAsset
 from hir_exporters.materials.texture_packing import encode_images
 from hir_exporters.mesh.normal_baking import baked_normals

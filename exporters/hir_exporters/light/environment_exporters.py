@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hir_exporters.asset import Asset, validate_asset
-from hir_exporters.configs import CubemapConfig, EnvironmentConfig, HarmonicsConfig
 from hir_exporters.errors import ExportError
 from hir_exporters.exporter import Edit, Exporter, ExportReport
 from hir_exporters.files.atomic import write_bytes_atomic, write_text_atomic
+from hir_exporters.format_options import CubemapConfig, EnvironmentConfig, HarmonicsConfig
 from hir_exporters.light.environment_map import irradiance_harmonics, spherical_harmonics, world_radiance
 from hir_exporters.light.ktx1_container import ktx1_bytes
 from hir_exporters.light.prefilter import LAST_LEVEL_SIZE, filament_roughness, level_sizes, prefiltered_cubemap

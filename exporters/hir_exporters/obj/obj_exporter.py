@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hir_exporters.asset import Asset, AssetMesh, validate_asset
-from hir_exporters.configs import ObjConfig
 from hir_exporters.exporter import Edit, Exporter, ExportReport
 from hir_exporters.files.atomic import write_bytes_atomic, write_text_atomic
+from hir_exporters.format_options import ObjConfig
 from hir_exporters.materials.material_conversion import to_gltf
 from hir_exporters.materials.surfaces import MetallicSurface
 from hir_exporters.materials.texture_packing import (

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, final
 
 from hir_exporters.asset import Asset, validate_asset
 from hir_exporters.budgets import apply_budget
-from hir_exporters.configs import UsdConfig
 from hir_exporters.errors import ExportError
 from hir_exporters.exporter import Edit, Exporter, ExportReport
 from hir_exporters.files.atomic import write_bytes_atomic, write_text_atomic
+from hir_exporters.format_options import UsdConfig
 from hir_exporters.light.environment_map import world_radiance
 from hir_exporters.materials.texture_packing import (
     EncodedImage,

@@ -36,11 +36,12 @@ from hir_core.stages.geometry.geometry_report import (
     SilhouetteResidualReport,
     ViewsReport,
 )
-from hir_core.stages.geometry.level_plan import choose_held_out, level_count, triangles_of_level
+from hir_core.stages.geometry.level_plan import level_count, triangles_of_level
 from hir_core.stages.geometry.photo_consistency_report import PhotoConsistencyReport, PhotoConsistencySkipped
 from hir_core.stages.geometry.photo_refinement import refine_by_photo_consistency
 from hir_core.stages.geometry.silhouette_fit import SilhouetteFit, fit_level
 from hir_core.stages.geometry.silhouette_residual import silhouette_residual
+from hir_core.stages.held_out_views import held_out_for_geometry
 
 
 def fit_geometry(
@@ -102,7 +103,7 @@ def _prepare(mesh: Mesh, capture: Capture, settings: GeometrySettings, context: 
     targets = renderer.prepare(capture.views, settings.downsample).to(mesh.positions.device)
     if len(targets) == 0:
         raise StageError("the geometry stage has no views; name a capture with photographs")
-    held_out = choose_held_out(len(targets), settings.held_out)
+    held_out = held_out_for_geometry(len(targets), settings.held_out)
     return SilhouetteFit(renderer, targets, settings, context, held_out, [view.name for view in capture.views])
 
 

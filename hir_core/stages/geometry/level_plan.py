@@ -20,16 +20,8 @@ triangles (IoU of held-out views 0.952; 0.970 at 6,000, 0.971 at 20,000)."""
 CLOSE_INITIAL_ERROR = 0.1
 """Below this median 1 − IoU the initial mesh is close: a very coarse level would only lose its detail."""
 
-LEAST_TRIANGLES = 500
+MIN_TRIANGLES = 500
 """Of the coarsest level."""
-
-LEAST_VIEWS_TO_HOLD_OUT = 10
-
-
-def choose_held_out(views: int, share: float) -> list[int]:
-    """Views spaced evenly over the capture's order; none of fewer than ten views."""
-    count = round(views * share) if views >= LEAST_VIEWS_TO_HOLD_OUT else 0
-    return [int((i + 0.5) * views / count) for i in range(count)]
 
 
 def level_count(settings: GeometrySettings, initial_error: float) -> int:
@@ -43,7 +35,7 @@ def triangles_of_level(
     mesh: Mesh, targets: SilhouetteTargets, settings: GeometrySettings, level: int, levels: int
 ) -> int:
     """Triangles for `level`: each level has a quarter of the next one's."""
-    return max(LEAST_TRIANGLES, _final_triangles(mesh, targets, settings) // 4 ** (levels - 1 - level))
+    return max(MIN_TRIANGLES, _final_triangles(mesh, targets, settings) // 4 ** (levels - 1 - level))
 
 
 def _final_triangles(mesh: Mesh, targets: SilhouetteTargets, settings: GeometrySettings) -> int:

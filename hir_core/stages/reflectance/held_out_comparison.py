@@ -1,4 +1,4 @@
-"""Decisions on held-out views: paired gains in dB, their standard error, and which views are held out."""
+"""Decisions on held-out views: paired gains in dB and their standard error."""
 
 from __future__ import annotations
 
@@ -8,26 +8,8 @@ from numpy.typing import NDArray
 REQUIRED_STANDARD_ERRORS = 1.0
 """The one-standard-error rule (Breiman et al. 1984). With few held-out views a stricter rule rejects models that unseen
 views gain from (chair: a specular lobe that gains 0.36 dB there, and 0.25 ± 0.21 dB on six held-out views)."""
-HELD_OUT_INTERVAL = 8
-"""Every eighth view is held out."""
-MIN_HELD_OUT_VIEWS = 3
-"""One view alone has no standard error, so that no candidate could ever be accepted."""
-MIN_VIEWS = 6
-"""With fewer views none is held out and no models are compared."""
 SMALLEST_ERROR = 1e-12
 """Mean squared error that counts as 120 dB."""
-
-
-def split_views(views: int) -> tuple[list[int], list[int]]:
-    """Indices of the training views and of the held-out views; none is held out of fewer than `MIN_VIEWS`."""
-    every = list(range(views))
-    if views < MIN_VIEWS:
-        held_out = []
-    elif views < MIN_HELD_OUT_VIEWS * HELD_OUT_INTERVAL:
-        held_out = [int((i + 0.5) * views / MIN_HELD_OUT_VIEWS) for i in range(MIN_HELD_OUT_VIEWS)]
-    else:
-        held_out = every[HELD_OUT_INTERVAL // 2 :: HELD_OUT_INTERVAL]
-    return [v for v in every if v not in held_out], held_out
 
 
 def paired_gain(before: NDArray[np.float64], after: NDArray[np.float64]) -> tuple[float, float]:

@@ -17,13 +17,9 @@ from numpy.typing import NDArray
 from hir_core.config import ReflectanceSettings
 from hir_core.plugins.interfaces import FitT, RefinementT
 from hir_core.plugins.model_spec import ModelSpec
+from hir_core.stages.held_out_views import held_out_for_model_selection
 from hir_core.stages.reflectance.fit_sequence import FitSequence, fit_cost
-from hir_core.stages.reflectance.held_out_comparison import (
-    REQUIRED_STANDARD_ERRORS,
-    mean_decibels,
-    paired_gain,
-    split_views,
-)
+from hir_core.stages.reflectance.held_out_comparison import REQUIRED_STANDARD_ERRORS, mean_decibels, paired_gain
 from hir_core.stages.reflectance.requested_model import default_spec, forced_spec, initial_light_frame
 
 REQUIRED_STANDARD_ERRORS_OF_NORMALS = 2.0
@@ -68,7 +64,7 @@ def select_model(
 
     A model that the settings name is fitted without a comparison.
     """
-    training, held_out = split_views(views)
+    training, held_out = held_out_for_model_selection(views)
     forced = forced_spec(settings)
     if forced is not None or not held_out:
         spec = forced or default_spec(settings)

@@ -24,13 +24,9 @@ from hir_core.plugins.interfaces import FitT, RefinementT, Solved
 from hir_core.rendering.reference_renderer import reference_renderer
 from hir_core.scene import Scene
 from hir_core.scene.srgb import linear_to_srgb
+from hir_core.stages.held_out_views import held_out_for_model_selection
 from hir_core.stages.reflectance.gradient_fit import ObjectPixels, fit_by_gradient, object_pixels
-from hir_core.stages.reflectance.held_out_comparison import (
-    REQUIRED_STANDARD_ERRORS,
-    mean_decibels,
-    paired_gain,
-    split_views,
-)
+from hir_core.stages.reflectance.held_out_comparison import REQUIRED_STANDARD_ERRORS, mean_decibels, paired_gain
 from hir_core.stages.reflectance.reflectance_report import RefinementReport
 
 if TYPE_CHECKING:
@@ -55,7 +51,7 @@ def refine_by_path_tracing(
     The steps use the training views alone. With too few views for a comparison the scene is unchanged, with a warning.
     """
     options = settings.path_tracing
-    training, held_out = split_views(len(capture.views))
+    training, held_out = held_out_for_model_selection(len(capture.views))
     if not held_out:
         context.warn("too few views to hold some out: path-traced refinement was skipped")
         return scene, RefinementReport(False, 0, "too few views")
@@ -110,7 +106,7 @@ def refine_albedo(
     solved from all views. `report` receives the share that is done.
     """
     report(0.0)
-    training, held_out = split_views(len(capture.views))
+    training, held_out = held_out_for_model_selection(len(capture.views))
     if not held_out:
         return solved, RefinementReport(False, 0, "too few views")
     name = settings.path_tracing.renderer

@@ -11,8 +11,8 @@ import drjit as dr
 import mitsuba as mi
 
 from hir_plugins.reflectance_renderers.drjit_types import DrJitArray, MitsubaObject
-from hir_plugins.reflectance_renderers.mitsuba_ggx import ggx_drjit
-from hir_plugins.reflectance_renderers.mitsuba_ggx.ggx_drjit import Reflectance
+from hir_plugins.reflectance_renderers.mitsuba_ggx import brdf_drjit as ggx_drjit
+from hir_plugins.reflectance_renderers.mitsuba_ggx.brdf_drjit import Reflectance
 
 _registered: dict[str, type] = {}
 """The class of each variant: Mitsuba's base classes differ between variants."""

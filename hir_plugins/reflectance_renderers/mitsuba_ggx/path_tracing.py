@@ -13,8 +13,8 @@ import drjit as dr
 import mitsuba as mi
 
 from hir_plugins.reflectance_renderers.drjit_types import DrJitArray
+from hir_plugins.reflectance_renderers.mitsuba_ggx.brdf_drjit import Reflectance, evaluate, pdf, sample
 from hir_plugins.reflectance_renderers.mitsuba_ggx.emitter import Light
-from hir_plugins.reflectance_renderers.mitsuba_ggx.ggx_drjit import Reflectance, evaluate, pdf, sample
 from hir_plugins.reflectance_renderers.mitsuba_ggx.mitsuba_mesh import Surface, SurfaceHit
 from hir_plugins.reflectance_renderers.mitsuba_ggx.mitsuba_textures import Parameter
 from hir_plugins.reflectance_renderers.mitsuba_ggx.sample_sequence import SampleSequence

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from hir_exporters.asset import Asset
-from hir_exporters.configs import ObjConfig, UsdConfig
 from hir_exporters.exporter import Edit, Exporter, ExportReport
+from hir_exporters.format_options import ObjConfig, UsdConfig
 from hir_exporters.obj.obj_exporter import ObjExporter
 from hir_exporters.usd.usd_exporter import UsdExporter
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hir_exporters.asset import Asset, AssetEnvironment
-from hir_exporters.configs import GltfConfig
 from hir_exporters.conventions import latlong_directions, srgb_to_linear
+from hir_exporters.format_options import GltfConfig
 from hir_exporters.formats import create_exporter
 from hir_exporters.textures.image_files import read_hdr, read_ldr
 

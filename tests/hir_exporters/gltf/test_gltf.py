@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hir_exporters.asset import Asset, AssetMaterial, AssetMesh
-from hir_exporters.configs import GltfConfig
 from hir_exporters.conventions import srgb_to_linear
 from hir_exporters.errors import ExportError, InputError
+from hir_exporters.format_options import GltfConfig
 from hir_exporters.formats import create_exporter
 from hir_exporters.materials import material_conversion
 from hir_exporters.reading.file_verification import verify_file

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hir_exporters.asset import Asset, AssetEnvironment
-from hir_exporters.configs import CubemapConfig, GltfConfig
 from hir_exporters.conventions import latlong_directions, latlong_solid_angles, srgb_to_linear
 from hir_exporters.errors import ExportError
+from hir_exporters.format_options import CubemapConfig, GltfConfig
 from hir_exporters.formats import create_exporter
 from hir_exporters.gltf.image_based_light import rgbd
 from hir_exporters.light.environment_exporters import filament_harmonics

@@ -4,9 +4,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hir_exporters.asset import Asset, AssetEnvironment
-from hir_exporters.configs import EnvironmentConfig
 from hir_exporters.conventions import direction_to_latlong_uv, latlong_directions, latlong_solid_angles
 from hir_exporters.errors import ExportError
+from hir_exporters.format_options import EnvironmentConfig
 from hir_exporters.formats import create_exporter
 from hir_exporters.light import environment_map as env
 from hir_exporters.textures.image_files import read_hdr

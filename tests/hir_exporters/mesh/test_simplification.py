@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 from hir_exporters.asset import Asset, AssetMaterial, AssetMesh
-from hir_exporters.configs import GltfConfig
+from hir_exporters.format_options import GltfConfig
 from hir_exporters.formats import create_exporter
 from hir_exporters.mesh.simplification import simplify
 from hir_exporters.mesh.tangents import with_tangents

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hir_exporters.asset import Asset, describe
-from hir_exporters.configs import GltfConfig
 from hir_exporters.conventions import linear_to_srgb
 from hir_exporters.errors import InputError
+from hir_exporters.format_options import GltfConfig
 from hir_exporters.formats import create_exporter
 from hir_exporters.reading.file_verification import verify_file
 from hir_exporters.reading.material_overrides import MaterialOverrides, parse_material_override

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hir_exporters.asset import Asset, AssetMesh
-from hir_exporters.configs import UsdConfig, UsdzConfig
 from hir_exporters.errors import ExportError
+from hir_exporters.format_options import UsdConfig, UsdzConfig
 from hir_exporters.formats import create_exporter
 from hir_exporters.reading.file_verification import verify_file
 from hir_exporters.reading.validators import validate_omniverse, validate_usd

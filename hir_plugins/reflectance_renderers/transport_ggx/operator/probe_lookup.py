@@ -15,7 +15,7 @@ import numpy as np
 
 from hir_plugins.reflectance_renderers.drjit_bilinear import repeated
 from hir_plugins.reflectance_renderers.drjit_types import DrJitArray
-from hir_plugins.reflectance_renderers.mitsuba_ggx.ggx_drjit import albedo_terms
+from hir_plugins.reflectance_renderers.mitsuba_ggx.brdf_drjit import albedo_terms
 from hir_plugins.reflectance_renderers.transport_ggx.operator.radiance_probes import (
     ALPHA_LEVELS,
     MIN_LEVEL_ALPHA,

@@ -18,8 +18,9 @@ from hir_core.plugins.progress import MODEL_FITTED, MODELS_COMPARED
 from hir_core.report.convergence import milestones
 from hir_core.run.progress_listener import ProgressListener
 from hir_core.run.stage_context import StageContext
+from hir_core.stages.held_out_views import HELD_OUT_INTERVAL, held_out_for_model_selection
 from hir_core.stages.reflectance.fit_sequence import FitSequence
-from hir_core.stages.reflectance.held_out_comparison import HELD_OUT_INTERVAL, paired_gain, split_views
+from hir_core.stages.reflectance.held_out_comparison import paired_gain
 from hir_core.stages.reflectance.model_selection import Comparison, select_model
 from hir_core.stages.reflectance.requested_model import forced_spec
 from hir_core.stages.reflectance.stage_progress import StageProgress
@@ -270,7 +271,7 @@ def test_held_out_views_are_never_fitted() -> None:
 @pytest.mark.parametrize("views", range(6, 30))
 def test_few_views_are_enough_for_a_selection(views: int) -> None:
     """One held-out view alone has no standard error: captures of 6 to 11 photographs would stay diffuse."""
-    training, held_out = split_views(views)
+    training, held_out = held_out_for_model_selection(views)
     assert len(held_out) >= 3 and len(training) >= len(held_out) and sorted(training + held_out) == list(range(views))
     solver = Scripted(lambda spec: 1e-3 if spec.brdf == "diffuse" else 1e-4)
     _, spec, _ = select(solver, ReflectanceSettings(light_frame="world"), views)
