@@ -1,8 +1,9 @@
-"""Albedos and light in closed form, in turns, beside gradient steps: `python -m benchmarks.alternation CAPTURE`.
+"""Alternating least squares for albedo and light, against gradient steps: `python -m benchmarks.alternation CAPTURE`.
 
-On the true mesh of a capture, in the task of `hir bench reflectance`, judged as there. With visibility and lobes cached
-what photographs show is linear in the albedos and linear in the light: either is a least-squares problem while the
-other rests. Lobes stay as all fits begin with them; gradient steps move them, too.
+On the true mesh of a capture, with the task and the evaluation of `hir bench reflectance`. With cached visibility and
+lobes the image is linear in the albedos and linear in the light: each is a least-squares problem while the other is
+fixed. The lobes keep their initial values here; gradient steps fit them, too.
+Result: docs/studies/alternating_least_squares.md.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from benchmarks.reflectance_task import asked_task
+from benchmarks.reflectance_task import task_from_arguments
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene.srgb import srgb_slope, srgb_to_linear
 from hir_plugins.commands.bench.suites.reflectance_fits import DOWNSAMPLE, FITTED_MODEL
@@ -23,6 +24,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Param
 from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import (
     PixelBatch,
     predict,
+    refresh_matrices,
     specular_matrices,
 )
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
@@ -34,37 +36,37 @@ EFFORTS = (0.0625, 0.25, 1.0)
 ITERATIONS = 12
 """Of conjugate gradients for the light, in each round."""
 SMOOTHNESS = 0.02
-"""Weight of differences between neighbouring texels, of what the photographs say of a texel on average."""
-LEAST = 1e-6
+"""Weight of differences between neighbouring texels, relative to the mean weight of a texel's observations."""
+MIN_RADIANCE = 1e-6
 """Radiance of a texel that the solution would make negative."""
 
 
 def main() -> None:
-    task = asked_task(__doc__)
+    task = task_from_arguments(__doc__)
     renderer = task.plugins.create("reflectance_renderer", "transport_ggx", {})
     every = range(len(task.train.views))
 
     def row(name: str, fitted: Callable[[TransportSolver], Fit]) -> None:
-        began = time.perf_counter()
+        start_time = time.perf_counter()
         solver = renderer.prepare(task.start, task.train, DOWNSAMPLE)
-        found = solver.scene(fitted(solver), every, lambda _: None).scene
-        task.row(name, time.perf_counter() - began, found)
+        solved = solver.scene(fitted(solver), every, lambda _: None).scene
+        task.row(name, time.perf_counter() - start_time, solved)
 
     for effort in EFFORTS:
         row(
             f"gradient steps, effort {effort:g}",
-            lambda solver, e=effort: solver.fit(FITTED_MODEL, None, every, e, _silent),
+            lambda solver, e=effort: solver.fit(FITTED_MODEL, None, every, e, _ignore_progress),
         )
     for rounds in ROUNDS:
-        row(f"closed form, {rounds} in turn", lambda solver, n=rounds: Fit(FITTED_MODEL, alternated(solver, every, n)))
+        row(f"closed form, {rounds} in turn", lambda solver, n=rounds: Fit(FITTED_MODEL, alternate(solver, every, n)))
 
 
-def _silent(share: float) -> None:
-    """Progress that nobody watches."""
+def _ignore_progress(share: float) -> None:
+    """Discards progress."""
 
 
-def alternated(solver: TransportSolver, views: Sequence[int], rounds: int) -> Parameters:
-    """Light, then albedos, so often, from what gradient steps begin with."""
+def alternate(solver: TransportSolver, views: Sequence[int], rounds: int) -> Parameters:
+    """Solves light, then albedos, `rounds` times, from the initial guess of the gradient steps."""
     photographs = solver._photographs(views)
     parameters = solver._initial_parameters(
         FITTED_MODEL, Fit(ModelSpec(), solver._initial_parameters(ModelSpec(), None, photographs)), photographs
@@ -76,18 +78,16 @@ def alternated(solver: TransportSolver, views: Sequence[int], rounds: int) -> Pa
     for _ in range(rounds):
         problem = LightProblem(solver._transport, blocks, specular, parameters, FITTED_MODEL.bounces)
         parameters = replace(parameters, light=problem.solution().log())
-        found = solve_final_albedo(
+        solved = solve_final_albedo(
             solver._transport, zip(blocks, specular, strict=True), parameters, FITTED_MODEL.bounces
         )
-        parameters = replace(parameters, diffuse=found.with_closed_form_albedo.diffuse)
+        parameters = replace(parameters, diffuse=solved.with_closed_form_albedo.diffuse)
     return parameters
 
 
 @dataclass(frozen=True, eq=False)
 class LightProblem:
-    """The light that photographs ask for while albedos and lobes rest: regularised least squares, then what is negative
-    is cut off.
-    """
+    """The light with albedos and lobes fixed: regularised least squares; negative results are clamped."""
 
     transport: Transport
     blocks: Sequence[PixelBatch]
@@ -102,11 +102,11 @@ class LightProblem:
         pairs = zip(colors, self.blocks, strict=True)
         weights = [srgb_slope(c.clamp(SRGB_SLOPE_FLOOR_LINEAR, 1)).square() * ~block.saturated for c, block in pairs]
         right = self._transposed([w * c for w, c in zip(weights, colors, strict=True)])
-        ones = [w * shown for w, shown in zip(weights, self._shown(torch.ones_like(light)), strict=True)]
+        ones = [w * predicted for w, predicted in zip(weights, self._predicted(torch.ones_like(light)), strict=True)]
         smooth = SMOOTHNESS * self._transposed(ones).mean()
 
         def apply(x: Tensor) -> Tensor:
-            plus, minus = self._shown(x.clamp_min(0)), self._shown((-x).clamp_min(0))
+            plus, minus = self._predicted(x.clamp_min(0)), self._predicted((-x).clamp_min(0))
             rows = [w * (a - b) for w, a, b in zip(weights, plus, minus, strict=True)]
             return self._transposed(rows) + smooth * _differences(x)
 
@@ -118,10 +118,10 @@ class LightProblem:
             light, residual = light + step * direction, residual - step * image
             new = residual.square().sum()
             direction, rho = residual + new / rho.clamp_min(1e-30) * direction, new
-        return light.clamp_min(LEAST)
+        return light.clamp_min(MIN_RADIANCE)
 
-    def _shown(self, radiance: Tensor) -> list[Tensor]:
-        """What each block shows under a light."""
+    def _predicted(self, radiance: Tensor) -> list[Tensor]:
+        """Prediction of each block under a light."""
         lit = replace(self.parameters, light=radiance.clamp_min(1e-20).log())
         with torch.no_grad():
             pairs = zip(self.blocks, self.specular, strict=True)
@@ -132,8 +132,8 @@ class LightProblem:
         total = torch.zeros_like(radiance)
         for block, matrices, values in zip(self.blocks, self.specular, rows, strict=True):
             lit = replace(self.parameters, light=radiance.log())
-            shown = predict(self.transport, block, matrices, lit, self.bounces)
-            total = total + torch.autograd.grad(shown, radiance, values)[0]
+            predicted = predict(self.transport, block, matrices, lit, self.bounces)
+            total = total + torch.autograd.grad(predicted, radiance, values)[0]
         return total
 
 

@@ -19,7 +19,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from benchmarks.true_pictures import PictureErrors, picture_errors
+from benchmarks.true_depth_and_normals import PictureErrors, picture_errors
 from hir_core.capture import Capture
 from hir_core.config import load_config
 from hir_core.intake.reader_lookup import read_capture

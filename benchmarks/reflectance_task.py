@@ -11,7 +11,7 @@ from hir_core.config import ReflectanceSettings
 from hir_core.intake.reader_lookup import read_capture
 from hir_core.plugins.manager import PluginManager
 from hir_core.scene import Scene
-from hir_core.stages.reflectance.initial_scene import initial_scene
+from hir_core.stages.reflectance.initial_material_and_light import initial_scene
 from hir_plugins.commands.bench.inputs.bench_captures import decode_images, true_scene
 from hir_plugins.commands.bench.inputs.scene_evaluator import SceneEvaluator
 from hir_plugins.commands.bench.suites.reflectance_fits import DOWNSAMPLE, FITTED_MODEL
@@ -19,7 +19,7 @@ from hir_plugins.commands.bench.suites.reflectance_fits import DOWNSAMPLE, FITTE
 
 @dataclass(frozen=True)
 class Task:
-    """What a fit is given, and who judges it; rows go to standard output as Markdown."""
+    """Input and evaluation of a fit; rows are printed as Markdown."""
 
     path: Path
     plugins: PluginManager
@@ -28,15 +28,15 @@ class Task:
     evaluator: SceneEvaluator
 
     def row(self, name: str, seconds: float | None, shown: Scene) -> None:
-        """Judges a scene."""
+        """Evaluates a scene and prints its row."""
         errors = self.evaluator(shown, FITTED_MODEL.bounces)
         relit = ", ".join(f"{value:.1f}" for key, value in errors.items() if key.startswith("relight"))
         unseen = f"{errors['unseen dB']:.1f} / {errors['frame dB']:.1f}"
         print(f"| {name} | {'–' if seconds is None else f'{seconds:.0f}'} | {unseen} | {relit} |", flush=True)
 
 
-def asked_task(description: str | None) -> Task:
-    """The task of the capture that the command line names; prints the table's head."""
+def task_from_arguments(description: str | None) -> Task:
+    """The task of the capture that the command line names; prints the table's header."""
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("capture", type=Path)
     path = parser.parse_args().capture

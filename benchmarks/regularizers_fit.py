@@ -32,6 +32,7 @@ from hir_core.scene.srgb import linear_to_srgb
 from hir_core.stages.reflectance.gradient_fit import ObjectPixels, fit_by_gradient, object_pixels
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGGX
+from hir_plugins.reflectance_renderers.transport_ggx.shading import TransportShading
 from hir_plugins.reflectance_renderers.transport_ggx.solver import TransportSolver
 from hir_plugins.reflectance_renderers.transport_ggx.textures.texture_shading import Indirect, sample
 

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
 
-from benchmarks.reflectance_task import Task, asked_task
+from benchmarks.reflectance_task import Task, task_from_arguments
 from benchmarks.true_materials import true_scene
 from hir_core.plugins.interfaces import ReflectanceSolver
 from hir_core.rendering.light_files import load_light
@@ -37,7 +37,7 @@ class Variant:
 
 
 def main() -> None:
-    task = asked_task(__doc__)
+    task = task_from_arguments(__doc__)
     for variant in variants(task):
         began = time.perf_counter()
         found = fitted(task, variant)

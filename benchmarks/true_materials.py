@@ -1,4 +1,4 @@
-"""What captures/spot and captures/avocado show: true mesh, material and light, from HIR_SHARED. For judging only."""
+"""True mesh, material and light of captures/spot and captures/avocado, from HIR_SHARED. For evaluation only."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def true_scene(path: Path, capture: Capture) -> Scene:
 
 
 def textured_mesh(path: Path, world_from_source: Array) -> Mesh:
-    """`reference.obj` with its texture coordinates; corners at one place are one vertex, so that normals are smooth."""
+    """`reference.obj` with its texture coordinates; equal positions are one vertex, so that normals are smooth."""
     import trimesh
 
     loaded = cast(Any, trimesh.load(path / TRUE_MESH, process=False, force="mesh"))

@@ -45,7 +45,7 @@ def test_rendering_is_linear_in_the_light_and_its_transpose_is_the_adjoint() -> 
     _, parameters, problem = light_problem(ModelSpec("dielectric", "uniform", bounces=1))
     torch.manual_seed(0)
     light = torch.rand_like(parameters.light)
-    shown = problem._shown(light)
+    shown = problem._predicted(light)
     weights = [torch.rand_like(values) for values in shown]
     left = sum(float((a * b).sum()) for a, b in zip(shown, weights, strict=True))
     assert left == pytest.approx(float((light * problem._transposed(weights)).sum()), rel=1e-3)

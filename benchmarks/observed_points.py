@@ -1,10 +1,10 @@
-"""Points of a finished run's mesh that unseen views show, with what every photograph says of them.
+"""Surface points of a finished run that unseen views see, with the observation of each by every photograph.
 
-They tell what limits a fit: photographs blended on the mesh show what it could look like (`blended`), one colour for
-all directions what no model of reflection costs, and `benchmarks.point_models` what each part of a model is worth,
-without textures, their resolution or a solver in between.
+They show what limits a fit: how well photographs that are blended on the mesh predict the unseen views
+(`blend_photographs`), how well one colour for all directions does, and what each part of a reflectance model gains
+(`benchmarks.point_models`), without textures, their resolution or a solver.
 
-    python -m benchmarks.seen_points CAPTURE RUN
+    python -m benchmarks.observed_points CAPTURE RUN
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ from hir_core.plugins.manager import PluginManager
 
 Array = NDArray[np.floating]
 
-EACH_VIEW = 4000
-INSIDE = 0.99
-GRAZING = 0.15
-"""Photographs that see a point at a smaller cosine are left out."""
-OFFSET = 1e-3
-"""Of the object's size: how far above the surface a ray for visibility begins."""
+POINTS_PER_VIEW = 4000
+MIN_COVERAGE = 0.99
+MIN_VIEW_COSINE = 0.15
+"""Photographs that see a point at a smaller cosine are ignored."""
+RAY_OFFSET = 1e-3
+"""Of the object's size: height above the surface at which a shadow ray starts."""
 
 
 @dataclass(frozen=True)
-class SeenPoints:
+class ObservedPoints:
     """N points, T train views; colours are linear, directions lead to the camera."""
 
     normals: Array
@@ -48,11 +48,11 @@ class SeenPoints:
     """In each photograph, (N, T, 3)."""
     directions: Array
     """(N, T, 3)."""
-    seen: NDArray[np.bool_]
-    """Whether a photograph shows it, (N, T)."""
+    observed: NDArray[np.bool_]
+    """Whether a photograph observes the point, (N, T)."""
 
 
-def seen_points(capture: Path, run: Path, plugins: PluginManager, seed: int = 0) -> SeenPoints:
+def observed_points(capture: Path, run: Path, plugins: PluginManager, seed: int = 0) -> ObservedPoints:
     """Some points of each test view, drawn with `seed`."""
     train, test = (read_capture(capture, split, plugins) for split in ("train", "test"))
     mesh = load_scene(run / "scene").mesh
@@ -63,26 +63,26 @@ def seen_points(capture: Path, run: Path, plugins: PluginManager, seed: int = 0)
     for view, camera in zip(test.views, test.cameras, strict=True):
         pixels = view.pixels()
         assert pixels.mask is not None
-        rows, columns = np.nonzero(pixels.mask >= INSIDE)
-        drawn = random.choice(len(rows), min(EACH_VIEW, len(rows)), replace=False)
+        rows, columns = np.nonzero(pixels.mask >= MIN_COVERAGE)
+        drawn = random.choice(len(rows), min(POINTS_PER_VIEW, len(rows)), replace=False)
         rows, columns = rows[drawn], columns[drawn]
-        hit, toward, points, normals, flat = on_mesh(camera, rows, columns, mesh, rays)
-        above = points + OFFSET * size * flat
+        hit, toward, points, normals, flat = surface_under_pixels(camera, rows, columns, mesh, rays)
+        above = points + RAY_OFFSET * size * flat
         found = [
-            photographed(points, above, flat, camera, p.color_linear, p.mask, rays)
+            observe(points, above, flat, camera, p.color_linear, p.mask, rays)
             for camera, p in zip(train.cameras, photographs, strict=True)
         ]
-        colors, directions, seen = (np.stack([f[k] for f in found], axis=1) for k in range(3))
+        colors, directions, observed = (np.stack([f[k] for f in found], axis=1) for k in range(3))
         color = pixels.color_linear[rows, columns][hit]
-        parts.append((normals, color, -toward, colors, directions, seen))
-    return SeenPoints(*(np.concatenate([part[k] for part in parts]) for k in range(6)))
+        parts.append((normals, color, -toward, colors, directions, observed))
+    return ObservedPoints(*(np.concatenate([part[k] for part in parts]) for k in range(6)))
 
 
-def on_mesh(
+def surface_under_pixels(
     camera: Camera, rows: NDArray[np.intp], columns: NDArray[np.intp], mesh: AssetMesh, rays: MeshQueries
 ) -> tuple[NDArray[np.bool_], Array, Array, Array, Array]:
-    """Which of P pixels show the mesh (P,); of those that do: the ray's direction, the point, its normal interpolated
-    and its triangle's, each (N, 3).
+    """Which of P pixels hit the mesh (P,); for the N that do: ray direction, point, interpolated normal and normal of
+    the triangle, each (N, 3).
     """
     origin, toward = camera.rays(np.stack([columns, rows], axis=1) + 0.5)
     face, weights = rays.first_hits(np.broadcast_to(origin, toward.shape).astype(np.float32), toward)
@@ -95,15 +95,15 @@ def on_mesh(
     return hit, toward[hit], points, normals, flat
 
 
-def photographed(
+def observe(
     points: Array, above: Array, flat: Array, camera: Camera, color: Array, mask: Array | None, rays: MeshQueries
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Colours (N, 3) of points in one photograph, directions to it, and whether it shows them."""
+    """Colours (N, 3) of points in one photograph, directions to it, and whether it observes them."""
     toward = camera.center - points
     toward /= np.linalg.norm(toward, axis=1, keepdims=True)
-    place, depth = camera.project(points)
-    inside = (depth > 0) & (place > 1).all(axis=1) & (place < [camera.width - 1, camera.height - 1]).all(axis=1)
-    x, y = np.where(inside[:, None], place - 0.5, 0).T
+    position, depth = camera.project(points)
+    inside = (depth > 0) & (position > 1).all(axis=1) & (position < [camera.width - 1, camera.height - 1]).all(axis=1)
+    x, y = np.where(inside[:, None], position - 0.5, 0).T
     column, row = np.floor(x).astype(int), np.floor(y).astype(int)
     across, down = (x - column)[:, None], (y - row)[:, None]
 
@@ -113,39 +113,39 @@ def photographed(
         return upper * (1 - down) + lower * down
 
     covered = np.ones(len(points)) if mask is None else read(mask[..., None])[:, 0]
-    seen = inside & (covered >= INSIDE) & ((flat * toward).sum(axis=1) > GRAZING)
-    seen &= ~rays.occluded(above.astype(np.float32), toward.astype(np.float32))
-    return read(color), toward, seen
+    observed = inside & (covered >= MIN_COVERAGE) & ((flat * toward).sum(axis=1) > MIN_VIEW_COSINE)
+    observed &= ~rays.occluded(above.astype(np.float32), toward.astype(np.float32))
+    return read(color), toward, observed
 
 
-def blended(points: SeenPoints, falloff: float, nearest: int = 0) -> Array:
-    """Mean colour (N, 3) of the photographs, those within about `spread` radians of the unseen view before others;
-    of the `nearest` alone where that is not 0.
+def blend_photographs(points: ObservedPoints, falloff: float, nearest: int = 0) -> Array:
+    """Mean colour (N, 3) of the photographs, weighted by 1 / (angle² + `falloff`²) in radians
+    from the unseen view; only the `nearest` ones where that is not 0.
     """
     cosine = np.clip((points.directions * points.direction[:, None]).sum(axis=2), -1, 1)
-    angle = np.where(points.seen, np.arccos(cosine), np.inf)
+    angle = np.where(points.observed, np.arccos(cosine), np.inf)
     last = np.partition(angle, nearest - 1, axis=1)[:, [nearest - 1]] if nearest else np.inf
-    weight = (points.seen & (angle <= last)) / (np.where(points.seen, angle, 0) ** 2 + falloff**2)
+    weight = (points.observed & (angle <= last)) / (np.where(points.observed, angle, 0) ** 2 + falloff**2)
     return np.asarray((points.colors * weight[..., None]).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-12)[:, None])
 
 
-def decibels(points: SeenPoints, color: Array) -> float:
-    """PSNR of linear colours (N, 3) in sRGB, over the points that a photograph shows."""
-    known = points.seen.any(axis=1)
+def decibels(points: ObservedPoints, color: Array) -> float:
+    """PSNR of linear colours (N, 3) in sRGB, over the points that some photograph observes."""
+    known = points.observed.any(axis=1)
     difference = linear_to_srgb(np.clip(color, 0, 1)) - linear_to_srgb(np.clip(points.color, 0, 1))
     return float(-10 * np.log10(np.square(difference[known]).mean()))
 
 
 def main() -> None:
     capture, run = map(Path, sys.argv[1:3])
-    points = seen_points(capture, run, PluginManager.discover())
-    print(f"{len(points.color):,} points, {points.seen.sum(axis=1).mean():.1f} photographs each")
+    points = observed_points(capture, run, PluginManager.discover())
+    print(f"{len(points.color):,} points, {points.observed.sum(axis=1).mean():.1f} photographs each")
     for name, falloff, nearest in (
         ("one colour for all directions", 1e3, 0),
         ("photographs blended, 0.03 rad", 0.03, 0),
         ("the four nearest blended", 0.01, 4),
     ):
-        print(f"{name}: {decibels(points, blended(points, falloff, nearest)):.2f} dB")
+        print(f"{name}: {decibels(points, blend_photographs(points, falloff, nearest)):.2f} dB")
 
 
 if __name__ == "__main__":

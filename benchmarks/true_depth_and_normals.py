@@ -1,6 +1,6 @@
-"""Normals and depth against the pictures of them that NeRF-synthetic captures have for their test views.
+"""Errors of normals and depth against the true ones that NeRF-synthetic captures store for their test views.
 
-`*_normal_0000.png` holds the world's normal, components below zero cut off, so that only normals without a negative
+`*_normal_0000.png` is the normal in world axes, components below zero clipped, so that only normals without a negative
 component are known; `*_depth_0000.png` the distance along the ray, `8 · (1 − value)`, in 8 bits: steps of 0.03.
 """
 
@@ -15,9 +15,9 @@ from PIL import Image
 from hir_core.capture import Capture
 from hir_core.scene import Mesh
 
-FAR = 8.0
-KNOWN = 0.12
-"""Least component of a normal that counts: below it may have been cut off."""
+FAR_DISTANCE = 8.0
+MIN_NORMAL_COMPONENT = 0.12
+"""Normals with a smaller component are ignored: it may have been clipped."""
 
 
 @dataclass(frozen=True)
@@ -55,9 +55,9 @@ def picture_errors(mesh: Mesh, test: Capture) -> PictureErrors | None:
         mask = view.pixels().mask
         assert mask is not None
         both = (mask.reshape(-1) > 0.99) & np.isfinite(distance) & (value > 0)
-        depths.append(np.abs(distance[both] - scale * FAR * (1 - value[both] / 255)))
+        depths.append(np.abs(distance[both] - scale * FAR_DISTANCE * (1 - value[both] / 255)))
         true = srgb_to_linear(normal_image[..., :3].reshape(-1, 3) / 255)
-        known = both & (true.min(axis=1) > KNOWN)
+        known = both & (true.min(axis=1) > MIN_NORMAL_COMPONENT)
         turned = normal[known] @ source_from_world[:3, :3].T
         turned /= np.linalg.norm(turned, axis=1, keepdims=True)
         true = true[known] / np.linalg.norm(true[known], axis=1, keepdims=True)
