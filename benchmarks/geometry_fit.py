@@ -35,7 +35,7 @@ from tests.fixtures.meshes import icosphere, mesh_of
 
 @dataclass(frozen=True)
 class Figures:
-    """On views and surfaces that the fit did not see."""
+    """Errors on views and surfaces that the fit does not use."""
 
     iou: float
     offset_px: float
@@ -70,7 +70,7 @@ def chamfer(mesh: Mesh, true: tuple[NDArray[np.float64], NDArray[np.int64]]) -> 
 
 
 def true_mesh(path: Path, test: Capture) -> tuple[NDArray[np.float64], NDArray[np.int64]] | None:
-    """`reference.obj` in our axes, where the capture has one; for judging only."""
+    """`reference.obj` in our axes, where the capture has one; for evaluation only."""
     import trimesh
 
     if not path.is_file():

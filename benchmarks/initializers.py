@@ -1,4 +1,4 @@
-"""First meshes against the truth: `python -m benchmarks.initializers CAPTURE… [--sweep]`, Markdown tables.
+"""Initial meshes against the truth: `python -m benchmarks.initializers CAPTURE… [--sweep]`, Markdown tables.
 
 Captures with known cameras, masks and a true mesh (`reference.obj`). An initializer sees the train split alone. Chamfer
 is the mean of both directions, in radii of the object, between 100,000 points on each surface: accuracy from the mesh

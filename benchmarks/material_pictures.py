@@ -37,7 +37,7 @@ VIEW = 5
 """Of the test split."""
 SIDE, BAND = 224, 26
 F0_SHOWN = 0.08
-"""What is drawn white: glTF's and USD's largest F0 without metal."""
+"""F0 that is drawn white: the largest that glTF and USD allow without metalness."""
 
 Array: TypeAlias = NDArray[np.float32]
 Tile: TypeAlias = tuple[Array, str]
@@ -53,7 +53,7 @@ def main() -> None:
 
 
 def rows_of(folder: Path, plugins: PluginManager) -> list[list[Tile]]:
-    """The tiles of one run: the fit, and below it what is known."""
+    """The tiles of one run: the fit, and the truth below it."""
     run = open_finished_run(RunDirectory(folder))
     path = run.capture_path
     test = run.read_split(path, "test", plugins)
@@ -117,7 +117,7 @@ def _array(values: torch.Tensor) -> Array:
 
 
 def sheet(rows: Sequence[Sequence[Tile]]) -> Image.Image:
-    """Tiles of one height, captions below; wide ones stay wide."""
+    """Tiles scaled to one height, with captions below; the aspect ratio is kept."""
     font = ImageFont.load_default(14)
     width = SIDE * (max(len(row) for row in rows) + 1)
     page = Image.new("RGB", (width, (SIDE + BAND) * len(rows)), (246, 246, 246))

@@ -36,7 +36,7 @@ from hir_plugins.regularizers.surface_samples import SurfaceSamples, sample_surf
 
 DEFAULTS = BilateralSpecularOptions()
 MOST_PAIRS = 10_000
-"""Places up to which all pairs are summed."""
+"""Largest number of samples for which all pairs are summed."""
 
 
 def inputs(run: Path, samples: int, white: bool = False) -> tuple[Tensor, Tensor, Tensor]:
@@ -58,7 +58,7 @@ def inputs(run: Path, samples: int, white: bool = False) -> tuple[Tensor, Tensor
 
 def measured(method: str, run: Path, samples: int, white: bool) -> dict[str, float]:
     """Seconds of preparation and of value with gradients, memory above the inputs, and the results' digests."""
-    _evaluated(method, *(t[:500].clone() for t in inputs(run, samples, white)))  # what is loaded once
+    _evaluated(method, *(t[:500].clone() for t in inputs(run, samples, white)))  # warm-up: loads libraries
     given = inputs(run, samples, white)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     prepared, stepped = _evaluated(method, *given)
@@ -81,7 +81,7 @@ def _evaluated(method: str, positions: Tensor, diffuse: Tensor, specular: Tensor
 
 
 def speed(run: Path, counts: list[int]) -> None:
-    """A process for each row: memory is that of the row alone."""
+    """One process per row, so that the memory is that of the row."""
     print("| albedo | places | prepare ms | cells ms | MB | all pairs ms | value error | deviation error | bound ε |")
     print("|---|---|---|---|---|---|---|---|---|")
     for white in (False, True):
@@ -135,7 +135,7 @@ def compared(run: Path, count: int, white: bool, cutoff: float, edge: float) -> 
 
 
 def cells(run: Path, count: int) -> None:
-    """What the edge of the cells and the cutoff buy."""
+    """Error and time by the edge of the cells and the cutoff."""
     print("| albedo | cutoff | cell | cells per place | ms | value | deviation | gradient by ρs | by ρd | bound ε |")
     print("|---|---|---|---|---|---|---|---|---|---|")
     for white in (False, True):

@@ -1,4 +1,4 @@
-"""What regularizers of the material bring on unseen views: `python -m benchmarks.regularizers_fit RUN…`.
+"""Effect of material regularizers on unseen views: `python -m benchmarks.regularizers_fit RUN…`.
 
 Takes mesh, material and light of finished runs and goes on with the gradient steps that the reflectance stage takes
 where regularizers are set, once for each set of terms. Prints object PSNR over pixels of the test split, which no fit
@@ -85,7 +85,7 @@ def study(
 
 
 def indirect_light(solver: TransportSolver, scene: Scene, bounces: int) -> Indirect:
-    """What parts of the surface throw at each other, as the run's own fit had it."""
+    """Indirect light between parts of the surface, as the run's own fit modelled it."""
     assert scene.material is not None and scene.environment is not None
     transport = solver._transport
     surface = transport.surface
@@ -100,7 +100,7 @@ def indirect_light(solver: TransportSolver, scene: Scene, bounces: int) -> Indir
 
 
 def with_specular_map(scene: Scene) -> Scene:
-    """The one specular albedo of the surface as a map, which gradient steps may change place by place."""
+    """The uniform specular albedo as a map, which gradient steps may change per texel."""
     assert scene.material is not None
     size = scene.material.diffuse_albedo.shape[:2]
     specular = scene.material.specular_albedo.expand(*size, 3).contiguous()

@@ -1,4 +1,4 @@
-"""What a fit on a true mesh still lacks: `python -m benchmarks.remaining_error CAPTURE` (spot or avocado).
+"""Remaining error of a fit on a true mesh: `python -m benchmarks.remaining_error CAPTURE` (spot or avocado).
 
 The task of `hir bench reflectance`, judged as there, with one thing after another given more than the defaults give it,
 and at last what was rendered in place of the fit: what is left then is pixels, noise and another renderer's habits.
@@ -67,7 +67,7 @@ def variants(task: Task) -> Iterator[Variant]:
 
 
 def fitted(task: Task, variant: Variant) -> Scene:
-    """The scene of a fit to all train views."""
+    """The scene of a fit to all training views."""
     renderer = task.plugins.create("reflectance_renderer", "transport_ggx", variant.options)
     solver = renderer.prepare(variant.change(task.start), task.train, DOWNSAMPLE)
     assert isinstance(solver, ReflectanceSolver)
@@ -96,7 +96,7 @@ def with_light(scene: Scene, radiance: Tensor) -> Scene:
 
 
 def seen_from(light: EnvironmentMap, rows: int) -> Tensor:
-    """A light in the world's axes (rows, 2·rows, 3): means of eight by eight looks a texel."""
+    """A light in the world's axes (rows, 2·rows, 3): means of eight by eight samples per texel."""
     fine = 8 * rows
     assert light.to_world is not None
     u, v = latlong(texel_directions(fine, 2 * fine) @ light.to_world)

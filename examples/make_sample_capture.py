@@ -20,7 +20,7 @@ LIGHT = (64, 128)
 
 
 def spread(places: NDArray[np.float64], count: int) -> list[int]:
-    """Indices of `count` places, each the one farthest from those before it; starts at the highest."""
+    """Indices of `count` positions by farthest-point sampling, starting at the highest."""
     chosen = [int(places[:, 2].argmax())]
     while len(chosen) < count:
         distance = np.linalg.norm(places[:, None] - places[chosen][None], axis=2).min(axis=1)
@@ -34,7 +34,7 @@ def block_mean(image: NDArray[np.floating], factor: int) -> NDArray[np.floating]
 
 
 def shrink_picture(pixels: NDArray[np.float32], size: int) -> NDArray[np.float64]:
-    """Averages colour times coverage in linear light, so that neither edges darken nor the background bleeds in."""
+    """Averages colour times coverage in linear light: no dark edges, no background in the colour."""
     factor = pixels.shape[0] // size
     alpha = block_mean(pixels[..., 3:].astype(np.float64), factor)
     premultiplied = block_mean(srgb_to_linear(pixels[..., :3].astype(np.float64)) * pixels[..., 3:], factor)
@@ -62,7 +62,7 @@ def main(source: Path, destination: Path) -> None:
             pixels = shrink_picture(read_ldr(source / (frame["file_path"] + ".png")), SIZE)
             (destination / (frame["file_path"] + ".png")).write_bytes(encode_png(quantize(pixels)))
         light = source / table["environment"]["file_path"]
-        # splits under the same light name one file: another name would say that it is another light
+        # splits under the same light name one file, because another name would mean another light
         name = lights.setdefault(light.read_bytes(), light.name)
         write_hdr(destination / name, shrink_light(read_hdr(light), *LIGHT))
         table["environment"]["file_path"] = name

@@ -35,7 +35,7 @@ NAMES = ("a photograph", "first mesh", "fitted mesh", "first, nearer", "fitted, 
 
 
 def drawn(mesh: Mesh, camera: Camera, lines: bool) -> NDArray[np.float32]:
-    """The mesh on paper (H, W, 3), lit from the camera; with `lines` the edges of its triangles in ink."""
+    """The mesh over the background (H, W, 3), lit from the camera; with `lines`, triangle edges are drawn."""
     import open3d
 
     scene = open3d.t.geometry.RaycastingScene()

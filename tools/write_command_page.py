@@ -12,8 +12,9 @@ PAGE = Path(__file__).resolve().parent.parent / "docs" / "command-line.md"
 
 INTRODUCTION = """# The command line
 
-Written by `python tools/write_command_page.py` from the commands themselves. Exit codes: 0; 2 for what you can mend,
-said in one sentence; 130 when interrupted; 1 for a bug. `-v` shows where an error happened.
+Written by `python tools/write_command_page.py` from the commands themselves. Exit codes: 0 for success;
+2 for an error that you can correct, described in one sentence; 130 when interrupted; 1 for a bug.
+`-v` shows the traceback of an error.
 """
 
 

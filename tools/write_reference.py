@@ -24,13 +24,13 @@ def hooks_page() -> str:
     """Every hook with its signature and docstring."""
     parts = [f"# Hooks\n\n{WRITTEN}\n"]
     parts.append(
-        "Mark an implementation with `@hookimpl` of `hir_core.plugins`. It takes the arguments that it names, as many\n"
-        "as it likes. Hooks run at start-up and at stage boundaries; `hir_progress` at most four times a second.\n"
+        "Decorate an implementation with `@hookimpl` of `hir_core.plugins`. It receives the arguments that it names.\n"
+        "Hooks run at start-up and at stage boundaries; `hir_progress` at most four times a second.\n"
     )
     for name, function in vars(hookspecs).items():
         if not name.startswith("hir_"):
             continue
-        first = " The first answer that is not None is taken." if function.hir_spec["firstresult"] else ""
+        first = " The first result that is not None is used." if function.hir_spec["firstresult"] else ""
         signature = str(inspect.signature(function)).replace("'", "")
         parts.append(f"## {name}\n```text\n{name}{signature}\n```\n{inspect.cleandoc(function.__doc__ or '')}{first}\n")
     return "\n".join(parts)
@@ -62,11 +62,11 @@ def options_page(plugins: PluginManager) -> str:
 
 
 def contracts_page() -> str:
-    """Every check with its contract."""
+    """Every contract with its text."""
     parts = [f"# Contracts\n\n{WRITTEN}\n"]
     parts.append(
-        "What `hir check-plugin NAME` and `@parametrize_with_checks` test, chosen by kind and traits. A failure names\n"
-        "the contract, what was seen, and the section below.\n"
+        "`hir check-plugin NAME` and `@parametrize_with_checks` run these tests, selected by kind and traits.\n"
+        "A failure names the contract, the observed result, and the section below.\n"
     )
     for title, kinds in _groups().items():
         parts.append(f"## {title}\n")
@@ -80,7 +80,7 @@ def contracts_page() -> str:
 
 
 def _groups() -> dict[str, frozenset[str]]:
-    """Titles of the sets of kinds that checks are made for; those of all kinds first."""
+    """Titles of the sets of kinds that contracts apply to; those of all kinds first."""
     sets = {check.kinds for check in all_checks().values()}
     ordered = sorted(sets, key=lambda kinds: (-len(kinds), sorted(kinds, key=list(KINDS).index)))
     titles = {}
@@ -94,7 +94,7 @@ def _traits(kind: str) -> str:
     if not TRAITS[kind]:
         return "No traits.\n"
     rows = "".join(f"| `{trait}` | {meaning} |\n" for trait, meaning in TRAITS[kind].items())
-    return f"| trait | promises |\n|---|---|\n{rows}"
+    return f"| trait | property |\n|---|---|\n{rows}"
 
 
 def _settings_tables(name: str, schema: Mapping[str, Any]) -> list[str]:
@@ -157,5 +157,5 @@ def pages() -> dict[str, str]:
 
 
 if __name__ == "__main__":
-    for place, text in pages().items():
-        (DOCS / place).write_text(text, encoding="utf-8")
+    for path, text in pages().items():
+        (DOCS / path).write_text(text, encoding="utf-8")

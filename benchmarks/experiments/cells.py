@@ -1,4 +1,4 @@
-"""One cell of a study: a run with its settings, what it gave, and how long it took; kept as one JSON file."""
+"""One cell of a study: a run with its settings, what it gave, and how long it took; stored as one JSON file."""
 
 from __future__ import annotations
 
@@ -21,27 +21,27 @@ PATHS = 128
 
 @dataclass(frozen=True)
 class Cell:
-    """A run of `hir reconstruct` and its `hir evaluate`; cells with equal fields are one job, whoever asks for them."""
+    """A run of `hir reconstruct` and its `hir evaluate`; cells with equal fields are one job, also across studies."""
 
     name: str
     capture: str
-    """Below HIR_SHARED/captures; or `made:` and the name of one that Blender renders (`rendered.py`)."""
+    """Path below HIR_SHARED/captures; or `made:` and the name of a capture that Blender renders (`rendered.py`)."""
     views: int = 80
     side: int = 256
     preset: str = "fast"
     settings: tuple[str, ...] = ()
     splits: tuple[str, ...] = ("test", "relight_0", "relight_1")
     evaluated: int = EVALUATED_VIEWS
-    """Views of each split that are judged, at PATHS; 0 for all of them, as `hir evaluate` does by default."""
+    """Evaluated views of each split, at PATHS per pixel; 0 for all views, as `hir evaluate` does by default."""
     stretched: bool = False
-    """Views repeated and pictures enlarged where the capture has fewer and smaller ones: for time and memory alone."""
+    """Repeat views and enlarge pictures where the capture has fewer or smaller ones; for time and memory only."""
 
     @property
     def result(self) -> Path:
         return RESULTS / f"{self.name}.json"
 
     def stored(self) -> dict[str, Any] | None:
-        """What an earlier run of this very cell gave."""
+        """The stored result of this cell, or None where its settings differ."""
         if not self.result.is_file():
             return None
         document: dict[str, Any] = json.loads(self.result.read_text(encoding="utf-8"))
@@ -56,7 +56,7 @@ class Cell:
         return folder if (folder / "transforms_train.json").is_file() else None
 
     def run(self, seconds: float | None = None) -> dict[str, Any]:
-        """Fits, evaluates and stores; a run that was stopped goes on. Raises `TimeoutExpired` after `seconds`."""
+        """Fits, evaluates and stores; an interrupted run continues. Raises `TimeoutExpired` after `seconds`."""
         source = self.source()
         assert source is not None, f"{self.capture} is not there"
         make, kind = (make_resized_capture, "_stretched") if self.stretched else (make_reduced_capture, "")
@@ -82,7 +82,7 @@ class Cell:
 
 
 def facts(folder: Path) -> dict[str, Any]:
-    """Seconds and memory of each stage, the model that was chosen, the machine and versions."""
+    """Seconds and memory of each stage, the selected model, the machine and versions."""
     timings = json.loads((folder / "timings.json").read_text(encoding="utf-8"))
     run = json.loads((folder / "run.json").read_text(encoding="utf-8"))
     stages = {
@@ -107,7 +107,7 @@ def facts(folder: Path) -> dict[str, Any]:
 
 
 def seconds_per_step(progress: list[list[float]]) -> float | None:
-    """Of a loop, from its first block to its last: what comes before and after does not count; None for one block."""
+    """Mean seconds per step between the first and the last block of a loop; None for a single block."""
     if len(progress) < 2 or progress[-1][0] == progress[0][0]:
         return None
     last = next(seconds for step, seconds in progress if step == progress[-1][0])
@@ -115,6 +115,6 @@ def seconds_per_step(progress: list[list[float]]) -> float | None:
 
 
 def hir(*words: object, seconds: float | None = None) -> None:
-    """One command of ours, in a process of its own."""
+    """Runs one `hir` command in a subprocess."""
     command = [sys.executable, "-m", "hir_core.cli", *map(str, words), "-q"]
     subprocess.run(command, check=True, cwd=ROOT, timeout=seconds, stdout=subprocess.DEVNULL)

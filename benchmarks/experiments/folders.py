@@ -1,4 +1,4 @@
-"""Where the studies find their captures and keep what they make."""
+"""Folders of the studies: their captures and their results."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 WORK = Path(os.environ.get("HIR_EXPERIMENTS", ROOT / "build" / "experiments"))
-"""Captures and runs, which are large and can be made again."""
+"""Captures and runs; they are large and can be recreated."""
 
 
 def shared() -> Path:

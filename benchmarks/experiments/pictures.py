@@ -22,10 +22,10 @@ from hir_core.rendering.asset_edit import AssetEdit, apply_edit, render_asset
 IMAGES = ROOT / "docs" / "images"
 SIDE = 320
 TURN_DEG = 215.0
-"""From there the cow looks at us."""
+"""Azimuth in degrees at which the cow faces the camera."""
 
 GROUND = 0.965
-"""sRGB of the paper behind the pictures."""
+"""sRGB of the background."""
 
 
 def main() -> None:
@@ -58,7 +58,7 @@ def main() -> None:
 
 
 def on_paper(picture: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Over a light ground."""
+    """The picture composited over the background."""
     alpha = picture[..., 3:]
     return np.asarray(picture[..., :3] * alpha + GROUND * (1 - alpha), np.float32)
 

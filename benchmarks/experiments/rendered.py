@@ -1,4 +1,4 @@
-"""Captures that the studies need and nobody has: Cycles renders them, never our own path tracer."""
+"""Captures that Cycles renders for the studies, so that no own renderer makes its own test data."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from benchmarks.experiments.studies import SCALING
 
 STAGES = ("initializer", "geometry", "atlas", "reflectance", "bake", "export")
 WORTH_SECONDS = 10.0
-"""Below it what starts a stage, and the machine's own noise, count as much as its pixels."""
+"""Shorter stages are dominated by start-up time and by noise of the machine."""
 
 
 def scaling_table() -> list[str]:
@@ -28,7 +28,7 @@ def scaling_table() -> list[str]:
 
 
 def growth_table() -> list[str]:
-    """Where the time goes in the smallest and the largest run, and the steepest growth of each stage."""
+    """Seconds of each stage in the smallest and the largest run, and the steepest growth of each stage."""
     found = {(cell.views, cell.side): cell.stored() for _, cell in SCALING.rows}
     done = {size: result["stages"] for size, result in found.items() if result is not None}
     if len(done) < len(found):

@@ -120,10 +120,10 @@ PAPER_STEPS = Cell(
     ),
     (),
 )
-"""A few steps of the paper's two stages, from which the time of all of them is extrapolated."""
+"""A few steps of the paper's two stages; the time of all steps is extrapolated from them."""
 
 BEST = Cell("best_spot", "spot", 80, 512, "best", evaluated=0)
-"""A whole run, judged on all views as those of `tools/write_benchmarks.py` are."""
+"""A whole run, evaluated on all views like those of `tools/write_benchmarks.py` are."""
 
 PRESETS = Study(
     "The paper's table, in our rows",

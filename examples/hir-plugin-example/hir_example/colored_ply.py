@@ -45,7 +45,7 @@ class ColoredPly(Exporter):
         self._color = config.color
 
     def write(self, asset: Asset, destination: Path, edit: Edit | None = None) -> ExportReport:
-        """One file; what PLY cannot hold is named in the report."""
+        """Writes one file; the report names what PLY cannot store."""
         start = time.perf_counter()
         validate_asset(asset)
         mesh = asset.mesh

@@ -38,7 +38,7 @@ class LightChroma(Regularizer):
 
 
 def grey_light(scene: Scene) -> Scene:
-    """What the term likes best, for the contract tests: a light without colour."""
+    """The scene that minimises the term, for the contract tests: a light without colour."""
     assert scene.environment is not None
     grey = scene.environment.radiance.mean(dim=-1, keepdim=True).expand_as(scene.environment.radiance)
     return replace(scene, environment=replace(scene.environment, radiance=grey.contiguous()))

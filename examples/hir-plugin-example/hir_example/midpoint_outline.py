@@ -20,7 +20,7 @@ from hir_core.scene.silhouette_targets import SilhouetteTargets
 from hir_example.options import MidpointOptions
 
 NEAR = 1e-3
-"""Triangles with a corner nearer than this part of the farthest depth are left out."""
+"""Triangles with a corner nearer than this share of the farthest depth are ignored."""
 
 
 @final
@@ -128,7 +128,7 @@ def covered_samples(corners: np.ndarray, shape: tuple[int, int], samples: int) -
 
 
 def _look_up(image: Tensor, place: Tensor, fallback: float | bool) -> Tensor:
-    """The value of the cell that a place (x, y) lies in; `fallback` outside of the picture."""
+    """The value of the cell that contains (x, y); `fallback` outside the picture."""
     x, y = place.floor().long().unbind(1)
     inside = (x >= 0) & (y >= 0) & (x < image.shape[1]) & (y < image.shape[0])
     found = image[y.clamp(0, image.shape[0] - 1), x.clamp(0, image.shape[1] - 1)]

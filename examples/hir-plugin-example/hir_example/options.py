@@ -26,7 +26,7 @@ class SupersampledOptions:
     """Of supersampled."""
 
     max_depth: int = 2
-    """Of the paths of mitsuba_ggx, which does the work: 2 is direct light, 3 one reflection."""
+    """Maximum path length of the wrapped mitsuba_ggx: 2 is direct light, 3 one bounce."""
     factor: int = 2
     """Pictures are rendered this many times larger and averaged."""
 

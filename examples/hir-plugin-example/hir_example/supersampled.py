@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @final
 class Supersampled(ReflectanceRenderer):
-    """Radiance as the wrapped renderer has it; pictures `factor` times larger, averaged."""
+    """Radiance of the wrapped renderer; pictures are rendered `factor` times larger and averaged."""
 
     def __init__(self, config: SupersampledOptions) -> None:
         if config.factor < 1:
@@ -36,7 +36,7 @@ class Supersampled(ReflectanceRenderer):
         return self._inner.prepare(scene, capture, downsample)
 
     def render(self, scene: Scene, camera: Camera) -> Tensor:
-        """Premultiplied colours may be averaged: that is what they are for."""
+        """Averages pixels; premultiplied colours may be averaged."""
         factor = self._factor
         intrinsics = np.diag([factor, factor, 1.0]) @ camera.intrinsics
         large = replace(camera, intrinsics=intrinsics, width=factor * camera.width, height=factor * camera.height)

@@ -1,4 +1,4 @@
-"""What the components promise beyond the contracts."""
+"""Properties of the components beyond the contracts."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_ply_has_the_colour_of_the_texture(plugins: PluginManager, tmp_path: Pat
     import trimesh
 
     asset, width = textured_asset(), 16
-    # a ramp is what it is between the centres of texels, too
+    # a linear ramp is also exact between texel centres
     ramp = np.broadcast_to((np.arange(width, dtype=np.float32)[None, :, None] + 0.5) / width, (width, width, 3))
     asset = replace(asset, material=replace(asset.material, diffuse_albedo=ramp))
     plugins.create("exporter", "ply").write(asset, tmp_path / "ball.ply")
