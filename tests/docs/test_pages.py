@@ -83,3 +83,26 @@ def test_make_targets_of_the_readme_exist() -> None:
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     for target in re.findall(r"^make (\S+)", (ROOT / "README.md").read_text(encoding="utf-8"), re.M):
         assert re.search(rf"^{re.escape(target)}:", makefile, re.M), target
+
+
+CODE = re.compile(
+    r"\b(?:hir_core|hir_plugins|exporters/hir_exporters|tests/\w+|tools|benchmarks|examples)/[\w./-]+\.(?:py|toml|json|md)\b"
+)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_files_of_the_repository_that_a_page_names_exist(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert [path for path in dict.fromkeys(CODE.findall(text)) if not (ROOT / path).is_file()] == []
+
+
+def test_pages_that_the_code_names_exist() -> None:
+    files = [
+        f
+        for layer in ("hir_core", "hir_plugins", "exporters")
+        for f in (ROOT / layer).rglob("*")
+        if f.suffix in (".py", ".toml")
+    ]
+    named = {(f, page) for f in files for page in re.findall(r"\bdocs/[\w/-]+\.md\b", f.read_text(encoding="utf-8"))}
+    assert named
+    assert sorted(f"{f.relative_to(ROOT)}: {page}" for f, page in named if not (ROOT / page).is_file()) == []
