@@ -56,7 +56,7 @@ def render_in_godot(file: Path, light: Path, cameras: Sequence[Camera]) -> list[
         return [read_ldr(picture)[..., :3] for picture in pictures]
 
 
-def _run(folder: Path, arguments: list[str], done: Callable[[], bool]) -> str:
+def _run(folder: Path, arguments: list[str], is_done: Callable[[], bool]) -> str:
     """Runs Godot until it exits or `is_done` returns True; returns its output."""
     log = folder / "godot.log"
     command = ["xvfb-run", "-a", "-s", "-screen 0 640x480x24", "godot3", "--path", str(folder), *arguments]
