@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from hir_core.capture import Capture
+from hir_core.capture import Capture, CoordinateFrames
 from hir_core.capture.pixel_cache import PixelCache
 from hir_core.config import GradientSettings
 from hir_core.intake.reader_lookup import read_capture
@@ -124,9 +124,8 @@ def captures_of(run: Path) -> tuple[Capture, list[int], list[int]]:
     """Train and test views of a run's capture as one capture in the run's working frame, and the numbers of each."""
     document = json.loads((run / "run.json").read_text())
     plugins = PluginManager.discover()
-    working_from_source = np.linalg.inv(np.array(document["asset_from_working"])) @ np.array(
-        document["asset_from_source"]
-    )
+    frames = document["stages"]["initializer"]["report"]["frames"]
+    working_from_source = CoordinateFrames.from_document(frames, str(run / "run.json")).working_from_source
     parts = []
     for split in ("train", "test"):
         found = PixelCache().wrap(read_capture(Path(document["capture"]["path"]), split, plugins))

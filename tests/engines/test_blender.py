@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from parity.engines import blender_python, in_blender
+from parity.engines import blender_python, render_in_blender
 
 from hir_core.metrics import composite, unassociate
 from hir_core.plugins.manager import PluginManager
@@ -34,7 +34,7 @@ def test_blender_renders_the_same_image(blender: Path, tmp_path: Path) -> None:
     _, renderer = reference_renderer(plugins)
     for i in (0, 2):
         camera = orbit_cameras(6, 25.0, 256)[i]
-        [rendered] = in_blender(tmp_path / "octants.glb", tmp_path / "octants.hdr", [camera], 64)
+        [rendered] = render_in_blender(tmp_path / "octants.glb", tmp_path / "octants.hdr", [camera], 64)
         ours = composite(*unassociate(render_view(renderer, scene_from_asset(asset()), camera, f"shot {i}")))
         right = np.abs(rendered - ours).mean()
         for wrong in (ours[:, ::-1], ours[::-1], np.rot90(ours), ours[..., ::-1]):

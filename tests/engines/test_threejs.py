@@ -10,7 +10,7 @@ from hir_exporters.format_options import GltfConfig
 from hir_exporters.formats import create_exporter
 from parity.browser import module_folder
 from parity.costs import rows
-from parity.engines import in_browser
+from parity.engines import render_in_browser
 
 from hir_core.metrics import composite, unassociate
 from hir_core.plugins.manager import PluginManager
@@ -34,7 +34,7 @@ def shots(chromium: list[str], tmp_path_factory: pytest.TempPathFactory) -> list
     pairs = []
     for i in (0, 2):
         camera = orbit_cameras(6, 25.0, 256)[i]
-        [rendered] = in_browser("three.html", folder / "octants.glb", folder / "octants.hdr", [camera])
+        [rendered] = render_in_browser("three.html", folder / "octants.glb", folder / "octants.hdr", [camera])
         ours = composite(*unassociate(render_view(renderer, scene_from_asset(asset()), camera, f"shot {i}")))
         pairs.append((rendered, ours))
     return pairs
@@ -86,7 +86,7 @@ def test_compressed_files_give_the_same_image(name: str, library: str, chromium:
         file = tmp_path / f"{compression}.glb"
         create_exporter("glb", GltfConfig(compression=compression)).write(asset(), file)
         light = file.with_suffix(".hdr")
-        [pictures[compression]] = in_browser("three.html", file, light, [orbit_cameras(6, 25.0, 256)[0]])
+        [pictures[compression]] = render_in_browser("three.html", file, light, [orbit_cameras(6, 25.0, 256)[0]])
     assert error(pictures["none"], pictures["none"][:, ::-1]) > 0.02
     assert error(pictures["none"], pictures[name]) < 1 / 255
 

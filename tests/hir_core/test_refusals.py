@@ -55,9 +55,14 @@ FILES = [
     Wrong("run.json", b"{", _run, "run.json is not JSON"),
     Wrong("run.json", b"[" * 9999, _run, "run.json is not JSON"),
     Wrong("run.json", b"[]", _run, "run.json is not a JSON object"),
-    Wrong("run.json", b"{}", _run, "run.json is not a run's: its format is None"),
-    Wrong("run.json", b'{"format": "hir-run", "version": 99}', _run, "has the version 99; this program reads 1 to"),
-    Wrong("run.json", b'{"format": "hir-run", "version": true}', _run, "has the version True"),
+    Wrong("run.json", b"{}", _run, "run.json is no run: its format is None"),
+    Wrong(
+        "run.json",
+        b'{"format": "hir-run", "version": 99}',
+        _run,
+        "has format version 99, this program reads 2; reconstruct the capture again",
+    ),
+    Wrong("run.json", b'{"format": "hir-run", "version": true}', _run, "has format version True"),
     Wrong("cameras.json", b'{"views": 3}', read_cameras, "cameras.json has no list of views"),
     Wrong("a.npz", b"PK", read_arrays, "a.npz cannot be read"),
     Wrong("bench.json", b"{}", Result.read, "is not a result of hir bench"),
@@ -91,7 +96,7 @@ def test_files_that_are_too_large_or_missing_are_named(tmp_path: Path, monkeypat
     [
         (["geometry.iterations"], "write it as key=value, such as geometry.iterations=100"),
         (["=3"], "write it as key=value"),
-        (["geometry=3", "geometry.iterations=3"], "'geometry' was set to a value before; it is a table here"),
+        (["geometry=3", "geometry.iterations=3"], "'geometry' was set to a value before, and is used as a table here"),
         ([".".join("a" * 40) + "=1"], "nested deeper than 32 levels"),
         (["preset=[]"], "preset is []; it is the name of a preset: "),
         (["observers.nobody.a=1"], "there is no observer 'nobody'; installed: "),
@@ -124,7 +129,7 @@ def test_names_of_stages_devices_and_lights() -> None:
         1.0,
     )
     for text, said in (
-        ("a.hdr*x", "after [*] comes the light's strength"),
+        ("a.hdr*x", "the strength after [*] must be a number"),
         ("a.hdr*-1", "finite number of at least 0"),
         ("a.hdr*inf", "finite number of at least 0"),
     ):
@@ -136,7 +141,7 @@ def test_cuda_that_is_not_there_is_said(monkeypatch: pytest.MonkeyPatch) -> None
     import torch
 
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    with pytest.raises(ConfigError, match="device cuda: torch sees no CUDA device; use --device cpu"):
+    with pytest.raises(ConfigError, match="device cuda: torch finds no CUDA device; use --device cpu"):
         resolve_device("cuda")
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     assert resolve_device("cuda") == resolve_device("auto") == "cuda"

@@ -14,7 +14,7 @@ from hir_exporters.asset import Asset, AssetEnvironment, AssetMaterial, AssetMes
 from hir_exporters.scene_format import save_scene
 from hir_exporters.textures.image_files import encode_png
 
-from hir_core.capture import Camera, Capture, OrientedPoints, Pixels, View
+from hir_core.capture import Camera, Capture, CoordinateFrames, OrientedPoints, Pixels, View
 from hir_core.plugins.progress import MODEL_FITTED, MODELS_COMPARED
 from hir_core.run.capture_store import save_capture
 from hir_plugins.commands.batch.scheduling.manifest import FORMAT, VERSION, manifest_bytes
@@ -62,9 +62,12 @@ def run(folder: Path) -> None:
     from hir_core.run.run_directory import STAGE_NAMES, RunDirectory, StageRecord
 
     directory = RunDirectory(folder)
-    stages = {
+    stages: dict[str, dict[str, object]] = {
         name: {"report": {"triangles": 12, "iou": 0.9, "warnings": []}, "warnings": ["thin"]} for name in STAGE_NAMES
     }
+    frames = CoordinateFrames.identity().as_document()
+    stages["initializer"]["report"] = {"views": 3, "frames": frames}
+    stages["export"]["report"] = {"glb": {"files": ["it.glb"], "residuals": {}, "verified": {"psnr": {"object": 60.0}}}}
     directory.write_run(
         {
             "capture": {
@@ -88,7 +91,6 @@ def run(folder: Path) -> None:
                     "views": [],
                 }
             },
-            "asset_from_working": np.eye(4).tolist(),
         }
     )
     fitted, compared = MODEL_FITTED, MODELS_COMPARED

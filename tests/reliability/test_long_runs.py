@@ -17,7 +17,7 @@ from hir_core.plugins.manager import PluginManager
 from hir_core.plugins.progress import Progress
 from hir_core.run.machine import return_freed_memory
 from hir_core.run.progress_listener import ProgressListener
-from hir_core.run.run_log import BACKUPS, MAX_LOG_BYTES, write_log
+from hir_core.run.run_log import BACKUP_FILES, MAX_LOG_BYTES, write_log
 from hir_core.terminal.progress_bar import ProgressBar
 
 
@@ -65,7 +65,7 @@ def test_logs_rotate(tmp_path: Path) -> None:
     for _ in range(8_500):
         write_log(path, "x" * 500 + "\nsecond line")
     files = sorted(tmp_path.iterdir())
-    assert [f.name for f in files] == ["log.txt", *(f"log.txt.{i + 1}" for i in range(BACKUPS))]
+    assert [f.name for f in files] == ["log.txt", *(f"log.txt.{i + 1}" for i in range(BACKUP_FILES))]
     assert all(f.stat().st_size <= MAX_LOG_BYTES for f in files)
     assert path.read_text().splitlines()[-1].endswith("x second line"), "one line a sentence"
     write_log(tmp_path / "missing" / "log.txt", "a folder that is gone loses the line, not the run")

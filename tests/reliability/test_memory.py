@@ -42,12 +42,12 @@ def test_no_limit_changes_nothing() -> None:
 
 
 def test_300_views_of_512_are_expected_within_4_gigabytes() -> None:
-    plan = plan_memory(replace(load_config(PLUGINS), max_memory="4GB"), PLUGINS, LARGE)
+    plan = plan_memory(replace(load_config(PLUGINS), max_memory="4GiB"), PLUGINS, LARGE)
     assert max(plan.total(stage) for stage in plan.stages) <= 4 << 30
     assert plan.config.geometry.downsample == plan.config.reflectance.downsample == 1, "at full resolution"
 
 
-@pytest.mark.parametrize("limit", ["3GB", "2.4GB", "2GB", "1.6GB"])
+@pytest.mark.parametrize("limit", ["3GiB", "2.4GiB", "2GiB", "1.6GiB"])
 def test_every_stage_stays_within_the_limit(limit: str) -> None:
     plan = plan_memory(replace(load_config(PLUGINS), max_memory=limit), PLUGINS, LARGE)
     assert plan.changes and plan.cache_bytes < 1 << 30
@@ -59,7 +59,7 @@ def test_every_stage_stays_within_the_limit(limit: str) -> None:
 def test_a_smaller_limit_asks_for_no_less() -> None:
     plans = [
         plan_memory(replace(load_config(PLUGINS), max_memory=limit), PLUGINS, LARGE)
-        for limit in ("3GB", "2GB", "1.6GB")
+        for limit in ("3GiB", "2GiB", "1.6GiB")
     ]
     caches = [plan.cache_bytes for plan in plans]
     pixels = [plan.config.reflectance_renderer.get("transport_ggx", {}).get("pixels", 240_000) for plan in plans]
@@ -81,11 +81,11 @@ def test_a_run_says_and_writes_what_it_shrank(
     plain = PixelCache.__init__
     monkeypatch.setattr(PixelCache, "__init__", lambda self, most: (kept.append(most), plain(self, most))[1])
     message: list[str] = []
-    run = quick(tiny_capture, tmp_path / "run", until="initializer", max_memory="1.7GB", on_message=message.append)
+    run = quick(tiny_capture, tmp_path / "run", until="initializer", max_memory="1.7GiB", on_message=message.append)
     memory = run.directory.read_run()["memory"]
     assert memory["limit_bytes"] == int(1.7 * (1 << 30)) and set(memory["estimated_bytes"]) >= {"geometry", "export"}
     assert kept and kept[0] < 1 << 30 and any("cache of decoded photographs" in change for change in memory["changes"])
-    assert any("to stay within 1.7 GB" in sentence for sentence in message)
+    assert any("to stay within 1.8 GB" in sentence for sentence in message)
     assert any("initializer: about" in sentence and "expected" in sentence for sentence in message)
 
 
@@ -137,7 +137,7 @@ def test_300_views_of_512_take_at_most_4_gigabytes(shared: Path, tmp_path: Path)
         str(tmp_path / "run"),
         "-q",
         "--max-memory",
-        "4GB",
+        "4GiB",
         "--until",
         "bake",
         "--device",

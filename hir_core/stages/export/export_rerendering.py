@@ -17,6 +17,7 @@ from hir_core.metrics import OBJECT_COVERAGE, Image, composite, psnr, unassociat
 from hir_core.rendering.reference_renderer import reference_renderer, render_view
 from hir_core.scene.asset_conversion import scene_from_asset
 from hir_core.scene.frames import move_scene
+from hir_core.stages.export.render_threshold import GOOD_PSNR
 
 if TYPE_CHECKING:
     from hir_core.plugins.manager import PluginManager
@@ -132,7 +133,3 @@ def _mean(views: Mapping[str, float]) -> float:
 
 def _small(camera: Camera, side: int) -> Camera:
     return camera.downsampled(max(1, -(-max(camera.width, camera.height) // side)))
-
-
-GOOD_PSNR: Final = 40.0
-"""dB over the object's pixels; a warning is given for files below."""

@@ -21,7 +21,7 @@ from hir_exporters.reading.asset_decoding import decode_asset
 from hir_exporters.reading.environment_import import read_environment
 from hir_exporters.reading.file_verification import READERS, compare_with_asset, read_back
 
-from hir_core.stages.export.export_rerendering import GOOD_PSNR
+from hir_core.stages.export.render_threshold import GOOD_PSNR
 
 if TYPE_CHECKING:
     from hir_core.plugins.manager import PluginManager

@@ -40,7 +40,7 @@ def marks_file(folder: Path, views: list[View]) -> Path:
 def test_a_bar_tells_the_metres(tmp_path: Path) -> None:
     views = views_around(3)
     found = scale_of_bar(read_marks(marks_file(tmp_path, views)), 0.15, views)
-    assert found.metres_per_unit_per_unit == pytest.approx(0.15 / LENGTH, rel=1e-5)
+    assert found.metres_per_unit == pytest.approx(0.15 / LENGTH, rel=1e-5)
     assert found.source == "scale bar of 0.15 m"
 
 
@@ -113,7 +113,7 @@ def test_gps_around_a_building_tells_the_metres(tmp_path: Path) -> None:
     found = scale_of_gps(photographed(tmp_path, 40.0, 1.0))
     assert (
         found is not None
-        and found.metres_per_unit_per_unit == pytest.approx(40.0, rel=0.03)
+        and found.metres_per_unit == pytest.approx(40.0, rel=0.03)
         and "12 photographs" in found.source
     )
 

@@ -326,6 +326,7 @@ def test_stereo_carves_the_dent_that_no_outline_shows() -> None:
     assert (np.unique(faces, axis=0, return_counts=True)[1] == 2).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("painted", [True, False])
 def test_stereo_leaves_a_convex_thing_as_its_outlines_show_it(painted: bool) -> None:
     capture = bowl_capture(dent=False, painted=painted)
@@ -376,6 +377,7 @@ def test_patch_match_without_cuda_says_what_to_install() -> None:
         Stereo(StereoOptions(method="patch_match"))
 
 
+@pytest.mark.slow
 def test_a_given_surface_stays_where_photographs_agree_on_nothing() -> None:
     capture = bowl_capture(dent=False, painted=False)
     rng = np.random.default_rng(0)

@@ -88,6 +88,7 @@ def inside(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
     return np.asarray(scene.compute_occupancy(points.astype(np.float32)).numpy() > 0.5)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:the masks of 014 contradict")  # one of thirty; the legs stay whole
 def test_thin_legs_stay_whole() -> None:
     leg = 0.02

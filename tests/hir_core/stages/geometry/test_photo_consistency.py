@@ -118,6 +118,7 @@ def capture(hollow: tuple[Positions, Faces]) -> Capture:
     return _photographed(*hollow, around(48, 128))
 
 
+@pytest.mark.slow
 def test_photographs_find_the_floor_of_a_bowl(hollow: tuple[Positions, Faces], capture: Capture, tmp_path) -> None:  # type: ignore[no-untyped-def]
     start = Scene(mesh_of(*icosphere(4)))
     outlines, _ = fit_geometry(start, capture, replace(SETTINGS, photo_consistency="off"), _context(tmp_path / "a"))

@@ -230,6 +230,7 @@ def test_a_light_that_is_upside_down(tmp_path: Path) -> None:
 # -- shape and texture ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_deep_bowl_needs_indirect_light(tmp_path: Path) -> None:
     """The photographs have six bounces; a fit with one is closer to the albedo than a fit with none."""
     mesh, color = unwrap_mesh(bowl(), 128)[0], torch.tensor([0.6, 0.4, 0.2])

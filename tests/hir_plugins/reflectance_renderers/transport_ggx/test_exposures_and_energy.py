@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 import torch
 
 from hir_core.capture import Capture, Pixels, View
@@ -43,6 +44,7 @@ def photographs(factors: np.ndarray) -> tuple[Capture, Scene]:
     return Capture(Path("made"), tuple(views)), start
 
 
+@pytest.mark.slow
 def test_drifting_exposures_are_found_and_cost_nothing() -> None:
     capture, scene = photographs(FACTORS)
     errors = {}

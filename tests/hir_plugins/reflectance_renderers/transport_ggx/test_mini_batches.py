@@ -109,6 +109,7 @@ def test_every_batch_is_used_and_no_more_are_in_memory_than_allowed(monkeypatch:
     assert most <= 2, "batches of two shards at once"
 
 
+@pytest.mark.slow
 def test_a_fit_in_shards_is_nearly_as_good_as_one_in_memory() -> None:
     spec, every = ModelSpec("dielectric", "uniform"), range(6)
     errors = []

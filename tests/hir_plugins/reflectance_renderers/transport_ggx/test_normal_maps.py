@@ -187,6 +187,7 @@ def bumpy(mesh: Mesh) -> Scene:
     return Scene(mesh, replace(make_material((0.1, 0.08, 0.05), 0.3, 0.3), normal=dented(mesh, 256)), lamps())
 
 
+@pytest.mark.slow
 def test_dents_are_found_in_photographs(tmp_path: Path) -> None:
     """Under a known light; without a normal map unseen views are 6 dB worse."""
     mesh = ball()

@@ -39,6 +39,7 @@ def brocade(frequency: float = 9.0, texels: int = TEXELS) -> Scene:
     return Scene(mesh, make_material(diffuse, specular, threads((0.3,), (0.6,)), "dielectric"), lamps())
 
 
+@pytest.mark.slow
 def test_threads_of_two_materials_are_separated(tmp_path: Path) -> None:
     """Under a known light, from unseen sides; one BRDF for the whole surface is some decibels worse."""
     truth = brocade()
