@@ -34,21 +34,24 @@ class DecodedAsset:
     """One phrase: the conversion from the file's parameters to the model."""
 
 
-def decode_asset(back: ReadBack, profile: str = "khr") -> DecodedAsset:
+def decode_asset(back: ReadBack, profile: str = "khr", as_metallic: bool = True) -> DecodedAsset:
     """The asset of a file that was read back. Files of the profile `blender` are interpreted as Blender does."""
-    material, interpretation = decode_material(back, profile)
+    material, interpretation = decode_material(back, profile, as_metallic)
     return DecodedAsset(_mesh(back), material, interpretation)
 
 
-def decode_material(back: ReadBack, profile: str) -> tuple[AssetMaterial, str]:
+def decode_material(back: ReadBack, profile: str, as_metallic: bool = True) -> tuple[AssetMaterial, str]:
     """Parameters of the BRDF model that is closest to the format's own formula, texel by texel.
 
     An ior of 1000 encodes a lobe without Fresnel: the `paper` model, exact for grey lobes. Metallic-roughness that is
     metal somewhere and has no specular weight or colour becomes `metallic` with the file's own values. All other
     materials become `dielectric` with the same F0, lobe and diffuse reflection at normal incidence. At grazing angles
     the diffuse part decreases as in `dielectric`, not as in the format.
+
+    Without `as_metallic` no material becomes `metallic`. This is closer to the format's formula where a file has
+    metalness between 0 and 1 from a fit to another model: `metallic` couples its diffuse part to the mixed lobe.
     """
-    return decode_surface(back.surface, back.specular_surface, back.normal, profile)
+    return decode_surface(back.surface, back.specular_surface, back.normal, profile, as_metallic)
 
 
 def decode_surface(
@@ -56,6 +59,7 @@ def decode_surface(
     specular_surface: SpecularSurface | None,
     normal: NDArray[np.float32] | None,
     profile: str = "khr",
+    as_metallic: bool = True,
 ) -> tuple[AssetMaterial, str]:
     """`decode_material` of a material without its mesh."""
     if specular_surface is not None:
@@ -64,7 +68,7 @@ def decode_surface(
         return _without_fresnel(surface, normal, profile), "no Fresnel (ior 1000) as `paper`"
     f0 = float(ior_to_f0(surface.ior))
     plain = np.all(surface.specular_weight == 1) and np.all(surface.specular_color == 1)
-    if plain and np.any(surface.metallic) and f0 <= MAX_DIELECTRIC_F0:
+    if as_metallic and plain and np.any(surface.metallic) and f0 <= MAX_DIELECTRIC_F0:
         return _metal(surface, normal, f0), f"metallic-roughness as `metallic`, F0 of ior {surface.ior:.4g}"
     phrase = "metallic-roughness as `dielectric` with rho_d = base (1 - metal), rho_s = F0 (1 - metal) + base metal"
     return _metallic(surface, normal), f"{phrase}, F0 of ior {surface.ior:.4g}"
