@@ -16,14 +16,22 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from hir_exporters.conventions import ALPHA_MIN
 from hir_exporters.errors import InputError
+from hir_exporters.metallic_parameters import (
+    DEFAULT_DIELECTRIC_F0,
+    MAX_DIELECTRIC_F0,
+    base_color_of,
+    effective_albedos,
+)
 
-BRDF_MODELS: Final = ("paper", "dielectric")
+BRDF_MODELS: Final = ("paper", "dielectric", "metallic")
 """BRDF models of a material; their formulas are in `hir_exporters.materials.brdf_numpy`."""
 
 PAPER_SPECULAR_MAX: Final = 4 / np.pi
 """Largest specular albedo of the `paper` model: Zhu et al. divide the lobe by pi, this project divides it by 4."""
 
 _UNIT_LENGTH_TOLERANCE = 1e-2
+_METALLIC_TOLERANCE = 1e-5
+"""Largest difference between the albedos of a `metallic` material and those of its parameters: rounding of float32."""
 _VECTORS_PER_CHUNK = 1 << 16  # temporary arrays of a chunk fit into a processor's cache
 
 
@@ -53,22 +61,63 @@ class AssetMesh:
 
 @dataclass(frozen=True, eq=False)
 class AssetMaterial:
-    """BRDF parameters, all linear. Each is a texture (row 0 at v = 0, the top) or one value for the whole surface."""
+    """BRDF parameters, all linear. Each is a texture (row 0 at v = 0, the top) or one value for the whole surface.
 
-    model: Literal["paper", "dielectric"]
+    `metallic` is made with `AssetMaterial.metallic` from glTF's parameters; its albedos are those of its two lobes.
+    """
+
+    model: Literal["paper", "dielectric", "metallic"]
     diffuse_albedo: NDArray[np.float32]
     """(H, W, 3) or (3,), 0..1."""
     specular_albedo: NDArray[np.float32]
-    """(H, W, 3) or (3,): the lobe's factor in `paper` (0..4/pi), reflectance at normal incidence in `dielectric`."""
+    """(H, W, 3) or (3,): the lobe's factor in `paper` (0..4/pi), else the reflectance at normal incidence."""
     roughness: NDArray[np.float32]
     """(H, W) or (): GGX width alpha, ALPHA_MIN..1, not its square root."""
     normal: NDArray[np.float32] | None = None
     """(H, W, 3) unit vectors in tangent space, +Y up, or None."""
     observed: NDArray[np.bool_] | None = None
     """(H, W) True for texels that at least one view observed; None where that is not known."""
+    metalness: NDArray[np.float32] | None = None
+    """(H, W) or (), 0..1: 1 for a metal. Only `metallic` has it."""
+    dielectric_f0: float = DEFAULT_DIELECTRIC_F0
+    """Reflectance at normal incidence where metalness is 0; only `metallic` uses it."""
+
+    @classmethod
+    def metallic(
+        cls,
+        base_color: ArrayLike,
+        metalness: ArrayLike,
+        roughness: ArrayLike,
+        normal: ArrayLike | None = None,
+        observed: ArrayLike | None = None,
+        dielectric_f0: float = DEFAULT_DIELECTRIC_F0,
+    ) -> AssetMaterial:
+        """The `metallic` model: `diffuse_albedo` (1 - m) base, `specular_albedo` (1 - m) F0 + m base.
+
+        glTF 2.0, appendix B.3.5. `base_color` is (H, W, 3) or (3,), `metalness` m (H, W) or (), both 0..1 and of one
+        size; `roughness` is the GGX width alpha, as in the class. Raises `InputError` for textures of different size.
+        """
+        base = _array("material.base_color", base_color, np.float32)
+        m = _array("material.metalness", metalness, np.float32)
+        if base.ndim == 3 and m.ndim == 2 and base.shape[:2] != m.shape:
+            raise InputError(
+                f"material.base_color is {base.shape[1]} x {base.shape[0]} and material.metalness {m.shape[1]} x "
+                f"{m.shape[0]} texels; resize one of them to the size of the other"
+            )
+        diffuse, specular = effective_albedos(base, m, dielectric_f0)
+        # numpy arrays are made of the arguments in __post_init__
+        return cls("metallic", diffuse, specular, roughness, normal, observed, m, dielectric_f0)  # type: ignore[arg-type]
+
+    @property
+    def base_color(self) -> NDArray[np.float32]:
+        """(H, W, 3) or (3,), 0..1: glTF's base colour of a `metallic` material, rho_d + rho_s - (1 - m) F0."""
+        if self.metalness is None:
+            raise InputError(f"a material of the model {self.model!r} has no base colour; only 'metallic' has one")
+        base = base_color_of(self.diffuse_albedo, self.specular_albedo, self.metalness, self.dielectric_f0)
+        return np.clip(base, np.float32(0), np.float32(1))
 
     def __post_init__(self) -> None:
-        for name in ("diffuse_albedo", "specular_albedo", "roughness", "normal"):
+        for name in ("diffuse_albedo", "specular_albedo", "roughness", "normal", "metalness"):
             value = getattr(self, name)
             if value is not None:
                 _set(self, name, _array(f"material.{name}", value, np.float32))
@@ -122,7 +171,7 @@ def validate_asset(asset: Asset) -> None:
 
 def textures(material: AssetMaterial) -> Iterator[tuple[str, NDArray[np.float32]]]:
     """Name and pixels of each parameter that is a texture."""
-    for name in ("diffuse_albedo", "specular_albedo", "roughness", "normal"):
+    for name in ("diffuse_albedo", "specular_albedo", "roughness", "normal", "metalness"):
         value = getattr(material, name)
         if value is not None and value.ndim >= 2:
             yield name, value
@@ -136,6 +185,9 @@ def describe(asset: Asset) -> dict[str, Any]:
     for name in ("diffuse_albedo", "specular_albedo", "roughness", "normal"):
         value = getattr(material, name)
         parameters[name] = None if value is None else sizes.get(name, value.tolist())
+    if material.metalness is not None:
+        parameters["metalness"] = sizes.get("metalness", material.metalness.tolist())
+        parameters["dielectric_f0"] = material.dielectric_f0
     return {
         "name": asset.name,
         "vertices": len(mesh.positions),
@@ -194,6 +246,42 @@ def _validate_material(material: AssetMaterial) -> None:
         _check_unit("material.normal", material.normal.reshape(-1, 3))
     if material.observed is not None:
         _check_shape("material.observed", material.observed, (None, None))
+    _validate_metalness(material)
+
+
+def _validate_metalness(material: AssetMaterial) -> None:
+    if material.model != "metallic":
+        if material.metalness is not None or material.dielectric_f0 != DEFAULT_DIELECTRIC_F0:
+            field_name = "metalness" if material.metalness is not None else "dielectric_f0"
+            raise InputError(
+                f"material.{field_name} is set, but the model is {material.model!r}; only 'metallic' has it: use "
+                "AssetMaterial.metallic, or leave it out"
+            )
+        return
+    if material.metalness is None:
+        raise InputError("material.metalness is missing; the model 'metallic' needs it: use AssetMaterial.metallic")
+    if material.metalness.ndim != 0:
+        _check_shape("material.metalness", material.metalness, (None, None), "(H, W) or one number")
+    _check_range("material.metalness", material.metalness, 0.0, 1.0)
+    f0 = material.dielectric_f0
+    if not isinstance(f0, int | float) or not 0 <= f0 <= MAX_DIELECTRIC_F0:
+        raise InputError(f"material.dielectric_f0 is {f0!r}; it must be one number from 0 to {MAX_DIELECTRIC_F0}")
+    values = (material.diffuse_albedo, material.specular_albedo, material.metalness[..., None])
+    sizes = {value.shape[:2] for value in values if value.ndim == 3}
+    if len(sizes) > 1:
+        found = " and ".join(f"{width} x {height}" for height, width in sorted(sizes))
+        raise InputError(f"material has albedos and a metalness of {found} texels; resize them to one size")
+    raw = base_color_of(material.diffuse_albedo, material.specular_albedo, material.metalness, f0)
+    expected, _ = effective_albedos(raw, material.metalness, f0)
+    off = float(np.abs(expected - material.diffuse_albedo).max())
+    if off > _METALLIC_TOLERANCE:
+        raise InputError(
+            f"material.diffuse_albedo and specular_albedo differ by {off:.2g} from those of metalness and "
+            "dielectric_f0; make the material with AssetMaterial.metallic(base_color, metalness, roughness)"
+        )
+    outside = float(max(-raw.min(), raw.max() - 1))
+    if outside > _METALLIC_TOLERANCE:
+        raise InputError(f"material.base_color ranges from {raw.min():.6g} to {raw.max():.6g}; it must be from 0 to 1")
 
 
 def _validate_environment(environment: AssetEnvironment) -> None:

@@ -15,13 +15,22 @@ from hir_exporters.asset import BRDF_MODELS, Asset, AssetEnvironment, AssetMater
 from hir_exporters.errors import ExportError, InputError
 from hir_exporters.files.atomic import atomic_directory, write_bytes_atomic, write_text_atomic
 from hir_exporters.mesh.ply_format import decode_ply, encode_ply
+from hir_exporters.metallic_parameters import DEFAULT_DIELECTRIC_F0
 from hir_exporters.textures.image_files import MAX_PIXELS, read_exr, write_exr
 
 FORMAT: Final = "hir-scene"
 VERSION: Final = 1
 """Version of scene.json; readers refuse newer ones."""
 
-_MAP_CHANNELS: Final = {"diffuse_albedo": 3, "specular_albedo": 3, "roughness": 1, "normal": 3, "observed": 1}
+_MAP_CHANNELS: Final = {
+    "diffuse_albedo": 3,
+    "specular_albedo": 3,
+    "roughness": 1,
+    "normal": 3,
+    "observed": 1,
+    "metalness": 1,
+}
+_CONSTANT_MAPS: Final = ("diffuse_albedo", "specular_albedo", "roughness", "metalness")
 _SCENE_FILES: Final = frozenset(
     {"scene.json", "mesh.ply", "environment.exr", *(f"{name}.exr" for name in _MAP_CHANNELS)}
 )
@@ -48,8 +57,7 @@ def save_scene(asset: Asset, folder: str | os.PathLike[str]) -> None:
             "version": VERSION,
             "name": asset.name,
             "mesh": "mesh.ply",
-            "material": {"model": asset.material.model}
-            | {name: _save_map(temporary, name, getattr(asset.material, name)) for name in _MAP_CHANNELS},
+            "material": _save_material(temporary, asset.material),
             "environment": _save_environment(temporary, asset.environment),
             "provenance": dict(asset.provenance),
         }
@@ -82,6 +90,15 @@ def load_scene(folder: str | os.PathLike[str]) -> Asset:
     return asset
 
 
+def _save_material(folder: Path, material: AssetMaterial) -> dict[str, object]:
+    # Scenes of the other models have no entry for metalness, as before there was one.
+    names = [name for name in _MAP_CHANNELS if name != "metalness" or material.metalness is not None]
+    entries: dict[str, object] = {name: _save_map(folder, name, getattr(material, name)) for name in names}
+    if material.model == "metallic":
+        entries["dielectric_f0"] = float(material.dielectric_f0)
+    return {"model": material.model} | entries
+
+
 def _save_map(folder: Path, name: str, value: NDArray[Any] | None) -> str | float | list[float] | None:
     if value is None:
         return None
@@ -104,14 +121,18 @@ def _load_material(folder: Path, table: dict[str, Any]) -> AssetMaterial:
     model = table.get("model")
     if model not in BRDF_MODELS:
         raise InputError(f"{source}: material.model is {model!r}; known are {', '.join(BRDF_MODELS)}")
-    for name in ("diffuse_albedo", "specular_albedo", "roughness"):
+    needed = _CONSTANT_MAPS if model == "metallic" else _CONSTANT_MAPS[:3]
+    for name in needed:
         if table.get(name) is None:
             raise InputError(f"{source}: material.{name} is missing; give a file or a constant")
     with ThreadPoolExecutor(max_workers=4) as pool:  # the OpenEXR binding releases the interpreter lock
         values = pool.map(lambda name: _load_map(folder, name, table.get(name)), _MAP_CHANNELS)
         maps: dict[str, Any] = dict(zip(_MAP_CHANNELS, values, strict=True))
     observed = maps.pop("observed")
-    return AssetMaterial(model=model, observed=None if observed is None else observed > 0.5, **maps)
+    f0 = table.get("dielectric_f0", DEFAULT_DIELECTRIC_F0)
+    _check_numbers(source, "material.dielectric_f0", [f0])
+    observed = None if observed is None else observed > 0.5
+    return AssetMaterial(model=model, observed=observed, dielectric_f0=float(f0), **maps)
 
 
 def _load_map(folder: Path, name: str, value: object) -> NDArray[Any] | None:
@@ -122,8 +143,7 @@ def _load_map(folder: Path, name: str, value: object) -> NDArray[Any] | None:
         pixels = read_exr(_inside(folder, value, f"material.{name}"), MAX_PIXELS, channels)
         return pixels[..., 0] if channels == 1 else pixels
     numbers = value if isinstance(value, list) else [value]
-    constant = name in ("diffuse_albedo", "specular_albedo", "roughness")
-    if not constant or len(numbers) != channels or isinstance(value, list) is not (channels == 3):
+    if name not in _CONSTANT_MAPS or len(numbers) != channels or isinstance(value, list) is not (channels == 3):
         raise InputError(f"{folder / 'scene.json'}: material.{name} is neither a file nor a constant of its size")
     _check_numbers(folder / "scene.json", f"material.{name}", numbers)
     return np.array(value, dtype=np.float32)

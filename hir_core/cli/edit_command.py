@@ -18,9 +18,12 @@ from hir_core.terminal.command_options import FOLDER, plugin_option, verbosity_o
     type=(float, float, float),
     default=(1.0, 1.0, 1.0),
     metavar="R G B",
-    help="Factors of the diffuse albedo, linear RGB.",
+    help="Factors of the diffuse albedo (of the base colour in `metallic`), linear RGB.",
 )
-@click.option("--specular", type=float, default=1.0, metavar="FACTOR", help="Factor of the specular albedo.")
+@click.option(
+    "--specular", type=float, default=1.0, metavar="FACTOR", help="Factor of the specular albedo (of F0 in `metallic`)."
+)
+@click.option("--metalness", type=float, default=1.0, metavar="FACTOR", help="Factor of the metalness (`metallic`).")
 @click.option(
     "--light",
     default="",
@@ -39,6 +42,7 @@ def edit_command(
     roughness: float,
     tint: tuple[float, float, float],
     specular: float,
+    metalness: float,
     light: str,
     picture: bool,
     size: int,
@@ -53,7 +57,7 @@ def edit_command(
     from hir_core.plugins.manager import PluginManager
     from hir_core.rendering.asset_edit import AssetEdit, edit_run
 
-    edit = AssetEdit(roughness, tint, specular, light)
+    edit = AssetEdit(roughness, tint, specular, light, metalness)
     for path in edit_run(source, edit, output, PluginManager.discover(plugin_files), picture, size):
         if not quiet:
             click.echo(str(path))

@@ -1,4 +1,4 @@
-"""`hir edit`: an asset with another roughness, tint, specular albedo or light."""
+"""`hir edit`: an asset with another roughness, tint, specular albedo, metalness or light."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from hir_exporters.asset import Asset, AssetEnvironment, validate_asset
+from hir_exporters.asset import Asset, AssetEnvironment, AssetMaterial, validate_asset
 from hir_exporters.conventions import ALPHA_MIN, linear_to_srgb
+from hir_exporters.metallic_parameters import MAX_DIELECTRIC_F0
 from hir_exporters.reading.environment_import import read_environment
 from hir_exporters.scene_format import load_scene, save_scene
 from hir_exporters.textures.image_files import write_png
@@ -31,11 +32,13 @@ class AssetEdit:
     roughness: float = 1.0
     """Factor of the perceptual roughness √α."""
     tint: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    """Factors of the diffuse albedo, linear RGB."""
+    """Factors of the diffuse albedo, linear RGB; of the base colour in `metallic`."""
     specular: float = 1.0
-    """Factor of the specular albedo."""
+    """Factor of the specular albedo; of the dielectric F0 in `metallic`."""
     light: str = ""
     """`FILE` or `FILE*STRENGTH`: a lat-long .hdr or .exr in the asset's axes, in place of the asset's light."""
+    metalness: float = 1.0
+    """Factor of the metalness of a `metallic` material."""
 
     @property
     def summary(self) -> str:
@@ -45,6 +48,7 @@ class AssetEdit:
             f"roughness × {self.roughness:g}" if self.roughness != 1 else "",
             f"albedo × {tint}" if self.tint != (1.0, 1.0, 1.0) else "",
             f"specular × {self.specular:g}" if self.specular != 1 else "",
+            f"metalness × {self.metalness:g}" if self.metalness != 1 else "",
             f"light {Path(parse_light_file(self.light)[0]).stem}" if self.light else "",
         ]
         return ", ".join(part for part in parts if part) or "nothing"
@@ -55,7 +59,8 @@ def apply_edit(asset: Asset, edit: AssetEdit) -> Asset:
 
     `InputError` where a factor is negative or not finite, or the light cannot be read.
     """
-    for name, value in (("roughness", edit.roughness), ("specular", edit.specular)):
+    factors = (("roughness", edit.roughness), ("specular", edit.specular), ("metalness", edit.metalness))
+    for name, value in factors:
         if not (np.isfinite(value) and value >= 0):
             raise InputError(f"--{name} {value}: the factor must be a finite number of at least 0")
     if not all(np.isfinite(v) and v >= 0 for v in edit.tint):
@@ -63,13 +68,7 @@ def apply_edit(asset: Asset, edit: AssetEdit) -> Asset:
     material = asset.material
     # α is the square of the perceptual roughness
     alpha = np.clip(np.asarray(material.roughness, np.float64) * edit.roughness**2, ALPHA_MIN, 1.0)
-    tint = np.asarray(edit.tint, np.float32)
-    changed = replace(
-        material,
-        diffuse_albedo=np.clip(material.diffuse_albedo * tint, 0, 1).astype(np.float32),
-        specular_albedo=np.clip(material.specular_albedo * np.float32(edit.specular), 0, 1).astype(np.float32),
-        roughness=alpha.astype(np.float32),
-    )
+    changed = _changed_material(material, alpha.astype(np.float32), edit)
     environment = asset.environment
     if edit.light:
         path, strength = parse_light_file(edit.light)
@@ -81,6 +80,27 @@ def apply_edit(asset: Asset, edit: AssetEdit) -> Asset:
     result = replace(asset, material=changed, environment=environment, provenance=provenance)
     validate_asset(result)
     return result
+
+
+def _changed_material(material: AssetMaterial, alpha: Array, edit: AssetEdit) -> AssetMaterial:
+    tint = np.asarray(edit.tint, np.float32)
+    if material.metalness is not None:
+        return AssetMaterial.metallic(
+            np.clip(material.base_color * tint, 0, 1),
+            np.clip(material.metalness * np.float32(edit.metalness), 0, 1),
+            alpha,
+            material.normal,
+            material.observed,
+            min(material.dielectric_f0 * edit.specular, MAX_DIELECTRIC_F0),
+        )
+    if edit.metalness != 1:
+        raise InputError(f"--metalness: the asset's material is {material.model!r}, which has none; leave it out")
+    return replace(
+        material,
+        diffuse_albedo=np.clip(material.diffuse_albedo * tint, 0, 1).astype(np.float32),
+        specular_albedo=np.clip(material.specular_albedo * np.float32(edit.specular), 0, 1).astype(np.float32),
+        roughness=alpha,
+    )
 
 
 def edit_run(

@@ -22,6 +22,7 @@ TEXTURES = {
     "albedo": "Diffuse albedo",
     "specular": "Specular albedo, scaled to white",
     "roughness": "Roughness",
+    "metalness": "Metalness",
     "normal": "Normals",
 }
 FIELDS = {"albedo": "diffuse_albedo", "specular": "specular_albedo"}
@@ -31,6 +32,7 @@ VALUES = {
     "albedo": "Diffuse albedo, one colour",
     "specular": "Specular albedo (F0), one value",
     "roughness": "Roughness, one value",
+    "metalness": "Metalness, one value",
     "light": "Light",
     "normal": "Normals",
 }

@@ -151,6 +151,8 @@ def asset_pictures(scene: Path) -> dict[str, Image]:
     # a reflectance of a few hundredths would look black, so the largest value is scaled to white
     pictures["specular"] = np.asarray(linear_to_srgb(specular / max(float(specular.max()), 1e-6)), dtype=np.float32)
     pictures["roughness"] = as_map(np.sqrt(material.roughness), 1)
+    if material.metalness is not None:
+        pictures["metalness"] = as_map(material.metalness, 1)
     if material.normal is not None:
         pictures["normal"] = (material.normal * 0.5 + 0.5).astype(np.float32)
     return {name: np.clip(picture, 0, 1) for name, picture in pictures.items()}

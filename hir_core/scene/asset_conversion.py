@@ -64,13 +64,15 @@ def scene_from_asset(asset: Asset, device: torch.device | str = "cpu") -> Scene:
             roughness=torch.from_numpy(material.roughness.copy()).unsqueeze(-1),
             normal=None if material.normal is None else torch.from_numpy(material.normal.copy()),
             observed=None if material.observed is None else torch.from_numpy(material.observed.copy()),
+            metalness=None if material.metalness is None else torch.from_numpy(material.metalness.copy()).unsqueeze(-1),
+            dielectric_f0=material.dielectric_f0,
         ),
         environment,
     ).to(device)
 
 
 def _has_textures(material: Material) -> bool:
-    maps = (material.diffuse_albedo, material.specular_albedo, material.roughness, material.normal)
+    maps = (material.diffuse_albedo, material.specular_albedo, material.roughness, material.normal, material.metalness)
     return any(m is not None and m.ndim == 3 for m in maps)
 
 
@@ -98,6 +100,15 @@ def _bake_mesh(mesh: Mesh, needs_uvs: bool) -> AssetMesh:
 def _bake_material(material: Material) -> AssetMaterial:
     limit = PAPER_SPECULAR_MAX if material.model == "paper" else 1.0
     roughness = _clamped(material.roughness, ALPHA_MIN, 1.0)
+    if material.metalness is not None:
+        return AssetMaterial.metallic(
+            _clamped(material.base_color, 0.0, 1.0),
+            _clamped(material.metalness, 0.0, 1.0)[..., 0],
+            roughness[..., 0],
+            None if material.normal is None else _unit(_numpy(material.normal)),
+            None if material.observed is None else _numpy(material.observed),
+            material.dielectric_f0,
+        )
     return AssetMaterial(
         model=material.model,
         diffuse_albedo=_clamped(material.diffuse_albedo, 0.0, 1.0),

@@ -16,15 +16,35 @@ CHANGE_TOLERANCE = 1e-6
 def with_conserved_energy(material: Material) -> tuple[Material, float]:
     """The material with albedos in 0…1 and, in the `paper` model, ρd + ρs ≤ 1; and the share of changed diffuse values.
 
-    `dielectric` couples its diffuse part to the lobe, so that each albedo ≤ 1 is enough. NaN and −∞ become 0, ∞ 1.
+    `dielectric` couples its diffuse part to the lobe, so that each albedo ≤ 1 is enough; in `metallic`, base colour and
+    metalness ≤ 1. NaN and −∞ become 0, ∞ 1.
     """
+    if material.metalness is not None:
+        return _conserved_metallic(material)
     specular = _clamped(material.specular_albedo)
     diffuse = _clamped(material.diffuse_albedo)
     if material.model == "paper":
         diffuse = torch.minimum(*torch.broadcast_tensors(diffuse, 1 - specular_at_size_of(specular, diffuse)))
-    changed = (diffuse - material.diffuse_albedo).abs() > CHANGE_TOLERANCE
     conserved = replace(material, diffuse_albedo=diffuse, specular_albedo=specular)
-    return conserved, float((changed | ~torch.isfinite(material.diffuse_albedo)).float().mean())
+    return conserved, _changed_share(material.diffuse_albedo, diffuse)
+
+
+def _conserved_metallic(material: Material) -> tuple[Material, float]:
+    assert material.metalness is not None
+    conserved = Material.metallic(
+        _clamped(material.base_color),
+        _clamped(material.metalness),
+        material.roughness,
+        material.normal,
+        material.observed,
+        material.dielectric_f0,
+    )
+    return conserved, _changed_share(material.diffuse_albedo, conserved.diffuse_albedo)
+
+
+def _changed_share(before: Tensor, after: Tensor) -> float:
+    changed = (after - before).abs() > CHANGE_TOLERANCE
+    return float((changed | ~torch.isfinite(before)).float().mean())
 
 
 def _clamped(albedo: Tensor) -> Tensor:

@@ -7,8 +7,11 @@ from functools import cached_property
 from typing import Any, Literal, TypeVar
 
 import torch
+from hir_exporters.metallic_parameters import DEFAULT_DIELECTRIC_F0
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
+
+from hir_core.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,9 +94,13 @@ Texture = Float[Tensor, "H W C"] | Float[Tensor, " C"]
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """A BRDF of docs/conventions.md and its parameters; each parameter is a texture or a constant."""
+    """A BRDF of docs/conventions.md and its parameters; each parameter is a texture or a constant.
 
-    model: Literal["paper", "dielectric"]
+    `metallic` is made with `Material.metallic` from glTF's parameters; its albedos are those of its two lobes, so that
+    whatever shades `dielectric` shades it too.
+    """
+
+    model: Literal["paper", "dielectric", "metallic"]
     diffuse_albedo: Texture
     specular_albedo: Texture
     roughness: Texture
@@ -102,6 +109,48 @@ class Material:
     """Unit vectors in tangent space, +Y up, MikkTSpace."""
     observed: Bool[Tensor, "H W"] | None = None
     """Texels that are observed in at least one view."""
+    metalness: Texture | None = None
+    """0 to 1, C = 1: 1 for a metal. Only `metallic` has it."""
+    dielectric_f0: float = DEFAULT_DIELECTRIC_F0
+    """Reflectance at normal incidence where metalness is 0; only `metallic` uses it."""
+
+    def __post_init__(self) -> None:
+        if self.model == "metallic" and self.metalness is None:
+            raise InputError("a material of the model 'metallic' needs metalness; make it with Material.metallic")
+        if self.model != "metallic" and (self.metalness is not None or self.dielectric_f0 != DEFAULT_DIELECTRIC_F0):
+            name = "metalness" if self.metalness is not None else "dielectric_f0"
+            raise InputError(f"{name} is only for the model 'metallic', not for {self.model!r}; leave it out")
+
+    @classmethod
+    def metallic(
+        cls,
+        base_color: Texture,
+        metalness: Texture,
+        roughness: Texture,
+        normal: Float[Tensor, "H W 3"] | None = None,
+        observed: Bool[Tensor, "H W"] | None = None,
+        dielectric_f0: float = DEFAULT_DIELECTRIC_F0,
+    ) -> Material:
+        """The `metallic` model: ρd = (1 − m)·base, ρs = (1 − m)·F0 + m·base (glTF 2.0, appendix B.3.5).
+
+        `base_color` has three channels, `metalness` m one; textures of one size or constants. Differentiable.
+        Raises `InputError` for textures of different size.
+        """
+        if base_color.ndim == 3 and metalness.ndim == 3 and base_color.shape[:2] != metalness.shape[:2]:
+            raise InputError(
+                f"the base colour has {base_color.shape[0]} rows and {base_color.shape[1]} columns, metalness "
+                f"{metalness.shape[0]} and {metalness.shape[1]}; resize one of them to the size of the other"
+            )
+        share = 1 - metalness
+        diffuse, specular = share * base_color, share * dielectric_f0 + metalness * base_color
+        return cls("metallic", diffuse, specular, roughness, normal, observed, metalness, dielectric_f0)
+
+    @property
+    def base_color(self) -> Texture:
+        """glTF's base colour of a `metallic` material, ρd + ρs − (1 − m)·F0; not clamped, differentiable."""
+        if self.metalness is None:
+            raise InputError(f"a material of the model {self.model!r} has no base colour; only 'metallic' has one")
+        return self.diffuse_albedo + (self.specular_albedo - (1 - self.metalness) * self.dielectric_f0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ from hir_core.files.array_files import read_arrays
 from hir_core.files.json_documents import read_json, write_json
 from hir_core.scene.scene import EnvironmentMap, Material, Mesh, Scene, Topology
 
-_MATERIAL = ("diffuse_albedo", "specular_albedo", "roughness", "normal", "observed")
+_MATERIAL = ("diffuse_albedo", "specular_albedo", "roughness", "normal", "observed", "metalness")
 
 
 def save_stage_scene(scene: Scene, folder: Path) -> None:
@@ -32,6 +32,8 @@ def save_stage_scene(scene: Scene, folder: Path) -> None:
     document: dict[str, Any] = {"material": None, "environment": None}
     if material is not None:
         document["material"] = material.model
+        if material.model == "metallic":
+            document["dielectric_f0"] = material.dielectric_f0
         arrays |= {f"material.{name}": getattr(material, name) for name in _MATERIAL}
     if environment is not None:
         document["environment"] = environment.frame
@@ -76,7 +78,9 @@ def _scene_of(document: dict[str, Any], tensors: dict[str, torch.Tensor]) -> Sce
     )
     material = environment = None
     if document["material"] is not None:
-        material = Material(model=document["material"], **{n: tensors.get(f"material.{n}") for n in _MATERIAL})  # type: ignore[arg-type]
+        f0 = {"dielectric_f0": document["dielectric_f0"]} if document["material"] == "metallic" else {}
+        maps = {n: tensors.get(f"material.{n}") for n in _MATERIAL}
+        material = Material(model=document["material"], **maps, **f0)  # type: ignore[arg-type]
     if document["environment"] is not None:
         environment = EnvironmentMap(
             tensors["environment.radiance"], tensors.get("environment.to_world"), document["environment"]

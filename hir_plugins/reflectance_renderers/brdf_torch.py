@@ -1,8 +1,9 @@
-"""The two BRDF models of docs/conventions.md as functions of cosines, on batched tensors (torch).
+"""The three BRDF models of docs/conventions.md as functions of cosines, on batched tensors (torch).
 
 `paper`: `f = rho_d/pi + rho_s·D·G / (4 (n·wi)(n·wo))`.
 `dielectric`: `f = (1 - E) rho_d/pi + F·D·G / (4 (n·wi)(n·wo))` with Schlick's `F = rho_s + (1 - rho_s)(1 - h·wo)^5` and
-E the lobe's directional albedo. D is GGX (Walter et al. 2007, eq. 33), G Smith's separable form (eq. 23 and 34).
+E the lobe's directional albedo. `metallic`: the same formula with the albedos of `Material.metallic`. D is GGX (Walter
+et al. 2007, eq. 33), G Smith's separable form (eq. 23 and 34).
 
 All arguments broadcast. Albedos have a trailing axis of colours; cosines and `alpha` one of length 1. No input makes a
 NaN or an infinity in value or gradient: `alpha` is clamped to [ALPHA_MIN, 1], cosines to [0, 1]. So `n·wo` <= 0, which
@@ -21,7 +22,7 @@ from hir_exporters.materials.brdf_numpy import albedo_table
 from jaxtyping import Float
 from torch import Tensor
 
-Model: TypeAlias = Literal["paper", "dielectric"]
+Model: TypeAlias = Literal["paper", "dielectric", "metallic"]
 
 _COSINE_MIN = 1e-6
 """Keeps the derivative of the table's square-root coordinate finite."""
@@ -108,12 +109,12 @@ def evaluate(
     cosine = n_wi.clamp(0, 1) / pi
     if model == "paper":
         return rho_d * cosine + rho_s * lobe
-    if model == "dielectric":
+    if model in ("dielectric", "metallic"):
         grazing = schlick_weight(h_wo)
         fresnel = rho_s * (1 - grazing) + grazing
         diffuse_share = (1 - directional_albedo(n_wo, alpha, rho_s)).clamp_min(0)  # the table rounds to 1 + 1e-15
         return diffuse_share * rho_d * cosine + fresnel * lobe
-    raise ValueError(f"unknown BRDF model {model!r}; known are 'paper' and 'dielectric'")
+    raise ValueError(f"unknown BRDF model {model!r}; known are 'paper', 'dielectric' and 'metallic'")
 
 
 def _smith_denominator(cos: Tensor, alpha: Tensor) -> Tensor:

@@ -61,6 +61,13 @@ def formats_rows() -> list[str]:
         "half gold, half plastic": AssetMaterial(
             "dielectric", (1 - half) * 0.5 * np.ones(3), half * [0.86, 0.66, 0.26] + 0.04, 0.2
         ),
+        "`metallic`, gold": AssetMaterial.metallic([0.9, 0.7, 0.3], 1.0, 0.2),
+        "`metallic`, half gold, half plastic": AssetMaterial.metallic(
+            np.where(half > 0, [0.9, 0.7, 0.3], 0.5), half[..., 0], 0.2
+        ),
+        "`metallic`, F0 = 0.08, half metal everywhere": AssetMaterial.metallic(
+            [0.9, 0.7, 0.3], 0.5, 0.2, dielectric_f0=0.08
+        ),
     }
     rows = []
     for name, material in materials_by_name.items():

@@ -1,7 +1,8 @@
-"""The two BRDF models of an asset in numpy float64, and the directional albedo of the GGX lobe.
+"""The three BRDF models of an asset in numpy float64, and the directional albedo of the GGX lobe.
 
 `paper`:       f = rho_d / pi + rho_s D G / (4 (n.i)(n.o))                       Zhu et al. 2023, without Fresnel
 `dielectric`:  f = (1 - E) rho_d / pi + F D G / (4 (n.i)(n.o)),  F = rho_s + (1 - rho_s)(1 - h.o)^5  (Schlick 1994)
+`metallic`:    `dielectric` with rho_d = (1 - m) base, rho_s = (1 - m) F0 + m base         glTF 2.0, appendix B.3.5
 
 D is GGX (Walter et al. 2007), G is Smith's separable form, E is the lobe's directional albedo at n.o. All directions
 are unit vectors; values are 0 where a direction is below the surface, and finite for alpha from ALPHA_MIN to 1.
@@ -17,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hir_exporters.conventions import ALPHA_MIN
+from hir_exporters.metallic_parameters import DEFAULT_DIELECTRIC_F0
 from hir_exporters.textures.bilinear import sample_bilinear
 
 Array = NDArray[np.float64]
@@ -70,6 +72,23 @@ def dielectric_brdf(wi: ArrayLike, wo: ArrayLike, diffuse: ArrayLike, specular: 
     transmitted = np.maximum(1 - directional_albedo(cos_o[..., None], alpha[..., None], f0), 0.0)
     value = transmitted * np.asarray(diffuse, np.float64) / np.pi + fresnel * lobe
     return np.where(((cos_i > 0) & (cos_o > 0))[..., None], value, 0.0)
+
+
+def metallic_brdf(
+    wi: ArrayLike,
+    wo: ArrayLike,
+    base_color: ArrayLike,
+    metalness: ArrayLike,
+    alpha: ArrayLike,
+    dielectric_f0: float = DEFAULT_DIELECTRIC_F0,
+) -> Array:
+    """f (..., 3) in 1/sr of the `metallic` model for unit directions (..., 3) about the normal (0, 0, 1).
+
+    `base_color` is (..., 3), `metalness` (...) in 0..1. glTF couples the diffuse part by 1 - F of each direction; here
+    it is 1 - E, its average over the lobe, as in `dielectric`.
+    """
+    base, m = np.asarray(base_color, np.float64), np.asarray(metalness, np.float64)[..., None]
+    return dielectric_brdf(wi, wo, (1 - m) * base, (1 - m) * dielectric_f0 + m * base, alpha)
 
 
 def half_vector_cosines(wi: ArrayLike, wo: ArrayLike) -> tuple[Array, Array, Array, Array]:

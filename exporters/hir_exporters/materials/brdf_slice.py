@@ -86,7 +86,9 @@ def brdf_slice(alpha: ArrayLike) -> BrdfSlice:
 
 
 def model_brdf(slices: BrdfSlice, model: str, diffuse: Array, specular: Array) -> Array:
-    """f (T, 7, 68, 3) of a model of `hir_exporters.materials.brdf_numpy` with albedos (T, 3)."""
+    """f (T, 7, 68, 3) of a model of `hir_exporters.materials.brdf_numpy` with albedos (T, 3); those of `metallic` are
+    its effective ones.
+    """
     d, f0 = diffuse[:, None, None, :], specular[:, None, None, :]
     s, lobe = slices.schlick[..., None], slices.lobe[..., None]
     if model == "paper":

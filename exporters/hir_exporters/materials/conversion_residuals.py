@@ -2,6 +2,9 @@
 
 It is measured on `hir_exporters.materials.brdf_slice` with the published formula of the target
 (`hir_exporters.materials.target_brdfs`) and the converted values, at up to 144 texels.
+
+A `metallic` material has the parameters of the metallic-roughness formats. Against these its BRDF is the target's own
+formula with the asset's parameters, so that the error is that of the parameters alone.
 """
 
 from __future__ import annotations
@@ -20,6 +23,15 @@ Array = NDArray[np.floating]
 def metallic_residual(material: AssetMaterial, surface: MetallicSurface, as_blender: bool = False) -> float:
     """Relative error on the BRDF slice of a surface, by glTF's ratified formula or as Blender reads ior 1000."""
     uvs, directions, reference = _reference_samples(material)
+    if material.metalness is not None:
+        reference = target_brdfs.gltf_brdf(
+            directions,
+            sample_texels(material.base_color, True, uvs),
+            sample_texels(material.metalness, False, uvs),
+            np.ones(len(uvs)),
+            np.ones((len(uvs), 3)),
+            target_brdfs.f0_to_ior(material.dielectric_f0),
+        )
     base = sample_texels(surface.base_color, True, uvs)
     color = sample_texels(surface.specular_color, True, uvs)
     if as_blender:

@@ -9,6 +9,10 @@
 | `usd-metallic` | UsdPreviewSurface, metallic; its ior where rho_s is one grey value| the lobe of grey `dielectric`|
 | `usd-specular` | UsdPreviewSurface, specular workflow                              | the lobe of `dielectric`     |
 
+`metallic` needs no fit: its base colour, metalness and roughness are written as they are in `khr`, `blender` and
+`usd-metallic`, with the ior of F0, and in `metalrough`, which has an F0 of 0.04. The specular workflow gets its
+albedos.
+
 Every conversion has a `residual` (`hir_exporters.materials.conversion_residuals`). Values are not rounded to 8 bits
 here.
 """
@@ -53,6 +57,8 @@ def to_gltf(material: AssetMaterial, profile: GltfProfile) -> MetallicSurface | 
     material = collapse_uniform_textures(material)
     if profile == "unity-legacy":
         return to_specular_workflow(material)
+    if material.model == "metallic":
+        return _metallic(material, with_ior=profile != "metalrough")
     if profile == "metalrough":
         return _core(material)
     if material.model == "paper":
@@ -61,8 +67,12 @@ def to_gltf(material: AssetMaterial, profile: GltfProfile) -> MetallicSurface | 
 
 
 def to_usd_metallic(material: AssetMaterial) -> MetallicSurface:
-    """UsdPreviewSurface's metallic workflow: with its ior where rho_s is one grey value, else a least-squares fit."""
+    """UsdPreviewSurface's metallic workflow: the parameters of `metallic`; else with its ior where rho_s is one grey
+    value, and a least-squares fit where it is not.
+    """
     material = collapse_uniform_textures(material)
+    if material.model == "metallic":
+        return _metallic(material, with_ior=True)
     specular = material.specular_albedo
     grey = specular.shape == (3,) and float(np.ptp(specular)) <= 1e-3 * float(specular.max())
     if material.model == "dielectric" and grey and 0 < specular[0] <= METAL_F0:
@@ -72,9 +82,9 @@ def to_usd_metallic(material: AssetMaterial) -> MetallicSurface:
 
 
 def to_specular_workflow(material: AssetMaterial) -> SpecularSurface:
-    """Diffuse and specular colours: the model's own for `dielectric`, a least-squares fit for `paper`."""
+    """Diffuse and specular colours: the model's own albedos, but a least-squares fit for `paper`."""
     material = collapse_uniform_textures(material)
-    if material.model == "dielectric":
+    if material.model != "paper":
         diffuse, specular = material.diffuse_albedo, material.specular_albedo
     else:
         diffuse, specular = fit_specular_workflow(*_at_common_size(material))
@@ -91,12 +101,22 @@ def collapse_uniform_textures(material: AssetMaterial) -> AssetMaterial:
         diffuse_albedo=constant_if_uniform(material.diffuse_albedo, 1),
         specular_albedo=constant_if_uniform(material.specular_albedo, 1),
         roughness=constant_if_uniform(material.roughness, 0),
+        metalness=None if material.metalness is None else constant_if_uniform(material.metalness, 0),
     )
 
 
 _ZERO = np.zeros((), np.float32)
 _ONE = np.ones((), np.float32)
 _WHITE = np.ones(3, np.float32)
+
+
+def _metallic(material: AssetMaterial, with_ior: bool) -> MetallicSurface:
+    """The parameters of a `metallic` material without a fit; without `with_ior` its F0 becomes 0.04."""
+    assert material.metalness is not None
+    own_ior = with_ior and material.dielectric_f0 != target_brdfs.CORE_F0
+    ior = target_brdfs.f0_to_ior(material.dielectric_f0) if own_ior else 1.5
+    surface = _surface(material.base_color, material.metalness, _roughness(material), ior=ior)
+    return _with_residual(material, surface)
 
 
 def _core(material: AssetMaterial) -> MetallicSurface:

@@ -64,6 +64,16 @@ def limit_texture_sizes(material: AssetMaterial, largest: int) -> AssetMaterial:
         normal = limit_size(normal, largest)
         length = np.linalg.norm(normal, axis=-1, keepdims=True)
         normal = np.where(length > 1e-6, normal / np.maximum(length, 1e-6), np.array([0, 0, 1], np.float32))
+    if material.metalness is not None:
+        # Products of averages are not averages of products: the parameters are reduced, not the albedos.
+        return AssetMaterial.metallic(
+            reduced(material.base_color, 1),
+            reduced(material.metalness, 0),
+            reduced(material.roughness, 0),
+            normal,
+            material.observed,
+            material.dielectric_f0,
+        )
     return replace(
         material,
         diffuse_albedo=reduced(material.diffuse_albedo, 1),

@@ -15,10 +15,13 @@ from hir_exporters.conventions import ALPHA_MIN
 from hir_exporters.materials.material_conversion import NO_FRESNEL_IOR
 from hir_exporters.materials.surfaces import MetallicSurface, SpecularSurface
 from hir_exporters.materials.target_brdfs import ior_to_f0
+from hir_exporters.metallic_parameters import DEFAULT_DIELECTRIC_F0, MAX_DIELECTRIC_F0
 from hir_exporters.reading.readback import ReadBack
 from hir_exporters.textures.texture_maps import common_size, resize
 
 Array = NDArray[np.floating]
+
+CORE_IOR = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,20 +34,24 @@ class DecodedAsset:
     """One phrase: the conversion from the file's parameters to the model."""
 
 
-def decode_asset(back: ReadBack, profile: str = "khr") -> DecodedAsset:
+def decode_asset(back: ReadBack, profile: str = "khr", as_metallic: bool = True) -> DecodedAsset:
     """The asset of a file that was read back. Files of the profile `blender` are interpreted as Blender does."""
-    material, interpretation = decode_material(back, profile)
+    material, interpretation = decode_material(back, profile, as_metallic)
     return DecodedAsset(_mesh(back), material, interpretation)
 
 
-def decode_material(back: ReadBack, profile: str) -> tuple[AssetMaterial, str]:
+def decode_material(back: ReadBack, profile: str, as_metallic: bool = True) -> tuple[AssetMaterial, str]:
     """Parameters of the BRDF model that is closest to the format's own formula, texel by texel.
 
-    An ior of 1000 encodes a lobe without Fresnel: the `paper` model, exact for grey lobes. All other materials become
-    `dielectric` with the same F0, lobe and diffuse reflection at normal incidence. At grazing angles the diffuse part
-    decreases as in `dielectric`, not as in the format.
+    An ior of 1000 encodes a lobe without Fresnel: the `paper` model, exact for grey lobes. Metallic-roughness that is
+    metal somewhere and has no specular weight or colour becomes `metallic` with the file's own values. All other
+    materials become `dielectric` with the same F0, lobe and diffuse reflection at normal incidence. At grazing angles
+    the diffuse part decreases as in `dielectric`, not as in the format.
+
+    Without `as_metallic` no material becomes `metallic`. This is closer to the format's formula where a file has
+    metalness between 0 and 1 from a fit to another model: `metallic` couples its diffuse part to the mixed lobe.
     """
-    return decode_surface(back.surface, back.specular_surface, back.normal, profile)
+    return decode_surface(back.surface, back.specular_surface, back.normal, profile, as_metallic)
 
 
 def decode_surface(
@@ -52,14 +59,30 @@ def decode_surface(
     specular_surface: SpecularSurface | None,
     normal: NDArray[np.float32] | None,
     profile: str = "khr",
+    as_metallic: bool = True,
 ) -> tuple[AssetMaterial, str]:
     """`decode_material` of a material without its mesh."""
     if specular_surface is not None:
         return _specular_workflow(specular_surface, normal), "specular workflow as `dielectric` of the same F0"
     if surface.ior >= NO_FRESNEL_IOR and not np.any(surface.metallic):
         return _without_fresnel(surface, normal, profile), "no Fresnel (ior 1000) as `paper`"
+    f0 = float(ior_to_f0(surface.ior))
+    plain = np.all(surface.specular_weight == 1) and np.all(surface.specular_color == 1)
+    if as_metallic and plain and np.any(surface.metallic) and f0 <= MAX_DIELECTRIC_F0:
+        return _metal(surface, normal, f0), f"metallic-roughness as `metallic`, F0 of ior {surface.ior:.4g}"
     phrase = "metallic-roughness as `dielectric` with rho_d = base (1 - metal), rho_s = F0 (1 - metal) + base metal"
     return _metallic(surface, normal), f"{phrase}, F0 of ior {surface.ior:.4g}"
+
+
+def _metal(surface: MetallicSurface, normal: NDArray[np.float32] | None, f0: float) -> AssetMaterial:
+    base, m = _at_common_size((surface.base_color, 1), (surface.metallic, 0))
+    return AssetMaterial.metallic(
+        np.clip(base, 0, 1),
+        np.clip(m, 0, 1),
+        _alpha(surface.roughness),
+        _unit_vectors(normal),
+        dielectric_f0=DEFAULT_DIELECTRIC_F0 if surface.ior == CORE_IOR else f0,
+    )
 
 
 def _metallic(surface: MetallicSurface, normal: NDArray[np.float32] | None) -> AssetMaterial:
@@ -100,15 +123,22 @@ def _material(
     model: str, diffuse: Array, specular: Array, roughness: Array, normal: NDArray[np.float32] | None
 ) -> AssetMaterial:
     limit = PAPER_SPECULAR_MAX if model == "paper" else 1.0
-    if normal is not None:  # 8-bit codes have lengths that differ slightly from 1
-        normal = normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-6)
     return AssetMaterial(
         model="paper" if model == "paper" else "dielectric",
         diffuse_albedo=np.clip(diffuse, 0, 1).astype(np.float32),
         specular_albedo=np.clip(specular, 0, limit).astype(np.float32),
-        roughness=np.clip(np.square(roughness), ALPHA_MIN, 1).astype(np.float32),
-        normal=normal,
+        roughness=_alpha(roughness),
+        normal=_unit_vectors(normal),
     )
+
+
+def _alpha(roughness: Array) -> NDArray[np.float32]:
+    return np.asarray(np.clip(np.square(roughness), ALPHA_MIN, 1), np.float32)
+
+
+def _unit_vectors(normal: NDArray[np.float32] | None) -> NDArray[np.float32] | None:
+    """A normal map whose 8-bit codes have lengths that differ slightly from 1, normalised."""
+    return None if normal is None else normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-6)
 
 
 def _at_common_size(*values: tuple[Array, int]) -> list[Array]:

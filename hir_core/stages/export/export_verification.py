@@ -117,7 +117,7 @@ def _surface(
     if rerender is None:
         return ExportVerification(report | ({"not_rendered": why_not} if why_not else {}), tuple(problems))
     light = next((f for f in export.files[1:] if f.suffix in LIGHT_SUFFIXES), None)
-    written = decode_asset(back, profile)
+    written = decode_asset(back, profile, as_metallic=asset.material.model == "metallic")
     found = rerender.compare(written, None if light is None else read_environment(light))
     report |= found
     report["light"] = "the run's own" if light is None or not rerender.light_in_world else light.name

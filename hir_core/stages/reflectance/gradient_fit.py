@@ -89,6 +89,8 @@ def fit_by_gradient(
     """
     assert scene.material is not None and scene.environment is not None
     material, environment = scene.material, scene.environment
+    if material.model == "metallic":
+        raise StageError("the gradient fit does not fit a `metallic` material; give the scene a `dielectric` one")
     leaves = [material.diffuse_albedo, material.specular_albedo, material.roughness, environment.radiance]
     fitted_leaves = [True, fit_specular, fit_specular, fit_light]
     diffuse, specular, roughness, radiance = (

@@ -25,7 +25,7 @@ _MIN_PROBABILITY = 0.1
 
 @dataclass(frozen=True)
 class Reflectance:
-    """Parameters of the BRDF at one point; `model` is the same for all."""
+    """Parameters of the BRDF at one point; `model` is the same for all. The albedos of `metallic` are its lobes'."""
 
     model: str
     diffuse: DrJitArray
@@ -33,6 +33,14 @@ class Reflectance:
     specular: DrJitArray
     alpha: DrJitArray
     """Float."""
+
+
+def metallic_reflectance(
+    base_color: DrJitArray, metalness: DrJitArray, alpha: DrJitArray, dielectric_f0: float
+) -> Reflectance:
+    """The lobes of glTF's parameters (glTF 2.0, appendix B.3.5): Color3f, Float, Float, and one number."""
+    share = 1 - metalness
+    return Reflectance("metallic", base_color * share, share * dielectric_f0 + base_color * metalness, alpha)
 
 
 def evaluate(r: Reflectance, eye: DrJitArray, light: DrJitArray) -> DrJitArray:
@@ -74,7 +82,7 @@ def pdf(r: Reflectance, eye: DrJitArray, light: DrJitArray) -> DrJitArray:
 def specular_probability(r: Reflectance, eye: DrJitArray) -> DrJitArray:
     """Probability with which `sample` draws from the specular lobe: by the albedos of both parts."""
     specular, diffuse = _mean(dr.detach(r.specular)), _mean(dr.detach(r.diffuse))
-    if r.model == "dielectric":
+    if r.model != "paper":
         scale, bias = albedo_terms(eye.z, dr.detach(_clamped_alpha(r.alpha)))
         specular = specular * scale + bias
         diffuse = diffuse * (1 - specular)

@@ -1,18 +1,29 @@
-"""The two BRDF models as a BSDF plugin `hir_ggx` for scenes and integrators of Mitsuba itself.
+"""The three BRDF models as a BSDF plugin `hir_ggx` for scenes and integrators of Mitsuba itself.
 
     {"type": "hir_ggx", "model": "paper", "diffuse_albedo": …, "specular_albedo": …, "alpha": …}
+    {"type": "hir_ggx", "model": "metallic", "base_color": …, "metalness": …, "alpha": …, "dielectric_f0": 0.04}
 
-Each parameter is a texture (give bitmaps as float32 with `raw`) or a constant. Mitsuba's `wi` points to the eye.
+`dielectric_f0` is one number. Each other parameter is a texture (give bitmaps as float32 with `raw`) or a constant.
+Mitsuba's `wi` points to the eye.
 """
 
 from __future__ import annotations
 
 import drjit as dr
 import mitsuba as mi
+from hir_exporters.metallic_parameters import DEFAULT_DIELECTRIC_F0
 
 from hir_plugins.reflectance_renderers.drjit_types import DrJitArray, MitsubaObject
 from hir_plugins.reflectance_renderers.mitsuba_ggx import brdf_drjit as ggx_drjit
-from hir_plugins.reflectance_renderers.mitsuba_ggx.brdf_drjit import Reflectance
+from hir_plugins.reflectance_renderers.mitsuba_ggx.brdf_drjit import Reflectance, metallic_reflectance
+
+_ALBEDOS = {"diffuse_albedo": 0.5, "specular_albedo": 0.04, "alpha": 0.3}
+_PARAMETERS = {
+    "paper": _ALBEDOS,
+    "dielectric": _ALBEDOS,
+    "metallic": {"base_color": 0.5, "metalness": 0.0, "alpha": 0.3},
+}
+"""Textures of each model and their default values."""
 
 _registered: dict[str, type] = {}
 """The class of each variant: Mitsuba's base classes differ between variants."""
@@ -36,12 +47,13 @@ def _plugin_class() -> type:
         def __init__(self, props: MitsubaObject) -> None:
             mi.BSDF.__init__(self, props)
             self.model = str(props.get("model", "dielectric"))
-            if self.model not in ("paper", "dielectric"):
-                raise ValueError(f"hir_ggx: model is {self.model!r}; known are 'paper' and 'dielectric'")
+            if self.model not in _PARAMETERS:
+                raise ValueError(f"hir_ggx: model is {self.model!r}; known are {', '.join(_PARAMETERS)}")
             self.textures = {
-                name: props.get_texture(name, default)
-                for name, default in (("diffuse_albedo", 0.5), ("specular_albedo", 0.04), ("alpha", 0.3))
+                name: props.get_texture(name, default) for name, default in _PARAMETERS[self.model].items()
             }
+            metallic = self.model == "metallic"
+            self.dielectric_f0 = float(props.get("dielectric_f0", DEFAULT_DIELECTRIC_F0)) if metallic else 0.0
             flags = mi.BSDFFlags.DiffuseReflection | mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide
             flags |= mi.BSDFFlags.SpatiallyVarying
             self.m_components = [flags]
@@ -88,11 +100,14 @@ def _plugin_class() -> type:
 
         def _at(self, si: MitsubaObject, active: DrJitArray) -> Reflectance:
             textures = self.textures
-            return Reflectance(
-                self.model,
+            alpha = textures["alpha"].eval_1(si, active)
+            if self.model == "metallic":
+                base, metalness = textures["base_color"].eval(si, active), textures["metalness"].eval_1(si, active)
+                return metallic_reflectance(base, metalness, alpha, self.dielectric_f0)
+            diffuse, specular = (
                 textures["diffuse_albedo"].eval(si, active),
                 textures["specular_albedo"].eval(si, active),
-                textures["alpha"].eval_1(si, active),
             )
+            return Reflectance(self.model, diffuse, specular, alpha)
 
     return HirGGX

@@ -118,6 +118,10 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
 
         Without one, a diffuse model is fitted first: light and albedo before the lobes that depend on both.
         """
+        if self._scene.material is not None and self._scene.material.model == "metallic":
+            raise StageError(
+                "transport_ggx renders a `metallic` material but does not fit one; give the scene a `dielectric` one"
+            )
         if spec.per_texel != "none":
             # per-texel values are solved when they are used
             base = initial

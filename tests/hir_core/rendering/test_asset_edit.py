@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hir_exporters.asset import AssetMaterial
 from hir_exporters.scene_format import load_scene, save_scene
 from hir_exporters.textures.image_files import read_ldr, write_hdr
 
@@ -33,6 +34,23 @@ def test_factors_are_those_of_engines() -> None:
     np.testing.assert_array_equal(apply_edit(asset, AssetEdit()).material.roughness, asset.material.roughness)
 
 
+def test_factors_of_a_metallic_material_are_of_its_parameters() -> None:
+    rng = np.random.default_rng(0)
+    base, metalness = rng.random((8, 8, 3)), rng.random((8, 8))
+    made = AssetMaterial.metallic(base, metalness, 0.09)
+    asset = replace(textured_asset(), material=made)
+    edit = AssetEdit(roughness=2.0, tint=(1.0, 0.5, 2.0), specular=2.0, metalness=1.5)
+    found = apply_edit(asset, edit)
+    assert found.material.model == "metallic" and found.material.metalness is not None
+    np.testing.assert_allclose(found.material.metalness, np.minimum(metalness * 1.5, 1), rtol=1e-6)
+    np.testing.assert_allclose(found.material.base_color, np.minimum(base * [1, 0.5, 2], 1), atol=1e-6)
+    np.testing.assert_allclose(found.material.roughness, 0.36, rtol=1e-6)
+    assert found.material.dielectric_f0 == 0.08
+    assert found.provenance["edited"] == "roughness × 2, albedo × 1 0.5 2, specular × 2, metalness × 1.5"
+    same = apply_edit(asset, AssetEdit()).material
+    np.testing.assert_allclose(same.specular_albedo, made.specular_albedo, atol=5e-7)
+
+
 def test_light_is_replaced_strength_included(tmp_path: Path) -> None:
     radiance = np.full((8, 16, 3), 2.0, np.float32)
     write_hdr(tmp_path / "even.hdr", radiance)
@@ -48,6 +66,8 @@ def test_light_is_replaced_strength_included(tmp_path: Path) -> None:
         (AssetEdit(specular=float("nan")), "--specular"),
         (AssetEdit(tint=(1, -1, 1)), "--tint"),
         (AssetEdit(light="gone.hdr"), "gone.hdr"),
+        (AssetEdit(metalness=-1), "--metalness -1: the factor must be a finite number"),
+        (AssetEdit(metalness=0.5), "--metalness: the asset's material is 'dielectric', which has none; leave it out"),
     ],
 )
 def test_invalid_edits_are_refused(edit: AssetEdit, message: str) -> None:

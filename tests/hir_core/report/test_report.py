@@ -5,21 +5,32 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hir_exporters.asset import AssetMaterial, describe
+from hir_exporters.scene_format import save_scene
 from hir_exporters.textures.image_files import read_ldr
 
 from hir_core.files.json_documents import read_json, write_json
 from hir_core.pipeline import Run
 from hir_core.plugins.manager import PluginManager
 from hir_core.rendering.view_selection import evenly_spaced_indices
-from hir_core.report import convergence, history_chart, model_selection_table, refresh_page, rendered_pictures
+from hir_core.report import (
+    convergence,
+    embedded_pictures,
+    history_chart,
+    model_selection_table,
+    refresh_page,
+    rendered_pictures,
+)
 from hir_core.report.curve_svg import block_means, curve_svg
 from hir_core.report.rendered_pictures import light_picture
 from hir_core.run.run_directory import STAGE_NAMES, RunDirectory
+from hir_core.testing.assets import textured_asset
 
 SHOOT = Path(__file__).resolve().parents[3] / "tools" / "shoot_report.py"
 
@@ -92,6 +103,19 @@ def test_few_samples_give_the_figures_of_many(finished: Run, tmp_path: Path) -> 
         assert few["object"] != many["object"], "both are the same renders"
         assert few["object"] == pytest.approx(many["object"], abs=0.15)
         assert few["frame"] == pytest.approx(many["frame"], abs=0.15)
+
+
+def test_metalness_is_shown_where_the_asset_has_it(tmp_path: Path) -> None:
+    metalness = np.array([[0.0, 1.0], [0.25, 1.0]])
+    for name, m in (("texture", metalness), ("constant", 0.5)):
+        asset = replace(textured_asset(), material=AssetMaterial.metallic([0.9, 0.6, 0.2], m, 0.1))
+        save_scene(asset, tmp_path / name)
+        shown = rendered_pictures.asset_pictures(tmp_path / name)["metalness"]
+        np.testing.assert_allclose(shown[..., 0], m if name == "texture" else np.full((32, 32), 0.5))
+    save_scene(textured_asset(), tmp_path / "dielectric")
+    assert "metalness" not in rendered_pictures.asset_pictures(tmp_path / "dielectric")
+    page = embedded_pictures.textures(RunDirectory(tmp_path), describe(asset))
+    assert "Metalness, one value" in page and "0.500" in page
 
 
 def test_history_has_the_figures_of_the_run(finished: Run, tmp_path: Path) -> None:

@@ -8,12 +8,13 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import torch
-from hir_exporters.materials.brdf_numpy import albedo_terms, dielectric_brdf, paper_brdf
+from hir_exporters.materials.brdf_numpy import albedo_terms, dielectric_brdf, metallic_brdf, paper_brdf
 
+from hir_core.scene import Material
 from hir_plugins.reflectance_renderers import brdf_torch
 from hir_plugins.reflectance_renderers.brdf_torch import evaluate, ggx_d, smith_g1
 
-MODELS = ("paper", "dielectric")
+MODELS = ("paper", "dielectric", "metallic")
 
 
 def unit(rng: np.random.Generator, count: int) -> torch.Tensor:
@@ -86,6 +87,21 @@ def test_values_are_the_exporters_formulas(model: str, reference: Callable[..., 
         **cosines(wi, wo),
     )
     expected = reference(wi.numpy(), wo.numpy(), rho_d, rho_s, alpha) * wi.numpy()[:, 2:]
+    np.testing.assert_allclose(values.numpy(), expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("alpha", [1e-4, 0.02, 0.3, 1.0])
+@pytest.mark.parametrize("m", [0.0, 0.5, 1.0])
+def test_metallic_values_are_the_exporters_formula(m: float, alpha: float) -> None:
+    """A metal, a half-metal and a dielectric, from `Material`'s albedos, against the formula in the parameters."""
+    rng = np.random.default_rng(6)
+    wi, wo = unit(rng, 400), unit(rng, 400)
+    wi[:200] = wo[:200] * torch.tensor([-1.0, -1.0, 1.0])  # half of them in the peak
+    base = torch.from_numpy(rng.random(3))
+    width = torch.tensor([alpha], dtype=torch.float64)
+    made = Material.metallic(base, torch.tensor([m], dtype=torch.float64), width, dielectric_f0=0.06)
+    values = evaluate(made.model, made.diffuse_albedo, made.specular_albedo, width, **cosines(wi, wo))
+    expected = metallic_brdf(wi.numpy(), wo.numpy(), base.numpy(), np.full(400, m), alpha, 0.06) * wi.numpy()[:, 2:]
     np.testing.assert_allclose(values.numpy(), expected, rtol=1e-6)
 
 

@@ -4,7 +4,7 @@ import { HDRLoader } from 'HDRLoader';
 import { OrbitControls } from 'OrbitControls';
 
 const LIGHT_ROTATION_RAD = -Math.PI / 2; // three.js puts +X at the centre of a lat-long map, hir +Z
-const CHANNELS = { albedo: 0, specular: 1, roughness: 2 };
+const CHANNELS = { albedo: 0, specular: 1, roughness: 2, metalness: 3 };
 
 /**
  * Displays the bytes of a .glb under the bytes of an .hdr, or under a uniform light. The first camera looks from
@@ -210,8 +210,8 @@ function channelMaterial(lit, channel) {
         float metal = orm.b * metalness;
         vec3 specularF0 = min(f0 * texture2D(tint, texcoord).rgb * tintFactor, 1.0) * texture2D(weight, texcoord).a * weightFactor;
         vec3 value = channel == 0 ? color : mix(specularF0, color, metal);
-        gl_FragColor = vec4(channel == 2 ? vec3(orm.g * roughness) : value, 1.0);
-        if (channel != 2) gl_FragColor = linearToOutputTexel(gl_FragColor);
+        gl_FragColor = vec4(channel == 2 ? vec3(orm.g * roughness) : channel == 3 ? vec3(metal) : value, 1.0);
+        if (channel < 2) gl_FragColor = linearToOutputTexel(gl_FragColor);
       }`,
   });
 }

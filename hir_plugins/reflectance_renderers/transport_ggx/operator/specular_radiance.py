@@ -54,7 +54,7 @@ class SpecularMatrices:
         self._w_matrix = self._pattern.matrix(self._w)
         self._slopes = [self._pattern.matrix(lobes.matrix_entries(values)) for values in slopes]
         self._w_transposed = self._pattern.transposed(self._w)
-        if self._model == "dielectric":
+        if self._model != "paper":
             self._g_matrix = self._pattern.matrix(self._g)
             self._g_transposed = self._pattern.transposed(self._g)
             a, b = directional_albedo_terms(lobes.cosine_of_eye(normal)[:, None], alpha)
@@ -106,7 +106,7 @@ class _Specular(torch.autograd.Function):
         block = ctx.block
         # the light's gradient leaves out the first-order terms: they vanish at every refresh
         light = block._w_transposed @ (rho_s * gradient)
-        if block._model == "dielectric":
+        if block._model != "paper":
             light = light + block._g_transposed @ ((1 - rho_s) * gradient)
         rho = gradient * factor
         rho = rho.sum(dim=1, keepdim=True) if rho_s.shape[1] == 1 else rho

@@ -112,6 +112,16 @@ def test_a_file_that_is_cut_short_is_a_warning(tmp_path: Path) -> None:
     assert "cannot be read back" in found.warnings[0] and "ball.glb" in found.sentence()
 
 
+def test_a_metallic_asset_is_rendered_from_its_file_as_metallic(tmp_path: Path) -> None:
+    """Stripes of half metal, where another reading of the file would show."""
+    base, rows = np.full((64, 64, 3), [0.9, 0.6, 0.2]), np.linspace(0, 12, 64)
+    metalness = 0.5 + 0.5 * np.sin(rows)[:, None] * np.ones((64, 64))
+    asset = replace(ball("dielectric"), material=AssetMaterial.metallic(base, metalness, 0.1))
+    found = verified(asset, tmp_path)
+    assert found.warnings == () and "as `metallic`" in found.report["rendered"]
+    assert found.report["psnr"]["object"] > 50 and found.report["brdf"] < 0.01
+
+
 @pytest.mark.parametrize(
     ("model", "profile"),
     [

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hir_exporters.asset import Asset
+from hir_exporters.asset import Asset, AssetMaterial
 from hir_exporters.conventions import direction_to_latlong_uv, linear_to_srgb, srgb_to_linear
 from hir_exporters.files.atomic import write_text_atomic
 from hir_exporters.formats import create_exporter
@@ -181,6 +181,16 @@ def test_channels_show_the_maps(page: Path, shot: Shot) -> None:
     assert np.ptp(wires[SIDE // 2 - 40 : SIDE // 2 + 40, SIDE // 2], axis=0).max() > 0.1
     normals = shot(page, "channel=normals")[SIDE // 2, SIDE // 2]
     assert normals[2] > 0.8, "the middle faces the camera"
+
+
+def test_metalness_is_a_channel(shot: Shot, tmp_path: Path) -> None:
+    metal = AssetMaterial.metallic([0.9, 0.6, 0.2], 0.75, 0.16)
+    create_exporter("glb").write(replace(asset(), material=metal), tmp_path / "metal.glb")
+    with pytest.raises(SystemExit) as stop:
+        main(["view", str(tmp_path / "metal.glb"), "--save", str(tmp_path / "page.html"), "-q"])
+    assert stop.value.code == 0
+    middle = shot(tmp_path / "page.html", "channel=metalness")[SIDE // 2, SIDE // 2]
+    np.testing.assert_allclose(middle, 0.75, atol=1.5 / 255)
 
 
 @pytest.mark.slow
