@@ -74,7 +74,7 @@ def test_what_cannot_be_compared_is_named() -> None:
     full = np.ones((6, 8), np.float32)
     with pytest.raises(CaptureError, match=r"^view b has no camera; run an initializer that finds cameras first$"):
         SilhouetteTargets.from_views([view("a", full), view("b", full, None)])
-    with pytest.raises(CaptureError, match="^view c has no mask; set mask sources with --set"):
+    with pytest.raises(CaptureError, match=r"^view c has no mask; set mask sources with --set"):
         SilhouetteTargets.from_views([view("c", None)])
     sick = full.copy()
     sick[1, 1] = np.inf
