@@ -15,7 +15,8 @@ from hir_exporters.asset import BRDF_MODELS, Asset, AssetEnvironment, AssetMater
 from hir_exporters.errors import ExportError, InputError
 from hir_exporters.files.atomic import atomic_directory, write_bytes_atomic, write_text_atomic
 from hir_exporters.mesh.ply_format import decode_ply, encode_ply
-from hir_exporters.textures.image_files import MAX_PIXELS, read_exr, write_exr
+from hir_exporters.textures.image_files import read_exr, write_exr
+from hir_exporters.textures.pillow_images import MAX_PIXELS
 
 FORMAT: Final = "hir-scene"
 VERSION: Final = 1

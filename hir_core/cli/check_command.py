@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import click
 
-from hir_core.errors import InputError
+from hir_core.errors import HirError, InputError
 from hir_core.terminal.command_options import FOLDER, plugin_option, verbosity_options
 
 if TYPE_CHECKING:
@@ -89,13 +89,15 @@ def check_command(
 def surface_of(mesh: Path, capture: Capture) -> tuple[Array, Array]:
     """Vertices and unit normals (N, 3) of a mesh file in the capture's axes, moved to the world of its cameras."""
     import numpy as np
-    import trimesh
+    from hir_exporters.reading.mesh_references import load_mesh_scene
 
     if not mesh.is_file():
         raise InputError(f"--mesh {mesh}: no such file")
     try:
-        loaded = cast(trimesh.Trimesh, trimesh.load(mesh, force="mesh"))
+        loaded = load_mesh_scene(mesh).to_mesh()
         positions, normals = np.asarray(loaded.vertices, float), np.asarray(loaded.vertex_normals, float)
+    except HirError:
+        raise
     except Exception as error:  # parsers of trimesh raise many types
         raise InputError(f"{mesh} cannot be read as a mesh ({type(error).__name__}: {error})") from error
     if not len(loaded.faces) or not np.isfinite(positions).all():

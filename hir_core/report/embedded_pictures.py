@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from hir_exporters.textures.pillow_images import open_image
 from markupsafe import Markup
 
 from hir_core.errors import InputError
@@ -94,9 +95,9 @@ def picture_uri(path: Path, side: int = EMBEDDED_SIDE) -> str:
     from PIL import Image
 
     try:
-        with Image.open(path) as opened:
+        with open_image(path) as opened:
             picture = opened.convert("RGB")
-    except OSError as error:
+    except (InputError, OSError) as error:
         raise InputError(f"{path} cannot be read ({error}); write it again with: hir report") from error
     picture.thumbnail((side, side), Image.Resampling.LANCZOS)
     stream = io.BytesIO()

@@ -150,7 +150,7 @@ def test_usd_composes_no_layer_outside_its_folder(capture: Path) -> None:
 def test_a_usd_that_ends_openusd_is_refused(tmp_path: Path) -> None:
     """The fuzzer's finding: read in this process, it would end the tests (\"Dereferenced an invalid SdfPrimSpec\")."""
     (tmp_path / "x.usdz").write_bytes((Path(__file__).parent / "ends_openusd.usdz").read_bytes())
-    with pytest.raises(HirError, match="ended the process that read it") as found:
+    with pytest.raises(HirError, match="crashed OpenUSD") as found:
         load_mesh_asset(tmp_path / "x.usdz")
     assert "\n" not in str(found.value)
 
@@ -290,7 +290,7 @@ def test_what_the_fuzzer_found_stays_mended(tmp_path: Path) -> None:
     with pytest.raises(HirError):
         read_capture(tmp_path / "model", "train", plugins)
     (tmp_path / "thin.obj").write_text("v 0\nv 1\nv 2\nvt 0 1\nvt 1 1\nvt 1 0\nf 1/1 2/2 3/3\n")
-    with pytest.raises(HirError, match=r"mesh\.positions are not three numbers"):
+    with pytest.raises(HirError, match=r"mesh\.positions does not have three numbers"):
         load_mesh_asset(tmp_path / "thin.obj")
     seeds.mesh(tmp_path)
     document = json.loads((tmp_path / "mesh.gltf").read_text())
@@ -301,7 +301,7 @@ def test_what_the_fuzzer_found_stays_mended(tmp_path: Path) -> None:
         load_mesh_asset(tmp_path / "mixed.gltf")
     square = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 1\nvt 1 1\nvt 1 0\nf 1/1 2/2 3/3\n"
     (tmp_path / "null.obj").write_text("mtllib a\0b.mtl\n" + square)
-    with pytest.raises(HirError, match="which is no file"):
+    with pytest.raises(HirError, match="which is not a file name"):
         load_mesh_asset(tmp_path / "null.obj")
     (tmp_path / "long.obj").write_text(f"mtllib {'a' * 5000}.mtl\n" + square)
     assert len(load_mesh_asset(tmp_path / "long.obj").mesh.faces) == 1, "a material that is not there is none"

@@ -10,10 +10,11 @@ import numpy as np
 import torch
 from hir_exporters.conventions import flip_v, srgb_to_linear
 from hir_exporters.mesh.vertex_welding import weld
+from hir_exporters.reading.mesh_references import load_mesh_scene
 from numpy.typing import NDArray
 
 from hir_core.capture import Array, Capture, similarity_scale
-from hir_core.errors import CaptureError, ConfigError
+from hir_core.errors import CaptureError, ConfigError, HirError
 from hir_core.plugins.interfaces import Initializer
 from hir_core.scene import Mesh, Scene, Topology
 from hir_plugins.initializers.existing_mesh.mesh_alignment import align_mesh
@@ -134,8 +135,9 @@ def load_mesh(path: Path) -> trimesh.Trimesh:
     if path.stat().st_size > _MAX_BYTES:
         raise CaptureError(f"{path} is larger than {_MAX_BYTES >> 30} GB; simplify it first")
     try:
-        loaded = trimesh.load(path, process=False)
-        mesh = loaded.to_mesh() if isinstance(loaded, trimesh.Scene) else loaded
+        mesh = load_mesh_scene(path, process=False).to_mesh()
+    except HirError as error:
+        raise CaptureError(str(error)) from None
     except Exception as error:  # trimesh's loaders raise many types on broken files
         raise CaptureError(f"{path} cannot be read as a mesh ({' '.join(str(error).split())[:200]})") from None
     if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
