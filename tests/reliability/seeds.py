@@ -65,6 +65,7 @@ def run(folder: Path) -> None:
     stages = {
         name: {"report": {"triangles": 12, "iou": 0.9, "warnings": []}, "warnings": ["thin"]} for name in STAGE_NAMES
     }
+    stages["export"]["report"] = {"glb": {"verified": {"brdf": 0.01, "psnr": {"object": 40.0}}}}
     directory.write_run(
         {
             "capture": {
