@@ -273,7 +273,7 @@ def read_toml(path: Path) -> dict[str, Any]:
             table = tomllib.load(stream)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # also of an integer of more than 4300 digits
         raise ConfigError(f"{path}: not valid TOML: {error}") from None
     if _depth(table) > MAX_SETTINGS_DEPTH:
         raise ConfigError(f"{path}: its tables and lists are nested deeper than {MAX_SETTINGS_DEPTH} levels")
@@ -296,7 +296,7 @@ def assign(table: dict[str, Any], assignment: str) -> None:
         raise ConfigError(f"--set {assignment!r}: write it as key=value, such as geometry.iterations=100")
     try:
         value = tomllib.loads(f"value = {text.strip()}")["value"]
-    except (tomllib.TOMLDecodeError, RecursionError):
+    except (ValueError, RecursionError):
         value = text.strip()
     *parents, leaf = [part.strip() for part in key.split(".")]
     if len(parents) + _depth(value) > MAX_SETTINGS_DEPTH:

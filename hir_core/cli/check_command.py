@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from hir_core.errors import HirError, InputError
+from hir_core.files.file_names import on_one_line
 from hir_core.terminal.command_options import FOLDER, plugin_option, verbosity_options
 
 if TYPE_CHECKING:
@@ -79,7 +80,7 @@ def check_command(
         print_views(check, verbose)
     click.echo(summary(found, check))
     for sentence in check.advice:
-        click.echo(f"→ {sentence}")
+        click.echo(f"→ {on_one_line(sentence)}")
     if not check.advice:
         click.echo("no problems found")
     if sheet is not None and not quiet:
@@ -139,7 +140,7 @@ def print_views(check: CaptureCheck, every: bool) -> None:
         table.add_column(heading, justify="left" if heading == "photograph" else "right")
     for v in views:
         table.add_row(
-            v.name.replace("[", "\\["),
+            on_one_line(v.name).replace("[", "\\["),
             f"{v.width}×{v.height}",
             "–" if v.agreement is None else f"{v.agreement:.2f}",
             f"{v.sharpness:.2f}",

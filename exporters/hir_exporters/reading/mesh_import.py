@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from hir_exporters.asset import Asset, AssetMaterial, AssetMesh, validate_asset
 from hir_exporters.errors import HirError, InputError
+from hir_exporters.files.regular_files import check_regular_file
 from hir_exporters.materials.material_conversion import collapse_uniform_textures
 from hir_exporters.materials.surfaces import MetallicSurface
 from hir_exporters.reading.asset_decoding import decode_asset, decode_surface
@@ -25,7 +26,6 @@ from hir_exporters.reading.mesh_references import check_references, load_mesh_sc
 from hir_exporters.reading.mtl_import import read_mtl
 from hir_exporters.reading.readback import gltf_scene, read_gltf_surface
 from hir_exporters.reading.usd_import import read_untrusted_usd
-from hir_exporters.textures.pillow_images import check_regular_file
 
 Array = NDArray[np.floating]
 

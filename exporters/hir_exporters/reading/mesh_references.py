@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import base64
 import binascii
-import json
 import re
 import struct
 from collections.abc import Iterator
@@ -18,7 +17,9 @@ from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import unquote
 
 from hir_exporters.errors import HirError, InputError
-from hir_exporters.textures.pillow_images import check_regular_file, open_image
+from hir_exporters.files.regular_files import check_regular_file
+from hir_exporters.files.untrusted_json import parse_json
+from hir_exporters.textures.pillow_images import open_image
 
 if TYPE_CHECKING:
     import trimesh
@@ -141,7 +142,7 @@ def _gltf_content(path: Path) -> tuple[dict[str, Any], bytes]:
         (length,) = struct.unpack_from("<I", data, 12)
         binary = data[20 + length + 8 :]
         data = data[20 : 20 + length]
-    document = json.loads(data.decode("utf-8-sig"))
+    document = parse_json(data)
     if not isinstance(document, dict):
         raise InputError(f"{path} is not a glTF document; export it again")
     return document, binary

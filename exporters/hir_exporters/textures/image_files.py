@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from hir_exporters.errors import ExportError, InputError
 from hir_exporters.files.atomic import atomic_path, write_bytes_atomic
 from hir_exporters.files.native_output import suppress_native_output
-from hir_exporters.textures.pillow_images import MAX_PIXELS, check_regular_file, open_image
+from hir_exporters.files.regular_files import check_regular_file
+from hir_exporters.textures.pillow_images import MAX_PIXELS, open_image
 from hir_exporters.textures.png_encoding import png_bytes
 from hir_exporters.textures.rgbe import RgbeError, decode_rgbe, encode_rgbe, read_size
 

@@ -7,12 +7,12 @@ is therefore opened here, and nowhere else (`tests/architecture/test_image_openi
 from __future__ import annotations
 
 import io
-import os
 import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from hir_exporters.errors import InputError
+from hir_exporters.files.regular_files import check_regular_file
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -53,17 +53,3 @@ def open_image(source: Path | bytes, max_pixels: int = MAX_PIXELS, name: str = "
         reason = "has no pixels" if min(image.size) <= 0 else f"more than {max_pixels} pixels; reduce it"
         raise InputError(f"{name} is {image.width} x {image.height}, {reason}")
     return image
-
-
-def check_regular_file(path: str | os.PathLike[str]) -> Path:
-    """The path of a regular file; a folder, a pipe, a device or a missing file raises `InputError`."""
-    file = Path(path)
-    try:
-        if file.is_file():
-            return file
-        if not file.exists():
-            raise InputError(f"{file} does not exist")
-    except (OSError, ValueError) as error:  # longer than the system allows, or characters that it does not allow
-        reason = getattr(error, "strerror", None) or error
-        raise InputError(f"{str(file)[:200]!r} cannot be opened: {reason}") from error
-    raise InputError(f"{file} {'is a folder, not a file' if file.is_dir() else 'is not a regular file'}")

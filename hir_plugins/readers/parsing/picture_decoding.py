@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
+from hir_exporters.files.regular_files import check_regular_file
 from hir_exporters.textures.image_files import read_hdr
-from hir_exporters.textures.pillow_images import MAX_PIXELS, check_regular_file, open_image
+from hir_exporters.textures.pillow_images import MAX_PIXELS, open_image
 from numpy.typing import NDArray
 
 from hir_core.errors import CaptureError, InputError, MissingExtraError
