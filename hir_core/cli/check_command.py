@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,7 +16,7 @@ from hir_core.files.file_names import on_one_line
 from hir_core.terminal.command_options import FOLDER, plugin_option, verbosity_options
 
 if TYPE_CHECKING:
-    from hir_core.capture import Array, Capture
+    from hir_core.capture import Array, Capture, Pixels
     from hir_core.intake.check_result import CaptureCheck
 
 ROWS = 12
@@ -36,6 +38,13 @@ ROWS = 12
     metavar="FILE",
     help="A mesh of the object, in the capture's axes: detects a light that moves with the camera.",
 )
+@click.option(
+    "--photographs",
+    type=click.IntRange(0),
+    default=0,
+    metavar="N",
+    help="Check N photographs, evenly spaced, instead of all of them.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @plugin_option
 @verbosity_options
@@ -45,6 +54,7 @@ def check_command(
     reader: str,
     sheet: Path | None,
     mesh: Path | None,
+    photographs: int,
     as_json: bool,
     plugin_files: tuple[str, ...],
     quiet: bool,
@@ -60,11 +70,16 @@ def check_command(
     from hir_core.intake.mask_sources import with_automatic_masks
     from hir_core.intake.reader_lookup import read_capture
     from hir_core.plugins.manager import PluginManager
+    from hir_core.rendering.view_selection import evenly_spaced_indices
 
     if sheet is not None and sheet.suffix.lower() != ".png":
         raise InputError(f"--sheet {sheet}: the contact sheet is a PNG; give a name that ends in .png")
     plugins = PluginManager.discover(plugin_files)
-    found = with_automatic_masks(read_capture(capture, split, plugins, reader), plugins)
+    whole = read_capture(capture, split, plugins, reader)
+    if photographs:
+        chosen = evenly_spaced_indices(len(whole.views), photographs)
+        whole = replace(whole, views=tuple(whole.views[i] for i in chosen))
+    found = with_automatic_masks(whole if quiet else with_progress(whole), plugins)
     if not found.views:
         raise InputError(f"{capture} has no photographs in the split {split}; give the folder of a capture")
     check = check_capture(found, None if mesh is None else surface_of(mesh, found))
@@ -85,6 +100,30 @@ def check_command(
         click.echo("no problems found")
     if sheet is not None and not quiet:
         click.echo(str(sheet))
+
+
+def with_progress(capture: Capture) -> Capture:
+    """The capture with views that say on stderr, every `LINE_SECONDS`, how many photographs have been decoded."""
+    from hir_core.plugins.progress import Throttle
+    from hir_core.terminal.progress_bar import LINE_SECONDS
+
+    throttle, decoded = Throttle(LINE_SECONDS), count(1)
+
+    def counted(read: Callable[[], Pixels]) -> Callable[[], Pixels]:
+        def read_and_report() -> Pixels:
+            pixels, number = read(), next(decoded)
+            if throttle.ready:
+                throttle.restart()
+                click.echo(
+                    f"decoded {number} of about {2 * len(capture.views)} (each photograph twice); "
+                    "--photographs N checks fewer, Ctrl-C stops",
+                    err=True,
+                )
+            return pixels
+
+        return read_and_report
+
+    return replace(capture, views=tuple(replace(view, read=counted(view.read)) for view in capture.views))
 
 
 def surface_of(mesh: Path, capture: Capture) -> tuple[Array, Array]:

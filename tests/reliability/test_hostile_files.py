@@ -18,7 +18,7 @@ from hir_exporters.errors import HirError
 from hir_exporters.reading.mesh_import import load_mesh_asset
 from hir_exporters.textures.image_files import encode_png, read_exr, read_hdr, read_ldr
 
-from hir_plugins.initializers.existing_mesh.mesh_file import load_mesh
+from hir_plugins.initializers.existing_mesh.mesh_loading import load_mesh
 from hir_plugins.readers.parsing.pose_files import load_arrays
 from tests.reliability import seeds
 

@@ -78,7 +78,7 @@ def test_a_postscript_texture_starts_no_program(ghostscript: Path, tmp_path: Pat
 
     from hir_exporters.reading.mesh_import import load_mesh_asset
 
-    from hir_plugins.initializers.existing_mesh.mesh_file import load_mesh
+    from hir_plugins.initializers.existing_mesh.mesh_loading import load_mesh
     from tests.reliability.test_hostile_files import triangle_gltf
 
     (tmp_path / "t.png").write_bytes(EPS)

@@ -11,7 +11,7 @@ from hir_exporters.errors import HirError
 from hir_core.run.run_directory import claimed_run, open_run
 from tests.reliability import seeds
 
-PLACES = (
+LINKED = (
     "run.json",
     ".lock",
     "log.txt",
@@ -29,7 +29,7 @@ def run(tmp_path: Path) -> Path:
     return tmp_path / "run"
 
 
-@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("place", LINKED)
 def test_a_link_in_a_run_is_refused_and_nothing_is_written_through_it(
     place: str, run: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -37,9 +37,7 @@ def test_a_link_in_a_run_is_refused_and_nothing_is_written_through_it(
 
     outside = run.parent / "outside"
     is_folder = (run / place).is_dir()
-    if is_folder:
-        (run / place).rename(outside)
-    elif (run / place).exists():
+    if is_folder or (run / place).exists():
         (run / place).rename(outside)
     else:
         outside.write_text("precious")

@@ -40,8 +40,6 @@ def rigid_transform(matrix: object, owner: str, tolerance: float = 1e-2) -> Arra
         raise CaptureError(f"{owner}: the camera's matrix has the shape {array.shape}; write 4×4 numbers")
     if not np.isfinite(array).all():
         raise CaptureError(f"{owner}: the camera's matrix contains NaN or infinite values; export the cameras again")
-    if array.shape == (4, 4) and np.abs(array[3] - [0, 0, 0, 1]).max() > 1e-6:
-        raise CaptureError(f"{owner}: the last row of the camera's matrix is not 0 0 0 1; export the cameras again")
     lengths = np.linalg.norm(array[:3, :3], axis=0)
     if not (lengths > 1e-9).all():
         raise CaptureError(f"{owner}: the camera's matrix has an axis of zero length; export the cameras again")
@@ -50,6 +48,8 @@ def rigid_transform(matrix: object, owner: str, tolerance: float = 1e-2) -> Arra
         raise CaptureError(f"{owner}: the camera's axes are skewed; write a rotation and a position")
     if np.linalg.det(u @ vt) < 0:
         raise CaptureError(f"{owner}: the camera's axes are mirrored (left-handed); negate one axis")
+    if array.shape == (4, 4) and np.abs(array[3] - [0, 0, 0, 1]).max() > 1e-6:
+        raise CaptureError(f"{owner}: the last row of the camera's matrix is not 0 0 0 1; export the cameras again")
     result = np.eye(4)
     result[:3, :3] = u @ vt
     result[:3, 3] = array[:3, 3]
