@@ -205,7 +205,8 @@ class RunConfig:
     observers: dict[str, dict[str, Any] | Literal[False]] = field(default_factory=dict)
     """Options of each observer; a table, even an empty one, enables its observer."""
     plugins: tuple[str, ...] = ()
-    """Plugin files or modules in addition to the installed ones."""
+    """Plugin files or modules in addition to the installed ones. Set on the command line only, by `--plugin`: their
+    code is executed."""
 
 
 def load_config(
@@ -216,8 +217,11 @@ def load_config(
     assignments: Sequence[str] = (),
     **overrides: Any,
 ) -> RunConfig:
-    """Merges preset, TOML file, `--set key=value` and keyword overrides, later ones winning; checks every key."""
-    from_file = read_toml(file) if file else {}
+    """Merges preset, TOML file, `--set key=value` and keyword overrides, later ones winning; checks every key.
+
+    A file that sets `plugins` is refused: files of settings run no code.
+    """
+    from_file = _without_plugins(file, read_toml(file)) if file else {}
     assigned: dict[str, Any] = {}
     for assignment in assignments:
         assign(assigned, assignment)
@@ -226,7 +230,7 @@ def load_config(
             raise ConfigError(f"preset is {name!r}; it is the name of a preset: {', '.join(plugins.presets())}")
         preset = preset or name
     preset = preset or _default_preset(plugins)
-    settings: dict[str, Any] = read_toml(plugins.preset(preset))
+    settings: dict[str, Any] = _without_plugins(plugins.preset(preset), read_toml(plugins.preset(preset)))
     settings.pop(DEFAULT_PRESET, None)
     for layer in (from_file, assigned, {k: v for k, v in overrides.items() if v is not None}):
         settings = merge(settings, layer)
@@ -238,6 +242,16 @@ def load_config(
         plugins.register_named(name)
     _check_components(config, plugins)
     return config
+
+
+def _without_plugins(file: Path, table: dict[str, Any]) -> dict[str, Any]:
+    """The table of a settings file; one that names plugins is a `ConfigError`, because their code would be executed."""
+    if table.get("plugins", []) != []:
+        raise ConfigError(
+            f"{file}: plugins are not loaded from a file of settings, because their code is executed; name them on the "
+            "command line: --plugin FILE"
+        )
+    return table
 
 
 def _default_preset(plugins: PluginManager) -> str:
@@ -259,7 +273,7 @@ def read_toml(path: Path) -> dict[str, Any]:
             table = tomllib.load(stream)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # also of an integer of more than 4300 digits
         raise ConfigError(f"{path}: not valid TOML: {error}") from None
     if _depth(table) > MAX_SETTINGS_DEPTH:
         raise ConfigError(f"{path}: its tables and lists are nested deeper than {MAX_SETTINGS_DEPTH} levels")
@@ -282,7 +296,7 @@ def assign(table: dict[str, Any], assignment: str) -> None:
         raise ConfigError(f"--set {assignment!r}: write it as key=value, such as geometry.iterations=100")
     try:
         value = tomllib.loads(f"value = {text.strip()}")["value"]
-    except (tomllib.TOMLDecodeError, RecursionError):
+    except (ValueError, RecursionError):
         value = text.strip()
     *parents, leaf = [part.strip() for part in key.split(".")]
     if len(parents) + _depth(value) > MAX_SETTINGS_DEPTH:

@@ -18,7 +18,15 @@ from pathlib import Path
 from packaging.requirements import Requirement
 
 ROOT = Path(__file__).resolve().parent.parent
-TESTS = ["tests/exporters", "tests/hir_core/plugins/test_manager.py"]
+TESTS = [
+    "tests/hir_exporters",
+    "tests/hir_core/plugins/test_manager.py",
+    "tests/reliability/test_hostile_files.py",
+    "tests/reliability/test_hostile_images.py",
+    "tests/reliability/test_hostile_meshes.py",
+]
+"""Hostile files too: what an old library opens, a new one may refuse."""
+
 TOOLS = ["pytest", "hypothesis", "mpmath", "jsonschema"]
 
 

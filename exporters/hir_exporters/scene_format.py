@@ -14,9 +14,12 @@ from numpy.typing import NDArray
 from hir_exporters.asset import BRDF_MODELS, Asset, AssetEnvironment, AssetMaterial, validate_asset
 from hir_exporters.errors import ExportError, InputError
 from hir_exporters.files.atomic import atomic_directory, write_bytes_atomic, write_text_atomic
+from hir_exporters.files.regular_files import refuse_special_file
+from hir_exporters.files.untrusted_json import parse_json
 from hir_exporters.mesh.ply_format import decode_ply, encode_ply
 from hir_exporters.metallic_parameters import DEFAULT_DIELECTRIC_F0
-from hir_exporters.textures.image_files import MAX_PIXELS, read_exr, write_exr
+from hir_exporters.textures.image_files import read_exr, write_exr
+from hir_exporters.textures.pillow_images import MAX_PIXELS
 
 FORMAT: Final = "hir-scene"
 VERSION: Final = 1
@@ -181,7 +184,7 @@ def _inside(folder: Path, name: object, entry: str) -> Path:
 def _read_json(source: Path) -> dict[str, Any]:
     data = _read_bytes(source, _MAX_JSON_BYTES)
     try:
-        document = json.loads(data)
+        document = parse_json(data)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{source} is not JSON ({error})") from error
     if not isinstance(document, dict):
@@ -190,6 +193,7 @@ def _read_json(source: Path) -> dict[str, Any]:
 
 
 def _read_bytes(path: Path, limit: int = 8 << 30) -> bytes:
+    refuse_special_file(path)
     try:
         if path.stat().st_size > limit:
             raise InputError(f"{path} is larger than {limit} bytes")

@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from hir_exporters.textures.pillow_images import open_image
+
 _FOCAL_LENGTH, _FOCAL_35MM = 0x920A, 0xA405
 _PIXELS_ACROSS, _PLANE_RESOLUTION, _PLANE_UNIT = 0xA002, 0xA20E, 0xA210
 _MODEL, _EXIF, _FLASH = 0x0110, 0x8769, 0x9209
@@ -27,10 +29,8 @@ class CameraRecord:
 
 def camera_record(path: Path) -> CameraRecord:
     """The EXIF record of a photograph; an empty one where there is none or it is broken."""
-    from PIL import Image
-
     try:
-        with Image.open(path) as image:
+        with open_image(path) as image:
             exif = image.getexif()
             model, table = str(exif.get(_MODEL, "")).strip("\0 "), dict(exif.get_ifd(_EXIF))
     except Exception:  # decoders raise many types on broken records; without a record only the guess is lost
@@ -41,10 +41,8 @@ def camera_record(path: Path) -> CameraRecord:
 
 def gps_position(path: Path) -> tuple[float, float, float] | None:
     """Latitude and longitude in degrees and height in metres that a photograph records; None where it does not."""
-    from PIL import Image
-
     try:
-        with Image.open(path) as image:
+        with open_image(path) as image:
             table = dict(image.getexif().get_ifd(_GPS))
         degrees = [sum(float(part) / 60**i for i, part in enumerate(table[key])) for key in (2, 4)]
         height = float(table.get(6, 0.0)) * (-1 if table.get(5) in (1, b"\x01") else 1)

@@ -13,6 +13,9 @@ from hir_core.capture.camera import Array, Camera
 from hir_core.capture.pixels import Pixels
 from hir_core.errors import CaptureError, MissingExtraError
 
+MAX_DISPLACEMENT = 10.0
+"""A lens whose distortion moves the border of the image further than this, in image sizes, is refused."""
+
 
 @dataclass(frozen=True)
 class Lens:
@@ -43,6 +46,10 @@ def camera_lens(camera: Camera, distortion: tuple[float, ...]) -> Lens:
     k = camera.intrinsics
     intrinsics = (float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]))
     lens = Lens(intrinsics, tuple(distortion), "radial", intrinsics)
+    border = lens.distort(_border(camera.width, camera.height)) - intrinsics[2:]
+    moved, size = float(np.abs(border).max(initial=0.0)), max(camera.width, camera.height)
+    if not moved < MAX_DISPLACEMENT * (size + max(map(abs, intrinsics[2:]))):
+        raise CaptureError(f"the distortion coefficients {distortion} move the image by {moved:.3g} pixels; check them")
     if not _is_monotonic(lens, camera.width, camera.height):
         raise CaptureError(f"the distortion coefficients {distortion} fold the image over itself; check them")
     return lens
@@ -151,6 +158,8 @@ def _is_monotonic(lens: Lens, width: int, height: int) -> bool:
     steps = np.linspace(0.02, 1.0, 50)[:, None, None]
     rays = centre + steps * (_border(width, height)[None] - centre)
     distorted = lens.distort(rays.reshape(-1, 2)).reshape(rays.shape)
+    if not np.isfinite(distorted).all():
+        return False
     radius = np.linalg.norm((distorted - lens.intrinsics[2:]) / lens.intrinsics[:2], axis=2)
     reach = np.linalg.norm((rays - centre) / lens.pinhole[:2], axis=2)
     return bool((np.diff(radius, axis=0)[np.diff(reach, axis=0) > 1e-9] > 0).all())

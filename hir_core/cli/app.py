@@ -15,6 +15,7 @@ import click
 from hir_exporters.errors import HirError
 
 from hir_core import __version__
+from hir_core.files.file_names import on_one_line
 from hir_core.run.interrupt import remember_interrupts
 
 if TYPE_CHECKING:
@@ -107,7 +108,7 @@ def main(arguments: Sequence[str] | None = None, plugins: PluginManager | None =
     except HirError as error:
         if verbose:
             traceback.print_exc()
-        click.echo(f"hir: {error}", err=True)
+        click.echo(f"hir: {on_one_line(str(error))}", err=True)
         code = INPUT_ERROR
     except (KeyboardInterrupt, click.Abort):
         code = INTERRUPTED
@@ -120,7 +121,8 @@ def main(arguments: Sequence[str] | None = None, plugins: PluginManager | None =
     except Exception as error:
         if verbose:
             traceback.print_exc()
-        click.echo(f"hir: this is a bug: {type(error).__name__}: {error} (-v prints the traceback)", err=True)
+        reason = on_one_line(f"{type(error).__name__}: {error}")
+        click.echo(f"hir: this is a bug: {reason} (-v prints the traceback)", err=True)
         code = 1
     sys.exit(code if isinstance(code, int) else 0)
 

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import click
 
-from hir_core.errors import InputError
+from hir_core.errors import HirError, InputError
+from hir_core.files.file_names import on_one_line
 from hir_core.terminal.command_options import FOLDER, plugin_option, verbosity_options
 
 if TYPE_CHECKING:
-    from hir_core.capture import Array, Capture
+    from hir_core.capture import Array, Capture, Pixels
     from hir_core.intake.check_result import CaptureCheck
 
 ROWS = 12
@@ -35,6 +38,13 @@ ROWS = 12
     metavar="FILE",
     help="A mesh of the object, in the capture's axes: detects a light that moves with the camera.",
 )
+@click.option(
+    "--photographs",
+    type=click.IntRange(0),
+    default=0,
+    metavar="N",
+    help="Check N photographs, evenly spaced, instead of all of them.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @plugin_option
 @verbosity_options
@@ -44,6 +54,7 @@ def check_command(
     reader: str,
     sheet: Path | None,
     mesh: Path | None,
+    photographs: int,
     as_json: bool,
     plugin_files: tuple[str, ...],
     quiet: bool,
@@ -59,11 +70,16 @@ def check_command(
     from hir_core.intake.mask_sources import with_automatic_masks
     from hir_core.intake.reader_lookup import read_capture
     from hir_core.plugins.manager import PluginManager
+    from hir_core.rendering.view_selection import evenly_spaced_indices
 
     if sheet is not None and sheet.suffix.lower() != ".png":
         raise InputError(f"--sheet {sheet}: the contact sheet is a PNG; give a name that ends in .png")
     plugins = PluginManager.discover(plugin_files)
-    found = with_automatic_masks(read_capture(capture, split, plugins, reader), plugins)
+    whole = read_capture(capture, split, plugins, reader)
+    if photographs:
+        chosen = evenly_spaced_indices(len(whole.views), photographs)
+        whole = replace(whole, views=tuple(whole.views[i] for i in chosen))
+    found = with_automatic_masks(whole if quiet else with_progress(whole), plugins)
     if not found.views:
         raise InputError(f"{capture} has no photographs in the split {split}; give the folder of a capture")
     check = check_capture(found, None if mesh is None else surface_of(mesh, found))
@@ -79,23 +95,49 @@ def check_command(
         print_views(check, verbose)
     click.echo(summary(found, check))
     for sentence in check.advice:
-        click.echo(f"→ {sentence}")
+        click.echo(f"→ {on_one_line(sentence)}")
     if not check.advice:
         click.echo("no problems found")
     if sheet is not None and not quiet:
         click.echo(str(sheet))
 
 
+def with_progress(capture: Capture) -> Capture:
+    """The capture with views that say on stderr, every `LINE_SECONDS`, how many photographs have been decoded."""
+    from hir_core.plugins.progress import Throttle
+    from hir_core.terminal.progress_bar import LINE_SECONDS
+
+    throttle, decoded = Throttle(LINE_SECONDS), count(1)
+
+    def counted(read: Callable[[], Pixels]) -> Callable[[], Pixels]:
+        def read_and_report() -> Pixels:
+            pixels, number = read(), next(decoded)
+            if throttle.ready:
+                throttle.restart()
+                click.echo(
+                    f"decoded {number} of about {2 * len(capture.views)} (each photograph twice); "
+                    "--photographs N checks fewer, Ctrl-C stops",
+                    err=True,
+                )
+            return pixels
+
+        return read_and_report
+
+    return replace(capture, views=tuple(replace(view, read=counted(view.read)) for view in capture.views))
+
+
 def surface_of(mesh: Path, capture: Capture) -> tuple[Array, Array]:
     """Vertices and unit normals (N, 3) of a mesh file in the capture's axes, moved to the world of its cameras."""
     import numpy as np
-    import trimesh
+    from hir_exporters.reading.mesh_references import load_mesh_scene
 
     if not mesh.is_file():
         raise InputError(f"--mesh {mesh}: no such file")
     try:
-        loaded = cast(trimesh.Trimesh, trimesh.load(mesh, force="mesh"))
+        loaded = load_mesh_scene(mesh).to_mesh()
         positions, normals = np.asarray(loaded.vertices, float), np.asarray(loaded.vertex_normals, float)
+    except HirError:
+        raise
     except Exception as error:  # parsers of trimesh raise many types
         raise InputError(f"{mesh} cannot be read as a mesh ({type(error).__name__}: {error})") from error
     if not len(loaded.faces) or not np.isfinite(positions).all():
@@ -137,7 +179,7 @@ def print_views(check: CaptureCheck, every: bool) -> None:
         table.add_column(heading, justify="left" if heading == "photograph" else "right")
     for v in views:
         table.add_row(
-            v.name.replace("[", "\\["),
+            on_one_line(v.name).replace("[", "\\["),
             f"{v.width}×{v.height}",
             "–" if v.agreement is None else f"{v.agreement:.2f}",
             f"{v.sharpness:.2f}",

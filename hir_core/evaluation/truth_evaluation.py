@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from hir_exporters.conventions import linear_to_srgb
 from hir_exporters.light.environment_map import resample_latlong, rotate_latlong
+from hir_exporters.reading.mesh_references import load_mesh_scene
 from numpy.typing import NDArray
 
 from hir_core.capture import Capture
-from hir_core.errors import InputError
+from hir_core.errors import HirError, InputError
 from hir_core.evaluation.relighting import training_light
 from hir_core.intake.reader_lookup import find_reader
 from hir_core.metrics import OBJECT_COVERAGE, ChannelScale, mean, psnr, unassociate
@@ -71,13 +72,13 @@ def true_mesh(path: Path, run: FinishedRun) -> tuple[NDArray[np.float64], NDArra
 
     `InputError` where the file is missing or no mesh of finite positions.
     """
-    import trimesh
-
     if not path.is_file():
         raise InputError(f"--mesh {path}: no such file")
     try:
-        mesh = cast(trimesh.Trimesh, trimesh.load(path, process=False, force="mesh"))
+        mesh = load_mesh_scene(path, process=False).to_mesh()
         positions, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
+    except HirError:
+        raise
     except Exception as error:  # parsers of trimesh raise many types
         raise InputError(f"{path} cannot be read as a mesh ({type(error).__name__}: {error})") from error
     if not len(faces) or not np.isfinite(positions).all():

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from hir_exporters.files.regular_files import refuse_special_file
 from numpy.typing import NDArray
 
 from hir_core.errors import InputError
@@ -13,6 +14,7 @@ from hir_core.errors import InputError
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     """All arrays of an archive by name; a missing or damaged archive, or one with objects, raises `InputError`."""
+    refuse_special_file(path)
     try:
         # numpy does not close a file that is no archive
         with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as stored:

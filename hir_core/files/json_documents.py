@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from hir_exporters.files.atomic import write_text_atomic
+from hir_exporters.files.regular_files import refuse_special_file
+from hir_exporters.files.untrusted_json import parse_json
 
 from hir_core.errors import InputError
 
@@ -19,7 +21,8 @@ def read_json(path: Path) -> dict[str, Any]:
     try:
         if path.stat().st_size > _MAX_JSON_BYTES:
             raise InputError(f"{path} is larger than {_MAX_JSON_BYTES >> 20} MiB")
-        document = json.loads(path.read_bytes())
+        refuse_special_file(path)
+        document = parse_json(path.read_bytes())
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}") from error
     except (ValueError, RecursionError) as error:

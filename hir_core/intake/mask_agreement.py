@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 
 _GRID_RESOLUTION = 56
 
+MAX_HULL_VIEWS = 300
+"""The hull is made of at most so many masks, evenly spaced; each takes about 0.1 s."""
+
 
 def mask_agreement(cameras: Sequence[Camera | None], masks: Sequence[NDArray[np.float32] | None]) -> list[float | None]:
     """Per view the IoU of its mask and the re-projected hull of all masks; None for views without mask or camera.
@@ -32,7 +35,9 @@ def mask_agreement(cameras: Sequence[Camera | None], masks: Sequence[NDArray[np.
     }
     if len(pairs) < 3:
         return result
-    hull = _consensus_hull(list(pairs.values()))
+    chosen = np.unique(np.linspace(0, len(pairs) - 1, min(len(pairs), MAX_HULL_VIEWS)).round().astype(int))
+    listed = list(pairs.values())
+    hull = _consensus_hull([listed[i] for i in chosen])
     for index, (camera, mask) in pairs.items():
         if hull is None:
             result[index] = 0.0

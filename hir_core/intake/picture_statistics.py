@@ -13,6 +13,8 @@ from hir_core.capture import Pixels
 if TYPE_CHECKING:
     pass
 
+_ROWS_AT_ONCE = 1024
+
 
 def sharpness(pixels: Pixels) -> float:
     """Ratio of fine to coarse differences of brightness inside the mask; independent of contrast, 0 if unknown."""
@@ -41,5 +43,9 @@ def find_duplicates(pixels: Sequence[Pixels]) -> list[tuple[int, int]]:
         return []
     table = np.array(prints)
     squares = (table**2).mean(axis=1)
-    gap = squares[:, None] + squares[None, :] - 2 * table @ table.T / table.shape[1]
-    return [(int(i), int(j)) for i, j in np.argwhere(np.triu(gap < 2e-5, 1))]
+    found: list[tuple[int, int]] = []
+    for start in range(0, len(table), _ROWS_AT_ONCE):  # the whole matrix of 10,000 photographs would take gigabytes
+        part = slice(start, start + _ROWS_AT_ONCE)
+        gap = squares[part, None] + squares[None, :] - 2 * table[part] @ table.T / table.shape[1]
+        found += [(int(i) + start, int(j)) for i, j in np.argwhere(np.triu(gap < 2e-5, start + 1))]
+    return found

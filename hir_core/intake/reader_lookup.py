@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from hir_core.capture import Capture
 from hir_core.errors import CaptureError
+from hir_core.files.file_names import check_text_path
 
 if TYPE_CHECKING:
     from hir_core.plugins.interfaces import CaptureReader
@@ -33,6 +34,7 @@ def find_reader(path: Path, plugins: PluginManager, name: str = "auto") -> tuple
 
 def read_capture(path: Path, split: str, plugins: PluginManager, reader: str = "auto") -> Capture:
     """The capture of one split, with the name of the reader."""
+    check_text_path(path)
     name, selected = find_reader(path, plugins, reader)
     known = selected.splits(path)
     if split not in known:

@@ -5,12 +5,15 @@ from __future__ import annotations
 import base64
 import io
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from hir_exporters.textures.pillow_images import open_image
 from markupsafe import Markup
 
 from hir_core.errors import InputError
+from hir_core.files.contained_files import named_file, regular_file_within
 from hir_core.files.json_documents import read_json
 from hir_core.report.page_templates import render
 from hir_core.report.tables import notice
@@ -45,27 +48,40 @@ THUMBNAIL_SIDE = 112
 
 def comparison(directory: RunDirectory) -> Markup:
     """Slides of photograph, fit and difference, and a strip of thumbnails that choose between them."""
-    shown = [view | {"folder": directory.report, "kind": "fitted"} for view in _fitted_views(directory)]
+    shown = _fitted_views(directory)
     for metrics in sorted(directory.path.glob("evaluation/*/metrics.json")):
-        shown += _evaluated_views(metrics)
+        shown += _evaluated_views(directory, metrics)
     if not shown:
         return notice("There is no view with a mask.")
     return render("slides.html", slides=[_slide(view) for view in shown])
 
 
-def _slide(view: Mapping[str, Any]) -> dict[str, str]:
-    paths = {kind: view["folder"] / str(view[kind]) for kind in ("true", "fit", "difference")}
-    # the size is named where the figures are of a reduced photograph
-    size = " · measured at {}×{}".format(*view["measured_at"]) if "measured_at" in view else ""
-    figures = f"object {number(view['object'], 2, ' dB')} · frame {number(view['frame'], 2, ' dB')}"
+@dataclass(frozen=True)
+class _ShownView:
+    """One view of the page: what is taken from views.json or metrics.json, and nothing else of them."""
+
+    name: str
+    kind: str
+    true: Path
+    fit: Path
+    difference: Path
+    object_psnr: float | None
+    frame_psnr: float | None
+    measured_at: tuple[int, int] | None = None
+    """Width and height of a photograph that was reduced before the figures were taken."""
+
+
+def _slide(view: _ShownView) -> dict[str, str]:
+    size = "" if view.measured_at is None else " · measured at {:d}×{:d}".format(*view.measured_at)
+    figures = f"object {number(view.object_psnr, 2, ' dB')} · frame {number(view.frame_psnr, 2, ' dB')}"
     return {
-        "name": str(view["name"]),
-        "kind": str(view["kind"]),
-        "caption": f"{view['kind']} · {figures}{size}",
-        "photograph": picture_uri(paths["true"]),
-        "fit": picture_uri(paths["fit"]),
-        "difference": picture_uri(paths["difference"]),
-        "thumbnail": picture_uri(paths["true"], THUMBNAIL_SIDE),
+        "name": view.name,
+        "kind": view.kind,
+        "caption": f"{view.kind} · {figures}{size}",
+        "photograph": picture_uri(view.true),
+        "fit": picture_uri(view.fit),
+        "difference": picture_uri(view.difference),
+        "thumbnail": picture_uri(view.true, THUMBNAIL_SIDE),
     }
 
 
@@ -78,6 +94,7 @@ def textures(directory: RunDirectory, baked: Mapping[str, Any]) -> Markup:
         if isinstance(value, float | int | list):
             tiles.append({"name": name, "value": _value(name, value), "caption": VALUES[name]})
         elif path.exists():
+            regular_file_within(directory.path, path)
             tiles.append({"name": name, "value": None, "picture": picture_uri(path), "caption": caption})
     return render("textures.html", tiles=tiles)
 
@@ -96,9 +113,9 @@ def picture_uri(path: Path, side: int = EMBEDDED_SIDE) -> str:
     from PIL import Image
 
     try:
-        with Image.open(path) as opened:
+        with open_image(path) as opened:
             picture = opened.convert("RGB")
-    except OSError as error:
+    except (InputError, OSError) as error:
         raise InputError(f"{path} cannot be read ({error}); write it again with: hir report") from error
     picture.thumbnail((side, side), Image.Resampling.LANCZOS)
     stream = io.BytesIO()
@@ -106,14 +123,17 @@ def picture_uri(path: Path, side: int = EMBEDDED_SIDE) -> str:
     return "data:image/jpeg;base64," + base64.b64encode(stream.getvalue()).decode("ascii")
 
 
-def _fitted_views(directory: RunDirectory) -> list[dict[str, Any]]:
+def _fitted_views(directory: RunDirectory) -> list[_ShownView]:
     path = directory.report / "views.json"
-    return list(read_json(path)["views"]) if path.exists() else []
+    if not path.exists():
+        return []
+    views = read_json(regular_file_within(directory.path, path))["views"]
+    return [_shown_view(directory, directory.report, view, view, str(view["name"]), "fitted") for view in views]
 
 
-def _evaluated_views(metrics: Path) -> list[dict[str, Any]]:
+def _evaluated_views(directory: RunDirectory, metrics: Path) -> list[_ShownView]:
     """The best, the median and the worst view of an evaluation."""
-    document = read_json(metrics)
+    document = read_json(regular_file_within(directory.path, metrics))
     views = sorted(document["views"], key=lambda view: view["psnr"]["object"] or 0.0)
     chosen = {0: "worst", len(views) // 2: "median", len(views) - 1: "best"}
     result = []
@@ -122,5 +142,22 @@ def _evaluated_views(metrics: Path) -> list[dict[str, Any]]:
         files = {kind: f"{stem}_{kind}.png" for kind in ("true", "fit", "difference")}
         use = "fitted" if metrics.parent.name == "train" else "unseen"
         label = f"{metrics.parent.name}, {use}, {rank}"
-        result.append(files | views[i]["psnr"] | {"name": views[i]["name"], "folder": metrics.parent, "kind": label})
+        result.append(_shown_view(directory, metrics.parent, files, views[i]["psnr"], str(views[i]["name"]), label))
     return result
+
+
+def _shown_view(
+    directory: RunDirectory,
+    folder: Path,
+    files: Mapping[str, Any],
+    figures: Mapping[str, Any],
+    name: str,
+    kind: str,
+) -> _ShownView:
+    """`files` names pictures in `folder`, `figures` has `object` and `frame` in dB and maybe `measured_at`."""
+    true, fit, difference = (named_file(directory.path, folder, files[key]) for key in ("true", "fit", "difference"))
+    size = figures.get("measured_at")
+    if size is not None:
+        width, height = map(int, size)
+        size = (width, height)
+    return _ShownView(name, kind, true, fit, difference, figures["object"], figures["frame"], size)

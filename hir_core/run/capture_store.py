@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from hir_exporters.files.atomic import atomic_path
+from hir_exporters.files.regular_files import refuse_special_file
 from numpy.typing import NDArray
 
 from hir_core.capture.camera import Camera
@@ -40,6 +41,7 @@ def fingerprint(capture: Capture) -> str:
 
 def file_hash(path: Path) -> str:
     """Hash of a file's bytes; one that cannot be read is an `InputError` that names it."""
+    refuse_special_file(path)
     try:
         with open(path, "rb") as stream:
             return hashlib.file_digest(stream, "blake2b").hexdigest()

@@ -14,6 +14,7 @@ from filelock import FileLock, Timeout
 from hir_exporters.files.atomic import is_partial, remove_partials
 
 from hir_core.errors import ConfigError, HirError, InputError, StageError
+from hir_core.files.file_names import check_text_path
 from hir_core.files.json_documents import read_json, write_json
 
 STAGE_NAMES: Final = ("initializer", "geometry", "atlas", "reflectance", "bake", "export")
@@ -154,11 +155,33 @@ def check_stage_name(name: str) -> str:
 def open_run(path: str | os.PathLike[str]) -> RunDirectory:
     """An existing run; `InputError` says what is missing."""
     folder = Path(path)
+    if folder.is_dir():
+        refuse_links(folder)
     if not folder.is_dir():
         raise InputError(f"{folder} is not a folder; make a run with: hir reconstruct CAPTURE -o RUN")
     if not (folder / "run.json").is_file():
         raise InputError(f"{folder} has no run.json, so it is not a run; make one with: hir reconstruct CAPTURE -o RUN")
     return RunDirectory(folder)
+
+
+def refuse_links(folder: Path) -> None:
+    """Raises `InputError` for a symbolic link, pipe, socket or device in a run's folder.
+
+    Writing through a link would change a file outside; reading a pipe would block. The folder itself may be a link.
+    """
+    pending = [folder]
+    while pending:
+        try:
+            entries = list(os.scandir(pending.pop()))
+        except OSError as error:
+            raise InputError(f"{error.filename} cannot be read: {error.strerror}") from error
+        for entry in entries:
+            if entry.is_symlink():
+                raise InputError(f"{entry.path} is a symbolic link, which a run does not contain; remove it")
+            if entry.is_dir(follow_symlinks=False):
+                pending.append(Path(entry.path))
+            elif not entry.is_file(follow_symlinks=False) and os.path.lexists(entry.path):
+                raise InputError(f"{entry.path} is not a regular file, which a run does not contain; remove it")
 
 
 @contextlib.contextmanager
@@ -182,6 +205,9 @@ def claimed_run(path: str | os.PathLike[str], resume: bool) -> Iterator[RunDirec
     Raises `InputError` if the folder holds something else, or a run without `resume`.
     """
     folder = Path(path)
+    check_text_path(folder)
+    if folder.is_dir():
+        refuse_links(folder)
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder} is a file; give a folder for the run")
     if folder.is_dir():

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Final, final
 
 import numpy as np
+from hir_exporters.files.regular_files import refuse_special_file
 
 from hir_core.capture import Array, Capture
 from hir_core.errors import CaptureError
@@ -58,6 +59,7 @@ class BlendedMvsReader(CaptureReader):
 
 
 def _camera(source: Path) -> tuple[Array, Array]:
+    refuse_special_file(source)
     tokens = source.read_text(encoding="utf-8", errors="replace")[:10000].split()
     try:
         first, second = tokens.index("extrinsic") + 1, tokens.index("intrinsic") + 1

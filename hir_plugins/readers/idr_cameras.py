@@ -12,6 +12,7 @@ from hir_core.capture import Capture, similarity_scale
 from hir_core.errors import CaptureError
 from hir_core.plugins import NoOptions
 from hir_core.plugins.interfaces import CaptureReader
+from hir_plugins.readers.parsing.camera_axes import MAX_DISTANCE
 from hir_plugins.readers.parsing.capture_paths import photos_in_first_folder, unique_names
 from hir_plugins.readers.parsing.lens_camera import LensCamera, make_view
 from hir_plugins.readers.parsing.mask_files import find_mask
@@ -43,7 +44,7 @@ class IdrCamerasReader(CaptureReader):
         if source is None or split != "train":
             raise CaptureError(f"{path} has no split {split!r}; read 'train', the only split of cameras.npz")
         arrays = load_arrays(source)
-        numbers = sorted(int(m[1]) for name in arrays if (m := re.fullmatch(r"world_mat_(\d+)", name)))
+        numbers = sorted(int(m[1]) for name in arrays if (m := re.fullmatch(r"world_mat_(0|[1-9]\d{0,8})", name)))
         photos = photos_in_first_folder(path, _FOLDERS)
         if not numbers or len(photos) != len(numbers):
             raise CaptureError(
@@ -67,6 +68,8 @@ class IdrCamerasReader(CaptureReader):
         scale = arrays.get(f"scale_mat_{numbers[0]}")
         if scale is None or scale.shape != (4, 4) or not similarity_scale(scale) > 1e-12:
             return capture
+        if not similarity_scale(scale) < MAX_DISTANCE or np.abs(scale).max() > MAX_DISTANCE:
+            raise CaptureError(f"{source}, scale_mat_{numbers[0]}: its sphere is not finite; export the cameras again")
         # the sphere around the object becomes the unit sphere at the origin
         center = capture.world_from_source @ [*scale[:3, 3], 1.0]
         move = np.diag([1 / similarity_scale(scale)] * 3 + [1.0])

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import final
 
 import numpy as np
+from hir_exporters.files.regular_files import refuse_special_file
 
 from hir_core.capture import Capture
 from hir_core.errors import CaptureError
@@ -40,6 +41,7 @@ class MiddleburyReader(CaptureReader):
             raise CaptureError(f"{path} has no split {split!r}; read 'train', the only split of a Middlebury capture")
         if source.stat().st_size > MAX_TEXT_BYTES:
             raise CaptureError(f"{source} is larger than {MAX_TEXT_BYTES >> 20} MB")
+        refuse_special_file(source)
         text = source.read_text(encoding="utf-8", errors="replace")
         rows = [line.split() for line in text.splitlines() if line.strip()][1:]
         if not rows or any(len(row) != 22 for row in rows):

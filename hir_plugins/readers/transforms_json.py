@@ -108,7 +108,8 @@ def _frames_of_split(
     numbered = list(enumerate(frames))
     names = content.get(_SPLIT_LISTS.get(split, ""))
     if isinstance(names, list) and names:
-        chosen = [(i, f) for i, f in numbered if f.get("file_path") in names]
+        listed = {name for name in names if isinstance(name, str)}
+        chosen = [(i, f) for i, f in numbered if str(f.get("file_path")) in listed]
     else:
         chosen = numbered if own_file else []
     if not chosen:

@@ -12,6 +12,8 @@ from pathlib import Path
 
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.S | re.M)
 FILE = re.compile(r"# (\S+\.(?:py|toml))\n")
+PLUGIN = re.compile(r"^# used with --plugin (\S+)$", re.M)
+"""The comment of a settings file that needs a plugin, which only the command line can name."""
 HEAVY = ("reconstruct", "export", "render", "view", "check")
 """Commands that need a capture or a run; `run_heavy` decides about them."""
 
@@ -55,7 +57,8 @@ class Reader:
         file = FILE.match(code)
         assert file, "a TOML block begins with the name of its file"
         (self.folder / file[1]).write_text(code, encoding="utf-8")
-        shown = self._run([sys.executable, "-m", "hir_core.cli", "config", "show", "--config", file[1]])
+        named = [word for plugin in PLUGIN.findall(code) for word in ("--plugin", plugin)]
+        shown = self._run([sys.executable, "-m", "hir_core.cli", "config", "show", "--config", file[1], *named])
         asked, settings = tomllib.loads(code), tomllib.loads(shown)
         assert contains(settings, asked), f"{file[1]} asks for {asked}, the settings are {settings}"
         self.done.append(f"loaded {file[1]}")

@@ -243,7 +243,7 @@ def _lease(folder: Path) -> object:
 
 def _mesh(name: str) -> Callable[[Path], object]:
     def read(folder: Path) -> object:
-        from hir_plugins.initializers.existing_mesh.mesh_file import load_mesh
+        from hir_plugins.initializers.existing_mesh.mesh_loading import load_mesh
 
         return load_mesh(folder / name)
 

@@ -67,7 +67,9 @@ def run(folder: Path) -> None:
     }
     frames = CoordinateFrames.identity().as_document()
     stages["initializer"]["report"] = {"views": 3, "frames": frames}
-    stages["export"]["report"] = {"glb": {"files": ["it.glb"], "residuals": {}, "verified": {"psnr": {"object": 60.0}}}}
+    stages["export"]["report"] = {
+        "glb": {"files": ["it.glb"], "residuals": {}, "verified": {"brdf": 0.01, "psnr": {"object": 60.0}}}
+    }
     directory.write_run(
         {
             "capture": {

@@ -18,7 +18,7 @@ from hir_exporters.errors import HirError
 from hir_exporters.reading.mesh_import import load_mesh_asset
 from hir_exporters.textures.image_files import encode_png, read_exr, read_hdr, read_ldr
 
-from hir_plugins.initializers.existing_mesh.mesh_file import load_mesh
+from hir_plugins.initializers.existing_mesh.mesh_loading import load_mesh
 from hir_plugins.readers.parsing.pose_files import load_arrays
 from tests.reliability import seeds
 
@@ -253,6 +253,26 @@ def test_settings_name_what_exists_and_import_nothing_by_themselves(tmp_path: Pa
     with pytest.raises(HirError, match="evil:run"):
         load_config(PluginManager.discover(), file=tmp_path / "a.toml")
     assert not (tmp_path / "sprung").exists()
+
+
+def test_a_file_of_settings_runs_no_code(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from hir_core.cli.app import main
+    from hir_core.config import load_config
+    from hir_core.plugins.manager import PluginManager
+
+    code = tmp_path / "evil.py"
+    code.write_text(f"import os; os.mkdir({str(tmp_path / 'sprung')!r})")
+    (tmp_path / "a.toml").write_text(f"plugins = [{str(code)!r}]\n")
+    with pytest.raises(HirError, match=r"a\.toml: plugins are not loaded .* --plugin FILE$"):
+        load_config(PluginManager.discover(), file=tmp_path / "a.toml")
+    with pytest.raises(SystemExit) as ended:
+        main(["config", "show", "--config", str(tmp_path / "a.toml")])
+    assert ended.value.code == 2 and "--plugin" in capsys.readouterr().err
+    assert not (tmp_path / "sprung").exists()
+    load_config(PluginManager.discover(), assignments=[f"plugins=[{str(code)!r}]"])
+    assert (tmp_path / "sprung").exists(), "the command line may name it"
+    (tmp_path / "b.toml").write_text("plugins = []\n")  # as `hir config show` prints it
+    load_config(PluginManager.discover(), file=tmp_path / "b.toml")
 
 
 def test_a_playlist_that_calls_itself_a_video_opens_nothing(capture: Path) -> None:

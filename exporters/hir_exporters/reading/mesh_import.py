@@ -16,11 +16,13 @@ from numpy.typing import NDArray
 
 from hir_exporters.asset import Asset, AssetMaterial, AssetMesh, validate_asset
 from hir_exporters.errors import HirError, InputError
+from hir_exporters.files.regular_files import check_regular_file
 from hir_exporters.materials.material_conversion import collapse_uniform_textures
 from hir_exporters.materials.surfaces import MetallicSurface
 from hir_exporters.reading.asset_decoding import decode_asset, decode_surface
 from hir_exporters.reading.environment_import import read_environment
 from hir_exporters.reading.material_overrides import MaterialOverrides, load_color, load_normal_map, load_scalar
+from hir_exporters.reading.mesh_references import check_references, load_mesh_scene
 from hir_exporters.reading.mtl_import import read_mtl
 from hir_exporters.reading.readback import gltf_scene, read_gltf_surface
 from hir_exporters.reading.usd_import import read_untrusted_usd
@@ -39,8 +41,7 @@ def load_mesh_asset(path: Path, maps: MaterialOverrides | None = None, light: Pa
     suffix = path.suffix.lower()
     if suffix not in MESH_SUFFIXES:
         raise InputError(f"{path} is not a mesh format that can be read; known are {', '.join(MESH_SUFFIXES)}")
-    if not path.is_file():
-        raise InputError(f"{path} does not exist")
+    check_regular_file(path)
     if suffix.startswith(".usd"):
         written = decode_asset(read_untrusted_usd(path))
         mesh, material = written.mesh, written.material
@@ -48,7 +49,7 @@ def load_mesh_asset(path: Path, maps: MaterialOverrides | None = None, light: Pa
             raise InputError(f"{path} has its own material; textures can be given only for .obj, .ply, .glb and .gltf")
     else:
         mesh = _trimesh_mesh(path)
-        material = _material(path, suffix, maps)
+        material = _checked_material(path, suffix, maps)
     material = collapse_uniform_textures(material)
     asset = Asset(
         mesh, material, None if light is None else read_environment(light), {"made_from": path.name}, path.stem
@@ -69,9 +70,10 @@ def _trimesh_mesh(path: Path) -> AssetMesh:
             if path.suffix.lower() in (".glb", ".gltf"):
                 from pygltflib import GLTF2
 
+                check_references(path)
                 loaded = gltf_scene(path, GLTF2().load(str(path)))
             else:
-                loaded = trimesh.load_scene(path, process=False, maintain_order=True)
+                loaded = load_mesh_scene(path, process=False, maintain_order=True)
             parts: list[Any] = [m for m in loaded.dump() if isinstance(m, trimesh.Trimesh) and len(m.faces)]
     except HirError:
         raise
@@ -106,6 +108,16 @@ def _unit_normals(part: Any) -> Array:
     normals = np.array(part.vertex_normals, np.float64)
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     return np.where(length > 1e-12, normals / np.maximum(length, 1e-12), [0.0, 1.0, 0.0])
+
+
+def _checked_material(path: Path, suffix: str, maps: MaterialOverrides) -> AssetMaterial:
+    try:
+        return _material(path, suffix, maps)
+    except HirError:
+        raise
+    except (ArithmeticError, LookupError, TypeError, ValueError) as error:  # numbers of another type or shape
+        reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+        raise InputError(f"{path}: its material cannot be read ({reason}); export it again") from error
 
 
 def _material(path: Path, suffix: str, maps: MaterialOverrides) -> AssetMaterial:

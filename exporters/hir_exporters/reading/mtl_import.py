@@ -7,12 +7,13 @@ from pathlib import Path
 
 from hir_exporters.errors import InputError
 from hir_exporters.reading.material_overrides import MaterialOverrides
+from hir_exporters.reading.mesh_references import contained_file
 
 
 def read_mtl(path: Path) -> MaterialOverrides:
     """The first material of an .obj's .mtl; without values where there is none."""
     library = next((name for key, name in _statements(path, limit=2000) if key == "mtllib"), None)
-    file = None if library is None else _beside(path, library)
+    file = None if library is None else contained_file(path, library)
     if file is None or not os.path.isfile(file):  # pathlib raises an error for too long names
         return MaterialOverrides()
     values: dict[str, str] = {}
@@ -23,7 +24,7 @@ def read_mtl(path: Path) -> MaterialOverrides:
 
     def image(key: str) -> Path | None:
         # Options such as -bm 1.0 precede the name.
-        return _beside(path, values[key].split()[-1]) if key in values else None
+        return contained_file(path, values[key].split()[-1]) if key in values else None
 
     def number(key: str) -> float | None:
         return _number(values[key], f"{file}: {key}") if key in values else None
@@ -56,17 +57,6 @@ def _statements(path: Path, limit: int = 1 << 30) -> list[tuple[str, str]]:
             if count >= limit:
                 break
     return statements
-
-
-def _beside(path: Path, name: str) -> Path:
-    """A file that another file names; it must be inside that file's folder."""
-    try:
-        file = (path.parent / name.replace("\\", "/")).resolve()
-    except (OSError, RuntimeError, ValueError) as error:  # a null character in the name, or a cycle of links
-        raise InputError(f"{path} names {name[:80]!r}, which is not a file name ({error})") from error
-    if not file.is_relative_to(path.parent.resolve()):
-        raise InputError(f"{path} names {name!r}, which is outside its folder; put the file beside it")
-    return file
 
 
 def _number(text: str, location: str) -> float:

@@ -10,7 +10,6 @@ import io
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from urllib.parse import unquote
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,7 +18,9 @@ from hir_exporters.conventions import srgb_to_linear
 from hir_exporters.errors import HirError, InputError
 from hir_exporters.materials.surfaces import MetallicSurface, SpecularSurface
 from hir_exporters.reading.gltf_decompression import DECODED_EXTENSIONS, decompressed_glb
+from hir_exporters.reading.mesh_references import check_references, contained_file, load_mesh_scene
 from hir_exporters.reading.usd_containment import check_inside, check_layers
+from hir_exporters.textures.pillow_images import open_image
 
 if TYPE_CHECKING:
     import trimesh
@@ -56,6 +57,7 @@ def read_gltf(path: Path) -> ReadBack:
     if not path.is_file():
         raise InputError(f"{path} does not exist")
     try:
+        check_references(path)
         document = GLTF2().load(str(path))
         scene = gltf_scene(path, document)
         if len(scene.geometry) != 1:
@@ -76,19 +78,10 @@ def read_gltf(path: Path) -> ReadBack:
 
 def gltf_scene(path: Path, document: GLTF2) -> trimesh.Scene:
     """The scene of a .glb or .gltf, after decoding the extensions that trimesh does not read."""
-    import trimesh
-
-    class UnquotingResolver(trimesh.resolvers.FilePathResolver):
-        """Decodes the percent-encoding of URIs, which trimesh does not do."""
-
-        def get(self, name: str) -> bytes:
-            return bytes(super().get(unquote(name)))
-
-    source: Path | io.BytesIO = path
-    kind = path.suffix[1:]
-    if not DECODED_EXTENSIONS.isdisjoint(document.extensionsRequired or []):
-        source, kind = io.BytesIO(decompressed_glb(document, lambda i: _gltf_buffer(document, i, path))), "glb"
-    return trimesh.load_scene(source, file_type=kind, process=False, resolver=UnquotingResolver(str(path)))
+    if DECODED_EXTENSIONS.isdisjoint(document.extensionsRequired or []):
+        return load_mesh_scene(path, process=False)
+    plain = io.BytesIO(decompressed_glb(document, lambda i: _gltf_buffer(document, i, path)))
+    return load_mesh_scene(path, plain, "glb", process=False)
 
 
 def read_gltf_surface(
@@ -98,6 +91,7 @@ def read_gltf_surface(
     from pygltflib import GLTF2
 
     try:
+        check_references(path)
         document = GLTF2().load(str(path))
         if len(document.materials) != 1:
             raise InputError(f"{path} has {len(document.materials)} materials; an asset has one: merge them first")
@@ -172,7 +166,7 @@ def _gltf_material(
         roughness=_times(core.roughnessFactor, None if packed is None else packed[..., 1]),
         specular_weight=_times(specular.get("specularFactor", 1.0), None if weight is None else weight[..., 3]),
         specular_color=_times_color(specular.get("specularColorFactor", [1.0] * 3), color),
-        ior=extensions.get("KHR_materials_ior", {}).get("ior", 1.5),
+        ior=_index_of_refraction(extensions.get("KHR_materials_ior", {}).get("ior", 1.5), path),
         residual=0.0,
     )
     specular_surface = None
@@ -188,6 +182,13 @@ def _gltf_material(
         )
     normal = pixels(material.normalTexture)
     return surface, specular_surface, None if normal is None else _unit(normal[..., :3]) * 2 - 1
+
+
+def _index_of_refraction(value: object, path: Path) -> float:
+    """0 (which KHR_materials_ior defines as no Fresnel effect) or at least 1; anything else raises `InputError`."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not (value == 0 or 1 <= value < 1e6):
+        raise InputError(f"{path}: the index of refraction is {str(value)[:40]}; it is 0 or at least 1")
+    return float(value)
 
 
 def _usd_material(
@@ -210,7 +211,7 @@ def _usd_material(
         roughness,
         np.ones((), np.float32),
         np.asarray(white, np.float32),
-        float(value("ior", 1.5)),
+        _index_of_refraction(float(value("ior", 1.5)), path),
         residual=0.0,
     )
     specular_surface = None
@@ -258,17 +259,15 @@ def _gltf_buffer(document: GLTF2, index: int, path: Path) -> bytes:
 
 def _beside(path: Path, uri: str) -> bytes:
     """The content of a file in the same folder, also after links are resolved."""
-    file = path.with_name(unquote(uri))
-    if file.resolve().parent != path.resolve().parent or not file.is_file():
+    file = contained_file(path, uri, percent_encoded=True)
+    if not file.is_file():
         raise InputError(f"{path} names {uri!r}, which is not in its folder")
     return file.read_bytes()
 
 
 def _decoded(data: bytes) -> Pixels:
     """Pixels (H, W, C): 8-bit codes unchanged, 16-bit codes as floats in [0, 1]."""
-    from PIL import Image
-
-    with Image.open(io.BytesIO(data)) as image:
+    with open_image(data) as image:
         pixels = np.asarray(image)
     pixels = pixels[..., None] if pixels.ndim == 2 else pixels
     return pixels if pixels.dtype == np.uint8 else pixels.astype(np.float32) / np.float32(65535)

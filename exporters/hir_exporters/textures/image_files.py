@@ -19,11 +19,10 @@ from numpy.typing import NDArray
 from hir_exporters.errors import ExportError, InputError
 from hir_exporters.files.atomic import atomic_path, write_bytes_atomic
 from hir_exporters.files.native_output import suppress_native_output
+from hir_exporters.files.regular_files import check_regular_file
+from hir_exporters.textures.pillow_images import MAX_PIXELS, open_image
 from hir_exporters.textures.png_encoding import png_bytes
 from hir_exporters.textures.rgbe import RgbeError, decode_rgbe, encode_rgbe, read_size
-
-MAX_PIXELS: Final = 100_000_000
-"""Larger images are refused unless the caller sets another limit."""
 
 _EXR_LAYOUTS: Final = {1: "Y", 3: "RGB", 4: "RGBA"}
 
@@ -34,22 +33,14 @@ def read_ldr(path: str | os.PathLike[str], max_pixels: int = MAX_PIXELS) -> NDAr
     The EXIF orientation is not applied. Palettes and CMYK become RGB. 16-bit grey keeps 16 bits; Pillow reads 16-bit
     colour as 8 bits. Raises `InputError` naming the file.
     """
-    from PIL import Image, UnidentifiedImageError
-
-    source = _existing_file(path)
+    source = check_regular_file(path)
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # Pillow warns about large images; `max_pixels` decides instead
-            with Image.open(source) as image:
-                _check_size(source, image.height, image.width, max_pixels)
-                image.load()
-                return _pillow_pixels(image)
+        with open_image(source, max_pixels) as image, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about metadata that is not used
+            image.load()
+            return _pillow_pixels(image)
     except InputError:
         raise
-    except UnidentifiedImageError as error:
-        raise InputError(f"{source} is not an image that can be read (PNG, JPEG, TIFF, WebP, …)") from error
-    except Image.DecompressionBombError as error:
-        raise InputError(f"{source} has more than {max_pixels} pixels; make it smaller") from error
     except Exception as error:  # Pillow's decoders raise many types on broken data
         raise InputError(f"{source} is a broken image ({error}); write it again") from error
 
@@ -60,7 +51,7 @@ def read_hdr(path: str | os.PathLike[str], max_pixels: int = MAX_PIXELS) -> NDAr
     One channel (Y) is repeated three times; alpha and further layers are ignored. Raises `InputError` naming the file,
     also where a pixel is NaN or infinite.
     """
-    source = _existing_file(path)
+    source = check_regular_file(path)
     with _opened(source) as stream:
         magic = stream.read(4)
     if magic == b"v/1\x01":
@@ -79,7 +70,7 @@ def read_exr(
     """
     import OpenEXR
 
-    source = _existing_file(path)
+    source = check_regular_file(path)
     try:
         header = OpenEXR.File(str(source), header_only=True).header()
         low, high = header["dataWindow"]
@@ -168,16 +159,6 @@ def write_hdr(path: str | os.PathLike[str], radiance: NDArray[np.generic]) -> No
     if not np.isfinite(pixels).all():
         raise ExportError(f"{path}: the radiance contains NaN or infinite values")
     write_bytes_atomic(path, encode_rgbe(pixels))
-
-
-def _existing_file(path: str | os.PathLike[str]) -> Path:
-    source = Path(path)
-    try:
-        if not source.is_file():
-            raise InputError(f"{source} {'is a folder, not a file' if source.is_dir() else 'does not exist'}")
-    except OSError as error:  # the name is longer than the operating system allows
-        raise InputError(f"{str(source)[:200]} cannot be opened: {error.strerror}") from error
-    return source
 
 
 def _opened(source: Path) -> io.BufferedReader:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from hir_exporters.scene_format import load_scene
 
+from hir_core.files.contained_files import regular_file_within
 from hir_core.files.file_names import file_stem
 from hir_core.run.capture_store import read_cameras
 
@@ -47,6 +48,7 @@ def run_photographs(run: Path) -> list[PagePhotograph]:
         file = run / "report" / f"{file_stem(name)}_true.png"
         if not file.is_file():
             continue
+        regular_file_within(run, file)
         camera_to_world = np.linalg.inv(camera.world_to_camera) @ np.diag([1.0, -1, -1, 1])
         focal, center = camera.intrinsics[1, 1], camera.intrinsics[:2, 2]
         photographs.append(

@@ -17,6 +17,7 @@ from hir_core.errors import CaptureError, ConfigError
 from hir_core.plugins.interfaces import Initializer
 from hir_core.scene import Mesh, Scene, Topology
 from hir_plugins.initializers.existing_mesh.mesh_alignment import align_mesh
+from hir_plugins.initializers.existing_mesh.mesh_loading import load_mesh
 from hir_plugins.initializers.options import MeshFileOptions
 from hir_plugins.initializers.surface.object_bounds import object_bounding_sphere
 from hir_plugins.initializers.surface.silhouette_fields import working_downsample
@@ -24,8 +25,6 @@ from hir_plugins.initializers.surface.vertex_colors import vertex_colors
 
 if TYPE_CHECKING:
     import trimesh
-
-_MAX_BYTES = 4 << 30
 
 
 @final
@@ -125,27 +124,6 @@ class MeshFile(Initializer):
             # glTF is +Y up by its specification, and Blender and others convert to it on export
             axes = "world" if path.suffix.lower() in (".glb", ".gltf") else "source"
         return transform if axes == "world" else capture.world_from_source @ transform
-
-
-def load_mesh(path: Path) -> trimesh.Trimesh:
-    """The file's triangles as one `trimesh.Trimesh`, with the stored vertices; several objects are joined."""
-    import trimesh
-
-    if path.stat().st_size > _MAX_BYTES:
-        raise CaptureError(f"{path} is larger than {_MAX_BYTES >> 30} GB; simplify it first")
-    try:
-        loaded = trimesh.load(path, process=False)
-        mesh = loaded.to_mesh() if isinstance(loaded, trimesh.Scene) else loaded
-    except Exception as error:  # trimesh's loaders raise many types on broken files
-        raise CaptureError(f"{path} cannot be read as a mesh ({' '.join(str(error).split())[:200]})") from None
-    if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
-        raise CaptureError(f"{path} contains no triangles; give a mesh with faces")
-    if not np.isfinite(mesh.vertices).all():
-        raise CaptureError(f"{path} has vertices that are NaN or infinite; export the mesh again")
-    faces = np.asarray(mesh.faces)
-    if faces.min() < 0 or faces.max() >= len(mesh.vertices):
-        raise CaptureError(f"{path} has triangles whose vertices do not exist; export the mesh again")
-    return mesh
 
 
 def _texture_coordinates(mesh: trimesh.Trimesh) -> NDArray[np.float32] | None:

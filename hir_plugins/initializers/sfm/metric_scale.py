@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pycolmap
+from hir_exporters.files.regular_files import refuse_special_file
 
 from hir_core.capture import Array, Camera, View
 from hir_core.capture.exif import gps_position
@@ -42,6 +43,7 @@ class ScaleBarMark:
 def read_marks(path: Path) -> list[ScaleBarMark]:
     """Marks of a scale bar; an invalid line raises `CaptureError` with its number."""
     try:
+        refuse_special_file(path)
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise CaptureError(

@@ -13,6 +13,9 @@ OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 """From the camera axes of NeRF and Blender (y up, looks along -z) to OpenCV's (y down, looks along +z)."""
 OPENCV_FROM_OPENGL.setflags(write=False)
 
+MAX_DISTANCE = 1e9
+"""Largest coordinate of a camera, in the units of the file: positions from satellites, in metres, are below 1e8."""
+
 WORLD_FROM_Z_UP = np.eye(4)
 WORLD_FROM_Z_UP[:3, :3] = Z_UP_TO_Y_UP
 WORLD_FROM_Z_UP.setflags(write=False)
@@ -31,7 +34,7 @@ def rigid_transform(matrix: object, owner: str, tolerance: float = 1e-2) -> Arra
     """
     try:
         array: NDArray[np.float64] = np.asarray(matrix, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise CaptureError(f"{owner}: the camera's matrix is not numeric; write 4×4 numbers") from None
     if array.shape not in ((4, 4), (3, 4)):
         raise CaptureError(f"{owner}: the camera's matrix has the shape {array.shape}; write 4×4 numbers")
@@ -45,6 +48,8 @@ def rigid_transform(matrix: object, owner: str, tolerance: float = 1e-2) -> Arra
         raise CaptureError(f"{owner}: the camera's axes are skewed; write a rotation and a position")
     if np.linalg.det(u @ vt) < 0:
         raise CaptureError(f"{owner}: the camera's axes are mirrored (left-handed); negate one axis")
+    if array.shape == (4, 4) and np.abs(array[3] - [0, 0, 0, 1]).max() > 1e-6:
+        raise CaptureError(f"{owner}: the last row of the camera's matrix is not 0 0 0 1; export the cameras again")
     result = np.eye(4)
     result[:3, :3] = u @ vt
     result[:3, 3] = array[:3, 3]

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path, PureWindowsPath
 
 from hir_core.errors import CaptureError
+from hir_core.files.file_names import check_text_path
 
 PHOTO_SUFFIXES = (
     ".png",
@@ -45,8 +46,11 @@ def contained_path(folder: Path, name: str, owner: Path) -> Path:
     path = folder / name.replace("\\", "/")
     try:
         contained = path.resolve().is_relative_to(folder.resolve())
-    except (OSError, RuntimeError) as error:
+        special = path.exists() and not path.is_file() and not path.is_dir()
+    except (OSError, RuntimeError, ValueError) as error:  # also half a character, which no file name holds
         raise CaptureError(f"{owner}: {name!r} cannot be resolved ({error}); rename the file") from None
+    if special:
+        raise CaptureError(f"{owner}: {name!r} is not a regular file; remove it")
     if not contained:
         raise CaptureError(f"{owner}: {name!r} leads out of {folder}; move the file into the capture's folder")
     return path
@@ -75,8 +79,13 @@ def photos_in_first_folder(capture: Path, folders: Sequence[str]) -> list[Path]:
 
 
 def unique_names(paths: Iterable[Path], folder: Path) -> list[str]:
-    """One name for each file: its stem, or its relative path with `_` for `/` if stems repeat."""
+    """One name for each file: its stem, or its relative path with `_` for `/` if stems repeat.
+
+    A file name that is not text (on Linux any bytes may be one) raises `CaptureError`.
+    """
     listed = list(paths)
+    for path in listed:
+        check_text_path(path)
     stems = [path.stem for path in listed]
     if len(set(stems)) == len(stems):
         return stems

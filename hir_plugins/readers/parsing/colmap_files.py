@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from hir_exporters.conventions import srgb_to_linear
+from hir_exporters.files.regular_files import refuse_special_file
 
 from hir_core.capture import Array, OrientedPoints
 from hir_core.errors import CaptureError
@@ -141,6 +142,7 @@ class _Binary:
         try:
             if path.stat().st_size > _MAX_BINARY_BYTES:
                 raise CaptureError(f"{path} is larger than {_MAX_BINARY_BYTES >> 30} GB; reduce the model")
+            refuse_special_file(path)
             self._bytes = path.read_bytes()
         except OSError as error:
             raise CaptureError(f"{path} cannot be read ({error.strerror})") from None
@@ -182,6 +184,7 @@ def _lines(path: Path, keep_empty: bool = False) -> Iterator[str]:
     try:
         if path.stat().st_size > MAX_TEXT_BYTES:
             raise CaptureError(f"{path} is larger than {MAX_TEXT_BYTES >> 20} MB; save the model as binary")
+        refuse_special_file(path)
         text = path.read_text(encoding="utf-8")
     except OSError as error:
         raise CaptureError(f"{path} cannot be read ({error.strerror})") from None
@@ -205,6 +208,6 @@ def _numbers(fields: list[str], path: Path, line: str, count: int = 0) -> list[f
 
 
 def _integer(field: str, path: Path, line: str) -> int:
-    if not field.lstrip("-").isdecimal():
-        raise CaptureError(f"{path}: {field!r} in the line {line[:80]!r} is not a whole number")
+    if not field.lstrip("-").isdecimal() or len(field) > 19:
+        raise CaptureError(f"{path}: {field[:40]!r} in the line {line[:80]!r} is not a whole number")
     return int(field)

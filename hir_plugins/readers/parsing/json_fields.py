@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
 
-from hir_core.errors import CaptureError
+from hir_exporters.files.regular_files import refuse_special_file
+from hir_exporters.files.untrusted_json import parse_json
+
+from hir_core.errors import CaptureError, InputError
 from hir_plugins.readers.parsing.capture_paths import MAX_TEXT_BYTES
 
 
@@ -16,7 +18,12 @@ def read_json(path: Path) -> dict[str, object]:
     try:
         if path.stat().st_size > MAX_TEXT_BYTES:
             raise CaptureError(f"{path} is larger than {MAX_TEXT_BYTES >> 20} MB; it is not a camera file")
-        content = json.loads(path.read_text(encoding="utf-8-sig"))
+        refuse_special_file(path)
+        content = parse_json(path.read_bytes())
+    except CaptureError:
+        raise
+    except InputError as error:
+        raise CaptureError(str(error)) from None
     except OSError as error:
         raise CaptureError(f"{path} cannot be read ({error.strerror})") from None
     except (ValueError, RecursionError) as error:

@@ -11,7 +11,7 @@ import numpy as np
 from hir_core.capture import Array, Camera, View
 from hir_core.capture.lens import camera_lens, fisheye_lens
 from hir_core.errors import CaptureError
-from hir_plugins.readers.parsing.camera_axes import camera_matrix
+from hir_plugins.readers.parsing.camera_axes import MAX_DISTANCE, camera_matrix
 from hir_plugins.readers.parsing.photo_file import PhotoFile
 from hir_plugins.readers.parsing.picture_decoding import photo_size
 
@@ -56,6 +56,10 @@ def make_view(
             f"{owner}: the focal length {lens.fx:g}, {lens.fy:g} or the centre {lens.cx:g}, {lens.cy:g} is not "
             "possible; "
             "export the cameras again"
+        )
+    if not (np.abs(world_to_camera) <= MAX_DISTANCE).all():  # also of NaN
+        raise CaptureError(
+            f"{owner}: the camera is more than {MAX_DISTANCE:g} units from the origin; export the cameras again"
         )
     fisheye = None
     try:

@@ -19,16 +19,28 @@ def match_mask(photo: Path, masks: Iterable[Path]) -> Path | None:
 
     `a.jpg` matches `a.png`, `A.PNG`, `a.jpg.png`, `a_mask.png`, `mask-a.png`, in this order of preference.
     """
-    listed = [mask for mask in masks if mask.suffix.lower() in PHOTO_SUFFIXES and mask != photo]
-    for wanted in (
-        lambda m: m.stem == photo.stem,
-        lambda m: m.stem == photo.name,
-        lambda m: _name_without_affixes(m.stem) == _name_without_affixes(photo.stem),
-    ):
-        matched = sorted(mask for mask in listed if wanted(mask))
-        if matched:
-            return matched[0]
-    return None
+    return MaskIndex(masks).match(photo)
+
+
+class MaskIndex:
+    """Mask files by their names: the search of one among 10,000 does not look at all of them."""
+
+    def __init__(self, masks: Iterable[Path]) -> None:
+        self._by_stem: dict[str, list[Path]] = {}
+        self._by_plain_name: dict[str, list[Path]] = {}
+        for mask in sorted(masks):
+            if mask.suffix.lower() in PHOTO_SUFFIXES:
+                self._by_stem.setdefault(mask.stem, []).append(mask)
+                self._by_plain_name.setdefault(_name_without_affixes(mask.stem), []).append(mask)
+
+    def match(self, photo: Path) -> Path | None:
+        """As `match_mask`."""
+        plain = self._by_plain_name.get(_name_without_affixes(photo.stem), [])
+        for found in (self._by_stem.get(photo.stem, []), self._by_stem.get(photo.name, []), plain):
+            for mask in found:
+                if mask != photo:
+                    return mask
+        return None
 
 
 def find_mask(photo: Path, capture: Path) -> Path | None:
@@ -39,8 +51,8 @@ def find_mask(photo: Path, capture: Path) -> Path | None:
         # Stanford-ORB: train_mask beside train
         for name in (*FOLDERS, f"{photo.parent.name}_mask", f"{photo.parent.name}_masks"):
             # photographs in subfolders (train/a.png) have masks in subfolders of the same name
-            inner = _listed(parent / name / photo.parent.name)
-            mask = match_mask(photo, inner) or match_mask(photo, _listed(parent / name))
+            inner = _indexed(parent / name / photo.parent.name)
+            mask = inner.match(photo) or _indexed(parent / name).match(photo)
             if mask is not None and mask.resolve().is_relative_to(capture.resolve()):
                 return mask
     return None
@@ -65,6 +77,18 @@ def _listed(folder: Path) -> tuple[Path, ...]:
         return _listed_at(folder, folder.stat().st_mtime_ns) if folder.is_dir() else ()
     except OSError:
         return ()
+
+
+@lru_cache(maxsize=64)
+def _index_at(folder: Path, changed_ns: int) -> MaskIndex:
+    return MaskIndex(_listed_at(folder, changed_ns))
+
+
+def _indexed(folder: Path) -> MaskIndex:
+    try:
+        return _index_at(folder, folder.stat().st_mtime_ns) if folder.is_dir() else MaskIndex(())
+    except OSError:
+        return MaskIndex(())
 
 
 def _name_without_affixes(stem: str) -> str:

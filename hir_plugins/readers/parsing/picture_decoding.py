@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-from hir_exporters.textures.image_files import MAX_PIXELS, read_hdr
+from hir_exporters.files.regular_files import check_regular_file
+from hir_exporters.textures.image_files import read_hdr
+from hir_exporters.textures.pillow_images import MAX_PIXELS, open_image
 from numpy.typing import NDArray
 
 from hir_core.errors import CaptureError, InputError, MissingExtraError
@@ -60,10 +61,6 @@ def read_encoded(path: Path, orient: bool = False) -> EncodedPixels:
 
 def _pillow(path: Path) -> Image.Image:
     """An opened image of an allowed size; its pixels are not decoded yet."""
-    from PIL import UnidentifiedImageError
-    from PIL.Image import DecompressionBombError
-    from PIL.Image import open as open_image
-
     if path.suffix.lower() in _HEIF_SUFFIXES:
         try:
             from pillow_heif import register_heif_opener
@@ -73,22 +70,10 @@ def _pillow(path: Path) -> Image.Image:
                 "as JPEG"
             ) from None
         register_heif_opener()
-    if not path.is_file():
-        raise CaptureError(f"{path} {'is a folder' if path.is_dir() else 'does not exist'}; give an image file")
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # Pillow warns of large images; the limit below decides
-            image = open_image(path)
-    except UnidentifiedImageError:
-        raise CaptureError(f"{path} is not a readable image; save it as PNG, JPEG, TIFF or WebP") from None
-    except DecompressionBombError:
-        raise CaptureError(f"{path} has far more than {MAX_PIXELS} pixels; reduce it") from None
-    except Exception as error:  # decoders raise many types on damaged headers
-        raise CaptureError(f"{path} is damaged ({error}); export the image again or remove it") from None
-    if image.width * image.height > MAX_PIXELS:
-        image.close()
-        raise CaptureError(f"{path} is {image.width}×{image.height}, more than {MAX_PIXELS} pixels; reduce it")
-    return image
+        return open_image(path)
+    except InputError as error:
+        raise CaptureError(str(error)) from None
 
 
 def _orientation(path: Path, image: Image.Image) -> int:
@@ -151,6 +136,10 @@ def _read_raw(path: Path) -> EncodedPixels:
             "the "
             "same settings to JPEG or 16-bit TIFF"
         ) from None
+    try:
+        check_regular_file(path)
+    except InputError as error:
+        raise CaptureError(str(error)) from None
     with _decode_or_refuse(path, lambda: rawpy.imread(str(path))) as raw:
         sizes = raw.sizes
         if sizes.raw_width * sizes.raw_height > MAX_PIXELS:

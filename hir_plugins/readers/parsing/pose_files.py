@@ -6,6 +6,7 @@ import zipfile
 from pathlib import Path
 
 import numpy as np
+from hir_exporters.files.regular_files import refuse_special_file
 
 from hir_core.capture import Array
 from hir_core.errors import CaptureError
@@ -15,6 +16,7 @@ _MAX_BYTES = 256 << 20
 
 def load_arrays(path: Path) -> dict[str, Array]:
     """The numeric arrays of a .npz by name, or of a .npy as "array"; pickled objects raise `CaptureError`."""
+    refuse_special_file(path)
     try:
         if path.stat().st_size > _MAX_BYTES:
             raise CaptureError(f"{path} is larger than {_MAX_BYTES >> 20} MB; it is not a camera file")
@@ -50,7 +52,9 @@ def decompose_projection(projection: Array, owner: str) -> tuple[Array, Array]:
     if projection.shape != (3, 4):
         raise CaptureError(f"{owner}: the projection matrix has the shape {projection.shape}; write a 3×4 matrix")
     left = projection[:, :3]
-    if abs(np.linalg.det(left)) < 1e-12 * np.abs(left).max() ** 3:
+    largest = float(np.abs(left).max())
+    # written so that a matrix of zeros, and one whose determinant overflows, is refused too
+    if not (0 < largest < 1e50 and abs(np.linalg.det(left / largest)) > 1e-12):
         raise CaptureError(f"{owner}: the projection matrix is singular, so it is no camera; export the cameras again")
     if np.linalg.det(left) < 0:
         projection = -projection

@@ -220,7 +220,7 @@ def test_hostile_strings_of_all_documents_are_escaped(finished: Run, tmp_path: P
     write_json(directory.path / "timings.json", timings)
     views = read_json(directory.report / "views.json")
     for view in views["views"]:
-        view |= {"name": HOSTILE, "measured_at": [HOSTILE, HOSTILE]}
+        view |= {"name": HOSTILE, "measured_at": [640, 480]}
     write_json(directory.report / "views.json", views)
     evaluation = directory.evaluation("test")
     evaluation.mkdir(parents=True)

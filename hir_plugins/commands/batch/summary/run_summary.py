@@ -8,6 +8,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
+from hir_exporters.textures.pillow_images import open_image
+
+from hir_core.files.contained_files import named_file
 from hir_core.files.json_documents import read_json
 from hir_core.run.run_directory import STAGE_NAMES, RunDirectory
 
@@ -71,7 +74,7 @@ def _thumbnail(run: RunDirectory, views: list[dict[str, Any]]) -> str:
     worst = min(rendered, key=lambda view: view["object"])
     side = THUMBNAIL_SIDE
     pair = Image.new("RGB", (2 * side, side))
-    images = [Image.open(run.report / worst[kind]).convert("RGB") for kind in ("true", "fit")]
+    images = [open_image(named_file(run.path, run.report, worst[kind])).convert("RGB") for kind in ("true", "fit")]
     # the background is black
     box = ImageChops.lighter(*images).getbbox() or (0, 0, *images[0].size)
     for i, image in enumerate(images):

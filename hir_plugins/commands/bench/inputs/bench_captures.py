@@ -6,10 +6,11 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final, cast
+from typing import Any, Final
 
 import numpy as np
 import torch
+from hir_exporters.reading.mesh_references import load_mesh_scene
 from hir_exporters.textures.image_files import read_ldr
 from numpy.typing import NDArray
 
@@ -94,7 +95,7 @@ def true_mesh(path: Path, capture: Capture) -> tuple[NDArray[np.float64], NDArra
 
     if not (path / TRUE_MESH).is_file():
         return None
-    loaded = cast(trimesh.Trimesh, trimesh.load(path / TRUE_MESH, process=False, force="mesh"))
+    loaded = load_mesh_scene(path / TRUE_MESH, process=False).to_mesh()
     mesh = trimesh.Trimesh(loaded.vertices, loaded.faces, process=False)
     mesh.merge_vertices()
     transform = capture.world_from_source

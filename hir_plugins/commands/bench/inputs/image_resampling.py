@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from hir_exporters.conventions import linear_to_srgb, srgb_to_linear
 from hir_exporters.textures.image_files import read_ldr, write_png
+from hir_exporters.textures.pillow_images import open_image
 from numpy.typing import NDArray
 
 
@@ -37,7 +38,7 @@ def copy_enlarged(source: Path, target: Path, side: int) -> None:
     """Writes the image with a width of `side` pixels by bicubic interpolation; copies larger images."""
     from PIL import Image
 
-    with Image.open(source) as image:
+    with open_image(source) as image:
         if max(image.size) >= side:
             shutil.copy(source, target)
             return

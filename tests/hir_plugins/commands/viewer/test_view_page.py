@@ -266,6 +266,7 @@ def test_other_formats_and_scenes_are_converted_to_glb(tmp_path: Path) -> None:
 def test_a_page_is_served_on_the_loopback_interface() -> None:
     import threading
     import urllib.error
+    import urllib.parse
     import urllib.request
 
     from hir_plugins.commands.viewer.page_server import serve
@@ -282,4 +283,4 @@ def test_a_page_is_served_on_the_loopback_interface() -> None:
         urllib.request.urlopen(address[0] + "else")
     missing.value.close()
     with pytest.raises(InputError, match="cannot be used"):
-        serve("", int(address[0].rstrip("/").rpartition(":")[2]))
+        serve("", urllib.parse.urlsplit(address[0]).port or 0)

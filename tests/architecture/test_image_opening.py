@@ -1,0 +1,45 @@
+"""Images are opened in one place, with the formats that hir reads; mesh files too, with a check of what they name."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+FOLDERS = [ROOT / "exporters" / "hir_exporters", ROOT / "hir_core", ROOT / "hir_plugins"]
+ALLOWED = {
+    "Image.open": {"exporters/hir_exporters/textures/pillow_images.py"},
+    "trimesh.load": {
+        "exporters/hir_exporters/reading/mesh_references.py",
+        "hir_core/testing/checks/exporter_checks.py",
+    },
+}
+"""Where a function may be called; the contract tests read files that an exporter has just written."""
+
+
+def calls(file: Path) -> Iterator[str]:
+    """`Image.open` and `trimesh.load`, whatever name they were imported with."""
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] in ("PIL", "trimesh"):
+            for alias in node.names:
+                if (node.module, alias.name) == ("PIL.Image", "open"):
+                    yield "Image.open"
+                if node.module == "trimesh" and alias.name.startswith("load"):
+                    yield "trimesh.load"
+        elif isinstance(node, ast.Attribute):
+            owner = ast.unparse(node.value)
+            if owner in ("Image", "PIL.Image") and node.attr == "open":
+                yield "Image.open"
+            elif owner == "trimesh" and node.attr.startswith("load"):
+                yield "trimesh.load"
+
+
+@pytest.mark.parametrize("name", ALLOWED)
+def test_untrusted_files_are_opened_in_one_place(name: str) -> None:
+    files = [file for folder in FOLDERS for file in sorted(folder.rglob("*.py"))]
+    found = {file.relative_to(ROOT).as_posix() for file in files if name in set(calls(file))}
+    assert found == ALLOWED[name]
