@@ -16,7 +16,7 @@ from hir_core.intake.mask_sources import apply_mask_sources, mask_source_names
 from hir_core.plugins.interfaces import Initializer, MaskSource
 from hir_core.plugins.manager import PluginManager
 from hir_core.plugins.progress import Progress
-from hir_core.run.capture_store import file_hash
+from hir_core.files.file_checksums import file_hash
 from hir_core.run.stage_context import StageContext, forward_warnings
 from hir_core.scene import Scene
 from hir_core.scene.frames import move_scene, unit_similarity
