@@ -39,7 +39,7 @@ def test_masks_without_an_outline_are_counted(
 def test_one_mask_with_an_outline_is_not_counted_as_full(tmp_path: Path, quick: Callable[..., Run]) -> None:
     capture = with_channel(make_tiny(tmp_path / "capture"), ALPHA, 1.0, slice(0, 4))
     with_channel(capture, ALPHA, 0.0, slice(4, 9))
-    with pytest.raises(CaptureError, match="1 of 10 masks have an outline.*4 show only object and 5 only background"):
+    with pytest.raises(CaptureError, match=r"1 of 10 masks have an outline.*4 show only object and 5 only background"):
         quick(capture, tmp_path / "run", until="initializer")
 
 
