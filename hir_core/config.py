@@ -195,6 +195,7 @@ class RunConfig:
     device: str = "auto"
     """`cpu`, `cuda`, or `auto`: `cuda` if there is a CUDA device."""
     seed: int = 0
+    """Seed of all random numbers, 0 to 2147483647: another one gives another result of the same expected quality."""
     deterministic: bool = False
     """Reproduce files bit for bit for the same input, seed and machine; slower, partly on one thread."""
     max_memory: str = ""
@@ -238,6 +239,8 @@ def load_config(
     if "export" not in settings:
         raise ConfigError(f"the preset {preset!r} does not set export; set it to a list of formats, [] for none")
     config = build_options(RunConfig, settings, "settings")
+    if not 0 <= config.seed < 1 << 31:
+        raise ConfigError(f"settings: option 'seed' is {config.seed}; give a number from 0 to {(1 << 31) - 1}")
     for name in config.plugins:
         plugins.register_named(name)
     _check_components(config, plugins)

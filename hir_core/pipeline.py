@@ -180,9 +180,13 @@ def _write_report(
     directory: RunDirectory, plugins: PluginManager, reused: Sequence[str], on_message: Callable[[str], None] | None
 ) -> None:
     """The report; its pictures are rendered again only where a stage before the export was computed."""
-    from hir_core.report import refresh_page, write_report
+    from hir_core.report import pictures_damage, refresh_page, write_report
 
-    if set(reused) >= set(STAGE_NAMES[:-1]) and (directory.report / "views.json").exists():
-        refresh_page(directory, plugins)
-    else:
-        write_report(directory, plugins, on_message=on_message)
+    if set(reused) >= set(STAGE_NAMES[:-1]):
+        damage = pictures_damage(directory)
+        if damage is None:
+            refresh_page(directory, plugins)
+            return
+        if directory.report.exists() and on_message is not None:
+            on_message(f"report: its pictures are rendered again ({damage})")
+    write_report(directory, plugins, on_message=on_message)

@@ -12,6 +12,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from hir_core.run.machine import source_commit
 from hir_plugins.commands.bench.results.bench_result import Result
 from hir_plugins.commands.bench.results.markdown_tables import result_markdown
 from hir_plugins.commands.bench.results.plot import plot_svg
@@ -64,6 +65,7 @@ def run_figures(run: Path) -> dict[str, Any]:
         "threads": timings["machine"].get("threads"),
         "processor": timings["machine"]["processor"],
         "date": timings["finished"][:10],
+        "commit": source_commit(),
         "model": document["stages"]["reflectance"]["report"].get("model"),
         "metrics": {split: {k: m[k] for k in stored_metrics if k in m} for split, m in document["metrics"].items()},
     }

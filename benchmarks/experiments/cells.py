@@ -11,6 +11,7 @@ from typing import Any
 
 from benchmarks.experiments.folders import ROOT, WORK, shared
 from benchmarks.experiments.rendered import rendered
+from hir_core.run.machine import source_commit
 from hir_plugins.commands.bench.inputs.bench_captures import make_reduced_capture, make_resized_capture
 
 RESULTS = ROOT / "benchmarks" / "results" / "experiments"
@@ -82,7 +83,7 @@ class Cell:
 
 
 def facts(folder: Path) -> dict[str, Any]:
-    """Seconds and memory of each stage, the selected model, the machine and versions."""
+    """Seconds and memory of each stage, the selected model; commit, date, machine and versions."""
     timings = json.loads((folder / "timings.json").read_text(encoding="utf-8"))
     run = json.loads((folder / "run.json").read_text(encoding="utf-8"))
     stages = {
@@ -101,6 +102,8 @@ def facts(folder: Path) -> dict[str, Any]:
         "peak_memory_bytes": max(stage["peak_memory_bytes"] for stage in stages.values()),
         "model": run["stages"]["reflectance"]["report"].get("model"),
         "triangles": run["stages"]["bake"]["report"].get("triangles"),
+        "commit": source_commit(),
+        "date": timings["finished"][:10],
         "machine": timings["machine"],
         "versions": run["versions"],
     }

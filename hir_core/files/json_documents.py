@@ -34,8 +34,12 @@ def read_json(path: Path) -> dict[str, Any]:
 
 def write_json(path: Path, document: Mapping[str, Any]) -> None:
     """Writes a document with sorted keys: the same bytes for the same document; NaN becomes null."""
-    text = json.dumps(jsonable(document), indent=1, sort_keys=True, allow_nan=False, ensure_ascii=False)
-    write_text_atomic(path, text + "\n")
+    write_text_atomic(path, json_text(document))
+
+
+def json_text(document: Mapping[str, Any]) -> str:
+    """What `write_json` writes."""
+    return json.dumps(jsonable(document), indent=1, sort_keys=True, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 def jsonable(value: Any) -> Any:

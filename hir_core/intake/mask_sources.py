@@ -30,11 +30,12 @@ def apply_mask_sources(
     plugins: PluginManager,
     *,
     with_cameras: bool,
+    seed: int = 0,
 ) -> Capture:
     """Calls the mask sources in their order for the views that still lack a mask.
 
     `with_cameras` chooses between sources that need cameras and sources that do not. Sources that `masks` names
-    replace masks that the views have already. `options` holds the options of each source.
+    replace masks that the views have already. `options` holds the options of each source, `seed` is the run's.
     """
     needed = [i for i, view in enumerate(capture.views) if view.pixels().mask is None]
     names = mask_source_names(masks, plugins)
@@ -44,7 +45,7 @@ def apply_mask_sources(
         needs_cameras = "needs_cameras" in plugins.find("mask_source", name).component.traits
         if not needed or needs_cameras is not with_cameras:
             continue
-        source: MaskSource = plugins.create("mask_source", name, options.get(name))
+        source: MaskSource = plugins.create("mask_source", name, options.get(name), seed)
         found = source.masks(capture, scene)
         views = list(capture.views)
         for i in needed:

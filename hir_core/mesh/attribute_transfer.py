@@ -12,11 +12,11 @@ from hir_core.mesh.remeshing import remesh, surface_area
 from hir_core.scene import Mesh, Topology
 
 
-def remeshed(mesh: Mesh, triangles: int, rounds: int = 4) -> Mesh:
+def remeshed(mesh: Mesh, triangles: int, rounds: int = 4, seed: int = 0) -> Mesh:
     """The same surface in about `triangles` well-shaped triangles; vertex colours are interpolated, texture coordinates
     are dropped.
 
-    A mesh without area is returned as it is.
+    A mesh without area is returned as it is. `seed` is that of `remesh`.
     """
     positions = mesh.positions.detach().cpu().numpy().astype(np.float64)
     faces = mesh.faces.cpu().numpy()
@@ -25,7 +25,7 @@ def remeshed(mesh: Mesh, triangles: int, rounds: int = 4) -> Mesh:
         return mesh
     # n equilateral triangles of side e cover n·√3/4·e²
     edge = math.sqrt(area / triangles * 4 / math.sqrt(3))
-    x, f = remesh(positions, faces, edge, rounds)
+    x, f = remesh(positions, faces, edge, rounds, seed)
     device, dtype = mesh.positions.device, mesh.positions.dtype
     colors = None
     if mesh.vertex_colors is not None:

@@ -24,11 +24,13 @@ LEAST_NORMAL_COSINE = 0.3
 """Of the angle by which a collapse may rotate the normal of a triangle."""
 
 
-def remesh(positions: Positions, faces: Faces, edge_length: float, rounds: int = 4) -> tuple[Positions, Faces]:
+def remesh(
+    positions: Positions, faces: Faces, edge_length: float, rounds: int = 4, seed: int = 0
+) -> tuple[Positions, Faces]:
     """A mesh of the same surface and topology with edges near `edge_length`; its vertices lie on the given surface.
 
     Positions are returned in float64. An empty mesh, or one without area, is returned as it is. Edges of more than two
-    faces and boundary edges stay.
+    faces and boundary edges stay. `seed` decides the order in which short edges collapse.
     """
     edge_length = float(edge_length)
     if len(faces) == 0 or not np.isfinite(edge_length) or edge_length <= 0 or not np.isfinite(positions).all():
@@ -39,7 +41,7 @@ def remesh(positions: Positions, faces: Faces, edge_length: float, rounds: int =
         return positions.astype(np.float64), faces.astype(np.int64)
     for _ in range(rounds):
         x, f = _split_long(x, f, edge_length * SPLIT)
-        x, f = _collapse_short(x, f, edge_length)
+        x, f = _collapse_short(x, f, edge_length, seed)
         f = _flip(x, f)
         x = surface.nearest(_relax(x, f))
     return x, f
@@ -158,9 +160,9 @@ def _rotated(faces: Faces, middle: NDArray[np.int64], first: NDArray[np.int64]) 
     return (*np.take_along_axis(faces, order, 1).T, *np.take_along_axis(middle, order, 1).T)
 
 
-def _collapse_short(x: Positions, f: Faces, length: float) -> tuple[Positions, Faces]:
+def _collapse_short(x: Positions, f: Faces, length: float, seed: int) -> tuple[Positions, Faces]:
     """Merges the ends of short edges where topology and orientation allow, an independent set at a time."""
-    random = np.random.default_rng(0)
+    random = np.random.default_rng(seed)
     sparse_passes = 0
     for _ in range(80):
         edges = _edges(f, len(x))

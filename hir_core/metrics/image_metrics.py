@@ -15,6 +15,8 @@ import numpy as np
 from hir_exporters.conventions import linear_to_srgb
 from numpy.typing import NDArray
 
+from hir_core.errors import InputError
+
 Image = NDArray[np.float32]
 
 Perceptual = Callable[[Image, Image], float]
@@ -42,7 +44,10 @@ def unassociate(premultiplied: Image) -> tuple[Image, Image]:
 
 
 def psnr(fit: Image, truth: Image, where: NDArray[np.bool_] | None = None) -> float | None:
-    """Peak signal to noise ratio in dB of pictures in 0…1; at most `PSNR_MAX`; None without a pixel."""
+    """Peak signal to noise ratio in dB of pictures in 0…1; at most `PSNR_MAX`; None without a pixel.
+
+    A compared pixel that is not finite raises `InputError`.
+    """
     return psnr_without_noise(fit, fit, truth, where)
 
 
@@ -51,7 +56,8 @@ def psnr_without_noise(
 ) -> float | None:
     """PSNR of the noise-free render, estimated from two renders with independent noise.
 
-    The mean product of their differences from the truth has no noise term. With one render twice it is `psnr`.
+    The mean product of their differences from the truth has no noise term. With one render twice it is `psnr`. A
+    compared pixel that is not finite raises `InputError`.
     """
     product = (np.asarray(first, np.float64) - truth) * (np.asarray(second, np.float64) - truth)
     if where is not None:
@@ -59,6 +65,8 @@ def psnr_without_noise(
     if product.size == 0:
         return None
     error = float(np.mean(product))
+    if not np.isfinite(error):
+        raise InputError("the compared pictures contain pixels that are not finite; mask or replace them first")
     return min(PSNR_MAX, -10.0 * float(np.log10(error))) if error > 0 else PSNR_MAX
 
 

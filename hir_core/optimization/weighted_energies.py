@@ -30,9 +30,9 @@ class Energies:
 
 
 def prepare_energies(
-    scene: Scene, regularizers: Mapping[str, Mapping[str, Any] | Literal[False]], plugins: PluginManager
+    scene: Scene, regularizers: Mapping[str, Mapping[str, Any] | Literal[False]], plugins: PluginManager, seed: int = 0
 ) -> Energies:
-    """The terms in the settings; `false` or weight 0 leaves a term out."""
+    """The terms in the settings; `false` or weight 0 leaves a term out. `seed` is the run's."""
     terms: dict[str, tuple[float, Energy]] = {}
     for name, table in regularizers.items():
         if table is False:
@@ -40,5 +40,5 @@ def prepare_energies(
         options = {key: value for key, value in table.items() if key != "weight"}
         weight = float(table.get("weight", 1.0))
         if weight != 0:
-            terms[name] = weight, plugins.create("regularizer", name, options).prepare(scene)
+            terms[name] = weight, plugins.create("regularizer", name, options, seed).prepare(scene)
     return Energies(terms)

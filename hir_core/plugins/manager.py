@@ -18,7 +18,7 @@ import pluggy
 from hir_core.errors import ConfigError, MissingExtraError, PluginError
 from hir_core.plugins import hookspecs
 from hir_core.plugins.component import API_VERSION, Component
-from hir_core.plugins.options import build_options
+from hir_core.plugins.options import build_options, with_seed_of_run
 
 if TYPE_CHECKING:
     from hir_core.capture import Capture
@@ -158,10 +158,15 @@ class PluginManager:
             known = ", ".join(r.component.name for r in self.components(kind)) or "none"
             raise PluginError(f"there is no {kind.replace('_', ' ')} named {name!r}; installed: {known}") from None
 
-    def create(self, kind: str, name: str, options: Mapping[str, Any] | None = None) -> Any:
-        """Builds a component; `ConfigError` for unknown options, `MissingExtraError` for missing packages."""
+    def create(self, kind: str, name: str, options: Mapping[str, Any] | None = None, seed: int = 0) -> Any:
+        """Builds a component; `ConfigError` for unknown options, `MissingExtraError` for missing packages.
+
+        `seed` is the run's: the default of options that are declared with `seed_of_run`.
+        """
         registered = self.find(kind, name)
-        config: Any = build_options(registered.component.config, options or {}, f"{kind} {name!r}")
+        kind_of_options = registered.component.config
+        values = with_seed_of_run(kind_of_options, options or {}, seed)
+        config: Any = build_options(kind_of_options, values, f"{kind} {name!r}")
         if registered.missing:
             raise MissingExtraError(
                 f"{kind.replace('_', ' ')} {name!r} (from {registered.distribution}) needs "

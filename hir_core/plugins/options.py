@@ -15,6 +15,8 @@ Options = TypeVar("Options")
 
 
 Default = TypeVar("Default")
+SEED_OF_RUN = "seed_of_run"
+"""Key of a field's metadata."""
 Condition = Literal["solver", "fitted light"]
 """What an option of a reflectance renderer needs to take effect: the fit by its solver, or a light that is fitted."""
 
@@ -25,6 +27,22 @@ def takes_effect_with(default: Default, *conditions: Condition) -> Default:
     A run in which a user sets such an option without effect ends with an error that names the condition.
     """
     return field(default=default, metadata={"takes_effect_with": conditions})
+
+
+def seed_of_run() -> int:
+    """A dataclass field `seed: int` of options: the run's seed (`--seed`), where the user gives the component no other.
+
+    Outside of a run it is 0. A component that draws from generators of its own declares it, and seeds them from it; the
+    generators of `random`, numpy and torch are seeded before each stage.
+    """
+    return field(default=0, metadata={SEED_OF_RUN: True})
+
+
+def with_seed_of_run(kind: type, values: Mapping[str, Any], seed: int) -> Mapping[str, Any]:
+    """`values`, with the run's seed for each field of `seed_of_run` that they do not set."""
+    declared = getattr(kind, "__dataclass_fields__", {})
+    seeds = {name: seed for name, option in declared.items() if SEED_OF_RUN in option.metadata}
+    return {**seeds, **values} if seed else values
 
 
 def build_options(kind: type[Options], values: Mapping[str, Any], owner: str) -> Options:

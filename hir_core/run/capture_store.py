@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 from hir_exporters.files.atomic import atomic_path
-from hir_exporters.files.regular_files import refuse_special_file
 from numpy.typing import NDArray
 
 from hir_core.capture.camera import Camera
 from hir_core.capture.capture import Capture, OrientedPoints, View
 from hir_core.errors import InputError
 from hir_core.files.array_files import read_arrays
+from hir_core.files.file_checksums import file_hash
 from hir_core.files.json_documents import read_json, write_json
 
 
@@ -37,16 +37,6 @@ def fingerprint(capture: Capture) -> str:
         for array in (capture.points.positions, capture.points.normals, capture.points.colors):
             digest.update(b"-" if array is None else np.ascontiguousarray(array, dtype=np.float64).tobytes())
     return digest.hexdigest()
-
-
-def file_hash(path: Path) -> str:
-    """Hash of a file's bytes; one that cannot be read is an `InputError` that names it."""
-    refuse_special_file(path)
-    try:
-        with open(path, "rb") as stream:
-            return hashlib.file_digest(stream, "blake2b").hexdigest()
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror}") from error
 
 
 def camera_document(camera: Camera | None) -> dict[str, Any] | None:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import os
 import shutil
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,12 +15,17 @@ from filelock import FileLock, Timeout
 from hir_exporters.files.atomic import is_partial, remove_partials
 
 from hir_core.errors import ConfigError, HirError, InputError, StageError
+from hir_core.files.file_checksums import changed_file, checksums, regular_files
 from hir_core.files.file_names import check_text_path
-from hir_core.files.json_documents import read_json, write_json
+from hir_core.files.json_documents import json_text, jsonable, read_json, write_json
 
 STAGE_NAMES: Final = ("initializer", "geometry", "atlas", "reflectance", "bake", "export")
 """The stages in the order of a run; folders are numbered from 1."""
 LAST_STAGE: Final = STAGE_NAMES[-1]
+
+RECORD: Final = "stage.json"
+WORKSPACE: Final = "work"
+"""The entries of a stage's folder that are not its result."""
 
 FORMAT: Final = "hir-run"
 VERSION: Final = 2
@@ -35,6 +41,13 @@ class StageRecord:
     finished: bool = False
     report: Mapping[str, Any] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    files: Mapping[str, str] = field(default_factory=dict)
+    """Hash of each file that the stage wrote, by its path in the run; without stage.json and the workspace."""
+
+    def as_document(self) -> dict[str, Any]:
+        """For stage.json, with a hash of everything else in it."""
+        document = dict(jsonable(asdict(self)))
+        return document | {"checksum": hashlib.blake2b(json_text(document).encode(), digest_size=16).hexdigest()}
 
 
 @dataclass(frozen=True)
@@ -100,30 +113,48 @@ class RunDirectory:
 
     def record(self, stage: str) -> StageRecord | None:
         """The record of a stage; None if the stage was never started or its record is damaged."""
-        path = self.stage(stage) / "stage.json"
+        path = self.stage(stage) / RECORD
         if not path.exists():
             return None
         try:
             document = read_json(path)
-            return StageRecord(
+            record = StageRecord(
                 stage,
                 str(document["key"]),
                 document["finished"] is True,
                 dict(document["report"]),
                 tuple(document["warnings"]),
+                {str(name): str(written) for name, written in document["files"].items()},
             )
-        except (InputError, KeyError, TypeError, ValueError):
+            return record if path.read_bytes() == json_text(record.as_document()).encode() else None
+        except (InputError, AttributeError, KeyError, TypeError, ValueError):
             return None
 
+    def checksums(self, stage: str, folders: Sequence[str] = ()) -> dict[str, str]:
+        """Hash of each file in a stage's folder and in other folders of the run, by its path in the run."""
+        files = [path for path in regular_files(self.stage(stage), WORKSPACE) if path.name != RECORD]
+        files += [path for name in folders for path in regular_files(self.path / name)]
+        return checksums(self.path, files)
+
+    def damage(self, record: StageRecord) -> str | None:
+        """Which file of a finished stage is missing, changed or not the stage's own; None where all are as written."""
+        for path in regular_files(self.stage(record.stage), WORKSPACE):
+            if path.name != RECORD and path.relative_to(self.path).as_posix() not in record.files:
+                return f"{path} was not written by it"
+        return changed_file(self.path, record.files)
+
     def begin(self, stage: str, key: str) -> Path:
-        """Prepares a stage's folder and returns its workspace; files of an unfinished attempt of the same key stay."""
+        """Prepares a stage's folder and returns its workspace; files of an unfinished attempt of the same key stay.
+
+        A finished attempt is removed: it is only computed again where its files are damaged.
+        """
         folder = self.stage(stage)
         record = self.record(stage)
-        if record is None or record.key != key:
+        if record is None or record.key != key or record.finished:
             # the record is removed first: a folder without one is never read as a result
-            (folder / "stage.json").unlink(missing_ok=True)
+            (folder / RECORD).unlink(missing_ok=True)
             shutil.rmtree(folder, ignore_errors=True)
-        workspace = folder / "work"
+        workspace = folder / WORKSPACE
         workspace.mkdir(parents=True, exist_ok=True)
         self._write_record(StageRecord(stage, key))
         return workspace
@@ -133,16 +164,7 @@ class RunDirectory:
         self._write_record(record)
 
     def _write_record(self, record: StageRecord) -> None:
-        write_json(
-            self.stage(record.stage) / "stage.json",
-            {
-                "stage": record.stage,
-                "key": record.key,
-                "finished": record.finished,
-                "report": record.report,
-                "warnings": record.warnings,
-            },
-        )
+        write_json(self.stage(record.stage) / RECORD, record.as_document())
 
 
 def check_stage_name(name: str) -> str:

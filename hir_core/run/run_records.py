@@ -41,11 +41,10 @@ class RunRecords:
         }
         if memory:
             self._document["memory"] = dict(memory)
-        earlier = self._directory.read_timings()
         self._timings = {
             "machine": describe_machine(device),
             "started": current_time(),
-            "stages": earlier.get("stages", {}),
+            "stages": self._earlier_timings(),
         }
         self._write()
 
@@ -74,6 +73,18 @@ class RunRecords:
             return dict(self._directory.read_run().get("metrics", {}))
         except (InputError, TypeError, ValueError):
             return {}
+
+    def _earlier_timings(self) -> dict[str, Any]:
+        """Times of stages that an earlier call computed; damaged ones are lost, and a message says so."""
+        try:
+            stages = self._directory.read_timings().get("stages", {})
+        except InputError as error:
+            self._on_message(f"the times of earlier stages are lost: {error}")
+            return {}
+        if not isinstance(stages, dict) or not all(isinstance(s, dict) for s in stages.values()):
+            self._on_message("the times of earlier stages are lost: timings.json is damaged")
+            return {}
+        return stages
 
     def _write(self) -> None:
         for problem in self._plugins.problems[len(self._document["plugin_problems"]) :]:

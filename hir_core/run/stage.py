@@ -48,6 +48,8 @@ class Stage(Generic[State, Value]):
     """The scene that observers of `hir_stage_finished` get, from the extended state."""
     reads_back: bool = False
     """Later stages get the value as `load` reads it, so that a resumed run continues with the same bits."""
+    folders: tuple[str, ...] = ()
+    """Folders of the run outside the stage's own that `compute` or `save` writes, such as `exports`."""
 
 
 def report_document(report: Any) -> dict[str, Any]:

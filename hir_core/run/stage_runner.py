@@ -18,7 +18,7 @@ from hir_core.plugins.progress import Progress
 from hir_core.run.determinism import seed_everything
 from hir_core.run.machine import peak_memory_bytes, processor_seconds, return_freed_memory
 from hir_core.run.progress_listener import ProgressListener
-from hir_core.run.run_directory import LAST_STAGE, RunDirectory, StageRecord
+from hir_core.run.run_directory import LAST_STAGE, RECORD, RunDirectory, StageRecord
 from hir_core.run.run_records import RunRecords, current_time
 from hir_core.run.stage import Stage, State, Value
 from hir_core.run.stage_context import StageContext
@@ -38,7 +38,7 @@ class StageRunner:
     on_progress: Callable[[Progress], None] | None
     on_message: Callable[[str], None]
     key: str
-    """Hash of all that the next stage's input depends on."""
+    """Hash of all that the next stage's input depends on: settings, and the files of the stages before it."""
     reused: list[str] = field(default_factory=list)
     """Stages whose stored result was used."""
 
@@ -57,6 +57,7 @@ class StageRunner:
             value, record, timings = self._compute(stage, state)
             if stage.name != LAST_STAGE:
                 self.records.forget_metrics()
+        self.key = cache_key(self.key, record.files)
         state = stage.extend(state, value)
         if timings is not None:
             scene = stage.scene(state)
@@ -66,18 +67,28 @@ class StageRunner:
 
     def _stored(self, stage: Stage[State, Value], state: State, record: StageRecord | None) -> tuple[Value] | None:
         """The stored value of a finished stage of the same key, in a tuple; None where there is none."""
-        if record is None or not record.finished or record.key != self.key:
+        if record is None:
+            path = self.directory.stage(stage.name) / RECORD
+            if path.exists():
+                self.on_message(f"{stage.name}: computed again, because {path} is damaged")
+            return None
+        if not record.finished or record.key != self.key:
+            self.on_message(
+                f"{stage.name}: computed again, because its settings or input changed or it was interrupted"
+            )
+            return None
+        damage = self.directory.damage(record)
+        if damage is not None:
+            self.on_message(f"{stage.name}: its stored result is damaged ({damage}); it is computed again")
             return None
         try:
             return (stage.load(state, self.directory.stage(stage.name)),)
         except InputError as error:
-            self.on_message(f"{stage.name}: its stored result is damaged ({error})")
+            self.on_message(f"{stage.name}: its stored result is damaged ({error}); it is computed again")
             return None
 
     def _compute(self, stage: Stage[State, Value], state: State) -> tuple[Value, StageRecord, dict[str, Any]]:
         name = stage.name
-        if self.directory.record(name) is not None:
-            self.on_message(f"{name}: computed again, because its settings or input changed or it was interrupted")
         if name in self.expected_memory:
             self.on_message(f"{name}: {self.expected_memory[name]}")
         listener = ProgressListener(name, self.plugins, self.on_progress)
@@ -92,7 +103,8 @@ class StageRunner:
         folder = self.directory.stage(name)
         stage.save(state, result.value, folder)
         listener.write(folder / "curves.npz")
-        record = StageRecord(name, self.key, True, result.report_document(), tuple(warnings))
+        files = self.directory.checksums(name, stage.folders)
+        record = StageRecord(name, self.key, True, result.report_document(), tuple(warnings), files)
         self.directory.finish(record)
         shutil.rmtree(context.checkpoints, ignore_errors=True)
         return_freed_memory()

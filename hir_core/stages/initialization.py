@@ -12,14 +12,18 @@ import numpy as np
 from hir_core.capture import Capture, CoordinateFrames
 from hir_core.config import RunConfig
 from hir_core.errors import CaptureError, StageError
+from hir_core.files.file_checksums import file_hash
 from hir_core.intake.mask_sources import apply_mask_sources, mask_source_names
 from hir_core.plugins.interfaces import Initializer, MaskSource
 from hir_core.plugins.manager import PluginManager
 from hir_core.plugins.progress import Progress
-from hir_core.run.capture_store import file_hash
 from hir_core.run.stage_context import StageContext, forward_warnings
 from hir_core.scene import Scene
 from hir_core.scene.frames import move_scene, unit_similarity
+from hir_core.stages.held_out_views import MIN_VIEWS
+
+MAX_DISTANCE_FROM_ORIGIN = 1e4
+"""Largest distance of the cameras from the origin, in their own extent: float32 is then exact to 6e-4 of the extent."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,7 @@ def initialize(
     """
     assert config.initializers != "auto", "`resolve_initializers` comes first"
     scene: Scene | None = None
+    _check_distance_from_origin(capture)
     capture = apply_masks(capture, scene, config, context, with_cameras=False)
     chain = config.initializers
     details: dict[str, Mapping[str, Any]] = {}
@@ -59,7 +64,9 @@ def initialize(
             capture = apply_masks(capture, scene, config, context, with_cameras=True)
             masked = True
         context.report(Progress("initializer", i, len(chain), 0.0, message=name))
-        initializer: Initializer = context.plugins.create("initializer", name, config.initializer.get(name))
+        initializer: Initializer = context.plugins.create(
+            "initializer", name, config.initializer.get(name), context.seed
+        )
         workspace = context.workspace / f"{i + 1}-{name}"
         workspace.mkdir(parents=True, exist_ok=True)
         with forward_warnings(context):
@@ -67,9 +74,15 @@ def initialize(
         if own_report := initializer.report():
             details[name] = dict(own_report)
         capture = _registered_only(capture, context)
+        _check_distance_from_origin(capture)
     if scene is None:
         raise StageError(
             f"the initializers {', '.join(chain)} made no surface; end the chain with one that makes a surface"
+        )
+    if len(capture.views) < MIN_VIEWS:
+        context.warn(
+            f"there are only {len(capture.views)} photographs: the shape is a guess where they do not look, and with "
+            f"fewer than {MIN_VIEWS} no view is held out, so no models are compared; take 20 or more around the object"
         )
     working_from_asset = unit_similarity(scene.mesh)
     moved_capture = capture.transformed(working_from_asset)
@@ -85,6 +98,21 @@ def initialize(
         details=details,
     )
     return moved_capture, move_scene(scene, working_from_asset).to(context.device), frames, report
+
+
+def _check_distance_from_origin(capture: Capture) -> None:
+    """Raises `CaptureError` where float32 positions are too coarse for the object, because the origin is far away."""
+    centers = np.array([view.camera.center for view in capture.views if view.camera is not None])
+    if len(centers) < 2:
+        return
+    middle = centers.mean(axis=0)
+    distance, extent = float(np.linalg.norm(middle)), float(np.linalg.norm(centers - middle, axis=1).max())
+    if distance > MAX_DISTANCE_FROM_ORIGIN * extent > 0:
+        raise CaptureError(
+            f"{capture.path}: the cameras are {distance:.3g} from the origin of their coordinates and only "
+            f"{extent:.3g} from their centre, too far for float32; subtract "
+            f"({', '.join(f'{c:.6g}' for c in middle)}) from every camera position"
+        )
 
 
 def resolve_initializers(capture: Capture, config: RunConfig, plugins: PluginManager) -> tuple[str, ...]:
@@ -112,7 +140,9 @@ def _with_expected_masks(capture: Capture, config: RunConfig, plugins: PluginMan
     if config.masks == "auto":
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # the stage repeats them, for the user and run.json
-            return apply_mask_sources(capture, None, "auto", config.mask_source, plugins, with_cameras=False)
+            return apply_mask_sources(
+                capture, None, "auto", config.mask_source, plugins, with_cameras=False, seed=config.seed
+            )
     if not config.masks or not capture.views:
         return capture
     height, width = capture.views[0].pixels().color_linear.shape[:2]
@@ -138,7 +168,13 @@ def apply_masks(
     """The capture with masks of the configured sources; their warnings go to the user and to run.json."""
     with forward_warnings(context):
         return apply_mask_sources(
-            capture, scene, config.masks, config.mask_source, context.plugins, with_cameras=with_cameras
+            capture,
+            scene,
+            config.masks,
+            config.mask_source,
+            context.plugins,
+            with_cameras=with_cameras,
+            seed=context.seed,
         )
 
 

@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hir_core.capture import Capture, CoordinateFrames
+from hir_core.files.file_checksums import file_hash
 from hir_core.files.json_documents import read_json, write_json
 from hir_core.files.light_setting import parse_light_file
-from hir_core.run.capture_store import file_hash, restore_capture, save_capture, write_cameras
+from hir_core.run.capture_store import restore_capture, save_capture, write_cameras
 from hir_core.run.stage import SkippedStageReport, Stage, StageResult
 from hir_core.run.stage_context import StageContext
 from hir_core.stages.run_state import RunState
@@ -220,6 +221,7 @@ BAKE: Stage[RunState, Asset] = Stage(
     load=_load_asset,
     extend=lambda state, asset: replace(state, asset=asset),
     scene=_scene,
+    folders=("scene",),
     reads_back=True,  # the scene format rounds v and orders keys: an export must not depend on an interruption
 )
 EXPORT: Stage[RunState, None] = Stage(
@@ -229,6 +231,7 @@ EXPORT: Stage[RunState, None] = Stage(
     save=lambda state, value, folder: None,
     load=lambda state, folder: None,
     extend=lambda state, value: state,
+    folders=("exports",),
 )
 
 STAGES: tuple[Stage[RunState, Any], ...] = (INITIALIZER, GEOMETRY, ATLAS, REFLECTANCE, BAKE, EXPORT)

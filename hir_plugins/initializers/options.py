@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from hir_core.plugins.options import seed_of_run
+
 
 @dataclass(frozen=True)
 class VisualHullOptions:
@@ -27,6 +29,8 @@ class VisualHullOptions:
     """Edge length of the mesh, in pixels at the object's distance; 0 keeps the extracted triangles."""
     vertex_colors: bool = True
     """Colour the vertices from the photographs in which they are visible."""
+    seed: int = seed_of_run()
+    """Seed of the order in which remeshing collapses short edges; the run's, unless it is set."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +50,8 @@ class MeshFileOptions:
     stereo)."""
     vertex_colors: bool = True
     """Colour the vertices from the photographs if the file has no colours."""
+    seed: int = seed_of_run()
+    """Seed of the points that the alignment samples; the run's, unless it is set."""
 
 
 @dataclass(frozen=True)
@@ -92,8 +98,8 @@ class ColmapOptions:
     and buildings, not for tables."""
     threads: int = -1
     """-1 uses all."""
-    seed: int = 0
-    """Seed of the random trials of matching and mapping."""
+    seed: int = seed_of_run()
+    """Seed of the random trials of matching, mapping and scale; the run's, unless it is set."""
 
 
 @dataclass(frozen=True)
@@ -129,6 +135,8 @@ class StereoOptions:
     """Edge length of the mesh, in pixels at the object's distance; 0 keeps the extracted triangles."""
     vertex_colors: bool = True
     """Colour the vertices from the photographs in which they are visible."""
+    seed: int = seed_of_run()
+    """Seed of the order in which remeshing collapses short edges; the run's, unless it is set."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Device of the sweep; `auto` uses a GPU if torch has one."""
 
@@ -147,3 +155,5 @@ class PoissonOptions:
     """Edge length of the mesh, in pixels at the object's distance; 0 keeps the extracted triangles."""
     vertex_colors: bool = True
     """Colour the vertices from the photographs in which they are visible."""
+    seed: int = seed_of_run()
+    """Seed of the order in which remeshing collapses short edges; the run's, unless it is set."""

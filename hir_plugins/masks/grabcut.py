@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from itertools import repeat
 from typing import TYPE_CHECKING, final
 
 import numpy as np
@@ -44,10 +45,10 @@ class GrabCut(MaskSource):
         outer = [draw_discs(points, camera, self._config.margin * radius) for camera in cameras]
         # OpenCV releases Python's lock during GrabCut and uses one core
         with ThreadPoolExecutor(max_workers=max(1, cv2.getNumThreads())) as pool:
-            masks = list(pool.map(cut_by_colour, images, sure, likely, outer))
+            masks = list(pool.map(cut_by_colour, images, sure, likely, outer, repeat(self._config.seed)))
             for _ in range(self._config.rounds):
                 regions = consistent_silhouettes(masks, cameras, center, 1.6 * radius, self._config.agreement)
-                masks = list(pool.map(_cut_again, images, sure, regions))
+                masks = list(pool.map(_cut_again, images, sure, regions, repeat(self._config.seed)))
         return [
             refine_edge(view.pixels().color_linear, mask, factor)
             for view, mask, factor in zip(capture.views, masks, factors, strict=True)
@@ -58,7 +59,11 @@ class GrabCut(MaskSource):
 
 
 def cut_by_colour(
-    image: NDArray[np.uint8], sure: NDArray[np.bool_], likely: NDArray[np.bool_], outer: NDArray[np.bool_]
+    image: NDArray[np.uint8],
+    sure: NDArray[np.bool_],
+    likely: NDArray[np.bool_],
+    outer: NDArray[np.bool_],
+    seed: int = 0,
 ) -> NDArray[np.bool_]:
     """Object pixels (H, W) of an 8-bit image: all of `sure`, none outside `outer`, by colour in between.
 
@@ -74,12 +79,14 @@ def cut_by_colour(
     # the colour models need a few pixels of either kind
     if object_seeds.sum() < 50 or background.sum() < 50:
         return object_seeds
-    cv2.setRNGSeed(0)
+    cv2.setRNGSeed(seed)
     cv2.grabCut(image, labels, (0, 0, 1, 1), np.zeros((1, 65)), np.zeros((1, 65)), 4, cv2.GC_INIT_WITH_MASK)
     return (labels & 1) == 1
 
 
-def _cut_again(image: NDArray[np.uint8], sure: NDArray[np.bool_], region: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _cut_again(
+    image: NDArray[np.uint8], sure: NDArray[np.bool_], region: NDArray[np.bool_], seed: int
+) -> NDArray[np.bool_]:
     """Repeats the cut inside the consistent region, with a margin of 2 % of the image."""
     import cv2
 
@@ -91,7 +98,7 @@ def _cut_again(image: NDArray[np.uint8], sure: NDArray[np.bool_], region: NDArra
     inner, outer = cv2.erode(solid, kernel) > 0, cv2.dilate(solid, kernel) > 0
     # only the reconstructed points are certain: a hull also fills concavities. Its rim is initialised as background, or
     # the object's colour model would learn the background's colours
-    return _largest_component(cut_by_colour(image, sure & inner, inner, outer))
+    return _largest_component(cut_by_colour(image, sure & inner, inner, outer, seed))
 
 
 def refine_edge(color_linear: NDArray[np.float32], mask: NDArray[np.bool_], factor: int) -> NDArray[np.float32]:

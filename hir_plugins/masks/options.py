@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from hir_core.plugins.options import seed_of_run
+
 
 @dataclass(frozen=True)
 class FolderOptions:
@@ -39,6 +41,8 @@ class GrabCutOptions:
     """Largest distance of the object from the reconstructed points in the first cut, relative to their radius."""
     agreement: float = 0.8
     """A point is object if at least this share of the photographs that show it have object there."""
+    seed: int = seed_of_run()
+    """Seed of the clusters that the colour models start from; the run's, unless it is set."""
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
+from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 
@@ -75,8 +77,10 @@ def _number(value: np.ndarray) -> str:
     return shown if flat.size <= 3 else f"{shown}, … ({flat.size})"
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Writes and prints the page."""
+    parser = argparse.ArgumentParser(prog="python -m tests.stability.table", description="Writes docs/stability.md.")
+    parser.parse_args(arguments)
     text = page()
     PAGE.write_text(text, encoding="utf-8")
     print(text)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
+from pathlib import Path
 
 import pytest
 
+from tests.stability import table
 from tests.stability.case import Case, examine
 from tests.stability.table import PAGE, TITLES, all_cases
 
@@ -30,3 +32,12 @@ def test_page_has_a_row_for_every_case() -> None:
     assert len(rows) == len(ALL), "run: make stability"
     for case, row in zip(sorted(ALL, key=lambda c: list(TITLES).index(c.area)), rows, strict=True):
         assert case.input_text in row and case.expected in row, f"run: make stability ({case.name})"
+
+
+def test_help_of_the_page_writer_writes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = tmp_path / "stability.md"
+    monkeypatch.setattr(table, "PAGE", page)
+    for arguments in (["--help"], ["--unknown"]):
+        with pytest.raises(SystemExit):
+            table.main(arguments)
+    assert not page.exists()

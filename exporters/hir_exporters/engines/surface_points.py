@@ -146,7 +146,7 @@ def _with_incident_light(normals: Array, views: Array, uvs: Array, alpha: Array,
     azimuth = 2 * np.pi * ((np.arange(_DIRECTIONS) * _LATTICE_STEP / _DIRECTIONS + rotation) % 1.0)
     local = np.concatenate([_lobe_directions(o, a, height, azimuth), _cosine_directions(height, azimuth)], axis=1)
 
-    wo = np.stack([np.sqrt(1 - o[:, 0] ** 2), 0 * o[:, 0], o[:, 0]], axis=-1)[:, None]
+    wo = np.stack([np.sqrt(np.maximum(1 - o[:, 0] ** 2, 0.0)), 0 * o[:, 0], o[:, 0]], axis=-1)[:, None]
     cos_i, _, cos_h, cos_d = brdf_numpy.half_vector_cosines(local, wo)
     distribution = brdf_numpy.ggx_distribution(cos_h, a)
     masking = 2 / (o + np.sqrt(a * a + (1 - a * a) * o * o))

@@ -31,8 +31,13 @@ _QUADRATURE_NODES: Final = (64, 48)
 
 
 def ggx_distribution(cos_h: ArrayLike, alpha: ArrayLike) -> Array:
-    """D, in 1/sr, at the cosine between normal and half vector (Walter et al. 2007, eq. 33)."""
+    """D, in 1/sr, at the cosine between normal and half vector (Walter et al. 2007, eq. 33).
+
+    NaN raises `ValueError`.
+    """
     cos_h, squared = np.asarray(cos_h, np.float64), _squared(alpha)
+    if np.isnan(cos_h).any() or np.isnan(squared).any():
+        raise ValueError("the cosine or the GGX width is NaN")
     # 1 - c^2 + c^2 a^2 instead of c^2 (a^2 - 1) + 1 avoids cancellation for narrow lobes.
     root = (1 - cos_h) * (1 + cos_h) + cos_h * cos_h * squared
     return np.where(cos_h > 0, squared / (np.pi * root * root), 0.0)

@@ -21,8 +21,13 @@ class RgbeError(ValueError):
 
 
 def encode_rgbe(radiance: NDArray[np.floating]) -> bytes:
-    """The bytes of a .hdr file of finite radiance (H, W, 3), clipped to the range from 0 to the largest RGBE value."""
+    """The bytes of a .hdr file of radiance (H, W, 3), clipped to the range from 0 to the largest RGBE value.
+
+    NaN raises `ValueError`.
+    """
     height, width, _ = radiance.shape
+    if np.isnan(radiance).any():
+        raise ValueError("the radiance contains NaN, which a .hdr file cannot store")
     pixels = _to_rgbe(np.asarray(radiance, dtype=np.float64))
     header = f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n".encode("ascii")
     if 8 <= width <= 0x7FFF:

@@ -99,7 +99,7 @@ def fit_geometry(
 
 def _prepare(mesh: Mesh, capture: Capture, settings: GeometrySettings, context: StageContext) -> SilhouetteFit:
     options = context.options.get("geometry_renderer", {}).get(settings.renderer, {})
-    renderer: GeometryRenderer = context.plugins.create("geometry_renderer", settings.renderer, options)
+    renderer: GeometryRenderer = context.plugins.create("geometry_renderer", settings.renderer, options, context.seed)
     targets = renderer.prepare(capture.views, settings.downsample).to(mesh.positions.device)
     if len(targets) == 0:
         raise StageError("the geometry stage has no views; name a capture with photographs")
@@ -117,7 +117,8 @@ def _fit_silhouettes(
     for level in range(levels):
         if fit.settings.remesh:
             # from the area of the current surface: a sphere around a cow has twice the cow's area
-            mesh = remeshed(mesh, triangles_of_level(mesh, fit.targets, fit.settings, level, levels))
+            triangles = triangles_of_level(mesh, fit.targets, fit.settings, level, levels)
+            mesh = remeshed(mesh, triangles, seed=fit.context.seed)
         mesh, loop, held_out_error = fit_level(mesh, fit, level, levels)
         curves.append(loop.curves.get("silhouette", np.zeros(0)))
         reports.append(LevelReport(len(mesh.faces), loop.steps, held_out_error, loop.stopped_early, loop.skipped))

@@ -72,7 +72,7 @@ def fit_level(mesh: Mesh, fit: SilhouetteFit, level: int, levels: int) -> tuple[
     """The mesh of the lowest held-out error (the last one without held-out views), the report, and that error."""
     settings, context = fit.settings, fit.context
     scene = Scene(mesh)
-    energies = prepare_energies(scene, settings.regularizers, context.plugins)
+    energies = prepare_energies(scene, settings.regularizers, context.plugins, context.seed)
     batches = Batches(len(fit.train), max(1, settings.views_per_step), context.seed + level)
     steps = settings.iterations_per_view * len(fit.train) if settings.iterations_per_view else settings.iterations
     radius = settings.start_radius or 1.0

@@ -57,7 +57,9 @@ def refine_by_path_tracing(
         return scene, RefinementReport(False, 0, "too few views")
     began = time.perf_counter()
     given = context.options.get("reflectance_renderer", {}).get(options.renderer, {})
-    renderer: ReflectanceRenderer = context.plugins.create("reflectance_renderer", options.renderer, given)
+    renderer: ReflectanceRenderer = context.plugins.create(
+        "reflectance_renderer", options.renderer, given, context.seed
+    )
     prepared = renderer.prepare(scene, capture, settings.downsample)
     device = str(scene.mesh.positions.device)
     compared = [object_pixels(capture, [view], settings.downsample, device) for view in held_out]

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from hir_core.capture import Capture
 from hir_core.config import ReflectanceSettings
-from hir_core.errors import ConfigError
+from hir_core.errors import CaptureError, ConfigError
 from hir_core.optimization.weighted_energies import prepare_energies
 from hir_core.plugins.interfaces import FitT, PreparedReflectance, RefinementT, ReflectanceRenderer, ReflectanceSolver
 from hir_core.run.stage_context import StageContext, forward_warnings
@@ -35,8 +37,11 @@ def fit_reflectance(
             f"reflectance.method is 'solver', but the renderer {settings.renderer!r} has none; "
             "choose another reflectance.renderer, or set reflectance.method to 'gradient'"
         )
+    _check_exposure(capture, settings.downsample)
     by_solver = offers_solver and settings.method != "gradient"
-    renderer: ReflectanceRenderer = context.plugins.create("reflectance_renderer", settings.renderer, options)
+    renderer: ReflectanceRenderer = context.plugins.create(
+        "reflectance_renderer", settings.renderer, options, context.seed
+    )
     initial = initial_scene(scene, capture, settings, by_solver)
     prepared = renderer.prepare(initial, capture, settings.downsample)
     with forward_warnings(context):
@@ -76,7 +81,7 @@ def _fit_by_solver(
         report_share = progress.phase("path tracing")
         solved, refinement = refine_albedo(solved, solver, capture, settings, spec.bounces, context, report_share)
     fitted, path_tracing = solved.scene, None
-    energies = prepare_energies(fitted, settings.regularizers, context.plugins)
+    energies = prepare_energies(fitted, settings.regularizers, context.plugins, context.seed)
     steps = gradient_steps(settings.gradient, len(views))
     if energies and not steps and not settings.path_tracing.iterations:
         context.warn(
@@ -124,7 +129,7 @@ def _fit_by_gradient(
         prepared,
         object_pixels(capture, views, settings.downsample, str(scene.mesh.positions.device)),
         settings.gradient,
-        prepare_energies(scene, settings.regularizers, context.plugins),
+        prepare_energies(scene, settings.regularizers, context.plugins, context.seed),
         context,
         steps=gradient_steps(settings.gradient, len(views)),
         conserve_energy=settings.conserve_energy,
@@ -138,3 +143,22 @@ def _fit_by_gradient(
         fitted=LightAndMaterial.of(fitted),
         gradient=gradient,
     )
+
+
+def _check_exposure(capture: Capture, downsample: int) -> None:
+    """Raises `CaptureError` where the object is clipped in every pixel of every photograph.
+
+    Reads photographs up to the first one that shows an unclipped pixel of the object.
+    """
+    seen = False
+    for view in capture.views:
+        pixels = view.pixels(downsample)
+        inside = np.ones(pixels.saturated.shape, bool) if pixels.mask is None else pixels.mask > 0.5
+        if (inside & ~pixels.saturated).any():
+            return
+        seen |= bool(inside.any())
+    if seen:
+        raise CaptureError(
+            f"{capture.path}: every pixel of the object is clipped in all {len(capture.views)} photographs, so its "
+            "colour is unknown; expose less, or fit the shape alone with --set reflectance.enabled=false"
+        )

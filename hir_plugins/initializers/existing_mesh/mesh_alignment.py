@@ -21,11 +21,11 @@ _MAX_MEAN_DISTANCE = 0.03
 """Largest mean distance of an accepted alignment, relative to the mesh's longest side."""
 
 
-def align_mesh(positions: Array, faces: NDArray[np.int64], points: Array) -> tuple[Array, float]:
+def align_mesh(positions: Array, faces: NDArray[np.int64], points: Array, seed: int = 0) -> tuple[Array, float]:
     """4×4 similarity from the mesh to the points (N, 3), and the remaining mean distance relative to its longest side.
 
-    The 24 rotations of a cube are the initial guesses; the best are refined by ICP with scale (Besl & McKay 1992,
-    open3d). Too few points, or no fit, raises `CaptureError`.
+    Both are sampled, from `seed`. The 24 rotations of a cube are the initial guesses; the best are refined by ICP with
+    scale (Besl & McKay 1992, open3d). Too few points, or no fit, raises `CaptureError`.
     """
     import open3d
     import trimesh
@@ -35,8 +35,8 @@ def align_mesh(positions: Array, faces: NDArray[np.int64], points: Array) -> tup
             f"there are {len(points)} points to align the mesh with, at least 100 are needed; run colmap or stereo "
             "before, or set initializer.mesh_file.transform"
         )
-    surface = trimesh.Trimesh(positions, faces, process=False).sample(_SAMPLES, seed=0)
-    rng = np.random.default_rng(0)
+    surface = trimesh.Trimesh(positions, faces, process=False).sample(_SAMPLES, seed=seed)
+    rng = np.random.default_rng(seed)
     points = points[rng.permutation(len(points))[:_SAMPLES]]
     # each in its own unit frame, from medians because points have outliers
     to_unit, from_unit = _unit_from_points(surface), np.linalg.inv(_unit_from_points(points))

@@ -82,7 +82,7 @@ class MeshFile(Initializer):
         if len(points) and capture.views and all(view.camera is not None for view in capture.views):
             center, radius = object_bounding_sphere(capture)
             points = points[np.linalg.norm(points - center, axis=1) < 1.5 * radius]
-        transform, distance = align_mesh(positions, faces, points)
+        transform, distance = align_mesh(positions, faces, points, self._config.seed)
         self._report = {"aligned_with_points": len(points), "mean_distance": round(distance, 6)}
         moved: Array = positions @ transform[:3, :3].T + transform[:3, 3]
         return moved

@@ -15,7 +15,7 @@ from hir_plugins.initializers.options import VisualHullOptions
 from hir_plugins.initializers.surface.initial_scene import make_scene
 from hir_plugins.initializers.surface.isosurface import extract_surface, keep_large_components
 from hir_plugins.initializers.surface.mesh_cleaning import clean_mesh, edge_length
-from hir_plugins.initializers.surface.silhouette_fields import silhouette_fields, working_downsample
+from hir_plugins.initializers.surface.silhouette_fields import MIN_MASK_SHARE, silhouette_fields, working_downsample
 from hir_plugins.initializers.surface.volume import Volume
 
 
@@ -32,14 +32,23 @@ class VisualHull(Initializer):
         volume = hull_volume(capture, self._config)
         positions, faces = keep_large_components(*extract_surface(volume), self._config.min_component)
         edge = edge_length(capture, positions, self._config.edge_pixels, volume.spacing)
-        positions, faces = clean_mesh(positions, faces, edge, self._config.min_component)
+        positions, faces = clean_mesh(positions, faces, edge, self._config.min_component, self._config.seed)
         return capture, make_scene(positions, faces, capture, self._config.vertex_colors)
 
 
 def hull_volume(capture: Capture, options: VisualHullOptions) -> Volume:
     """The hull of a capture's masks, sampled on a grid."""
-    fields = silhouette_fields([v for v in capture.views if v.camera is not None], working_downsample(capture))
+    posed, downsample = [v for v in capture.views if v.camera is not None], working_downsample(capture)
+    fields = silhouette_fields(posed, downsample)
     if len(fields) < 2:
+        masks = [mask for view in posed if (mask := view.pixels(downsample).mask) is not None]
+        if len(masks) >= 2:
+            full = sum(bool(mask.mean() >= 1 - MIN_MASK_SHARE) for mask in masks)
+            raise CaptureError(
+                f"{capture.path}: {len(fields)} of {len(masks)} masks have an outline, a visual hull needs two: "
+                f"{full} show only object and {len(masks) - len(fields) - full} only background; check the alpha "
+                "channel or the masks, or name a mask source, such as: --set 'masks=[\"grabcut\"]'"
+            )
         raise CaptureError(
             f"{capture.path}: a visual hull needs masks and cameras of at least two photographs, there are "
             f"{len(fields)}; add an alpha channel or a folder of masks, or name a mask source, such as: "

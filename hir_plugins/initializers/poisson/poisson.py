@@ -37,7 +37,7 @@ class Poisson(Initializer):
             )
         positions, faces = poisson_surface(points, self._config)
         edge = edge_length(capture, positions, self._config.edge_pixels)
-        positions, faces = clean_mesh(positions, faces, edge, self._config.min_component)
+        positions, faces = clean_mesh(positions, faces, edge, self._config.min_component, self._config.seed)
         return capture, make_scene(positions, faces, capture, self._config.vertex_colors)
 
 

@@ -71,7 +71,7 @@ class Colmap(Initializer):
                 stacklevel=2,
             )
         if posed:
-            solved = replace(solved, world_from_source=_solved_from_source(solved, original))
+            solved = replace(solved, world_from_source=_solved_from_source(solved, original, self._config.seed))
         object_from_solved, radius = _object_frame(solved)
         size = self._config.object_size
         scale = self._scale(solved) or MetricScale(size / (2 * radius), f"object_size {size:g} m")
@@ -94,7 +94,7 @@ class Colmap(Initializer):
     def _scale(self, solved: Capture) -> MetricScale | None:
         if self._config.scale_bar:
             return scale_of_bar(read_marks(self.files(solved)[0]), self._config.scale_bar_length, solved.views)
-        return scale_of_gps(solved.views) if self._config.gps else None
+        return scale_of_gps(solved.views, self._config.seed) if self._config.gps else None
 
     def _with_points(self, capture: Capture, workspace: Path) -> Capture:
         images, masked = write_images(capture.views, workspace, self._config.max_image_size, known=True)
@@ -179,7 +179,7 @@ def _object_frame(capture: Capture) -> tuple[Array, float]:
     return translation @ rotation, radius
 
 
-def _solved_from_source(solved: Capture, original: Capture) -> Array:
+def _solved_from_source(solved: Capture, original: Capture, seed: int) -> Array:
     """4×4 similarity from the files' world to the estimated one, from the camera centres.
 
     With it, held-out views and a true mesh of the capture stay comparable with the result.
@@ -191,7 +191,7 @@ def _solved_from_source(solved: Capture, original: Capture) -> Array:
     ]
     old, new = (np.array(centers) for centers in zip(*pairs, strict=True))
     options = pycolmap.RANSACOptions()
-    options.max_error, options.random_seed = 0.05 * float(np.ptp(new, axis=0).max()), 0
+    options.max_error, options.random_seed = 0.05 * float(np.ptp(new, axis=0).max()), seed
     # pycolmap returns a dict here, not the Sim3d of its stubs
     fit: Any = pycolmap.estimate_sim3d_robust(old, new, options)
     if fit is None:

@@ -91,7 +91,7 @@ def scale_of_bar(marks: Sequence[ScaleBarMark], length: float, views: Sequence[V
     return MetricScale(length / distance, f"scale bar of {length:g} m")
 
 
-def scale_of_gps(views: Sequence[View]) -> MetricScale | None:
+def scale_of_gps(views: Sequence[View], seed: int = 0) -> MetricScale | None:
     """The scale from the photographs' GPS positions; None if there are too few or its error is above 5 %."""
     pairs = [
         (view.camera.center, position)
@@ -105,7 +105,7 @@ def scale_of_gps(views: Sequence[View]) -> MetricScale | None:
     metres = pycolmap.GPSTransform().ellipsoid_to_enu(globe, *np.median(globe, axis=0))
     options = pycolmap.RANSACOptions()
     options.max_error = _OUTLIER_METRES
-    options.random_seed = 0
+    options.random_seed = seed
     # pycolmap returns a dict here, not the Sim3d of its stubs
     fit: Any = pycolmap.estimate_sim3d_robust(centers, metres, options)
     if fit is None:

@@ -123,7 +123,7 @@ class Stereo(Initializer):
     ) -> Scene:
         self._report["surface"] = surface
         edge = edge_length(capture, positions, self._config.edge_pixels, spacing)
-        positions, faces = clean_mesh(positions, faces, edge, _MIN_COMPONENT)
+        positions, faces = clean_mesh(positions, faces, edge, _MIN_COMPONENT, self._config.seed)
         return make_scene(positions, faces, capture, self._config.vertex_colors)
 
     def report(self) -> Mapping[str, object]:

@@ -32,15 +32,18 @@ def edge_length(capture: Capture, positions: Array, pixels: float, spacing: floa
     return max(pixels * pixel_size(cameras, middle), 1.25 * spacing)
 
 
-def clean_mesh(positions: Array, faces: Faces, edge_length: float, min_component: float) -> tuple[Array, Faces]:
+def clean_mesh(
+    positions: Array, faces: Faces, edge_length: float, min_component: float, seed: int = 0
+) -> tuple[Array, Faces]:
     """The mesh without non-manifold edges and small components, remeshed to `edge_length`; 0 keeps its triangles.
 
     Components with less than a share `min_component` of the largest one's area are removed. Open meshes stay open.
+    `seed` is that of `remesh`.
     Raises `StageError` if nothing is left.
     """
     positions, faces = _large_components(*_without_non_manifold_edges(positions, faces), min_component)
     if edge_length > 0:
-        positions, faces = remesh(positions.astype(np.float64), faces, edge_length, _REMESHING_ROUNDS)
+        positions, faces = remesh(positions.astype(np.float64), faces, edge_length, _REMESHING_ROUNDS, seed)
     return positions, faces
 
 

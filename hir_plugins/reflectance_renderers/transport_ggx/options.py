@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from hir_core.plugins.options import takes_effect_with
+from hir_core.plugins.options import seed_of_run, takes_effect_with
 
 
 @dataclass(frozen=True)
@@ -50,5 +50,5 @@ class TransportGGXOptions:
     """Directions of each pixel's lobe in `render`."""
     supersampling: int = 2
     """Rays across a pixel, in each direction, in `render`."""
-    seed: int = 0
-    """Of the directions that are drawn."""
+    seed: int = seed_of_run()
+    """Seed of the directions and pixels that are drawn; the run's, unless it is set."""

@@ -242,7 +242,9 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         light = EnvironmentMap(parameters.radiance, rotation, fit.spec.light_frame)
         scene = replace(self._scene, material=material, environment=light)
         indirect = self._indirect_light(parameters, fit.spec.bounces) if fit.spec.bounces else None
-        return Solved(scene, replace(self._shading, indirect=indirect), AlbedoRefinement(equations), figures)
+        return Solved(
+            scene, replace(self._shading, indirect=indirect), AlbedoRefinement(equations, self._options.seed), figures
+        )
 
     def refine(
         self,
@@ -285,7 +287,8 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         order = torch.randperm(len(photographs), generator=torch.Generator().manual_seed(self._options.seed))
 
         def make(state: Parameters, number: int) -> PixelBatch:
-            return self._pixel_batch(photographs.take(order[number::count]), spec, state, number)
+            seed = number + (self._options.seed << 32)
+            return self._pixel_batch(photographs.take(order[number::count]), spec, state, seed)
 
         return MiniBatches(make, count, max(1, self._options.resident_pixels // block))
 

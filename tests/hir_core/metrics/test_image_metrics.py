@@ -10,6 +10,7 @@ from hir_exporters.conventions import linear_to_srgb
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from hir_core import metrics
+from hir_core.errors import InputError
 from hir_core.metrics import perceptual_metrics
 
 
@@ -171,3 +172,15 @@ def test_mask_iou_counts_pixels() -> None:
     ours[:6], theirs[4:] = 1.0, 0.9
     assert metrics.mask_iou(ours, theirs) == pytest.approx(20 / 100)
     assert metrics.mask_iou(ours * 0.4, theirs * 0.4) is None, "half or less is outside"
+
+
+def test_psnr_of_a_picture_with_a_pixel_that_is_not_finite_is_refused(pictures: tuple[np.ndarray, np.ndarray]) -> None:
+    fit, truth = pictures
+    for value in (np.nan, np.inf):
+        broken = fit.copy()
+        broken[3, 4, 1] = value
+        with pytest.raises(InputError, match="not finite"):
+            metrics.psnr(broken, truth)
+        inside = np.ones(truth.shape[:2], bool)
+        inside[3, 4] = False
+        assert metrics.psnr(broken, truth, inside) == metrics.psnr(fit, truth, inside), "only compared pixels matter"

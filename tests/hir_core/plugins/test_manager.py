@@ -13,6 +13,7 @@ import pytest
 from hir_core.errors import ConfigError, MissingExtraError, PluginError
 from hir_core.plugins import Component, hookimpl
 from hir_core.plugins.manager import KINDS, PluginManager
+from hir_core.plugins.options import seed_of_run, with_seed_of_run
 
 
 @dataclass(frozen=True)
@@ -293,3 +294,31 @@ def test_a_named_plugin_that_is_refused_is_an_error(tmp_path: Path) -> None:
     )
     with pytest.raises(PluginError, match="hir_register_something"):
         PluginManager().register_named(str(tmp_path / "odd.py"))
+
+
+@dataclass(frozen=True)
+class DrawingOptions:
+    """Options of a component that draws random numbers of its own."""
+
+    seed: int = seed_of_run()
+    fixed: int = 0
+
+
+def test_a_component_gets_the_seed_of_the_run_unless_it_is_given_one() -> None:
+    manager = PluginManager()
+    manager.register(plugin_of(component(config=DrawingOptions)), "made-here", "1")
+    assert manager.create("regularizer", "thing").config == DrawingOptions(0, 0)
+    assert manager.create("regularizer", "thing", {"fixed": 2}, seed=5).config == DrawingOptions(5, 2)
+    assert manager.create("regularizer", "thing", {"seed": 3}, seed=5).config == DrawingOptions(3, 0)
+    assert manager.create("regularizer", "thing", {"seed": 0}, seed=5).config == DrawingOptions(0, 0)
+
+
+def test_every_seed_of_a_built_in_component_is_by_default_that_of_the_run() -> None:
+    found = set()
+    for registered in PluginManager.discover().components():
+        kind = registered.component.config
+        for name in getattr(kind, "__dataclass_fields__", {}):
+            if "seed" in name:
+                assert with_seed_of_run(kind, {}, 7) == {"seed": 7}, registered.component.name
+                found.add(registered.component.name)
+    assert found == {"colmap", "grabcut", "mesh_file", "poisson", "stereo", "transport_ggx", "visual_hull"}

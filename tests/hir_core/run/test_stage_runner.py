@@ -183,3 +183,60 @@ def test_a_second_phase_of_a_stage_has_its_own_time_left(monkeypatch: pytest.Mon
     assert reports[-1].seconds == 610.0 and listener._last is not None
     assert Progress("x", 100, 300, 610.0, phase_seconds=10.0).seconds_left == pytest.approx(20.0)
     assert reports[-1].phase_seconds == pytest.approx(10.0)
+
+
+def result_of(folder: Path, stage: str) -> Path:
+    return RunDirectory(folder).stage(stage) / "result"
+
+
+def test_a_changed_file_of_a_finished_stage_is_named_and_the_stage_computed_again(tmp_path: Path) -> None:
+    Chain(tmp_path).run()
+    result_of(tmp_path, "geometry").write_text("iX")
+    again = Chain(tmp_path)
+    assert again.run() == "iga"
+    assert again.computed == ["geometry"], "the same files again, so the stages after it hold"
+    assert [m for m in again.messages if "geometry: its stored result is damaged" in m and "result has changed" in m]
+    assert result_of(tmp_path, "geometry").read_text() == "ig"
+
+
+def test_a_missing_and_an_added_file_are_noticed(tmp_path: Path) -> None:
+    Chain(tmp_path).run()
+    result_of(tmp_path, "initializer").unlink()
+    (RunDirectory(tmp_path).stage("atlas") / "scene").mkdir()
+    added = RunDirectory(tmp_path).stage("atlas") / "scene" / "material.normal.exr"
+    added.write_bytes(b"read where it exists")
+    again = Chain(tmp_path)
+    assert again.run() == "iga" and again.computed == ["initializer", "atlas"] and not added.exists()
+    assert any(f"{result_of(tmp_path, 'initializer')} is missing" in m for m in again.messages)
+    assert any(f"{added} was not written by it" in m for m in again.messages)
+
+
+def test_a_stage_that_gives_other_files_than_before_invalidates_those_after_it(tmp_path: Path) -> None:
+    class Noisy(Chain):
+        def _stage(self, name: str, settings: dict[str, Any], fail: str) -> Stage[str, str]:
+            stage = super()._stage(name, settings, fail)
+            if name != "geometry":
+                return stage
+            other = StageResult("iG", WordReport(2))
+            return replace(stage, compute=lambda text, context: (self.computed.append(name), other)[1])
+
+    Chain(tmp_path).run()
+    result_of(tmp_path, "geometry").unlink()
+    noisy = Noisy(tmp_path)
+    assert noisy.run() == "iGa" and noisy.computed == ["geometry", "atlas"]
+
+
+def test_a_changed_record_of_a_stage_is_named(tmp_path: Path) -> None:
+    Chain(tmp_path).run()
+    path = RunDirectory(tmp_path).stage("geometry") / "stage.json"
+    path.write_text(path.read_text().replace('"length": 2', '"length": 3'))
+    again = Chain(tmp_path)
+    assert again.run() == "iga" and again.computed == ["geometry"]
+    assert f"geometry: computed again, because {path} is damaged" in again.messages
+
+
+def test_the_same_result_is_read_without_the_hidden_files_of_a_file_manager(tmp_path: Path) -> None:
+    Chain(tmp_path).run()
+    (RunDirectory(tmp_path).stage("geometry") / ".DS_Store").write_bytes(b"icons")
+    again = Chain(tmp_path)
+    assert again.run() == "iga" and again.computed == []

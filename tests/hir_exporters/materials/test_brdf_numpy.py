@@ -92,3 +92,9 @@ def test_table_is_shared_and_cannot_be_changed() -> None:
 def test_the_kept_table_is_the_integrated_one() -> None:
     """Where the integration changes: np.save of `integrated_table()` over exporters/hir_exporters/albedo_table.npy."""
     np.testing.assert_allclose(brdf_numpy.albedo_table(), brdf_numpy.integrated_table(), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(("cosine", "alpha"), [(np.nan, 0.3), (0.5, np.nan), ([0.2, np.nan], 0.3)])
+def test_nan_is_no_distribution(cosine: object, alpha: float) -> None:
+    with pytest.raises(ValueError, match="NaN"):
+        brdf_numpy.ggx_distribution(cosine, alpha)

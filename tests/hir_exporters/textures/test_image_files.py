@@ -263,3 +263,10 @@ def test_exposure_and_colour_correction_of_hdr_files_are_undone() -> None:
     np.testing.assert_allclose(
         decode_rgbe(b"#?RADIANCE\n" + header + b"\n-Y 1 +X 1\n" + pixel), plain / np.array([8, 16, 32]), rtol=1e-6
     )
+
+
+def test_nan_is_not_encoded_as_black() -> None:
+    radiance = np.ones((2, 3, 3))
+    radiance[1, 2, 0] = np.nan
+    with pytest.raises(ValueError, match="NaN"):
+        encode_rgbe(radiance)

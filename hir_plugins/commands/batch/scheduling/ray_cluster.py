@@ -7,6 +7,7 @@ import os
 import socket
 import tempfile
 from collections.abc import Callable, Hashable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -17,6 +18,7 @@ from hir_core.run.machine import usable_cores
 from hir_plugins.commands.batch.resource_requests import ResourceRequest
 from hir_plugins.commands.batch.retries import one_line
 from hir_plugins.commands.batch.scheduling.messages import ProgressMessage, TaskOutcome, TaskSpec
+from hir_plugins.commands.batch.scheduling.process_cleanup import processes_end_with_this_one
 from hir_plugins.commands.batch.stage_groups import STAGE_GROUPS
 
 TASKS_PER_WORKER: Final = 64
@@ -71,6 +73,7 @@ class RayCluster:
         self._address, self._on_message = address, on_message
         self._pending_messages: Any = None
         self._ray: Any = None
+        self._cleanup = ExitStack()
         self.started_here = False
 
     def __enter__(self) -> Self:
@@ -85,7 +88,15 @@ class RayCluster:
         import ray
 
         self._ray = ray
-        self._connect() if connect else self._start()
+        if connect:
+            self._connect()
+        else:
+            self._cleanup.enter_context(processes_end_with_this_one())
+            try:
+                self._start()
+            except BaseException:
+                self._cleanup.close()
+                raise
         self._tasks = {
             gpu: ray.remote(max_calls=1 if gpu else TASKS_PER_WORKER, max_retries=0)(run_on_ray)
             for gpu in (False, True)  # CUDA keeps the device that a process used first: a process for each GPU task
@@ -95,7 +106,8 @@ class RayCluster:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._ray.shutdown()
+        with self._cleanup:
+            self._ray.shutdown()
 
     def _connect(self) -> None:
         try:

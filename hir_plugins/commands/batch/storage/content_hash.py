@@ -11,9 +11,9 @@ from typing import Final
 
 from hir_core.config import RunConfig
 from hir_core.errors import InputError
+from hir_core.files.file_checksums import file_hash
 from hir_core.files.json_documents import jsonable
 from hir_core.files.light_setting import parse_light_file
-from hir_core.run.capture_store import file_hash
 from hir_plugins.commands.batch.storage.storage_path import FileStat
 
 SETTINGS_WITHOUT_EFFECT: Final = ("checkpoint_seconds", "observers")

@@ -37,6 +37,41 @@ def bumpy_sphere(subdivisions: int, seed: int = 0) -> tuple[Positions, Faces]:
     return positions * (1 + 0.04 * height / height.std())[:, None], faces
 
 
+def bowl(rings: int = 24, sections: int = 48, depth: float = 0.9, wall: float = 0.1) -> Mesh:
+    """A closed thick-walled bowl that opens upwards: a half ellipsoid of radius 1 − `wall` and of `depth` inside.
+
+    Its outer wall is the lower unit hemisphere. 4·`rings`·`sections` triangles.
+    """
+    polar = np.linspace(0, np.pi / 2, rings + 1)
+    inner = 1 - wall
+    # from the outer pole up to the rim, over it, and down to the inner pole
+    outside = np.stack([np.sin(polar), -np.cos(polar)], axis=1)
+    inside = np.stack([inner * np.sin(polar), -depth * np.cos(polar)], axis=1)[::-1]
+    profile = np.concatenate([outside, inside])
+    azimuth = 2 * np.pi * np.arange(sections) / sections
+    circles = profile[1:-1]
+    around = np.stack(
+        [
+            circles[:, None, 0] * np.sin(azimuth),
+            np.broadcast_to(circles[:, 1:], (len(circles), sections)),
+            circles[:, None, 0] * np.cos(azimuth),
+        ],
+        axis=-1,
+    ).reshape(-1, 3)
+    low, high = np.array([[0.0, -1.0, 0.0]]), np.array([[0.0, -depth, 0.0]])
+    positions = np.concatenate([around, low, high])
+    first, last = len(around), len(around) + 1
+    row, column = np.meshgrid(np.arange(len(circles) - 1), np.arange(sections), indexing="ij")
+    a, b = row * sections + column, row * sections + (column + 1) % sections
+    c, d = a + sections, b + sections
+    walls = np.concatenate([np.stack([a, b, d], -1).reshape(-1, 3), np.stack([a, d, c], -1).reshape(-1, 3)])
+    here, then = np.arange(sections), (np.arange(sections) + 1) % sections
+    rim = (len(circles) - 1) * sections
+    bottom = np.stack([np.full(sections, first), then, here], -1)
+    floor = np.stack([np.full(sections, last), rim + here, rim + then], -1)
+    return make_mesh(positions, np.concatenate([walls, bottom, floor]))
+
+
 def make_mesh(positions: Positions, faces: Faces, requires_grad: bool = False) -> Mesh:
     """A float32 mesh."""
     tensor = torch.from_numpy(np.asarray(positions, np.float32).copy()).requires_grad_(requires_grad)

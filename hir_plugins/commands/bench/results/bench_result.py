@@ -12,7 +12,7 @@ from pydantic import TypeAdapter
 
 from hir_core.errors import InputError
 from hir_core.files.json_documents import read_json, write_json
-from hir_core.run.machine import describe_machine, versions
+from hir_core.run.machine import describe_machine, source_commit, versions
 
 FORMAT: Final = "hir-bench"
 VERSION: Final = 1
@@ -67,6 +67,8 @@ class Result:
     versions: Mapping[str, str] = field(default_factory=versions)
     date: str = field(default_factory=lambda: datetime.now(UTC).date().isoformat())
     settings: Mapping[str, Any] = field(default_factory=dict)
+    commit: str = field(default_factory=source_commit)
+    """Of the code that was measured; empty where it is unknown."""
 
     def write(self, path: Path) -> None:
         """Writes JSON; cases and errors are lists of pairs, because their order is the order of a table's columns."""
@@ -84,7 +86,7 @@ class Result:
         try:
             rows = [row | {"case": dict(row["case"]), "errors": dict(row["errors"])} for row in document["rows"]]
             names = ("suite", "machine", "versions", "date", "settings")
-            fields = {name: document[name] for name in names} | {"rows": rows}
+            fields = {name: document[name] for name in names} | {"rows": rows, "commit": document.get("commit", "")}
             return TypeAdapter(cls).validate_python(fields)
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"{path}: a row or field is malformed ({' '.join(str(error).split())})") from error

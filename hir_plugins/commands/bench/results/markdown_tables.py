@@ -40,7 +40,8 @@ def machine_line(result: Result) -> str:
     machine = result.machine
     programs = ", ".join(f"{name} {result.versions[name]}" for name in PROGRAMS if name in result.versions)
     threads = f", {machine['threads']} of them used" if machine.get("threads") else ""
-    return f"{machine.get('processor')}, {machine.get('cores')} cores{threads}, no GPU used; {programs}; {result.date}."
+    made = f"{result.date}, commit {result.commit[:10]}" if result.commit else result.date
+    return f"{machine.get('processor')}, {machine.get('cores')} cores{threads}, no GPU used; {programs}; {made}."
 
 
 def method_label(row: Row) -> str:

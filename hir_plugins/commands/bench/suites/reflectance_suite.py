@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -13,9 +13,10 @@ import torch
 from hir_core.capture import Capture, Pixels, View
 from hir_core.plugins.interfaces import ReflectanceRenderer
 from hir_core.rendering.reference_renderer import reference_renderer
-from hir_core.scene import EnvironmentMap, Scene
+from hir_core.scene import EnvironmentMap, Mesh, Scene
 from hir_core.testing.scenes import constant_material, looking_at, smooth_sphere, two_spheres, uneven_light
 from hir_plugins.commands.bench.bench_options import BenchOptions
+from hir_plugins.commands.bench.inputs.bench_shapes import bowl
 from hir_plugins.commands.bench.measurement import measure
 from hir_plugins.commands.bench.results.bench_result import Case, Row
 from hir_plugins.commands.bench.suites.reflectance_fits import fit_rows
@@ -24,6 +25,13 @@ IMAGE_SIZE: Final = 48
 REFERENCE_PATHS: Final = 2048
 PATHS_PER_PIXEL: Final = (16, 64, 256)
 GGX_WIDTHS: Final = (0.03, 0.1, 0.3, 0.6)
+Eye = tuple[float, float, float]
+SHADED_MESHES: Final[Mapping[str, tuple[Callable[[], Mesh], Eye]]] = {
+    "convex": (lambda: smooth_sphere(4), (0.0, 1.0, 4.0)),
+    "two spheres": (lambda: two_spheres(4), (0.0, 1.0, 4.0)),
+    "bowl": (bowl, (0.0, 3.2, 2.4)),
+}
+"""Each mesh, and the camera position that sees what it is for: a shadow between spheres, the inside of the bowl."""
 
 
 def reflectance_rows(options: BenchOptions) -> Iterator[Row]:
@@ -37,12 +45,12 @@ def shading_rows(options: BenchOptions) -> Iterator[Row]:
     """Each renderer without the trait `reference` against the one that has it, by mesh, light and GGX width."""
     components = options.plugins.components("reflectance_renderer")
     fast = [r.component.name for r in components if "reference" not in r.component.traits and not r.missing]
-    meshes = {"convex": smooth_sphere(4), "concave": two_spheres(4)}
     smooth_light = uneven_light()
     radiance_with_sun = smooth_light.radiance.clone()
     radiance_with_sun[8, 30] = 500.0
     lights = {"smooth": smooth_light, "sun": EnvironmentMap(radiance_with_sun)}
-    for mesh_name, mesh in meshes.items():
+    for mesh_name, (make_mesh, eye) in SHADED_MESHES.items():
+        mesh = make_mesh()
         for light_name, light in lights.items():
             for alpha in GGX_WIDTHS[1:2] if options.quick else GGX_WIDTHS:
                 scene = Scene(mesh, constant_material("dielectric", 0.4, 0.2, alpha), light)
@@ -50,25 +58,25 @@ def shading_rows(options: BenchOptions) -> Iterator[Row]:
                 name, path_tracer = reference_renderer(
                     options.plugins, "", {"samples": REFERENCE_PATHS, "max_depth": 2}
                 )
-                reference = render_radiance(path_tracer, scene)
+                reference = render_radiance(path_tracer, scene, eye)
                 for paths in () if options.quick else PATHS_PER_PIXEL:
                     _, coarse = reference_renderer(options.plugins, "", {"samples": paths, "max_depth": 2})
-                    timing = measure(partial(render_radiance, coarse, scene), min(options.repeats, 3))
-                    errors = radiance_errors(render_radiance(coarse, scene), reference)
+                    timing = measure(partial(render_radiance, coarse, scene, eye), min(options.repeats, 3))
+                    errors = radiance_errors(render_radiance(coarse, scene, eye), reference)
                     yield Row(case, f"{name}, {paths} paths", "reference", timing, errors)
                 for fast_name in fast:
                     renderer = options.plugins.create("reflectance_renderer", fast_name, {})
-                    timing = measure(partial(render_radiance, renderer, scene), min(options.repeats, 3))
-                    errors = radiance_errors(render_radiance(renderer, scene), reference)
+                    timing = measure(partial(render_radiance, renderer, scene, eye), min(options.repeats, 3))
+                    errors = radiance_errors(render_radiance(renderer, scene, eye), reference)
                     yield Row(case, fast_name, "ours", timing, errors)
 
 
-def render_radiance(renderer: ReflectanceRenderer, scene: Scene) -> torch.Tensor:
-    """Radiance (IMAGE_SIZE², 3) through every pixel of one camera, preparation included."""
+def render_radiance(renderer: ReflectanceRenderer, scene: Scene, eye: Eye) -> torch.Tensor:
+    """Radiance (IMAGE_SIZE², 3) through every pixel of one camera at `eye`, preparation included."""
     assert scene.material is not None and scene.environment is not None
     shape = (IMAGE_SIZE, IMAGE_SIZE)
     pixels = Pixels(np.zeros((*shape, 3), np.float32), np.ones(shape, np.float32), np.zeros(shape, bool))
-    capture = Capture(Path("formula"), (View("0", looking_at((0, 1, 4), IMAGE_SIZE), lambda: pixels),))
+    capture = Capture(Path("formula"), (View("0", looking_at(eye, IMAGE_SIZE), lambda: pixels),))
     indices = torch.tensor([(0, x, y) for y in range(IMAGE_SIZE) for x in range(IMAGE_SIZE)])
     torch.manual_seed(0)
     with torch.no_grad():

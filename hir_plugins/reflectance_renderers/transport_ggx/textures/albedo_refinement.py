@@ -32,6 +32,8 @@ class AlbedoRefinement:
     """The equations that the albedo of a scene was solved from, view by view, with a cache of path-traced radiance."""
 
     equations: list[TexelEquations]
+    seed: int = 0
+    """Of the noise of the path tracer; each view has its own."""
     _cache: dict[int, Tensor] = field(default_factory=dict)
     """Path-traced radiance of each view's pixels, of `_cached`."""
     _cached: tuple[PreparedReflectance, Scene] | None = None
@@ -74,7 +76,7 @@ class AlbedoRefinement:
             self._cached, self._cache = (traced, scene), {}
         if view not in self._cache:
             assert scene.material is not None and scene.environment is not None
-            torch.manual_seed(view)
+            torch.manual_seed(view + (self.seed << 32))
             radiance = traced.radiance(scene.material, scene.environment, rows.pixel)
             # one non-finite pixel would reach every texel through conjugate gradients; this one asks for no change
             self._cache[view] = torch.where(torch.isfinite(radiance), radiance, rows.color)

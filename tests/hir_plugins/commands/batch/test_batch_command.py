@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import time
+import uuid
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -23,6 +24,7 @@ from hir_plugins.commands.batch.scheduling.capture_job import CaptureJob
 from hir_plugins.commands.batch.scheduling.driver import Batch
 from hir_plugins.commands.batch.scheduling.events import BatchEvent, RunningTask
 from hir_plugins.commands.batch.scheduling.messages import ProgressMessage
+from tests.fixtures.runs import make_tiny
 
 
 def hir(*arguments: object) -> int:
@@ -140,3 +142,40 @@ def test_plain_output_has_no_table(tmp_path: Path) -> None:
         table.event(BatchEvent("message", details={"message": "nothing"}))
         table.update(SimpleNamespace())  # type: ignore[arg-type] # unused without a terminal
     assert CaptureJob("cup", "cup").manifest_entry()["state"] == "waiting"
+
+
+def processes_with(variable: str) -> list[str]:
+    """Command lines of running processes that have `variable`, such as `A=1`, in their environment."""
+    found = []
+    for folder in Path("/proc").iterdir():
+        try:
+            state = (folder / "stat").read_text().rpartition(")")[2].split()[0]
+            if state != "Z" and variable.encode() in (folder / "environ").read_bytes().split(b"\0"):
+                found.append((folder / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace"))
+        except OSError:
+            continue  # not a process, one that has ended, or another user's
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="processes are found by /proc")
+def test_no_process_of_ray_remains_after_a_batch_was_killed(tmp_path: Path) -> None:
+    pytest.importorskip("ray")
+    capture, mark = make_tiny(tmp_path / "cup"), f"HIR_TEST_BATCH={uuid.uuid4()}"
+    name, _, value = mark.partition("=")
+    command = [sys.executable, "-m", "hir_core.cli", "batch", capture, "-o", tmp_path / "out", "--address", "local"]
+    command += ["--set", "geometry.iterations=100000", "--set", "export=[]", "--set", "geometry.triangles=1500"]
+    with subprocess.Popen(command, env=os.environ | {name: value}, stdout=subprocess.DEVNULL) as batch:
+        deadline = time.monotonic() + 180
+        # the task runs when its worker has the name of the task
+        while not any(
+            process.startswith("ray::initialization") or "of cup" in process for process in processes_with(mark)
+        ):
+            assert batch.poll() is None and time.monotonic() < deadline, processes_with(mark)
+            time.sleep(0.2)
+        assert len(processes_with(mark)) > 4
+        batch.kill()
+    deadline = time.monotonic() + 20
+    while (left := processes_with(mark)) and time.monotonic() < deadline:
+        time.sleep(0.5)
+    assert left == []

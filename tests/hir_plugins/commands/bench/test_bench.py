@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 import time
 from pathlib import Path
 
@@ -12,19 +13,22 @@ from hir_exporters.textures.image_files import read_ldr
 
 from hir_core.cli import main
 from hir_core.errors import InputError
+from hir_core.mesh.ray_casting import MeshQueries
 from hir_core.plugins.manager import PluginManager
 from hir_core.testing.scenes import looking_at
 from hir_plugins.commands.bench.bench_options import BenchOptions
 from hir_plugins.commands.bench.command import SUITE_NAMES
 from hir_plugins.commands.bench.inputs import bench_captures, bench_shapes, exact_silhouettes, image_resampling
+from hir_plugins.commands.bench.inputs.bench_shapes import bowl
 from hir_plugins.commands.bench.measurement import measure, peak_bytes
 from hir_plugins.commands.bench.results import comparison, markdown_tables
 from hir_plugins.commands.bench.results.bench_result import Result, Row, Timing
 from hir_plugins.commands.bench.results.plot import plot_svg
-from hir_plugins.commands.bench.suites import geometry_suite, regularizers_suite
+from hir_plugins.commands.bench.suites import geometry_suite, reflectance_suite, regularizers_suite
 from hir_plugins.commands.bench.suites.suite_registry import SUITES, suite_rows
 
-SAMPLE = Path(__file__).resolve().parents[4] / "examples" / "sample_capture"
+ROOT = Path(__file__).resolve().parents[4]
+SAMPLE = ROOT / "examples" / "sample_capture"
 
 
 def row(
@@ -68,6 +72,31 @@ class TestFiles:
         written = result(row("contour", (1.0, 2.0, 3.0), 0.1), Row({"size": 2}, "soft", "peer", None, note="left out"))
         written.write(tmp_path / "a.json")
         assert Result.read(tmp_path / "a.json") == written
+
+    def test_a_result_has_the_commit_of_the_code_and_an_older_file_has_none(self, tmp_path: Path) -> None:
+        written = Result("geometry", ())
+        if (ROOT / ".git").exists():
+            head = subprocess.run(["git", "-C", ROOT, "rev-parse", "HEAD"], capture_output=True, text=True, check=True)
+            assert written.commit.removesuffix("-dirty") == head.stdout.strip()
+        written.write(tmp_path / "a.json")
+        assert Result.read(tmp_path / "a.json") == written
+        document = json.loads((tmp_path / "a.json").read_text())
+        (tmp_path / "a.json").write_text(json.dumps({k: v for k, v in document.items() if k != "commit"}))
+        assert Result.read(tmp_path / "a.json").commit == ""
+
+    def test_the_bowl_is_closed_and_hollow_and_its_inside_faces_the_camera(self) -> None:
+        import trimesh
+
+        made = bowl()
+        closed = trimesh.Trimesh(made.positions.numpy(), made.faces.numpy(), process=False)
+        assert closed.is_watertight and closed.is_winding_consistent and closed.volume > 0
+        solid = 2 * np.pi / 3 * (1 - 0.9**3)
+        assert closed.volume == pytest.approx(solid, rel=0.01)
+        make_bowl, eye = reflectance_suite.SHADED_MESHES["bowl"]
+        assert make_bowl is bowl
+        # the ray from the camera to the middle of the inside meets that point first
+        queries, down = MeshQueries(closed.vertices, closed.faces), np.array([[0.0, -0.9, 0.0]]) - eye
+        assert queries.first_distances(np.array([eye]), down) == pytest.approx([1.0], abs=1e-3)
 
     @pytest.mark.parametrize("document", [{}, {"format": "hir-bench", "version": 1, "rows": [{"case": {}}]}])
     def test_other_files_are_refused(self, document: dict[str, object], tmp_path: Path) -> None:

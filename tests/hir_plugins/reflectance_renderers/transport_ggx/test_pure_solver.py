@@ -10,6 +10,7 @@ import torch
 
 from hir_core.capture import Capture
 from hir_core.plugins.interfaces import CheckpointLocation
+from hir_core.plugins.manager import PluginManager
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene import Scene
 from hir_core.stages.atlas import unwrap_mesh
@@ -82,3 +83,18 @@ def test_a_finished_fit_is_read_from_its_checkpoint(capture: tuple[Scene, Captur
     assert torch.equal(again.parameters.diffuse, fit.parameters.diffuse)
     assert again.parameters.width is not None and fit.parameters.width is not None
     assert torch.equal(again.parameters.width, fit.parameters.width)
+
+
+def test_fits_of_two_seeds_differ_and_one_seed_gives_the_same(capture: tuple[Scene, Capture]) -> None:
+    """On the same mesh: only the directions and pixels that the renderer draws differ."""
+    plugins = PluginManager.discover()
+    options = {"vertices": 0, "cache_cells": 200, "steps": 6, "samples": 4}
+
+    def fitted(seed: int) -> torch.Tensor:
+        solver = plugins.create("reflectance_renderer", "transport_ggx", options, seed).prepare(*capture)
+        spec = ModelSpec(brdf="dielectric", specular="uniform")
+        scene = solver.scene(solver.fit(spec, None, VIEWS, 1.0, silent), VIEWS, silent).scene
+        return torch.as_tensor(scene.environment.radiance)
+
+    assert torch.equal(fitted(0), fitted(0)) and torch.equal(fitted(1), fitted(1))
+    assert not torch.equal(fitted(0), fitted(1))

@@ -96,7 +96,10 @@ def test_linear_in_light_and_albedo() -> None:
 @pytest.mark.parametrize("model", ["paper", "dielectric"])
 @pytest.mark.parametrize("alpha", [0.1, 0.3, 0.6])
 def test_agrees_with_the_path_tracer(model: str, alpha: float) -> None:
-    """Direct light with shadows, against 1024 paths a pixel: mean error within 1 %, of which half is its noise."""
+    """Direct light with shadows, against 1024 paths a pixel: mean error within 2.5 %, bias within 0.5 %.
+
+    Measured: 1.6 to 2.1 %, of which the path tracer's noise alone is 1.0 to 1.4 %; bias −0.24 to −0.06 %.
+    """
     mesh, light, material = two_spheres(), smooth_light(), gloss(model, 0.4, 0.2, alpha)
     scene = Scene(mesh, material, light)
     torch.manual_seed(0)
@@ -107,8 +110,8 @@ def test_agrees_with_the_path_tracer(model: str, alpha: float) -> None:
     assert int(both.sum()) > 150
     error = (shown - reference)[both].abs().mean() / reference[both].mean()
     bias = (shown - reference)[both].mean() / reference[both].mean()
-    assert float(error) < 0.03
-    assert abs(float(bias)) < 0.01
+    assert float(error) < 0.025
+    assert abs(float(bias)) < 0.005
 
 
 def test_gradients_match_finite_differences() -> None:

@@ -1,0 +1,110 @@
+"""Files of a finished run that were changed, deleted or added are noticed by `--resume` and written again."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from pathlib import Path
+
+import pytest
+
+from hir_core.files.file_checksums import changed_file, checksums, regular_files
+from hir_core.pipeline import Run
+from hir_core.report import pictures_damage
+from hir_core.run.run_directory import STAGE_NAMES, RunDirectory
+
+CLOCKED = {"timings.json", "report.html", "log.txt", ".lock"}
+WRITTEN_ANEW = {"run.json", "capture/cameras.json"}
+"""Files that every call writes from the stages' own."""
+
+
+def files_of(run: Path) -> dict[str, bytes]:
+    """Files that must be the same after a resume, without those that contain times."""
+    return {
+        path.relative_to(run).as_posix(): path.read_bytes()
+        for path in sorted(run.rglob("*"))
+        if path.is_file() and path.name not in CLOCKED and "work" not in path.relative_to(run).parts
+    }
+
+
+def noticed(run: Path) -> bool:
+    """Is any file of the run not as a stage or the report wrote it?"""
+    directory = RunDirectory(run)
+    records = [directory.record(name) for name in STAGE_NAMES]
+    return any(r is None or directory.damage(r) for r in records) or pictures_damage(directory) is not None
+
+
+def flip(path: Path, offset: int) -> None:
+    content = bytearray(path.read_bytes())
+    content[offset] ^= 1 + offset % 255
+    path.write_bytes(content)
+
+
+@pytest.mark.slow
+def test_a_flipped_byte_in_any_file_of_a_run_is_noticed(finished: Run, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    shutil.copytree(finished.path, run)
+    assert not noticed(run)
+    tried = 0
+    for name, content in files_of(run).items():
+        if name in WRITTEN_ANEW:
+            continue
+        size = len(content)
+        for offset in sorted({0, size // 7, size // 3, size // 2, 5 * size // 6, size - 1}):
+            flip(run / name, offset)
+            assert noticed(run), f"byte {offset} of {name}"
+            (run / name).write_bytes(content)
+            tried += 1
+    assert tried > 150 and not noticed(run)
+
+
+@pytest.mark.slow
+def test_a_resumed_run_with_damaged_files_has_the_bytes_of_the_first(
+    tiny_capture: Path,
+    quick,  # type: ignore[no-untyped-def]
+    finished: Run,
+    tmp_path: Path,
+) -> None:
+    run, whole = tmp_path / "run", files_of(finished.path)
+    shutil.copytree(finished.path, run)
+    glb, mesh = run / "exports" / f"{tiny_capture.name}.glb", run / "scene" / "mesh.ply"
+    arrays, picture = RunDirectory(run).stage("atlas") / "scene" / "arrays.npz", next((run / "report").glob("*.png"))
+    glb.unlink()
+    for path in (mesh, arrays, picture, run / "run.json", run / "timings.json"):
+        flip(path, path.stat().st_size // 2)
+    said: list[str] = []
+    again = quick(tiny_capture, run, deterministic=True, resume=True, on_message=said.append)
+    assert again.reused == ("initializer", "geometry", "reflectance")
+    for path in (glb, mesh, arrays):
+        assert any(str(path) in sentence for sentence in said), path
+    found = files_of(run)
+    assert found.keys() == whole.keys()
+    assert [name for name in whole if found[name] != whole[name]] == []
+
+
+@pytest.mark.slow
+def test_a_garbled_export_and_picture_are_written_again_and_nothing_else(
+    tiny_capture: Path,
+    quick,  # type: ignore[no-untyped-def]
+    finished: Run,
+    tmp_path: Path,
+) -> None:
+    run, whole = tmp_path / "run", files_of(finished.path)
+    shutil.copytree(finished.path, run)
+    picture = next((run / "report").glob("*.png"))
+    flip(run / "exports" / f"{tiny_capture.name}.glb", 1000)
+    flip(picture, 100)
+    said: list[str] = []
+    again = quick(tiny_capture, run, deterministic=True, resume=True, on_message=said.append)
+    assert again.reused == STAGE_NAMES[:-1] and files_of(run) == whole
+    assert any(sentence.startswith("report: ") and str(picture) in sentence for sentence in said)
+
+
+def test_a_run_of_100_megabytes_is_verified_within_a_second(tmp_path: Path) -> None:
+    block = bytes(range(256)) * 4096
+    for number in range(10):
+        (tmp_path / f"{number}.exr").write_bytes(block * 10)
+    written = checksums(tmp_path, regular_files(tmp_path))
+    started = time.process_time()
+    assert changed_file(tmp_path, written) is None and len(written) == 10
+    assert time.process_time() - started < 1.0
