@@ -91,12 +91,7 @@ class RunDirectory:
         document = read_json(self.path / "run.json")
         if document.get("format") != FORMAT:
             raise InputError(f"{self.path / 'run.json'} is no run: its format is {document.get('format')!r}")
-        version = document.get("version")
-        if version != VERSION or isinstance(version, bool):
-            raise InputError(
-                f"{self.path / 'run.json'} has format version {version!r}, this program reads {VERSION}; "
-                "reconstruct the capture again into a new folder"
-            )
+        _check_version(self.path / "run.json", document)
         return document
 
     def write_run(self, document: Mapping[str, Any]) -> None:
@@ -165,6 +160,26 @@ class RunDirectory:
 
     def _write_record(self, record: StageRecord) -> None:
         write_json(self.stage(record.stage) / RECORD, record.as_document())
+
+
+def _check_version(path: Path, document: Mapping[str, Any]) -> None:
+    """Raises `InputError` for a run of another version of `hir`."""
+    version = document.get("version")
+    if version != VERSION or isinstance(version, bool):
+        raise InputError(
+            f"{path} has format version {version!r}, this program reads {VERSION}; "
+            "reconstruct the capture again into a new folder"
+        )
+
+
+def _refuse_other_version(folder: Path) -> None:
+    """Raises `InputError` if the folder holds a run of another version; a damaged run.json is written again."""
+    try:
+        document = read_json(folder / "run.json")
+    except InputError:
+        return
+    if document.get("format") == FORMAT:
+        _check_version(folder / "run.json", document)
 
 
 def check_stage_name(name: str) -> str:
@@ -238,6 +253,7 @@ def claimed_run(path: str | os.PathLike[str], resume: bool) -> Iterator[RunDirec
             raise InputError(f"{folder} holds {sorted(entries)[0]!r} and is not a run; choose an empty or new folder")
         if entries and not resume:
             raise InputError(f"{folder} already holds a run; continue it with --resume, or choose another folder")
+        _refuse_other_version(folder)
     lock = FileLock(folder / ".lock")  # the operating system releases it when the process ends, however it ends
     try:
         folder.mkdir(parents=True, exist_ok=True)

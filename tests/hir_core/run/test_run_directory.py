@@ -87,3 +87,14 @@ def test_json_of_a_report_holds_no_nan() -> None:
 
     value = {"a": np.float32(np.nan), "b": [np.arange(2), np.inf], "c": (True, None, "x")}
     assert jsonable(value) == {"a": None, "b": [[0, 1], None], "c": [True, None, "x"]}
+
+
+def test_a_run_of_another_version_is_refused_and_unchanged(tmp_path: Path) -> None:
+    text = '{"format": "hir-run", "version": 1}'
+    (tmp_path / "run.json").write_text(text)
+    with (
+        pytest.raises(InputError, match=r"version 1, this program reads 2; reconstruct the capture again"),
+        claimed_run(tmp_path, resume=True),
+    ):
+        pass
+    assert (tmp_path / "run.json").read_text() == text

@@ -29,7 +29,7 @@ from hir_plugins.commands.batch.storage.worker_scratch import WorkerScratch, def
 from hir_plugins.commands.batch.summary.run_summary import summarize_run
 
 
-class StageRunner(Protocol):
+class RunFunction(Protocol):
     """Runs the stages of a group in a run directory; returns the names of the stages that were reused."""
 
     def __call__(
@@ -69,10 +69,10 @@ def run_stages(
 
 
 def run_task(
-    spec: TaskSpec, on_progress: Callable[[ProgressMessage], None], stage_runner: StageRunner = run_stages
+    spec: TaskSpec, on_progress: Callable[[ProgressMessage], None], run_function: RunFunction = run_stages
 ) -> TaskOutcome:
     """Runs one task. Every exception becomes an outcome: Ray only notices if the process itself dies."""
-    worker = Worker(spec, on_progress, stage_runner)
+    worker = Worker(spec, on_progress, run_function)
     try:
         return worker.run()
     except Exception as error:
@@ -88,9 +88,9 @@ class Worker:
     """One task, its timings and its log."""
 
     def __init__(
-        self, spec: TaskSpec, on_progress: Callable[[ProgressMessage], None], stage_runner: StageRunner
+        self, spec: TaskSpec, on_progress: Callable[[ProgressMessage], None], run_function: RunFunction
     ) -> None:
-        self._run_stages = stage_runner
+        self._run_stages = run_function
         self.spec, self.group = spec, STAGE_GROUPS[spec.group]
         self.content_hash = spec.content_hash
         self.seconds: dict[str, float] = {}

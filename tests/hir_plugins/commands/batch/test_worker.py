@@ -14,7 +14,7 @@ from hir_core.config import RunConfig, load_config
 from hir_core.pipeline import reconstruct
 from hir_core.plugins.manager import PluginManager
 from hir_plugins.commands.batch.scheduling.messages import ProgressMessage, TaskOutcome, TaskSpec
-from hir_plugins.commands.batch.scheduling.worker import StageRunner, run_stages, run_task
+from hir_plugins.commands.batch.scheduling.worker import RunFunction, run_stages, run_task
 from hir_plugins.commands.batch.stage_groups import STAGE_GROUPS
 from hir_plugins.commands.batch.storage import object_store
 from hir_plugins.commands.batch.storage.content_hash import content_hash, settings_hash
@@ -38,9 +38,9 @@ def task_for(source: StoragePath | Path, out: StoragePath, config: RunConfig, ca
 
 
 def run(
-    spec: TaskSpec, messages: list[ProgressMessage] | None = None, stage_runner: StageRunner = run_stages
+    spec: TaskSpec, messages: list[ProgressMessage] | None = None, run_function: RunFunction = run_stages
 ) -> TaskOutcome:
-    return run_task(spec, (messages if messages is not None else []).append, stage_runner)
+    return run_task(spec, (messages if messages is not None else []).append, run_function)
 
 
 def test_four_tasks_on_a_store_give_the_bytes_of_a_single_run(
@@ -116,13 +116,13 @@ def test_errors_are_classified(tiny: Path, config: RunConfig, memory: StoragePat
     def disk_full(*_: object) -> NoReturn:
         raise OSError(28, "No space left on device")
 
-    assert run(spec, stage_runner=disk_full).state == "infrastructure_error", "another node may have free space"
+    assert run(spec, run_function=disk_full).state == "infrastructure_error", "another node may have free space"
 
     def defective(*_: object) -> NoReturn:
         raise ZeroDivisionError("division by zero")
 
-    assert run(spec, stage_runner=defective).reason == "this is a bug: ZeroDivisionError: division by zero"
+    assert run(spec, run_function=defective).reason == "this is a bug: ZeroDivisionError: division by zero"
     object_store.write(Destination(memory / "out").lease, json_bytes({"owner": "another batch"}))
-    superseded = run(spec, stage_runner=lambda *_: ())
+    superseded = run(spec, run_function=lambda *_: ())
     assert superseded.state == "infrastructure_error" and "another batch" in superseded.reason
     assert object_store.list_files(Destination(memory / "out").unfinished("cow")) == {}
