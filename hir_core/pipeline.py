@@ -23,8 +23,8 @@ from hir_core.run.stage_context import StageContext
 from hir_core.run.stage_runner import StageRunner
 from hir_core.stages.initialization import resolve_initializers
 from hir_core.stages.memory_plan import MemoryPlan, gigabytes, plan_memory
-from hir_core.stages.reflectance.settings_without_effect import check_settings_take_effect
 from hir_core.stages.run_state import CaptureSource, RunState
+from hir_core.stages.settings_without_effect import check_settings_take_effect, settings_of_disabled_stages
 from hir_core.stages.stage_list import STAGES
 
 if TYPE_CHECKING:
@@ -90,6 +90,8 @@ def reconstruct(
             if on_message is not None:
                 on_message(sentence)
 
+        for setting in settings_of_disabled_stages(config, plugins):
+            say(f"warning: {setting} has no effect: its stage is switched off; remove one of the two settings")
         state, memory = prepare(Path(capture), config, plugins, directory, resolved_device, say)
         records = RunRecords(directory, plugins, say)
         records.start(_capture_document(state), asdict(state.config), memory.document(), resolved_device)

@@ -1,4 +1,4 @@
-"""Refuses settings of the reflectance stage that would have no effect in a run, before the run starts.
+"""Refuses settings of the geometry and reflectance stages that would have no effect in a run, before the run starts.
 
 A setting counts as set by the user where it differs from the preset's.
 """
@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
-from hir_core.config import ReflectanceSettings, RunConfig, load_config
+from hir_core.config import GeometrySettings, ReflectanceSettings, RunConfig, load_config
 from hir_core.errors import ConfigError
 from hir_core.plugins.manager import PluginManager
 
@@ -23,18 +23,15 @@ def check_settings_take_effect(config: RunConfig, plugins: PluginManager) -> Non
 
 def settings_without_effect(config: RunConfig, plugins: PluginManager) -> dict[str, str]:
     """Settings that differ from the preset's and have no effect, each with the reason and the remedy."""
+    preset = _preset(config, plugins)
+    found = _geometry_settings_without_effect(config.geometry, preset.geometry)
     settings = config.reflectance
     if not settings.enabled or not settings.renderer:
-        return {}
-    preset = load_config(plugins, config.preset) if config.preset in plugins.presets() else RunConfig()
+        return found
     offers_solver = "solver" in plugins.find("reflectance_renderer", settings.renderer).component.traits
     by_solver = offers_solver and settings.method != "gradient"
     changed = set(_changed(asdict(settings), asdict(preset.reflectance)))
-    found: dict[str, str] = {}
-    for rule in _rules(settings, by_solver):
-        for name in rule.names:
-            if rule.applies and name in changed:
-                found.setdefault(f"reflectance.{name}", rule.reason)
+    found |= _broken_rules("reflectance", _reflectance_rules(settings, by_solver), changed)
     for renderer, options in config.reflectance_renderer.items():
         known = preset.reflectance_renderer.get(renderer, {})
         for name in (name for name, value in options.items() if name not in known or known[name] != value):
@@ -52,7 +49,61 @@ class _Rule:
     reason: str
 
 
-def _rules(settings: ReflectanceSettings, by_solver: bool) -> list[_Rule]:
+def settings_of_disabled_stages(config: RunConfig, plugins: PluginManager) -> list[str]:
+    """Settings that differ from the preset's in stages that `enabled = false` switches off."""
+    preset = _preset(config, plugins)
+    return [
+        f"{stage}.{name}"
+        for stage in ("geometry", "reflectance")
+        if not getattr(config, stage).enabled
+        for name in _changed(asdict(getattr(config, stage)), asdict(getattr(preset, stage)))
+        if name != "enabled"
+    ]
+
+
+def _preset(config: RunConfig, plugins: PluginManager) -> RunConfig:
+    return load_config(plugins, config.preset) if config.preset in plugins.presets() else RunConfig()
+
+
+def _broken_rules(stage: str, rules: list[_Rule], changed: set[str]) -> dict[str, str]:
+    """Changed settings without effect, each with the reason of the first rule that applies."""
+    found: dict[str, str] = {}
+    for rule in rules:
+        for name in rule.names:
+            if rule.applies and name in changed:
+                found.setdefault(f"{stage}.{name}", rule.reason)
+    return found
+
+
+def _geometry_settings_without_effect(settings: GeometrySettings, preset: GeometrySettings) -> dict[str, str]:
+    if not settings.enabled:
+        return {}
+    rules = [
+        _Rule(
+            ("iterations",),
+            bool(settings.iterations_per_view),
+            "geometry.iterations_per_view replaces it; set that to 0",
+        ),
+        _Rule(
+            ("smoothness",),
+            settings.parameterization == "vertices",
+            "vertices are moved without a preconditioner; set geometry.parameterization to 'large_steps'",
+        ),
+        _Rule(
+            ("levels", "triangles"),
+            not settings.remesh,
+            "the initial mesh is fitted as it is; set geometry.remesh to true",
+        ),
+        _Rule(
+            ("photo_consistency_iterations",),
+            settings.photo_consistency == "off",
+            "the stage ends with the silhouettes; set geometry.photo_consistency to 'auto'",
+        ),
+    ]
+    return _broken_rules("geometry", rules, set(_changed(asdict(settings), asdict(preset))))
+
+
+def _reflectance_rules(settings: ReflectanceSettings, by_solver: bool) -> list[_Rule]:
     gradient, tracing = settings.gradient, settings.path_tracing
     terms = [options for options in settings.regularizers.values() if options is not False]
     regularized = any(options.get("weight", 1) != 0 for options in terms)

@@ -10,7 +10,11 @@ import pytest
 from hir_core.config import GradientSettings, PathTracingSettings, load_config
 from hir_core.errors import ConfigError
 from hir_core.pipeline import reconstruct
-from hir_core.stages.reflectance.settings_without_effect import check_settings_take_effect, settings_without_effect
+from hir_core.stages.settings_without_effect import (
+    check_settings_take_effect,
+    settings_of_disabled_stages,
+    settings_without_effect,
+)
 from tests.fixtures.made_captures import PLUGINS
 
 GRADIENT = "reflectance.method=gradient"
@@ -26,6 +30,11 @@ NO_REFINEMENT = "reflectance.path_tracing.refine_albedo=false"
 T = "reflectance_renderer.transport_ggx."
 
 WITHOUT_EFFECT = [
+    ("geometry.iterations=7", ["geometry.iterations_per_view=3"], "iterations_per_view"),
+    ("geometry.smoothness=7", ["geometry.parameterization=vertices"], "'large_steps'"),
+    ("geometry.levels=2", ["geometry.remesh=false"], "geometry.remesh"),
+    ("geometry.triangles=2000", ["geometry.remesh=false"], "geometry.remesh"),
+    ("geometry.photo_consistency_iterations=7", ["geometry.photo_consistency=off"], "'auto'"),
     ("reflectance.gradient.iterations=7", [], "regularizers"),
     ("reflectance.gradient.iterations_per_view=7", [], "regularizers"),
     ("reflectance.gradient.learning_rate=0.5", [], "regularizers"),
@@ -59,6 +68,10 @@ WITHOUT_EFFECT = [
 ]
 
 WITH_EFFECT = [
+    ("geometry.iterations=7", []),
+    ("geometry.smoothness=7", []),
+    ("geometry.levels=2", []),
+    ("geometry.photo_consistency_iterations=7", []),
     ("reflectance.gradient.iterations=7", [GRADIENT]),
     ("reflectance.gradient.iterations=7", [MITSUBA]),
     ("reflectance.gradient.iterations=7", [TERM]),
@@ -129,3 +142,10 @@ def test_a_run_ends_before_its_folder_is_made(tmp_path: Path) -> None:
             plugins=PLUGINS,
         )
     assert not (tmp_path / "run").exists()
+
+
+def test_settings_of_a_stage_that_is_switched_off_are_named() -> None:
+    config = load_config(PLUGINS, "fast", assignments=["geometry.enabled=false", "geometry.iterations=7"])
+    assert settings_without_effect(config, PLUGINS) == {}
+    assert settings_of_disabled_stages(config, PLUGINS) == ["geometry.iterations"]
+    assert settings_of_disabled_stages(load_config(PLUGINS), PLUGINS) == []
