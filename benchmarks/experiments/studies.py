@@ -53,7 +53,11 @@ TERMS = Study(
     (
         ("all of `fast`", BASE),
         ("without bending energy", studied("no_bending", "geometry.regularizers.laplacian=false")),
-        ("without photographs in the geometry stage", studied("no_photographs", "geometry.photo_consistency='off'")),
+        (
+            "without photographs in the geometry stage",
+            # iterations as in the preset: other ones would have no effect, which is refused
+            studied("no_photographs", "geometry.photo_consistency='off'", "geometry.photo_consistency_iterations=100"),
+        ),
         (
             "without smoothness of the light",
             studied("no_light_smoothness", "reflectance_renderer.transport_ggx.light_smoothness=0.0"),
