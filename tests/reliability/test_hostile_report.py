@@ -67,7 +67,7 @@ def with_markup(value: Any) -> Any:
 
 def test_text_of_a_run_is_never_markup(run: RunDirectory) -> None:
     document = run.read_run()
-    kept = {key: document[key] for key in ("format", "version", "metrics", "asset_from_working")}
+    kept = {key: document[key] for key in ("format", "version", "metrics")}
     write(run.path / "run.json", with_markup(document) | kept)
     timings = run.read_timings()
     write(run.path / "timings.json", timings | {"machine": with_markup(timings["machine"])})

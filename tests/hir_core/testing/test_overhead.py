@@ -152,5 +152,5 @@ def test_hooks_are_called_from_few_places() -> None:
         "hir_core/stages/initialization.py",
         "hir_core/run/progress_listener.py",
         "hir_core/pipeline.py",
-        "hir_core/run/session.py",
+        "hir_core/run/stage_runner.py",
     }
