@@ -1,4 +1,4 @@
-"""Sub-tables and lists of the report, from run.json and timings.json."""
+"""Tables and lists of the report, from run.json and timings.json."""
 
 from __future__ import annotations
 

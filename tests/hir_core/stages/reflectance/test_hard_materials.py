@@ -158,7 +158,7 @@ def test_one_view_that_is_not_clipped_gives_a_finite_scene(tmp_path: Path) -> No
     assert scene.material is not None and scene.environment is not None
     for values in (scene.material.diffuse_albedo, scene.material.roughness, scene.environment.radiance):
         assert bool(torch.isfinite(values).all())
-    assert 0 < report.solver["observed"] < 0.6, "what one view shows of a ball, and no more"
+    assert 0.15 < report.solver["observed"] < 0.3, "what one view shows of a ball (measured: 0.234), and no more"
 
 
 def test_one_view(tmp_path: Path) -> None:
