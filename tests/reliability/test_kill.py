@@ -1,4 +1,4 @@
-"""Kill -9 at any moment, then `--resume`: the same files. `make kill-test` does it 50 times."""
+"""Kill -9 at any moment, then `--resume`: the same files. `make kill-test` kills 70 runs, these tests 16."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def _kill_test(*arguments: str) -> str:
         [sys.executable, ROOT / "tools" / "kill_test.py", *arguments],
         capture_output=True,
         text=True,
-        timeout=1800,
+        timeout=7200,  # a bound for a hang, not for speed
         env=os.environ | {"OMP_NUM_THREADS": "1"},
     )
     assert done.returncode == 0, done.stdout + done.stderr
@@ -32,7 +32,7 @@ def _kill_test(*arguments: str) -> str:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("kind", "kills"), [("cached", "50"), ("traced", "10"), ("sfm", "10")])
+@pytest.mark.parametrize(("kind", "kills"), [("cached", "8"), ("traced", "4"), ("sfm", "4")])
 def test_killed_runs_end_with_the_same_files(kind: str, kills: str) -> None:
     assert f"{kills} of {kills} the same" in _kill_test("--kills", kills, "--kind", kind)
 
