@@ -64,11 +64,11 @@ class GeometrySettings:
     robust: bool = True
     """Give views a lower weight where their masks contradict the others, and name them (robust view weights)."""
     photo_consistency: Literal["auto", "off"] = "auto"
-    """After the silhouettes, move vertices to make the photographs consistent; the result is kept where held-out views
-    become more consistent, too."""
+    """After the silhouettes, move vertices to make the photographs consistent, as far as views that take no part in the
+    fit become more consistent, too."""
     photo_consistency_iterations: int = 100
     """Optimisation steps of photo-consistency at each image resolution; the second, finer attempt takes as many at each
-    but the coarsest."""
+    but the coarsest, and a last pass takes half as many."""
     start_radius: float = 0.0
     """Scale the start mesh to this radius during the stage and back after it; 0: no scaling."""
     enabled: bool = True

@@ -8,6 +8,7 @@ import sys
 import traceback
 import warnings
 from collections.abc import Sequence
+from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -39,7 +40,8 @@ COMMANDS = {
 
 INPUT_ERROR = 2
 INTERRUPTED = 130
-INTERRUPTION = "hir: interrupted; continue the run with --resume"
+RESUMABLE = "reconstruct"
+"""The command that has `--resume`."""
 
 
 class LazyGroup(click.Group):
@@ -94,7 +96,7 @@ def main(arguments: Sequence[str] | None = None, plugins: PluginManager | None =
     if arguments is None and not verbose:
         warnings.simplefilter("ignore")  # they address programmers, not users
     if arguments is None:
-        remember_interrupts(_exit_at_once)
+        remember_interrupts(partial(_exit_at_once, command_line))
     try:
         code = cli.main(command_line, prog_name="hir", standalone_mode=False, obj={"plugins": plugins})
     except click.exceptions.Exit as stop:
@@ -113,8 +115,8 @@ def main(arguments: Sequence[str] | None = None, plugins: PluginManager | None =
     except (KeyboardInterrupt, click.Abort):
         code = INTERRUPTED
         if arguments is None:  # an orderly shutdown of compilers and thread pools takes seconds
-            _exit_at_once()
-        click.echo(INTERRUPTION, err=True)
+            _exit_at_once(command_line)
+        click.echo(_interruption(command_line), err=True)
     except BrokenPipeError:
         sys.stderr.close()  # the reader of the output is closed; otherwise Python prints an error at exit
         code = 1
@@ -127,9 +129,14 @@ def main(arguments: Sequence[str] | None = None, plugins: PluginManager | None =
     sys.exit(code if isinstance(code, int) else 0)
 
 
-def _exit_at_once() -> None:
+def _interruption(command_line: Sequence[str]) -> str:
+    """The sentence after Ctrl-C."""
+    return "hir: interrupted" + ("; continue the run with --resume" if RESUMABLE in command_line[:1] else "")
+
+
+def _exit_at_once(command_line: Sequence[str]) -> None:
     """Ends the process at once after Ctrl-C."""
-    click.echo(INTERRUPTION, err=True)
+    click.echo(_interruption(command_line), err=True)
     with contextlib.suppress(OSError):
         sys.stdout.flush()
         sys.stderr.flush()

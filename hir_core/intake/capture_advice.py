@@ -49,7 +49,7 @@ def advice_for(check: CaptureCheck) -> list[str]:
         advice.append(f"{len(flat)} photographs are black, such as {flat[0]}: remove them")
     if check.duplicates:
         advice.append(
-            f"{len(check.duplicates)} pairs of photographs are the same, such as {' and '.join(check.duplicates[0])}"
+            f"photographs that repeat another one: {len(check.duplicates)}, such as {' and '.join(check.duplicates[0])}"
         )
     clipped = [v.name for v in views if v.saturated > 0.05]
     if clipped:

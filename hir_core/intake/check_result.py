@@ -36,7 +36,7 @@ class CaptureCheck:
 
     views: tuple[ViewCheck, ...]
     duplicates: tuple[tuple[str, str], ...]
-    """Pairs of names of equal photographs."""
+    """Names of a photograph and of a later one that equals it; each later one once."""
     with_camera: int
     """Number of photographs with a camera."""
     directions_covered: float | None

@@ -11,6 +11,15 @@ from numpy.typing import NDArray
 Positions = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
+SMALLEST_CELL_QUANTILE = 0.05
+"""Triangles smaller than this quantile share the finest level of the grid for self-intersections."""
+
+LEVEL_OCTAVES = 1
+"""Cells of a level are larger than those of the next finer one by this power of two."""
+
+MOST_OCTAVES = 20
+"""Cells per axis stay below 2^20: three indices fit one 64-bit key."""
+
 
 @dataclass(frozen=True)
 class MeshState:
@@ -97,8 +106,8 @@ def _face_pairs(faces: Faces) -> tuple[bool, NDArray[np.int64], int]:
 def self_intersections(positions: Positions, faces: Faces, batch: int = 400_000) -> NDArray[np.int64]:
     """Indices of triangles that intersect a triangle with which they share no vertex: an edge of one pierces the other.
 
-    Triangles that only touch or are coplanar do not count. Candidates come from a grid with cells of the size of the
-    large triangles (the 98th percentile); a single larger triangle is slower and still exact.
+    Triangles that only touch or are coplanar do not count. Candidates come from a hierarchical grid, so that a few
+    triangles as large as the mesh cost no more than a comparison of each with the others.
     """
     p = np.asarray(positions, dtype=np.float64)[faces]
     if len(p) < 2 or not np.isfinite(p).all():
@@ -117,34 +126,67 @@ def self_intersections(positions: Positions, faces: Faces, batch: int = 400_000)
 
 
 def _candidates(low: Positions, high: Positions, batch: int) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-    """Pairs of boxes in the same cell of a grid, in batches of about `batch`; a pair may appear more than once."""
-    size = float(np.quantile((high - low).max(axis=1), 0.98)) * 1.01
-    if size <= 0:
+    """Pairs of boxes that share a cell, in batches of about `batch`; a pair may appear more than once.
+
+    A box belongs to the level of a hierarchical grid (Mirtich 1997) whose cells are just as large as it, and lies in
+    at most eight of them. It is compared with the boxes of its level and of finer levels in the same cells.
+    """
+    size = (high - low).max(axis=1) * 1.01
+    if size.max() <= 0:
         return
+    finest = max(float(np.quantile(size, SMALLEST_CELL_QUANTILE)), float(size.max()) / 2**MOST_OCTAVES)
+    level = np.ceil(np.log2(np.maximum(size / finest, 1.0)) / LEVEL_OCTAVES).astype(np.int64)
     origin = low.min(axis=0)
-    first, last = ((low - origin) // size).astype(np.int64), ((high - origin) // size).astype(np.int64)
-    span = last - first + 1
+    for current in np.unique(level):
+        cell = finest * 2.0 ** (LEVEL_OCTAVES * current)
+        boxes = np.flatnonzero(level <= current)
+        row, key = _cells((low[boxes] - origin) // cell, (high[boxes] - origin) // cell)
+        owner = boxes[row]
+        order = np.lexsort((level[owner] == current, key))  # in each cell the boxes of finer levels come first
+        key, owner = key[order], owner[order]
+        finer = level[owner] < current
+        position = np.arange(len(key))
+        end = np.searchsorted(key, key, side="right")
+        start = np.where(finer, _first_of_level(key, finer), position + 1)
+        yield from _batches(owner, start, end, batch)
+
+
+def _cells(first: Positions, last: Positions) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The row of `first` and the key of the cell, for every cell between `first` and `last`."""
+    corner = first.astype(np.int64)
+    span = last.astype(np.int64) - corner + 1
     amount = span.prod(axis=1)
-    owner = np.repeat(np.arange(len(low)), amount)
+    owner = np.repeat(np.arange(len(first)), amount)
     offset = np.arange(len(owner)) - np.repeat(np.cumsum(amount) - amount, amount)
     s = span[owner]
-    cell = first[owner] + np.stack([offset % s[:, 0], offset // s[:, 0] % s[:, 1], offset // (s[:, 0] * s[:, 1])], 1)
-    key = (cell[:, 0] << 42) + (cell[:, 1] << 21) + cell[:, 2]
-    order = np.argsort(key, kind="stable")
-    key, owner = key[order], owner[order]
-    position = np.arange(len(key))
-    end = np.searchsorted(key, key, side="right")
-    partners = end - position - 1
+    cell = corner[owner] + np.stack([offset % s[:, 0], offset // s[:, 0] % s[:, 1], offset // (s[:, 0] * s[:, 1])], 1)
+    return owner, (cell[:, 0] << 42) + (cell[:, 1] << 21) + cell[:, 2]
+
+
+def _first_of_level(key: NDArray[np.int64], finer: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Where the boxes of the current level begin in each row's cell; rows are sorted by cell, finer levels first."""
+    before = np.concatenate([[0], np.cumsum(finer)])
+    begin, end = np.searchsorted(key, key, side="left"), np.searchsorted(key, key, side="right")
+    return np.asarray(begin + before[end] - before[begin])
+
+
+def _batches(
+    owner: NDArray[np.int64], start: NDArray[np.int64], end: NDArray[np.int64], batch: int
+) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """Each `owner[i]` with `owner[start[i]:end[i]]`, in batches."""
+    partners = end - start
+    rows = np.flatnonzero(partners)
+    partners, start = partners[rows], start[rows]
     total = np.cumsum(partners)
-    start = 0
-    while start < len(key):
-        base = total[start - 1] if start else 0
-        stop = max(start + 1, int(np.searchsorted(total, base + batch, side="right")))
-        count = partners[start:stop]
-        i = np.repeat(position[start:stop], count)
-        j = i + 1 + np.arange(len(i)) - np.repeat(np.cumsum(count) - count, count)
+    here = 0
+    while here < len(rows):
+        base = total[here - 1] if here else 0
+        stop = max(here + 1, int(np.searchsorted(total, base + batch, side="right")))
+        count = partners[here:stop]
+        i = np.repeat(rows[here:stop], count)
+        j = np.repeat(start[here:stop], count) + np.arange(len(i)) - np.repeat(np.cumsum(count) - count, count)
         yield owner[i], owner[j]
-        start = stop
+        here = stop
 
 
 def _pierces(edges_of: Positions, triangle: Positions) -> NDArray[np.bool_]:

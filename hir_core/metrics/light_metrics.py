@@ -77,12 +77,14 @@ def scale_invariant_error(fit: Array, truth: Array, weight: Array) -> tuple[floa
 
 def angular_error_deg(fit: Array, truth: Array) -> float:
     """Mean angle between RGB vectors (…, 3), where both are lit."""
-    lengths = np.linalg.norm(fit, axis=-1) * np.linalg.norm(truth, axis=-1)
-    lit = lengths > 1e-12
+    ours, theirs = np.linalg.norm(fit, axis=-1, keepdims=True), np.linalg.norm(truth, axis=-1, keepdims=True)
+    lit = (ours * theirs)[..., 0] > 1e-12
     if not lit.any():
         return 0.0
-    cosine = (fit * truth).sum(-1)[lit] / lengths[lit]
-    return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean())
+    a, b = fit[lit] / ours[lit], truth[lit] / theirs[lit]
+    # Kahan 2006: acos of the cosine has lost every angle below 1e-8 rad
+    angle = 2 * np.arctan2(np.linalg.norm(a - b, axis=-1), np.linalg.norm(a + b, axis=-1))
+    return float(np.degrees(angle).mean())
 
 
 def three_spheres(radiance: Array, pixels: int = SPHERE_PIXELS) -> dict[str, Array]:

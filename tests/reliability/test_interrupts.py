@@ -23,10 +23,11 @@ LIMIT_SECONDS = 2.0
 
 NATIVE = """
 import sys
+from functools import partial
 from hir_core.cli.app import _exit_at_once
 from hir_core.run.interrupt import remember_interrupts
 
-remember_interrupts(_exit_at_once)
+remember_interrupts(partial(_exit_at_once, ['reconstruct']))
 import torch
 torch.set_num_threads(1)
 a = torch.rand(9000, 9000)
@@ -51,6 +52,25 @@ def test_a_call_into_native_code_does_not_hold_it_up() -> None:
         took = time.monotonic() - started
         assert "--resume" in child.stderr.read()
     assert took < LIMIT_SECONDS + 1, "a second more than is promised: other tests may have the processors"
+
+
+@pytest.mark.parametrize(
+    ("command", "sentence"),
+    [("check", "hir: interrupted\n"), ("reconstruct", "hir: interrupted; continue the run with --resume\n")],
+)
+def test_an_interrupted_command_says_one_sentence(
+    command: str, sentence: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`hir check` has no --resume to continue with."""
+    from hir_core.cli import app
+
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(app.cli, "main", interrupted)
+    with pytest.raises(SystemExit) as ended:
+        app.main([command, "folder"])
+    assert ended.value.code == 130 and capsys.readouterr().err == sentence
 
 
 @pytest.mark.slow

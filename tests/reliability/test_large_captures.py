@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 import tracemalloc
 from pathlib import Path
@@ -29,6 +30,12 @@ def test_duplicates_among_ten_thousand_photographs_need_little_memory() -> None:
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 600 << 20
+
+
+def test_equal_photographs_are_named_once_each() -> None:
+    """All pairs of 10,000 equal photographs would be 50 million."""
+    pixels = Pixels(np.full((8, 8, 3), 0.5, np.float32), None, np.zeros((8, 8), bool))
+    assert find_duplicates([pixels] * FRAMES) == [(0, i) for i in range(1, FRAMES)]
 
 
 def test_the_hull_is_made_of_a_bounded_number_of_masks(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -80,3 +87,29 @@ def test_a_part_of_the_photographs_can_be_checked(tmp_path: Path, capsys: pytest
         main(["check", str(tmp_path), "--photographs", "3", "-v"])
     output = capsys.readouterr().out
     assert ended.value.code == 0 and "3 photographs of" in output
+
+
+@pytest.mark.slow
+def test_ten_thousand_photographs_are_checked_in_a_minute(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Processor time of one thread: other tests may have the processors."""
+    from hir_core.cli.app import main
+
+    seeds.transforms(tmp_path)
+    transforms = tmp_path / "transforms_train.json"
+    document = json.loads(transforms.read_text())
+    frames, every = document["frames"], []
+    for i in range(FRAMES):
+        frame = frames[i % len(frames)]
+        source = next(tmp_path.glob(frame["file_path"].removeprefix("./") + "*"))
+        link = tmp_path / "many" / f"{i:05d}{source.suffix}"
+        link.parent.mkdir(exist_ok=True)
+        link.hardlink_to(source)
+        every.append(frame | {"file_path": f"many/{link.name}"})
+    transforms.write_text(json.dumps(document | {"frames": every}))
+    started = time.process_time()
+    with pytest.raises(SystemExit) as ended:
+        main(["check", str(tmp_path)])
+    seconds = time.process_time() - started
+    output = capsys.readouterr()
+    assert ended.value.code == 0 and f"{FRAMES} photographs" in output.out.replace(",", "")
+    assert seconds < 60, output.err.splitlines()[-1]

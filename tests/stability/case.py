@@ -1,7 +1,7 @@
 """One numerical edge case: the result of hir, the result of a naive formula, and the truth in many digits.
 
-A case is valid only where the naive formula fails: its result is not finite, it raises, or its error exceeds the
-tolerance of the case.
+A case is valid only where the naive formula fails, in float32 and in float64: its result is not finite, it raises, or
+its error exceeds the tolerance of the case.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Case:
     ours: Callable[[], Any]
     """Calls the function."""
     naive: str | Callable[[], Any]
-    """A formula in the names of `values`, evaluated in float32; or a function, with `formula` as its text."""
+    """A formula in the names of `values`, in float32 and float64; or a function, with `formula` as its text."""
     truth: str | float | Callable[[], Any] = ""
     """The same in many digits; by default the naive formula itself."""
     values: Mapping[str, float] = field(default_factory=dict)
@@ -66,13 +66,14 @@ class Outcome:
     naive: np.ndarray | None
     """None where the naive formula raised."""
     naive_error: float
+    """The smaller one of the errors in float32 and in float64."""
 
 
 def examine(case: Case) -> Outcome:
     """Computes result, truth and naive result."""
     result, truth = array_of(case.ours()), array_of(_truth(case))
-    naive = _naive(case)
-    return Outcome(result, truth, error_of(result, truth), naive, error_of(naive, truth))
+    naive, precise = _naive(case, np.float32), _naive(case, np.float64)
+    return Outcome(result, truth, error_of(result, truth), naive, min(error_of(naive, truth), error_of(precise, truth)))
 
 
 def error_of(found: np.ndarray | None, truth: np.ndarray) -> float:
@@ -105,19 +106,20 @@ def _truth(case: Case) -> Any:
         return eval(case.truth or case.shown, _MANY_DIGITS, values | dict(case.exact))
 
 
-def _naive(case: Case) -> np.ndarray | None:
+def _naive(case: Case, dtype: type[np.floating[Any]]) -> np.ndarray | None:
+    """The formula of text on the values as float32 has them, evaluated in `dtype`; a function chooses its own types."""
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
         try:
             if callable(case.naive):
                 return array_of(case.naive())
-            return array_of(eval(case.naive, _FLOAT32, {n: np.float32(v) for n, v in case.values.items()}))
+            return array_of(eval(case.naive, _NUMPY, {n: dtype(np.float32(v)) for n, v in case.values.items()}))
         except (ArithmeticError, ValueError, IndexError, np.linalg.LinAlgError):
             return None
 
 
 _NAMES = ("sqrt", "exp", "log", "sin", "cos", "tan")
-_FLOAT32: dict[str, Any] = {name: getattr(np, name) for name in _NAMES}
-_FLOAT32 |= {"pi": np.float32(np.pi), "acos": np.arccos, "atan2": np.arctan2, "cbrt": np.cbrt, "hypot": np.hypot}
+_NUMPY: dict[str, Any] = {name: getattr(np, name) for name in _NAMES}
+_NUMPY |= {"pi": np.pi, "acos": np.arccos, "atan2": np.arctan2, "cbrt": np.cbrt, "hypot": np.hypot}
 _MANY_DIGITS: dict[str, Any] = {name: getattr(mpmath, name) for name in (*_NAMES, "acos", "atan2", "cbrt", "hypot")}
 _MANY_DIGITS["pi"] = mpmath.pi

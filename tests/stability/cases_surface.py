@@ -6,7 +6,6 @@ import numpy as np
 import torch
 from hir_exporters.asset import AssetMaterial
 from hir_exporters.materials.material_conversion import to_gltf
-from hir_exporters.materials.target_brdfs import f0_to_ior, ior_to_f0
 from hir_exporters.textures.uv_rasterization import rasterize_triangles
 
 from hir_core.mesh.texel_rasterization import dilate
@@ -225,20 +224,6 @@ def _materials() -> list[Case]:
                 lambda: float((~np.isfinite(np.zeros(3) / np.zeros(3))).sum()),
                 0.0,
                 formula="ρs / max ρs",
-            )
-        )
-    for f0 in (1e-8, 1e-12):
-        cases.append(
-            Case(
-                "export",
-                "hir_exporters.materials.target_brdfs.ior_to_f0",
-                f"the ior of a reflectance of {f0:g}, and back",
-                "the reflectance to 3 digits",
-                lambda f=f0: ior_to_f0(f0_to_ior(f)),
-                "(((1+sqrt(f))/(1-sqrt(f)) - 1) / ((1+sqrt(f))/(1-sqrt(f)) + 1))**2",
-                "f",
-                {"f": f0},
-                tolerance=1e-3 if f0 < 1e-10 else 1e-6,
             )
         )
     return cases

@@ -11,7 +11,7 @@ import numpy as np
 
 from tests.stability.case import Case, Outcome, examine
 
-MODULES = ("brdf", "color", "light", "lens", "mesh", "tangents", "silhouettes", "surface", "fitting")
+MODULES = ("brdf", "color", "light", "lens", "mesh", "tangents", "silhouettes", "surface", "fitting", "literature")
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "stability.md"
 
 
@@ -26,8 +26,8 @@ INTRODUCTION = """# Numerical edge cases
 
 Inputs at the limits of their range, where a textbook formula gives NaN, infinity, or a wrong number. Each row calls the
 named function, compares the result with the value in 60 digits (mpmath) or in closed form, and evaluates the naive
-formula on the same numbers. A row is listed only where the naive formula fails. `make stability` writes this page, and
-every row is a test (`tests/stability`).
+formula on the same numbers, in float32 (shown) and in float64. A row is listed only where the naive formula fails in
+both. `make stability` writes this page, and every row is a test (`tests/stability`).
 
 The error is the largest difference over the largest true value (over 1 where the truth is 0). *Not finite*: NaN,
 infinite, or an exception.

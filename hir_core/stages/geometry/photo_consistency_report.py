@@ -27,14 +27,17 @@ class PassReport:
 
 
 @dataclass(frozen=True)
-class FineCandidateReport:
-    """The candidate of low smoothness against the smooth one, on held-out views."""
+class ConfirmedShare:
+    """The share of a movement of the vertices that held-out views confirm."""
 
-    accepted: bool
+    share: float
+    """0…1."""
     gain: float
-    """Mean relative fall of the error."""
+    """Mean relative fall of the error over the views at the length of lowest error, or at 1 where that is 0."""
     noise: float
     """Standard error of the gain."""
+    near_tie: bool
+    """Student's 95 % interval of the gain contains 0, or the share is between 0.1 and 0.9."""
 
 
 @dataclass(frozen=True)
@@ -55,14 +58,16 @@ class HeldOutIou:
 
 @dataclass(frozen=True)
 class PhotoConsistencyReport:
-    """The refinement: the mesh that was selected against the mesh it started from."""
+    """The refinement, against the mesh that it started from."""
 
     accepted: bool
+    """Some part of the movement is confirmed."""
+    judging_views: list[str]
+    """Names of the views that decided; those that are not held out joined the last pass."""
     levels: list[PassReport]
-    fine: FineCandidateReport
-    held_out_gain: float
-    """Mean relative fall of the error."""
-    noise: float
-    """Standard error of the gain."""
+    movement: ConfirmedShare
+    """From the initial mesh towards the refined one."""
+    fine: ConfirmedShare
+    """From the smooth candidate towards the one of low smoothness."""
     held_out_error: ErrorChange
     held_out_iou: HeldOutIou

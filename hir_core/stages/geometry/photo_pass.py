@@ -42,13 +42,17 @@ its coarseness."""
 FINAL_LEARNING_RATE = 0.05
 """Factor of the learning rate at the end of a pass."""
 
+LAST_PASS_SHARE = 0.5
+"""Steps of the pass with all views, as a share of another pass: it starts from a mesh that most of them have fitted."""
+
 
 @dataclass(frozen=True)
 class Pass:
     """One of several optimisations that run one after the other."""
 
     number: int
-    count: int
+    first_step: int
+    steps: int
     downsample: int
     coarseness: float
     """Width of its pixels, in pixels of the finest level."""
@@ -56,9 +60,15 @@ class Pass:
     shared: bool
     """The coarsest of several levels: both candidates continue from its mesh."""
 
+    @property
+    def end(self) -> int:
+        """The step after the last, counted over all passes."""
+        return self.first_step + self.steps
 
-def plan_passes(factors: Sequence[int]) -> list[Pass]:
-    """The passes for downsampling `factors`, coarse to fine.
+
+def plan_passes(factors: Sequence[int], steps: int) -> tuple[list[Pass], Pass]:
+    """The passes of `steps` steps each for downsampling `factors`, coarse to fine, and the last one, which takes in the
+    judging views too.
 
     Passes of one resolution follow each other, so that its photographs are read once.
     """
@@ -66,10 +76,12 @@ def plan_passes(factors: Sequence[int]) -> list[Pass]:
     shared = [(coarsest, SMOOTHNESS)] if finer else []
     separate = [(factor, smoothness) for factor in finer or factors for smoothness in (SMOOTHNESS, FINE_SMOOTHNESS)]
     order = shared + separate
-    return [
-        Pass(number, len(order), factor, factor / factors[-1], smoothness, number < len(shared))
+    passes = [
+        Pass(number, number * steps, steps, factor, factor / factors[-1], smoothness, number < len(shared))
         for number, (factor, smoothness) in enumerate(order)
     ]
+    last_steps = round(LAST_PASS_SHARE * steps)
+    return passes, Pass(len(order), passes[-1].end, last_steps, factors[-1], 1.0, SMOOTHNESS, False)
 
 
 def fit_pass(
@@ -81,6 +93,7 @@ def fit_pass(
     settings: GeometrySettings,
     context: StageContext,
     plan: Pass,
+    total_steps: int,
 ) -> tuple[Mesh, NDArray[np.floating]]:
     """The mesh after one optimisation, and its photo-consistency error at each step."""
     large = LargeSteps(mesh.topology, len(mesh.positions), plan.smoothness)
@@ -89,8 +102,7 @@ def fit_pass(
     seed = context.seed + 100 * (plan.number + 1)
     photo_batches = Batches(len(train), settings.views_per_step, seed)
     silhouette_batches = Batches(len(train), max(1, settings.views_per_step // 2), seed + 1)
-    steps = settings.photo_consistency_iterations
-    checkpoint = context.checkpoints / f"photo_consistency_{plan.downsample}_{plan.smoothness:g}.npz"
+    checkpoint = context.checkpoints / f"photo_consistency_{plan.number}_{plan.downsample}_{plan.smoothness:g}.npz"
 
     def photo_error(moved: Mesh, views: list[int], step: int) -> Tensor:
         pairs = sample_pairs(details, neighbours, views, PIXELS_PER_VIEW, np.random.default_rng((seed, step)))
@@ -115,13 +127,13 @@ def fit_pass(
     report = optimize(
         loss,
         UniformAdam([parameter], rate),
-        Schedule(steps, end=FINAL_LEARNING_RATE),
+        Schedule(plan.steps, end=FINAL_LEARNING_RATE),
         stage="geometry",
         report=lambda progress: context.report(replace(progress, message="photo-consistency")),
         checkpointing=Checkpointing(checkpoint, context.checkpoint_seconds),
         locate=locate,
-        first_step=plan.number * steps,
-        total_steps=plan.count * steps,
+        first_step=plan.first_step,
+        total_steps=total_steps,
     )
     warn_of_skipped_steps(report, context.warn)
     with torch.no_grad():

@@ -2,14 +2,17 @@
 
 Silhouettes do not constrain hollows. After they fit, points of the surface are compared between neighbouring views
 (`photo_consistency`), from coarse photographs to fine ones. From the mesh of the coarsest level two candidates are
-optimised: a smooth one, and a fine one with less smoothing. Held-out views select one, and the result is accepted only
-where they are more consistent with it than with the initial mesh.
+optimised: a smooth one, and a fine one with less smoothing. Views that took no part judge how far the result goes from
+the smooth one towards the fine one, and from the initial mesh towards that (`confirmed_share`). Both shares are
+continuous in the errors, so that noise in a few views changes the mesh a little. A last pass refines with the judging
+views too.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from itertools import groupby
+from dataclasses import replace
+from itertools import groupby, pairwise
 
 import numpy as np
 from jaxtyping import Float
@@ -23,15 +26,22 @@ from hir_core.scene import Mesh
 from hir_core.stages.geometry.detail_images import DetailImages, finest_downsample
 from hir_core.stages.geometry.photo_consistency import neighbouring_views
 from hir_core.stages.geometry.photo_consistency_report import (
+    ConfirmedShare,
     ErrorChange,
-    FineCandidateReport,
     HeldOutIou,
     PassReport,
     PhotoConsistencyReport,
     PhotoConsistencySkipped,
 )
-from hir_core.stages.geometry.photo_evaluation import evaluate_held_out, mean_known, relative_gain
-from hir_core.stages.geometry.photo_pass import FINE_SMOOTHNESS, SMOOTHNESS, fit_pass, plan_passes
+from hir_core.stages.geometry.photo_evaluation import (
+    HeldOutEvaluation,
+    confirmed_share,
+    evaluate_held_out,
+    interpolated,
+    mean_known,
+)
+from hir_core.stages.geometry.photo_pass import FINE_SMOOTHNESS, SMOOTHNESS, Pass, fit_pass, plan_passes
+from hir_core.stages.held_out_views import judging_views
 
 COARSEST_FACTOR = 4
 """The first level uses photographs at this fraction of the finest resolution that is used."""
@@ -39,21 +49,21 @@ COARSEST_FACTOR = 4
 LEAST_SIDE_PIXELS = 48
 """A smaller photograph has no detail left to compare."""
 
-SIGNIFICANCE = 1.0
-"""Standard errors that a gain must exceed: the better of two meshes is selected, no term is added to a model."""
+LINE = (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Shares of the way between two meshes at which held-out views are evaluated."""
 
 LEAST_GAIN = 0.005
-"""Share by which the error of held-out views must fall."""
+"""Relative fall of the error of judging views of which half is believed, even where they agree."""
 
 LEAST_FINE_GAIN = 0.03
-"""Share by which the fine candidate's error must be below the smooth one's, and by a standard error too. Where there is
-nothing to carve it roughens the normals; photo-consistency does not measure that, but highlights show it (spot: error
-−1 %, unseen views −0.5 dB)."""
+"""The same of the fine candidate against the smooth one. Where there is nothing to carve it roughens the normals;
+photo-consistency does not measure that, but highlights show it."""
 
 LEAST_ERROR = 1e-4
 """Below it there is nothing to lower: photographs without detail are consistent with every surface."""
 
 IOU_LOSS_MAX = 0.002
+"""Of the held-out views' silhouettes; the vertices go only as far as that."""
 
 
 def refine_by_photo_consistency(
@@ -64,55 +74,88 @@ def refine_by_photo_consistency(
     settings: GeometrySettings,
     context: StageContext,
 ) -> tuple[Mesh, PhotoConsistencyReport | PhotoConsistencySkipped]:
-    """The refined mesh, or the initial one where the refinement is not accepted, and the report.
+    """The refined mesh, or the initial one where no part of the refinement is confirmed, and the report.
 
     `capture` has the object centred and of radius about 1; `iou(mesh, views)` is differentiable. The views `held_out`
-    take no part in the fit and decide. Without them, or without overlapping views, the mesh is returned as it is and
-    the report says why.
+    take no part in the fit; others that judge with them join its last pass. Without them, or without overlapping views,
+    the mesh is returned as it is and the report says why.
     """
     views = capture.views
-    train = [i for i in range(len(views)) if i not in set(held_out)]
+    judges = judging_views(len(views), held_out)
+    train = [i for i in range(len(views)) if i not in set(judges)]
     neighbours = neighbouring_views(capture.cameras, train)
-    deciding = [i for i in held_out if neighbours[i]]
-    if not deciding or not any(neighbours[i] for i in train):
+    judges = [i for i in judges if neighbours[i]]
+    if not judges or not any(neighbours[i] for i in train):
         return mesh, PhotoConsistencySkipped("too few views that overlap and could be held out")
     factors = _downsample_factors(capture, settings.downsample)
     finest = DetailImages.of(views, factors[-1])
-    before = evaluate_held_out(mesh, finest, neighbours, deciding, iou, context.seed)
+
+    def evaluated(candidate: Mesh) -> HeldOutEvaluation:
+        return evaluate_held_out(candidate, finest, neighbours, judges, held_out, iou, context.seed)
+
+    before = evaluated(mesh)
     if not np.nanmax(before.errors, initial=0.0) > LEAST_ERROR:
         return mesh, PhotoConsistencySkipped("the photographs show no detail to compare")
     candidates = dict.fromkeys((SMOOTHNESS, FINE_SMOOTHNESS), mesh)
-    passes = []
-    for downsample, plans in groupby(plan_passes(factors), key=lambda plan: plan.downsample):
+    reports = []
+    passes, last = plan_passes(factors, settings.photo_consistency_iterations)
+    for downsample, plans in groupby(passes, key=lambda plan: plan.downsample):
         details = finest if downsample == factors[-1] else DetailImages.of(views, downsample)
         for plan in plans:
             initial = candidates[plan.smoothness]
-            fitted, curve = fit_pass(initial, details, neighbours, train, iou, settings, context, plan)
+            fitted, curve = fit_pass(initial, details, neighbours, train, iou, settings, context, plan, last.end)
             candidates |= dict.fromkeys(candidates if plan.shared else [plan.smoothness], fitted)
-            ends = [round(float(v), 5) for v in _means_of_ends(curve)]
-            passes.append(PassReport(plan.smoothness, downsample, plan.shared, ends))
-    smooth, fine = (
-        evaluate_held_out(candidate, finest, neighbours, deciding, iou, context.seed)
-        for candidate in candidates.values()
-    )
-    fine_gain, fine_noise = relative_gain(smooth.errors, fine.errors)
-    fine_is_better = (
-        fine_gain > max(SIGNIFICANCE * fine_noise, LEAST_FINE_GAIN) and fine.iou > smooth.iou - IOU_LOSS_MAX
-    )
-    selected = candidates[FINE_SMOOTHNESS if fine_is_better else SMOOTHNESS]
-    after = fine if fine_is_better else smooth
-    gain, noise = relative_gain(before.errors, after.errors)
-    accepted = gain > max(SIGNIFICANCE * noise, LEAST_GAIN) and after.iou > before.iou - IOU_LOSS_MAX
+            reports.append(_pass_report(plan, curve))
+    smooth, fine = candidates.values()
+    to_fine = _search(smooth, fine, evaluated, LEAST_FINE_GAIN)
+    selected = interpolated(smooth, fine, to_fine.share)
+    movement = _search(mesh, selected, evaluated, LEAST_GAIN)
+    result = mesh
+    if movement.share > 0:
+        everything = [i for i in range(len(views)) if i not in set(held_out)]
+        near = neighbouring_views(capture.cameras, everything)
+        selected, curve = fit_pass(selected, finest, near, everything, iou, settings, context, last, last.end)
+        reports.append(_pass_report(last, curve))
+        result = interpolated(mesh, selected, movement.share)
+    after = evaluate_held_out(result, finest, neighbours, held_out, held_out, iou, context.seed)
     report = PhotoConsistencyReport(
-        accepted=accepted,
-        levels=passes,
-        fine=FineCandidateReport(accepted and fine_is_better, round(fine_gain, 5), round(fine_noise, 5)),
-        held_out_gain=round(gain, 5),
-        noise=round(noise, 5),
-        held_out_error=ErrorChange(mean_known(before.errors), mean_known(after.errors)),
+        accepted=movement.share > 0,
+        judging_views=[views[i].name for i in judges],
+        levels=reports,
+        movement=_rounded(movement),
+        fine=_rounded(to_fine),
+        held_out_error=ErrorChange(
+            mean_known(before.errors[[i in set(held_out) for i in judges]]), mean_known(after.errors)
+        ),
         held_out_iou=HeldOutIou(round(before.iou, 5), round(after.iou, 5)),
     )
-    return (selected if accepted else mesh), report
+    return result, report
+
+
+def _search(
+    start: Mesh, end: Mesh, evaluated: Callable[[Mesh], HeldOutEvaluation], least_gain: float
+) -> ConfirmedShare:
+    """The share of the way from `start` to `end` that the judging views confirm, as far as silhouettes allow it."""
+    found = [evaluated(interpolated(start, end, length)) for length in LINE]
+    confirmed = confirmed_share(LINE, np.stack([each.errors for each in found]), least_gain)
+    return replace(confirmed, share=min(confirmed.share, _allowed_by_iou([each.iou for each in found])))
+
+
+def _allowed_by_iou(iou: Sequence[float]) -> float:
+    """Where the loss of IoU along `LINE`, linear in between, exceeds `IOU_LOSS_MAX` for the first time; else 1."""
+    for (near, loss), (far, next_loss) in pairwise(zip(LINE, [iou[0] - value for value in iou], strict=True)):
+        if next_loss > IOU_LOSS_MAX:
+            return near + (far - near) * (IOU_LOSS_MAX - loss) / (next_loss - loss)
+    return 1.0
+
+
+def _pass_report(plan: Pass, curve: NDArray[np.floating]) -> PassReport:
+    ends = [round(float(v), 5) for v in _means_of_ends(curve)]
+    return PassReport(plan.smoothness, plan.downsample, plan.shared, ends)
+
+
+def _rounded(found: ConfirmedShare) -> ConfirmedShare:
+    return ConfirmedShare(round(found.share, 4), round(found.gain, 5), round(found.noise, 5), found.near_tie)
 
 
 def _downsample_factors(capture: Capture, downsample: int) -> list[int]:

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from hir_core.mesh.attribute_transfer import remeshed
-from hir_core.mesh.mesh_validity import inspect_mesh, self_intersections
+from hir_core.mesh.mesh_validity import _candidates, inspect_mesh, self_intersections
 from hir_core.mesh.remeshing import mean_edge_length, remesh, surface_area
 from hir_core.scene import Mesh, Topology
 from tests.fixtures.meshes import bumpy_sphere, icosphere, torus
@@ -131,3 +131,31 @@ def test_self_intersections_are_those_of_all_pairs() -> None:
                     hit |= {i, j}
     assert len(hit) > 10
     assert set(self_intersections(positions, faces).tolist()) == hit
+
+
+def _spikes(subdivisions: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """A sphere of which some vertices lie beyond the other side: few triangles as large as the mesh."""
+    positions, faces = icosphere(subdivisions)
+    positions = positions + 0.1 * 2.0**-subdivisions * np.random.default_rng(1).normal(size=positions.shape)
+    positions[np.random.default_rng(0).choice(len(positions), count, replace=False)] *= -1.2
+    return positions, faces
+
+
+def test_self_intersections_of_triangles_of_any_size_are_those_of_open3d() -> None:
+    open3d = pytest.importorskip("open3d")
+    for positions, faces in (_spikes(3, 5), _spikes(3, 60)):
+        mesh = open3d.geometry.TriangleMesh(
+            open3d.utility.Vector3dVector(positions), open3d.utility.Vector3iVector(faces)
+        )
+        expected = set(np.asarray(mesh.get_self_intersecting_triangles()).ravel().tolist())
+        assert len(expected) > 40
+        assert set(self_intersections(positions, faces).tolist()) == expected
+
+
+@pytest.mark.parametrize(("spikes", "pairs_per_triangle"), [(0, 40), (20, 300)])
+def test_few_large_triangles_do_not_multiply_the_comparisons(spikes: int, pairs_per_triangle: int) -> None:
+    """All pairs would be 5,120 for each triangle."""
+    positions, faces = _spikes(4, spikes)
+    p = positions[faces]
+    compared = sum(len(first) for first, _ in _candidates(p.min(axis=1), p.max(axis=1), 400_000))
+    assert compared < pairs_per_triangle * len(faces)

@@ -211,6 +211,14 @@ def test_uniform_adam_keeps_the_direction_of_a_first_step() -> None:
     assert y.tolist() == [1.0, 1.0]
 
 
+@pytest.mark.parametrize("size", [1e-30, 1e-25, 1e22, 1e30])
+def test_uniform_adam_takes_a_step_of_its_rate_whatever_the_size_of_the_gradient(size: float) -> None:
+    x = torch.zeros(1, requires_grad=True)
+    x.grad = torch.full((1,), size)  # its square underflows or overflows in float32
+    UniformAdam([x], 0.5).step()
+    assert x.item() == pytest.approx(-0.5, rel=1e-5)
+
+
 def test_the_caller_may_end_a_loop() -> None:
     x, optimizer = _line(3.0)
     report = optimize(
