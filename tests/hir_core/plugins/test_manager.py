@@ -267,8 +267,8 @@ def test_a_second_preset_or_observer_of_a_name_is_reported_and_ignored(tmp_path:
     for distribution in ("first", "second"):
         plugins.register(Twice(), distribution, "1")
     assert sorted(plugins.problems) == [
-        "observer 'notes' of second is ignored: first has one of that name",
-        "preset 'quick' of second is ignored: first has one of that name",
+        "observer 'notes' of second is ignored: first has one of that name; rename one of the two, or remove it",
+        "preset 'quick' of second is ignored: first has one of that name; rename one of the two, or remove it",
     ]
 
 
