@@ -51,6 +51,7 @@ def check_plugin_command(
     from hir_core.errors import PluginError
     from hir_core.plugins.manager import PluginManager
     from hir_core.testing import check_component, check_whole_plugin, checks_for, whole_plugin
+    from hir_core.testing.contract import PLUGIN
     from hir_core.testing.running import named, plugin_checks
 
     if name.endswith(".py") and name not in plugin_files:
@@ -72,7 +73,9 @@ def check_plugin_command(
         if not (as_json or quiet):
             click.echo(title)
         for result in found:
-            if not as_json and not (quiet and result.is_ok):
+            # what a plugin does not have, such as observers, would be a line for each of its contracts
+            absent = result.kind == PLUGIN and result.outcome == "skipped"
+            if not as_json and not (quiet and result.is_ok) and not absent:
                 _print_result(result)
 
     problems = [problem for problem in plugins.problems if whole is None and name in problem]

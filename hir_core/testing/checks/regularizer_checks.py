@@ -230,7 +230,12 @@ def smallest_on_its_ideal(subject: Subject) -> None:
             near >= least - 1e-9 * (1 + abs(least)),
             f"on its ideal the term is {least:.8g}, {size:g} away from it only {near:.8g}",
         )
-    require(any(above), f"the term is {least:.8g} on its ideal and on every scene near it")
+    require(
+        any(above),
+        f"the term is {least:.8g} on its ideal and on every scene near it; where it is flat, take an ideal at the "
+        "border, from "
+        "which a small change raises it",
+    )
 
 
 @contract("regularizer")
