@@ -62,7 +62,7 @@ def results_of(fault: str) -> list[Result]:
         results = check_whole_plugin(whole, raises=False)
         for registered in named(name, plugins):
             results += check_component(registered, plugins=plugins, raises=False)
-        return [_with_short_names(result, name) for result in results]
+        return [_with_short_names(result, name) for result in results] if fault not in INSTALLED else results
 
 
 def sentence_of(result: Result) -> str:

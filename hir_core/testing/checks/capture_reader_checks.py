@@ -215,9 +215,9 @@ def _names_outside(file: Path, pictures: Sequence[Path], outer: Path) -> bool:
 
 
 def _require_inside(opened: Sequence[Path], outer: Path, why: str) -> None:
-    beside = sorted(
-        {p.name or str(p) for p in opened if p.is_relative_to(outer) and not p.is_relative_to(outer / "capture")}
-    )
+    capture = outer / "capture"
+    outside = {path for path in opened if path.is_relative_to(outer) and not path.is_relative_to(capture)}
+    beside = sorted("the folder that holds the capture" if path == outer else path.name for path in outside)
     require(
         not beside,
         f"it opens {', '.join(beside)}, which lies outside of the capture{why}; raise CaptureError unless "

@@ -29,6 +29,8 @@ def test_one_contract_fails_and_says_what_the_page_says(fault: str) -> None:
     spent = time.process_time() - start
     assert [result.check for result in failed] == [table.FAULTS[fault]], [result.detail for result in failed]
     assert spent < LIMIT_S
+    if fault in table.NEEDS_CUDA:
+        return
     row = table.row(fault, table.FAULTS[fault], table.sentence_of(failed[0]))
     assert without_numbers(row) == without_numbers(table.stored_rows()[fault]), "run: python tools/write_fault_table.py"
 
