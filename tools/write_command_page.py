@@ -6,7 +6,8 @@ from pathlib import Path
 
 import click
 
-from hir_core.cli.app import COMMANDS, cli
+from hir_core.cli.app import cli
+from hir_core.plugins.engine_commands import ENGINE_COMMANDS
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "command-line.md"
 
@@ -22,7 +23,7 @@ def page() -> str:
     """Help of every built-in command."""
     parts = [INTRODUCTION]
     context = click.Context(cli, info_name="hir", max_content_width=110, terminal_width=110)
-    for name in COMMANDS:
+    for name in ENGINE_COMMANDS:
         command = cli.get_command(context, name)
         assert command is not None
         parts += _help(command, name, context)

@@ -30,6 +30,7 @@ TYPES = {
     "hir_core.scene": ("Topology", "Mesh", "Material", "EnvironmentMap", "Scene"),
     "hir_core.scene.silhouette_targets": ("SilhouetteTargets",),
     "hir_core.plugins.progress": ("Progress",),
+    "hir_core.mesh.ray_casting": ("MeshQueries",),
     "hir_core.errors": (
         "CaptureError",
         "ConfigError",
@@ -44,12 +45,18 @@ TYPES = {
 
 FUNCTIONS = {
     "hir_core.plugins.options": ("build_options",),
-    "hir_core.testing": ("check_component", "parametrize_with_checks", "checks_for"),
+    "hir_core.testing": (
+        "check_component",
+        "check_whole_plugin",
+        "whole_plugin",
+        "parametrize_with_checks",
+        "checks_for",
+    ),
     "hir_exporters.files.atomic": ("atomic_write", "atomic_path", "atomic_directory", "write_bytes_atomic"),
     "hir_exporters.asset": ("validate_asset",),
 }
 
-MANAGER = ("discover", "create", "find", "components", "presets", "observers")
+MANAGER = ("discover", "create", "find", "components", "presets", "observers", "commands")
 
 
 def lines() -> Iterator[str]:

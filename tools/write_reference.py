@@ -11,9 +11,10 @@ from typing import Any
 from hir_core.config import RunConfig
 from hir_core.plugins import hookspecs
 from hir_core.plugins.manager import KINDS, PluginManager
-from hir_core.plugins.options import options_schema
+from hir_core.plugins.options import options_schema, range_and_unit
 from hir_core.plugins.traits import TRAITS
 from hir_core.testing import all_checks
+from hir_core.testing.contract import PLUGIN
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 WRITTEN = "Written by `python tools/write_reference.py` from the code itself."
@@ -80,10 +81,10 @@ def contracts_page() -> str:
 
 
 def _groups() -> dict[str, frozenset[str]]:
-    """Titles of the sets of kinds that contracts apply to; those of all kinds first."""
-    sets = {check.kinds for check in all_checks().values()}
+    """Titles of the sets of kinds that contracts apply to; the plugin as a whole first, then every kind."""
+    sets = {check.kinds for check in all_checks().values()} - {frozenset({PLUGIN})}
     ordered = sorted(sets, key=lambda kinds: (-len(kinds), sorted(kinds, key=list(KINDS).index)))
-    titles = {}
+    titles = {"The plugin as a whole": frozenset({PLUGIN})}
     for kinds in ordered:
         named = ", ".join(KIND_NAMES[k] for k in KINDS if k in kinds).capitalize()
         titles["Every kind" if len(kinds) == len(KINDS) else named] = kinds
@@ -113,6 +114,7 @@ def _table(schema: Mapping[str, Any], skip: tuple[str, ...] = ()) -> str:
     for name, field in schema.get("properties", {}).items():
         if name not in skip:
             kind = _type(_resolved(field, schema), schema)
+            kind += f", {range_and_unit(field)}" if range_and_unit(field) else ""
             rows.append(f"| `{name}` | {kind} | {_default(field)} | {_cell(field.get('description', ''))} |")
     if not rows:
         return "No options.\n"

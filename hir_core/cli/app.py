@@ -17,26 +17,11 @@ from hir_exporters.errors import HirError
 
 from hir_core import __version__
 from hir_core.files.file_names import on_one_line
+from hir_core.plugins.engine_commands import ENGINE_COMMANDS
 from hir_core.run.interrupt import remember_interrupts
 
 if TYPE_CHECKING:
     from hir_core.plugins.manager import PluginManager
-
-COMMANDS = {
-    "check": "hir_core.cli.check_command:check_command",
-    "reconstruct": "hir_core.cli.reconstruct_command:reconstruct_command",
-    "export": "hir_core.cli.export_command:export_command",
-    "evaluate": "hir_core.cli.evaluate_command:evaluate_command",
-    "render": "hir_core.cli.render_command:render_command",
-    "report": "hir_core.cli.report_command:report_command",
-    "edit": "hir_core.cli.edit_command:edit_command",
-    "cameras": "hir_core.cli.cameras_command:cameras_command",
-    "plugins": "hir_core.cli.plugins_command:plugins_command",
-    "new-plugin": "hir_core.cli.new_plugin_command:new_plugin_command",
-    "check-plugin": "hir_core.cli.check_plugin_command:check_plugin_command",
-    "doctor": "hir_core.cli.doctor_command:doctor_command",
-    "config": "hir_core.cli.config_command:config_group",
-}
 
 INPUT_ERROR = 2
 INTERRUPTED = 130
@@ -49,11 +34,11 @@ class LazyGroup(click.Group):
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         self._add_plugin_commands()
-        return [*COMMANDS, *sorted(name for name in self.commands if name not in COMMANDS)]
+        return [*ENGINE_COMMANDS, *sorted(name for name in self.commands if name not in ENGINE_COMMANDS)]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if cmd_name in COMMANDS:
-            module, _, attribute = COMMANDS[cmd_name].partition(":")
+        if cmd_name in ENGINE_COMMANDS:
+            module, _, attribute = ENGINE_COMMANDS[cmd_name].partition(":")
             command: click.Command = getattr(import_module(module), attribute)
             return command
         self._add_plugin_commands()
@@ -65,7 +50,8 @@ class LazyGroup(click.Group):
         if not shared_state().get("plugin_commands_added"):
             shared_state()["plugin_commands_added"] = True
             plugins = shared_state().get("plugins") or PluginManager.discover()
-            plugins.notify("hir_register_commands", cli=self)
+            for name, command in plugins.commands().items():
+                self.add_command(command, name)
 
 
 def shared_state() -> dict[str, Any]:

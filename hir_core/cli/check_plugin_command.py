@@ -50,29 +50,49 @@ def check_plugin_command(
     from hir_core.config import assign
     from hir_core.errors import PluginError
     from hir_core.plugins.manager import PluginManager
-    from hir_core.testing import check_component
-    from hir_core.testing.running import named
+    from hir_core.testing import check_component, check_whole_plugin, checks_for, whole_plugin
+    from hir_core.testing.contract import PLUGIN
+    from hir_core.testing.running import named, plugin_checks
 
     if name.endswith(".py") and name not in plugin_files:
         plugin_files = (*plugin_files, name)
-    plugins = PluginManager.discover(plugin_files)
-    problems = [problem for problem in plugins.problems if name in problem]
+    plugins = PluginManager.discover(plugin_files, strict=False)
     options: dict[str, object] = {}
     for assignment in assignments:
         assign(options, assignment)
+    whole, components = whole_plugin(name, plugins), named(name, plugins)
+    known = {check.name for r in components for check in checks_for(r)}
+    known |= {check.name for check in plugin_checks()} if whole is not None else set()
+    unknown = sorted(set(only) - known)
+    if unknown:
+        raise PluginError(f"{name!r} has no check {unknown[0]!r}; its checks are: {', '.join(sorted(known))}")
     results: list[Result] = []
-    for registered in named(name, plugins):
+
+    def show(title: str, found: list[Result]) -> None:
+        results.extend(found)
+        if not (as_json or quiet):
+            click.echo(title)
+        for result in found:
+            # what a plugin does not have, such as observers, would be a line for each of its contracts
+            absent = result.kind == PLUGIN and result.outcome == "skipped"
+            if not as_json and not (quiet and result.is_ok) and not absent:
+                _print_result(result)
+
+    problems = [problem for problem in plugins.problems if whole is None and name in problem]
+    if whole is not None:
+        own = [check.name for check in plugin_checks() if check.name in only]
+        if own or not only:
+            show(f"plugin {name}", check_whole_plugin(whole, only=own, raises=False))
+    for registered in components:
         if registered.missing:
             raise PluginError(
                 f"{registered.kind} {registered.component.name!r} cannot run here: it needs "
                 f"{', '.join(registered.missing)}; install it with: {registered.install_command}"
             )
-        if not (as_json or quiet):
-            click.echo(f"{registered.kind.replace('_', ' ')} {registered.component.name} ({registered.distribution})")
-        for result in check_component(registered, only=only, options=options, plugins=plugins, raises=False):
-            results.append(result)
-            if not as_json and not (quiet and result.is_ok):
-                _print_result(result)
+        own = [check.name for check in checks_for(registered) if check.name in only]
+        if own or not only:
+            title = f"{registered.kind.replace('_', ' ')} {registered.component.name} ({registered.distribution})"
+            show(title, check_component(registered, only=own, options=options, plugins=plugins, raises=False))
     failed = [result for result in results if not result.is_ok]
     if as_json:
         click.echo(json.dumps({"results": [asdict(r) for r in results], "problems": problems}, indent=1))

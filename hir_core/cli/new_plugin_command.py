@@ -14,16 +14,16 @@ from hir_core.terminal.command_options import FOLDER
 @click.argument("name")
 @click.option(
     "--kind",
-    type=click.Choice([k.replace("_", "-") for k in KINDS]),
+    type=click.Choice([*(k.replace("_", "-") for k in KINDS), "observer", "command"]),
     default="regularizer",
-    help="Kind of the component.",
+    help="Kind of the plugin.",
 )
 @click.option(
     "--one-file", is_flag=True, help="Write one .py file for --plugin in place of a package; regularizers only."
 )
 @click.option("-o", "--output", type=FOLDER, default=Path(), metavar="DIR", help="Parent folder.")
 def new_plugin_command(name: str, kind: str, one_file: bool, output: Path) -> None:
-    """Writes an installable plugin NAME with one component that passes the contract tests."""
+    """Writes an installable plugin NAME of one kind that passes the contract tests."""
     from hir_core.errors import ConfigError
     from hir_core.scaffold import write_one_file, write_plugin
 

@@ -1,4 +1,4 @@
-"""`hir plugins`: lists the installed components."""
+"""`hir plugins`: lists the installed components, or prints the options of one."""
 
 from __future__ import annotations
 
@@ -6,17 +6,35 @@ import json
 
 import click
 
+from hir_core.plugins.loading import docs_page
 from hir_core.terminal.command_options import plugin_option
 
 
 @click.command("plugins")
+@click.argument("name", required=False, default="")
+@click.option("--docs", "with_docs", is_flag=True, help="Print the page of NAME, too, where its plugin has one.")
 @click.option("--json", "as_json", is_flag=True, help="Print the list as JSON.")
 @plugin_option
-def plugins_command(as_json: bool, plugin_files: tuple[str, ...]) -> None:
-    """Lists the installed components, and what to install for those whose packages are missing."""
+def plugins_command(name: str, with_docs: bool, as_json: bool, plugin_files: tuple[str, ...]) -> None:
+    """Lists the installed components, and what to install for those whose packages are missing.
+
+    With NAME, a component, KIND:COMPONENT, observer, preset, command or distribution: its options with their units and
+    ranges, its traits and its page.
+    """
+    from hir_core.errors import ConfigError
     from hir_core.plugins.manager import PluginManager
 
     manager = PluginManager.discover(plugin_files)
+    manager.commands()
+    if name:
+        from hir_core.cli.plugin_details import details
+
+        if as_json:
+            raise ConfigError("--json prints the list of all components; leave out NAME, or use `hir config schema`")
+        click.echo(details(name, manager, with_docs))
+        return
+    if with_docs:
+        raise ConfigError("--docs prints the page of one component; name it: hir plugins NAME --docs")
     rows = [
         {
             "kind": r.kind,
@@ -25,6 +43,7 @@ def plugins_command(as_json: bool, plugin_files: tuple[str, ...]) -> None:
             "distribution": r.distribution,
             "version": r.version,
             "traits": sorted(r.component.traits),
+            "docs": str(docs_page(r.component.docs)) if r.component.docs else None,
             "missing": list(r.missing),
             "install": r.install_command if r.missing else None,
         }
@@ -36,6 +55,7 @@ def plugins_command(as_json: bool, plugin_files: tuple[str, ...]) -> None:
             "components": rows,
             "presets": presets,
             "observers": list(manager.observers()),
+            "commands": list(manager.commands()),
             "problems": manager.problems,
             "notices": manager.notices,
         }
@@ -63,6 +83,7 @@ def plugins_command(as_json: bool, plugin_files: tuple[str, ...]) -> None:
     console.print(table)
     console.print(f"presets: {', '.join(manager.presets()) or 'none'}")
     console.print(f"observers: {', '.join(manager.observers()) or 'none'}")
+    console.print(f"commands: {', '.join(sorted(manager.commands())) or 'none'}")
     for problem in manager.problems:
         click.echo(f"hir: plugin problem: {problem}", err=True)
     for notice in manager.notices:

@@ -34,8 +34,12 @@ class Component:
     """The extra of the distribution that installs `requires`."""
     traits: frozenset[str] = field(default_factory=frozenset)
     """Properties that the core relies on and the contract tests check: keys of `hir_core.plugins.traits.TRAITS`."""
-    api: int = API_VERSION
-    """The version of the plugin interface that it uses (docs/plugin_api.md)."""
+    api: int = 1
+    """The version of the plugin interface that it was written for (docs/plugin_api.md). It is the first where none is
+    given, so that an old plugin is never taken for a new one."""
     testing: str = ""
     """`package.module:function` with further input for the contract tests, such as a scene where a regularizer has its
     minimum, or a capture in a reader's format (docs/writing_plugins lists the input of each kind)."""
+    docs: str = ""
+    """Its page: an address, or `package:page.md`, a Markdown file in the folder of a package or module. `hir plugins
+    NAME` names it, and prints it with `--docs`."""

@@ -2,28 +2,30 @@
 
 from __future__ import annotations
 
-import importlib.util
 import inspect
-import sys
+import re
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from difflib import get_close_matches
 from importlib import import_module
-from importlib.metadata import EntryPoint, distributions
+from importlib.metadata import EntryPoint
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import pluggy
 
 from hir_core.errors import ConfigError, MissingExtraError, PluginError
 from hir_core.plugins import hookspecs
 from hir_core.plugins.component import API_VERSION, Component
+from hir_core.plugins.engine_commands import ENGINE_COMMANDS
+from hir_core.plugins.loading import GROUP, class_of, entry_points, is_installed, module_from_file
 from hir_core.plugins.options import build_options, with_seed_of_run
 
 if TYPE_CHECKING:
-    from hir_core.capture import Capture
+    import click
 
-GROUP = "hir"
+    from hir_core.capture import Capture
 
 KINDS: Mapping[str, str] = {
     "capture_reader": "hir_register_capture_readers",
@@ -51,7 +53,7 @@ class Registered:
     @property
     def missing(self) -> tuple[str, ...]:
         """Required modules that are not installed."""
-        return tuple(name for name in self.component.requires if not _is_installed(name))
+        return tuple(name for name in self.component.requires if not is_installed(name))
 
     @property
     def install_command(self) -> str:
@@ -60,6 +62,35 @@ class Registered:
             return f"pip install {' '.join(self.missing)}"
         extra = f"[{self.component.extra}]" if self.component.extra else ""
         return f"pip install '{self.distribution}{extra}'"
+
+
+Fault = Literal["is_loaded", "is_made_for_this_interface", "names_are_free"]
+"""The contract of a plugin that a problem breaks."""
+
+
+@dataclass(frozen=True)
+class PluginProblem:
+    """Why a plugin, or one of its parts, is not used."""
+
+    fault: Fault
+    sentence: str
+
+
+@dataclass
+class LoadedPlugin:
+    """One entry point, file or module that was loaded, or could not be."""
+
+    distribution: str
+    version: str
+    module: str = ""
+    """The module of its hooks; empty where it could not be imported."""
+    plugin: object | None = None
+    """The object with its hooks; None where it could not be loaded."""
+    problems: list[PluginProblem] = field(default_factory=list)
+    observers: dict[str, type] = field(default_factory=dict)
+    presets: dict[str, Path] = field(default_factory=dict)
+    commands: dict[str, click.Command] = field(default_factory=dict)
+    """Filled by `PluginManager.commands`."""
 
 
 class PluginManager:
@@ -72,40 +103,45 @@ class PluginManager:
         self._presets: dict[str, tuple[Path, str]] = {}
         self._observers: dict[str, tuple[type, str]] = {}
         self._named: set[str] = set()
+        self._commands: dict[str, tuple[click.Command, str]] | None = None
+        self.loaded: list[LoadedPlugin] = []
+        """Every plugin in the order of loading, those with problems included."""
         self.problems: list[str] = []
         self.notices: list[str] = []
         """Deprecations that plugins should follow; the plugins are loaded."""
 
     @classmethod
-    def discover(cls, plugins: tuple[str, ...] = ()) -> PluginManager:
-        """Loads every entry point of the group `hir`, then the `.py` files or modules in `plugins`."""
+    def discover(cls, plugins: tuple[str, ...] = (), strict: bool = True) -> PluginManager:
+        """Loads every entry point of the group `hir`, then the `.py` files or modules in `plugins`.
+
+        A problem of one of `plugins` raises `PluginError`, or goes to `problems` where `strict` is False.
+        """
         manager = cls()
-        for distribution, version, entry_point in _entry_points():
+        for distribution, version, entry_point in entry_points():
             manager._load(entry_point, distribution, version)
         for name in plugins:
-            manager.register_named(name)
+            before = len(manager.problems)
+            manager._load_named(name)
+            if strict and len(manager.problems) > before:
+                raise PluginError("; ".join(manager.problems[before:]))
         return manager
 
     def register_named(self, name: str) -> None:
         """Registers a `.py` file or a module, once; a broken one raises `PluginError`."""
-        if name in self._named:
-            return
-        try:
-            module = module_from_file(Path(name)) if name.endswith(".py") else import_module(name)
-        except Exception as error:
-            raise PluginError(f"plugin {name!r} cannot be imported ({type(error).__name__}: {error})") from error
         before = len(self.problems)
-        self.register(module, distribution=name, version="")
+        self._load_named(name)
         if len(self.problems) > before:
             raise PluginError("; ".join(self.problems[before:]))
-        self._named.add(name)
 
     def register(self, plugin: object, distribution: str, version: str) -> None:
         """Registers one plugin object; its faults go to `problems` and do not affect other plugins."""
         name = f"{distribution}:{getattr(plugin, '__name__', type(plugin).__name__)}"
-        incompatibility = _incompatibility(getattr(plugin, "hir_api", API_VERSION))
+        module = getattr(plugin, "__name__", None) or type(plugin).__module__
+        loaded = LoadedPlugin(distribution, version, module)
+        self.loaded.append(loaded)
+        incompatibility = _incompatibility(getattr(plugin, "hir_api", 1))
         if incompatibility:
-            self.problems.append(f"{name}: not loaded: it {incompatibility}")
+            self._report(loaded, "is_made_for_this_interface", f"{name}: not loaded: it {incompatibility}")
             return
         try:
             with warnings.catch_warnings(record=True) as caught:
@@ -114,28 +150,26 @@ class PluginManager:
                 self._pluggy.check_pending()
         except Exception as error:
             self._pluggy.unregister(name=name)
-            self.problems.append(f"{name}: not loaded: {' '.join(str(error).split())}")
+            self._report(loaded, "is_loaded", f"{name}: not loaded: {_hook_advice(error)}")
             return
+        loaded.plugin = plugin
         # hookspecs list deprecated arguments (`warn_on_impl_args`); pluggy warns about plugins that use them
         self.notices += [f"{name}: {warning.message}" for warning in caught]
         for kind, hook in KINDS.items():
-            for component in self._call_registration(plugin, hook, name) or ():
-                self._add(kind, component, distribution, version, name, plugin)
-        for observer, options in (self._call_registration(plugin, "hir_register_observers", name) or {}).items():
+            for component in self._call_registration(loaded, hook, name) or ():
+                self._add(kind, component, loaded, name)
+        for observer, options in (self._call_registration(loaded, "hir_register_observers", name) or {}).items():
             if observer in self._observers:
-                self.problems.append(
-                    f"observer {observer!r} of {distribution} is ignored: "
-                    f"{self._observers[observer][1]} has one of that name"
-                )
+                self._conflict(loaded, "observer", observer, self._observers[observer][1])
             else:
                 self._observers[observer] = (options, distribution)
-        for preset, path in (self._call_registration(plugin, "hir_register_presets", name) or {}).items():
+                loaded.observers[observer] = options
+        for preset, path in (self._call_registration(loaded, "hir_register_presets", name) or {}).items():
             if preset in self._presets:
-                self.problems.append(
-                    f"preset {preset!r} of {distribution} is ignored: {self._presets[preset][1]} has one of that name"
-                )
+                self._conflict(loaded, "preset", preset, self._presets[preset][1])
             else:
                 self._presets[preset] = (Path(path), distribution)
+                loaded.presets[preset] = Path(path)
 
     def with_component(self, registered: Registered) -> PluginManager:
         """A copy in which `registered` replaces the component of its name; hooks are not copied."""
@@ -172,7 +206,9 @@ class PluginManager:
                 f"{kind.replace('_', ' ')} {name!r} (from {registered.distribution}) needs "
                 f"{', '.join(registered.missing)}; install it with: {registered.install_command}"
             )
-        return _resolve(registered)(config)
+        return class_of(registered.component.target, f"{kind.replace('_', ' ')} {name!r} of {registered.distribution}")(
+            config
+        )
 
     def presets(self) -> dict[str, Path]:
         """Preset names and their TOML files."""
@@ -184,9 +220,53 @@ class PluginManager:
             raise ConfigError(f"there is no preset {name!r}; installed: {', '.join(self.presets()) or 'none'}")
         return self._presets[name][0]
 
+    def commands(self) -> dict[str, click.Command]:
+        """Names and commands that plugins add; a name of the engine or of an earlier plugin is a problem and ignored.
+
+        The commands of each plugin are collected once, in a group of their own.
+        """
+        import click
+
+        if self._commands is None:
+            self._commands = {}
+            hooks = {id(h.plugin): h for h in self._pluggy.hook.hir_register_commands.get_hookimpls()}
+            for loaded in self.loaded:
+                hook = hooks.get(id(loaded.plugin))
+                if hook is None:
+                    continue
+                group = click.Group()
+                try:
+                    _call(hook, {"cli": group})
+                except Exception as error:
+                    sentence = f"{hook.plugin_name}: hir_register_commands raised {type(error).__name__}: {error}"
+                    self._report(loaded, "is_loaded", sentence)
+                for name, command in group.commands.items():
+                    owner = "hir" if name in ENGINE_COMMANDS else self._commands.get(name, (None, ""))[1]
+                    if owner:
+                        self._conflict(loaded, "command", name, owner)
+                    else:
+                        self._commands[name] = (command, loaded.distribution)
+                        loaded.commands[name] = command
+        return {name: command for name, (command, _) in self._commands.items()}
+
     def observers(self) -> dict[str, type]:
         """Observer names and the dataclasses of their options."""
         return {name: options for name, (options, _) in sorted(self._observers.items())}
+
+    def call(self, loaded: LoadedPlugin, hook: str, **arguments: Any) -> Any:
+        """What one plugin's implementation of a hook returns; None where it has none. Its exceptions pass through."""
+        for implementation in getattr(self._pluggy.hook, hook).get_hookimpls():
+            if implementation.plugin is loaded.plugin:
+                return _call(implementation, arguments)
+        return None
+
+    def implements(self, loaded: LoadedPlugin, *hooks: str) -> bool:
+        """Whether a plugin implements one of these hooks."""
+        return any(
+            implementation.plugin is loaded.plugin
+            for hook in hooks
+            for implementation in getattr(self._pluggy.hook, hook).get_hookimpls()
+        )
 
     def notify(self, hook: str, **arguments: Any) -> None:
         """Calls an observer hook of every plugin; an exception is recorded once and does not stop the run."""
@@ -229,96 +309,89 @@ class PluginManager:
             if inspect.isclass(plugin):  # an observer with state: one instance for each manager
                 plugin = plugin()
         except Exception as error:
-            self.problems.append(
+            self.loaded.append(LoadedPlugin(distribution, version))
+            self._report(
+                self.loaded[-1],
+                "is_loaded",
                 f"{distribution}: entry point {entry_point.name!r} cannot be imported "
-                f"({type(error).__name__}: {error}); reinstall or remove {distribution}"
+                f"({type(error).__name__}: {error}); reinstall or remove {distribution}",
             )
             return
         self.register(plugin, distribution, version)
 
-    def _call_registration(self, plugin: object, hook: str, name: str) -> Any:
-        function = getattr(plugin, hook, None)
-        if function is None or self._pluggy.parse_hookimpl_opts(plugin, hook) is None:
+    def _load_named(self, name: str) -> None:
+        if name in self._named:
+            return
+        try:
+            module = module_from_file(Path(name)) if name.endswith(".py") else import_module(name)
+        except Exception as error:
+            self.loaded.append(LoadedPlugin(name, ""))
+            sentence = f"plugin {name!r} cannot be imported ({type(error).__name__}: {error})"
+            self._report(self.loaded[-1], "is_loaded", sentence)
+            return
+        self.register(module, distribution=name, version="")
+        if not self.loaded[-1].problems:
+            self._named.add(name)
+
+    def _report(self, loaded: LoadedPlugin, fault: Fault, sentence: str) -> None:
+        loaded.problems.append(PluginProblem(fault, sentence))
+        self.problems.append(sentence)
+
+    def _conflict(self, loaded: LoadedPlugin, what: str, name: str, owner: str) -> None:
+        sentence = f"{what} {name!r} of {loaded.distribution} is ignored: {owner} has one of that name; "
+        sentence += "rename one of the two, or remove it"
+        self._report(loaded, "names_are_free", sentence)
+
+    def _call_registration(self, loaded: LoadedPlugin, hook: str, name: str) -> Any:
+        function = getattr(loaded.plugin, hook, None)
+        if function is None or self._pluggy.parse_hookimpl_opts(loaded.plugin, hook) is None:
             return None
         try:
             return function()
         except Exception as error:
-            self.problems.append(f"{name}: {hook} raised {type(error).__name__}: {error}")
+            self._report(loaded, "is_loaded", f"{name}: {hook} raised {type(error).__name__}: {error}")
             return None
 
-    def _add(self, kind: str, component: Any, distribution: str, version: str, name: str, plugin: object) -> None:
+    def _add(self, kind: str, component: Any, loaded: LoadedPlugin, name: str) -> None:
         if not isinstance(component, Component):
-            self.problems.append(f"{name}: registers {component!r} as a {kind}; a Component is needed")
+            self._report(loaded, "is_loaded", f"{name}: registers {component!r} as a {kind}; a Component is needed")
             return
+        distribution = loaded.distribution
         incompatibility = _incompatibility(component.api)
         if incompatibility:
-            self.problems.append(f"{kind} {component.name!r} of {distribution} {incompatibility}")
+            sentence = f"{kind} {component.name!r} of {distribution} {incompatibility}"
+            self._report(loaded, "is_made_for_this_interface", sentence)
             return
         other = self._registered.get((kind, component.name))
         if other is not None:
-            self.problems.append(
-                f"{kind} {component.name!r} of {distribution} is ignored: "
-                f"{other.distribution} has one of that name; remove one of the two"
-            )
+            self._conflict(loaded, kind.replace("_", " "), component.name, other.distribution)
             return
-        module = getattr(plugin, "__name__", None) or type(plugin).__module__
-        self._registered[kind, component.name] = Registered(kind, component, distribution, version, module)
+        self._registered[kind, component.name] = Registered(
+            kind, component, distribution, loaded.version, loaded.module
+        )
 
 
 def _incompatibility(api: object) -> str:
     """Why a plugin for another interface version is not loaded; empty for ours."""
     if api == API_VERSION:
         return ""
+    if not isinstance(api, int):
+        return f"says api={api!r}, which is no version of the plugin interface; write api={API_VERSION}"
     made = f"is made for plugin interface {api}, this hir has {API_VERSION}"
-    if isinstance(api, int) and api > API_VERSION:
+    if api > API_VERSION:
         return f"{made}; upgrade hir, or install an older version of the plugin"
     return f"{made}; upgrade the plugin, or install an older hir"
 
 
+def _hook_advice(error: Exception) -> str:
+    """What pluggy says about a plugin's hooks, with the hooks that are like an unknown one."""
+    said = " ".join(str(error).split())
+    unknown = re.search(r"unknown hook '(\w+)'", said)
+    if unknown is None:
+        return said
+    near = get_close_matches(unknown[1], [name for name in vars(hookspecs) if name.startswith("hir_")], 1)
+    return f"{said}; did you mean {near[0]!r}?" if near else said
+
+
 def _call(implementation: Any, arguments: Mapping[str, Any]) -> Any:
     return implementation.function(*[arguments[name] for name in implementation.argnames])
-
-
-def _entry_points() -> list[tuple[str, str, EntryPoint]]:
-    # not pluggy's loader, which silently skips a second entry point of the same name
-    found: dict[tuple[str, str], tuple[str, str, EntryPoint]] = {}
-    for distribution in distributions():
-        for entry_point in distribution.entry_points.select(group=GROUP):
-            key = (distribution.name, entry_point.name)
-            found.setdefault(key, (distribution.name, distribution.version, entry_point))
-    # ours first, so that a conflict is reported for the other plugin; then by name, independent of the file system
-    return [found[key] for key in sorted(found, key=lambda k: (k[0] != "hir", k))]
-
-
-def module_from_file(path: Path) -> Any:
-    """The module in a `.py` file; it can then be imported as `hir_plugin_<stem>`."""
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} does not exist")
-    name = f"hir_plugin_{path.stem}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-def _resolve(registered: Registered) -> Any:
-    module, _, attribute = registered.component.target.partition(":")
-    try:
-        found = getattr(import_module(module), attribute)
-    except (ImportError, AttributeError) as error:
-        raise PluginError(
-            f"{registered.kind} {registered.component.name!r} of {registered.distribution} cannot be "
-            f"loaded from {registered.component.target!r}: {error}"
-        ) from error
-    if not inspect.isclass(found):
-        raise PluginError(f"{registered.component.target!r} of {registered.distribution} is not a class")
-    return found
-
-
-def _is_installed(module: str) -> bool:
-    try:
-        return importlib.util.find_spec(module) is not None
-    except (ImportError, ValueError):
-        return False

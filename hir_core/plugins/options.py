@@ -1,10 +1,14 @@
-"""Turns tables of settings into the frozen dataclasses of components; a typo is an error that names the key."""
+"""Turns tables of settings into the frozen dataclasses of components; a typo is an error that names the key.
+
+An option has a range and a unit where its type says so, by the metadata of `annotated_types`, which pydantic and others
+share: `Annotated[float, Interval(ge=0, le=1), Unit("m")]`. The schema, `hir plugins NAME` and errors show both.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import field
+from dataclasses import field, is_dataclass
 from difflib import get_close_matches
 from functools import cache
 from typing import Any, Literal, TypeVar, get_type_hints
@@ -75,7 +79,34 @@ def options_schema(kind: type) -> dict[str, Any]:
         for name, described_option in described.get("properties", {}).items():
             if "description" in described_option:
                 schema["properties"][name]["description"] = described_option["description"]
+    _add_units(kind, schema, schema)
     return schema
+
+
+def range_and_unit(entry: Mapping[str, Any]) -> str:
+    """The range and unit of an option's schema as text, such as `0 … 1 m`, `> 0`, `m`; "" where it has neither."""
+    low, high = entry.get("minimum"), entry.get("maximum")
+    above, below = entry.get("exclusiveMinimum"), entry.get("exclusiveMaximum")
+    if low is not None and high is not None:
+        limits = f"{low:g} … {high:g}"
+    else:
+        bounds = [("≥", low), (">", above), ("≤", high), ("<", below)]
+        limits = " and ".join(f"{sign} {value:g}" for sign, value in bounds if value is not None)
+    return f"{limits} {entry.get('unit', '')}".strip()
+
+
+def _add_units(kind: type, entry: dict[str, Any], schema: Mapping[str, Any]) -> None:
+    """Adds the units of the fields of `kind`, and of the dataclasses inside of it, to their schemas."""
+    from annotated_types import Unit
+
+    for name, hint in get_type_hints(kind, include_extras=True).items():
+        if name not in entry.get("properties", {}):
+            continue
+        for metadata in getattr(hint, "__metadata__", ()):
+            if isinstance(metadata, Unit):
+                entry["properties"][name]["unit"] = metadata.unit
+        if isinstance(hint, type) and is_dataclass(hint):
+            _add_units(hint, schema.get("$defs", {}).get(hint.__name__, {}), schema)
 
 
 @cache
@@ -95,6 +126,21 @@ def _fields_at(kind: type, place: tuple[Any, ...]) -> list[str]:
     return list(getattr(kind, "__dataclass_fields__", {}))
 
 
+RANGE_ERRORS = ("greater_than", "greater_than_equal", "less_than", "less_than_equal")
+"""Types of pydantic's errors for a number outside of its range."""
+
+
+def _entry_at(kind: type, place: tuple[Any, ...]) -> Mapping[str, Any]:
+    """The schema of the option at `place` inside a configuration; empty where there is none."""
+    schema = options_schema(kind)
+    entry: Mapping[str, Any] = schema
+    for name in place:
+        entry = entry.get("properties", {}).get(str(name), {})
+        if "$ref" in entry:
+            entry = schema["$defs"][entry["$ref"].rpartition("/")[2]]
+    return entry
+
+
 def _sentence(error: Any, kind: type) -> str:
     parts = []
     for problem in error.errors():
@@ -104,6 +150,12 @@ def _sentence(error: Any, kind: type) -> str:
             near = get_close_matches(str(problem["loc"][-1]), known, 1)
             advice = f"did you mean {near[0]!r}? " if near else ""
             parts.append(f"unknown option {key!r}; {advice}the options are: {', '.join(known) or 'none'}")
+            continue
+        allowed = range_and_unit(_entry_at(kind, problem["loc"]))
+        if problem["type"] in RANGE_ERRORS and allowed:
+            parts.append(f"option {key!r} is {problem['input']!r}; it must be {allowed}")
         else:
-            parts.append(f"option {key!r}: {problem['msg'][0].lower()}{problem['msg'][1:]} (got {problem['input']!r})")
+            needed = f"; it is a number {allowed}" if allowed else ""
+            said = f"{problem['msg'][0].lower()}{problem['msg'][1:]}"
+            parts.append(f"option {key!r}: {said} (got {problem['input']!r}){needed}")
     return "; ".join(parts)

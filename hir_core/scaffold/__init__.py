@@ -13,6 +13,7 @@ from typing import Final
 from hir_exporters.files.atomic import atomic_directory, write_text_atomic
 
 from hir_core.errors import ConfigError
+from hir_core.plugins import API_VERSION
 from hir_core.plugins.manager import KINDS
 
 
@@ -32,39 +33,40 @@ class KindTemplate:
 KIND_TEMPLATES: Final[Mapping[str, KindTemplate]] = {
     "capture_reader": KindTemplate(
         "Reads captures whose cameras are in a JSON file.",
-        'suffix: str = ".png"\n    """File suffix of the photographs."""',
+        "",  # no setting reaches the options of a reader
         testing="write_sample",
         use="hir check CAPTURE",
     ),
     "mask_source": KindTemplate(
         "Masks pixels that differ from the colour of the image border.",
-        'tolerance: float = 0.06\n    """Distance in sRGB below which a pixel is background."""',
+        "tolerance: Annotated[float, Interval(ge=0, le=1)] = 0.06\n"
+        '    """Distance in sRGB below which a pixel is background."""',
         use="hir reconstruct PHOTOS -o RUN --set 'masks=[\"$name\"]'",
     ),
     "initializer": KindTemplate(
         "Makes the convex hull of the capture's points the first mesh.",
-        'min_points: int = 10\n    """Minimum number of points for a hull."""',
+        'min_points: Annotated[int, Interval(ge=4)] = 10\n    """Minimum number of points for a hull."""',
         ("torch", "jaxtyping"),
         ("makes_surface",),
         use='hir reconstruct PHOTOS -o RUN --set \'initializers=["colmap", "$name"]\'',
     ),
     "geometry_renderer": KindTemplate(
         "Silhouettes; at first those of contour.",
-        'lines: int = 4\n    """Rows and columns per pixel of a picture."""',
+        'lines: Annotated[int, Interval(ge=1, le=64)] = 4\n    """Rows and columns per pixel of a picture."""',
         ("torch", "jaxtyping"),
         ("differentiable",),
         use="hir reconstruct PHOTOS -o RUN --set geometry.renderer=$name",
     ),
     "reflectance_renderer": KindTemplate(
         "Shading; at first that of mitsuba_ggx.",
-        'samples: int = 64\n    """Paths per pixel and step."""',
+        'samples: Annotated[int, Interval(ge=1), Unit("paths")] = 64\n    """Paths per pixel and step."""',
         ("torch", "jaxtyping", "mitsuba"),
         ("material", "environment", "stochastic"),
         use="hir reconstruct PHOTOS -o RUN --set reflectance.renderer=$name",
     ),
     "regularizer": KindTemplate(
         "Keeps the diffuse albedo near its mean.",
-        'strength: float = 1.0\n    """Factor of the term."""',
+        'strength: Annotated[float, Interval(ge=0)] = 1.0\n    """Factor of the term."""',
         ("torch", "jaxtyping"),
         ("differentiable", "material"),
         "ideal",
@@ -72,17 +74,29 @@ KIND_TEMPLATES: Final[Mapping[str, KindTemplate]] = {
     ),
     "exporter": KindTemplate(
         "Writes positions and triangles as JSON.",
-        'digits: int = 7\n    """Decimals of positions."""',
+        'digits: Annotated[int, Interval(ge=1, le=17)] = 7\n    """Decimals of positions."""',
         testing="read_back",
         use="hir export RUN -f $name -o files/",
     ),
 }
 
+HOOK_TEMPLATES: Final[Mapping[str, KindTemplate]] = {
+    "observer": KindTemplate(
+        "Writes the scalars of a run as lines of JSON.",
+        "",
+        use="hir reconstruct PHOTOS -o RUN --set observers.$name={}",
+    ),
+    "command": KindTemplate("Prints the stages of a run.", "", use="hir $command RUN"),
+}
+"""What is a plugin by its hooks alone, without a component."""
+
+TEMPLATES: Final = {**KIND_TEMPLATES, **HOOK_TEMPLATES}
+
 
 def write_plugin(name: str, kind: str, folder: Path) -> list[Path]:
     """Writes an installable plugin into the new folder `folder/<distribution>`; returns its files."""
     values = _template_values(name, kind)
-    template = KIND_TEMPLATES[kind]
+    template = TEMPLATES[kind]
     values["use"] = Template(template.use).substitute(values)
     destination = folder / values["distribution"]
     if destination.exists():
@@ -91,11 +105,15 @@ def write_plugin(name: str, kind: str, folder: Path) -> list[Path]:
     layout = {
         "pyproject.toml": "pyproject",
         "README.md": "readme",
-        f"{package}/plugin.py": "plugin",
-        f"{package}/options.py": "options",
-        f"{package}/{values['module']}.py": kind,
+        f"{package}/plugin.py": kind,
         "tests/test_contracts.py": "tests",
     }
+    if kind in KIND_TEMPLATES:
+        layout |= {
+            f"{package}/plugin.py": "plugin",
+            f"{package}/options.py": "options",
+            f"{package}/{values['module']}.py": kind,
+        }
     with atomic_directory(destination) as temporary:
         for file, source in layout.items():
             write_text_atomic(temporary / file, _filled(source, values))
@@ -118,24 +136,41 @@ def _template_values(name: str, kind: str) -> dict[str, str]:
     plain = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_").removeprefix("hir_")
     if not re.fullmatch(r"[a-z][a-z0-9_]*", plain):
         raise ConfigError(f"the name {name!r} does not begin with a letter; an example is albedo-chroma-prior")
-    template = KIND_TEMPLATES[kind]
-    package = f"hir_{plain}"
+    template = TEMPLATES[kind]
+    package, module = f"hir_{plain}", "implementation"
+    class_name = "".join(part.capitalize() for part in plain.split("_"))
     return {
         "name": plain,
         "package": package,
-        "module": "implementation",
+        "module": module,
         "distribution": package.replace("_", "-"),
-        "Class": "".join(part.capitalize() for part in plain.split("_")),
+        "Class": class_name,
         "kind": kind,
         "kind_label": kind.replace("_", " "),
-        "hook": KINDS[kind],
+        "hook": KINDS.get(kind, ""),
+        "command": plain.replace("_", "-"),
+        # the entry point names a class, of which each run gets an object, or the module
+        "attribute": f":{class_name}" if kind == "observer" else "",
+        "where": f"The code is in `{package}/{module}.py`, its options in `{package}/options.py`, what `hir` loads "
+        "at start "
+        f"in `{package}/plugin.py`."
+        if kind in KIND_TEMPLATES
+        else f"The code is in `{package}/plugin.py`, which `hir` loads when it starts.",
         "summary": template.summary,
+        "api": str(API_VERSION),
         "option": template.option,
+        "annotations": _annotations(template.option),
         "requires": _tuple(template.requires),
         "extra": "reconstruct" if template.requires else "",
         "traits": "{" + ", ".join(f'"{trait}"' for trait in template.traits) + "}" if template.traits else "",
         "testing": f"{package}.implementation:{template.testing}" if template.testing else "",
     }
+
+
+def _annotations(option: str) -> str:
+    """The imports of an option with a range or a unit."""
+    used = [name for name in ("Interval", "Unit") if f"{name}(" in option]
+    return f"from typing import Annotated\n\nfrom annotated_types import {', '.join(used)}\n" if used else ""
 
 
 def _tuple(values: tuple[str, ...]) -> str:

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import inspect
-import tempfile
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib import import_module
-from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from hir_exporters.exporter import Exporter
 
 from hir_core.errors import PluginError
 from hir_core.plugins import Component, interfaces
-from hir_core.plugins.manager import PluginManager, Registered
+from hir_core.plugins.manager import LoadedPlugin, PluginManager, Registered
+from hir_core.testing.workspace import Workspace
 
 INTERFACES: Final[Mapping[str, type]] = {
     "capture_reader": interfaces.CaptureReader,
@@ -28,6 +27,9 @@ INTERFACES: Final[Mapping[str, type]] = {
     "exporter": Exporter,
 }
 """The base class of each kind."""
+
+PLUGIN: Final = "plugin"
+"""The kind of checks that test a plugin as a whole."""
 
 PAGE: Final = "docs/writing_plugins/contracts.md"
 """The page with one section per check, named as the check."""
@@ -52,14 +54,13 @@ def require(condition: object, observation: str) -> None:
 
 
 @dataclass
-class Subject:
+class Subject(Workspace):
     """One component under test, and folders for its files."""
 
     registered: Registered
     plugins: PluginManager
     options: Mapping[str, Any] = field(default_factory=dict)
     """Options of the test that replace defaults."""
-    _folders: list[tempfile.TemporaryDirectory[str]] = field(default_factory=list)
     memory: dict[str, Any] = field(default_factory=dict)
     """Results that the checks of one component share, so that nothing slow runs twice."""
 
@@ -67,6 +68,11 @@ class Subject:
     def kind(self) -> str:
         """The kind, such as `regularizer`."""
         return self.registered.kind
+
+    @property
+    def name(self) -> str:
+        """The component's name."""
+        return self.component.name
 
     @property
     def component(self) -> Component:
@@ -100,29 +106,48 @@ class Subject:
         """An instance, built as hir_core builds it."""
         return self.plugins.create(self.kind, self.component.name, {**self.options, **options})
 
-    def folder(self) -> Path:
-        """A new empty folder; `close` removes it."""
-        self._folders.append(tempfile.TemporaryDirectory(prefix="hir-contract-", ignore_cleanup_errors=True))
-        return Path(self._folders[-1].name).resolve()
-
     def has(self, trait: str) -> bool:
         """Whether the component declares a trait."""
         return trait in self.component.traits
 
     def close(self) -> None:
-        """Removes the folders."""
-        for folder in self._folders:
-            folder.cleanup()
-        self._folders.clear()
+        """Removes the folders, and what the checks shared."""
+        super().close()
         self.memory.clear()
+
+
+@dataclass
+class PluginSubject(Workspace):
+    """A plugin as a whole: everything that one distribution, file or module registers."""
+
+    name: str
+    loaded: Sequence[LoadedPlugin]
+    plugins: PluginManager
+    kind: str = PLUGIN
+
+    @property
+    def label(self) -> str:
+        """`plugin 'name'`, for messages."""
+        return f"plugin {self.name!r}"
+
+    @property
+    def components(self) -> list[Registered]:
+        """The components that it registers."""
+        owners = {loaded.distribution for loaded in self.loaded}
+        return [r for r in self.plugins.components() if r.distribution in owners]
+
+    @property
+    def modules(self) -> list[str]:
+        """The modules that hold its hooks."""
+        return sorted({loaded.module for loaded in self.loaded if loaded.module})
 
 
 @dataclass(frozen=True)
 class Check:
-    """A function that raises `BrokenContract` where a component breaks a contract of its kind."""
+    """A function that raises `BrokenContract` where a component, or a plugin, breaks a contract of its kind."""
 
     name: str
-    function: Callable[[Subject], None]
+    function: Callable[[Any], None]
     kinds: frozenset[str]
     traits: frozenset[str] = frozenset()
     """The check tests components with all of these."""
@@ -148,7 +173,7 @@ class Check:
         traits = registered.component.traits
         return registered.kind in self.kinds and self.traits <= traits and not self.unless & traits
 
-    def __call__(self, subject: Subject) -> None:
+    def __call__(self, subject: Subject | PluginSubject) -> None:
         """Raises `ContractError`, or `NotApplicable` with the reason.
 
         Warnings break no contract, even where pytest turns them into errors: a term may warn that it has no effect.
@@ -174,7 +199,7 @@ class Check:
 CHECKS: dict[str, Check] = {}
 """Every check by its name."""
 
-Function = TypeVar("Function", bound=Callable[[Subject], None])
+Function = TypeVar("Function", bound=Callable[[Any], None])
 
 
 def contract(
@@ -184,7 +209,7 @@ def contract(
     first: bool = False,
     slow: bool = False,
 ) -> Callable[[Function], Function]:
-    """Registers a check for the named kinds, or for all; the docstring is the text of the contract."""
+    """Registers a check for the named kinds, or for every kind of component; the docstring is the contract's text."""
 
     def register(function: Function) -> Function:
         name = function.__name__

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import random
 import sys
 from collections.abc import Callable, Mapping
@@ -27,6 +28,26 @@ def seeded(seed: int) -> None:
     np.random.seed(seed)
     if "torch" in sys.modules:
         sys.modules["torch"].manual_seed(seed)
+
+
+def generator_states() -> dict[str, str]:
+    """A hash of the state of each generator that the core seeds."""
+    states: dict[str, object] = {"random": random.getstate(), "numpy.random": np.random.get_state()}
+    if "torch" in sys.modules:
+        states["torch"] = sys.modules["torch"].get_rng_state()
+    return {name: digest(state) for name, state in states.items()}
+
+
+def process_state() -> dict[str, object]:
+    """Settings of the process that all components share."""
+    state: dict[str, object] = {"the working directory": os.getcwd(), "numpy.geterr()": dict(np.geterr())}
+    if "torch" in sys.modules:
+        torch = sys.modules["torch"]
+        state["torch.get_default_dtype()"] = torch.get_default_dtype()
+        state["torch.get_num_threads()"] = torch.get_num_threads()
+        state["torch.is_grad_enabled()"] = torch.is_grad_enabled()
+        state["torch.are_deterministic_algorithms_enabled()"] = torch.are_deterministic_algorithms_enabled()
+    return state
 
 
 def digest(value: Any) -> str:

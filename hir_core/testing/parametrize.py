@@ -8,8 +8,8 @@ from typing import Any
 from hir_core.errors import PluginError
 from hir_core.plugins import Component
 from hir_core.plugins.manager import PluginManager, Registered
-from hir_core.testing.contract import Check, NotApplicable
-from hir_core.testing.running import checks_for, named, subject_of
+from hir_core.testing.contract import Check, NotApplicable, PluginSubject, Subject
+from hir_core.testing.running import checks_for, named, plugin_checks, subject_of, whole_plugin
 
 
 class BoundCheck:
@@ -40,23 +40,29 @@ def parametrize_with_checks(
 ) -> Callable[[Any], Any]:
     """Decorates `def test(component, check): check(component)`.
 
-    `components`: names, descriptors, or the name of a distribution for all of its components. `expected_failures` maps
+    `components`: names, descriptors, or the name of a distribution for all of its components and the plugin as a whole.
+    `expected_failures` maps
     component and check to a reason; such a test must fail (`xfail`, strict). `options` maps a component to the options
     that it is tested with. `slow_marks` go to checks that take seconds, and to all of the components named in `slow`.
     """
     import pytest
 
     manager = plugins or PluginManager.discover()
-    chosen: list[str | Component | Registered] = []
+    subjects: list[Subject | PluginSubject] = []
     for component in components:
-        chosen += named(component, manager) if isinstance(component, str) else [component]
+        if isinstance(component, str):
+            whole = whole_plugin(component, manager)
+            subjects += [whole] if whole is not None else []
+            subjects += [subject_of(registered, manager) for registered in named(component, manager)]
+        else:
+            subjects.append(subject_of(component, manager))
     expected, cases = dict(expected_failures or {}), []
-    for component in chosen:
-        subject = subject_of(component, manager)
-        name = subject.component.name
-        subject.options = dict((options or {}).get(name, {}))
+    for subject in subjects:
+        name = subject.name
         reasons = dict(expected.pop(name, {}))
-        for check in checks_for(subject.registered):
+        if isinstance(subject, Subject):
+            subject.options = dict((options or {}).get(name, {}))
+        for check in checks_for(subject.registered) if isinstance(subject, Subject) else plugin_checks():
             marks = list(slow_marks) if check.slow or name in slow else []
             if check.name in reasons:
                 marks.append(pytest.mark.xfail(reason=reasons.pop(check.name), strict=True))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, Literal
@@ -12,7 +12,16 @@ from typing import Any, Literal
 from hir_core.errors import PluginError
 from hir_core.plugins import Component
 from hir_core.plugins.manager import PluginManager, Registered
-from hir_core.testing.contract import CHECKS, INTERFACES, Check, ContractError, NotApplicable, Subject
+from hir_core.testing.contract import (
+    CHECKS,
+    INTERFACES,
+    PLUGIN,
+    Check,
+    ContractError,
+    NotApplicable,
+    PluginSubject,
+    Subject,
+)
 
 Outcome = Literal["passed", "failed", "expected", "unexpected_pass", "skipped"]
 
@@ -27,6 +36,7 @@ _MODULES = (
     "capture_reader_checks",
     "mask_source_checks",
     "exporter_checks",
+    "plugin_checks",
 )
 
 
@@ -52,12 +62,21 @@ class Result:
 def all_checks() -> dict[str, Check]:
     """Every check by name, in the order in which they run: a check runs after those that it depends on."""
     order = {import_module(f"hir_core.testing.checks.{name}").__name__: i for i, name in enumerate(_MODULES)}
-    return dict(sorted(CHECKS.items(), key=lambda item: order.get(item[1].function.__module__, len(order))))
+
+    def place(item: tuple[str, Check]) -> tuple[bool, int]:
+        return not item[1].first, order.get(item[1].function.__module__, len(order))
+
+    return dict(sorted(CHECKS.items(), key=place))
 
 
 def checks_for(registered: Registered) -> list[Check]:
     """The checks for the kind and traits of a component; imports no heavy package."""
     return [check for check in all_checks().values() if check.applies(registered)]
+
+
+def plugin_checks() -> list[Check]:
+    """The checks of a plugin as a whole."""
+    return [check for check in all_checks().values() if PLUGIN in check.kinds]
 
 
 def check_component(
@@ -75,18 +94,38 @@ def check_component(
     Raises `ContractError` with every failure, unless `raises` is False.
     """
     subject = subject_of(component, plugins, options)
+    return _run_checks(subject, checks_for(subject.registered), expected_failures or {}, only, raises)
+
+
+def check_whole_plugin(
+    subject: PluginSubject,
+    *,
+    expected_failures: Mapping[str, str] | None = None,
+    only: Iterable[str] = (),
+    raises: bool = True,
+) -> list[Result]:
+    """Runs the checks of a plugin as a whole; those of its components are `check_component`'s."""
+    return _run_checks(subject, plugin_checks(), expected_failures or {}, only, raises)
+
+
+def _run_checks(
+    subject: Subject | PluginSubject,
+    chosen: Sequence[Check],
+    expected_failures: Mapping[str, str],
+    only: Iterable[str],
+    raises: bool,
+) -> list[Result]:
     results: list[Result] = []
     with opened(subject):
-        chosen = checks_for(subject.registered)
         known = {check.name for check in chosen}
-        unknown = sorted((set(only) | set(expected_failures or {})) - known)
+        unknown = sorted((set(only) | set(expected_failures)) - known)
         if unknown:
             raise PluginError(
                 f"{subject.label} has no check {unknown[0]!r}; its checks are: {', '.join(sorted(known))}"
             )
         for check in chosen:
             if not only or check.name in only or check.first:
-                results.append(run_check(check, subject, expected_failures or {}))
+                results.append(run_check(check, subject, expected_failures))
                 if check.first and results[-1].outcome == "failed":
                     break
     failures = [result.detail for result in results if not result.is_ok]
@@ -95,8 +134,8 @@ def check_component(
     return results
 
 
-def run_check(check: Check, subject: Subject, expected_failures: Mapping[str, str]) -> Result:
-    """Runs and times one check of one component."""
+def run_check(check: Check, subject: Subject | PluginSubject, expected_failures: Mapping[str, str]) -> Result:
+    """Runs and times one check of one component or plugin."""
     start = time.perf_counter()
     outcome: Outcome = "passed"
     detail = ""
@@ -114,7 +153,7 @@ def run_check(check: Check, subject: Subject, expected_failures: Mapping[str, st
     except ContractError as error:
         outcome, detail = ("failed", str(error)) if reason is None else ("expected", reason)
     seconds = time.perf_counter() - start
-    return Result(subject.component.name, subject.kind, check.name, outcome, detail, seconds)
+    return Result(subject.name, subject.kind, check.name, outcome, detail, seconds)
 
 
 def subject_of(
@@ -126,6 +165,8 @@ def subject_of(
     manager = plugins or PluginManager.discover()
     if isinstance(component, str):
         found = named(component, manager)
+        if not found:
+            raise PluginError(f"the plugin {component!r} registers no component")
         if len(found) != 1:
             kinds = ", ".join(f"{r.kind}:{component}" for r in found)
             raise PluginError(f"{component!r} is the name of several components; choose one of: {kinds}")
@@ -140,6 +181,18 @@ def subject_of(
     return Subject(alone, _manager_with(alone, manager), dict(options or {}))
 
 
+def whole_plugin(name: str, plugins: PluginManager) -> PluginSubject | None:
+    """The plugin that is a distribution, a file or a module of this name; None where `name` is none, or a component's.
+
+    Its commands are collected, so that those which take a name of ours are known.
+    """
+    plugins.commands()
+    if any(r.component.name == name for r in plugins.components()):
+        return None
+    found = [loaded for loaded in plugins.loaded if _normal(loaded.distribution) == _normal(name)]
+    return PluginSubject(name, found, plugins) if found else None
+
+
 def named(name: str, plugins: PluginManager) -> list[Registered]:
     """Components named `name` or `kind:name`; otherwise all of the distribution or plugin file of that name."""
     kind, colon, plain = name.partition(":")
@@ -148,7 +201,7 @@ def named(name: str, plugins: PluginManager) -> list[Registered]:
     every = plugins.components()
     found = [r for r in every if r.component.name == name]
     found = found or [r for r in every if _normal(r.distribution) == _normal(name)]
-    if not found:
+    if not found and all(_normal(loaded.distribution) != _normal(name) for loaded in plugins.loaded):
         distributions = ", ".join(sorted({r.distribution for r in every}))
         problems = "".join(f"; {problem}" for problem in plugins.problems)
         raise PluginError(
@@ -159,7 +212,7 @@ def named(name: str, plugins: PluginManager) -> list[Registered]:
 
 
 @contextlib.contextmanager
-def opened(subject: Subject) -> Iterator[Subject]:
+def opened(subject: Subject | PluginSubject) -> Iterator[Subject | PluginSubject]:
     """A context that removes the folders of the subject at its end."""
     try:
         yield subject

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
+
+from annotated_types import Interval, Unit
 
 
 @dataclass(frozen=True)
 class TensorBoardOptions:
     """Options of the curves for `tensorboard --logdir RUN/tensorboard`."""
 
-    flush_seconds: int = 10
+    flush_seconds: Annotated[int, Interval(ge=1), Unit("s")] = 10
     """Interval at which new values are written to disk."""
 
 
@@ -17,7 +20,7 @@ class TensorBoardOptions:
 class PreviewsOptions:
     """Options of the preview images after each stage, in RUN/previews."""
 
-    size: int = 256
-    """Side of each image in pixels."""
-    sides: int = 4
+    size: Annotated[int, Interval(ge=1, le=8192), Unit("pixels")] = 256
+    """Side of each image."""
+    sides: Annotated[int, Interval(ge=1)] = 4
     """Number of images around the object."""

@@ -96,13 +96,20 @@ class Reader:
         with (self.site / "paths.txt").open("a", encoding="utf-8") as paths:
             paths.write(f"{project}\n")
 
+    def _run_any(self, arguments: list[str]) -> subprocess.CompletedProcess[str]:
+        """`hir` with these arguments, whatever its exit code is."""
+        return self._process([sys.executable, "-m", "hir_core.cli", *arguments])
+
     def _run(self, command: list[str]) -> str:
+        done = self._process(command)
+        assert done.returncode == 0, f"{command[1:]}\n{done.stdout[-3000:]}\n{done.stderr[-3000:]}"
+        return done.stdout
+
+    def _process(self, command: list[str]) -> subprocess.CompletedProcess[str]:
         listed = self.site / "paths.txt"
         projects = listed.read_text(encoding="utf-8").split() if listed.exists() else []
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(self.site), *projects, str(self.folder)])}
-        done = subprocess.run(command, capture_output=True, text=True, cwd=self.folder, env=environment)
-        assert done.returncode == 0, f"{command[1:]}\n{done.stdout[-3000:]}\n{done.stderr[-3000:]}"
-        return done.stdout
+        return subprocess.run(command, capture_output=True, text=True, cwd=self.folder, env=environment)
 
 
 def contains(whole: object, part: object) -> bool:

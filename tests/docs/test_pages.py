@@ -9,7 +9,8 @@ from pathlib import Path
 import click
 import pytest
 
-from hir_core.cli.app import COMMANDS, cli
+from hir_core.cli.app import cli
+from hir_core.plugins.engine_commands import ENGINE_COMMANDS
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -20,7 +21,7 @@ def commands() -> list[tuple[str, click.Command]]:
     """Every built-in command with its path."""
     context = click.Context(cli, info_name="hir")
     found = []
-    for name in COMMANDS:
+    for name in ENGINE_COMMANDS:
         command = cli.get_command(context, name)
         assert command is not None
         found.append((name, command))

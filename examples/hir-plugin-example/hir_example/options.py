@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
+
+from annotated_types import Interval
 
 
 @dataclass(frozen=True)
 class LightChromaOptions:
     """Of light_chroma."""
 
-    floor: float = 0.05
+    floor: Annotated[float, Interval(ge=0)] = 0.05
     """Radiance below which a texel's tint counts less."""
 
 
@@ -17,7 +20,7 @@ class LightChromaOptions:
 class MidpointOptions:
     """Of midpoint_outline."""
 
-    samples: int = 4
+    samples: Annotated[int, Interval(ge=1, le=64)] = 4
     """Samples a pixel along each direction."""
 
 
@@ -25,9 +28,9 @@ class MidpointOptions:
 class SupersampledOptions:
     """Of supersampled."""
 
-    max_depth: int = 2
+    max_depth: Annotated[int, Interval(ge=2)] = 2
     """Maximum path length of the wrapped mitsuba_ggx: 2 is direct light, 3 one bounce."""
-    factor: int = 2
+    factor: Annotated[int, Interval(ge=1, le=8)] = 2
     """Pictures are rendered this many times larger and averaged."""
 
 

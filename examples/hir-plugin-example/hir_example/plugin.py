@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from hir_core.plugins import Component, hookimpl
 from hir_example.options import LightChromaOptions, MidpointOptions, PlyOptions, SupersampledOptions
 
@@ -13,7 +15,9 @@ LIGHT_CHROMA = Component(
     requires=("torch", "jaxtyping"),
     extra="reconstruct",
     traits=frozenset({"differentiable", "environment", "rigid_invariant", "scale_invariant"}),
+    api=1,
     testing="hir_example.light_chroma:grey_light",
+    docs="hir_example:light_chroma.md",
 )
 
 MIDPOINT_OUTLINE = Component(
@@ -24,6 +28,7 @@ MIDPOINT_OUTLINE = Component(
     requires=("torch", "jaxtyping"),
     extra="reconstruct",
     traits=frozenset({"differentiable"}),
+    api=1,
 )
 
 SUPERSAMPLED = Component(
@@ -34,6 +39,7 @@ SUPERSAMPLED = Component(
     requires=("torch", "jaxtyping", "mitsuba"),
     extra="reconstruct",
     traits=frozenset({"material", "environment", "stochastic"}),
+    api=1,
 )
 
 PLY = Component(
@@ -41,7 +47,13 @@ PLY = Component(
     target="hir_example.colored_ply:ColoredPly",
     config=PlyOptions,
     summary="Stanford PLY with the albedo as vertex colours.",
+    api=1,
 )
+
+
+@hookimpl
+def hir_register_presets() -> dict[str, Path]:
+    return {"grey_light": Path(__file__).parent / "grey_light.toml"}
 
 
 @hookimpl

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import pickle
-from collections.abc import Callable
+import re
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +19,7 @@ from hir_core.plugins.interfaces import CaptureReader
 from hir_core.testing.captures import TinyCapture, similarity_between, surface_points, tiny_capture
 from hir_core.testing.contract import Subject, contract, require
 from hir_core.testing.exercise import Exercise
+from hir_core.testing.opened_paths import opened_paths
 
 IMAGES = (".png", ".jpg", ".jpeg", ".exr", ".hdr", ".tif", ".tiff")
 
@@ -45,6 +51,17 @@ def exercise(subject: Subject, device: str) -> Exercise:
         return {"cameras": np.array(cameras), "pixels": np.array(pixels)}
 
     return Exercise({"folder": path}, run)
+
+
+@contract("capture_reader")
+def reader_has_no_options(subject: Subject) -> None:
+    """The options of a reader have no field: a capture is recognised and read before there are settings, and again
+    without them, so that no setting reaches a reader.
+    """
+    options = [field.name for field in fields(subject.component.config)]
+    require(
+        not options, f"the option {', '.join(options)} can never be set; use NoOptions, and read it from the capture"
+    )
 
 
 @contract("capture_reader")
@@ -148,6 +165,64 @@ def pixels_are_linear(subject: Subject) -> None:
             difference = float(np.abs(pixels.mask - true.mask).max())
             require(difference < 0.6 / 255 + 1e-6, f"the mask of view {view.name} is off by {difference:.3g}")
         pickle.dumps(view.read)
+
+
+@contract("capture_reader")
+def stays_in_its_folder(subject: Subject) -> None:
+    """A reader opens and lists what lies in the capture, nothing beside it; a file of the capture that names a picture
+    outside of it, by `../`, is a `CaptureError`.
+    """
+    require(subject.testing is not None, "testing names no function that writes a capture in the format")
+    assert subject.testing is not None
+    truth = tiny_capture(subject.folder(), views=3, size=24)
+    outer = subject.folder()
+    (outer / "capture").mkdir()
+    path = Path(subject.testing(truth.capture, outer / "capture"))
+    (outer / "beside.txt").write_text("of somebody else\n", encoding="utf-8")
+    with opened_paths() as opened:
+        _all_pixels(subject.create(), path)
+    _require_inside(opened, outer, "")
+    pictures = [f for f in sorted((outer / "capture").rglob("*")) if f.suffix.lower() in IMAGES]
+    for file in sorted((outer / "capture").rglob("*")):
+        if file.is_file() and file not in pictures and _names_outside(file, pictures, outer):
+            with opened_paths() as opened, contextlib.suppress(HirError):
+                _all_pixels(subject.create(), path)
+            _require_inside(opened, outer, f" because {file.name} names it by ../")
+
+
+def _all_pixels(reader: CaptureReader, path: Path) -> None:
+    for view in reader.read(path).views:
+        view.pixels()
+
+
+def _names_outside(file: Path, pictures: Sequence[Path], outer: Path) -> bool:
+    """Changes names of pictures in a file to copies outside of the capture; False where it is no text or has none."""
+    try:
+        text = file.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        return False
+    changed = text
+    for picture in pictures:
+        shutil.copy(picture, outer / picture.name)
+        up = "../" * len(file.parent.relative_to(outer).parts)
+        for name in (Path(os.path.relpath(picture, file.parent)).as_posix(), picture.name):
+            pattern = rf"(?<![\w./-])(\./)?{re.escape(name)}(?![\w.-])"
+            changed, count = re.subn(pattern, f"{up}{picture.name}", changed)
+            if count:
+                break
+    file.write_text(changed, encoding="utf-8")
+    return changed != text
+
+
+def _require_inside(opened: Sequence[Path], outer: Path, why: str) -> None:
+    capture = outer / "capture"
+    outside = {path for path in opened if path.is_relative_to(outer) and not path.is_relative_to(capture)}
+    beside = sorted("the folder that holds the capture" if path == outer else path.name for path in outside)
+    require(
+        not beside,
+        f"it opens {', '.join(beside)}, which lies outside of the capture{why}; raise CaptureError unless "
+        "(folder / name).resolve().is_relative_to(folder.resolve())",
+    )
 
 
 @contract("capture_reader")

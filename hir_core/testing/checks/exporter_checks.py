@@ -49,7 +49,10 @@ def writes_below_its_destination(subject: Subject) -> None:
         require(digest(asset) == before, "the asset that was passed in is not what it was before")
         there = set(_bytes(root)) - {"neighbour.txt"}
         outside = sorted(name for name in there if not name.startswith("out/"))
-        require(not outside, f"it writes {', '.join(outside)}, outside of the folder of its destination")
+        require(
+            not outside,
+            f"it writes {', '.join(outside)}, outside of the folder of its destination; write below destination.parent",
+        )
         listed = [Path(f).resolve() for f in report.files]
         require(
             listed and listed[0] == root / "out" / f"a ball.{subject.component.name}",
@@ -77,7 +80,10 @@ def same_bytes_twice(subject: Subject) -> None:
     two = _bytes(folder)
     require(set(one) == set(two), f"first it writes {', '.join(one)}, then {', '.join(two)}")
     different = [name for name in one if one[name] != two[name]]
-    require(not different, f"{', '.join(different)} has other bytes when it is written again")
+    require(
+        not different,
+        f"{', '.join(different)} has other bytes when it is written again; leave out the time, random names and orders",
+    )
 
 
 @contract("exporter")
@@ -127,7 +133,17 @@ def _same_surface(asset: Asset, positions: np.ndarray, faces: np.ndarray) -> Non
     )
     truth, found = (_triangles(p, f) for p, f in ((asset.mesh.positions, asset.mesh.faces), (positions, faces)))
     difference = float(np.abs(truth - found).max())
-    require(difference < 1e-4, f"a corner is {difference:.3g} from where it was")
+    size, found_size = (float(np.ptp(p.reshape(-1, 3), axis=0).max()) for p in (truth, found))
+    times = found_size / size
+    require(
+        0.99 < times < 1.01,
+        f"what is read back is {times:.4g} times as large as the asset: another unit of length; positions are in "
+        "metres",
+    )
+    require(
+        difference < 1e-4,
+        f"a corner is {difference:.3g} from where it was: other axes, or fewer digits; +Y is up, right-handed",
+    )
 
 
 def _triangles(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:

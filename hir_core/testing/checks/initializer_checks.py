@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import permutations, product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -85,7 +86,8 @@ def surface_is_the_true_one(subject: Subject) -> None:
     half, most = np.quantile(away, [0.5, 0.95])
     require(
         half < 0.03 and most < 0.12,
-        f"half of the vertices lie within {half:.3f}, 95 % within {most:.3f} of the true surface of radius 1",
+        f"half of the vertices lie within {half:.3f}, 95 % within {most:.3f} of the true surface of radius 1"
+        + _frame_advice(vertices),
     )
     normal = mesh.face_areas_normals.cpu().numpy() @ truth_from_world[:3, :3].T
     centre = vertices[faces.cpu().numpy()].mean(axis=1)
@@ -94,6 +96,28 @@ def surface_is_the_true_one(subject: Subject) -> None:
     )
     share = float((outer > distance_to_surface(centre)).mean())
     require(share > 0.9, f"{100 * share:.0f} % of the triangles face outwards; counter-clockwise is outside")
+
+
+def _frame_advice(vertices: np.ndarray) -> str:
+    """Whether the surface is the true one in other axes, or in another unit; "" where it is neither."""
+    candidates = []
+    for order in permutations(range(3)):
+        for signs in product((1.0, -1.0), repeat=3):
+            axes = np.eye(3)[list(order)] * np.array(signs)[:, None]
+            candidates.append((axes, 1.0))
+    candidates += [(np.eye(3), scale) for scale in (1e-3, 1e-2, 1e-1, 10.0, 100.0, 1000.0)]
+    for axes, scale in candidates:
+        half, most = np.quantile(np.abs(distance_to_surface(scale * vertices @ axes.T)), [0.5, 0.95])
+        if half < 0.03 and most < 0.12:
+            if scale != 1:
+                return f"; times {scale:g} it is the true surface: convert its unit of length"
+            named = ", ".join(f"{'-' if row.min() < 0 else ''}{'xyz'[int(np.abs(row).argmax())]}" for row in axes)
+            return (
+                f"; with its axes changed to ({named}) it is the true surface: it is in another frame; return it in "
+                "that of "
+                "the capture's cameras, by capture.world_from_source"
+            )
+    return ""
 
 
 @contract("initializer", traits={"finds_cameras"}, slow=True)

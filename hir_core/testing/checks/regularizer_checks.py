@@ -63,7 +63,7 @@ def _value_and_gradients(subject: Subject, start: Scene, at: Scene) -> tuple[Ten
     return value.detach(), {name: g for name, g in zip(tracked, found, strict=True) if g is not None}
 
 
-@contract("regularizer")
+@contract("regularizer", first=True)
 def term_is_a_finite_scalar(subject: Subject) -> None:
     """The term is a tensor without dimensions, finite, and at least 0 unless the trait `signed` is declared."""
     import torch
@@ -75,7 +75,12 @@ def term_is_a_finite_scalar(subject: Subject) -> None:
         value = subject.create().prepare(scene)(_moved(scene, seed + 10))
         require(isinstance(value, torch.Tensor), f"the term is {type(value).__name__}, not a tensor")
         require(value.ndim == 0, f"the term has the shape {tuple(value.shape)}; sum or average it to one number")
-        require(torch.isfinite(value), f"the term is {float(value)}")
+        require(
+            torch.isfinite(value),
+            f"the term is {float(value)} on a scene of noise; a division by 0, or a root or logarithm of a negative "
+            "number "
+            "gives this: clamp what goes into it",
+        )
         if not subject.has("signed"):
             require(
                 float(value) >= 0,
@@ -95,6 +100,12 @@ def gradient_is_that_of_the_value(subject: Subject) -> None:
     start = bumpy_scene(torch.float64)
     at = _moved(start)
     _, gradients = _value_and_gradients(subject, start, at)
+    require(
+        gradients,
+        "the term is detached from the scene: it carries no gradient at all; .detach(), .item(), .numpy(), "
+        "torch.tensor(…) "
+        "and torch.no_grad() end a gradient",
+    )
     values = leaves(at)
     energy = subject.create().prepare(start)
     generator = torch.Generator().manual_seed(3)
@@ -112,7 +123,9 @@ def gradient_is_that_of_the_value(subject: Subject) -> None:
         moving.append(abs(difference) > 10 * rounding)
         require(
             abs(analytic - difference) <= 1e-4 * max(abs(difference), abs(analytic)) + 10 * rounding,
-            f"along a random direction of {name} the gradient says {analytic:.8g}, differences {difference:.8g}",
+            f"along a random direction of {name} the gradient says {analytic:.8g}, differences {difference:.8g}; a "
+            "part of "
+            "the term is detached, or a backward() of your own is wrong",
         )
     require(any(moving), "nothing that a fit moves changes the term: neither positions nor textures nor light")
 
@@ -145,7 +158,12 @@ def linear_in_weight(subject: Subject) -> None:
 def rigid_motion_changes_nothing(subject: Subject) -> None:
     """Turning and moving mesh and start together leaves the term as it is (to 1e-6 in float64)."""
     for turned, value, plain in _transformed(subject, scale=1.0):
-        require(abs(turned - plain) <= 1e-6 * abs(plain), f"the term is {plain:.8g}, {value} {turned:.8g}")
+        require(
+            abs(turned - plain) <= 1e-6 * abs(plain),
+            f"the term is {plain:.8g}, {value} {turned:.8g}; measure from the scene itself, such as from its "
+            "centre, not "
+            "along the axes of the world, or remove the trait 'rigid_invariant'",
+        )
 
 
 @contract("regularizer", traits={"scale_invariant"})
@@ -212,7 +230,12 @@ def smallest_on_its_ideal(subject: Subject) -> None:
             near >= least - 1e-9 * (1 + abs(least)),
             f"on its ideal the term is {least:.8g}, {size:g} away from it only {near:.8g}",
         )
-    require(any(above), f"the term is {least:.8g} on its ideal and on every scene near it")
+    require(
+        any(above),
+        f"the term is {least:.8g} on its ideal and on every scene near it; where it is flat, take an ideal at the "
+        "border, from "
+        "which a small change raises it",
+    )
 
 
 @contract("regularizer")

@@ -54,7 +54,9 @@ def missing_extra_is_named(subject: Subject) -> None:
     require(
         not outside,
         f"it requires {', '.join(outside)}, names no extra, and {distribution} does not always depend "
-        "on it: the advice would install nothing",
+        "on it, so that its users would be told to install what brings nothing; name it in an extra of your "
+        "distribution, and that "
+        "in extra=",
     )
 
 

@@ -7,13 +7,16 @@ import sys
 import types
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
+import click
 import pytest
+from annotated_types import Interval, Unit
 
 from hir_core.errors import ConfigError, MissingExtraError, PluginError
 from hir_core.plugins import Component, hookimpl
 from hir_core.plugins.manager import KINDS, PluginManager
-from hir_core.plugins.options import seed_of_run, with_seed_of_run
+from hir_core.plugins.options import options_schema, seed_of_run, with_seed_of_run
 
 
 @dataclass(frozen=True)
@@ -197,6 +200,64 @@ def test_older_and_newer_plugins_are_refused_with_what_to_upgrade(api: int, advi
     ]
 
 
+def test_a_version_that_is_no_number_is_refused() -> None:
+    manager = PluginManager()
+    manager.register(plugin_of(component(api="1")), "studio", "1.0")
+    assert manager.problems == [
+        "regularizer 'thing' of studio says api='1', which is no version of the plugin interface; write api=1"
+    ]
+
+
+def test_a_plugin_that_names_no_version_is_taken_for_the_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    from hir_core.plugins import manager as module
+
+    monkeypatch.setattr(module, "API_VERSION", 2)
+    manager = PluginManager()
+    manager.register(plugin_of(component()), "studio", "1.0")
+    assert ["is made for plugin interface 1, this hir has 2" in problem for problem in manager.problems] == [True]
+
+
+def test_commands_of_two_plugins_do_not_replace_each_other_or_ours() -> None:
+    def adding(name: str, help_text: str) -> object:
+        def register(cli: click.Group) -> None:
+            cli.add_command(click.Command(name, help=help_text))
+
+        return types.SimpleNamespace(__name__=f"adds_{name}", hir_register_commands=hookimpl(register))
+
+    manager = PluginManager()
+    for distribution, name in (("one", "measure"), ("two", "measure"), ("three", "export"), ("four", "count")):
+        manager.register(adding(name, f"Of {distribution}."), distribution, "1.0")
+    assert {name: command.help for name, command in manager.commands().items()} == {
+        "measure": "Of one.",
+        "count": "Of four.",
+    }
+    assert manager.problems == [
+        "command 'measure' of two is ignored: one has one of that name; rename one of the two, or remove it",
+        "command 'export' of three is ignored: hir has one of that name; rename one of the two, or remove it",
+    ]
+    assert manager.commands() and len(manager.problems) == 2, "commands are collected once"
+
+
+@dataclass(frozen=True)
+class Ranged:
+    """Options with ranges and units."""
+
+    reach: Annotated[float, Interval(gt=0, le=2), Unit("m")] = 0.1
+    """How far."""
+
+
+def test_a_number_outside_of_its_range_is_named_with_range_and_unit() -> None:
+    manager = PluginManager()
+    manager.register(plugin_of(component(config=Ranged)), "studio", "1.0")
+    with pytest.raises(ConfigError, match=r"option 'reach' is 3; it must be > 0 and ≤ 2 m$"):
+        manager.create("regularizer", "thing", {"reach": 3})
+    with pytest.raises(
+        ConfigError, match=r"option 'reach': .*valid number.* \(got 'far'\); it is a number > 0 and ≤ 2 m"
+    ):
+        manager.create("regularizer", "thing", {"reach": "far"})
+    assert options_schema(Ranged)["properties"]["reach"]["unit"] == "m"
+
+
 def test_a_deprecated_argument_is_a_notice_and_still_arrives(monkeypatch: pytest.MonkeyPatch) -> None:
     from hir_core.plugins import hookspecs
 
@@ -267,8 +328,8 @@ def test_a_second_preset_or_observer_of_a_name_is_reported_and_ignored(tmp_path:
     for distribution in ("first", "second"):
         plugins.register(Twice(), distribution, "1")
     assert sorted(plugins.problems) == [
-        "observer 'notes' of second is ignored: first has one of that name",
-        "preset 'quick' of second is ignored: first has one of that name",
+        "observer 'notes' of second is ignored: first has one of that name; rename one of the two, or remove it",
+        "preset 'quick' of second is ignored: first has one of that name; rename one of the two, or remove it",
     ]
 
 

@@ -77,20 +77,38 @@ class Trusting(Reader):
         return super().read(path, split)
 
 
-def reader(implementation: type = Reader) -> Component:
+class Curious(Reader):
+    def read(self, path: Path, split: str = "train") -> Capture:
+        for file in path.parent.glob("*.txt"):
+            file.read_bytes()
+        return super().read(path, split)
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Of a reader."""
+
+    sharpness: float = 1.0
+    """Nothing sets it."""
+
+
+def reader(implementation: type = Reader, config: type = NoOptions) -> Component:
     return Component(
         "wrapped",
         f"{HERE}:{implementation.__name__}",
+        config,
         summary="A reader, wrapped.",
         testing="hir_plugins.readers.contract_inputs:transforms_json",
     )
 
 
 BROKEN_READERS: dict[str, Component] = {
+    "reader_has_no_options": reader(config=Quality),
     "knows_its_own_format": reader(KnowsEverything),
     "cameras_are_where_they_were": reader(HalfAPixel),
     "source_axes_are_recorded": reader(Mirrored),
     "pixels_are_linear": reader(TwiceDecoded),
+    "stays_in_its_folder": reader(Curious),
     "malformed_files_are_refused": reader(Trusting),
 }
 

@@ -136,6 +136,17 @@ class Root(Dispersion):
         return super().energy(scene).sqrt()
 
 
+class Seeding(Dispersion):
+    def prepare(self, scene: Scene) -> Callable[[Scene], Tensor]:
+        torch.manual_seed(0)
+        return self.energy
+
+
+class ByThreads(Dispersion):
+    def energy(self, scene: Scene) -> Tensor:
+        return super().energy(scene) * (0.99 if torch.get_num_threads() == 3 else 1.0)
+
+
 def made(implementation: type = Dispersion, **changes: Any) -> Component:
     """A descriptor of the sound one, with changes."""
     is_ok: dict[str, Any] = {
@@ -160,6 +171,9 @@ BROKEN: dict[str, Component] = {
     "options_round_trip": made(TakesNone, config=WithNone),
     "options_documented": made(config=Silent),
     "descriptor_is_complete": made(summary="keeps vertices together"),
+    "docs_page_is_there": made(docs="tests:no_such_page.md"),
+    "process_stays_as_it_is": made(Seeding),
+    "thread_counts_agree": made(ByThreads),
     "traits_are_known": made(traits=frozenset({"differentiable", "rigid_invariance"})),
     "inputs_stay_as_they_are": made(Meddling),
     "same_seed_same_result": made(Moody),

@@ -9,8 +9,8 @@ import pytest
 
 from hir_core.plugins import Component
 from hir_core.plugins.manager import PluginManager, Registered
-from hir_core.testing import ContractError, all_checks, check_component
-from hir_core.testing.running import Result, as_registered
+from hir_core.testing import ContractError, all_checks, check_component, check_whole_plugin, whole_plugin
+from hir_core.testing.running import Result, as_registered, plugin_checks
 from tests.hir_core.testing import (
     broken_exporters,
     broken_initializers,
@@ -33,7 +33,7 @@ SLOW: dict[str, Mapping[str, Component]] = {
     "reflectance_renderer": broken_renderers.BROKEN_REFLECTANCE,
     "initializer": {CAMERAS: broken_initializers.BROKEN_INITIALIZERS[CAMERAS]},
 }
-FROM_FILES = ("imports_light", "requirements_declared", "missing_extra_is_named")
+FROM_FILES = ("imports_light", "imports_quickly", "requirements_declared", "missing_extra_is_named")
 SOUND = [
     ("regularizer", broken_regularizers.SOUND),
     ("geometry_renderer", broken_renderers.geometry()),
@@ -64,7 +64,9 @@ def plugins() -> PluginManager:
 
 def test_every_contract_has_its_broken_plugin() -> None:
     covered = {check for table in (*QUICK.values(), *SLOW.values()) for check in table}
-    assert covered | {*FROM_FILES, "devices_agree"} == set(all_checks())
+    of_plugins = {check.name for check in plugin_checks()}
+    assert covered | {*FROM_FILES, "devices_agree"} == set(all_checks()) - of_plugins
+    assert of_plugins == set(BROKEN_PLUGINS)
 
 
 @pytest.mark.parametrize(("kind", "component", "check"), cases(QUICK))
@@ -129,9 +131,10 @@ def hir_register_regularizers():
     ("check", "at_the_top", "inside", "requires"),
     [
         ("imports_light", "import torch", "", ("torch",)),
+        ("imports_quickly", "import time; time.sleep(2.5)", "", ()),
         ("requirements_declared", "", "import torch", ()),
     ],
-    ids=["imports_light", "requirements_declared"],
+    ids=["imports_light", "imports_quickly", "requirements_declared"],
 )
 def test_file_breaks_its_contract_and_no_other(
     check: str, at_the_top: str, inside: str, requires: tuple[str, ...], tmp_path: Path
@@ -141,6 +144,53 @@ def test_file_breaks_its_contract_and_no_other(
     plugins = PluginManager.discover((str(path),))
     results = check_component(path.stem, plugins=plugins, raises=False)
     assert failed(results) == [check], [r.detail for r in results if r.outcome == "failed"]
+
+
+BROKEN_PLUGINS = {
+    "is_loaded": "@hookimpl\ndef hir_register_regularizer():\n    return []\n",
+    "is_made_for_this_interface": "hir_api = 0\n",
+    "names_are_free": "@hookimpl\ndef hir_register_presets():\n    return {'fast': 'fast.toml'}\n",
+    "plugin_imports_light": "import torch\n",
+    "plugin_imports_quickly": "import time; time.sleep(2.5)\n",
+    "presets_are_settings": (
+        "from pathlib import Path\nPRESET = Path(__file__).with_suffix('.toml')\nPRESET.write_text('exports = []')\n"
+        "@hookimpl\ndef hir_register_presets():\n    return {'quick': PRESET}\n"
+    ),
+    "observer_options_are_sound": (
+        "from dataclasses import dataclass\n@dataclass(frozen=True)\nclass Options:\n    every: int = 1\n"
+        "@hookimpl\ndef hir_register_observers():\n    return {'watcher': Options}\n"
+    ),
+    "observer_raises_nothing": "@hookimpl\ndef hir_progress(progress):\n    progress.scalars['loss']\n",
+    "observer_is_off_without_its_table": (
+        "from dataclasses import dataclass\n@dataclass(frozen=True)\nclass Options:\n    every: int = 1\n    'Steps.'\n"
+        "@hookimpl\ndef hir_register_observers():\n    return {'watcher': Options}\n"
+        "@hookimpl\ndef hir_run_started(run_folder):\n    (run_folder / 'notes.txt').write_text('begun')\n"
+    ),
+    "observer_stays_in_its_run": "@hookimpl\ndef hir_stage_finished(report):\n    report.clear()\n",
+    "commands_have_help": (
+        "import click\n@hookimpl\ndef hir_register_commands(cli):\n"
+        "    cli.add_command(click.Command('silent', callback=print))\n"
+    ),
+}
+"""Code of a plugin that breaks the contract of plugins as a whole, and no other."""
+
+
+@pytest.mark.parametrize("check", BROKEN_PLUGINS)
+def test_plugin_breaks_its_contract_and_no_other(check: str, tmp_path: Path) -> None:
+    path = tmp_path / f"broken_{check}.py"
+    path.write_text(f"from hir_core.plugins import hookimpl\n{BROKEN_PLUGINS[check]}")
+    subject = whole_plugin(str(path), PluginManager.discover((str(path),), strict=False))
+    assert subject is not None
+    results = check_whole_plugin(subject, raises=False)
+    assert failed(results) == [check], [r.detail for r in results if r.outcome == "failed"]
+
+
+@pytest.mark.slow
+def test_the_built_in_plugins_break_none(plugins: PluginManager) -> None:
+    subject = whole_plugin("hir", plugins)
+    assert subject is not None
+    skipped = [r.check for r in check_whole_plugin(subject) if r.outcome == "skipped"]
+    assert skipped == []
 
 
 def test_an_extra_that_is_none_is_found(plugins: PluginManager) -> None:

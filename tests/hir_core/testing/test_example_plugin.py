@@ -59,6 +59,14 @@ def test_its_components_are_found_by_installation(python: Path, tmp_path: Path) 
     }
 
 
+def test_its_preset_page_ranges_and_units_are_shown(python: Path, tmp_path: Path) -> None:
+    said = message(python, "-m", "hir_core.cli", "plugins", "light_chroma", "--docs", folder=tmp_path)
+    assert "floor  (number, default 0.05, ≥ 0)" in said and "\n# light_chroma\n" in said
+    assert "trait environment: the term depends on the light" in said
+    shown = message(python, "-m", "hir_core.cli", "config", "show", "--preset", "grey_light", folder=tmp_path)
+    assert "light_chroma" in shown
+
+
 def test_it_keeps_every_contract(python: Path, tmp_path: Path) -> None:
     arguments = [python, "-m", "hir_core.cli", "check-plugin", "hir-plugin-example", "--json"]
     results = json.loads(message(*arguments, folder=tmp_path))["results"]

@@ -15,7 +15,7 @@ from hir_core.cli.app import cli
 from hir_core.errors import ConfigError
 from hir_core.plugins.manager import KINDS, PluginManager
 from hir_core.scaffold import write_one_file, write_plugin
-from hir_core.testing import check_component
+from hir_core.testing import check_component, check_whole_plugin, whole_plugin
 
 
 def plugged(folder: Path, package: str, monkeypatch: pytest.MonkeyPatch) -> PluginManager:
@@ -46,6 +46,29 @@ def test_scaffold_passes_the_checks_as_it_is_written(
     ruff = [sys.executable, "-m", "ruff", "check", "--isolated", "--line-length", "120", "--select", "E,F,I,B,UP"]
     done = subprocess.run([*ruff, "."], capture_output=True, text=True, cwd=folder)
     assert done.returncode == 0, done.stdout
+
+
+@pytest.mark.parametrize("kind", ["observer", "command"])
+def test_scaffold_without_a_component_passes_the_checks_as_it_is_written(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_plugin(f"m {kind}", kind, tmp_path)
+    folder, package = tmp_path / f"hir-m-{kind}", f"hir_m_{kind}"
+    monkeypatch.syspath_prepend(str(folder))
+    project = tomllib.loads((folder / "pyproject.toml").read_text())["project"]
+    module, _, attribute = project["entry-points"]["hir"][f"m_{kind}"].partition(":")
+    plugin = import_module(module)
+    manager = PluginManager.discover()
+    manager.register(getattr(plugin, attribute)() if attribute else plugin, f"hir-m-{kind}", "0.1.0")
+    subject = whole_plugin(f"hir-m-{kind}", manager)
+    assert subject is not None and module == f"{package}.plugin"
+    outcomes = {result.check: result.outcome for result in check_whole_plugin(subject)}
+    own = "observer_raises_nothing" if kind == "observer" else "commands_have_help"
+    assert outcomes[own] == "passed"
+    if kind == "command":
+        (tmp_path / "run.json").write_text('{"stages": {"geometry": {}}}')
+        done = CliRunner().invoke(manager.commands()["m-command"], [str(tmp_path)], catch_exceptions=False)
+        assert done.output == "geometry\n"
 
 
 def test_one_file_passes_and_is_used_by_its_path(tmp_path: Path) -> None:

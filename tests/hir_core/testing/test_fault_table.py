@@ -1,0 +1,40 @@
+"""`hir check-plugin` names the fault of each broken plugin of the folder `faults`, as "
+"docs/writing_plugins/faults.md says."""
+
+from __future__ import annotations
+
+import re
+import time
+
+import pytest
+
+from tests.docs.checkout import tool
+
+table = tool("write_fault_table")
+LIMIT_S = 60.0
+
+MARKS = {fault: [pytest.mark.gpu] for fault in table.NEEDS_CUDA} | {"initializer_other_frame": [pytest.mark.slow]}
+CASES = [pytest.param(fault, id=fault, marks=MARKS.get(fault, [])) for fault in table.FAULTS]
+
+
+def without_numbers(text: str) -> str:
+    """Numbers differ in their last digits between machines."""
+    return re.sub(r"-?\d+(\.\d+)?(e[+-]?\d+)?", "#", text)
+
+
+@pytest.mark.parametrize("fault", CASES)
+def test_one_contract_fails_and_says_what_the_page_says(fault: str) -> None:
+    start = time.process_time()
+    failed = [result for result in table.results_of(fault) if result.outcome == "failed"]
+    spent = time.process_time() - start
+    assert [result.check for result in failed] == [table.FAULTS[fault]], [result.detail for result in failed]
+    assert spent < LIMIT_S
+    if fault in table.NEEDS_CUDA:
+        return
+    row = table.row(fault, table.FAULTS[fault], table.sentence_of(failed[0]))
+    assert without_numbers(row) == without_numbers(table.stored_rows()[fault]), "run: python tools/write_fault_table.py"
+
+
+def test_every_broken_plugin_is_in_the_page() -> None:
+    files = {path.stem for path in table.FAULTS_FOLDER.glob("*.py")} - {"sound"}
+    assert files == set(table.FAULTS) == set(table.stored_rows())
