@@ -193,10 +193,14 @@ SHAPES: dict[str, Callable[[], list[Distance]]] = {
 
 
 def make_shape(name: str, resolution: int = RESOLUTION) -> Shape:
-    """The union of the parts as one closed mesh, scaled to radius 0.95."""
+    """A shape of the table as one closed mesh, scaled to radius 0.95."""
+    return mesh_of_parts(SHAPES[name](), resolution)
+
+
+def mesh_of_parts(parts: list[Distance], resolution: int = RESOLUTION) -> Shape:
+    """The largest component of the union of the parts as one closed mesh, scaled to radius 0.95."""
     from skimage.measure import marching_cubes
 
-    parts = SHAPES[name]()
     axis = np.linspace(-1.05, 1.05, resolution)
     grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
     field = np.min([part(grid) for part in parts], axis=0).reshape(resolution, resolution, resolution)
