@@ -208,6 +208,9 @@ def mesh_of_parts(parts: list[Distance], resolution: int = RESOLUTION) -> Shape:
     positions, faces, _, _ = marching_cubes(field, 0.0, spacing=(step, step, step), gradient_direction="ascent")
     positions = positions + axis[0]
     positions, faces = _largest_component(positions, faces)
+    a, b, c = (positions[faces[:, i]] for i in range(3))
+    if np.einsum("ij,ij->", a, np.cross(b, c)) < 0:  # scikit-image winds triangles clockwise for some directions
+        faces = faces[:, ::-1]
     distances = np.stack([part(positions) for part in parts])
     union: Distance = lambda p: np.min([part(p) for part in parts], axis=0)  # noqa: E731
     normals = _gradient(union, positions, 0.5 * step)

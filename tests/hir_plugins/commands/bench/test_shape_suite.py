@@ -9,7 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.materials.shapes import mesh_of_parts
 from benchmarks.shape.recipes import recipes
+from benchmarks.shape.shapes import OBJECTS
+from hir_core.mesh.mesh_validity import inspect_mesh
 from hir_core.plugins.manager import PluginManager
 from hir_core.testing.captures import distance_to_surface, tiny_capture
 from hir_plugins.commands.bench.bench_options import BenchOptions
@@ -134,6 +137,15 @@ def _capture(made: Path, options: BenchOptions) -> object:
     from hir_core.intake.reader_lookup import read_capture
 
     return read_capture(made / "lump", "train", options.plugins)
+
+
+def test_true_meshes_are_closed_and_face_outwards() -> None:
+    """A mug has one handle, and its winding agrees with the normals of its signed distance."""
+    shape = mesh_of_parts(OBJECTS["mug"].parts(), 48)
+    assert inspect_mesh(shape.positions.astype(np.float64), shape.faces.astype(np.int64)).genus == 1
+    a, b, c = (shape.positions[shape.faces[:, i]] for i in range(3))
+    cosine = (np.cross(b - a, c - a) * shape.normals[shape.faces[:, 0]]).sum(axis=1)
+    assert (cosine > 0).mean() > 0.95
 
 
 def test_the_benchmark_has_both_halves_with_shapes_of_their_own() -> None:
