@@ -13,7 +13,16 @@ from hir_core.terminal.command_options import FOLDER, plugin_option, verbosity_o
 if TYPE_CHECKING:
     from hir_plugins.commands.bench.bench_options import BenchOptions
 
-SUITE_NAMES: Final = ("geometry", "initializers", "shape", "reflectance", "regularizers", "export", "end-to-end")
+SUITE_NAMES: Final = (
+    "geometry",
+    "initializers",
+    "shape",
+    "atlas",
+    "reflectance",
+    "regularizers",
+    "export",
+    "end-to-end",
+)
 
 
 @click.command("bench")

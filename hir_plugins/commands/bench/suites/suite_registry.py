@@ -13,6 +13,7 @@ SUITES: Final = {
     "geometry": "hir_plugins.commands.bench.suites.geometry_suite:geometry_rows",
     "initializers": "hir_plugins.commands.bench.suites.initializers_suite:initializer_rows",
     "shape": "hir_plugins.commands.bench.suites.shape_suite:shape_rows",
+    "atlas": "hir_plugins.commands.bench.suites.atlas_suite:atlas_rows",
     "reflectance": "hir_plugins.commands.bench.suites.reflectance_suite:reflectance_rows",
     "regularizers": "hir_plugins.commands.bench.suites.regularizers_suite:regularizer_rows",
     "export": "hir_plugins.commands.bench.suites.export_suite:exporter_rows",
