@@ -37,9 +37,9 @@ def write_capture(recipe: Recipe, folder: Path, side: int = SIDE, samples: int =
     shape = make_shape(recipe.shape)
     material = MATERIALS[recipe.material]
     surface = material.draw(shape.positions.astype(np.float64), shape.parts, rng)
-    mesh = _mesh(mi, shape, surface)
+    mesh = mitsuba_mesh(mi, shape, surface)
     folder.mkdir(parents=True, exist_ok=True)
-    _write_obj(folder / "reference.obj", shape)
+    write_obj(folder / "reference.obj", shape)
     lights = dict(zip(("train", "relight_0", "relight_1"), (recipe.light, *recipe.relights), strict=True))
     images = {}
     for split, name in lights.items():
@@ -48,17 +48,17 @@ def write_capture(recipe: Recipe, folder: Path, side: int = SIDE, samples: int =
     strengths: dict[str, float] = {}
     for split, count in SPLITS.items():
         lit_by = "train" if split == "test" else split
-        cameras = [_camera(i, count, split) for i in range(count)]
+        cameras = [spiral_camera(i, count, split) for i in range(count)]
         light = LIGHTS[lights[lit_by]]
         renders = [
-            _render(mi, mesh, surface, images[lit_by], light.frame == "camera", light.lamp, pose, side, samples, i)
+            render_view(mi, mesh, surface, images[lit_by], light.frame == "camera", light.lamp, pose, side, samples, i)
             for i, pose in enumerate(cameras)
         ]
         if lit_by not in strengths:
-            strengths[lit_by] = recipe.exposure / _bright(renders)
+            strengths[lit_by] = recipe.exposure / bright_value(renders)
         (folder / split).mkdir(exist_ok=True)
         for i, image in enumerate(renders):
-            write_png(folder / split / f"{i:03d}.png", _encoded(image, strengths[lit_by]))
+            write_png(folder / split / f"{i:03d}.png", encoded(image, strengths[lit_by]))
         if split == "test":
             _write_truth(mi, mesh, surface, folder / "truth_test", cameras, side)
         document: dict[str, Any] = {"camera_angle_x": FIELD_OF_VIEW}
@@ -77,7 +77,7 @@ def write_capture(recipe: Recipe, folder: Path, side: int = SIDE, samples: int =
     (folder / "truth.json").write_text(json.dumps(truth, indent=1))
 
 
-def _camera(i: int, count: int, split: str) -> NDArray[np.float64]:
+def spiral_camera(i: int, count: int, split: str) -> NDArray[np.float64]:
     """Camera-to-world (4×4, looking along -Z) on a spiral over the sphere, from 30° below to 75° above the horizon."""
     offset = {"train": 0.0, "test": 0.37, "relight_0": 0.61, "relight_1": 0.83}[split]
     share = (i + 0.5) / count
@@ -92,7 +92,7 @@ def _camera(i: int, count: int, split: str) -> NDArray[np.float64]:
     return pose
 
 
-def _mesh(mi: Any, shape: Shape, surface: Surface) -> Any:
+def mitsuba_mesh(mi: Any, shape: Shape, surface: Surface) -> Any:
     """A Mitsuba mesh whose vertex attributes are the material."""
     attributes = {name: {"type": "mesh_attribute", "name": f"vertex_{name}"} for name in ("base", "metal", "rough")}
     bsdf = {
@@ -116,7 +116,7 @@ def _mesh(mi: Any, shape: Shape, surface: Surface) -> Any:
     return mesh
 
 
-def _render(
+def render_view(
     mi: Any,
     mesh: Any,
     surface: Surface,
@@ -177,13 +177,13 @@ def _sensor(mi: Any, pose: NDArray[np.float64], side: int, samples: int) -> dict
     }
 
 
-def _bright(renders: list[NDArray[np.float32]]) -> float:
+def bright_value(renders: list[NDArray[np.float32]]) -> float:
     """The linear value that 2 % of all object pixels exceed in some channel."""
     pixels = [image[..., :3][image[..., 3] > 0.99] for image in renders]
     return float(np.quantile(np.concatenate(pixels).max(axis=-1), 0.98))
 
 
-def _encoded(image: NDArray[np.float32], strength: float) -> NDArray[np.float32]:
+def encoded(image: NDArray[np.float32], strength: float) -> NDArray[np.float32]:
     """sRGB with straight alpha, 0…1."""
     alpha = image[..., 3:].clip(0, 1)
     color = np.where(alpha > 1e-3, image[..., :3] / np.maximum(alpha, 1e-3), 0.0) * strength
@@ -216,7 +216,7 @@ def _write_truth(
             write_png(folder / f"{i:03d}_{name}.png", np.concatenate([picture, covered], axis=-1))
 
 
-def _write_obj(path: Path, shape: Shape) -> None:
+def write_obj(path: Path, shape: Shape) -> None:
     lines = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in shape.positions]
     lines += [f"f {a} {b} {c}" for a, b, c in shape.faces + 1]
     path.write_text("\n".join(lines) + "\n")

@@ -193,10 +193,14 @@ SHAPES: dict[str, Callable[[], list[Distance]]] = {
 
 
 def make_shape(name: str, resolution: int = RESOLUTION) -> Shape:
-    """The union of the parts as one closed mesh, scaled to radius 0.95."""
+    """A shape of the table as one closed mesh, scaled to radius 0.95."""
+    return mesh_of_parts(SHAPES[name](), resolution)
+
+
+def mesh_of_parts(parts: list[Distance], resolution: int = RESOLUTION) -> Shape:
+    """The largest component of the union of the parts as one closed mesh, scaled to radius 0.95."""
     from skimage.measure import marching_cubes
 
-    parts = SHAPES[name]()
     axis = np.linspace(-1.05, 1.05, resolution)
     grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
     field = np.min([part(grid) for part in parts], axis=0).reshape(resolution, resolution, resolution)
@@ -204,6 +208,9 @@ def make_shape(name: str, resolution: int = RESOLUTION) -> Shape:
     positions, faces, _, _ = marching_cubes(field, 0.0, spacing=(step, step, step), gradient_direction="ascent")
     positions = positions + axis[0]
     positions, faces = _largest_component(positions, faces)
+    a, b, c = (positions[faces[:, i]] for i in range(3))
+    if np.einsum("ij,ij->", a, np.cross(b, c)) < 0:  # scikit-image winds triangles clockwise for some directions
+        faces = faces[:, ::-1]
     distances = np.stack([part(positions) for part in parts])
     union: Distance = lambda p: np.min([part(p) for part in parts], axis=0)  # noqa: E731
     normals = _gradient(union, positions, 0.5 * step)

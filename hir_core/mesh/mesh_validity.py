@@ -38,23 +38,28 @@ class MeshState:
     """Pairs of neighbouring triangles that fold back onto each other (more than 150°)."""
     self_intersecting: int
     """Triangles that intersect another one."""
+    largest_dihedral_deg: float
+    """Largest angle between the normals of neighbouring triangles that are not degenerate: 0 for a plane."""
+    longest_edge_ratio: float
+    """Longest edge, in median edges."""
 
 
 def inspect_mesh(positions: Positions, faces: Faces) -> MeshState:
     """The counts of any mesh; those of an empty one are zeros."""
     positions, faces = np.asarray(positions, dtype=np.float64), np.asarray(faces, dtype=np.int64)
     if len(faces) == 0:
-        return MeshState(len(positions), 0, 0, False, 0, 0, 0, 0)
+        return MeshState(len(positions), 0, 0, False, 0, 0, 0, 0, 0.0, 0.0)
     p = positions[faces]
-    sides = np.linalg.norm(p - np.roll(p, 1, axis=1), axis=2).max(axis=1)
+    lengths = np.linalg.norm(p - np.roll(p, 1, axis=1), axis=2)
+    sides = lengths.max(axis=1)
     normals = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
     doubled_area = np.linalg.norm(normals, axis=1)
     degenerate = doubled_area <= 1e-4 * sides**2
     closed, pairs, edges = _face_pairs(faces)
     unit = normals / np.maximum(doubled_area, np.finfo(float).tiny)[:, None]
-    folded = ((unit[pairs[:, 0]] * unit[pairs[:, 1]]).sum(axis=1) < np.cos(np.deg2rad(150))) & (
-        ~degenerate[pairs].any(axis=1)
-    )
+    proper = ~degenerate[pairs].any(axis=1)
+    cosine = (unit[pairs[:, 0]] * unit[pairs[:, 1]]).sum(axis=1)[proper]
+    folded = cosine < np.cos(np.deg2rad(150))
     used = len(np.unique(faces))
     components = count_components(faces)
     genus = (2 * components - (used - edges + len(faces))) // 2 if closed else 0
@@ -67,6 +72,8 @@ def inspect_mesh(positions: Positions, faces: Faces) -> MeshState:
         int(degenerate.sum()),
         int(folded.sum()),
         len(self_intersections(positions, faces)),
+        round(float(np.degrees(np.arccos(np.clip(cosine.min(initial=1.0), -1, 1)))), 2),
+        round(float(sides.max() / max(float(np.median(lengths)), np.finfo(float).tiny)), 3),
     )
 
 

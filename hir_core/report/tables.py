@@ -60,7 +60,7 @@ def stages(document: Document, timings: Document) -> Markup:
             Cell(f"{seconds:.1f} s", "number"),
             Cell(f"{100 * seconds / longest:.1f}", "bar"),
             Cell(f"{memory:.1f} GiB", "number"),
-            Cell(", ".join(facts(report_of(document, stage))), "facts"),
+            Cell(", ".join([*facts(report_of(document, stage)), *spikes(report_of(document, stage))]), "facts"),
         )
         rows.append(Row(stage, cells))
     return table("stages", ("", "time", "", "peak memory", ""), rows)
@@ -81,6 +81,16 @@ def facts(report: Document) -> list[str]:
         if len(text) <= MAX_FACT_LENGTH:
             found.append(f"{name.replace('_', ' ')} {text}")
     return found[:MAX_FACTS]
+
+
+def spikes(report: Document) -> list[str]:
+    """Largest dihedral angle and longest edge of the mesh that a stage made, where its report has them."""
+    mesh = report.get("mesh", {})
+    state = mesh.get("after", {}) if isinstance(mesh, dict) else {}
+    if not {"largest_dihedral_deg", "longest_edge_ratio"} <= set(state):
+        return []
+    dihedral, edge = state["largest_dihedral_deg"], state["longest_edge_ratio"]
+    return [f"largest dihedral angle {dihedral:.0f}°", f"longest edge {edge:.1f} median edges"]
 
 
 def exports(document: Document) -> Markup:

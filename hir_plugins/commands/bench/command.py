@@ -13,7 +13,16 @@ from hir_core.terminal.command_options import FOLDER, plugin_option, verbosity_o
 if TYPE_CHECKING:
     from hir_plugins.commands.bench.bench_options import BenchOptions
 
-SUITE_NAMES: Final = ("geometry", "initializers", "reflectance", "regularizers", "export", "end-to-end")
+SUITE_NAMES: Final = (
+    "geometry",
+    "initializers",
+    "shape",
+    "atlas",
+    "reflectance",
+    "regularizers",
+    "export",
+    "end-to-end",
+)
 
 
 @click.command("bench")
@@ -44,7 +53,7 @@ SUITE_NAMES: Final = ("geometry", "initializers", "reflectance", "regularizers",
     "--workspace",
     type=FOLDER,
     metavar="DIR",
-    help="Keep the runs of the end-to-end suite in DIR; an interrupted suite resumes them.",
+    help="Keep the runs of end-to-end, and the rows of shape by capture, in DIR; an interrupted suite resumes them.",
 )
 @click.option(
     "--compare",
@@ -71,8 +80,8 @@ def bench_command(
 ) -> None:
     """Measures time, memory and error of every installed component at growing sizes.
 
-    Errors are relative to a slow reference. Without a suite's name, all suites run; initializers and end-to-end need
-    --capture.
+    Errors are relative to a slow reference. Without a suite's name, all suites run; initializers, shape and end-to-end
+    need --capture.
     """
     if compare:
         from hir_plugins.commands.bench.results.bench_result import Result

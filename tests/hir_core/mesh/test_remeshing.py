@@ -94,7 +94,9 @@ def test_vertex_colors_come_along() -> None:
 
 def test_counts_of_known_meshes() -> None:
     ball = icosphere(2)
-    assert asdict(inspect_mesh(*ball)) == {
+    state = asdict(inspect_mesh(*ball))
+    assert 5 < state.pop("largest_dihedral_deg") < 20 and 1 < state.pop("longest_edge_ratio") < 1.3
+    assert state == {
         "vertices": 162,
         "triangles": 320,
         "components": 1,
@@ -110,6 +112,21 @@ def test_counts_of_known_meshes() -> None:
     two_balls = np.concatenate([ball[0], ball[0] + [3.0, 0, 0]]), np.concatenate([ball[1], ball[1] + 162])
     assert inspect_mesh(*two_balls).components == 2 and inspect_mesh(*two_balls).self_intersecting == 0
     assert inspect_mesh(np.zeros((0, 3)), np.zeros((0, 3), int)).triangles == 0
+
+
+def test_a_spike_has_a_large_dihedral_and_a_long_edge() -> None:
+    """A cube has right angles and diagonals of √2 edges; a vertex pulled far out is a spike of six sides, 60° apart."""
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
+    sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = np.array([t for a, b, c, d in sides for t in ((a, b, c), (a, c, d))])
+    cube = inspect_mesh(corners, faces)
+    assert cube.watertight and cube.largest_dihedral_deg == pytest.approx(90)
+    assert cube.longest_edge_ratio == pytest.approx(np.sqrt(2), abs=1e-3)
+    ball = icosphere(2)
+    pulled = ball[0].copy()
+    pulled[40] *= 4
+    spike = inspect_mesh(pulled, ball[1])
+    assert spike.largest_dihedral_deg > 60 and spike.longest_edge_ratio > 9
 
 
 def test_self_intersections_are_those_of_all_pairs() -> None:

@@ -26,6 +26,7 @@ from hir_core.report import (
     model_selection_table,
     refresh_page,
     rendered_pictures,
+    tables,
 )
 from hir_core.report.curve_svg import block_means, curve_svg
 from hir_core.report.rendered_pictures import light_picture
@@ -256,3 +257,12 @@ def test_views_are_evenly_spaced_from_first_to_last() -> None:
 
 def test_black_light_is_a_black_picture() -> None:
     assert light_picture(np.zeros((4, 8, 3), np.float32)).max() == 0
+
+
+def test_the_table_of_stages_shows_spikes_of_the_final_mesh() -> None:
+    """Both figures of the mesh after the stage; nothing for a stage without a mesh, or of an older run."""
+    before, after = {"largest_dihedral_deg": 20.0, "longest_edge_ratio": 1.5}, {"largest_dihedral_deg": 151.2}
+    assert tables.spikes({"mesh": {"before": before, "after": after}}) == []
+    found = tables.spikes({"mesh": {"before": before, "after": after | {"longest_edge_ratio": 7.04}}})
+    assert found == ["largest dihedral angle 151°", "longest edge 7.0 median edges"]
+    assert tables.spikes({"iou": 1.0}) == []
