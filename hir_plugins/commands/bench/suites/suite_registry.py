@@ -15,11 +15,14 @@ SUITES: Final = {
     "reflectance": "hir_plugins.commands.bench.suites.reflectance_suite:reflectance_rows",
     "regularizers": "hir_plugins.commands.bench.suites.regularizers_suite:regularizer_rows",
     "export": "hir_plugins.commands.bench.suites.export_suite:exporter_rows",
+    "materials": "hir_plugins.commands.bench.suites.materials_suite:materials_rows",
     "end-to-end": "hir_plugins.commands.bench.suites.end_to_end_suite:end_to_end_rows",
 }
 
 SUITES_WITH_CAPTURES: Final = frozenset({"initializers", "end-to-end"})
 """Suites that measure nothing without a capture."""
+MADE_CAPTURES: Final = "materials"
+"""The suite that measures captures with known materials; it needs their folder."""
 
 
 def suite_rows(suite: str, options: BenchOptions) -> Iterator[Row]:
