@@ -93,7 +93,7 @@ CAPTURE = $(firstword $(wildcard $(or $(HIR_SHARED),../shared)/captures/spot) ex
 
 bench: setup-test
 	@$(PYTHON) -m pip install --quiet --disable-pip-version-check -e '.[bench]'
-	@$(HIR) bench reflectance geometry regularizers export initializers --capture $(CAPTURE) -o benchmarks/results -q > /dev/null
+	@$(HIR) bench shading reflectance geometry regularizers export initializers --capture $(CAPTURE) -o benchmarks/results -q > /dev/null
 	@$(HIR) bench end-to-end --quick --capture $(CAPTURE) --workspace build/bench -o benchmarks/results -q > /dev/null
 	@$(PYTHON) tools/write_benchmarks.py
 	@echo "figures: $(CURDIR)/docs/benchmarks.md"

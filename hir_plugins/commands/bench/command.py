@@ -15,7 +15,16 @@ if TYPE_CHECKING:
     from hir_plugins.commands.bench.bench_options import BenchOptions
     from hir_plugins.commands.bench.materials_options import MaterialsOptions, MeshSource
 
-SUITE_NAMES: Final = ("geometry", "initializers", "reflectance", "regularizers", "export", "materials", "end-to-end")
+SUITE_NAMES: Final = (
+    "geometry",
+    "initializers",
+    "shading",
+    "reflectance",
+    "regularizers",
+    "export",
+    "materials",
+    "end-to-end",
+)
 
 
 @click.command("bench")
@@ -99,8 +108,8 @@ def bench_command(
 ) -> None:
     """Measures time, memory and error of every installed component at growing sizes.
 
-    Errors are relative to a slow reference. Without a suite's name, all suites run; initializers and end-to-end need
-    --capture, materials needs --materials.
+    Errors are relative to a slow reference. Without a suite's name, all suites run; initializers, reflectance and
+    end-to-end need --capture, materials needs --materials.
     """
     if compare:
         from hir_plugins.commands.bench.results.bench_result import Result
