@@ -1,4 +1,4 @@
-"""Writes docs/benchmarks.md, its plots, README's table and that of docs/reflectance.md from benchmarks/results; tests compare.
+"""Writes docs/benchmarks.md, its plots and the tables of README and docs/reflectance.md; tests compare.
 
 `python tools/write_benchmarks.py [--runs RUN…]`: with runs, the figures of finished and evaluated runs are first stored
 in benchmarks/results/whole_runs.json. `hir bench … -o benchmarks/results` writes the other files. Plots are drawn from

@@ -1,4 +1,4 @@
-"""The materials benchmark against its bar, for each half; the spread over seeds."""
+"""The materials benchmark against its bar, for each half; the variation over seeds."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ BARS: Final = (
 
 
 def materials_summary(rows: Sequence[Row]) -> str:
-    """A table of the bar for each half and mesh; below it the spread over seeds, and what is missing."""
+    """A table of the bar for each half and mesh; below it the variation over seeds, and what is missing."""
     selected = [row for row in rows if row.method == SELECTED and row.timing is not None]
     groups = dict.fromkeys((str(row.case["half"]), str(row.case["mesh"])) for row in selected)
     heads = ["half", "mesh", "captures", *(f"{bar.name} (goal {bar.goal})" for bar in BARS)]
@@ -104,15 +104,15 @@ def materials_summary(rows: Sequence[Row]) -> str:
                 "| " + " | ".join([half, mesh, f"{captures} {name}", *(bar.text(part) for bar in BARS)]) + " |"
             )
     text = ["\n".join(lines)]
-    spread = spread_table(selected)
-    text += [spread] if spread else []
+    variation = seed_variation_table(selected)
+    text += [variation] if variation else []
     missing = [str(row.case["capture"]) for row in rows if row.note == NOT_RENDERED]
     if missing:
         text.append(f"{len(missing)} captures are not rendered: {', '.join(missing)}.")
     return "\n\n".join(text)
 
 
-def spread_table(rows: Sequence[Row], error: str = UNSEEN) -> str:
+def seed_variation_table(rows: Sequence[Row], error: str = UNSEEN) -> str:
     """Mean and standard deviation of `error` over seeds, for captures that have several; empty without any."""
     groups: dict[tuple[str, str], list[Row]] = {}
     for row in rows:

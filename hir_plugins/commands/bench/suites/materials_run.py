@@ -51,6 +51,8 @@ class RunKey:
     settings: tuple[str, ...]
     """The forced hypothesis; empty for the run's own selection."""
     commit: str
+    variant: str = ""
+    """What a study changed besides settings, such as a constant."""
 
 
 @dataclass(frozen=True)
@@ -128,9 +130,10 @@ def current_key(capture: MaterialsCapture, mesh: MeshSource, seed: int, settings
 
 
 def _folder_name(key: RunKey) -> Path:
-    """commit / mesh / capture / settings and seed."""
+    """commit / mesh / capture / settings, variant and seed."""
     settings = "_".join(setting.rpartition(".")[2].replace("=", "-") for setting in key.settings) or "selected"
-    return Path(key.commit or "installed", key.mesh, key.capture, f"{settings}_seed{key.seed}")
+    variant = f"_{key.variant}" if key.variant else ""
+    return Path(key.commit or "installed", key.mesh, key.capture, f"{settings}{variant}_seed{key.seed}")
 
 
 def _timing(directory: RunDirectory) -> Timing:

@@ -29,7 +29,12 @@ from hir_plugins.commands.bench.inputs.parameter_errors import parameter_errors
 from hir_plugins.commands.bench.materials_options import MaterialsOptions, parse_seeds
 from hir_plugins.commands.bench.results.bench_result import Result, Row, Timing
 from hir_plugins.commands.bench.results.markdown_tables import result_markdown
-from hir_plugins.commands.bench.results.materials_summary import BARS, is_right_kind, materials_summary, spread_table
+from hir_plugins.commands.bench.results.materials_summary import (
+    BARS,
+    is_right_kind,
+    materials_summary,
+    seed_variation_table,
+)
 from hir_plugins.commands.bench.suites import materials_run, materials_suite
 from hir_plugins.commands.bench.suites.forced_hypotheses import HYPOTHESES
 from hir_plugins.commands.bench.suites.materials_run import RunFigures, current_key, run_figures
@@ -253,8 +258,8 @@ class TestSummary:
 
     def test_spread_is_the_standard_deviation_over_seeds(self) -> None:
         rows = [selected("a", seed, **{"unseen dB, object": level}) for seed, level in enumerate((30.0, 31.0, 32.0))]
-        assert "| a | truth | 3 | 31.00 | 1.00 | m |" in spread_table([*rows, selected("b")])
-        assert spread_table(rows[:1]) == ""
+        assert "| a | truth | 3 | 31.00 | 1.00 | m |" in seed_variation_table([*rows, selected("b")])
+        assert seed_variation_table(rows[:1]) == ""
 
     def test_labels_are_columns_and_survive_the_file(self, tmp_path: Path) -> None:
         result = Result("materials", (selected("a", **{"unseen dB, object": 35.0}),))
