@@ -27,7 +27,7 @@ REFLECTANCE = ROOT / "docs" / "reflectance.md"
 SHADING_BEGIN, SHADING_END = "<!-- shading, by tools/write_benchmarks.py -->", "<!-- end of shading -->"
 
 TEMPLATE = Path(__file__).with_name("benchmarks.template.md")
-SUITES = ("geometry", "shading", "reflectance", "regularizers", "export", "initializers", "end-to-end")
+SUITES = ("geometry", "shading", "reflectance", "materials", "regularizers", "export", "initializers", "end-to-end")
 
 
 def whole_runs() -> list[dict[str, Any]]:

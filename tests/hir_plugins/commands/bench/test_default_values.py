@@ -1,4 +1,4 @@
-"""Studies of constants and of spread: the values they name are the code's, and a difference needs two standard errors."""
+"""Studies of constants and of variation: their values are the code's; a difference needs two standard errors."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PLUGINS = PluginManager.discover()
 
 @pytest.mark.parametrize("name", DEFAULT_VALUES)
 def test_the_studied_values_are_those_of_the_code(name: str) -> None:
-    """A constant that was moved, renamed or changed fails here; a candidate equal to today's value would compare nothing."""
+    """A constant that was moved, renamed or changed fails here."""
     default = DEFAULT_VALUES[name]
     assert bool(default.setting) != bool(default.constants) and default.value not in default.candidates
     for constant in default.constants:
