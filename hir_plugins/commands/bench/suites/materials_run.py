@@ -113,6 +113,7 @@ def evaluated(directory: RunDirectory, capture: MaterialsCapture, plugins: Plugi
         **parameters.errors,
     }
     report = run.document["stages"]["reflectance"]["report"]
+    explanation = report.get("explanation")
     return RunFigures(
         parameters.kind(material),
         light.frame,
@@ -121,6 +122,7 @@ def evaluated(directory: RunDirectory, capture: MaterialsCapture, plugins: Plugi
         _timing(directory),
         report,
         describe_machine("cpu"),
+        bool(explanation["near_tie"]) if explanation else None,
     )
 
 

@@ -10,7 +10,7 @@ from hir_plugins.commands.bench.inputs.materials_captures import MaterialsCaptur
 from hir_plugins.commands.bench.materials_options import MeshSource
 from hir_plugins.commands.bench.results.bench_result import Case, Row
 from hir_plugins.commands.bench.results.materials_summary import NOT_RENDERED, REGRET, SELECTED, UNSEEN, WITHIN_NOISE
-from hir_plugins.commands.bench.suites.forced_hypotheses import HYPOTHESES
+from hir_plugins.commands.bench.suites.forced_hypotheses import hypotheses
 from hir_plugins.commands.bench.suites.materials_run import RunFigures, current_key, run_figures
 
 
@@ -38,7 +38,7 @@ def capture_rows(
         return run_figures(current_key(capture, mesh, seed, settings), capture, options.workspace, options.plugins)
 
     forced: list[float] = []
-    for hypothesis in HYPOTHESES if regret else ():
+    for hypothesis in hypotheses() if regret else ():
         result = figures(hypothesis.assignments)
         forced.append(result.errors[UNSEEN])
         yield Row(case, hypothesis.name, "ours", result.timing, result.errors, labels=labels(capture, result))

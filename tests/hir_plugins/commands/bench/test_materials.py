@@ -17,6 +17,7 @@ from benchmarks.materials.__main__ import write_index
 from benchmarks.materials.recipes import recipes
 from hir_core.capture import Capture, Pixels, View
 from hir_core.cli import main
+from hir_core.config import load_config
 from hir_core.errors import ConfigError, InputError
 from hir_core.pipeline import Run
 from hir_core.plugins.manager import PluginManager
@@ -36,12 +37,11 @@ from hir_plugins.commands.bench.results.materials_summary import (
     seed_variation_table,
 )
 from hir_plugins.commands.bench.suites import materials_run, materials_suite
-from hir_plugins.commands.bench.suites.forced_hypotheses import HYPOTHESES
+from hir_plugins.commands.bench.suites.forced_hypotheses import forcing_settings, hypotheses
 from hir_plugins.commands.bench.suites.materials_run import RunFigures, current_key, run_figures
 
 PLUGINS = PluginManager.discover()
 TRUTH = {"kind": "metal", "light_frame": "camera", "within_model": True}
-BRDFS = [hypothesis.kind for hypothesis in HYPOTHESES if hypothesis.light_frame == "world"]
 
 
 def made(root: Path, *names: str, **truth: object) -> None:
@@ -175,6 +175,7 @@ class TestRuns:
         assert 10 < first.errors["unseen dB, object"] < first.errors["unseen dB, frame"]
         assert first.errors["metalness error"] == 0 and first.errors["base colour dB"] < 30
         assert first.errors["relit scaled dB, frame"] > 10 and first.timing.cpu > 0
+        assert first.margin_within_noise is None, "this run compared nothing"
         assert "seed=3" in runs[0] and "geometry.enabled=false" in runs[0]
         assert run_figures(key, capture, tmp_path, PLUGINS) == first and len(runs) == 1
         run_figures(replace(key, commit="2" * 40), capture, tmp_path, PLUGINS)
@@ -203,19 +204,25 @@ class TestRuns:
         chosen = [row for row in rows if row.method == "selected" and row.timing]
         assert [row.errors["regret dB"] for row in chosen] == [pytest.approx(-0.5)] * 2
         assert [row.labels["margin"] for row in chosen] == ["clear", "within noise"]
-        assert len([row for row in rows if row.method.startswith("forced")]) == 2 * len(HYPOTHESES)
+        assert len([row for row in rows if row.method.startswith("forced")]) == 2 * len(hypotheses())
         assert len([row for row in rows if row.note == "not rendered"]) == 27
 
 
-@pytest.mark.parametrize("kind", BRDFS)
-def test_forced_hypotheses_are_settings_that_exist(kind: str) -> None:
-    from hir_core.config import load_config
+class TestHypotheses:
+    def test_each_is_a_setting_that_exists(self) -> None:
+        found = hypotheses()
+        assert {"diffuse", "dielectric"} <= {hypothesis.kind for hypothesis in found}
+        for hypothesis in found:
+            reflectance = load_config(PLUGINS, assignments=hypothesis.assignments).reflectance
+            assert reflectance.light_frame == hypothesis.light_frame
+            assert (reflectance.brdf, reflectance.model) != ("auto", "auto"), hypothesis.name
 
-    for hypothesis in HYPOTHESES:
-        if hypothesis.kind == kind:
-            config = load_config(PLUGINS, assignments=hypothesis.assignments)
-            assert config.reflectance.light_frame == hypothesis.light_frame
-            assert kind in (config.reflectance.brdf, config.reflectance.model)
+    def test_kinds_are_those_that_the_settings_express(self) -> None:
+        assert list(forcing_settings(frozenset({"auto", "paper", "dielectric"}))) == ["diffuse", "dielectric"]
+        named = forcing_settings(frozenset({"auto", "diffuse", "dielectric", "metal", "mixed"}))
+        assert named["metal"] == ("reflectance.brdf=metal",) and named["diffuse"] == ("reflectance.brdf=diffuse",)
+        metallic = forcing_settings(frozenset({"auto", "dielectric", "metallic"}))
+        assert metallic["mixed"] == ("reflectance.brdf=metallic", "reflectance.metalness=map")
 
 
 class TestSummary:
