@@ -10,69 +10,65 @@ from __future__ import annotations
 
 import argparse
 import statistics
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
-from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from hir_core.files.json_documents import write_json
-from hir_core.plugins.manager import PluginManager
 from hir_core.run.machine import describe_machine, source_commit
-from hir_plugins.commands.bench.inputs.materials_captures import MaterialsCapture, find_captures
-from hir_plugins.commands.bench.materials_options import MeshSource, parse_seeds
-from hir_plugins.commands.bench.results.materials_summary import RELIT, UNSEEN
-from hir_plugins.commands.bench.suites.materials_run import current_key, run_figures
+from hir_plugins.commands.bench.results.bench_result import Result
+from hir_plugins.commands.bench.results.materials_summary import RELIT, SELECTED, UNSEEN
 
 RESULTS = Path(__file__).resolve().parent / "results" / "default_values"
 MEASURES = (UNSEEN, RELIT)
 REQUIRED_STANDARD_ERRORS = 2.0
 """Of the mean gain over captures; a smaller difference is not called one."""
 
+Value = float | int | str
+Decibels = Mapping[str, Sequence[float]]
+"""By name of the capture, one for each seed."""
+
 
 @dataclass(frozen=True)
 class DefaultValue:
     """A constant or a setting, and the values that it is compared with."""
 
-    value: float | int | str
+    value: Value
     """Today's."""
-    candidates: tuple[float | int | str, ...]
+    candidates: tuple[Value, ...]
     setting: str = ""
-    constants: tuple[str, ...] = ()
-    """`module:NAME`, where it is defined and where it was imported to."""
-    mesh: MeshSource = "truth"
+    constant: str = ""
+    """`package:NAME`, where it is no setting."""
+    mesh: Literal["reconstructed", "truth"] = "truth"
     """`reconstructed` for what acts before the material is fitted."""
 
+    def command(self, value: Value) -> list[str]:
+        """The Python command of `hir bench materials` with this value."""
+        if value == self.value:
+            return ["hir_core.cli", "bench", "materials"]
+        if self.setting:
+            return ["hir_core.cli", "bench", "materials", "--set", f"{self.setting}={value}"]
+        return ["benchmarks.changed_constant", f"{self.constant}={value}", "bench", "materials"]
 
-SELECTION = "hir_core.stages.reflectance.model_selection"
-PHOTOGRAPHS = "hir_core.stages.geometry.photo_refinement"
+
+SELECTION = "hir_core.stages.reflectance"
+PHOTOGRAPHS = "hir_core.stages.geometry"
 TEXTURES = "hir_plugins.reflectance_renderers.transport_ggx.textures"
 DEFAULT_VALUES = {
-    "required_standard_errors": DefaultValue(1.0, (0.5, 2.0), constants=(f"{SELECTION}:REQUIRED_STANDARD_ERRORS",)),
+    "required_standard_errors": DefaultValue(1.0, (0.5, 2.0), constant=f"{SELECTION}:REQUIRED_STANDARD_ERRORS"),
     "standard_errors_of_normals": DefaultValue(
-        2.0, (1.0, 3.0), constants=(f"{SELECTION}:REQUIRED_STANDARD_ERRORS_OF_NORMALS",)
+        2.0, (1.0, 3.0), constant=f"{SELECTION}:REQUIRED_STANDARD_ERRORS_OF_NORMALS"
     ),
-    "photo_significance": DefaultValue(
-        1.0, (0.5, 2.0), constants=(f"{PHOTOGRAPHS}:SIGNIFICANCE",), mesh="reconstructed"
-    ),
-    "least_fine_gain": DefaultValue(
-        0.03, (0.01, 0.1), constants=(f"{PHOTOGRAPHS}:LEAST_FINE_GAIN",), mesh="reconstructed"
-    ),
-    "texel_prior_weight": DefaultValue(
-        0.01,
-        (0.003, 0.05),
-        constants=tuple(
-            f"{TEXTURES}.{module}:TEXEL_PRIOR_WEIGHT"
-            for module in ("texture_solve", "per_texel_maps", "albedo_refinement")
-        ),
-    ),
+    "photo_significance": DefaultValue(1.0, (0.5, 2.0), constant=f"{PHOTOGRAPHS}:SIGNIFICANCE", mesh="reconstructed"),
+    "least_fine_gain": DefaultValue(0.03, (0.01, 0.1), constant=f"{PHOTOGRAPHS}:LEAST_FINE_GAIN", mesh="reconstructed"),
+    "texel_prior_weight": DefaultValue(0.01, (0.003, 0.05), constant=f"{TEXTURES}:TEXEL_PRIOR_WEIGHT"),
     "light_whiteness": DefaultValue(1e-3, (0.0, 1e-2), "reflectance_renderer.transport_ggx.light_whiteness"),
     "texture_size": DefaultValue(0, (128, 512), "atlas.texture_size"),
-    "stereo": DefaultValue(
-        '["visual_hull"]', ('["visual_hull", "stereo"]',), setting="initializers", mesh="reconstructed"
-    ),
+    "stereo": DefaultValue("auto", ('["visual_hull", "stereo"]',), "initializers", mesh="reconstructed"),
 }
 
 
@@ -94,8 +90,8 @@ class Gain:
         return "better" if self.mean > 0 else "worse"
 
 
-def gain_of(today: Mapping[str, Sequence[float]], candidate: Mapping[str, Sequence[float]]) -> Gain:
-    """The mean gain over captures, each the mean over seeds, which both share; by name of the capture."""
+def gain_of(today: Decibels, candidate: Decibels) -> Gain:
+    """The mean gain over captures, each the mean over seeds, which both share."""
     differences = {name: [new - old for old, new in zip(today[name], candidate[name], strict=True)] for name in today}
     means = [statistics.mean(found) for found in differences.values()]
     error = statistics.stdev(means) / len(means) ** 0.5 if len(means) > 1 else float("inf")
@@ -103,59 +99,35 @@ def gain_of(today: Mapping[str, Sequence[float]], candidate: Mapping[str, Sequen
     return Gain(statistics.mean(means), error, statistics.mean(variances) ** 0.5 if variances else None)
 
 
-@contextmanager
-def changed(default: DefaultValue, value: float | int | str) -> Iterator[None]:
-    """The constants with another value, in every module that has them."""
-    before = []
-    for constant in default.constants:
-        module_name, _, name = constant.partition(":")
-        module = import_module(module_name)
-        before.append((module, name, getattr(module, name)))
-        setattr(module, name, value)
-    try:
-        yield
-    finally:
-        for module, name, old in before:
-            setattr(module, name, old)
+def measure(default: DefaultValue, value: Value, folder: Path, arguments: Sequence[str]) -> dict[str, Decibels]:
+    """Unseen and relit dB with one value, by error, capture and seed; runs that `folder` holds are not repeated."""
+    program = [sys.executable, "-m", *default.command(value), "--mesh", default.mesh, "--half", "tuning"]
+    subprocess.run([*program, *arguments, "--workspace", str(folder), "-o", str(folder), "-q"], check=True)
+    found: dict[str, dict[str, list[float]]] = {error: {} for error in MEASURES}
+    for row in Result.read(folder / "materials.json").rows:
+        if row.method == SELECTED and row.timing is not None:
+            for error in MEASURES:
+                found[error].setdefault(str(row.case["capture"]), []).append(row.errors[error])
+    return dict(found)
 
 
-def measure(
-    name: str, value: float | int | str, capture: MaterialsCapture, seed: int, workspace: Path, plugins: PluginManager
-) -> dict[str, float]:
-    """Unseen and relit dB of one capture with one value."""
-    default = DEFAULT_VALUES[name]
-    is_today = value == default.value
-    settings = () if is_today or not default.setting else (f"{default.setting}={value}",)
-    variant = "" if is_today or default.setting else f"{name}-{value}"
-    key = replace(current_key(capture, default.mesh, seed, settings), variant=variant)
-    with changed(default, value):
-        figures = run_figures(key, capture, workspace, plugins)
-    return {error: figures.errors[error] for error in MEASURES}
-
-
-def study(
-    name: str, captures: Sequence[MaterialsCapture], seeds: Sequence[int], workspace: Path, plugins: PluginManager
-) -> dict[str, Any]:
+def study(name: str, workspace: Path, arguments: Sequence[str]) -> dict[str, Any]:
     """The result of one constant: figures of every run, and gains with their verdict."""
     default = DEFAULT_VALUES[name]
-    found: dict[str, dict[str, dict[str, list[float]]]] = {}
-    for value in (default.value, *default.candidates):
-        of_value = found.setdefault(str(value), {error: {} for error in MEASURES})
-        for capture in captures:
-            for seed in seeds:
-                for error, decibels in measure(name, value, capture, seed, workspace, plugins).items():
-                    of_value[error].setdefault(capture.name, []).append(decibels)
-                print(f"{name} = {value}: {capture.name}, seed {seed}", flush=True)
-    today = found[str(default.value)]
-    gains = {}
+    runs = {
+        str(value): measure(default, value, workspace / name / f"candidate_{number}", arguments)
+        for number, value in enumerate((default.value, *default.candidates))
+    }
+    today = runs[str(default.value)]
+    gains: dict[str, dict[str, Any]] = {}
     for value in default.candidates:
-        of_candidate = {error: gain_of(today[error], found[str(value)][error]) for error in MEASURES}
+        of_candidate = {error: gain_of(today[error], runs[str(value)][error]) for error in MEASURES}
         gains[str(value)] = {error: asdict(gain) | {"verdict": gain.verdict} for error, gain in of_candidate.items()}
     return {
         "name": name,
         "default": asdict(default),
-        "seeds": list(seeds),
-        "runs": found,
+        "arguments": [argument for argument in arguments if not Path(argument).is_absolute()],
+        "runs": runs,
         "gains": gains,
         "commit": source_commit(),
         "date": datetime.now(UTC).date().isoformat(),
@@ -178,10 +150,11 @@ def main() -> None:
         for name, default in DEFAULT_VALUES.items():
             print(f"{name}: {default.value}; candidates {', '.join(map(str, default.candidates))}; mesh {default.mesh}")
         return
-    plugins = PluginManager.discover()
-    captures = find_captures(options.materials, ("tuning",), options.only).captures
+    arguments = ["--seeds", options.seeds, "--materials", str(options.materials.resolve())]
+    for capture in options.only:
+        arguments += ["--only", capture]
     for name in options.names:
-        result = study(name, captures, parse_seeds(options.seeds), options.workspace, plugins)
+        result = study(name, options.workspace, arguments)
         write_json(RESULTS / f"{name}.json", result)
         print(result["gains"])
 

@@ -76,6 +76,13 @@ SUITE_NAMES: Final = (
     type=click.Choice(("reconstructed", "truth")),
     help="Mesh of the runs on made captures: their own, or the true one, held fixed.  [default: reconstructed]",
 )
+@click.option(
+    "--set",
+    "assignments",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="Setting of all runs on made captures, in place of its default. Repeatable.",
+)
 @click.option("--regret", is_flag=True, help="Also fit each kind of material and light by force, and compare.")
 @click.option(
     "--compare",
@@ -101,6 +108,7 @@ def bench_command(
     only: tuple[str, ...],
     seeds: str | None,
     mesh: MeshSource | None,
+    assignments: tuple[str, ...],
     regret: bool,
     plugin_files: tuple[str, ...],
     quiet: bool,
@@ -130,7 +138,9 @@ def bench_command(
             raise ConfigError(f"hir bench {name} needs photographs; name a capture with --capture DIR")
     needs = {MADE_CAPTURES: materials_folder, **dict.fromkeys(SUITES_WITH_CAPTURES, captures)}
     selected = suites or tuple(name for name in SUITES if needs.get(name, True))
-    materials = _materials_options(MADE_CAPTURES in selected, materials_folder, half, only, seeds, mesh, regret)
+    materials = _materials_options(
+        MADE_CAPTURES in selected, materials_folder, half, only, seeds, mesh, regret, assignments
+    )
     plugins = PluginManager.discover(plugin_files)
     with tempfile.TemporaryDirectory() as temporary:
         folder = workspace or Path(temporary)
@@ -147,6 +157,7 @@ def _materials_options(
     seeds: str | None,
     mesh: MeshSource | None,
     regret: bool,
+    assignments: tuple[str, ...],
 ) -> MaterialsOptions | None:
     """The options of the suite materials; `ConfigError` where it lacks its folder, or where only it would use one."""
     from hir_plugins.commands.bench.materials_options import HALVES, MaterialsOptions, parse_seeds
@@ -158,6 +169,7 @@ def _materials_options(
         "--seeds": seeds,
         "--mesh": mesh,
         "--regret": regret,
+        "--set": assignments,
     }
     if not is_selected:
         unused = [name for name, value in given.items() if value]
@@ -167,7 +179,9 @@ def _materials_options(
     if folder is None:
         raise ConfigError("hir bench materials needs made captures; name their folder with --materials DIR")
     halves = HALVES if half == "both" else (half or "tuning",)
-    return MaterialsOptions(folder, halves, only, parse_seeds(seeds or "0"), mesh or "reconstructed", regret)
+    return MaterialsOptions(
+        folder, halves, only, parse_seeds(seeds or "0"), mesh or "reconstructed", regret, assignments
+    )
 
 
 def _run_suite(suite: str, options: BenchOptions, output: Path | None, quiet: bool) -> None:

@@ -29,6 +29,8 @@ class MaterialsOptions:
     mesh: MeshSource = "reconstructed"
     regret: bool = False
     """Whether each hypothesis is also fitted by force."""
+    settings: tuple[str, ...] = ()
+    """`key=value` of every run, in place of the defaults."""
 
 
 def parse_seeds(text: str) -> tuple[int, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
@@ -49,10 +50,8 @@ class RunKey:
     mesh: MeshSource
     seed: int
     settings: tuple[str, ...]
-    """The forced hypothesis; empty for the run's own selection."""
+    """Those of every run, then those of the forced hypothesis."""
     commit: str
-    variant: str = ""
-    """What a study changed besides settings, such as a constant."""
 
 
 @dataclass(frozen=True)
@@ -132,10 +131,9 @@ def current_key(capture: MaterialsCapture, mesh: MeshSource, seed: int, settings
 
 
 def _folder_name(key: RunKey) -> Path:
-    """commit / mesh / capture / settings, variant and seed."""
-    settings = "_".join(setting.rpartition(".")[2].replace("=", "-") for setting in key.settings) or "selected"
-    variant = f"_{key.variant}" if key.variant else ""
-    return Path(key.commit or "installed", key.mesh, key.capture, f"{settings}{variant}_seed{key.seed}")
+    """commit / mesh / capture / settings and seed."""
+    settings = "_".join(re.sub(r"[^\w.-]+", "-", setting.rpartition(".")[2]) for setting in key.settings) or "selected"
+    return Path(key.commit or "installed", key.mesh, key.capture, f"{settings}_seed{key.seed}")
 
 
 def _timing(directory: RunDirectory) -> Timing:

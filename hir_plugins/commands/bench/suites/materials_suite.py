@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from hir_core.errors import ConfigError
 from hir_plugins.commands.bench.bench_options import BenchOptions
 from hir_plugins.commands.bench.inputs.materials_captures import MaterialsCapture, find_captures
-from hir_plugins.commands.bench.materials_options import MeshSource
+from hir_plugins.commands.bench.materials_options import MaterialsOptions
 from hir_plugins.commands.bench.results.bench_result import Case, Row
 from hir_plugins.commands.bench.results.materials_summary import NOT_RENDERED, REGRET, SELECTED, UNSEEN, WITHIN_NOISE
 from hir_plugins.commands.bench.suites.forced_hypotheses import hypotheses
@@ -22,23 +22,28 @@ def materials_rows(options: BenchOptions) -> Iterator[Row]:
     found = find_captures(chosen.folder, chosen.halves, chosen.only)
     for capture in found.captures[:1] if options.quick else found.captures:
         for seed in chosen.seeds:
-            yield from capture_rows(capture, chosen.mesh, seed, chosen.regret, options)
+            yield from capture_rows(capture, seed, chosen, options)
     for name, half in found.missing.items():
         case: Case = {"half": half, "capture": name, "mesh": chosen.mesh, "seed": chosen.seeds[0]}
         yield Row(case, SELECTED, "ours", None, note=NOT_RENDERED)
 
 
 def capture_rows(
-    capture: MaterialsCapture, mesh: MeshSource, seed: int, regret: bool, options: BenchOptions
+    capture: MaterialsCapture, seed: int, chosen: MaterialsOptions, options: BenchOptions
 ) -> Iterator[Row]:
     """The rows of one capture and seed."""
-    case: Case = {"half": capture.half, "capture": capture.name, "mesh": mesh, "seed": seed}
+    case: Case = {"half": capture.half, "capture": capture.name, "mesh": chosen.mesh, "seed": seed}
 
     def figures(settings: tuple[str, ...] = ()) -> RunFigures:
-        return run_figures(current_key(capture, mesh, seed, settings), capture, options.workspace, options.plugins)
+        return run_figures(
+            current_key(capture, chosen.mesh, seed, (*chosen.settings, *settings)),
+            capture,
+            options.workspace,
+            options.plugins,
+        )
 
     forced: list[float] = []
-    for hypothesis in hypotheses() if regret else ():
+    for hypothesis in hypotheses() if chosen.regret else ():
         result = figures(hypothesis.assignments)
         forced.append(result.errors[UNSEEN])
         yield Row(case, hypothesis.name, "ours", result.timing, result.errors, labels=labels(capture, result))

@@ -3,43 +3,62 @@
 from __future__ import annotations
 
 import json
+import sys
 from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from benchmarks import default_values, seeds_and_threads
-from benchmarks.default_values import DEFAULT_VALUES, changed, gain_of, study
-from hir_core.config import RunConfig, load_config
+from benchmarks.changed_constant import find_constant, install
+from benchmarks.default_values import DEFAULT_VALUES, gain_of, study
+from hir_core.config import load_config
+from hir_core.errors import ConfigError
 from hir_core.plugins.manager import PluginManager
-from hir_plugins.commands.bench.inputs.materials_captures import MaterialsCapture
-from hir_plugins.commands.bench.results.bench_result import Timing
-from hir_plugins.commands.bench.suites.materials_run import RunFigures, RunKey
+from hir_plugins.commands.bench.results.bench_result import Result, Row, Timing
 
 PLUGINS = PluginManager.discover()
 
 
 @pytest.mark.parametrize("name", DEFAULT_VALUES)
 def test_the_studied_values_are_those_of_the_code(name: str) -> None:
-    """A constant that was moved, renamed or changed fails here."""
+    """A constant that was renamed or changed fails here."""
     default = DEFAULT_VALUES[name]
-    assert bool(default.setting) != bool(default.constants) and default.value not in default.candidates
-    for constant in default.constants:
-        module, _, attribute = constant.partition(":")
-        assert getattr(import_module(module), attribute) == default.value
-    if default.setting:
-        assert "stereo" not in load_config(PLUGINS).initializers, "the stereo study adds it"
+    assert bool(default.setting) != bool(default.constant) and default.value not in default.candidates
+    if default.constant:
+        package, _, constant = default.constant.partition(":")
+        assert find_constant(package, constant)[2] == default.value
+    else:
+        config: object = load_config(PLUGINS)
         for value in default.candidates:
-            assert isinstance(load_config(PLUGINS, assignments=(f"{default.setting}={value}",)), RunConfig)
+            assert load_config(PLUGINS, assignments=(f"{default.setting}={value}",)) != config
+        if default.setting in ("initializers", "atlas.texture_size"):
+            for part in default.setting.split("."):
+                config = getattr(config, part)
+            assert config == default.value
 
 
-def test_a_constant_is_changed_in_every_module_and_restored() -> None:
-    default = DEFAULT_VALUES["texel_prior_weight"]
-    modules = [import_module(constant.partition(":")[0]) for constant in default.constants]
-    with pytest.raises(RuntimeError), changed(default, 0.5):
-        assert [module.TEXEL_PRIOR_WEIGHT for module in modules] == [0.5] * len(modules)  # type: ignore[attr-defined]
-        raise RuntimeError
-    assert [module.TEXEL_PRIOR_WEIGHT for module in modules] == [0.01] * len(modules)  # type: ignore[attr-defined]
+def test_a_changed_constant_reaches_imports_and_default_arguments(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    package = tmp_path / "changed_package"
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    (package / "first.py").write_text("LIMIT = 1.0\nTOO_LIMIT = 7\n")
+    (package / "second.py").write_text("from .first import LIMIT\ndef f(limit=LIMIT): return limit, LIMIT\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr(sys, "meta_path", list(sys.meta_path))
+    install("changed_package:LIMIT=0.25")
+    assert import_module("changed_package.second").f() == (0.25, 0.25)
+    assert import_module("changed_package.first").TOO_LIMIT == 7
+    for text, message in (
+        ("changed_package:LIMIT=3", "imported already"),
+        ("changed_package:NOTHING=3", "0 modules define NOTHING"),
+        ("changed_package.LIMIT=3", "PACKAGE:NAME=VALUE"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            install(text)
 
 
 def test_a_difference_needs_two_standard_errors_over_captures() -> None:
@@ -57,25 +76,37 @@ def test_a_difference_needs_two_standard_errors_over_captures() -> None:
 def test_a_study_compares_each_candidate_with_today_on_the_same_captures_and_seeds(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    keys: list[RunKey] = []
+    commands: list[list[str]] = []
 
-    def figures(key: RunKey, *rest: object) -> RunFigures:
-        keys.append(key)
-        from hir_plugins.reflectance_renderers.transport_ggx.textures import texture_solve
+    def run(command: list[str], check: bool) -> None:
+        """What `hir bench materials` would write: 30 dB, 1 more and 4 less with the candidates."""
+        commands.append(command)
+        change = [0.0, 1.0, -4.0][len(commands) - 1]
+        rows = []
+        for number, capture in enumerate("ab"):
+            for seed in (0, 1):
+                errors = {"unseen dB, object": 30.0 + number + change, "relit scaled dB, frame": 20.0}
+                case = {"half": "tuning", "capture": capture, "mesh": "truth", "seed": seed}
+                rows.append(Row(case, "selected", "ours", Timing(1, 1, 1, 1, 1), errors))
+                rows.append(Row(case, "forced: metal", "ours", Timing(1, 1, 1, 1, 1), {}))
+        folder = Path(command[command.index("-o") + 1])
+        folder.mkdir(parents=True)
+        Result("materials", tuple(rows)).write(folder / "materials.json")
 
-        level = 30.0 - 100 * abs(texture_solve.TEXEL_PRIOR_WEIGHT - 0.003) + {"a": 0, "b": 2}[key.capture]
-        errors = {"unseen dB, object": level, "relit scaled dB, frame": 20.0}
-        return RunFigures("metal", "world", "m", errors, Timing(1, 1, 1, 1, 1), {}, {})
-
-    monkeypatch.setattr(default_values, "run_figures", figures)
-    captures = [MaterialsCapture(tmp_path / name, "tuning", "metal", "world", True) for name in "ab"]
-    found = study("texel_prior_weight", captures, (0, 1), tmp_path, PLUGINS)
-    assert len(keys) == 3 * 2 * 2 and len({(key.variant, key.capture, key.seed) for key in keys}) == 12
+    monkeypatch.setattr(default_values, "subprocess", SimpleNamespace(run=run))
+    found = study("texel_prior_weight", tmp_path, ["--seeds", "0,1"])
+    constant = f"{default_values.TEXTURES}:TEXEL_PRIOR_WEIGHT"
+    assert [command[2:4] for command in commands] == [
+        ["hir_core.cli", "bench"],
+        ["benchmarks.changed_constant", f"{constant}=0.003"],
+        ["benchmarks.changed_constant", f"{constant}=0.05"],
+    ]
+    assert len({command[command.index("--workspace") + 1] for command in commands}) == 3, "results are not mixed"
     unseen = {value: gains["unseen dB, object"] for value, gains in found["gains"].items()}
-    assert unseen["0.003"]["mean"] == pytest.approx(0.7) and unseen["0.003"]["verdict"] == "better"
+    assert unseen["0.003"]["mean"] == pytest.approx(1.0) and unseen["0.003"]["verdict"] == "better"
     assert unseen["0.05"]["mean"] == pytest.approx(-4.0) and unseen["0.05"]["verdict"] == "worse"
     assert found["gains"]["0.05"]["relit scaled dB, frame"]["verdict"] == "no difference"
-    assert found["commit"] is not None and found["machine"]["processor"] and found["seeds"] == [0, 1]
+    assert found["machine"]["processor"] and found["arguments"] == ["--seeds", "0,1"]
 
 
 def test_the_page_of_studies_names_every_constant() -> None:

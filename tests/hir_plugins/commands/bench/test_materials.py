@@ -194,7 +194,7 @@ class TestRuns:
             return RunFigures("metal", "camera", "m", errors, Timing(1, 1, 1, 1, 1), {}, {}, key.seed == 1)
 
         monkeypatch.setattr(materials_suite, "run_figures", figures)
-        options = MaterialsOptions(tmp_path, seeds=(0, 1), mesh="truth", regret=True)
+        options = MaterialsOptions(tmp_path, seeds=(0, 1), mesh="truth", regret=True, settings=("atlas.padding=2",))
         bench = BenchOptions(PLUGINS, materials=options, workspace=tmp_path)
         write_index(tmp_path)
         (tmp_path / "tuning" / "00_block_matt_overcast").mkdir()
