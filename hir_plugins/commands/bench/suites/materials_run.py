@@ -23,6 +23,7 @@ from hir_core.run.machine import describe_machine, source_commit
 from hir_core.run.run_directory import RunDirectory
 from hir_plugins.commands.bench.inputs.materials_captures import MaterialsCapture
 from hir_plugins.commands.bench.inputs.parameter_errors import parameter_errors
+from hir_plugins.commands.bench.inputs.simplified_truth import write_simplified
 from hir_plugins.commands.bench.materials_options import MeshSource
 from hir_plugins.commands.bench.results.bench_result import Timing
 from hir_plugins.commands.bench.results.materials_summary import RELIT, UNSEEN
@@ -30,15 +31,6 @@ from hir_plugins.commands.bench.results.materials_summary import RELIT, UNSEEN
 EVALUATED_VIEWS: Final = 6
 """Of each split."""
 PATHS_PER_PIXEL: Final = 64
-MESH_SETTINGS: Final[Mapping[MeshSource, tuple[str, ...]]] = {
-    "reconstructed": (),
-    "truth": (
-        'initializers=["mesh_file"]',
-        f"initializer.mesh_file.path={TRUE_MESH}",
-        "initializer.mesh_file.vertex_colors=false",
-        "geometry.enabled=false",
-    ),
-}
 
 
 @dataclass(frozen=True)
@@ -86,7 +78,7 @@ def run_figures(key: RunKey, capture: MaterialsCapture, workspace: Path, plugins
         document = read_json(stored)
         if document.get("key") == asdict(key) | {"settings": list(key.settings)}:
             return TypeAdapter(RunFigures).validate_python(document["figures"])
-    settings = ("export=[]", f"seed={key.seed}", *MESH_SETTINGS[key.mesh], *key.settings)
+    settings = ("export=[]", f"seed={key.seed}", *_mesh_settings(key, capture, workspace), *key.settings)
     run = reconstruct(capture.folder, folder, resume=True, plugins=plugins, assignments=settings)
     figures = evaluated(run.directory, capture, plugins)
     write_json(stored, {"key": asdict(key), "figures": asdict(figures)})
@@ -128,6 +120,21 @@ def evaluated(directory: RunDirectory, capture: MaterialsCapture, plugins: Plugi
 def current_key(capture: MaterialsCapture, mesh: MeshSource, seed: int, settings: tuple[str, ...] = ()) -> RunKey:
     """The key of a run with the code of this checkout."""
     return RunKey(capture.name, capture.half, mesh, seed, settings, source_commit())
+
+
+def _mesh_settings(key: RunKey, capture: MaterialsCapture, workspace: Path) -> tuple[str, ...]:
+    """The settings that hold the true mesh fixed, simplified; none for a run that reconstructs its own."""
+    if key.mesh == "reconstructed":
+        return ()
+    mesh = workspace / "materials" / "true_meshes" / f"{capture.name}.ply"
+    if not mesh.is_file():
+        write_simplified(capture.folder / TRUE_MESH, mesh)
+    return (
+        'initializers=["mesh_file"]',
+        f"initializer.mesh_file.path='{mesh.resolve()}'",
+        "initializer.mesh_file.vertex_colors=false",
+        "geometry.enabled=false",
+    )
 
 
 def _folder_name(key: RunKey) -> Path:

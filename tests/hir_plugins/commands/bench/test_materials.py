@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+import trimesh
 from hir_exporters.conventions import linear_to_srgb
 from hir_exporters.textures.image_files import write_png
 
@@ -27,6 +28,7 @@ from hir_core.testing.scenes import looking_at, smooth_sphere
 from hir_plugins.commands.bench.bench_options import BenchOptions
 from hir_plugins.commands.bench.inputs.materials_captures import MaterialsCapture, find_captures
 from hir_plugins.commands.bench.inputs.parameter_errors import parameter_errors
+from hir_plugins.commands.bench.inputs.simplified_truth import write_simplified
 from hir_plugins.commands.bench.materials_options import MaterialsOptions, parse_seeds
 from hir_plugins.commands.bench.results.bench_result import Result, Row, Timing
 from hir_plugins.commands.bench.results.markdown_tables import result_markdown
@@ -143,6 +145,17 @@ class TestParameterErrors:
         assert replace(found, metal_share=share).kind(material) == kind
 
 
+def test_the_true_mesh_keeps_its_surface_with_fewer_triangles(tmp_path: Path) -> None:
+    sphere = trimesh.creation.icosphere(subdivisions=4)
+    sphere.export(tmp_path / "reference.obj")
+    write_simplified(tmp_path / "reference.obj", tmp_path / "few" / "mesh.ply", 2000)
+    found = trimesh.load(tmp_path / "few" / "mesh.ply", process=False)
+    assert 1900 <= len(found.faces) <= 2000 < len(sphere.faces)
+    assert np.abs(np.linalg.norm(found.vertices, axis=1) - 1).max() < 0.005 and found.is_watertight
+    write_simplified(tmp_path / "reference.obj", tmp_path / "all.ply")
+    assert len(trimesh.load(tmp_path / "all.ply", process=False).faces) == len(sphere.faces), "few enough already"
+
+
 class TestRuns:
     @pytest.fixture
     def capture(self, tiny_capture: Path, tmp_path: Path) -> MaterialsCapture:
@@ -168,6 +181,7 @@ class TestRuns:
             return Run(RunDirectory(folder), ())
 
         monkeypatch.setattr(materials_run, "reconstruct", reconstruct)
+        monkeypatch.setattr(materials_run, "write_simplified", lambda source, mesh: None)
         monkeypatch.setattr(materials_run, "PATHS_PER_PIXEL", 4)
         key = replace(current_key(capture, "truth", 3), commit="1" * 40)
         first = run_figures(key, capture, tmp_path, PLUGINS)
