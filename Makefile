@@ -3,7 +3,7 @@ PYTHON := .venv/bin/python
 HIR := .venv/bin/hir
 DEMO := demo
 
-.PHONY: demo test test-all lint docs stability kill-test fuzz coverage mutation lower-bounds supply-chain bench paper-table ablations scaling clean setup setup-test help
+.PHONY: demo test test-all lint docs stability kill-test fuzz coverage mutation lower-bounds supply-chain bench materials paper-table ablations scaling clean setup setup-test help
 
 help:
 	@echo "make demo      reconstruct and export the sample capture"
@@ -16,6 +16,7 @@ help:
 	@echo "make kill-test  kill a small run at 50 random moments, resume it, compare all files"
 	@echo "make fuzz      run every reader on mutated files for 10 minutes"
 	@echo "make bench     measure every component against its reference; write docs/benchmarks.md and the table of README.md"
+	@echo "make materials  render and run the materials benchmark, resumable (hours); add its figures to docs/benchmarks.md"
 	@echo "make paper-table, ablations, scaling  experiments of the paper, resumable; write docs/studies/paper_experiments.md"
 	@echo "make coverage  branch coverage of hir_core and hir_exporters"
 	@echo "make mutation  mutation tests of materials, conventions and losses"
@@ -93,8 +94,14 @@ CAPTURE = $(firstword $(wildcard $(or $(HIR_SHARED),../shared)/captures/spot) ex
 
 bench: setup-test
 	@$(PYTHON) -m pip install --quiet --disable-pip-version-check -e '.[bench]'
-	@$(HIR) bench reflectance geometry regularizers export initializers --capture $(CAPTURE) -o benchmarks/results -q > /dev/null
+	@$(HIR) bench shading reflectance geometry regularizers export initializers --capture $(CAPTURE) -o benchmarks/results -q > /dev/null
 	@$(HIR) bench end-to-end --quick --capture $(CAPTURE) --workspace build/bench -o benchmarks/results -q > /dev/null
+	@$(PYTHON) tools/write_benchmarks.py
+	@echo "figures: $(CURDIR)/docs/benchmarks.md"
+
+materials: setup-test
+	@$(PYTHON) -m benchmarks.materials make build/materials
+	@$(HIR) bench materials --materials build/materials --half both --mesh truth --regret --workspace build/bench -o benchmarks/results -q > /dev/null
 	@$(PYTHON) tools/write_benchmarks.py
 	@echo "figures: $(CURDIR)/docs/benchmarks.md"
 

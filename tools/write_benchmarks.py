@@ -1,4 +1,4 @@
-"""Writes docs/benchmarks.md, its plots and README's table from benchmarks/results; tests compare.
+"""Writes docs/benchmarks.md, its plots and the tables of README and docs/reflectance.md; tests compare.
 
 `python tools/write_benchmarks.py [--runs RUN…]`: with runs, the figures of finished and evaluated runs are first stored
 in benchmarks/results/whole_runs.json. `hir bench … -o benchmarks/results` writes the other files. Plots are drawn from
@@ -14,7 +14,7 @@ from typing import Any
 
 from hir_core.run.machine import source_commit
 from hir_plugins.commands.bench.results.bench_result import Result
-from hir_plugins.commands.bench.results.markdown_tables import result_markdown
+from hir_plugins.commands.bench.results.markdown_tables import machine_line, result_markdown
 from hir_plugins.commands.bench.results.plot import plot_svg
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -23,9 +23,11 @@ PAGE = ROOT / "docs" / "benchmarks.md"
 IMAGES = ROOT / "docs" / "images"
 README = ROOT / "README.md"
 BEGIN, END = "<!-- whole runs, by tools/write_benchmarks.py -->", "<!-- end of whole runs -->"
+REFLECTANCE = ROOT / "docs" / "reflectance.md"
+SHADING_BEGIN, SHADING_END = "<!-- shading, by tools/write_benchmarks.py -->", "<!-- end of shading -->"
 
 TEMPLATE = Path(__file__).with_name("benchmarks.template.md")
-SUITES = ("geometry", "reflectance", "regularizers", "export", "initializers", "end-to-end")
+SUITES = ("geometry", "shading", "reflectance", "materials", "regularizers", "export", "initializers", "end-to-end")
 
 
 def whole_runs() -> list[dict[str, Any]]:
@@ -143,9 +145,31 @@ def section(suite: str) -> str:
 
 def with_table(readme: str) -> str:
     """README with the table of the stored results between its markers."""
-    before, _, rest = readme.partition(BEGIN)
-    _, _, after = rest.partition(END)
-    return f"{before}{BEGIN}\n{runs_table(whole_runs())}\n{END}{after}"
+    return between(readme, BEGIN, END, runs_table(whole_runs()))
+
+
+def with_shading(text: str) -> str:
+    """docs/reflectance.md with the accuracy of `transport_ggx` between its markers."""
+    return between(text, SHADING_BEGIN, SHADING_END, shading_table())
+
+
+def between(text: str, begin: str, end: str, block: str) -> str:
+    """`text` with `block` in place of what is between two markers."""
+    before, _, rest = text.partition(begin)
+    _, _, after = rest.partition(end)
+    return f"{before}{begin}\n{block}\n{end}{after}"
+
+
+def shading_table() -> str:
+    """Mean error and bias of `transport_ggx` by scene, light and GGX width, from benchmarks/results/shading.json."""
+    result = Result.read(RESULTS / "shading.json")
+    lines = ["| scene | light | α | mean error | bias |", "|---|---|---|---|---|"]
+    for row in result.rows:
+        if row.method == "transport_ggx":
+            cells = [str(value) for value in row.case.values()]
+            cells += [f"{100 * row.errors['mean error']:.1f} %", f"{100 * row.errors['bias']:+.1f} %".replace("-", "−")]
+            lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join([*lines, "", f"(`hir bench shading`; {machine_line(result)})"])
 
 
 def main() -> None:
@@ -163,6 +187,7 @@ def main() -> None:
             plot(suite).write_text(plot_svg(Result.read(RESULTS / f"{suite}.json")), encoding="utf-8")
         (RESULTS / f"{suite}.svg").unlink(missing_ok=True)
     PAGE.write_text(page(), encoding="utf-8")
+    REFLECTANCE.write_text(with_shading(REFLECTANCE.read_text(encoding="utf-8")), encoding="utf-8")
     README.write_text(with_table(README.read_text(encoding="utf-8")), encoding="utf-8")
 
 

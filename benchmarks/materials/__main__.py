@@ -7,6 +7,8 @@ import time
 from pathlib import Path
 
 from benchmarks.materials.recipes import recipes
+from hir_core.files.json_documents import write_json
+from hir_plugins.commands.bench.inputs.materials_captures import INDEX
 
 
 def main() -> None:
@@ -28,6 +30,7 @@ def main() -> None:
         chosen = [recipe for recipe in chosen if recipe.half == options.half]
     if options.only:
         chosen = [r for r in chosen if r.name in options.only or r.name.partition("_")[0] in options.only]
+    write_index(options.out)
     import mitsuba as mi
 
     mi.set_variant(options.variant)
@@ -40,6 +43,11 @@ def main() -> None:
         started = time.perf_counter()
         write_capture(recipe, folder)
         print(f"{folder}  {time.perf_counter() - started:.0f} s", flush=True)
+
+
+def write_index(out: Path) -> None:
+    """Writes the name and half of every capture, rendered or not: `hir bench materials` says which are missing."""
+    write_json(out / INDEX, {"captures": {recipe.name: recipe.half for recipe in recipes()}})
 
 
 if __name__ == "__main__":

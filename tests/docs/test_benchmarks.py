@@ -19,6 +19,12 @@ def test_table_of_the_readme_is_that_of_the_results() -> None:
     assert TOOL.runs_table(TOOL.whole_runs()) in readme
 
 
+def test_accuracy_of_the_fast_renderer_is_that_of_the_stored_run() -> None:
+    page = (ROOT / "docs" / "reflectance.md").read_text(encoding="utf-8")
+    assert page.count(TOOL.SHADING_BEGIN) == 1 and page.count(TOOL.SHADING_END) == 1
+    assert TOOL.with_shading(page) == page, ADVICE
+
+
 def test_each_suite_has_one_plot() -> None:
     """Plots are in docs/images alone: the tool removes those that `hir bench` writes beside its results."""
     assert not list(TOOL.RESULTS.rglob("*.svg")), ADVICE

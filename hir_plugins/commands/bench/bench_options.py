@@ -11,6 +11,7 @@ from hir_plugins.commands.bench.results.bench_result import Timing
 
 if TYPE_CHECKING:
     from hir_core.plugins.manager import PluginManager
+    from hir_plugins.commands.bench.materials_options import MaterialsOptions
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,9 @@ class BenchOptions:
     limit_seconds: float = 30.0
     """A case that is expected to take longer is omitted with a note."""
     workspace: Path = field(default_factory=Path)
-    """The folder for captures and runs of the end-to-end suite."""
+    """The folder for captures and runs of the suites that reconstruct."""
+    materials: MaterialsOptions | None = None
+    """Of the materials suite; None where its captures are not named."""
 
     def exceeds_limit(self, previous: Timing | None, growth: float) -> bool:
         """Whether a case that takes `growth` times as long as the previous one would exceed the time limit."""

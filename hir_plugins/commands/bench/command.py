@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import click
 
@@ -12,15 +13,18 @@ from hir_core.terminal.command_options import FOLDER, plugin_option, verbosity_o
 
 if TYPE_CHECKING:
     from hir_plugins.commands.bench.bench_options import BenchOptions
+    from hir_plugins.commands.bench.materials_options import MaterialsOptions, MeshSource
 
 SUITE_NAMES: Final = (
     "geometry",
     "initializers",
     "shape",
     "atlas",
+    "shading",
     "reflectance",
     "regularizers",
     "export",
+    "materials",
     "end-to-end",
 )
 
@@ -53,8 +57,35 @@ SUITE_NAMES: Final = (
     "--workspace",
     type=FOLDER,
     metavar="DIR",
-    help="Keep the runs of end-to-end, and the rows of shape by capture, in DIR; an interrupted suite resumes them.",
+    help="Keep the runs of materials and end-to-end, and the rows of shape, in DIR; an interrupted suite resumes them.",
 )
+@click.option(
+    "--materials",
+    "materials_folder",
+    type=FOLDER,
+    metavar="DIR",
+    help="Folder of `python -m benchmarks.materials make`, for the suite materials.",
+)
+@click.option(
+    "--half",
+    type=click.Choice(("tuning", "validation", "both")),
+    help="Half of the made captures; `validation` is for reports only.  [default: tuning]",
+)
+@click.option("--only", multiple=True, metavar="CAPTURE", help="Name or number of a made capture. Repeatable.")
+@click.option("--seeds", metavar="N,N…", help="Seeds of the runs on made captures.  [default: 0]")
+@click.option(
+    "--mesh",
+    type=click.Choice(("reconstructed", "truth")),
+    help="Mesh of the runs on made captures: their own, or the true one, held fixed.  [default: reconstructed]",
+)
+@click.option(
+    "--set",
+    "assignments",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="Setting of all runs on made captures, in place of its default. Repeatable.",
+)
+@click.option("--regret", is_flag=True, help="Also fit each kind of material and light by force, and compare.")
 @click.option(
     "--compare",
     nargs=2,
@@ -74,14 +105,21 @@ def bench_command(
     peers: bool,
     workspace: Path | None,
     compare: tuple[Path, Path] | None,
+    materials_folder: Path | None,
+    half: Literal["tuning", "validation", "both"] | None,
+    only: tuple[str, ...],
+    seeds: str | None,
+    mesh: MeshSource | None,
+    assignments: tuple[str, ...],
+    regret: bool,
     plugin_files: tuple[str, ...],
     quiet: bool,
     verbose: bool,
 ) -> None:
     """Measures time, memory and error of every installed component at growing sizes.
 
-    Errors are relative to a slow reference. Without a suite's name, all suites run; initializers, shape and end-to-end
-    need --capture.
+    Errors are relative to a slow reference. Without a suite's name, all suites run; initializers, shape, reflectance
+    and end-to-end need --capture, materials needs --materials.
     """
     if compare:
         from hir_plugins.commands.bench.results.bench_result import Result
@@ -93,19 +131,59 @@ def bench_command(
 
     from hir_core.plugins.manager import PluginManager
     from hir_plugins.commands.bench.bench_options import BenchOptions
-    from hir_plugins.commands.bench.suites.suite_registry import SUITES, SUITES_WITH_CAPTURES
+    from hir_plugins.commands.bench.suites.suite_registry import MADE_CAPTURES, SUITES, SUITES_WITH_CAPTURES
 
     for name in suites:
         if name not in SUITES:
             raise ConfigError(f"there is no suite {name!r}; the suites are: {', '.join(SUITES)}")
         if name in SUITES_WITH_CAPTURES and not captures:
             raise ConfigError(f"hir bench {name} needs photographs; name a capture with --capture DIR")
-    selected = suites or tuple(name for name in SUITES if captures or name not in SUITES_WITH_CAPTURES)
+    needs = {MADE_CAPTURES: materials_folder, **dict.fromkeys(SUITES_WITH_CAPTURES, captures)}
+    selected = suites or tuple(name for name in SUITES if needs.get(name, True))
+    materials = _materials_options(
+        MADE_CAPTURES in selected, materials_folder, half, only, seeds, mesh, regret, assignments
+    )
     plugins = PluginManager.discover(plugin_files)
     with tempfile.TemporaryDirectory() as temporary:
-        options = BenchOptions(plugins, captures, quick, repeats, peers, limit, workspace or Path(temporary))
+        folder = workspace or Path(temporary)
+        options = BenchOptions(plugins, captures, quick, repeats, peers, limit, folder, materials)
         for name in selected:
             _run_suite(name, options, output, quiet)
+
+
+def _materials_options(
+    is_selected: bool,
+    folder: Path | None,
+    half: Literal["tuning", "validation", "both"] | None,
+    only: tuple[str, ...],
+    seeds: str | None,
+    mesh: MeshSource | None,
+    regret: bool,
+    assignments: tuple[str, ...],
+) -> MaterialsOptions | None:
+    """The options of the suite materials; `ConfigError` where it lacks its folder, or where only it would use one."""
+    from hir_plugins.commands.bench.materials_options import HALVES, MaterialsOptions, parse_seeds
+
+    given = {
+        "--materials": folder,
+        "--half": half,
+        "--only": only,
+        "--seeds": seeds,
+        "--mesh": mesh,
+        "--regret": regret,
+        "--set": assignments,
+    }
+    if not is_selected:
+        unused = [name for name, value in given.items() if value]
+        if unused:
+            raise ConfigError(f"{', '.join(unused)}: only the suite materials has this option; add its name")
+        return None
+    if folder is None:
+        raise ConfigError("hir bench materials needs made captures; name their folder with --materials DIR")
+    halves = HALVES if half == "both" else (half or "tuning",)
+    return MaterialsOptions(
+        folder, halves, only, parse_seeds(seeds or "0"), mesh or "reconstructed", regret, assignments
+    )
 
 
 def _run_suite(suite: str, options: BenchOptions, output: Path | None, quiet: bool) -> None:
@@ -115,13 +193,15 @@ def _run_suite(suite: str, options: BenchOptions, output: Path | None, quiet: bo
     from hir_plugins.commands.bench.results.bench_result import Result
     from hir_plugins.commands.bench.results.markdown_tables import method_label, result_markdown, seconds_text
     from hir_plugins.commands.bench.results.plot import plot_svg
-    from hir_plugins.commands.bench.suites.suite_registry import suite_rows
+    from hir_plugins.commands.bench.suites.suite_registry import MADE_CAPTURES, suite_rows
 
-    settings = {
+    settings: dict[str, Any] = {
         "quick": options.quick,
         "repeats": options.repeats,
         "captures": [path.name for path in options.captures],
     }
+    if suite == MADE_CAPTURES and options.materials is not None:
+        settings["materials"] = asdict(options.materials) | {"folder": options.materials.folder.name}
     result = Result(suite, (), settings=settings)
     for row in suite_rows(suite, options):
         result = Result(suite, (*result.rows, row), settings=settings)

@@ -17,6 +17,9 @@ from hir_core.run.machine import describe_machine, source_commit, versions
 FORMAT: Final = "hir-bench"
 VERSION: Final = 1
 
+PAIRS: Final = ("case", "errors", "labels")
+"""Fields of a row that a file holds as lists of pairs; older files have no labels."""
+
 Role = Literal["ours", "reference", "peer"]
 """An installed component, the reference that it is compared with, or another program on the same task."""
 
@@ -50,6 +53,8 @@ class Row:
     """By name, with the unit; smaller is better unless the name contains dB."""
     note: str = ""
     """Why a figure is missing, or what it does not include."""
+    labels: Mapping[str, str] = field(default_factory=dict)
+    """Findings that are no numbers, by the name of their column."""
 
     @property
     def key(self) -> str:
@@ -71,10 +76,10 @@ class Result:
     """Of the code that was measured; empty where it is unknown."""
 
     def write(self, path: Path) -> None:
-        """Writes JSON; cases and errors are lists of pairs, because their order is the order of a table's columns."""
+        """Writes JSON; mappings are lists of pairs, because their order is the order of a table's columns."""
         document: dict[str, Any] = {"format": FORMAT, "version": VERSION} | asdict(self)
         for row in document["rows"]:
-            row |= {"case": list(row["case"].items()), "errors": list(row["errors"].items())}
+            row |= {name: list(row[name].items()) for name in PAIRS}
         write_json(path, document)
 
     @classmethod
@@ -84,7 +89,7 @@ class Result:
         if document.get("format") != FORMAT or document.get("version") != VERSION:
             raise InputError(f"{path} is not a result of hir bench, or of an unsupported version")
         try:
-            rows = [row | {"case": dict(row["case"]), "errors": dict(row["errors"])} for row in document["rows"]]
+            rows = [row | {name: dict(row.get(name, ())) for name in PAIRS} for row in document["rows"]]
             names = ("suite", "machine", "versions", "date", "settings")
             fields = {name: document[name] for name in names} | {"rows": rows, "commit": document.get("commit", "")}
             return TypeAdapter(cls).validate_python(fields)

@@ -2,33 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
 from hir_plugins.commands.bench.results.bench_result import Result, Row, Timing, error_names, group_by_case_names
+from hir_plugins.commands.bench.results.materials_summary import materials_summary
 
 PROGRAMS: Final = ("hir", "python", "torch", "mitsuba", "open3d", "numpy")
 """Whose versions are printed."""
 
+SUMMARIES: Final[Mapping[str, Callable[[Sequence[Row]], str]]] = {"materials": materials_summary}
+"""Suites whose rows are also judged together."""
+
 
 def result_markdown(result: Result) -> str:
-    """One table for each kind of case, and a line about the machine."""
+    """One table for each kind of case, the suite's summary if it has one, and a line about the machine."""
     tables = map(rows_table, group_by_case_names(result.rows) or [[]])
-    return "\n\n".join([*tables, machine_line(result)]) + "\n"
+    summary = [SUMMARIES[result.suite](result.rows)] if result.suite in SUMMARIES else []
+    return "\n\n".join([*tables, *summary, machine_line(result)]) + "\n"
 
 
 def rows_table(rows: Sequence[Row]) -> str:
-    """Columns for the case, the method, time, memory and errors; a dash if a figure is missing."""
+    """Columns for the case, the method, labels, time, memory and errors; a dash if a figure is missing."""
     if not rows:
         return "No rows."
     names = list(dict.fromkeys(name for row in rows for name in row.case))
     errors = error_names(rows)
+    labels = list(dict.fromkeys(name for row in rows for name in row.labels))
     has_notes = any(row.note for row in rows)
     notes = ["note"] if has_notes else []
-    heads = [*names, "method", "seconds, min / median / max", "CPU s", "memory", *errors, *notes]
+    heads = [*names, "method", *labels, "seconds, min / median / max", "CPU s", "memory", *errors, *notes]
     lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
     for row in rows:
         cells = [*(case_text(row.case.get(name)) for name in names), method_label(row)]
+        cells += [row.labels.get(name) or "–" for name in labels]
         cells += [seconds_text(row.timing), cpu_text(row.timing), memory_text(row.timing)]
         cells += [error_text(row.errors.get(name), name) for name in errors]
         lines.append("| " + " | ".join([*cells, *([row.note] if has_notes else [])]) + " |")

@@ -63,6 +63,12 @@ TUNED = ReflectanceSettings(
 )
 
 
+def reflectance_rows(options: BenchOptions) -> Iterator[Row]:
+    """Rows for each capture with a true mesh."""
+    for path in options.captures:
+        yield from fit_rows(path, options)
+
+
 def fit_rows(path: Path, bench_options: BenchOptions, budgets: FitBudgets = FitBudgets()) -> Iterator[Row]:
     """A row for each method and budget; none if the capture has no true mesh."""
     train = decode_images(read_capture(path, "train", bench_options.plugins))

@@ -24,7 +24,7 @@ from hir_plugins.commands.bench.measurement import measure, peak_bytes
 from hir_plugins.commands.bench.results import comparison, markdown_tables
 from hir_plugins.commands.bench.results.bench_result import Result, Row, Timing
 from hir_plugins.commands.bench.results.plot import plot_svg
-from hir_plugins.commands.bench.suites import geometry_suite, reflectance_suite, regularizers_suite
+from hir_plugins.commands.bench.suites import geometry_suite, regularizers_suite, shading_suite
 from hir_plugins.commands.bench.suites.suite_registry import SUITES, suite_rows
 
 ROOT = Path(__file__).resolve().parents[4]
@@ -92,7 +92,7 @@ class TestFiles:
         assert closed.is_watertight and closed.is_winding_consistent and closed.volume > 0
         solid = 2 * np.pi / 3 * (1 - 0.9**3)
         assert closed.volume == pytest.approx(solid, rel=0.01)
-        make_bowl, eye = reflectance_suite.SHADED_MESHES["bowl"]
+        make_bowl, eye = shading_suite.SHADED_MESHES["bowl"]
         assert make_bowl is bowl
         # the ray from the camera to the middle of the inside meets that point first
         queries, down = MeshQueries(closed.vertices, closed.faces), np.array([[0.0, -0.9, 0.0]]) - eye
@@ -210,7 +210,7 @@ class TestSuites:
             assert found.errors["gradient error"] < limit, name
 
     @pytest.mark.slow
-    @pytest.mark.parametrize("suite", ["geometry", "export", "reflectance"])
+    @pytest.mark.parametrize("suite", ["geometry", "export", "shading"])
     def test_every_suite_without_a_capture_runs(self, suite: str, tmp_path: Path) -> None:
         with pytest.raises(SystemExit) as stop:
             main(["bench", suite, "--quick", "--repeats", "1", "--no-peers", "-o", str(tmp_path), "-q"])

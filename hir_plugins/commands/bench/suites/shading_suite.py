@@ -1,4 +1,4 @@
-"""Shading: fast renderers against path tracing; and fits on a true mesh: time against error on unseen views."""
+"""Shading: fast renderers against path tracing, on scenes by formula."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from hir_plugins.commands.bench.bench_options import BenchOptions
 from hir_plugins.commands.bench.inputs.bench_shapes import bowl
 from hir_plugins.commands.bench.measurement import measure
 from hir_plugins.commands.bench.results.bench_result import Case, Row
-from hir_plugins.commands.bench.suites.reflectance_fits import fit_rows
 
 IMAGE_SIZE: Final = 48
 REFERENCE_PATHS: Final = 2048
@@ -32,13 +31,6 @@ SHADED_MESHES: Final[Mapping[str, tuple[Callable[[], Mesh], Eye]]] = {
     "bowl": (bowl, (0.0, 3.2, 2.4)),
 }
 """Each mesh, and the camera position that sees what it is for: a shadow between spheres, the inside of the bowl."""
-
-
-def reflectance_rows(options: BenchOptions) -> Iterator[Row]:
-    """Rows of shading on scenes by formula; rows of fits for each capture with a true mesh."""
-    yield from shading_rows(options)
-    for path in options.captures:
-        yield from fit_rows(path, options)
 
 
 def shading_rows(options: BenchOptions) -> Iterator[Row]:
