@@ -1,0 +1,57 @@
+"""The hypotheses of the model selection: complete explanations, each a kind of material under a kind of light."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from hir_core.config import ReflectanceSettings
+from hir_core.plugins.model_spec import MaterialKind, ModelSpec
+
+KINDS: tuple[MaterialKind, ...] = ("diffuse", "dielectric", "metal", "mixed")
+"""The kinds that are compared, the simplest first. `paper` is fitted by request only: it explains nothing that the
+others do not."""
+SIMPLICITY: tuple[MaterialKind, ...] = ("diffuse", "paper", "dielectric", "metal", "mixed")
+FRAMES: tuple[Literal["world", "camera"], ...] = ("world", "camera")
+"""The light is fixed in the world, or moves with the camera (turntable, flash); the more frequent one first."""
+LIGHT = {"world": "light in the world", "camera": "light on the camera"}
+
+
+def hypothesis(
+    kind: MaterialKind, frame: Literal["world", "camera"] = "world", light_is_known: bool = False
+) -> ModelSpec:
+    """The model of a kind of material under a kind of light, without maps."""
+    metallic = kind in ("metal", "mixed")
+    return ModelSpec(
+        brdf="metallic" if metallic else kind,  # type: ignore[arg-type]
+        specular="none" if kind == "diffuse" else "uniform",
+        metalness={"metal": "metal", "mixed": "map"}.get(kind, "none"),  # type: ignore[arg-type]
+        light_frame=frame,
+        light_is_known=light_is_known,
+    )
+
+
+def hypotheses(settings: ReflectanceSettings) -> list[ModelSpec]:
+    """The hypotheses that the settings admit, the simplest first; a known light is where its file says."""
+    known = bool(settings.known_environment)
+    frames = FRAMES if settings.light_frame == "auto" else (settings.light_frame,)
+    if known and settings.light_frame == "auto":
+        frames = ("world",)
+    kinds = KINDS if settings.brdf == "auto" else (settings.brdf,)
+    return [hypothesis(kind, frame, known) for frame in frames for kind in kinds]
+
+
+def complexity(spec: ModelSpec) -> tuple[int, int]:
+    """Order of hypotheses: in a tie the lower one is selected."""
+    return FRAMES.index(spec.light_frame), SIMPLICITY.index(spec.kind)
+
+
+def described(spec: ModelSpec, beside: ModelSpec | None = None) -> str:
+    """The kind of material and, unless it is that of `beside`, the light."""
+    if beside is not None and beside.light_frame == spec.light_frame:
+        return spec.kind
+    return f"{spec.kind}, {LIGHT[spec.light_frame]}"
+
+
+def forcing_settings(spec: ModelSpec) -> str:
+    """The settings that leave this hypothesis alone."""
+    return f"--set reflectance.brdf={spec.kind} --set reflectance.light_frame={spec.light_frame}"
