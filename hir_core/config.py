@@ -139,8 +139,9 @@ class ReflectanceSettings:
     the renderer has one."""
     model: ModelName = "auto"
     """`auto` selects the model on held-out views; any other is fitted without a comparison."""
-    brdf: Literal["auto", "paper", "dielectric"] = "auto"
-    """BRDF of the specular models; `auto` compares both where the model is selected, else `dielectric`."""
+    brdf: Literal["auto", "diffuse", "paper", "dielectric", "metal", "mixed"] = "auto"
+    """Kind of material; `mixed` is metal in one place and dielectric in another. `auto` compares all but `paper` where
+    the model is selected, and is `dielectric` elsewhere."""
     regularizers: dict[str, dict[str, Any] | Literal[False]] = field(default_factory=dict)
     """Weight and options of each term, `false` to leave one out."""
     downsample: int = 1

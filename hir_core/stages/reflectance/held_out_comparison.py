@@ -9,8 +9,12 @@ from numpy.typing import NDArray
 
 REQUIRED_STANDARD_ERRORS = 1.0
 """The one-standard-error rule (Breiman et al. 1984), for many held-out views; `critical_value` raises it for few."""
+REQUIRED_STANDARD_ERRORS_OF_HYPOTHESES = 2.0
+"""Between kinds of material and light: all that follows rests on this decision, and several are compared at once."""
 MIN_GAIN_DB = 0.1
 """A smaller gain is not worth a more complex model."""
+SUFFICIENT_DB = 48.1
+"""A root mean square error of one step of 8 bits: a closer fit needs no further term."""
 SMALLEST_ERROR = 1e-12
 """Mean squared error that counts as 120 dB."""
 
@@ -42,6 +46,11 @@ def is_significant(
 ) -> bool:
     """Whether a mean gain over so many views exceeds its error and `MIN_GAIN_DB`."""
     return gain > MIN_GAIN_DB and gain > critical_value(standard_errors, views) * standard_error
+
+
+def differs(gain: float, standard_error: float, views: int) -> bool:
+    """Whether a gain of one hypothesis over another is more than noise."""
+    return is_significant(gain, standard_error, views, REQUIRED_STANDARD_ERRORS_OF_HYPOTHESES)
 
 
 def decibels(errors: NDArray[np.float64]) -> NDArray[np.float64]:

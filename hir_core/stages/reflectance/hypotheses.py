@@ -19,12 +19,17 @@ LIGHT = {"world": "light in the world", "camera": "light on the camera"}
 def hypothesis(
     kind: MaterialKind, frame: Literal["world", "camera"] = "world", light_is_known: bool = False
 ) -> ModelSpec:
-    """The model of a kind of material under a kind of light, without maps."""
+    """The model of a kind of material under a kind of light, without maps.
+
+    Under a light in the world it has indirect light from the start: without it albedos and lobes would absorb the light
+    between parts of the object.
+    """
     metallic = kind in ("metal", "mixed")
     return ModelSpec(
         brdf="metallic" if metallic else kind,  # type: ignore[arg-type]
         specular="none" if kind == "diffuse" else "uniform",
         metalness={"metal": "metal", "mixed": "map"}.get(kind, "none"),  # type: ignore[arg-type]
+        bounces=1 if frame == "world" else 0,
         light_frame=frame,
         light_is_known=light_is_known,
     )

@@ -29,6 +29,11 @@ def initial_scene(scene: Scene, capture: Capture, settings: ReflectanceSettings,
         raise StageError("the reflectance stage needs texture coordinates and a base colour; run the atlas stage first")
     device = scene.mesh.positions.device
     spec = forced_spec(settings) or default_spec(settings)
+    if not by_solver and spec.brdf == "metallic":
+        raise ConfigError(
+            f"reflectance.brdf={settings.brdf} needs a renderer with a solver; gradient steps fit a `paper` or a "
+            "`dielectric` material"
+        )
     diffuse = scene.material.diffuse_albedo
     specular: Tensor = torch.full((3,), settings.initial_specular_albedo, device=device)
     roughness = torch.full((1,), settings.initial_roughness, device=device)
@@ -40,7 +45,8 @@ def initial_scene(scene: Scene, capture: Capture, settings: ReflectanceSettings,
     if settings.method == "gradient":
         diffuse = torch.full_like(diffuse, settings.gradient.initial_diffuse_albedo)
     material = Material(
-        model="dielectric" if spec.brdf == "diffuse" else spec.brdf,
+        # a solver makes a metal's own initial guess from the light and the photographs
+        model="paper" if spec.brdf == "paper" else "dielectric",
         diffuse_albedo=diffuse,
         specular_albedo=specular,
         roughness=roughness,
