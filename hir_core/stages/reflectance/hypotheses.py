@@ -41,8 +41,17 @@ def hypotheses(settings: ReflectanceSettings) -> list[ModelSpec]:
     frames = FRAMES if settings.light_frame == "auto" else (settings.light_frame,)
     if known and settings.light_frame == "auto":
         frames = ("world",)
-    kinds = KINDS if settings.brdf == "auto" else (settings.brdf,)
-    return [hypothesis(kind, frame, known) for frame in frames for kind in kinds]
+    return [hypothesis(kind, frame, known) for frame in frames for kind in kinds_of(settings)]
+
+
+def kinds_of(settings: ReflectanceSettings) -> tuple[MaterialKind, ...]:
+    """The kinds of material that `reflectance.brdf` and `reflectance.metalness` admit."""
+    if settings.brdf == "auto":
+        return KINDS
+    if settings.brdf != "metallic":
+        return (settings.brdf,)
+    metallic: dict[str, tuple[MaterialKind, ...]] = {"auto": ("metal", "mixed"), "metal": ("metal",), "map": ("mixed",)}
+    return metallic[settings.metalness]
 
 
 def complexity(spec: ModelSpec) -> tuple[int, int]:
@@ -59,4 +68,9 @@ def described(spec: ModelSpec, beside: ModelSpec | None = None) -> str:
 
 def forcing_settings(spec: ModelSpec) -> str:
     """The settings that leave this hypothesis alone."""
-    return f"--set reflectance.brdf={spec.kind} --set reflectance.light_frame={spec.light_frame}"
+    material = {
+        "diffuse": "reflectance.model=diffuse",
+        "metal": "reflectance.brdf=metallic --set reflectance.metalness=metal",
+        "mixed": "reflectance.brdf=metallic --set reflectance.metalness=map",
+    }.get(spec.kind, f"reflectance.brdf={spec.kind}")
+    return f"--set {material} --set reflectance.light_frame={spec.light_frame}"

@@ -8,7 +8,7 @@ from typing import Literal
 from hir_core.config import ReflectanceSettings
 from hir_core.errors import ConfigError
 from hir_core.plugins.model_spec import MaterialKind, ModelSpec
-from hir_core.stages.reflectance.hypotheses import hypothesis
+from hir_core.stages.reflectance.hypotheses import hypothesis, kinds_of
 
 
 def forced_spec(settings: ReflectanceSettings) -> ModelSpec | None:
@@ -18,11 +18,6 @@ def forced_spec(settings: ReflectanceSettings) -> ModelSpec | None:
     if settings.model == "diffuse":
         return _spec("diffuse", settings)
     spec = default_spec(settings)
-    if spec.kind == "diffuse":
-        raise ConfigError(
-            f"reflectance.model={settings.model} needs a specular lobe; remove reflectance.brdf=diffuse, or set "
-            "reflectance.model=diffuse"
-        )
     if settings.model in ("normal_map", "per_texel_brdf") and spec.light_frame == "camera":
         raise ConfigError(
             f"reflectance.model={settings.model} needs a light that is fixed in the world; "
@@ -30,8 +25,8 @@ def forced_spec(settings: ReflectanceSettings) -> ModelSpec | None:
         )
     if settings.model == "specular_map" and spec.brdf == "metallic":
         raise ConfigError(
-            f"reflectance.model=specular_map does not fit reflectance.brdf={settings.brdf}, whose specular colour is "
-            "its base colour; choose roughness_map, or the brdf dielectric"
+            "reflectance.model=specular_map does not go with reflectance.brdf=metallic, whose base colour is always a "
+            "map; choose reflectance.model=specular or roughness_map"
         )
     match settings.model:
         case "specular":
@@ -48,7 +43,7 @@ def forced_spec(settings: ReflectanceSettings) -> ModelSpec | None:
 
 def default_spec(settings: ReflectanceSettings) -> ModelSpec:
     """The model that is fitted where too few views allow a comparison."""
-    return _spec("dielectric" if settings.brdf == "auto" else settings.brdf, settings)
+    return _spec("dielectric" if settings.brdf == "auto" else kinds_of(settings)[-1], settings)
 
 
 def _spec(kind: MaterialKind, settings: ReflectanceSettings) -> ModelSpec:

@@ -23,7 +23,7 @@ from hir_core.run.stage_context import StageContext
 from hir_core.stages.held_out_views import held_out_for_model_selection, model_selection_folds
 from hir_core.stages.reflectance.fit_sequence import FitSequence
 from hir_core.stages.reflectance.held_out_comparison import critical_value, decibels, paired_gain
-from hir_core.stages.reflectance.hypotheses import hypotheses, hypothesis
+from hir_core.stages.reflectance.hypotheses import forcing_settings, hypotheses, hypothesis
 from hir_core.stages.reflectance.model_selection import Selection, select_model
 from hir_core.stages.reflectance.refinement_selection import Comparison
 from hir_core.stages.reflectance.reflectance_report import (
@@ -165,7 +165,7 @@ def test_curves_that_cross_are_fitted_to_their_end() -> None:
 
 def test_budgets_are_continued() -> None:
     solver = Scripted(lambda spec: level(20))
-    selection = select(solver, ReflectanceSettings(light_frame="world", brdf="metal"))
+    selection = select(solver, ReflectanceSettings(light_frame="world", brdf="metallic", metalness="metal"))
     assert selection.contestants[0].last.fits[0].effort == pytest.approx(TOTAL)
     budgets = [(effort, share) for spec, effort, share in solver.budgets][: len(ROUNDS)]
     assert budgets == [(budget.effort, budget.pixel_share) for budget in ROUNDS]
@@ -181,8 +181,8 @@ def test_a_tie_goes_to_the_simpler_hypothesis() -> None:
     assert selection.spec == ModelSpec(), "and without indirect light, which gains nothing"
     report, warning = explanation_report(selection), near_tie_warning(selection)
     assert report is not None and report.near_tie and "better, but less simple" in report.sentence
-    assert warning is not None and warning.count("--set reflectance.brdf=") == 2
-    assert "--set reflectance.brdf=diffuse --set reflectance.light_frame=world" in warning
+    assert warning is not None and warning.count("--set reflectance.light_frame=") == 2
+    assert "--set reflectance.model=diffuse --set reflectance.light_frame=world" in warning
 
 
 def test_a_near_tie_is_judged_by_a_second_fold() -> None:
@@ -228,7 +228,8 @@ def test_a_runner_up_gets_the_refinements_of_the_selected_one() -> None:
     [
         ({}, 4, {"world", "camera"}),
         ({"light_frame": "camera"}, 4, {"camera"}),
-        ({"brdf": "metal"}, 1, {"world", "camera"}),
+        ({"brdf": "metallic"}, 2, {"world", "camera"}),
+        ({"brdf": "metallic", "metalness": "metal"}, 1, {"world", "camera"}),
         ({"brdf": "paper", "light_frame": "world"}, 1, {"world"}),
         ({"known_environment": "light.hdr"}, 4, {"world"}),
     ],
@@ -239,11 +240,13 @@ def test_settings_restrict_the_hypotheses(settings: dict[str, Any], kinds: int, 
     assert len(specs) == kinds * len(frames) and {spec.light_frame for spec in specs} == frames
     assert all(spec.light_is_known == bool(settings.get("known_environment")) for spec in specs)
     if "brdf" in settings:
-        assert {spec.kind for spec in specs} == {settings["brdf"]}
+        assert {spec.brdf for spec in specs} == {settings["brdf"]}
 
 
 def test_one_hypothesis_has_no_runner_up() -> None:
-    selection = select(Scripted(lambda spec: level(30)), ReflectanceSettings(light_frame="world", brdf="mixed"))
+    selection = select(
+        Scripted(lambda spec: level(30)), ReflectanceSettings(light_frame="world", brdf="metallic", metalness="map")
+    )
     report = explanation_report(selection)
     assert report is not None and report.runner_up is None and near_tie_warning(selection) is None
 
@@ -344,8 +347,8 @@ def test_a_gain_within_its_standard_error_is_rejected() -> None:
     def error(spec: ModelSpec) -> float:
         return 0.97e-3 if spec.normals == "map" else 1e-3
 
-    assert chosen(error, brdf="diffuse").normals == "map", "the same gain without noise is accepted"
-    assert chosen(error, noise=1.0, brdf="diffuse").normals == "mesh"
+    assert chosen(error, brdf="dielectric").normals == "map", "the same gain without noise is accepted"
+    assert chosen(error, noise=1.0, brdf="dielectric").normals == "mesh"
 
 
 def test_a_fit_within_one_step_of_eight_bits_is_sufficient() -> None:
@@ -449,7 +452,7 @@ def test_too_few_views_fit_the_default_model(views: int) -> None:
 def test_a_named_model_is_fitted_without_a_comparison() -> None:
     assert chosen(lambda spec: 1e-3, model="roughness_map", brdf="paper") == ModelSpec("paper", "map", "map")
     metal = ModelSpec("metallic", "uniform", "map", metalness="metal")
-    assert chosen(lambda spec: 1e-3, model="roughness_map", brdf="metal") == metal
+    assert chosen(lambda spec: 1e-3, model="roughness_map", brdf="metallic", metalness="metal") == metal
 
 
 @pytest.mark.parametrize("name", [name for name in get_args(ModelName) if name != "auto"])
@@ -457,17 +460,20 @@ def test_every_model_name_has_a_spec(name: ModelName) -> None:
     assert forced_spec(ReflectanceSettings(model=name)) is not None
 
 
-@pytest.mark.parametrize(
-    "settings,message",
-    [
-        ({"model": "specular", "brdf": "diffuse"}, "needs a specular lobe"),
-        ({"model": "specular_map", "brdf": "metal"}, "choose roughness_map"),
-    ],
-    ids=str,
-)
-def test_models_that_contradict_the_material_are_refused(settings: dict[str, Any], message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        forced_spec(ReflectanceSettings(**settings))
+def test_a_specular_map_of_a_metallic_model_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"does not go with reflectance\.brdf=metallic"):
+        forced_spec(ReflectanceSettings(model="specular_map", brdf="metallic"))
+
+
+@pytest.mark.parametrize("frame", ["world", "camera"])
+@pytest.mark.parametrize("kind", ["diffuse", "dielectric", "metal", "mixed"])
+def test_the_settings_that_a_warning_names_leave_one_hypothesis(kind: Any, frame: Any) -> None:
+    spec = hypothesis(kind, frame)
+    pairs = [text.strip().split("=") for text in forcing_settings(spec).split("--set") if text.strip()]
+    settings = ReflectanceSettings(**{key.removeprefix("reflectance."): value for key, value in pairs})
+    forced = forced_spec(settings)
+    admitted = [forced] if forced is not None else hypotheses(settings)
+    assert [replace(each, bounces=0) for each in admitted] == [replace(spec, bounces=0)]
 
 
 # -- statistics -----------------------------------------------------------------------------------------------------
