@@ -173,12 +173,12 @@ def _reflectance_rules(settings: ReflectanceSettings, by_solver: bool) -> list[_
             "a known light is fixed in the world; remove reflectance.known_environment",
         ),
         _Rule(
-            ("brdf", "metalness"), matt, "the model 'diffuse' has no specular lobe; choose another reflectance.model"
+            ("metalness",),
+            settings.brdf != "metallic",
+            "only the BRDF 'metallic' has one; set reflectance.brdf to 'metallic'",
         ),
         _Rule(
-            ("metalness",),
-            not matt and settings.brdf != "metallic",
-            "only the BRDF `metallic` has one; set reflectance.brdf to 'metallic'",
+            ("brdf", "metalness"), matt, "the model 'diffuse' has no specular lobe; choose another reflectance.model"
         ),
         _Rule(
             ("initial_roughness", "initial_specular_albedo"),
