@@ -112,6 +112,8 @@ def select_model(
     winner, finals = chosen, {chosen.spec: refinement.fit.errors}
     rivals = [each for each in finalists if each is not chosen and can_catch_up(each, 1)][:MAX_QUESTIONED]
     for rival in rivals:
+        if refinement.fit.held_out_db >= SUFFICIENT_DB:
+            break
         fit = refinement.question(rival.last, simpler=complexity(rival.spec) < complexity(winner.spec))
         finals[rival.spec] = fit.errors
         if refinement.fit is fit:

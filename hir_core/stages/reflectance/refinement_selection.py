@@ -94,7 +94,7 @@ class RefinementSelection(Generic[FitT, RefinementT]):
         if simpler:
             accepted = not differs(-gain, standard_error, views)
         else:
-            accepted = differs(gain, standard_error, views) and self.fit.held_out_db < SUFFICIENT_DB
+            accepted = differs(gain, standard_error, views)
         if accepted:
             self.fit, self._has_control = fit, False
         self._record(fit, gain, standard_error, accepted)
@@ -107,13 +107,14 @@ class RefinementSelection(Generic[FitT, RefinementT]):
         """
         if self.spec.light_frame != "world" or self.spec.kind == "diffuse" or self.spec.mapped:
             return
+        if self.fit.held_out_db >= SUFFICIENT_DB:
+            return
         control, candidate = (
             self._fits.fit(replace(self.spec, per_texel=each), self.fit, 0.0, cost_effort=COMPARISON.effort)  # type: ignore[arg-type]
             for each in ("albedo", "brdf")
         )
         gain, standard_error = paired_gain(control.errors, candidate.errors)
-        significant = is_significant(gain, standard_error, len(control.errors), REQUIRED_STANDARD_ERRORS_OF_NORMALS)
-        accepted = significant and control.held_out_db < SUFFICIENT_DB
+        accepted = is_significant(gain, standard_error, len(control.errors), REQUIRED_STANDARD_ERRORS_OF_NORMALS)
         if accepted:
             self.fit = candidate
         self._record(candidate, gain, standard_error, accepted)
@@ -121,7 +122,12 @@ class RefinementSelection(Generic[FitT, RefinementT]):
     def _compare(
         self, spec: ModelSpec, simpler: bool = False, required_standard_errors: float = REQUIRED_STANDARD_ERRORS
     ) -> None:
-        """Selects a candidate that gains significantly; a `simpler` one unless the control gains on it."""
+        """Selects a candidate that gains significantly; a `simpler` one unless the control gains on it.
+
+        Nothing is added to a fit that needs no improvement.
+        """
+        if not simpler and self.fit.held_out_db >= SUFFICIENT_DB:
+            return
         if not self._has_control:
             # more steps alone lower the error: without this control every candidate would seem to gain
             self._initial, self._has_control = self.fit, True
@@ -133,8 +139,7 @@ class RefinementSelection(Generic[FitT, RefinementT]):
         if simpler:
             accepted = not is_significant(-gain, standard_error, views, required_standard_errors)
         else:
-            significant = is_significant(gain, standard_error, views, required_standard_errors)
-            accepted = significant and self.fit.held_out_db < SUFFICIENT_DB
+            accepted = is_significant(gain, standard_error, views, required_standard_errors)
         if accepted:
             self.fit, self._has_control = fit, False
         self._record(fit, gain, standard_error, accepted)
