@@ -91,10 +91,8 @@ class RefinementSelection(Generic[FitT, RefinementT]):
         self._fitted(fit)
         gain, standard_error = paired_gain(self.fit.errors, fit.errors)
         views = len(fit.errors)
-        if simpler:
-            accepted = not differs(-gain, standard_error, views)
-        else:
-            accepted = differs(gain, standard_error, views)
+        worse, better = differs(-gain, standard_error, views), differs(gain, standard_error, views)
+        accepted = better or (simpler and not worse)
         if accepted:
             self.fit, self._has_control = fit, False
         self._record(fit, gain, standard_error, accepted)

@@ -23,7 +23,7 @@ from hir_plugins.reflectance_renderers.brdf_torch import Model
 from hir_plugins.reflectance_renderers.transport_ggx.fit.final_albedo import solve_final_albedo
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_checkpoints import FitCheckpoint
 from hir_plugins.reflectance_renderers.transport_ggx.fit.mini_batches import MiniBatches
-from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
+from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import MAX_FITTED_F0, Parameters
 from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import (
     PixelBatch,
     predict,
@@ -107,7 +107,10 @@ def fit(
             assert parameters.specular is not None
             parameters.specular.grad = None
 
-    def notify(step: int) -> bool:
+    def after_step(step: int) -> bool:
+        if parameters.specular is not None and settings.model in ("dielectric", "metallic"):
+            with torch.no_grad():
+                parameters.specular.clamp_(max=math.log(MAX_FITTED_F0 / (1 - MAX_FITTED_F0)))
         if math.isfinite(pixel_loss):
             on_step(step, pixel_loss)
         return False
@@ -129,7 +132,7 @@ def fit(
         Schedule(settings.steps, end=0.0),
         stage=f"reflectance, {description}",
         after_backward=freeze,
-        after_step=notify,
+        after_step=after_step,
         checkpointing=None if checkpoint is None else checkpoint.checkpointing(settings.refresh_interval),
         extra_state=resident,
         locate=locate,

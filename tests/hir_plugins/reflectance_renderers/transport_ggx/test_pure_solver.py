@@ -12,9 +12,10 @@ from hir_core.capture import Capture
 from hir_core.plugins.interfaces import CheckpointLocation
 from hir_core.plugins.manager import PluginManager
 from hir_core.plugins.model_spec import ModelSpec
-from hir_core.scene import Scene
+from hir_core.scene import Material, Scene
 from hir_core.stages.atlas import unwrap_mesh
 from hir_plugins.reflectance_renderers.transport_ggx.fit import joint_optimization
+from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import MAX_FITTED_F0
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGGX
 from hir_plugins.reflectance_renderers.transport_ggx.solver import TransportSolver
@@ -136,3 +137,18 @@ def test_a_share_of_the_pixels_is_a_part_of_them(capture: tuple[Scene, Capture])
     assert all(tuple(pixel) in rows for pixel in few.pixel.tolist()), "a larger budget keeps the pixels it had"
     assert len(few) == pytest.approx(0.1 * len(photographs), rel=0.3)
     assert solver._subsampled(photographs, 1.0) is photographs
+
+
+def test_a_dielectric_reflects_no_more_than_a_gem() -> None:
+    """Photographs of a metal: what a dielectric with the F0 of a metal would explain is left to the metal."""
+    mesh = unwrap_mesh(bowl(), TEXELS)[0]
+    metal = Material.metallic(torch.tensor([0.9, 0.9, 0.9]), torch.ones(1), torch.tensor([0.2]))
+    grey = make_material(torch.full((TEXELS, TEXELS, 3), 0.5), 0.15, 0.2, "dielectric")
+    seen = photographs(Scene(mesh, metal, lamps()), around(len(VIEWS)))
+    options = replace(OPTIONS, steps=60)
+    solver = TransportGGX(options).prepare(Scene(mesh, grey, lamps()), seen)
+    spec = ModelSpec("dielectric", "uniform", light_is_known=True)
+    fit = solver.fit(spec, None, VIEWS, 1.0, silent)
+    assert float(fit.parameters.specular_albedo.max()) == pytest.approx(MAX_FITTED_F0, abs=1e-4), "it wants more"
+    paper = solver.fit(replace(spec, brdf="paper"), None, VIEWS, 1.0, silent)
+    assert float(paper.parameters.specular_albedo.max()) > 1.5 * MAX_FITTED_F0
