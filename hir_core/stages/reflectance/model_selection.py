@@ -23,6 +23,7 @@ from hir_core.stages.reflectance.folded_fits import FoldedFit, FoldedFits
 from hir_core.stages.reflectance.held_out_comparison import (
     SUFFICIENT_DB,
     differs,
+    is_near_tie,
     mean_decibels,
     paired_gain,
 )
@@ -62,7 +63,7 @@ class Margin:
     @property
     def is_near_tie(self) -> bool:
         """Whether the margin is within noise."""
-        return not differs(self.margin_db, self.standard_error_db, self.held_out_views)
+        return is_near_tie(self.margin_db, self.standard_error_db, self.held_out_views)
 
 
 @dataclass(frozen=True, eq=False)
