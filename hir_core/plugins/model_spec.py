@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeAlias
+
+MaterialKind: TypeAlias = Literal["diffuse", "paper", "dielectric", "metal", "mixed"]
+"""What a model says the surface is made of; `mixed` is metal in one place and dielectric in another."""
 
 
 @dataclass(frozen=True)
 class ModelSpec:
-    """The terms of a reflectance model: its BRDF, which parameters vary over the surface, and the kind of light."""
+    """The terms of a reflectance model: its BRDF, which parameters vary over the surface, and the kind of light.
 
-    brdf: Literal["diffuse", "paper", "dielectric"] = "diffuse"
+    A `metallic` BRDF always has a base colour for each vertex and one F0 for the dielectric part: `specular` is
+    `uniform` and `colored` is false. Other combinations raise `ValueError`.
+    """
+
+    brdf: Literal["diffuse", "paper", "dielectric", "metallic"] = "diffuse"
     specular: Literal["none", "uniform", "map"] = "none"
     roughness: Literal["uniform", "map"] = "uniform"
     colored: bool = False
@@ -25,23 +32,40 @@ class ModelSpec:
     per_texel: Literal["none", "albedo", "brdf"] = "none"
     """What is solved for each texel, from the pixels that observe it, after the fit at vertices: nothing, its albedo
     alone, or its albedo, specular lobe and normal."""
+    metalness: Literal["none", "metal", "map"] = "none"
+    """Of the `metallic` BRDF: `metal` is 1 everywhere, `map` varies over the surface. `none` for every other BRDF."""
+
+    def __post_init__(self) -> None:
+        if (self.brdf == "metallic") != (self.metalness != "none"):
+            raise ValueError(f"metalness={self.metalness!r} contradicts brdf={self.brdf!r}; only `metallic` has one")
+        if self.brdf == "metallic" and (self.specular != "uniform" or self.colored):
+            raise ValueError("a `metallic` model has specular='uniform' and no colour of its own in F0")
+
+    @property
+    def kind(self) -> MaterialKind:
+        """What the model says the surface is made of."""
+        if self.brdf == "metallic":
+            return "metal" if self.metalness == "metal" else "mixed"
+        return self.brdf
 
     @property
     def mapped(self) -> bool:
-        """Does any parameter other than the diffuse albedo vary between vertices?"""
-        return "map" in (self.specular, self.roughness, self.normals)
+        """Does any parameter other than the diffuse albedo or the base colour vary between vertices?"""
+        return "map" in (self.specular, self.roughness, self.normals, self.metalness)
 
     @property
     def name(self) -> str:
         """The name in reports and in run.json."""
         if self.brdf == "diffuse":
             parts = ["diffuse"]
+        elif self.brdf == "metallic":
+            parts = ["metal" if self.metalness == "metal" else "metal and dielectric"]
         else:
             parts = [self.brdf, "specular map" if self.specular == "map" else "specular"]
             if self.colored:
                 parts.append("coloured")
-            if self.roughness == "map":
-                parts.append("roughness map")
+        if self.brdf != "diffuse" and self.roughness == "map":
+            parts.append("roughness map")
         if self.normals == "map":
             parts.append("normal map")
         if self.light_frame == "camera":

@@ -2,46 +2,54 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Literal
 
 from hir_core.config import ReflectanceSettings
 from hir_core.errors import ConfigError
-from hir_core.plugins.model_spec import ModelSpec
+from hir_core.plugins.model_spec import MaterialKind, ModelSpec
+from hir_core.stages.reflectance.hypotheses import hypothesis, kinds_of
 
 
 def forced_spec(settings: ReflectanceSettings) -> ModelSpec | None:
-    """The model that `reflectance.model` names; None for `auto`. Raises `ConfigError` where it needs a fixed light."""
+    """The model that `reflectance.model` names; None for `auto`. Raises `ConfigError` where it contradicts the rest."""
     if settings.model == "auto":
         return None
-    brdf = "dielectric" if settings.brdf == "auto" else settings.brdf
-    frame, known = initial_light_frame(settings), bool(settings.known_environment)
-    if settings.model in ("normal_map", "per_texel_brdf") and frame == "camera":
+    if settings.model == "diffuse":
+        return _spec("diffuse", settings)
+    spec = default_spec(settings)
+    if settings.model in ("normal_map", "per_texel_brdf") and spec.light_frame == "camera":
         raise ConfigError(
             f"reflectance.model={settings.model} needs a light that is fixed in the world; "
             "remove it or reflectance.light_frame=camera"
         )
+    if settings.model == "specular_map" and spec.brdf == "metallic":
+        raise ConfigError(
+            "reflectance.model=specular_map does not go with reflectance.brdf=metallic, whose base colour is always a "
+            "map; choose reflectance.model=specular or roughness_map"
+        )
     match settings.model:
-        case "diffuse":
-            return ModelSpec(light_frame=frame, light_is_known=known)
         case "specular":
-            return ModelSpec(brdf, "uniform", light_frame=frame, light_is_known=known)
+            return spec
         case "specular_map":
-            return ModelSpec(brdf, "map", light_frame=frame, light_is_known=known)
+            return replace(spec, specular="map")
         case "roughness_map":
-            return ModelSpec(brdf, "map", "map", light_frame=frame, light_is_known=known)
+            return replace(spec, specular=spec.specular if spec.brdf == "metallic" else "map", roughness="map")
         case "normal_map":
-            return ModelSpec(brdf, "uniform", normals="map", light_frame=frame, light_is_known=known)
+            return replace(spec, normals="map")
         case "per_texel_brdf":
-            return ModelSpec(brdf, "uniform", light_frame=frame, light_is_known=known, per_texel="brdf")
+            return replace(spec, per_texel="brdf")
 
 
 def default_spec(settings: ReflectanceSettings) -> ModelSpec:
     """The model that is fitted where too few views allow a comparison."""
-    brdf = "dielectric" if settings.brdf == "auto" else settings.brdf
-    frame, known = initial_light_frame(settings), bool(settings.known_environment)
-    return ModelSpec(brdf, "uniform", light_frame=frame, light_is_known=known)
+    return _spec("dielectric" if settings.brdf == "auto" else kinds_of(settings)[-1], settings)
+
+
+def _spec(kind: MaterialKind, settings: ReflectanceSettings) -> ModelSpec:
+    return replace(hypothesis(kind, initial_light_frame(settings), bool(settings.known_environment)), bounces=0)
 
 
 def initial_light_frame(settings: ReflectanceSettings) -> Literal["world", "camera"]:
-    """The frame of the light in the first candidate."""
+    """The frame of the light where none is compared."""
     return "world" if settings.light_frame == "auto" else settings.light_frame

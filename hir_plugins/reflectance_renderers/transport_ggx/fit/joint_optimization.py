@@ -1,7 +1,7 @@
 """Light and material fitted together on cached transport: a few hundred noise-free steps of Adam, then closed form.
 
-Albedos, ρs and α belong to the vertices of the refined surface (or are uniform); the light is the logarithm of its
-texels. Textures are solved afterwards at their own resolution (`textures/`).
+Albedos, ρs, metalness and α belong to the vertices of the refined surface (or are uniform); the light is the logarithm
+of its texels. Textures are solved afterwards at their own resolution (`textures/`).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from hir_plugins.reflectance_renderers.brdf_torch import Model
 from hir_plugins.reflectance_renderers.transport_ggx.fit.final_albedo import solve_final_albedo
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_checkpoints import FitCheckpoint
 from hir_plugins.reflectance_renderers.transport_ggx.fit.mini_batches import MiniBatches
-from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
+from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import MAX_FITTED_F0, Parameters
 from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import (
     PixelBatch,
     predict,
@@ -53,9 +53,12 @@ class FitSettings:
     width_rate: float = 0.08
     exposure_rate: float = 0.02
     normal_rate: float = 0.03
+    metalness_rate: float = 0.15
     alpha_frozen_share: float = 0.7
     """Share of the steps before α changes. Earlier, under a light that is still uniform, every lobe would widen, and
     under a blurred one narrow."""
+    f0_frozen_share: float = 0.7
+    """Share of the steps before F0 of the dielectric part changes: while metalness is undecided, metal imitates it."""
     refresh_interval: int = 15
     """Steps between updates of the specular matrices to the current α."""
     smoothness: SmoothnessWeights = field(default_factory=SmoothnessWeights)
@@ -91,13 +94,23 @@ def fit(
         zero = torch.zeros_like(difference)
         pixels = torch.nn.functional.huber_loss(difference, zero, delta=settings.huber_srgb)
         pixel_loss = float(pixels.detach())
-        return {PIXEL_TERM: pixels, "smoothness": smoothness_energy(parameters, settings.smoothness, edges)}
+        # metal or not is decided late: while light and colours are wrong, the nearer end of m is no evidence
+        decided = replace(
+            settings.smoothness, metalness_prior=settings.smoothness.metalness_prior * step / settings.steps
+        )
+        return {PIXEL_TERM: pixels, "smoothness": smoothness_energy(parameters, decided, edges)}
 
-    def freeze_alpha(step: int) -> None:
+    def freeze(step: int) -> None:
         if parameters.width is not None and step < settings.alpha_frozen_share * settings.steps:
             parameters.width.grad = None
+        if parameters.metalness is not None and step < settings.f0_frozen_share * settings.steps:
+            assert parameters.specular is not None
+            parameters.specular.grad = None
 
-    def notify(step: int) -> bool:
+    def after_step(step: int) -> bool:
+        if parameters.specular is not None and settings.model in ("dielectric", "metallic"):
+            with torch.no_grad():
+                parameters.specular.clamp_(max=math.log(MAX_FITTED_F0 / (1 - MAX_FITTED_F0)))
         if math.isfinite(pixel_loss):
             on_step(step, pixel_loss)
         return False
@@ -118,8 +131,8 @@ def fit(
         torch.optim.Adam(_groups(parameters, settings), betas=ADAM_BETAS),
         Schedule(settings.steps, end=0.0),
         stage=f"reflectance, {description}",
-        after_backward=freeze_alpha,
-        after_step=notify,
+        after_backward=freeze,
+        after_step=after_step,
         checkpointing=None if checkpoint is None else checkpoint.checkpointing(settings.refresh_interval),
         extra_state=resident,
         locate=locate,
@@ -153,6 +166,8 @@ def _leaves(parameters: Parameters, settings: FitSettings) -> Parameters:
     ):
         if value is not None:
             value.requires_grad_()
+    if parameters.metalness is not None and not parameters.is_metal:
+        parameters.metalness.requires_grad_()
     parameters.light.requires_grad_(not settings.known_light)
     if settings.model == "diffuse":
         return replace(parameters, specular=None, width=None)
@@ -168,5 +183,6 @@ def _groups(parameters: Parameters, settings: FitSettings) -> list[dict[str, Any
         (parameters.width, settings.width_rate),
         (parameters.log_exposure, settings.exposure_rate),
         (parameters.normal_offset, settings.normal_rate),
+        (parameters.metalness, settings.metalness_rate),
     )
     return [{"params": [p], "lr": rate} for p, rate in rates if p is not None and p.requires_grad]
