@@ -12,7 +12,11 @@ from dataclasses import replace
 import torch
 
 from hir_core.scene.srgb import srgb_slope, srgb_to_linear
-from hir_plugins.reflectance_renderers.transport_ggx.fit.closed_form_albedo import AlbedoEquations, solve_albedo
+from hir_plugins.reflectance_renderers.transport_ggx.fit.closed_form_albedo import (
+    AlbedoEquations,
+    AlbedoRefiner,
+    solve_albedo,
+)
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
 from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import PixelBatch, diffuse_and_specular
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
@@ -32,11 +36,14 @@ def solve_final_albedo(
     batches: Iterable[tuple[PixelBatch, SpecularMatrices | None]],
     parameters: Parameters,
     bounces: int,
+    refiner: AlbedoRefiner | None = None,
 ) -> Parameters:
     """`parameters` with `closed_form_diffuse` for the pixels of `batches`, whose matrices fit the parameters."""
     with torch.no_grad():
         rows = [_equations(transport, batch, matrices, parameters, bounces) for batch, matrices in batches]
-        albedo, _, _ = solve_albedo(rows, parameters.diffuse_albedo, VERTEX_HUBER_SRGB, VERTEX_PRIOR_WEIGHT)
+        albedo, _, _ = solve_albedo(
+            rows, parameters.diffuse_albedo, VERTEX_HUBER_SRGB, VERTEX_PRIOR_WEIGHT, refiner=refiner
+        )
         logits = torch.logit(albedo.clamp(ALBEDO_LOW, ALBEDO_HIGH))
     return replace(parameters, closed_form_diffuse=logits)
 

@@ -10,7 +10,11 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from hir_plugins.reflectance_renderers.transport_ggx.fit.closed_form_albedo import AlbedoEquations, solve_albedo
+from hir_plugins.reflectance_renderers.transport_ggx.fit.closed_form_albedo import (
+    AlbedoEquations,
+    AlbedoRefiner,
+    solve_albedo,
+)
 from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
 
 MIN_PIXELS = 1.0
@@ -43,6 +47,7 @@ def solve_texels(
     huber_srgb: float,
     prior: float,
     smoothness: float = 0.0,
+    refiner: AlbedoRefiner | None = None,
 ) -> tuple[Float[Tensor, "H W 3"], Bool[Tensor, "H W"]]:
     """Albedo in 0…1, and the observed texels.
 
@@ -64,7 +69,9 @@ def solve_texels(
     def differences(x: Float[Tensor, "N 3"], weight: Float[Tensor, "N 3"]) -> Float[Tensor, "N 3"]:
         return _differences(*(values.reshape(height, width, 3) for values in (x, weight))).reshape(-1, 3)
 
-    texture, count, information = solve_albedo([rows], start.reshape(-1, 3), huber_srgb, prior, differences, smoothness)
+    texture, count, information = solve_albedo(
+        [rows], start.reshape(-1, 3), huber_srgb, prior, differences, smoothness, refiner
+    )
     # a texel at the edge of a photograph or in the dark remains at its prior: it was not observed
     observed = (count > MIN_PIXELS) & (information > MIN_INFORMATION)
     return texture.reshape(height, width, 3), observed.reshape(height, width)
