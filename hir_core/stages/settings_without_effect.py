@@ -177,7 +177,14 @@ def _reflectance_rules(settings: ReflectanceSettings, by_solver: bool, takes_ter
             known and not by_solver,
             "a known light is fixed in the world; remove reflectance.known_environment",
         ),
-        _Rule(("brdf",), matt, "the model 'diffuse' has no specular lobe; choose another reflectance.model"),
+        _Rule(
+            ("metalness",),
+            settings.brdf != "metallic",
+            "only the BRDF 'metallic' has one; set reflectance.brdf to 'metallic'",
+        ),
+        _Rule(
+            ("brdf", "metalness"), matt, "the model 'diffuse' has no specular lobe; choose another reflectance.model"
+        ),
         _Rule(
             ("initial_roughness", "initial_specular_albedo"),
             matt and by_solver,

@@ -20,7 +20,7 @@ from hir_core.optimization.optimization_loop import Checkpointing, optimize, war
 from hir_core.optimization.schedules import Batches, Schedule
 from hir_core.optimization.weighted_energies import Energies
 from hir_core.plugins.interfaces import PreparedReflectance
-from hir_core.scene import Scene
+from hir_core.scene import Material, Scene
 from hir_core.scene.energy_conservation import specular_at_size_of
 from hir_core.scene.srgb import linear_to_srgb
 from hir_core.stages.reflectance.reflectance_report import GradientReport
@@ -84,15 +84,20 @@ def fit_by_gradient(
 ) -> tuple[Scene, GradientReport]:
     """Adam on textures and light, clamped to their physical range after each step.
 
+    Of a `metallic` material the base colour and, if it is a texture, the metalness are fitted in place of the albedos.
     The photometric term is `rgb_weight · ‖fit − photograph‖₁`, summed over the pixels of a step (Zhu et al. 2023).
     The state is stored under the name `checkpoint`, unique to this fit within its stage.
     """
     assert scene.material is not None and scene.environment is not None
     material, environment = scene.material, scene.environment
-    if material.model == "metallic":
-        raise StageError("the gradient fit does not fit a `metallic` material; give the scene a `dielectric` one")
     leaves = [material.diffuse_albedo, material.specular_albedo, material.roughness, environment.radiance]
     fitted_leaves = [True, fit_specular, fit_specular, fit_light]
+    names = ("diffuse albedo", "specular albedo", "roughness", "light")
+    if material.metalness is not None:
+        leaves[:2] = [material.base_color, material.metalness]
+        fitted_leaves[1] = fit_specular and material.metalness.ndim == 3
+        names = ("base colour", "metalness", "roughness", "light")
+    # of a metallic material: the base colour and the metalness
     diffuse, specular, roughness, radiance = (
         leaf.detach().clone().requires_grad_(fit) for leaf, fit in zip(leaves, fitted_leaves, strict=True)
     )
@@ -101,9 +106,16 @@ def fit_by_gradient(
     limits = [(diffuse, 0.0, 1.0), (specular, 0.0, 1.0), (roughness, MIN_ALPHA, 1.0), (radiance, 0.0, MAX_RADIANCE)]
     draw = PixelSampler(pixels, settings, context.seed)
 
+    def of(diffuse: Tensor, specular: Tensor, roughness: Tensor) -> Material:
+        if material.metalness is None:
+            return replace(material, diffuse_albedo=diffuse, specular_albedo=specular, roughness=roughness)
+        return Material.metallic(
+            diffuse, specular, roughness, material.normal, material.observed, material.dielectric_f0
+        )
+
     def current() -> Scene:
-        fitted = replace(material, diffuse_albedo=diffuse, specular_albedo=specular, roughness=roughness)
-        return replace(scene, material=fitted, environment=replace(environment, radiance=radiance))
+        light = replace(environment, radiance=radiance)
+        return replace(scene, material=of(diffuse, specular, roughness), environment=light)
 
     def loss(step: int) -> dict[str, Tensor]:
         rows = draw(step)
@@ -123,8 +135,7 @@ def fit_by_gradient(
         views = pixels.index[rows][nonfinite, 0].unique().tolist()
         if term == "rgb" and views:
             return f"{int(nonfinite.sum())} pixels of view {', '.join(map(str, views[:MAX_NAMED_VIEWS]))}"
-        named = {"diffuse albedo": diffuse, "specular albedo": specular, "roughness": roughness, "light": radiance}
-        return nonfinite_elements(named)
+        return nonfinite_elements(dict(zip(names, (diffuse, specular, roughness, radiance), strict=True)))
 
     def clamp(_: int) -> bool:
         with torch.no_grad():
@@ -146,15 +157,8 @@ def fit_by_gradient(
         checkpointing=Checkpointing(context.checkpoints / f"{checkpoint}.npz", context.checkpoint_seconds),
     )
     warn_of_skipped_steps(result, context.warn)
-    fitted = current()
-    assert fitted.material is not None and fitted.environment is not None
-    fitted_material = replace(
-        fitted.material,
-        diffuse_albedo=diffuse.detach(),
-        specular_albedo=specular.detach(),
-        roughness=roughness.detach(),
-    )
-    light = replace(fitted.environment, radiance=radiance.detach())
+    fitted_material = of(diffuse.detach(), specular.detach(), roughness.detach())
+    light = replace(environment, radiance=radiance.detach())
     return replace(scene, material=fitted_material, environment=light), GradientReport(result.steps, result.skipped)
 
 

@@ -18,6 +18,9 @@ from hir_core.files.light_setting import parse_light_file
 from hir_core.scene import EnvironmentMap, Material, Scene
 from hir_core.stages.reflectance.requested_model import default_spec, forced_spec
 
+INITIAL_METALNESS = 0.5
+"""Of gradient steps; neither metal nor dielectric."""
+
 
 def initial_scene(scene: Scene, capture: Capture, settings: ReflectanceSettings, by_solver: bool = True) -> Scene:
     """The scene with a constant lobe and a constant light, or the known light.
@@ -39,17 +42,20 @@ def initial_scene(scene: Scene, capture: Capture, settings: ReflectanceSettings,
             roughness = roughness.expand(diffuse.shape[0], diffuse.shape[1], 1).contiguous()
     if settings.method == "gradient":
         diffuse = torch.full_like(diffuse, settings.gradient.initial_diffuse_albedo)
-    material = Material(
-        model="dielectric" if spec.brdf == "diffuse" else spec.brdf,
-        diffuse_albedo=diffuse,
-        specular_albedo=specular,
-        roughness=roughness,
-    )
-    size = (settings.environment_height, settings.environment_width)
-    if settings.known_environment:
-        environment = known_light(settings.known_environment, capture, size, str(device))
+    if spec.brdf == "metallic" and not by_solver:
+        metalness = torch.ones(1, device=device)
+        if spec.metalness == "map":
+            size = (diffuse.shape[0], diffuse.shape[1], 1) if diffuse.ndim == 3 else (1,)
+            metalness = torch.full(size, INITIAL_METALNESS, device=device)
+        material = Material.metallic(diffuse, metalness, roughness, dielectric_f0=settings.initial_specular_albedo)
     else:
-        radiance = torch.full((*size, 3), settings.initial_radiance, device=device)
+        model = spec.brdf if spec.brdf in ("paper", "dielectric") else "dielectric"
+        material = Material(model, diffuse, specular, roughness)
+    rows = (settings.environment_height, settings.environment_width)
+    if settings.known_environment:
+        environment = known_light(settings.known_environment, capture, rows, str(device))
+    else:
+        radiance = torch.full((*rows, 3), settings.initial_radiance, device=device)
         frame: Literal["world", "camera"] = "camera" if settings.light_frame == "camera" else "world"
         environment = EnvironmentMap(radiance, None, frame)
     return replace(scene, material=material, environment=environment)

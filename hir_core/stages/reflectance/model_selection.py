@@ -101,7 +101,7 @@ def select_model(
 def _fit_single_model(fits: FitSequence[FitT, RefinementT], spec: ModelSpec, views: Sequence[int]) -> FitT:
     """The fit of one model to all views, through simpler models where a direct fit would diverge."""
     plan = []
-    if spec.brdf != "diffuse":
+    if spec.brdf not in ("diffuse", "metallic"):
         # a lobe that starts under a uniform light widens: the diffuse model is fitted first
         plan.append((ModelSpec(light_frame=spec.light_frame, light_is_known=spec.light_is_known), INITIAL_EFFORT))
     if spec.normals == "map":

@@ -24,6 +24,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit import joint_optimizati
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_checkpoints import FitCheckpoint
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_terms import FitTerms
 from hir_plugins.reflectance_renderers.transport_ggx.fit.initial_guess import initial_albedo, without_indirect
+from hir_plugins.reflectance_renderers.transport_ggx.fit.initial_metalness import with_metalness, without_metalness
 from hir_plugins.reflectance_renderers.transport_ggx.fit.joint_optimization import FitSettings
 from hir_plugins.reflectance_renderers.transport_ggx.fit.mini_batches import MiniBatches
 from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import (
@@ -62,9 +63,11 @@ MIN_INITIAL_SPECULAR_LOGIT = math.log(0.03 / 0.97)
 MIN_VIEW_DEGREES = math.degrees(math.asin(MIN_VIEW_COSINE))
 MAX_COMPARED_POINTS = 12_000
 """Surface points of held-out views at which per-texel values are solved to compare them."""
-WIDTH_TRIAL_EFFORT = 0.25
-WIDTH_TRIAL_PIXEL_SHARE = 0.4
-"""Effort and share of the pixels of the short fits that choose the initial width."""
+TRIAL_EFFORT = 0.25
+TRIAL_PIXEL_SHARE = 0.4
+"""Effort and share of the pixels of the short fits that choose initial values."""
+MOSTLY_METAL = 0.75
+"""The second initial metalness that is tried: a narrow lobe with much diffuse light is a minimum of the loss too."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,12 +132,10 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
     ) -> Fit:
         """Adam on cached transport; the parameters of a model start from the values of the earlier fit.
 
-        Without one, a diffuse model is fitted first: light and albedo before the lobes that depend on both.
+        Without one, a simpler model is fitted first. That is the diffuse one, light and albedo before the lobes that
+        depend on both. But for metal and dielectric it is metal: a diffuse model explains reflections by the albedo and
+        by a wrong light. A metal is fitted from the photographs' mean colours.
         """
-        if self._scene.material is not None and self._scene.material.model == "metallic":
-            raise StageError(
-                "transport_ggx renders a `metallic` material but does not fit one; give the scene a `dielectric` one"
-            )
         if spec.per_texel != "none":
             # per-texel values are solved when they are used
             base = initial
@@ -142,10 +143,10 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
                 base = self.fit(replace(spec, per_texel="none"), initial, views, effort, report, checkpoint)
             report(1.0)
             return Fit(spec, base.parameters, tuple(views))
-        if initial is None and spec.brdf != "diffuse":
-            matt = ModelSpec("diffuse", light_frame=spec.light_frame, light_is_known=spec.light_is_known)
-            part = checkpoint.part("diffuse") if checkpoint is not None else None
-            initial = self.fit(matt, None, views, effort, lambda share: None, part)
+        simpler = _simpler_model(spec)
+        if initial is None and simpler is not None:
+            part = checkpoint.part(simpler.kind) if checkpoint is not None else None
+            initial = self.fit(simpler, None, views, effort, lambda share: None, part)
         file = FitCheckpoint(checkpoint.stem, checkpoint.seconds) if checkpoint is not None else None
         device = self._transport.surface.positions.device
         finished = file.result() if file is not None else None
@@ -169,12 +170,13 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
                 light=self._options.light_smoothness,
                 light_chroma=self._options.light_whiteness,
                 albedo=self._options.albedo_smoothness,
+                metalness_prior=self._options.metalness_prior,
             ),
         )
         resumes = file is not None and file.has_state()
-        new_lobe = initial is not None and initial.parameters.width is None
-        if spec.brdf != "diffuse" and new_lobe and not resumes:
-            parameters = self._with_initial_width(photographs, parameters, settings, spec, effort)
+        candidates = _initial_candidates(parameters, initial)
+        if len(candidates) > 1 and not resumes:
+            parameters = self._best_candidate(photographs, candidates, settings, spec, effort)
         fitted = joint_optimization.fit(
             self._transport,
             self._mini_batches(photographs, spec),
@@ -288,8 +290,8 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
     def _indirect_light(self, values: Parameters, bounces: int) -> Indirect:
         texels = self._transport.pyramid.texels
         with torch.no_grad():
-            sources, irradiance = self._transport.sources(values.radiance, values.diffuse_albedo, bounces)
-            _, direct = self._transport.sources(values.radiance, values.diffuse_albedo, 0)
+            sources, irradiance = self._transport.sources(values.radiance, values.base_color, bounces)
+            _, direct = self._transport.sources(values.radiance, values.base_color, 0)
         return Indirect(irradiance - direct, sources[texels:])
 
     def _photographs(self, views: Sequence[int]) -> ObservedPixels:
@@ -368,6 +370,15 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
             base = initial.parameters
             if spec.bounces and not initial.spec.bounces:
                 base = replace(base, diffuse=without_indirect(self._transport, base, spec.bounces))
+        material = self._scene.material
+        f0 = material.specular_albedo.mean()
+        if material.metalness is not None:
+            f0 = f0.new_tensor(material.dielectric_f0)
+        initial_f0 = torch.logit(f0.clamp(1e-3, 0.999)).reshape(1, 1)
+        if spec.brdf == "metallic":
+            base = with_metalness(base, initial_f0, spec.metalness == "metal")
+        else:
+            base = without_metalness(base)
         normal_offset = base.normal_offset
         if spec.normals == "map" and normal_offset is None:
             normal_offset = torch.zeros_like(self._transport.surface.positions)
@@ -376,9 +387,8 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         specular, width = base.specular, base.width
         vertices = len(base.diffuse)
         if specular is None or width is None:
-            rho = self._scene.material.specular_albedo.mean().clamp(1e-3, 0.999)
-            alpha = self._scene.material.roughness.mean().clamp(0.02, 0.98)
-            specular, width = torch.logit(rho).reshape(1, 1), logit_of_alpha(alpha).reshape(1, 1)
+            alpha = material.roughness.mean().clamp(0.02, 0.98)
+            specular, width = initial_f0, logit_of_alpha(alpha).reshape(1, 1)
         if spec.colored and specular.shape[1] == 1:
             specular = specular.clamp_min(MIN_INITIAL_SPECULAR_LOGIT).expand(-1, 3)
         if spec.specular == "map" and len(specular) == 1:
@@ -392,24 +402,28 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
             width.contiguous(),
             base.log_exposure,
             normal_offset=normal_offset,
+            metalness=base.metalness,
         )
 
     def _initial_albedo(self, photographs: ObservedPixels, spec: ModelSpec, light: Tensor) -> Float[Tensor, "V 3"]:
         rotation = self._rotation if spec.light_frame == "camera" else None
-        uniform = self._options.initial_albedo == "uniform" and not spec.light_is_known
+        # the mean colour of a metal's vertex over the views is its base colour, if the light comes from everywhere
+        uniform = self._options.initial_albedo == "uniform" and not spec.light_is_known and spec.brdf != "metallic"
         samples = self._options.diffuse_samples
         return initial_albedo(self._transport, photographs, light, uniform, rotation, samples)
 
-    def _with_initial_width(
-        self, photographs: ObservedPixels, parameters: Parameters, settings: FitSettings, spec: ModelSpec, effort: float
+    def _best_candidate(
+        self,
+        photographs: ObservedPixels,
+        candidates: Sequence[Parameters],
+        settings: FitSettings,
+        spec: ModelSpec,
+        effort: float,
     ) -> Parameters:
-        """The parameters with the initial width, narrow or wide, from which a short fit reaches the lower loss."""
-        part = self._subsampled(photographs, WIDTH_TRIAL_PIXEL_SHARE / 2)
-        steps = max(1, round(min(WIDTH_TRIAL_EFFORT, effort) * self._options.steps))
+        """The candidate from which a short fit reaches the lowest loss."""
+        part = self._subsampled(photographs, TRIAL_PIXEL_SHARE / 2)
+        steps = max(1, round(min(TRIAL_EFFORT, effort) * self._options.steps))
         short = replace(settings, steps=steps, solve_albedo=False)
-        assert parameters.width is not None
-        wide = logit_of_alpha(torch.full_like(parameters.width, WIDE_ALPHA))
-        candidates = [parameters, replace(parameters, width=wide)]
         losses = [self._short_fit(part, spec, candidate, short) for candidate in candidates]
         return candidates[losses.index(min(losses))]
 
@@ -427,6 +441,36 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         )
         last = losses[-max(1, len(losses) // 5) :]
         return sum(last) / len(last) if last else math.inf
+
+
+def _simpler_model(spec: ModelSpec) -> ModelSpec | None:
+    """The model that is fitted first where there is no earlier fit."""
+    if spec.metalness == "map":
+        return ModelSpec(
+            "metallic",
+            "uniform",
+            light_frame=spec.light_frame,
+            light_is_known=spec.light_is_known,
+            metalness="metal",
+        )
+    if spec.brdf in ("diffuse", "metallic"):
+        return None
+    return ModelSpec("diffuse", light_frame=spec.light_frame, light_is_known=spec.light_is_known)
+
+
+def _initial_candidates(parameters: Parameters, initial: Fit | None) -> list[Parameters]:
+    """The initial values, and others from which a fit may find a lower minimum, where a lobe or a metalness is new."""
+    if parameters.width is None:
+        return [parameters]
+    wide = replace(parameters, width=logit_of_alpha(torch.full_like(parameters.width, WIDE_ALPHA)))
+    if initial is None or initial.parameters.width is None:
+        return [parameters, wide]
+    if parameters.metalness is None or initial.parameters.metalness is not None:
+        return [parameters]
+    if parameters.is_metal:
+        return [parameters, wide]
+    metal = torch.logit(torch.full_like(parameters.metalness, MOSTLY_METAL))
+    return [parameters, replace(parameters, metalness=metal), replace(wide, metalness=metal)]
 
 
 def _camera_rotations(capture: Capture, device: torch.device) -> Float[Tensor, "N 3 3"]:

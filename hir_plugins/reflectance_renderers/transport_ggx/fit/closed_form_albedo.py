@@ -3,6 +3,9 @@
 `I − S = (1 − E)·irradiance/π · ρd` is one row for each pixel, in the albedos of texels or of vertices. Conjugate
 gradients solve all rows and all channels at once. Residuals have the weights of sRGB and of a robust loss (iteratively
 re-weighted least squares). The initial albedo is the prior of what no pixel sees.
+
+With the `metallic` BRDF the base colour is the unknown: it acts in the diffuse lobe with 1 − m and in the specular lobe
+with m.
 """
 
 from __future__ import annotations
@@ -26,8 +29,21 @@ _CONJUGATE_GRADIENT_ITERATIONS = 12
 
 
 @dataclass(frozen=True, eq=False)
+class MetalTerm:
+    """The part of a base colour that acts in the specular lobe."""
+
+    gain: Float[Tensor, "P 3"]
+    """Change of radiance with the base colour of a metal."""
+    metalness: Float[Tensor, "N 1"]
+    """m at each albedo."""
+
+
+@dataclass(frozen=True, eq=False)
 class AlbedoEquations:
-    """One row for each pixel: `gain · (lookup @ albedo) = target`."""
+    """One row for each pixel: `gain · (lookup @ albedo) = target`.
+
+    With `metal`: `gain · (lookup @ ((1 − m)·base)) + metal.gain · (lookup @ (m·base)) = target`.
+    """
 
     lookup: LinearMap
     """(P, N): weight of each albedo in a pixel."""
@@ -37,6 +53,32 @@ class AlbedoEquations:
     importance: Float[Tensor, "P 3"]
     clipped: Bool[Tensor, "P 3"]
     """Where the photograph is clipped: the left side may be larger than the target."""
+    metal: MetalTerm | None = None
+
+    def radiance(self, albedo: Float[Tensor, "N 3"]) -> Float[Tensor, "P 3"]:
+        """The left side."""
+        if self.metal is None:
+            return self.gain * (self.lookup.matrix @ albedo)
+        m = self.metal.metalness
+        dielectric, metal = self.lookup.matrix @ ((1 - m) * albedo), self.lookup.matrix @ (m * albedo)
+        return self.gain * dielectric + self.metal.gain * metal
+
+    def transposed(self, weight: Float[Tensor, "P 3"], rows: Float[Tensor, "P 3"]) -> Float[Tensor, "N 3"]:
+        """The transpose of the left side, applied to weighted rows."""
+        if self.metal is None:
+            return self.lookup.transposed @ (weight * self.gain * rows)
+        m = self.metal.metalness
+        diffuse, specular = weight * self.gain * rows, weight * self.metal.gain * rows
+        return (1 - m) * (self.lookup.transposed @ diffuse) + m * (self.lookup.transposed @ specular)
+
+    def squared_gains(self, weight: Float[Tensor, "P 3"]) -> Float[Tensor, "N 3"]:
+        """For each albedo: the weighted sum of the squared gains of its pixels."""
+        squares = self.lookup.transposed @ (weight * self.gain * self.gain)
+        if self.metal is None:
+            return squares
+        m, other = self.metal.metalness, self.metal.gain
+        mixed, metal = (self.lookup.transposed @ (weight * gain * other) for gain in (self.gain, other))
+        return ((1 - m).square() * squares + 2 * m * (1 - m) * mixed + m.square() * metal).clamp_min(0)
 
 
 def solve_albedo(
@@ -60,16 +102,15 @@ def solve_albedo(
     information = torch.zeros_like(count)
     for _ in range(_REWEIGHTING_ITERATIONS):
         robust = [_robust_weight(rows, albedo, huber_srgb) for rows in equations]
-        normal = [w * rows.gain * rows.gain for w, rows in zip(robust, equations, strict=True)]
         diagonal, right = torch.zeros_like(start), torch.zeros_like(start)
-        for w, n, rows in zip(robust, normal, equations, strict=True):
-            diagonal = diagonal + rows.lookup.transposed @ n
-            right = right + rows.lookup.transposed @ (w * rows.gain * rows.target)
+        for w, rows in zip(robust, equations, strict=True):
+            diagonal = diagonal + rows.squared_gains(w)
+            right = right + rows.transposed(w, rows.target)
 
-        def apply(x: Tensor, normal: list[Tensor] = normal) -> Tensor:
+        def apply(x: Tensor, robust: list[Tensor] = robust) -> Tensor:
             image = prior * scale * x
-            for n, rows in zip(normal, equations, strict=True):
-                image = image + rows.lookup.transposed @ (n * (rows.lookup.matrix @ x))
+            for w, rows in zip(robust, equations, strict=True):
+                image = image + _normal_product(rows, w, x)
             if differences is not None and smoothness > 0:
                 image = image + differences(x, smoothness * scale)
             return image
@@ -91,7 +132,7 @@ def _prior_scale(
     count, light, importance = (start.new_zeros(len(start), n) for n in (1, 3, 3))
     for rows in equations:
         count = count + rows.lookup.transposed @ torch.ones_like(rows.gain[:, :1])
-        light = light + rows.lookup.transposed @ rows.gain.square()
+        light = light + rows.squared_gains(torch.ones_like(rows.gain))
         importance = importance + rows.lookup.transposed @ rows.importance
     known = count[:, 0] > 0.5
     if not bool(known.any()):
@@ -101,8 +142,14 @@ def _prior_scale(
     return count[:, 0], (light[known].mean(dim=0) * each).clamp_min(1e-12)
 
 
+def _normal_product(rows: AlbedoEquations, weight: Tensor, x: Float[Tensor, "N 3"]) -> Float[Tensor, "N 3"]:
+    if rows.metal is None:
+        return rows.lookup.transposed @ (weight * rows.gain * rows.gain * (rows.lookup.matrix @ x))
+    return rows.transposed(weight, rows.radiance(x))
+
+
 def _robust_weight(rows: AlbedoEquations, albedo: Tensor, huber_srgb: float) -> Float[Tensor, "P 3"]:
-    difference = rows.gain * (rows.lookup.matrix @ albedo) - rows.target
+    difference = rows.radiance(albedo) - rows.target
     error = rows.importance.sqrt() * difference.abs()
     weight = rows.importance * (huber_srgb / error.clamp_min(huber_srgb))
     return torch.where(is_clipped_excess(difference, rows.clipped), 0.0, weight)

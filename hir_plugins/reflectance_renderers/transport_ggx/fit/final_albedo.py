@@ -15,10 +15,17 @@ from hir_core.scene.srgb import srgb_slope, srgb_to_linear
 from hir_plugins.reflectance_renderers.transport_ggx.fit.closed_form_albedo import (
     AlbedoEquations,
     AlbedoRefiner,
+    MetalTerm,
     solve_albedo,
 )
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
-from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import PixelBatch, diffuse_and_specular
+from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import (
+    PixelBatch,
+    arriving_light,
+    at_pixels,
+    diffuse_and_specular,
+    predict,
+)
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
 from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_radiance import SpecularMatrices
 
@@ -42,7 +49,7 @@ def solve_final_albedo(
     with torch.no_grad():
         rows = [_equations(transport, batch, matrices, parameters, bounces) for batch, matrices in batches]
         albedo, _, _ = solve_albedo(
-            rows, parameters.diffuse_albedo, VERTEX_HUBER_SRGB, VERTEX_PRIOR_WEIGHT, refiner=refiner
+            rows, parameters.base_color, VERTEX_HUBER_SRGB, VERTEX_PRIOR_WEIGHT, refiner=refiner
         )
         logits = torch.logit(albedo.clamp(ALBEDO_LOW, ALBEDO_HIGH))
     return replace(parameters, closed_form_diffuse=logits)
@@ -51,10 +58,21 @@ def solve_final_albedo(
 def _equations(
     transport: Transport, batch: PixelBatch, specular: SpecularMatrices | None, parameters: Parameters, bounces: int
 ) -> AlbedoEquations:
-    gain, lobe = diffuse_and_specular(transport, batch, specular, parameters, bounces)
     color = srgb_to_linear(batch.color_srgb)
     importance = srgb_slope(color.clamp(SRGB_SLOPE_FLOOR_LINEAR, 1)).square()
     exposure = parameters.exposure
     observed = color if exposure is None else color / exposure[batch.view][:, None]
-    target = observed if lobe is None else observed - lobe
-    return AlbedoEquations(batch.vertices, gain, target, importance, batch.saturated)
+    gain, lobe = diffuse_and_specular(transport, batch, specular, parameters, bounces)
+    if parameters.metalness is None or specular is None:
+        target = observed if lobe is None else observed - lobe
+        return AlbedoEquations(batch.vertices, gain, target, importance, batch.saturated)
+    # first order around the fitted base colour: where m is neither 0 nor 1 it acts twice, in ρd and in the energy that
+    # the lobe takes from ρd
+    sources, arriving = arriving_light(transport, batch, parameters, bounces)
+    base = parameters.base_color
+    diffuse = at_pixels(batch, parameters.diffuse_albedo)
+    slope = specular.albedo_gain(sources) - specular.share_change() * arriving * diffuse
+    metal = MetalTerm(slope, parameters.metal_share.expand(len(base), 1))
+    rows = AlbedoEquations(batch.vertices, gain, torch.zeros_like(gain), importance, batch.saturated, metal)
+    constant = predict(transport, batch, specular, parameters, bounces) - rows.radiance(base)
+    return replace(rows, target=observed - constant)

@@ -53,17 +53,21 @@ class FitTerms:
         return PreparedTerms(self, energies, model, huber_srgb)
 
     def of_textures(self, scene: Scene, huber_srgb: float) -> AlbedoRefiner | None:
-        """What refines the diffuse albedo texture of `scene`; None where no term depends on the material."""
+        """What refines the solved texture of `scene`, a diffuse albedo or the base colour of a `metallic` material.
+
+        None where no term depends on the material.
+        """
         terms = [term for term in self.terms if "material" in term.traits]
-        if not terms or scene.material is None or scene.material.diffuse_albedo.ndim != 3:
+        material = scene.material
+        if not terms or material is None or material.diffuse_albedo.ndim != 3:
             return None
-        shape = scene.material.diffuse_albedo.shape
+        shape = material.diffuse_albedo.shape
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)
             energies = [(huber_srgb * term.weight, term.prepare(_detached(scene))) for term in terms]
 
         def energy(albedo: Float[Tensor, "N 3"]) -> Float[Tensor, ""]:
-            shown = with_parts(scene, {"diffuse_albedo": albedo.reshape(shape)})
+            shown = replace(scene, material=_with_solved(material, albedo.reshape(shape)))
             return sum((weight * term(shown) for weight, term in energies), albedo.new_zeros(()))
 
         return lambda albedo, curvature: proximal_step(albedo, curvature, energy)
@@ -128,7 +132,7 @@ class PreparedTerms:
         return values
 
     def albedo_refiner(self, parameters: Parameters) -> AlbedoRefiner | None:
-        """What refines the diffuse albedo at vertices, all else fixed; None where no term depends on the material."""
+        """What refines the solved albedo at vertices, all else fixed; None where no term depends on the material."""
         chosen = [
             (self._huber * term.weight, _view_of(term), energy)
             for term, energy in zip(self._terms.terms, self._energies, strict=True)
@@ -167,9 +171,19 @@ def material_at_vertices(parameters: Parameters, model: str) -> Material:
     if parameters.specular is None or parameters.width is None:
         none = parameters.diffuse.new_zeros(3)
         return Material("paper", parameters.diffuse_albedo, none, torch.ones_like(none[:1]))
+    diffuse, alpha = parameters.diffuse_albedo, _one_or_all(parameters.alpha)
     specular = _one_or_all(parameters.specular_albedo.expand(-1, 3))
-    brdf = "paper" if model == "paper" else "dielectric"
-    return Material(brdf, parameters.diffuse_albedo, specular, _one_or_all(parameters.alpha))  # type: ignore[arg-type]
+    if parameters.metalness is None:
+        return Material("paper" if model == "paper" else "dielectric", diffuse, specular, alpha)
+    f0 = float(parameters.dielectric_f0.detach().mean())
+    metalness = _one_or_all(parameters.metal_share)
+    return Material("metallic", diffuse, specular, alpha, metalness=metalness, dielectric_f0=f0)
+
+
+def _with_solved(material: Material, texture: Float[Tensor, "H W 3"]) -> Material:
+    if material.metalness is None:
+        return replace(material, diffuse_albedo=texture)
+    return Material.metallic(texture, material.metalness, material.roughness, dielectric_f0=material.dielectric_f0)
 
 
 def _one_or_all(values: Float[Tensor, "#V C"]) -> Tensor:

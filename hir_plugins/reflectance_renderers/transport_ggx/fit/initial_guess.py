@@ -1,4 +1,4 @@
-"""Initial albedos of a fit: from the photographs, or from an earlier fit without indirect light."""
+"""Initial values of a fit: from the photographs, or from the fit of another model."""
 
 from __future__ import annotations
 
@@ -51,14 +51,20 @@ def initial_albedo(
 
 
 def without_indirect(transport: Transport, base: Parameters, bounces: int) -> Float[Tensor, "V 3"]:
-    """Logits of albedos that with indirect light give the radiance that those of `base` give without it."""
+    """Logits of albedos that with indirect light give the radiance that those of `base` give without it.
+
+    Of a metal's base colour they stay: irradiance says nothing about its reflections.
+    """
     with torch.no_grad():
-        original = base.diffuse_albedo
+        original = base.base_color
         _, direct = transport.sources(base.radiance, original, 0)
         albedo = original
         for _ in range(INDIRECT_ITERATIONS):
             _, irradiance = transport.sources(base.radiance, albedo, bounces)
             share = direct / irradiance.clamp_min(1e-12)
             share = torch.where(irradiance > 0, share, torch.ones_like(share))
-            albedo = original * share[transport.irradiance_cache.of_vertex]
+            share = share[transport.irradiance_cache.of_vertex]
+            if base.metalness is not None:
+                share = share + base.metal_share * (1 - share)
+            albedo = original * share
         return torch.logit(albedo.clamp(ALBEDO_LOW, ALBEDO_HIGH))

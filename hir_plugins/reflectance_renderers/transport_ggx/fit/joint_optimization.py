@@ -1,7 +1,7 @@
 """Light and material fitted together on cached transport: a few hundred noise-free steps of Adam, then closed form.
 
-Albedos, ρs and α belong to the vertices of the refined surface (or are uniform); the light is the logarithm of its
-texels. Textures are solved afterwards at their own resolution (`textures/`).
+Albedos, ρs, metalness and α belong to the vertices of the refined surface (or are uniform); the light is the logarithm
+of its texels. Textures are solved afterwards at their own resolution (`textures/`).
 """
 
 from __future__ import annotations
@@ -54,9 +54,12 @@ class FitSettings:
     width_rate: float = 0.08
     exposure_rate: float = 0.02
     normal_rate: float = 0.03
+    metalness_rate: float = 0.15
     alpha_frozen_share: float = 0.7
     """Share of the steps before α changes. Earlier, under a light that is still uniform, every lobe would widen, and
     under a blurred one narrow."""
+    f0_frozen_share: float = 0.7
+    """Share of the steps before F0 of the dielectric part changes: while metalness is undecided, metal imitates it."""
     refresh_interval: int = 15
     """Steps between updates of the specular matrices to the current α."""
     smoothness: SmoothnessWeights = field(default_factory=SmoothnessWeights)
@@ -90,13 +93,20 @@ def fit(
     def loss(step: int) -> dict[str, Tensor]:
         nonlocal pixel_loss
         batch, matrices = resident.at(step)
-        values = objective(transport, batch, matrices, parameters, settings, edges)
-        pixel_loss = float(values[PIXEL_TERM].detach())
-        return values | ({} if prepared is None else prepared(parameters, step))
+        # metal or not is decided late: while light and colours are wrong, the nearer end of m is no evidence
+        decided = replace(
+            settings.smoothness, metalness_prior=settings.smoothness.metalness_prior * step / settings.steps
+        )
+        own = objective(transport, batch, matrices, parameters, replace(settings, smoothness=decided), edges)
+        pixel_loss = float(own[PIXEL_TERM].detach())
+        return own | ({} if prepared is None else prepared(parameters, step))
 
-    def freeze_alpha(step: int) -> None:
+    def freeze(step: int) -> None:
         if parameters.width is not None and step < settings.alpha_frozen_share * settings.steps:
             parameters.width.grad = None
+        if parameters.metalness is not None and step < settings.f0_frozen_share * settings.steps:
+            assert parameters.specular is not None
+            parameters.specular.grad = None
 
     def notify(step: int) -> bool:
         if math.isfinite(pixel_loss):
@@ -119,7 +129,7 @@ def fit(
         torch.optim.Adam(_groups(parameters, settings), betas=ADAM_BETAS),
         Schedule(settings.steps, end=0.0),
         stage=f"reflectance, {description}",
-        after_backward=freeze_alpha,
+        after_backward=freeze,
         after_step=notify,
         checkpointing=None if checkpoint is None else checkpoint.checkpointing(settings.refresh_interval),
         extra_state=resident,
@@ -169,6 +179,8 @@ def _leaves(parameters: Parameters, settings: FitSettings) -> Parameters:
     ):
         if value is not None:
             value.requires_grad_()
+    if parameters.metalness is not None and not parameters.is_metal:
+        parameters.metalness.requires_grad_()
     parameters.light.requires_grad_(not settings.known_light)
     if settings.model == "diffuse":
         return replace(parameters, specular=None, width=None)
@@ -184,5 +196,6 @@ def _groups(parameters: Parameters, settings: FitSettings) -> list[dict[str, Any
         (parameters.width, settings.width_rate),
         (parameters.log_exposure, settings.exposure_rate),
         (parameters.normal_offset, settings.normal_rate),
+        (parameters.metalness, settings.metalness_rate),
     )
     return [{"params": [p], "lr": rate} for p, rate in rates if p is not None and p.requires_grad]

@@ -1,10 +1,11 @@
-"""The parameters of a fit: light, albedos and lobe width, each as an unconstrained number."""
+"""The parameters of a fit: light, albedos, metalness and lobe width, each as an unconstrained number."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import torch
+from hir_exporters.metallic_parameters import MAX_DIELECTRIC_F0
 from jaxtyping import Float
 from torch import Tensor
 
@@ -18,20 +19,28 @@ MAX_RADIANCE = 1e5
 
 @dataclass(frozen=True, eq=False)
 class Parameters:
-    """What is optimised, each unconstrained: logarithm of the light, logits of albedos and width."""
+    """What is optimised, each unconstrained: logarithm of the light, logits of albedos and width.
+
+    With `metalness` they are those of the `metallic` BRDF: `diffuse` holds the base colour and `specular` the F0 of the
+    dielectric part, from which the albedos of both lobes follow.
+    """
 
     light: Float[Tensor, "H W 3"]
     diffuse: Float[Tensor, "V 3"]
+    """Of ρd; of the base colour where there is a metalness."""
     specular: Float[Tensor, "#V C"] | None
+    """Of ρs; of one F0 where there is a metalness."""
     width: Float[Tensor, "#V 1"] | None
     log_exposure: Float[Tensor, " views"] | None = None
     """Logarithm of the exposure of each photograph; None if all have the same."""
 
     closed_form_diffuse: Float[Tensor, "V 3"] | None = None
-    """Logits of ρd in closed form for the other parameters, set when a fit ends. A later fit starts from `diffuse`: a
+    """As `diffuse`, in closed form for the other parameters, set when a fit ends. A later fit starts from `diffuse`: a
     closed-form albedo has absorbed errors of the light, and gradient steps would not undo that."""
     normal_offset: Float[Tensor, "V 3"] | None = None
     """Offset of shading normals from the mesh's, in the world (`shading_normals.py`); None for the mesh's normals."""
+    metalness: Float[Tensor, "#V 1"] | None = None
+    """Logit of metalness; one infinite row for a metal, which is not optimised. None for other BRDFs."""
 
     @property
     def with_closed_form_albedo(self) -> Parameters:
@@ -54,15 +63,42 @@ class Parameters:
         return self.light.clamp_max(torch.log(torch.tensor(MAX_RADIANCE)).item()).exp()
 
     @property
-    def diffuse_albedo(self) -> Float[Tensor, "V 3"]:
-        """ρd at vertices."""
+    def base_color(self) -> Float[Tensor, "V 3"]:
+        """What is solved in closed form: ρd, or the base colour of the `metallic` BRDF.
+
+        Also the share of light that the surface reflects onto itself, without the lobe of its dielectric part.
+        """
         return torch.sigmoid(self.diffuse)
 
     @property
-    def specular_albedo(self) -> Float[Tensor, "#V C"]:
-        """ρs; one row if it is uniform."""
+    def metal_share(self) -> Float[Tensor, "#V 1"]:
+        """Metalness m in 0…1; one row if it is uniform."""
+        assert self.metalness is not None
+        return torch.sigmoid(self.metalness)
+
+    @property
+    def is_metal(self) -> bool:
+        """Is m 1 everywhere, and not optimised?"""
+        return self.metalness is not None and len(self.metalness) == 1 and bool(torch.isinf(self.metalness).all())
+
+    @property
+    def dielectric_f0(self) -> Float[Tensor, "1 1"]:
+        """F0 of the dielectric part of the `metallic` BRDF."""
         assert self.specular is not None
-        return torch.sigmoid(self.specular)
+        return torch.sigmoid(self.specular).clamp_max(MAX_DIELECTRIC_F0)
+
+    @property
+    def diffuse_albedo(self) -> Float[Tensor, "V 3"]:
+        """ρd at vertices; (1 − m)·base for the `metallic` BRDF."""
+        return self.base_color if self.metalness is None else (1 - self.metal_share) * self.base_color
+
+    @property
+    def specular_albedo(self) -> Float[Tensor, "#V C"]:
+        """ρs; one row if it is uniform. (1 − m)·F0 + m·base for the `metallic` BRDF."""
+        assert self.specular is not None
+        if self.metalness is None:
+            return torch.sigmoid(self.specular)
+        return (1 - self.metal_share) * self.dielectric_f0 + self.metal_share * self.base_color
 
     @property
     def alpha(self) -> Float[Tensor, "#V 1"]:
@@ -79,15 +115,7 @@ class Parameters:
         return Parameters(*(None if v is None else v.detach().clone() for v in self._values()))  # type: ignore[arg-type]
 
     def _values(self) -> list[Tensor | None]:
-        return [
-            self.light,
-            self.diffuse,
-            self.specular,
-            self.width,
-            self.log_exposure,
-            self.closed_form_diffuse,
-            self.normal_offset,
-        ]
+        return [getattr(self, field.name) for field in fields(self)]
 
 
 def logit_of_alpha(alpha: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:

@@ -67,24 +67,31 @@ def diffuse_and_specular(
     transport: Transport, batch: PixelBatch, specular: SpecularMatrices | None, parameters: Parameters, bounces: int
 ) -> tuple[Float[Tensor, "P 3"], Float[Tensor, "P 3"] | None]:
     """Radiance of a diffuse albedo of 1, and the specular radiance; None for a diffuse model."""
-    if batch.direct is not None:
-        sources = transport.sky_only(parameters.radiance)
-        arriving = batch.direct @ sources
-    else:
-        assert batch.cache_cells is not None
-        sources, irradiance = transport.sources(parameters.radiance, parameters.diffuse_albedo, bounces)
-        arriving = batch.cache_cells @ irradiance
-        if parameters.normal_offset is not None:
-            shading_normal = normals_of_batch(batch, parameters.normal_offset)
-            vectors = batch.cache_cells @ transport.vector_irradiance(parameters.radiance).reshape(-1, 9)
-            arriving = shading_normal_irradiance(batch.normal, shading_normal, arriving, vectors.reshape(-1, 3, 3))
-    gain = arriving / torch.pi
+    sources, gain = arriving_light(transport, batch, parameters, bounces)
     if specular is None or parameters.specular is None:
         return gain, None
     rho_s = at_pixels(batch, parameters.specular_albedo)
     alpha = at_pixels(batch, parameters.alpha)
     normal = normals_in_lobe_frame(batch, parameters.normal_offset)
     return gain * specular.diffuse_share(rho_s), specular.radiance(sources, rho_s, alpha, normal)
+
+
+def arriving_light(
+    transport: Transport, batch: PixelBatch, parameters: Parameters, bounces: int
+) -> tuple[Float[Tensor, "S 3"], Float[Tensor, "P 3"]]:
+    """Radiance of all that a ray can hit, and irradiance / π at the pixels."""
+    if batch.direct is not None:
+        sources = transport.sky_only(parameters.radiance)
+        arriving = batch.direct @ sources
+    else:
+        assert batch.cache_cells is not None
+        sources, irradiance = transport.sources(parameters.radiance, parameters.base_color, bounces)
+        arriving = batch.cache_cells @ irradiance
+        if parameters.normal_offset is not None:
+            shading_normal = normals_of_batch(batch, parameters.normal_offset)
+            vectors = batch.cache_cells @ transport.vector_irradiance(parameters.radiance).reshape(-1, 9)
+            arriving = shading_normal_irradiance(batch.normal, shading_normal, arriving, vectors.reshape(-1, 3, 3))
+    return sources, arriving / torch.pi
 
 
 def with_exposure(batch: PixelBatch, radiance: Float[Tensor, "P 3"], parameters: Parameters) -> Float[Tensor, "P 3"]:

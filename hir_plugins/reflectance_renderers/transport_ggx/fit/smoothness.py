@@ -13,6 +13,9 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Param
 LOG_ALBEDO_NOISE = 0.02
 """Below this difference of log albedo between neighbours the penalty is quadratic (noise, slow change), above linear.
 """
+METALNESS_IN_LOG_ALBEDO = 1.0
+"""Difference of log albedo that weighs as much as that between metal and dielectric. Both are in one root, so an edge
+of the base colour lets metalness change there too."""
 
 
 @dataclass(frozen=True)
@@ -26,6 +29,8 @@ class SmoothnessWeights:
     normals: float = 1e-3
     normal_prior: float = 1e-4
     """On the length of normal offsets."""
+    metalness_prior: float = 1e-3
+    """Of 4·m·(1 − m): a surface is metal or it is not."""
 
 
 def light_energy(light: Float[Tensor, "H W 3"], smoothness: float, chroma: float) -> Float[Tensor, ""]:
@@ -45,10 +50,16 @@ def smoothness_energy(
         # albedo is nearly piecewise constant: a gradient that shading explains too is shading
         albedo = torch.nn.functional.logsigmoid(parameters.diffuse)
         change = (albedo[edges[:, 0]] - albedo[edges[:, 1]]).square().sum(dim=1)
+        if parameters.metalness is not None and len(parameters.metalness) > 1:
+            metal = METALNESS_IN_LOG_ALBEDO * parameters.metal_share[:, 0]
+            change = change + (metal[edges[:, 0]] - metal[edges[:, 1]]).square()
         energy = energy + weights.albedo * ((change + LOG_ALBEDO_NOISE**2).sqrt() - LOG_ALBEDO_NOISE).mean()
     for value in (parameters.specular, parameters.width):
         if value is not None and len(value) > 1:
             energy = energy + weights.maps * (value[edges[:, 0]] - value[edges[:, 1]]).square().mean()
+    if parameters.metalness is not None and not parameters.is_metal:
+        m = parameters.metal_share
+        energy = energy + weights.metalness_prior * (4 * m * (1 - m)).mean()
     if parameters.normal_offset is not None:
         offset = parameters.normal_offset
         change = (offset[edges[:, 0]] - offset[edges[:, 1]]).square().sum(dim=1)

@@ -67,6 +67,15 @@ class SpecularMatrices:
         a, b = self._albedo_terms
         return (1 - rho_s * a - b).clamp_min(0)
 
+    def share_change(self) -> Float[Tensor, "P 1"]:
+        """How much `diffuse_share` of `dielectric` falls with ρs."""
+        return self._albedo_terms[0]
+
+    def albedo_gain(self, sources: Float[Tensor, "S 3"]) -> Float[Tensor, "P 3"]:
+        """Change of the specular radiance with ρs, for the α and the normals of the last `refresh`."""
+        white = self._w_matrix @ sources
+        return white if self._model == "paper" else white - self._g_matrix @ sources
+
     def radiance(
         self,
         sources: Float[Tensor, "S 3"],

@@ -1,4 +1,5 @@
-"""Path-traced albedo refinement: removes the approximations of the cached transport from the diffuse albedo.
+"""Path-traced albedo refinement: removes the approximations of the cached transport from the diffuse albedo, or from
+the base colour of `metallic`.
 
 A path tracer is unbiased but slow and noisy. It renders the pixels that the textures were solved from once. How a pixel
 changes with its albedo is taken from the cached transport. The noise enters the equations where the photographs' does.
@@ -15,7 +16,7 @@ from torch import Tensor
 from hir_core.mesh.texel_rasterization import dilate, texel_surface
 from hir_core.mesh.texture_inpainting import fill_unobserved
 from hir_core.plugins.interfaces import PreparedReflectance
-from hir_core.scene import Scene
+from hir_core.scene import Material, Scene
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_terms import FitTerms
 from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import Surface, refined_mesh
 from hir_plugins.reflectance_renderers.transport_ggx.textures.texel_equations import TexelEquations, solve_texels
@@ -55,24 +56,29 @@ class AlbedoRefinement:
         parts = [e for e in self.equations if len(e.pixel) and int(e.pixel[0, 0]) in allowed]
         if material is None or material.diffuse_albedo.ndim != 3 or material.observed is None or not parts:
             return None
-        albedo = material.diffuse_albedo
+        albedo, metalness = solved_texture(material)
         with torch.no_grad():
             rows = []
             for done, part in enumerate(parts):
-                rows.append(part if traced is None else self._corrected(part, scene, traced, albedo))
+                rows.append(part if traced is None else self._corrected(part, scene, traced, albedo, metalness))
                 report(0.9 * (done + 1) / len(parts))
             refiner = None if self.terms is None else self.terms.of_textures(scene, TEXEL_HUBER_SRGB)
             weights = TEXEL_HUBER_SRGB, TEXEL_PRIOR_WEIGHT, TEXEL_SMOOTHNESS_WEIGHT
-            found, _ = solve_texels(rows, albedo, *weights, refiner)
+            found, _ = solve_texels(rows, albedo, *weights, metalness, refiner)
             mesh = refined_mesh(surface)
             texels = texel_surface(mesh, (albedo.shape[0], albedo.shape[1]))
             filled = fill_unobserved(found, mesh, material.observed, texels)
             albedo = dilate(filled, texels.covered, PADDING_TEXELS)
         report(1.0)
-        return replace(scene, material=replace(material, diffuse_albedo=albedo))
+        return replace(scene, material=with_solved_texture(material, albedo))
 
     def _corrected(
-        self, rows: TexelEquations, scene: Scene, traced: PreparedReflectance, albedo: Tensor
+        self,
+        rows: TexelEquations,
+        scene: Scene,
+        traced: PreparedReflectance,
+        albedo: Tensor,
+        metalness: Tensor | None,
     ) -> TexelEquations:
         """The same rows, whose constant part is what remains of the path-traced radiance without the albedo's part."""
         view = int(rows.pixel[0, 0])
@@ -84,5 +90,21 @@ class AlbedoRefinement:
             radiance = traced.radiance(scene.material, scene.environment, rows.pixel)
             # one non-finite pixel would reach every texel through conjugate gradients; this one asks for no change
             self._cache[view] = torch.where(torch.isfinite(radiance), radiance, rows.color)
-        looked_up = (albedo.reshape(-1, 3)[rows.index] * rows.weight[..., None]).sum(dim=1)
-        return replace(rows, offset=self._cache[view] - rows.gain * looked_up)
+        return replace(rows, offset=self._cache[view] - rows.radiance(albedo, metalness))
+
+
+def solved_texture(material: Material) -> tuple[Tensor, Tensor | None]:
+    """The texture that the equations solve, (H, W, 3), and the metalness (H, W, 1) of a `metallic` material."""
+    if material.metalness is None:
+        return material.diffuse_albedo, None
+    base = material.base_color
+    return base, material.metalness.expand(base.shape[0], base.shape[1], 1)
+
+
+def with_solved_texture(material: Material, texture: Tensor) -> Material:
+    """The material with another diffuse albedo, or with another base colour if it is `metallic`."""
+    if material.metalness is None:
+        return replace(material, diffuse_albedo=texture)
+    return Material.metallic(
+        texture, material.metalness, material.roughness, material.normal, material.observed, material.dielectric_f0
+    )

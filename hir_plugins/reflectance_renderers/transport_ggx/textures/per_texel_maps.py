@@ -83,7 +83,7 @@ def solve_per_texel_maps(
         shown = Scene(scene.mesh, textured, EnvironmentMap(lit.parameters.radiance))
         refiner = None if terms is None else terms.of_textures(shown, TEXEL_HUBER_SRGB)
         weights = TEXEL_HUBER_SRGB, TEXEL_PRIOR_WEIGHT, TEXEL_SMOOTHNESS_WEIGHT
-        albedo = solve_texels(equations, maps.albedo, *weights, refiner)[0] if equations else maps.albedo
+        albedo = solve_texels(equations, maps.albedo, *weights, refiner=refiner)[0] if equations else maps.albedo
         material = Material(
             model=lit.model,
             diffuse_albedo=dilate(fill_unobserved(albedo, mesh, maps.observed, texels), texels.covered, PADDING_TEXELS),

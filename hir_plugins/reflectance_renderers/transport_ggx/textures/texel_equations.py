@@ -1,5 +1,5 @@
-"""Diffuse albedo at the resolution of the texture: pixels of all photographs see the bilinear texture, and the closed
-form (`fit/closed_form_albedo.py`) solves it. The albedo at vertices is the prior.
+"""Albedo at the resolution of the texture: pixels of all photographs see the bilinear texture, and the closed form
+(`fit/closed_form_albedo.py`) solves it. The albedo at vertices is the prior. For `metallic` it is the base colour.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from torch import Tensor
 from hir_plugins.reflectance_renderers.transport_ggx.fit.closed_form_albedo import (
     AlbedoEquations,
     AlbedoRefiner,
+    MetalTerm,
     solve_albedo,
 )
 from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
@@ -25,7 +26,10 @@ MIN_INFORMATION = 0.7
 
 @dataclass(frozen=True, eq=False)
 class TexelEquations:
-    """One row for each pixel: `gain · (texture at uv) + offset = color`."""
+    """One row for each pixel: `gain · (texture at uv) + offset = color`.
+
+    For `metallic` the texture is the base colour: `gain · ((1 − m)·base at uv) + metal_gain · (m·base at uv) + offset`.
+    """
 
     index: Int[Tensor, "P 4"]
     weight: Float[Tensor, "P 4"]
@@ -39,6 +43,20 @@ class TexelEquations:
     """Where the photograph is clipped: the left side may be larger."""
     pixel: Int[Tensor, "P 3"]
     """View, x and y."""
+    metal_gain: Float[Tensor, "P 3"] | None = None
+    """Change of radiance with the base colour of a metal; only for `metallic`."""
+
+    def radiance(
+        self, texture: Float[Tensor, "H W 3"], metalness: Float[Tensor, "H W 1"] | None
+    ) -> Float[Tensor, "P 3"]:
+        """The left side without `offset`."""
+
+        def at(texels: Tensor) -> Tensor:
+            return (texels.reshape(-1, 3)[self.index] * self.weight[..., None]).sum(dim=1)
+
+        if self.metal_gain is None or metalness is None:
+            return self.gain * at(texture)
+        return self.gain * at((1 - metalness) * texture) + self.metal_gain * at(metalness * texture)
 
 
 def solve_texels(
@@ -47,9 +65,10 @@ def solve_texels(
     huber_srgb: float,
     prior: float,
     smoothness: float = 0.0,
+    metalness: Float[Tensor, "H W 1"] | None = None,
     refiner: AlbedoRefiner | None = None,
 ) -> tuple[Float[Tensor, "H W 3"], Bool[Tensor, "H W"]]:
-    """Albedo in 0…1, and the observed texels.
+    """Albedo in 0…1, or the base colour for a `metalness`, and the observed texels.
 
     `prior` and `smoothness` are the weights of `start` and of differences between neighbouring texels, as fractions of
     the mean weight of a texel's pixels.
@@ -58,12 +77,18 @@ def solve_texels(
     lookup = LinearMap.from_rows(
         torch.cat([e.index for e in equations]), torch.cat([e.weight for e in equations]), height * width
     )
+    metal = None
+    if metalness is not None:
+        gains = [e.metal_gain for e in equations if e.metal_gain is not None]
+        assert len(gains) == len(equations), "equations of a metallic material have a metal gain"
+        metal = MetalTerm(torch.cat(gains), metalness.reshape(-1, 1))
     rows = AlbedoEquations(
         lookup,
         torch.cat([e.gain for e in equations]),
         torch.cat([e.color - e.offset for e in equations]),
         torch.cat([e.importance for e in equations]),
         torch.cat([e.clipped for e in equations]),
+        metal,
     )
 
     def differences(x: Float[Tensor, "N 3"], weight: Float[Tensor, "N 3"]) -> Float[Tensor, "N 3"]:

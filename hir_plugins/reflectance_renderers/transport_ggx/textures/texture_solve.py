@@ -26,6 +26,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_light impor
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
 from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import refined_mesh
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
+from hir_plugins.reflectance_renderers.transport_ggx.textures.metallic_equations import metallic_equations
 from hir_plugins.reflectance_renderers.transport_ggx.textures.normal_map import normal_map
 from hir_plugins.reflectance_renderers.transport_ggx.textures.texel_equations import (
     MIN_INFORMATION,
@@ -76,6 +77,12 @@ def solve_scene(
     surface = texel_surface(mesh, (height, width))
     with torch.no_grad():
         sources, irradiance = _light(transport, parameters, spec, rotation)
+        start = texture_of_vertices(mesh, parameters.base_color, surface)
+        start = dilate(start, surface.covered, PADDING_TEXELS)
+        metalness = None
+        if parameters.metalness is not None:
+            metalness = texture_of_vertices(mesh, parameters.metal_share.expand(len(parameters.diffuse), 1), surface)
+            metalness = dilate(metalness, surface.covered, PADDING_TEXELS)
         vectors = None if parameters.normal_offset is None else transport.vector_irradiance(parameters.radiance)
         equations = []
         information = parameters.light.new_zeros(len(transport.surface.positions), 2)
@@ -83,26 +90,25 @@ def solve_scene(
         for done, view in enumerate(views):
             part = observe_pixels(transport, capture, view, max_pixels, downsample, options.seed + 1)
             rows = _equations(
-                transport, part, parameters, spec, sources, irradiance, vectors, rotation, options, (height, width)
+                transport, part, parameters, spec, sources, irradiance, vectors, rotation, options, start, metalness
             )
-            information += _vertex_information(transport, part, rows)
+            information += _vertex_information(transport, part, rows, metalness)
             equations += rows
             report(0.8 * (done + 1) / len(views))
-        start = texture_of_vertices(mesh, parameters.diffuse_albedo, surface)
-        start = dilate(start, surface.covered, PADDING_TEXELS)
         refiner = None
         if terms is not None:
             at_vertices = material_at_vertices(parameters, spec.brdf)
             textured = replace(
                 at_vertices,
-                diffuse_albedo=start,
+                diffuse_albedo=_padded(mesh, surface, at_vertices.diffuse_albedo),
                 specular_albedo=_padded(mesh, surface, at_vertices.specular_albedo),
                 roughness=_padded(mesh, surface, at_vertices.roughness),
+                metalness=metalness,
             )
             shown = Scene(scene.mesh, textured, EnvironmentMap(parameters.radiance, None, spec.light_frame))
             refiner = terms.of_textures(shown, TEXEL_HUBER_SRGB)
-        diffuse, observed_texels = solve_texels(
-            equations, start, TEXEL_HUBER_SRGB, TEXEL_PRIOR_WEIGHT, TEXEL_SMOOTHNESS_WEIGHT, refiner
+        solved, observed_texels = solve_texels(
+            equations, start, TEXEL_HUBER_SRGB, TEXEL_PRIOR_WEIGHT, TEXEL_SMOOTHNESS_WEIGHT, metalness, refiner
         )
         # texels that are smaller than a photograph's pixels are observed through their vertices
         known = (
@@ -115,32 +121,23 @@ def solve_scene(
         def finished(texture: Float[Tensor, "H W C"]) -> Float[Tensor, "H W C"]:
             return dilate(fill_unobserved(texture, mesh, observed, surface), surface.covered, PADDING_TEXELS)
 
-        material = Material(
-            model="paper" if spec.brdf == "paper" else "dielectric",
-            diffuse_albedo=finished(diffuse),
-            specular_albedo=_map(mesh, surface, _rgb(parameters.specular_albedo), finished)
-            if spec.brdf != "diffuse"
-            else diffuse.new_zeros(3),
-            roughness=_map(mesh, surface, parameters.alpha, finished)
-            if spec.brdf != "diffuse"
-            else diffuse.new_ones(1),
-            normal=None
-            if parameters.normal_offset is None
-            else normal_map(
-                scene.mesh, finished(texture_of_vertices(mesh, parameters.normal_offset, surface)), PADDING_TEXELS
-            ),
-            observed=observed,
-        )
+        texture = finished(solved)
+        normal = None
+        if parameters.normal_offset is not None:
+            offset = finished(texture_of_vertices(mesh, parameters.normal_offset, surface))
+            normal = normal_map(scene.mesh, offset, PADDING_TEXELS)
         if spec.brdf == "diffuse":
             # with ρs = 0 the paper's model is Lambertian; `dielectric` would still reflect at grazing angles
-            material = Material(
-                "paper",
-                material.diffuse_albedo,
-                material.specular_albedo,
-                material.roughness,
-                material.normal,
-                observed,
-            )
+            material = Material("paper", texture, solved.new_zeros(3), solved.new_ones(1), normal, observed)
+        else:
+            roughness = _map(mesh, surface, parameters.alpha, finished)
+            if parameters.metalness is None:
+                specular = _map(mesh, surface, _rgb(parameters.specular_albedo), finished)
+                material = Material(spec.brdf, texture, specular, roughness, normal, observed)
+            else:
+                metal = _map(mesh, surface, parameters.metal_share, finished)
+                f0 = float(parameters.dielectric_f0)
+                material = Material.metallic(texture, metal, roughness, normal, observed, f0)
         report(1.0)
     share = int(observed.sum()) / max(int(surface.covered.sum()), 1)
     report_values: TextureReport = {
@@ -162,7 +159,8 @@ def _equations(
     vectors: Tensor | None,
     rotation: Tensor | None,
     options: TransportGGXOptions,
-    size: tuple[int, int],
+    start: Float[Tensor, "H W 3"],
+    metalness: Float[Tensor, "H W 1"] | None,
 ) -> list[TexelEquations]:
     if len(part) == 0:
         return []
@@ -185,7 +183,11 @@ def _equations(
         lobes = transport.lobes(points, alpha, options.texture_samples, rotation, options.seed)
         received = lobe_radiance(lobes, alpha, sources)
         gain, specular = gain_and_lobe(spec.brdf, rho_s, alpha, arriving, lobes, received)
-    return [texel_equations(transport, part, gain, specular, parameters.exposure, size)]
+    rows = texel_equations(transport, part, gain, specular, parameters.exposure, (start.shape[0], start.shape[1]))
+    if metalness is None:
+        return [rows]
+    f0 = float(parameters.dielectric_f0)
+    return [metallic_equations(rows, start, metalness, f0, arriving, lobes, alpha, received)]
 
 
 def texel_equations(
@@ -204,13 +206,17 @@ def texel_equations(
 
 
 def _vertex_information(
-    transport: Transport, part: ObservedPixels, equations: list[TexelEquations]
+    transport: Transport, part: ObservedPixels, equations: list[TexelEquations], metalness: Tensor | None
 ) -> Float[Tensor, "V 2"]:
     """For each vertex: the number of pixels, and the sum of their squared gains where they are not clipped."""
     if not equations:
         return part.color.new_zeros(len(transport.surface.positions), 2)
     vertices, _ = transport.interpolation(part.points)
-    light = (equations[0].gain.square() * ~equations[0].clipped).mean(dim=1)
+    rows = equations[0]
+    gain = rows.gain
+    if metalness is not None:
+        gain = rows.radiance(torch.ones_like(metalness).expand(-1, -1, 3), metalness)
+    light = (gain.square() * ~rows.clipped).mean(dim=1)
     return vertices.transposed @ torch.stack([torch.ones_like(light), light], dim=1)
 
 
@@ -227,7 +233,7 @@ def _light(
 ) -> tuple[Tensor, Tensor]:
     if rotation is not None:
         return transport.sky_only(parameters.radiance), parameters.radiance.new_zeros(0, 3)
-    return transport.sources(parameters.radiance, parameters.diffuse_albedo, spec.bounces)
+    return transport.sources(parameters.radiance, parameters.base_color, spec.bounces)
 
 
 def _map(

@@ -1,4 +1,4 @@
-"""`transport_ggx` shades a `metallic` material and refuses to fit one."""
+"""`transport_ggx` shades a `metallic` material."""
 
 from __future__ import annotations
 
@@ -9,8 +9,6 @@ import pytest
 import torch
 
 from hir_core.capture import Capture, Pixels, View
-from hir_core.errors import StageError
-from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene import EnvironmentMap, Material, Scene
 from hir_plugins.reflectance_renderers.mitsuba_ggx.options import MitsubaGGXOptions
 from hir_plugins.reflectance_renderers.mitsuba_ggx.renderer import MitsubaGGX
@@ -81,9 +79,3 @@ def test_gradients_of_base_colour_and_metalness_are_finite_differences() -> None
         torch.testing.assert_close(gradients[0][0].double(), (up - down) / (2 * step), rtol=1e-3, atol=0)
         up, down = (total(base, m + s * step) for s in (1, -1))
         torch.testing.assert_close(gradients[1][0].double(), (up - down) / (2 * step), rtol=1e-3, atol=0)
-
-
-def test_its_solver_refuses_a_metallic_material() -> None:
-    solver = TransportGGX(OPTIONS).prepare(scene(1.0), capture())
-    with pytest.raises(StageError, match="renders a `metallic` material but does not fit one; give the scene a"):
-        solver.fit(ModelSpec("dielectric", "uniform"), None, [0], 0.1, lambda share: None)
