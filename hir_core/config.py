@@ -140,11 +140,11 @@ class ReflectanceSettings:
     model: ModelName = "auto"
     """`auto` selects the model on held-out views; any other is fitted without a comparison."""
     brdf: Literal["auto", "paper", "dielectric", "metallic"] = "auto"
-    """BRDF of the specular models; `auto` compares them where the model is selected, else `dielectric`. `metallic` is
-    glTF's own model."""
+    """BRDF of the models with a specular lobe; `auto` compares all but `paper`, and a diffuse model, where the model is
+    selected, and is `dielectric` elsewhere. `metallic` is glTF's own model."""
     metalness: Literal["auto", "metal", "map"] = "auto"
-    """Of the BRDF `metallic`: `metal` is metal everywhere, `map` is metal in some places and dielectric in others; the
-    solver's `auto` is `map`."""
+    """Of the BRDF `metallic`: `metal` is metal everywhere, `map` is metal in some places and dielectric in others.
+    `auto` compares both where the model is selected, and is `map` elsewhere."""
     regularizers: dict[str, dict[str, Any] | Literal[False]] = field(default_factory=dict)
     """Weight and options of each term, `false` to leave one out."""
     downsample: int = 1

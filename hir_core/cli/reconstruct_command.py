@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -112,9 +113,17 @@ def _check_heavy_packages() -> None:
         )
 
 
+def explanation_sentence(document: Mapping[str, Any]) -> str:
+    """The selected material and light beside the runner-up, from run.json; empty where none were compared."""
+    report = document.get("stages", {}).get("reflectance", {}).get("report") or {}
+    return str((report.get("explanation") or {}).get("sentence", ""))
+
+
 def _summary(result: Run) -> None:
     """Prints where the results are."""
     directory = result.directory
+    if sentence := explanation_sentence(directory.read_run()):
+        click.echo(f"{'model':>8}  {sentence}")
     lines = [("asset", directory.scene), ("files", directory.exports), ("report", directory.path / "report.html")]
     for name, path in lines:
         if path.exists():

@@ -167,10 +167,12 @@ class ReflectanceSolver(PreparedReflectance, Generic[FitT, RefinementT]):
         effort: float,
         report: Callable[[float], None],
         checkpoint: CheckpointLocation | None = None,
+        pixel_share: float = 1.0,
     ) -> FitT:
-        """Fits light and material of a model to some views, from an earlier fit or from the prepared scene.
+        """Fits light and material of a model to some views, from an earlier fit or from its own initial guess.
 
-        `effort` 1 is a full fit; 0 (for models with `per_texel` values) leaves the parameters at vertices as they are.
+        `effort` 1 is a full fit, of its steps; 0 (for models with `per_texel` values) leaves the parameters at vertices
+        as they are. `pixel_share` is the share of the pixels of a full fit, 0…1, that are used.
         `report` receives the share that is done, 0…1. With a `checkpoint` a finished fit is read again instead of
         computed, and an interrupted one continues from its last state. The result does not depend on other views.
         """

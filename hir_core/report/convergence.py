@@ -25,7 +25,6 @@ TITLES = {
     "gradient_norm": "gradient norm",
     "silhouette": "silhouettes, 1 − IoU",
     "held_out_psnr": "held-out views, dB",
-    "training_psnr": "fitted views, dB",
     "loss": "loss",
 }
 """Titles of scalars; the name of another scalar is its title."""
@@ -68,15 +67,11 @@ def history(directory: RunDirectory, document: Document, timings: Document) -> H
         lines.append(_series("the photographs above, after each stage", "stages", points))
     seconds = milestones(timings, MODEL_FITTED)
     curves = read_curves(directory.stage("reflectance") / "curves.npz")
-    for name, kind, label in (
-        ("held_out_psnr", "held-out", "held-out views during model selection"),
-        ("training_psnr", "fitted", "fitted views"),
-    ):
-        if name in curves and len(curves[name][1]) == len(seconds):
-            start = start_of.get("reflectance", 0.0)
-            lines.append(
-                _series(label, kind, [(start + s, float(v)) for s, v in zip(seconds, curves[name][1], strict=True)])
-            )
+    found = curves.get("held_out_psnr")
+    if found is not None and len(found[1]) == len(seconds):
+        start = start_of.get("reflectance", 0.0)
+        points = [(start + s, float(v)) for s, v in zip(seconds, found[1], strict=True)]
+        lines.append(_series("held-out views during model selection", "held-out", points))
     unseen = document.get("metrics", {}).get("test", {}).get("psnr", {}).get("object")
     if unseen is not None and "reflectance" in end_of:
         lines.append(_series("unseen views", "unseen", [(end_of["reflectance"], float(unseen))]))

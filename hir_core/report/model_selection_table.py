@@ -1,4 +1,4 @@
-"""The section on model selection: every candidate, its gain on held-out views, and the refinements after it."""
+"""The section on model selection: hypotheses with their margins, refinements with their gains on held-out views."""
 
 from __future__ import annotations
 
@@ -18,15 +18,24 @@ REFINEMENTS = {
 
 
 def model_selection(document: Document, seconds: Sequence[float]) -> Markup:
-    """The table of candidates and one sentence for each refinement.
+    """The explanation, the tables of hypotheses and of refinements, and one sentence for each later step.
 
-    `seconds` are the times at which the comparisons ended. The time of a first candidate includes the fit of the model
-    that it is compared with.
+    `seconds` are the times at which the comparisons ended. The time of a first refinement includes all hypotheses and
+    the fit of the model that it is compared with.
     """
     report = report_of(document, "reflectance")
     comparisons = report.get("comparisons") or []
-    parts = [_candidates(comparisons, seconds)] if comparisons else []
-    if not comparisons and report.get("model"):
+    explanation, hypotheses = report.get("explanation"), report.get("hypotheses") or []
+    parts = []
+    if explanation:
+        text = f"{explanation['sentence']} ({explanation.get('held_out_views') or 0} held-out views)."
+        near = " The margin is within noise." if explanation.get("near_tie") else ""
+        parts.append(notice(text[:1].upper() + text[1:] + near))
+    if hypotheses:
+        parts.append(_hypotheses(hypotheses))
+    if comparisons:
+        parts.append(_candidates(comparisons, seconds))
+    if not comparisons and not hypotheses and report.get("model"):
         parts.append(notice(f"No models were compared; the settings chose {report['model']}."))
     for key, text in REFINEMENTS.items():
         refinement = report.get(key) or {}
@@ -35,19 +44,34 @@ def model_selection(document: Document, seconds: Sequence[float]) -> Markup:
     return Markup("").join(parts)
 
 
+def _hypotheses(hypotheses: Sequence[Document]) -> Markup:
+    rounds = max(len(entry["held_out_db"]) for entry in hypotheses)
+    rows = []
+    for entry in hypotheses:
+        curve = list(entry["held_out_db"])
+        levels = [Cell(f"{level:.2f}", "number") for level in curve]
+        levels += [Cell("–", "number")] * (rounds - len(curve))
+        selected = entry.get("margin_db") is None
+        margin = f"{number(entry['margin_db'], 2)} ± {number(entry['standard_error_db'], 2)}" if not selected else "–"
+        state = "selected" if selected else "dropped" if entry["dropped"] else "rejected"
+        rows.append(Row(str(entry["hypothesis"]), (*levels, Cell(margin, "number"), Cell(state)), state))
+    headings = ("", *(f"round {i + 1}, dB" for i in range(rounds)), "behind by, dB", "")
+    return table("hypotheses", headings, rows)
+
+
 def _candidates(comparisons: Sequence[Document], seconds: Sequence[float]) -> Markup:
     levels = [entry["held_out_db"] for entry in comparisons]
     low, span = min(levels) - 1, max(max(levels) - min(levels) + 1, 1e-9)
     known = len(seconds) == len(comparisons)
     spent = np.diff(seconds, prepend=0.0).tolist() if known else [None] * len(comparisons)
     rows = []
-    for i, (entry, time) in enumerate(zip(comparisons, spent, strict=True)):
+    for entry, time in zip(comparisons, spent, strict=True):
         gain = f"{number(entry['gain_db'], 2)} ± {number(entry['standard_error_db'], 2)}"
         decision = "accepted" if entry["accepted"] else "rejected"
         cells = (
             Cell(f"{100 * (entry['held_out_db'] - low) / span:.1f}", "bar"),
             Cell(f"{entry['held_out_db']:.2f} dB", "number"),
-            Cell("first model" if i == 0 else gain, "number"),
+            Cell(gain, "number"),
             Cell("–" if time is None else duration(time), "number"),
             Cell(decision),
         )

@@ -3,25 +3,40 @@
 from __future__ import annotations
 
 HELD_OUT_INTERVAL = 8
-"""Every eighth view is held out for model selection."""
-MIN_HELD_OUT_VIEWS = 3
-"""One view alone has no standard error, so that no candidate could ever be accepted."""
+"""At least every eighth view is held out for model selection."""
+MIN_HELD_OUT_VIEWS = 6
+"""Views that judge a model where the capture has enough: the standard error of two or three is itself a guess."""
 MIN_VIEWS = 6
 """With fewer views none is held out and no models are compared."""
 MIN_VIEWS_FOR_GEOMETRY = 10
 """With fewer views the silhouette fit holds none out."""
+FOLDS = 2
+
+Fold = tuple[list[int], list[int]]
+"""Indices of the training views and of the held-out views."""
 
 
-def held_out_for_model_selection(views: int) -> tuple[list[int], list[int]]:
-    """Indices of the training views and of the held-out views; none is held out of fewer than `MIN_VIEWS`."""
-    every = list(range(views))
+def model_selection_folds(views: int) -> list[Fold]:
+    """Disjoint sets of held-out views, spaced evenly over the capture's order; none with fewer than `MIN_VIEWS`.
+
+    Half of fewer than twelve views is held out: there both folds together make every view a judge.
+    """
     if views < MIN_VIEWS:
-        held_out = []
-    elif views < MIN_HELD_OUT_VIEWS * HELD_OUT_INTERVAL:
-        held_out = [int((i + 0.5) * views / MIN_HELD_OUT_VIEWS) for i in range(MIN_HELD_OUT_VIEWS)]
-    else:
-        held_out = every[HELD_OUT_INTERVAL // 2 :: HELD_OUT_INTERVAL]
-    return [v for v in every if v not in held_out], held_out
+        return []
+    count = min(views // 2, max(MIN_HELD_OUT_VIEWS, views // HELD_OUT_INTERVAL))
+    folds = []
+    for number in range(FOLDS):
+        # offsets that differ by half a stride of two or more views never meet
+        offset = 0.5 if number == 0 else 0.0
+        held_out = [int((i + offset) * views / count) for i in range(count)]
+        folds.append(([v for v in range(views) if v not in held_out], held_out))
+    return folds
+
+
+def held_out_for_model_selection(views: int) -> Fold:
+    """The first fold; all views are training views where none can be held out."""
+    folds = model_selection_folds(views)
+    return folds[0] if folds else (list(range(views)), [])
 
 
 def held_out_for_geometry(views: int, share: float) -> list[int]:

@@ -10,10 +10,14 @@ from typing import Generic, final
 from hir_core.plugins.interfaces import CheckpointLocation, FitT, RefinementT, ReflectanceSolver
 from hir_core.plugins.model_spec import ModelSpec
 
+MIN_COST_SHARE = 0.2
+"""Time of a step on very few pixels, as a share of one on all: the light and the mesh are as large."""
 
-def fit_cost(spec: ModelSpec, effort: float) -> float:
+
+def fit_cost(spec: ModelSpec, effort: float, pixel_share: float = 1.0) -> float:
     """Estimated time of a fit in full diffuse fits; for the progress bar alone."""
-    return effort * (1 if spec.brdf == "diffuse" else 2) * (1.5 if spec.normals == "map" else 1)
+    pixels = MIN_COST_SHARE + (1 - MIN_COST_SHARE) * pixel_share
+    return effort * pixels * (1 if spec.brdf == "diffuse" else 2) * (1.5 if spec.normals == "map" else 1)
 
 
 @final
@@ -40,8 +44,8 @@ class FitSequence(Generic[FitT, RefinementT]):
         self._expected = self._started = self._share = 0.0
 
     def expect(self, cost: float) -> None:
-        """The cost of all fits to come; a longer sequence is allowed."""
-        self._expected = cost
+        """The cost of all fits to come; it may be stated again, and a longer sequence is allowed."""
+        self._expected = self._started + cost
 
     def fit(
         self,
@@ -49,22 +53,27 @@ class FitSequence(Generic[FitT, RefinementT]):
         initial: FitT | None,
         views: Sequence[int],
         effort: float,
+        pixel_share: float = 1.0,
         cost_effort: float | None = None,
     ) -> FitT:
         """`ReflectanceSolver.fit` with the next checkpoint; its progress counts as a fit of `cost_effort`."""
-        report = self._part(spec, effort if cost_effort is None else cost_effort)
-        return self.solver.fit(spec, initial, views, effort, report, self.checkpoint(spec, views, effort))
+        report = self._part(spec, fit_cost(spec, effort if cost_effort is None else cost_effort, pixel_share))
+        checkpoint = self.checkpoint(spec, views, effort, pixel_share)
+        return self.solver.fit(spec, initial, views, effort, report, checkpoint, pixel_share)
 
-    def checkpoint(self, spec: ModelSpec, views: Sequence[int], effort: float) -> CheckpointLocation | None:
+    def checkpoint(
+        self, spec: ModelSpec, views: Sequence[int], effort: float, pixel_share: float = 1.0
+    ) -> CheckpointLocation | None:
         """Where the next fit of the sequence stores its state."""
         if self._folder is None:
             return None
         self._count += 1
-        digest = hashlib.blake2b(repr((spec, tuple(views), effort)).encode(), digest_size=8).hexdigest()
+        key = repr((spec, tuple(views), effort, pixel_share))
+        digest = hashlib.blake2b(key.encode(), digest_size=8).hexdigest()
         return CheckpointLocation(self._folder / f"fit_{self._count}_{digest}", self._seconds)
 
-    def _part(self, spec: ModelSpec, effort: float) -> Callable[[float], None]:
-        begin, cost = self._started, fit_cost(spec, effort)
+    def _part(self, spec: ModelSpec, cost: float) -> Callable[[float], None]:
+        begin = self._started
         self._started += cost
 
         def report(share: float) -> None:

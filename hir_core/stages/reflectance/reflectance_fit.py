@@ -26,6 +26,9 @@ from hir_core.stages.reflectance.reflectance_report import (
     ReflectanceReport,
     TermReport,
     comparison_reports,
+    explanation_report,
+    hypothesis_reports,
+    near_tie_warning,
     significant,
 )
 from hir_core.stages.reflectance.requested_model import default_spec, forced_spec
@@ -81,13 +84,16 @@ def _fit_by_solver(
         solver = solver.with_terms(terms)
     progress = StageProgress(context)
     fits = FitSequence(solver, progress.selecting, context.checkpoints, context.checkpoint_seconds)
-    fit, spec, comparisons = select_model(fits, settings, len(views), progress)
-    if not comparisons and forced_spec(settings) is None:
+    selection = select_model(fits, settings, len(views), progress)
+    fit, spec = selection.fit, selection.spec
+    if not selection.compared and forced_spec(settings) is None:
         context.warn(
             f"{len(views)} views are too few to hold some out, so no models were compared; the model is {spec.name}. "
             "Take at least 6 photographs to have the model selected"
         )
-    if comparisons:
+    if warning := near_tie_warning(selection):
+        context.warn(warning)
+    if selection.compared:
         report_share = progress.phase("all views", f"{spec.name}, all views")
         fit = solver.fit(spec, fit, views, 1.0, report_share, fits.checkpoint(spec, views, 1.0))
     solved = solver.scene(fit, views, progress.phase("textures"))
@@ -125,7 +131,9 @@ def _fit_by_solver(
         light_frame=spec.light_frame,
         fitted=LightAndMaterial.of(fitted),
         bounces=spec.bounces,
-        comparisons=comparison_reports(comparisons),
+        explanation=explanation_report(selection),
+        hypotheses=hypothesis_reports(selection),
+        comparisons=comparison_reports(selection),
         regularizers=_reported(energies, fitted, "solver" if takes_terms else "gradient steps", context),
         solver=solved.report,
         gradient=gradient,

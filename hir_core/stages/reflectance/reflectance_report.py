@@ -2,18 +2,53 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
+from hir_core.plugins.interfaces import FitT
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene import Scene
-from hir_core.stages.reflectance.model_selection import Comparison
+from hir_core.stages.reflectance.hypotheses import described, forcing_settings
+from hir_core.stages.reflectance.model_selection import Selection
+
+
+@dataclass(frozen=True)
+class HypothesisReport:
+    """One hypothesis of the model selection; dB rounded to 0.001."""
+
+    hypothesis: str
+    """Kind of material and light."""
+    kind: str
+    light_frame: str
+    held_out_db: tuple[float, ...]
+    """Mean PSNR on held-out views after each round that it took part in."""
+    dropped: bool
+    """Whether it was dropped before the last round, because it could not catch up."""
+    margin_db: float | None = None
+    """How far it is behind the selected one, in the last fits that both had; None for the selected one."""
+    standard_error_db: float | None = None
+
+
+@dataclass(frozen=True)
+class ExplanationReport:
+    """The selected hypothesis beside the runner-up."""
+
+    chosen: str
+    runner_up: str | None = None
+    """None where the settings left one hypothesis."""
+    margin_db: float | None = None
+    standard_error_db: float | None = None
+    held_out_views: int | None = None
+    near_tie: bool = False
+    """Whether the margin is within noise."""
+    sentence: str = ""
+    """All of it in words."""
 
 
 @dataclass(frozen=True)
 class ComparisonReport:
-    """One candidate of the model selection; dB rounded to 0.001."""
+    """One refinement, or one hypothesis that was questioned again; dB rounded to 0.001."""
 
     model: str
     """Name of the candidate."""
@@ -96,6 +131,9 @@ class ReflectanceReport:
     fitted: LightAndMaterial
     bounces: int | None = None
     """Reflections between parts of the surface that the solver modelled."""
+    explanation: ExplanationReport | None = None
+    """What kind of material under what kind of light explains the photographs; None where none were compared."""
+    hypotheses: tuple[HypothesisReport, ...] = ()
     comparisons: tuple[ComparisonReport, ...] = ()
     solver: Mapping[str, Any] | None = None
     """Figures of the solver's own."""
@@ -113,7 +151,61 @@ class ReflectanceReport:
         return _without_none(document | document.pop("fitted"))
 
 
-def comparison_reports(comparisons: Sequence[Comparison]) -> tuple[ComparisonReport, ...]:
+def hypothesis_reports(selection: Selection[FitT]) -> tuple[HypothesisReport, ...]:
+    """The hypotheses of a model selection, the selected one first and the rest by their margin."""
+    margins = {each.spec: each for each in selection.margins}
+    contestants = {each.spec: each for each in selection.contestants}
+    reports = []
+    for spec in (selection.hypothesis, *margins) if contestants else ():
+        margin = margins.get(spec)
+        reports.append(
+            HypothesisReport(
+                described(spec),
+                spec.kind,
+                spec.light_frame,
+                tuple(round(value, 3) for value in contestants[spec].curve_db),
+                contestants[spec].dropped,
+                None if margin is None else round(margin.margin_db, 3),
+                None if margin is None else round(margin.standard_error_db, 3),
+            )
+        )
+    return tuple(reports)
+
+
+def explanation_report(selection: Selection[FitT]) -> ExplanationReport | None:
+    """The selected hypothesis beside the runner-up; None where nothing was compared."""
+    if not selection.compared:
+        return None
+    chosen = described(selection.hypothesis)
+    if not selection.margins:
+        return ExplanationReport(chosen, sentence=f"{chosen}; the settings left no other hypothesis")
+    runner_up = selection.margins[0]
+    name = described(runner_up.spec, beside=selection.hypothesis)
+    side = "worse" if runner_up.margin_db >= 0 else "better, but less simple"
+    return ExplanationReport(
+        chosen,
+        described(runner_up.spec),
+        round(runner_up.margin_db, 3),
+        round(runner_up.standard_error_db, 3),
+        runner_up.held_out_views,
+        runner_up.is_near_tie,
+        f"{chosen}; next: {name}, {abs(runner_up.margin_db):.1f} ± {runner_up.standard_error_db:.1f} dB {side}",
+    )
+
+
+def near_tie_warning(selection: Selection[FitT]) -> str | None:
+    """One sentence where the margin to the runner-up is within noise: it names the settings that force either."""
+    if not selection.margins or not selection.margins[0].is_near_tie:
+        return None
+    first, second = selection.hypothesis, selection.margins[0]
+    return (
+        f"held-out views hardly distinguish {described(first)} from {described(second.spec)} "
+        f"({second.margin_db:+.1f} ± {second.standard_error_db:.1f} dB on {second.held_out_views} views); to force the "
+        f"first: {forcing_settings(first)}; the second: {forcing_settings(second.spec)}"
+    )
+
+
+def comparison_reports(selection: Selection[FitT]) -> tuple[ComparisonReport, ...]:
     """The comparisons of a model selection for run.json."""
     return tuple(
         ComparisonReport(
@@ -124,7 +216,7 @@ def comparison_reports(comparisons: Sequence[Comparison]) -> tuple[ComparisonRep
             round(c.standard_error_db, 3),
             c.accepted,
         )
-        for c in comparisons
+        for c in selection.comparisons
     )
 
 

@@ -7,36 +7,34 @@ from typing import Literal
 
 from hir_core.config import ReflectanceSettings
 from hir_core.errors import ConfigError
-from hir_core.plugins.model_spec import ModelSpec
+from hir_core.plugins.model_spec import MaterialKind, ModelSpec
+from hir_core.stages.reflectance.hypotheses import hypothesis, kinds_of
 
 
 def forced_spec(settings: ReflectanceSettings) -> ModelSpec | None:
-    """The model that the settings name; None where models are compared.
-
-    Raises `ConfigError` for a model that needs a fixed light or another BRDF.
-    """
+    """The model that `reflectance.model` names; None for `auto`. Raises `ConfigError` where it contradicts the rest."""
+    if settings.model == "auto":
+        return None
+    if settings.model == "diffuse":
+        return _spec("diffuse", settings)
     spec = default_spec(settings)
     if settings.model in ("normal_map", "per_texel_brdf") and spec.light_frame == "camera":
         raise ConfigError(
             f"reflectance.model={settings.model} needs a light that is fixed in the world; "
             "remove it or reflectance.light_frame=camera"
         )
+    if settings.model == "specular_map" and spec.brdf == "metallic":
+        raise ConfigError(
+            "reflectance.model=specular_map does not go with reflectance.brdf=metallic, whose base colour is always a "
+            "map; choose reflectance.model=specular or roughness_map"
+        )
     match settings.model:
-        case "auto":
-            return spec if settings.brdf == "metallic" else None
-        case "diffuse":
-            return ModelSpec(light_frame=spec.light_frame, light_is_known=spec.light_is_known)
         case "specular":
             return spec
         case "specular_map":
-            if settings.brdf == "metallic":
-                raise ConfigError(
-                    "reflectance.model=specular_map does not go with reflectance.brdf=metallic, whose base colour is "
-                    "always a map; choose reflectance.model=specular or roughness_map"
-                )
             return replace(spec, specular="map")
         case "roughness_map":
-            return replace(spec, specular="uniform" if settings.brdf == "metallic" else "map", roughness="map")
+            return replace(spec, specular=spec.specular if spec.brdf == "metallic" else "map", roughness="map")
         case "normal_map":
             return replace(spec, normals="map")
         case "per_texel_brdf":
@@ -45,14 +43,13 @@ def forced_spec(settings: ReflectanceSettings) -> ModelSpec | None:
 
 def default_spec(settings: ReflectanceSettings) -> ModelSpec:
     """The model that is fitted where too few views allow a comparison."""
-    frame, known = initial_light_frame(settings), bool(settings.known_environment)
-    if settings.brdf == "metallic":
-        metalness = "map" if settings.metalness == "auto" else settings.metalness
-        return ModelSpec("metallic", "uniform", light_frame=frame, light_is_known=known, metalness=metalness)
-    brdf = "dielectric" if settings.brdf == "auto" else settings.brdf
-    return ModelSpec(brdf, "uniform", light_frame=frame, light_is_known=known)
+    return _spec("dielectric" if settings.brdf == "auto" else kinds_of(settings)[-1], settings)
+
+
+def _spec(kind: MaterialKind, settings: ReflectanceSettings) -> ModelSpec:
+    return replace(hypothesis(kind, initial_light_frame(settings), bool(settings.known_environment)), bounces=0)
 
 
 def initial_light_frame(settings: ReflectanceSettings) -> Literal["world", "camera"]:
-    """The frame of the light in the first candidate."""
+    """The frame of the light where none is compared."""
     return "world" if settings.light_frame == "auto" else settings.light_frame

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from hir_core.plugins.progress import MODEL_FITTED, MODELS_COMPARED, Progress
-from hir_core.stages.reflectance.model_selection import Comparison, SelectionObserver
+from hir_core.stages.reflectance.model_selection import SelectionObserver
+from hir_core.stages.reflectance.refinement_selection import Comparison
 
 if TYPE_CHECKING:
     from hir_core.run.stage_context import StageContext
@@ -41,9 +42,9 @@ class StageProgress(SelectionObserver):
         """A model is being fitted, with this share of the model selection done."""
         self.phase("model selection", model)(share)
 
-    def evaluated(self, held_out_db: float, training_db: float) -> None:
+    def evaluated(self, held_out_db: float) -> None:
         """Mean PSNR of a fit."""
-        self._report({"held_out_psnr": np.array([held_out_db]), "training_psnr": np.array([training_db])}, MODEL_FITTED)
+        self._report({"held_out_psnr": np.array([held_out_db])}, MODEL_FITTED)
 
     def compared(self, comparison: Comparison) -> None:
         """A candidate was compared; all that was fitted for it has finished."""

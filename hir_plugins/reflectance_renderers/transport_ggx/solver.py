@@ -129,6 +129,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         effort: float,
         report: Callable[[float], None],
         checkpoint: CheckpointLocation | None = None,
+        pixel_share: float = 1.0,
     ) -> Fit:
         """Adam on cached transport; the parameters of a model start from the values of the earlier fit.
 
@@ -140,20 +141,21 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
             # per-texel values are solved when they are used
             base = initial
             if base is None or effort > 0:
-                base = self.fit(replace(spec, per_texel="none"), initial, views, effort, report, checkpoint)
+                vertices = replace(spec, per_texel="none")
+                base = self.fit(vertices, initial, views, effort, report, checkpoint, pixel_share)
             report(1.0)
             return Fit(spec, base.parameters, tuple(views))
         simpler = _simpler_model(spec)
         if initial is None and simpler is not None:
             part = checkpoint.part(simpler.kind) if checkpoint is not None else None
-            initial = self.fit(simpler, None, views, effort, lambda share: None, part)
+            initial = self.fit(simpler, None, views, effort, lambda share: None, part, pixel_share)
         file = FitCheckpoint(checkpoint.stem, checkpoint.seconds) if checkpoint is not None else None
         device = self._transport.surface.positions.device
         finished = file.result() if file is not None else None
         if finished is not None:
             report(1.0)
             return Fit(spec, finished.to(device), tuple(views))
-        photographs = self._subsampled(self._photographs(views), effort)
+        photographs = self._subsampled(self._photographs(views), pixel_share)
         if not len(photographs):
             raise StageError(
                 f"no pixel of {len(views)} photographs shows the surface from more than {MIN_VIEW_DEGREES:.0f} degrees"
@@ -303,10 +305,9 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
                 )
         return concatenate([self._observed_pixels[v] for v in views])
 
-    def _subsampled(self, photographs: ObservedPixels, effort: float) -> ObservedPixels:
-        """Fewer pixels for a fit of less than half the full effort."""
-        share = min(1.0, 2 * effort)
-        if share == 1.0:
+    def _subsampled(self, photographs: ObservedPixels, share: float) -> ObservedPixels:
+        """A share of the pixels, drawn at random."""
+        if share >= 1.0:
             return photographs
         generator = torch.Generator().manual_seed(self._options.seed)
         return photographs.take((torch.rand(len(photographs), generator=generator) < share).nonzero()[:, 0])
@@ -421,7 +422,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         effort: float,
     ) -> Parameters:
         """The candidate from which a short fit reaches the lowest loss."""
-        part = self._subsampled(photographs, TRIAL_PIXEL_SHARE / 2)
+        part = self._subsampled(photographs, TRIAL_PIXEL_SHARE)
         steps = max(1, round(min(TRIAL_EFFORT, effort) * self._options.steps))
         short = replace(settings, steps=steps, solve_albedo=False)
         losses = [self._short_fit(part, spec, candidate, short) for candidate in candidates]
@@ -449,13 +450,14 @@ def _simpler_model(spec: ModelSpec) -> ModelSpec | None:
         return ModelSpec(
             "metallic",
             "uniform",
+            bounces=spec.bounces,
             light_frame=spec.light_frame,
             light_is_known=spec.light_is_known,
             metalness="metal",
         )
     if spec.brdf in ("diffuse", "metallic"):
         return None
-    return ModelSpec("diffuse", light_frame=spec.light_frame, light_is_known=spec.light_is_known)
+    return ModelSpec("diffuse", bounces=spec.bounces, light_frame=spec.light_frame, light_is_known=spec.light_is_known)
 
 
 def _initial_candidates(parameters: Parameters, initial: Fit | None) -> list[Parameters]:

@@ -186,6 +186,36 @@ def test_model_selection_shows_times_and_refinements() -> None:
     assert "1.50 ± 0.10 dB" in section([], comparisons=[], model="diffuse", albedo_refinement=REFINEMENT)
 
 
+HYPOTHESES = [
+    {"hypothesis": "metal, light in the world", "held_out_db": [20.0, 24.0], "dropped": False},
+    {
+        "hypothesis": "diffuse, light on the camera",
+        "held_out_db": [15.0],
+        "dropped": True,
+        "margin_db": 5.0,
+        "standard_error_db": 0.4,
+    },
+]
+EXPLANATION = {
+    "chosen": "metal, light in the world",
+    "sentence": "metal, light in the world; next: diffuse, light on the camera, 5.0 ± 0.4 dB worse",
+    "held_out_views": 6,
+    "near_tie": False,
+}
+
+
+def test_model_selection_shows_hypotheses_and_the_margin() -> None:
+    def section(**explanation: object) -> str:
+        report = {"hypotheses": HYPOTHESES, "explanation": EXPLANATION | explanation, "comparisons": []}
+        return model_selection_table.model_selection({"stages": {"reflectance": {"report": report}}}, [])
+
+    page = section()
+    assert "Metal, light in the world; next: diffuse, light on the camera, 5.0 ± 0.4 dB worse (6 held-out" in page
+    assert re.findall(r">(selected|dropped|rejected)<", page) == ["selected", "dropped"]
+    assert ">24.00<" in page and ">5.00 ± 0.40<" in page and "within noise" not in page
+    assert "within noise" in section(near_tie=True)
+
+
 HOSTILE = "<script>alert(1)</script>\"'onload='x"
 
 
@@ -207,6 +237,8 @@ def test_hostile_strings_of_all_documents_are_escaped(finished: Run, tmp_path: P
     document["metrics"] = {HOSTILE: {"psnr": figures, "psnr_scaled": figures, "light": {"file": HOSTILE}}}
     document["stages"]["reflectance"]["report"] |= {
         "comparisons": [comparison_entry(HOSTILE)],
+        "hypotheses": [dict(HYPOTHESES[1])],
+        "explanation": dict(EXPLANATION),
         "albedo_refinement": REFINEMENT | {"renderer": HOSTILE},
     }
     document["stages"]["bake"]["report"] |= {"diffuse_albedo": HOSTILE, "model": HOSTILE}

@@ -82,10 +82,11 @@ def test_white_beside_black_is_as_white_as_alone(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_mirror_like_metal_has_a_coloured_lobe(tmp_path: Path) -> None:
-    """The light is known, because without a diffuse part a tinted light looks the same."""
+def test_a_mirror_like_metal_has_a_coloured_reflection(tmp_path: Path) -> None:
+    """The light is known, because a tinted light looks the same."""
     gold = torch.tensor([0.9, 0.6, 0.2])
-    truth = Scene(ball(), make_material((0.0, 0.0, 0.0), gold, 1e-3), lamps(32))
+    mirror = Material.metallic(gold, torch.ones(1), torch.full((1,), 1e-3))
+    truth = Scene(ball(), mirror, lamps(32))
     scene, report = fitted(
         truth.mesh,
         photographs(truth, around(12)),
@@ -94,9 +95,12 @@ def test_a_mirror_like_metal_has_a_coloured_lobe(tmp_path: Path) -> None:
         environment_height=32,
         environment_width=64,
     )
-    assert "coloured" in report.model
-    assert scene.material is not None
-    torch.testing.assert_close(scene.material.specular_albedo, gold, atol=0.1, rtol=0)
+    assert report.explanation is not None and report.explanation.chosen.startswith("metal"), report.explanation
+    assert scene.material is not None and scene.material.model == "metallic"
+    _, seen = observed(scene)
+    base = scene.material.base_color
+    found = base[seen].mean(dim=0) if base.ndim == 3 else base
+    torch.testing.assert_close(found, gold, atol=0.1, rtol=0)
     assert float(scene.material.roughness.mean()) < 0.05
     assert unseen_db(scene, truth) > 28
 
@@ -215,8 +219,7 @@ def test_a_light_with_one_bright_texel(tmp_path: Path) -> None:
     radiance = torch.full((ROWS, 2 * ROWS, 3), 0.1)
     radiance[4, 9] = 40.0
     truth = Scene(ball(), make_material(BROWN), EnvironmentMap(radiance))
-    scene, report = fitted(truth.mesh, photographs(truth, around(10)), tmp_path, brdf="paper")
-    assert report.model == "diffuse"
+    scene, _ = fitted(truth.mesh, photographs(truth, around(10)), tmp_path, model="diffuse")
     assert scene.environment is not None
     assert divmod(int(scene.environment.radiance.mean(dim=2).argmax()), 2 * ROWS) == (4, 9)
     assert float(mean_direction(scene.environment) @ mean_direction(EnvironmentMap(radiance))) > np.cos(np.radians(3))

@@ -1,0 +1,69 @@
+"""Fits of one model to the training views of each fold, judged by the held-out views of all folds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Generic, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hir_core.plugins.interfaces import FitT, RefinementT
+from hir_core.plugins.model_spec import ModelSpec
+from hir_core.stages.held_out_views import MIN_HELD_OUT_VIEWS, Fold
+from hir_core.stages.reflectance.fit_sequence import FitSequence
+from hir_core.stages.reflectance.held_out_comparison import mean_decibels
+
+
+@dataclass(frozen=True, eq=False)
+class FoldedFit(Generic[FitT]):
+    """One fit for each fold, and the mean squared error of every held-out view."""
+
+    spec: ModelSpec
+    fits: tuple[FitT, ...]
+    errors: NDArray[np.float64]
+
+    @property
+    def held_out_db(self) -> float:
+        """Mean PSNR over held-out views."""
+        return mean_decibels(self.errors)
+
+
+@final
+class FoldedFits(Generic[FitT, RefinementT]):
+    """Fits models on as many folds as give `MIN_HELD_OUT_VIEWS` judges."""
+
+    def __init__(self, fits: FitSequence[FitT, RefinementT], folds: Sequence[Fold]) -> None:
+        self._fits = fits
+        self._folds = list(folds)
+        count = 1
+        while count < len(folds) and sum(len(held_out) for _, held_out in folds[:count]) < MIN_HELD_OUT_VIEWS:
+            count += 1
+        self.first = range(count)
+        """The folds of every fit."""
+        self.further = range(count, len(folds))
+        """Folds that are left for near ties."""
+
+    def fit(
+        self,
+        spec: ModelSpec,
+        initial: FoldedFit[FitT] | None,
+        effort: float,
+        pixel_share: float = 1.0,
+        cost_effort: float | None = None,
+        folds: range | None = None,
+    ) -> FoldedFit[FitT]:
+        """The model fitted on each of the folds, from `initial` (of the same folds) or from its own initial guess."""
+        folds = self.first if folds is None else folds
+        fits, errors = [], []
+        for position, number in enumerate(folds):
+            training, held_out = self._folds[number]
+            before = initial.fits[position] if initial is not None else None
+            fits.append(self._fits.fit(spec, before, training, effort, pixel_share, cost_effort))
+            errors.append(self._fits.solver.errors(fits[-1], held_out))
+        return FoldedFit(spec, tuple(fits), np.concatenate(errors))
+
+    def expect(self, cost: float) -> None:
+        """The cost of all fits to come, for one fold."""
+        self._fits.expect(cost * len(self.first))

@@ -1,0 +1,119 @@
+"""Successive halving of hypotheses (Jamieson & Talwalkar 2016): all get a small budget, those that can win get more.
+
+Budgets are continued, not restarted. A hypothesis is dropped only where a bound says that it cannot catch up: held-out
+PSNR grows less from round to round, so it gains at most its last gain in each round that is left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Generic, final
+
+from hir_core.plugins.interfaces import FitT, RefinementT
+from hir_core.plugins.model_spec import ModelSpec
+from hir_core.stages.reflectance.fit_sequence import fit_cost
+from hir_core.stages.reflectance.folded_fits import FoldedFit, FoldedFits
+from hir_core.stages.reflectance.held_out_comparison import SUFFICIENT_DB, critical_value, paired_gain
+
+
+@dataclass(frozen=True)
+class Budget:
+    """What a hypothesis gets in one round."""
+
+    effort: float
+    pixel_share: float
+
+
+ROUNDS = (Budget(0.2, 0.1), Budget(0.2, 0.2), Budget(0.4, 0.3))
+"""Each round has at least the steps and pixels of the one before."""
+DROP_STANDARD_ERRORS = 2.0
+"""Of the paired difference: what noise may have taken from a hypothesis that is dropped."""
+MIN_GROWTH_DB = 1.0
+"""Least bound on the gain of one round: a curve may stand still once before it rises."""
+MAX_FIRST_GROWTH_DB = 12.0
+"""Bound on what a hypothesis gains on the best one after the first round, where there is no curve yet."""
+
+
+@dataclass(eq=False)
+class Contestant(Generic[FitT]):
+    """A hypothesis and the fits of its rounds."""
+
+    spec: ModelSpec
+    rounds: list[FoldedFit[FitT]] = field(default_factory=list)
+    gap_db: float = 0.0
+    """How far it was behind the best one, in its last round."""
+    standard_error_db: float = 0.0
+    dropped: bool = False
+
+    @property
+    def last(self) -> FoldedFit[FitT]:
+        """The fit of its last round."""
+        return self.rounds[-1]
+
+    @property
+    def curve_db(self) -> list[float]:
+        """Held-out PSNR after each round."""
+        return [fit.held_out_db for fit in self.rounds]
+
+
+@final
+class SuccessiveHalving(Generic[FitT, RefinementT]):
+    """Runs the rounds; `contestants` are all hypotheses in the order given, with their curves."""
+
+    def __init__(
+        self,
+        fits: FoldedFits[FitT, RefinementT],
+        specs: Sequence[ModelSpec],
+        rounds: Sequence[Budget] = ROUNDS,
+        later_cost: float = 0.0,
+        fitted: Callable[[FoldedFit[FitT]], None] = lambda fit: None,
+    ) -> None:
+        """`later_cost`: expected cost of what follows the rounds, for the progress; `fitted` receives each fit."""
+        self._fits, self._rounds, self._later, self._fitted = fits, tuple(rounds), later_cost, fitted
+        self.contestants: list[Contestant[FitT]] = [Contestant(spec) for spec in specs]
+
+    def run(self) -> list[Contestant[FitT]]:
+        """The hypotheses that were fitted in every round, the best one first."""
+        alive = self.contestants
+        for number, budget in enumerate(self._rounds):
+            self._fits.expect(self._cost(alive, number) + self._later)
+            for contestant in alive:
+                before = contestant.rounds[-1] if contestant.rounds else None
+                fit = self._fits.fit(contestant.spec, before, budget.effort, budget.pixel_share)
+                contestant.rounds.append(fit)
+                self._fitted(fit)
+            alive = self._survivors(alive, len(self._rounds) - 1 - number)
+        return sorted(alive, key=lambda each: -each.last.held_out_db)
+
+    def _survivors(self, alive: Sequence[Contestant[FitT]], rounds_left: int) -> list[Contestant[FitT]]:
+        best = max(alive, key=lambda each: each.last.held_out_db)
+        for contestant in alive:
+            contestant.gap_db, contestant.standard_error_db = (
+                paired_gain(contestant.last.errors, best.last.errors) if contestant is not best else (0.0, 0.0)
+            )
+            contestant.dropped = rounds_left > 0 and not can_catch_up(contestant, rounds_left)
+        return [contestant for contestant in alive if not contestant.dropped]
+
+    def _cost(self, alive: Sequence[Contestant[FitT]], first_round: int) -> float:
+        """Of the rounds from `first_round` on, with half of the hypotheses left after each."""
+        total, share = 0.0, 1.0
+        for budget in self._rounds[first_round:]:
+            total += share * sum(fit_cost(each.spec, budget.effort, budget.pixel_share) for each in alive)
+            share /= 2
+        return total
+
+
+def can_catch_up(contestant: Contestant[FitT], rounds_left: int) -> bool:
+    """Whether the bound on the growth of a hypothesis, plus noise, reaches the best one as it is now.
+
+    One that needs no improvement is never out of reach.
+    """
+    curve = contestant.curve_db
+    if curve[-1] >= SUFFICIENT_DB:
+        return True
+    growth = MAX_FIRST_GROWTH_DB
+    if len(curve) > 1:
+        growth = rounds_left * max(curve[-1] - curve[-2], MIN_GROWTH_DB)
+    noise = critical_value(DROP_STANDARD_ERRORS, len(contestant.last.errors)) * contestant.standard_error_db
+    return contestant.gap_db <= growth + noise
