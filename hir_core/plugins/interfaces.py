@@ -158,6 +158,14 @@ class ReflectanceSolver(PreparedReflectance, Generic[FitT, RefinementT]):
         """
         raise TypeError(f"{type(self).__name__} declares the trait 'regularizers' and has no method with_terms")
 
+    def supported(self, spec: ModelSpec) -> ModelSpec | None:
+        """The model nearest to `spec`, of the same kind of material and frame of the light, that this solver fits.
+
+        None where it fits no such kind or frame. By default it fits every model. The model selection compares no model
+        that differs from its `supported` one.
+        """
+        return spec
+
     @abstractmethod
     def fit(
         self,

@@ -86,7 +86,7 @@ class RefinementSelection(Generic[FitT, RefinementT]):
 
         A `simpler` rival is selected in a tie, too. Returns the fit of the rival.
         """
-        spec = with_refinements(rival.spec, self.spec)
+        spec = self._fits.supported(with_refinements(rival.spec, self.spec)) or rival.spec
         fit = self._fits.fit(spec, rival, self.effort, COMPARISON.pixel_share)
         self._fitted(fit)
         gain, standard_error = paired_gain(self.fit.errors, fit.errors)
@@ -107,6 +107,8 @@ class RefinementSelection(Generic[FitT, RefinementT]):
         """
         if self.spec.light_frame != "world" or self.spec.kind == "diffuse" or self.spec.mapped:
             return
+        if self._fits.supported(replace(self.spec, per_texel="brdf")) != replace(self.spec, per_texel="brdf"):
+            return
         control, candidate = (
             self._fits.fit(replace(self.spec, per_texel=each), self.fit, 0.0, cost_effort=COMPARISON.effort)  # type: ignore[arg-type]
             for each in ("albedo", "brdf")
@@ -121,7 +123,12 @@ class RefinementSelection(Generic[FitT, RefinementT]):
     def _compare(
         self, spec: ModelSpec, simpler: bool = False, required_standard_errors: float = REQUIRED_STANDARD_ERRORS
     ) -> None:
-        """Selects a candidate that gains significantly; a `simpler` one unless the control gains on it."""
+        """Selects a candidate that gains significantly; a `simpler` one unless the control gains on it.
+
+        Nothing is compared where the solver does not fit the candidate.
+        """
+        if self._fits.supported(spec) != spec:
+            return
         if not self._has_control:
             # more steps alone lower the error: without this control every candidate would seem to gain
             self._initial, self._has_control = self.fit, True
