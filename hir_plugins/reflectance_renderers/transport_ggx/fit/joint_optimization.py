@@ -80,26 +80,28 @@ def fit(
     checkpoint: FitCheckpoint | None = None,
     terms: FitTerms | None = None,
 ) -> Parameters:
-    """Adam with a cosine schedule over the batches in turn; `on_step(step, loss)` receives the loss of the pixels.
+    """Adam with a cosine schedule over the batches in turn; `on_step(step, loss)` receives the loss of the pixels and
+    of the `terms`, which are regularizers.
 
     With `checkpoint` the state is stored there and resumed. A step without a finite gradient is skipped and warned of,
-    with its term and views; too many in a row raise `StageError`. `terms` are further terms of the loss.
+    with its term and views; too many in a row raise `StageError`.
     """
     prepared = None if terms is None else terms.prepared(start.detached(), settings.model, settings.huber_srgb)
     parameters = _leaves(start.detached(), settings)
     resident = ResidentBatches(batches, parameters, start.detached(), settings.model, settings.refresh_interval)
-    pixel_loss = math.nan
+    fitted_loss = math.nan
 
     def loss(step: int) -> dict[str, Tensor]:
-        nonlocal pixel_loss
+        nonlocal fitted_loss
         batch, matrices = resident.at(step)
         # metal or not is decided late: while light and colours are wrong, the nearer end of m is no evidence
         decided = replace(
             settings.smoothness, metalness_prior=settings.smoothness.metalness_prior * step / settings.steps
         )
         own = objective(transport, batch, matrices, parameters, replace(settings, smoothness=decided), edges)
-        pixel_loss = float(own[PIXEL_TERM].detach())
-        return own | ({} if prepared is None else prepared(parameters, step))
+        regularizers = {} if prepared is None else prepared(parameters, step)
+        fitted_loss = sum(float(term.detach()) for term in (own[PIXEL_TERM], *regularizers.values()))
+        return own | regularizers
 
     def freeze(step: int) -> None:
         if parameters.width is not None and step < settings.alpha_frozen_share * settings.steps:
@@ -109,8 +111,8 @@ def fit(
             parameters.specular.grad = None
 
     def notify(step: int) -> bool:
-        if math.isfinite(pixel_loss):
-            on_step(step, pixel_loss)
+        if math.isfinite(fitted_loss):
+            on_step(step, fitted_loss)
         return False
 
     def locate(step: int, term: str) -> str:

@@ -13,6 +13,7 @@ import torch
 from hir_exporters.conventions import latlong_directions
 
 from hir_core.capture import Capture, Pixels, View
+from hir_core.config import load_config
 from hir_core.errors import ConfigError
 from hir_core.optimization.weighted_energies import solver_terms
 from hir_core.plugins.interfaces import CheckpointLocation, PreparedReflectance
@@ -26,7 +27,7 @@ from hir_core.stages.reflectance.gradient_solver import GradientSolver
 from hir_core.stages.reflectance.path_traced_refinement import view_errors
 from hir_core.stages.reflectance.reflectance_fit import fit_reflectance
 from hir_core.stages.reflectance.reflectance_report import ReflectanceReport
-from tests.fixtures.made_captures import around, reflectance_settings
+from tests.fixtures.made_captures import around
 from tests.fixtures.scenes import icosphere, looking_at
 
 EXAMPLE = Path(__file__).parents[4] / "examples" / "lambert_sh.py"
@@ -70,7 +71,9 @@ def fitted(tmp_path: Path, scene: Scene, capture: Capture, **settings: Any) -> t
         "environment_width": 16,
         "path_tracing": {"renderer": "lambert_sh", "refine_albedo": False},
     }
-    return fit_reflectance(start_of(scene), capture, reflectance_settings(**given | settings), context)
+    return fit_reflectance(
+        start_of(scene), capture, load_config(PLUGINS, "fast", reflectance=given | settings).reflectance, context
+    )
 
 
 @pytest.mark.parametrize("frame", ["world", "camera"])

@@ -131,7 +131,7 @@ def test_a_third_partys_term_shapes_light_and_roughness_inside_the_fit(
     assert float(plain.parameters.radiance.mean()) < 1.5
     assert float(driven.parameters.radiance.mean()) == pytest.approx(2, abs=0.1)
     far = [float((each.parameters.alpha - 0.7).abs().mean()) for each in (plain, driven)]
-    assert far[1] < far[0] - 0.05
+    assert far[1] < far[0] - 0.015, "the width is frozen for the first 70 % of 60 steps"
     albedo = [float(each.scene_parameters.diffuse_albedo.mean()) for each in (plain, driven)]
     assert albedo[1] < 0.8 * albedo[0]
 
