@@ -24,6 +24,7 @@ from hir_core.stages.reflectance.folded_fits import FoldedFit, FoldedFits
 from hir_core.stages.reflectance.held_out_comparison import (
     SUFFICIENT_DB,
     differs,
+    is_near_tie,
     mean_decibels,
     paired_gain,
 )
@@ -63,7 +64,7 @@ class Margin:
     @property
     def is_near_tie(self) -> bool:
         """Whether the margin is within noise."""
-        return not differs(self.margin_db, self.standard_error_db, self.held_out_views)
+        return is_near_tie(self.margin_db, self.standard_error_db, self.held_out_views)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +114,8 @@ def select_model(
     winner, finals = chosen, {chosen.spec: refinement.fit.errors}
     rivals = [each for each in finalists if each is not chosen and can_catch_up(each, 1)][:MAX_QUESTIONED]
     for rival in rivals:
+        if refinement.fit.held_out_db >= SUFFICIENT_DB:
+            break
         fit = refinement.question(rival.last, simpler=complexity(rival.spec) < complexity(winner.spec))
         finals[rival.spec] = fit.errors
         if refinement.fit is fit:

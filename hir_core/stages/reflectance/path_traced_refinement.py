@@ -26,7 +26,12 @@ from hir_core.scene import Scene
 from hir_core.scene.srgb import linear_to_srgb
 from hir_core.stages.held_out_views import held_out_for_model_selection
 from hir_core.stages.reflectance.gradient_fit import ObjectPixels, fit_by_gradient, object_pixels
-from hir_core.stages.reflectance.held_out_comparison import REQUIRED_STANDARD_ERRORS, mean_decibels, paired_gain
+from hir_core.stages.reflectance.held_out_comparison import (
+    REQUIRED_STANDARD_ERRORS,
+    critical_value,
+    mean_decibels,
+    paired_gain,
+)
 from hir_core.stages.reflectance.reflectance_report import RefinementReport
 
 if TYPE_CHECKING:
@@ -138,7 +143,7 @@ def _compared(
 ) -> RefinementReport:
     gain, standard_error = paired_gain(before, after)
     return RefinementReport(
-        accepted=bool(gain > REQUIRED_STANDARD_ERRORS * standard_error),
+        accepted=bool(gain > critical_value(REQUIRED_STANDARD_ERRORS, len(before)) * standard_error),
         held_out_views=len(before),
         renderer=renderer,
         steps=steps,

@@ -91,10 +91,8 @@ class RefinementSelection(Generic[FitT, RefinementT]):
         self._fitted(fit)
         gain, standard_error = paired_gain(self.fit.errors, fit.errors)
         views = len(fit.errors)
-        if simpler:
-            accepted = not differs(-gain, standard_error, views)
-        else:
-            accepted = differs(gain, standard_error, views) and self.fit.held_out_db < SUFFICIENT_DB
+        worse, better = differs(-gain, standard_error, views), differs(gain, standard_error, views)
+        accepted = better or (simpler and not worse)
         if accepted:
             self.fit, self._has_control = fit, False
         self._record(fit, gain, standard_error, accepted)
@@ -107,15 +105,14 @@ class RefinementSelection(Generic[FitT, RefinementT]):
         """
         if self.spec.light_frame != "world" or self.spec.kind == "diffuse" or self.spec.mapped:
             return
-        if self._fits.supported(replace(self.spec, per_texel="brdf")) != replace(self.spec, per_texel="brdf"):
+        if self.fit.held_out_db >= SUFFICIENT_DB or not self._is_supported(replace(self.spec, per_texel="brdf")):
             return
         control, candidate = (
             self._fits.fit(replace(self.spec, per_texel=each), self.fit, 0.0, cost_effort=COMPARISON.effort)  # type: ignore[arg-type]
             for each in ("albedo", "brdf")
         )
         gain, standard_error = paired_gain(control.errors, candidate.errors)
-        significant = is_significant(gain, standard_error, len(control.errors), REQUIRED_STANDARD_ERRORS_OF_NORMALS)
-        accepted = significant and control.held_out_db < SUFFICIENT_DB
+        accepted = is_significant(gain, standard_error, len(control.errors), REQUIRED_STANDARD_ERRORS_OF_NORMALS)
         if accepted:
             self.fit = candidate
         self._record(candidate, gain, standard_error, accepted)
@@ -125,9 +122,9 @@ class RefinementSelection(Generic[FitT, RefinementT]):
     ) -> None:
         """Selects a candidate that gains significantly; a `simpler` one unless the control gains on it.
 
-        Nothing is compared where the solver does not fit the candidate.
+        Nothing is added to a fit that needs no improvement, and nothing is compared that the solver does not fit.
         """
-        if self._fits.supported(spec) != spec:
+        if (not simpler and self.fit.held_out_db >= SUFFICIENT_DB) or not self._is_supported(spec):
             return
         if not self._has_control:
             # more steps alone lower the error: without this control every candidate would seem to gain
@@ -140,11 +137,14 @@ class RefinementSelection(Generic[FitT, RefinementT]):
         if simpler:
             accepted = not is_significant(-gain, standard_error, views, required_standard_errors)
         else:
-            significant = is_significant(gain, standard_error, views, required_standard_errors)
-            accepted = significant and self.fit.held_out_db < SUFFICIENT_DB
+            accepted = is_significant(gain, standard_error, views, required_standard_errors)
         if accepted:
             self.fit, self._has_control = fit, False
         self._record(fit, gain, standard_error, accepted)
+
+    def _is_supported(self, spec: ModelSpec) -> bool:
+        """Whether the solver fits this very model."""
+        return self._fits.supported(spec) == spec
 
     def _continued(self, spec: ModelSpec) -> FoldedFit[FitT]:
         fit = self._fits.fit(spec, self._initial, COMPARISON.effort, COMPARISON.pixel_share)

@@ -65,7 +65,7 @@ MAX_COMPARED_POINTS = 12_000
 """Surface points of held-out views at which per-texel values are solved to compare them."""
 TRIAL_EFFORT = 0.25
 TRIAL_PIXEL_SHARE = 0.4
-"""Effort and share of the pixels of the short fits that choose initial values."""
+"""Effort (at most half of the fit's) and share of the pixels of the short fits that choose initial values."""
 MOSTLY_METAL = 0.75
 """The second initial metalness that is tried: a narrow lobe with much diffuse light is a minimum of the loss too."""
 
@@ -108,6 +108,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         self._shading = TransportShading(transport, capture, downsample, options)
         self._observed_pixels: dict[int, ObservedPixels] = {}
         self._images = ImageCache(capture, downsample)
+        self._first_fits: dict[tuple[ModelSpec, tuple[int, ...], float, float], Parameters] = {}
         self._lit_surface: tuple[Parameters, ModelSpec, tuple[int, ...], LitSurface] | None = None
         self._rotation = _camera_rotations(capture, transport.surface.positions.device)
 
@@ -145,6 +146,12 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
                 base = self.fit(vertices, initial, views, effort, report, checkpoint, pixel_share)
             report(1.0)
             return Fit(spec, base.parameters, tuple(views))
+        first = spec, tuple(views), effort, pixel_share
+        if initial is None and first in self._first_fits:
+            # a hypothesis and the simpler model that another one starts from are the same fit
+            report(1.0)
+            return Fit(spec, self._first_fits[first], tuple(views))
+        from_nothing = initial is None
         simpler = _simpler_model(spec)
         if initial is None and simpler is not None:
             part = checkpoint.part(simpler.kind) if checkpoint is not None else None
@@ -154,7 +161,10 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         finished = file.result() if file is not None else None
         if finished is not None:
             report(1.0)
-            return Fit(spec, finished.to(device), tuple(views))
+            fitted = finished.to(device)
+            if from_nothing:
+                self._first_fits[first] = fitted
+            return Fit(spec, fitted, tuple(views))
         photographs = self._subsampled(self._photographs(views), pixel_share)
         if not len(photographs):
             raise StageError(
@@ -191,6 +201,8 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         )
         if file is not None:
             file.finish(fitted)
+        if from_nothing:
+            self._first_fits[first] = fitted
         return Fit(spec, fitted, tuple(views))
 
     def errors(self, fit: Fit, views: Sequence[int]) -> NDArray[np.float64]:
@@ -423,7 +435,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
     ) -> Parameters:
         """The candidate from which a short fit reaches the lowest loss."""
         part = self._subsampled(photographs, TRIAL_PIXEL_SHARE)
-        steps = max(1, round(min(TRIAL_EFFORT, effort) * self._options.steps))
+        steps = max(1, round(min(TRIAL_EFFORT, effort / 2) * self._options.steps))
         short = replace(settings, steps=steps, solve_albedo=False)
         losses = [self._short_fit(part, spec, candidate, short) for candidate in candidates]
         return candidates[losses.index(min(losses))]

@@ -24,7 +24,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.final_albedo import sol
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_checkpoints import FitCheckpoint
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_terms import FitTerms
 from hir_plugins.reflectance_renderers.transport_ggx.fit.mini_batches import MiniBatches
-from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
+from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import MAX_FITTED_F0, Parameters
 from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import (
     PixelBatch,
     predict,
@@ -110,7 +110,10 @@ def fit(
             assert parameters.specular is not None
             parameters.specular.grad = None
 
-    def notify(step: int) -> bool:
+    def after_step(step: int) -> bool:
+        if parameters.specular is not None and settings.model in ("dielectric", "metallic"):
+            with torch.no_grad():
+                parameters.specular.clamp_(max=math.log(MAX_FITTED_F0 / (1 - MAX_FITTED_F0)))
         if math.isfinite(fitted_loss):
             on_step(step, fitted_loss)
         return False
@@ -132,7 +135,7 @@ def fit(
         Schedule(settings.steps, end=0.0),
         stage=f"reflectance, {description}",
         after_backward=freeze,
-        after_step=notify,
+        after_step=after_step,
         checkpointing=None if checkpoint is None else checkpoint.checkpointing(settings.refresh_interval),
         extra_state=resident,
         locate=locate,

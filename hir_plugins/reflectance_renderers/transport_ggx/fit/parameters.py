@@ -11,6 +11,9 @@ from torch import Tensor
 
 MIN_ALPHA = 0.01
 """Narrowest lobe that the cached directions resolve in a light of 64 rows."""
+MAX_FITTED_F0 = 0.2
+"""Of the `dielectric` model and of the dielectric part of `metallic`: diamond has 0.17. Without this limit a dielectric
+of F0 0.9 under a tinted light looks like a metal of one colour."""
 MAX_LOG_EXPOSURE = 2.0
 """Exposures are limited to a factor of e² from their geometric mean; a larger one means another scene."""
 MAX_RADIANCE = 1e5

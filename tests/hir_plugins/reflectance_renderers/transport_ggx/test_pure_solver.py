@@ -12,8 +12,10 @@ from hir_core.capture import Capture
 from hir_core.plugins.interfaces import CheckpointLocation
 from hir_core.plugins.manager import PluginManager
 from hir_core.plugins.model_spec import ModelSpec
-from hir_core.scene import Scene
+from hir_core.scene import Material, Scene
 from hir_core.stages.atlas import unwrap_mesh
+from hir_plugins.reflectance_renderers.transport_ggx.fit import joint_optimization
+from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import MAX_FITTED_F0
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGGX
 from hir_plugins.reflectance_renderers.transport_ggx.solver import TransportSolver
@@ -98,3 +100,55 @@ def test_fits_of_two_seeds_differ_and_one_seed_gives_the_same(capture: tuple[Sce
 
     assert torch.equal(fitted(0), fitted(0)) and torch.equal(fitted(1), fitted(1))
     assert not torch.equal(fitted(0), fitted(1))
+
+
+@pytest.mark.parametrize("kind", ["dielectric", "mixed"])
+def test_the_simpler_model_of_an_initial_guess_is_fitted_once(
+    kind: str, capture: tuple[Scene, Capture], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A selection fits diffuse before dielectric and metal before mixed; the result is that of a fit alone."""
+    metal = ModelSpec("metallic", "uniform", metalness="metal", light_is_known=True)
+    simple, spec = {
+        "dielectric": (DIRECT, ModelSpec("dielectric", "uniform", light_is_known=True)),
+        "mixed": (metal, replace(metal, metalness="map")),
+    }[kind]
+    alone = solver_of(capture).fit(spec, None, VIEWS, 1.0, silent, None, 0.5)
+    solver = solver_of(capture)
+    solver.fit(simple, None, VIEWS, 1.0, silent, None, 0.5)
+    fitted: list[str] = []
+    true_fit = joint_optimization.fit
+    monkeypatch.setattr(
+        joint_optimization,
+        "fit",
+        lambda *arguments: fitted.append(arguments[3].model) or true_fit(*arguments),  # type: ignore[func-returns-value]
+    )
+    after = solver.fit(spec, None, VIEWS, 1.0, silent, None, 0.5)
+    assert "diffuse" not in fitted and len(fitted) <= 4, "short fits for the initial values, and one fit"
+    assert torch.equal(after.parameters.light, alone.parameters.light)
+    assert torch.equal(after.parameters.diffuse, alone.parameters.diffuse)
+    assert solver.fit(simple, None, VIEWS, 1.0, silent, None, 0.25).parameters is not after.parameters
+
+
+def test_a_share_of_the_pixels_is_a_part_of_them(capture: tuple[Scene, Capture]) -> None:
+    solver = solver_of(capture)
+    photographs = solver._photographs(VIEWS)
+    few, half = (solver._subsampled(photographs, share) for share in (0.1, 0.5))
+    rows = {tuple(pixel) for pixel in half.pixel.tolist()}
+    assert all(tuple(pixel) in rows for pixel in few.pixel.tolist()), "a larger budget keeps the pixels it had"
+    assert len(few) == pytest.approx(0.1 * len(photographs), rel=0.3)
+    assert solver._subsampled(photographs, 1.0) is photographs
+
+
+def test_a_dielectric_reflects_no_more_than_a_gem() -> None:
+    """Photographs of a metal: what a dielectric with the F0 of a metal would explain is left to the metal."""
+    mesh = unwrap_mesh(bowl(), TEXELS)[0]
+    metal = Material.metallic(torch.tensor([0.9, 0.9, 0.9]), torch.ones(1), torch.tensor([0.2]))
+    grey = make_material(torch.full((TEXELS, TEXELS, 3), 0.5), 0.15, 0.2, "dielectric")
+    seen = photographs(Scene(mesh, metal, lamps()), around(len(VIEWS)))
+    options = replace(OPTIONS, steps=60)
+    solver = TransportGGX(options).prepare(Scene(mesh, grey, lamps()), seen)
+    spec = ModelSpec("dielectric", "uniform", light_is_known=True)
+    fit = solver.fit(spec, None, VIEWS, 1.0, silent)
+    assert float(fit.parameters.specular_albedo.max()) == pytest.approx(MAX_FITTED_F0, abs=1e-4), "it wants more"
+    paper = solver.fit(replace(spec, brdf="paper"), None, VIEWS, 1.0, silent)
+    assert float(paper.parameters.specular_albedo.max()) > 1.5 * MAX_FITTED_F0
