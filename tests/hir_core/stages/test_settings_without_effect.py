@@ -10,6 +10,7 @@ import pytest
 from hir_core.config import GradientSettings, PathTracingSettings, load_config
 from hir_core.errors import ConfigError
 from hir_core.pipeline import reconstruct
+from hir_core.plugins.manager import PluginManager
 from hir_core.stages.settings_without_effect import (
     check_settings_take_effect,
     settings_of_disabled_stages,
@@ -73,6 +74,9 @@ WITH_EFFECT = [
     ("geometry.photo_consistency_iterations=7", []),
     ("reflectance.gradient.iterations=7", [GRADIENT]),
     ("reflectance.gradient.iterations=7", [MITSUBA]),
+    ("reflectance.gradient.iterations_per_view=7", [GRADIENT]),
+    ("reflectance.gradient.learning_rate=0.5", [GRADIENT]),
+    ("reflectance.gradient.batch=views", [GRADIENT]),
     ("reflectance.gradient.learning_rate_end=0.5", [GRADIENT]),
     ("reflectance.gradient.batch_pixels=7", [TRACED]),
     ("reflectance.gradient.batch_pixels=7", [TRACED, TERM, VIEWS]),
