@@ -92,10 +92,11 @@ ModelName: TypeAlias = Literal[
 
 @dataclass(frozen=True)
 class GradientSettings:
-    """Gradient steps on textures and light: `reflectance.method = "gradient"`, and regularizers after a solver."""
+    """Gradient steps on textures and light: `reflectance.method = "gradient"`, or after a solver that takes no
+    regularizers."""
 
     iterations: int = 300
-    """Steps. After a solver they run only where `reflectance.regularizers` names a term."""
+    """Steps. After a solver they run only where `reflectance.regularizers` names a term that it does not take."""
     iterations_per_view: int = 0
     """When set, replaces `iterations` by this many for each view (the paper: 400)."""
     learning_rate: float = 0.02

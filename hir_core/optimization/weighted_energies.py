@@ -1,18 +1,30 @@
-"""The regularizers of a stage with their weights, created from settings and prepared for a scene."""
+"""The regularizers of a stage with their weights, created from settings, timed, and prepared for a scene."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 from jaxtyping import Float
 from torch import Tensor
 
+from hir_core.optimization.term_gradients import with_known_gradient
+from hir_core.plugins.interfaces import WeightedTerm
+
 if TYPE_CHECKING:
-    from hir_core.plugins.interfaces import Energy
+    from hir_core.plugins.interfaces import Energy, Regularizer
     from hir_core.plugins.manager import PluginManager
     from hir_core.scene import Scene
+
+RegularizerTables = Mapping[str, Mapping[str, Any] | Literal[False]]
+"""The settings of a stage's regularizers, by name."""
+PIXELS_OF_A_WEIGHT = 16_384
+"""A weight counts against the sum of absolute errors over so many pixels: the default of
+`reflectance.gradient.batch_pixels`. For a solver it is divided by their number of channels."""
 
 
 @dataclass(frozen=True)
@@ -29,16 +41,54 @@ class Energies:
         return bool(self.terms)
 
 
-def prepare_energies(
-    scene: Scene, regularizers: Mapping[str, Mapping[str, Any] | Literal[False]], plugins: PluginManager, seed: int = 0
-) -> Energies:
+def prepare_energies(scene: Scene, regularizers: RegularizerTables, plugins: PluginManager, seed: int = 0) -> Energies:
     """The terms in the settings; `false` or weight 0 leaves a term out. `seed` is the run's."""
-    terms: dict[str, tuple[float, Energy]] = {}
+    created = _created(regularizers, plugins, seed)
+    return Energies({name: (weight, term.prepare(scene)) for name, weight, term in created})
+
+
+def solver_terms(
+    regularizers: RegularizerTables, plugins: PluginManager, seed: int, seconds: dict[str, float]
+) -> tuple[WeightedTerm, ...]:
+    """The same terms for a solver; `seconds` receives the processor time of each, its gradients included."""
+    return tuple(
+        WeightedTerm(
+            name,
+            weight / (3 * PIXELS_OF_A_WEIGHT),
+            plugins.find("regularizer", name).component.traits,
+            partial(_prepare_timed, term, name, seconds),
+        )
+        for name, weight, term in _created(regularizers, plugins, seed)
+    )
+
+
+def _created(
+    regularizers: RegularizerTables, plugins: PluginManager, seed: int
+) -> Iterator[tuple[str, float, Regularizer]]:
     for name, table in regularizers.items():
         if table is False:
             continue
         options = {key: value for key, value in table.items() if key != "weight"}
         weight = float(table.get("weight", 1.0))
         if weight != 0:
-            terms[name] = weight, plugins.create("regularizer", name, options, seed).prepare(scene)
-    return Energies(terms)
+            yield name, weight, plugins.create("regularizer", name, options, seed)
+
+
+def _prepare_timed(term: Regularizer, name: str, seconds: dict[str, float], scene: Scene) -> Energy:
+    with _timed(seconds, name):
+        energy = term.prepare(scene)
+
+    def evaluated(scene: Scene) -> Float[Tensor, ""]:
+        with _timed(seconds, name):
+            return with_known_gradient(energy, scene)
+
+    return evaluated
+
+
+@contextmanager
+def _timed(seconds: dict[str, float], name: str) -> Iterator[None]:
+    began = time.process_time()
+    try:
+        yield
+    finally:
+        seconds[name] = seconds.get(name, 0.0) + time.process_time() - began

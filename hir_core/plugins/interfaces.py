@@ -118,6 +118,19 @@ class CheckpointLocation:
 
 
 @dataclass(frozen=True, eq=False)
+class WeightedTerm:
+    """A regularizer that a solver minimises together with the error of the pixels."""
+
+    name: str
+    weight: float
+    """Weight of the term against the mean absolute sRGB error over pixels and channels."""
+    traits: frozenset[str]
+    """Of the regularizer."""
+    prepare: Callable[[Scene], Energy]
+    """The term, unweighted, for a scene like those that it will see: with maps where theirs are maps."""
+
+
+@dataclass(frozen=True, eq=False)
 class Solved(Generic[RefinementT]):
     """The scene of a fit, and what the steps after the fit need."""
 
@@ -136,6 +149,22 @@ class ReflectanceSolver(PreparedReflectance, Generic[FitT, RefinementT]):
     The core selects the model with it. `FitT` and `RefinementT` are opaque to the core. A result depends on the
     arguments of its call alone, never on which call came before; a solver may cache what it would compute again.
     """
+
+    def with_terms(self, terms: Sequence[WeightedTerm]) -> ReflectanceSolver[FitT, RefinementT]:
+        """The same solver with regularizers: every fit, scene and refinement of it minimises them too.
+
+        Called where the renderer declares the trait `regularizers`; otherwise gradient steps with the terms follow the
+        solver.
+        """
+        raise TypeError(f"{type(self).__name__} declares the trait 'regularizers' and has no method with_terms")
+
+    def supported(self, spec: ModelSpec) -> ModelSpec | None:
+        """The model nearest to `spec`, of the same kind of material and frame of the light, that this solver fits.
+
+        None where it fits no such kind or frame. By default it fits every model. The model selection compares no model
+        that differs from its `supported` one.
+        """
+        return spec
 
     @abstractmethod
     def fit(

@@ -29,6 +29,7 @@ TRAITS: Mapping[str, Mapping[str, str]] = {
         "mesh": "radiance carries gradients to the positions",
         "stochastic": "values are noisy; the noise follows torch's random generator",
         "solver": "`prepare` returns a `ReflectanceSolver`",
+        "regularizers": "the solver minimises regularizers in its own fit (`ReflectanceSolver.with_terms`)",
         "reference": "unbiased; other renderers are compared with it",
     },
     "regularizer": {
@@ -39,6 +40,8 @@ TRAITS: Mapping[str, Mapping[str, str]] = {
         "scale_invariant": "the value is invariant to scaling",
         "material": "the term depends on the material; it belongs to the reflectance stage",
         "environment": "the term depends on the light",
+        "vertex_maps": "the term also takes maps at the vertices of the mesh, (V, C); solvers fit such maps",
+        "lagged": "the term is slow: a solver takes its gradient every few steps and uses it again in between",
     },
     "exporter": {
         "gltf": "`edit` receives the finished `pygltflib.GLTF2`",

@@ -33,6 +33,8 @@ class StageContext:
     deterministic: bool = False
     checkpoint_seconds: float = 30.0
     """Seconds between checkpoints of a stage."""
+    part_seconds: dict[str, float] = field(default_factory=dict)
+    """Receives the processor time of parts of the stage, by name; written to timings.json."""
     report: Callable[[Progress], None] = field(default=_silent)
     """Receives progress; throttled by the receiver, so it may be called in every step."""
     warn: Callable[[str], None] = field(default=_silent)

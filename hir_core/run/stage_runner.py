@@ -117,6 +117,8 @@ class StageRunner:
             "progress": listener.seconds,
             "milestones": listener.milestones,
         }
+        if context.part_seconds:
+            timings["part_seconds"] = {part: round(spent, 3) for part, spent in context.part_seconds.items()}
         return stage.load(state, folder) if stage.reads_back else result.value, record, timings
 
     def _context(self, name: str, workspace: Path, listener: ProgressListener, warnings: list[str]) -> StageContext:
@@ -125,7 +127,7 @@ class StageRunner:
                 warnings.append(sentence)
                 self.on_message(f"{name}: warning: {sentence}")
 
-        return replace(self.context, workspace=workspace, report=listener.report, warn=warn)
+        return replace(self.context, workspace=workspace, part_seconds={}, report=listener.report, warn=warn)
 
 
 def cache_key(*parts: Any) -> str:

@@ -28,10 +28,11 @@ def settings_without_effect(config: RunConfig, plugins: PluginManager) -> dict[s
     settings = config.reflectance
     if not settings.enabled or not settings.renderer:
         return found
-    offers_solver = "solver" in plugins.find("reflectance_renderer", settings.renderer).component.traits
+    traits = plugins.find("reflectance_renderer", settings.renderer).component.traits
+    offers_solver = "solver" in traits
     by_solver = offers_solver and settings.method != "gradient"
     changed = set(_changed(asdict(settings), asdict(preset.reflectance)))
-    found |= _broken_rules("reflectance", _reflectance_rules(settings, by_solver), changed)
+    found |= _broken_rules("reflectance", _reflectance_rules(settings, by_solver, "regularizers" in traits), changed)
     for renderer, options in config.reflectance_renderer.items():
         known = preset.reflectance_renderer.get(renderer, {})
         for name in (name for name, value in options.items() if name not in known or known[name] != value):
@@ -103,13 +104,16 @@ def _geometry_settings_without_effect(settings: GeometrySettings, preset: Geomet
     return _broken_rules("geometry", rules, set(_changed(asdict(settings), asdict(preset))))
 
 
-def _reflectance_rules(settings: ReflectanceSettings, by_solver: bool) -> list[_Rule]:
+def _reflectance_rules(settings: ReflectanceSettings, by_solver: bool, takes_terms: bool) -> list[_Rule]:
+    """`takes_terms`: the solver minimises regularizers itself."""
     gradient, tracing = settings.gradient, settings.path_tracing
     terms = [options for options in settings.regularizers.values() if options is not False]
     regularized = any(options.get("weight", 1) != 0 for options in terms)
     known, matt = bool(settings.known_environment), settings.model == "diffuse"
-    solver_only = by_solver and not regularized
-    gradient_remedy = "set reflectance.method to 'gradient' or name a term in reflectance.regularizers"
+    solver_only = by_solver and (takes_terms or not regularized)
+    gradient_remedy = "set reflectance.method to 'gradient'"
+    if not takes_terms:
+        gradient_remedy += " or name a term in reflectance.regularizers"
     return [
         _Rule(
             (
@@ -163,6 +167,7 @@ def _reflectance_rules(settings: ReflectanceSettings, by_solver: bool) -> list[_
             ("regularizers",),
             by_solver
             and regularized
+            and not takes_terms
             and not (gradient.iterations or gradient.iterations_per_view or tracing.iterations),
             "regularizers act in gradient steps after the solver; set reflectance.gradient.iterations",
         ),

@@ -13,7 +13,7 @@ TRANSPORT_GGX = Component(
     summary="Cached light transport for frozen geometry: rays are traced once, steps are linear algebra.",
     requires=("torch", "jaxtyping", "mitsuba"),
     extra="reconstruct",
-    traits=frozenset({"material", "environment", "solver"}),
+    traits=frozenset({"material", "environment", "solver", "regularizers"}),
 )
 
 MITSUBA_GGX = Component(

@@ -51,7 +51,7 @@ BILATERAL_SPECULAR = Component(
     summary="Smooths the specular albedo between near points of similar diffuse albedo (the paper's term).",
     requires=("torch", "jaxtyping"),
     extra="reconstruct",
-    traits=frozenset({"differentiable", "scale_invariant", "material"}),
+    traits=frozenset({"differentiable", "scale_invariant", "material", "vertex_maps", "lagged"}),
     testing="hir_plugins.regularizers.contract_inputs:constant_specular",
 )
 
@@ -62,7 +62,7 @@ JOINT_BILATERAL = Component(
     summary="Smooths all maps between near points that are similar in all maps; keeps the edges of each.",
     requires=("torch", "jaxtyping"),
     extra="reconstruct",
-    traits=frozenset({"differentiable", "scale_invariant", "material"}),
+    traits=frozenset({"differentiable", "scale_invariant", "material", "vertex_maps", "lagged"}),
     testing="hir_plugins.regularizers.contract_inputs:constant_textures",
 )
 
@@ -73,7 +73,7 @@ ALBEDO_SCALE = Component(
     summary="Keeps the mean diffuse albedo at its initial value.",
     requires=("torch", "jaxtyping"),
     extra="reconstruct",
-    traits=frozenset({"differentiable", "rigid_invariant", "scale_invariant", "material"}),
+    traits=frozenset({"differentiable", "rigid_invariant", "scale_invariant", "material", "vertex_maps"}),
     testing="hir_plugins.regularizers.contract_inputs:constant_textures",
 )
 
@@ -84,7 +84,9 @@ TOTAL_VARIATION = Component(
     summary="Keeps textures, and optionally the light, piecewise constant.",
     requires=("torch", "jaxtyping"),
     extra="reconstruct",
-    traits=frozenset({"differentiable", "rigid_invariant", "scale_invariant", "material", "environment"}),
+    traits=frozenset(
+        {"differentiable", "rigid_invariant", "scale_invariant", "material", "environment", "vertex_maps"}
+    ),
     testing="hir_plugins.regularizers.contract_inputs:constant_textures",
 )
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from hir_core.errors import StageError
@@ -21,11 +21,20 @@ class SurfaceSamples:
 
     positions: Float[Tensor, "N 3"]
     uvs: Float[Tensor, "N 2"]
+    """Not used for maps at vertices."""
+    vertices: Int[Tensor, " N"] | None = None
+    """The vertices that the samples are; None for texels."""
 
-    def values(self, texture: Texture) -> Float[Tensor, "N C"]:
-        """The texture at the samples, bilinear and wrapping; a constant is repeated. Differentiable."""
+    def values(self, texture: Texture | Float[Tensor, "V C"]) -> Float[Tensor, "N C"]:
+        """The map at the samples; a constant is repeated. Differentiable.
+
+        A texture is bilinear and wrapping; of a map at vertices the samples are vertices.
+        """
         if texture.ndim == 1:
             return texture.expand(len(self.positions), -1)
+        if texture.ndim == 2:
+            assert self.vertices is not None, "samples of a map at vertices are vertices"
+            return texture[self.vertices]
         height, width = texture.shape[:2]
         uvs = self.uvs.to(texture.dtype)
         x = axis_neighbours(uvs[:, 0] * width - 0.5, width, "repeat")
@@ -37,12 +46,18 @@ class SurfaceSamples:
         return upper + (lower - upper) * t
 
 
-def sample_surface(mesh: Mesh, kind: Literal["vertices", "texels"], size: tuple[int, int]) -> SurfaceSamples:
-    """The vertices that faces use, or the covered texels of a texture of `size` (height, width)."""
+def sample_surface(mesh: Mesh, kind: Literal["vertices", "texels"], size: tuple[int, int] | None) -> SurfaceSamples:
+    """The vertices that faces use, or the covered texels of a texture of `size` (height, width).
+
+    Without a size, for maps at vertices, always the vertices.
+    """
+    positions = mesh.positions.detach()
+    if size is None:
+        used = torch.unique(mesh.faces)
+        return SurfaceSamples(positions[used], positions.new_zeros(len(used), 2), used)
     uvs, uv_faces = mesh.uvs, mesh.topology.uv_faces
     if uvs is None or uv_faces is None:
         raise StageError("textures can only be compared on a mesh with texture coordinates; let the atlas stage run")
-    positions = mesh.positions.detach()
     if kind == "texels":
         surface = texel_surface(mesh, size)
         row, column = surface.covered.nonzero(as_tuple=True)
@@ -52,4 +67,4 @@ def sample_surface(mesh: Mesh, kind: Literal["vertices", "texels"], size: tuple[
     corner = torch.zeros(len(positions), dtype=torch.long, device=positions.device)
     corner[mesh.faces.reshape(-1)] = uv_faces.reshape(-1)
     used = torch.unique(mesh.faces)
-    return SurfaceSamples(positions[used], uvs.detach()[corner[used]])
+    return SurfaceSamples(positions[used], uvs.detach()[corner[used]], used)

@@ -32,7 +32,7 @@ class TotalVariation(Regularizer):
     Textures: length in the unit square of the borders between covered texels times the step across; different
     charts are not compared. Light: the same with lengths on the unit sphere. The energy does not depend on the
     resolution of a map, and constants have none. With `samples = "vertices"` a texture is replaced by its values at the
-    vertices, linear between them: `mesh_variation`.
+    vertices, linear between them: `mesh_variation`. So are maps that are given at vertices.
     """
 
     def __init__(self, config: TotalVariationOptions) -> None:
@@ -48,9 +48,11 @@ class TotalVariation(Regularizer):
             if weight and texture.ndim == 3 and tuple(texture.shape[:2]) not in covered:
                 size = (texture.shape[0], texture.shape[1])
                 covered[size] = texel_surface(scene.mesh, size).covered
-        if not covered and not self._config.environment:
+        shapes = [getattr(scene.material, name).ndim for name, weight in weights.items() if weight]
+        if max(shapes, default=1) == 1 and not self._config.environment:
             warnings.warn("regularizer total_variation has no effect: no map with a weight is a texture", stacklevel=2)
         at_vertices = self._at_vertices(scene.mesh, bool(covered)) if self._config.samples == "vertices" else None
+        positions, faces = scene.mesh.positions.detach(), scene.mesh.faces
         light_weight = self._config.environment
 
         def energy(scene: Scene) -> Float[Tensor, ""]:
@@ -58,7 +60,9 @@ class TotalVariation(Regularizer):
             total = scene.material.diffuse_albedo.new_zeros(())
             for name, weight in weights.items():
                 texture = getattr(scene.material, name)
-                if weight and texture.ndim == 3:
+                if weight and texture.ndim == 2:
+                    total = total + weight * mesh_variation(positions, faces, texture)
+                elif weight and texture.ndim == 3:
                     known = covered[tuple(texture.shape[:2])]
                     variation = at_vertices(texture) if at_vertices else texture_variation(texture, known)
                     total = total + weight * variation

@@ -64,6 +64,10 @@ class FoldedFits(Generic[FitT, RefinementT]):
             errors.append(self._fits.solver.errors(fits[-1], held_out))
         return FoldedFit(spec, tuple(fits), np.concatenate(errors))
 
+    def supported(self, spec: ModelSpec) -> ModelSpec | None:
+        """`ReflectanceSolver.supported`."""
+        return self._fits.solver.supported(spec)
+
     def expect(self, cost: float) -> None:
         """The cost of all fits to come, for one fold."""
         self._fits.expect(cost * len(self.first))

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -20,19 +21,41 @@ from hir_core.optimization.optimization_loop import Checkpointing, optimize, war
 from hir_core.optimization.schedules import Batches, Schedule
 from hir_core.optimization.weighted_energies import Energies
 from hir_core.plugins.interfaces import PreparedReflectance
+from hir_core.plugins.progress import Progress
 from hir_core.scene import Material, Scene
 from hir_core.scene.energy_conservation import specular_at_size_of
 from hir_core.scene.srgb import linear_to_srgb
 from hir_core.stages.reflectance.reflectance_report import GradientReport
-
-if TYPE_CHECKING:
-    from hir_core.run.stage_context import StageContext
 
 MIN_OBJECT_COVERAGE = 0.99
 """Mask value from which a pixel shows the object alone."""
 MIN_ALPHA, MAX_RADIANCE = 0.01, 1e5
 """Limits of the GGX width α and of the light's radiance; albedos stay in 0…1."""
 MAX_NAMED_VIEWS = 5
+
+
+class GradientContext(Protocol):
+    """What a gradient fit needs of its stage, or of the solver that runs it."""
+
+    @property
+    def seed(self) -> int:
+        """Of the pixels that are drawn."""
+
+    @property
+    def checkpoints(self) -> Path | None:
+        """The folder of its state; None to store none."""
+
+    @property
+    def checkpoint_seconds(self) -> float:
+        """Interval at which the state is stored."""
+
+    @property
+    def report(self) -> Callable[[Progress], None]:
+        """Receives the progress."""
+
+    @property
+    def warn(self) -> Callable[[str], None]:
+        """Receives warnings."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +97,7 @@ def fit_by_gradient(
     pixels: ObjectPixels,
     settings: GradientSettings,
     energies: Energies,
-    context: StageContext,
+    context: GradientContext,
     *,
     steps: int,
     conserve_energy: bool = True,
@@ -154,7 +177,9 @@ def fit_by_gradient(
         report=context.report,
         after_step=clamp,
         locate=locate,
-        checkpointing=Checkpointing(context.checkpoints / f"{checkpoint}.npz", context.checkpoint_seconds),
+        checkpointing=None
+        if context.checkpoints is None
+        else Checkpointing(context.checkpoints / f"{checkpoint}.npz", context.checkpoint_seconds),
     )
     warn_of_skipped_steps(result, context.warn)
     fitted_material = of(diffuse.detach(), specular.detach(), roughness.detach())

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hir_core.config import ReflectanceSettings
+from hir_core.errors import ConfigError
 from hir_core.plugins.interfaces import FitT, RefinementT
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.stages.held_out_views import model_selection_folds
@@ -96,14 +97,14 @@ def select_model(
     folds = model_selection_folds(views)
     forced = forced_spec(settings)
     if forced is not None or not folds:
-        spec = forced or default_spec(settings)
+        spec = _supported(fits, [forced])[0] if forced is not None else _default(fits, settings)
         return Selection(spec, _fit_single_model(fits, spec, list(range(views))), spec)
     folded = FoldedFits(fits, folds)
 
     def fitted(fit: FoldedFit[FitT]) -> None:
         observer.evaluated(fit.held_out_db)
 
-    specs = hypotheses(settings)
+    specs = _supported(fits, hypotheses(settings))
     halving = SuccessiveHalving(folded, specs, later_cost=expected_cost(specs[-1]), fitted=fitted)
     finalists = halving.run()
     chosen, pooled = _decide(folded, finalists)
@@ -135,6 +136,22 @@ def select_model(
         tuple(margin for _, margin in margins),
         tuple(refinement.comparisons),
     )
+
+
+def _supported(fits: FitSequence[FitT, RefinementT], specs: Sequence[ModelSpec]) -> list[ModelSpec]:
+    """What the solver fits of these models; `ConfigError` where that is nothing."""
+    found = [spec for each in specs if (spec := fits.solver.supported(each)) is not None]
+    if not found:
+        names = " or ".join(repr(spec.name) for spec in specs)
+        raise ConfigError(
+            f"the reflectance renderer does not fit {names}; choose another reflectance.renderer or model"
+        )
+    return found
+
+
+def _default(fits: FitSequence[FitT, RefinementT], settings: ReflectanceSettings) -> ModelSpec:
+    """The model that is fitted without a comparison; the simplest hypothesis where the solver does not fit it."""
+    return fits.solver.supported(default_spec(settings)) or _supported(fits, hypotheses(settings))[0]
 
 
 Errors = dict[ModelSpec, NDArray[np.float64]]

@@ -86,7 +86,7 @@ class RefinementSelection(Generic[FitT, RefinementT]):
 
         A `simpler` rival is selected in a tie, too. Returns the fit of the rival.
         """
-        spec = with_refinements(rival.spec, self.spec)
+        spec = self._fits.supported(with_refinements(rival.spec, self.spec)) or rival.spec
         fit = self._fits.fit(spec, rival, self.effort, COMPARISON.pixel_share)
         self._fitted(fit)
         gain, standard_error = paired_gain(self.fit.errors, fit.errors)
@@ -105,7 +105,7 @@ class RefinementSelection(Generic[FitT, RefinementT]):
         """
         if self.spec.light_frame != "world" or self.spec.kind == "diffuse" or self.spec.mapped:
             return
-        if self.fit.held_out_db >= SUFFICIENT_DB:
+        if self.fit.held_out_db >= SUFFICIENT_DB or not self._is_supported(replace(self.spec, per_texel="brdf")):
             return
         control, candidate = (
             self._fits.fit(replace(self.spec, per_texel=each), self.fit, 0.0, cost_effort=COMPARISON.effort)  # type: ignore[arg-type]
@@ -122,9 +122,9 @@ class RefinementSelection(Generic[FitT, RefinementT]):
     ) -> None:
         """Selects a candidate that gains significantly; a `simpler` one unless the control gains on it.
 
-        Nothing is added to a fit that needs no improvement.
+        Nothing is added to a fit that needs no improvement, and nothing is compared that the solver does not fit.
         """
-        if not simpler and self.fit.held_out_db >= SUFFICIENT_DB:
+        if (not simpler and self.fit.held_out_db >= SUFFICIENT_DB) or not self._is_supported(spec):
             return
         if not self._has_control:
             # more steps alone lower the error: without this control every candidate would seem to gain
@@ -141,6 +141,10 @@ class RefinementSelection(Generic[FitT, RefinementT]):
         if accepted:
             self.fit, self._has_control = fit, False
         self._record(fit, gain, standard_error, accepted)
+
+    def _is_supported(self, spec: ModelSpec) -> bool:
+        """Whether the solver fits this very model."""
+        return self._fits.supported(spec) == spec
 
     def _continued(self, spec: ModelSpec) -> FoldedFit[FitT]:
         fit = self._fits.fit(spec, self._initial, COMPARISON.effort, COMPARISON.pixel_share)

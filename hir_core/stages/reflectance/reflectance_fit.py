@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
 from hir_core.capture import Capture
 from hir_core.config import ReflectanceSettings
 from hir_core.errors import CaptureError, ConfigError
-from hir_core.optimization.weighted_energies import prepare_energies
+from hir_core.optimization.term_gradients import value_and_gradients
+from hir_core.optimization.weighted_energies import Energies, prepare_energies, solver_terms
 from hir_core.plugins.interfaces import FitT, PreparedReflectance, RefinementT, ReflectanceRenderer, ReflectanceSolver
 from hir_core.run.stage_context import StageContext, forward_warnings
 from hir_core.scene import Scene
@@ -22,10 +24,12 @@ from hir_core.stages.reflectance.path_traced_refinement import refine_albedo, re
 from hir_core.stages.reflectance.reflectance_report import (
     LightAndMaterial,
     ReflectanceReport,
+    TermReport,
     comparison_reports,
     explanation_report,
     hypothesis_reports,
     near_tie_warning,
+    significant,
 )
 from hir_core.stages.reflectance.requested_model import default_spec, forced_spec
 from hir_core.stages.reflectance.stage_progress import StageProgress
@@ -38,7 +42,8 @@ def fit_reflectance(
     if not settings.renderer:
         raise ConfigError("reflectance.renderer is not set; choose a preset that sets it, or set it yourself")
     options = context.options.get("reflectance_renderer", {}).get(settings.renderer, {})
-    offers_solver = "solver" in context.plugins.find("reflectance_renderer", settings.renderer).component.traits
+    traits = context.plugins.find("reflectance_renderer", settings.renderer).component.traits
+    offers_solver = "solver" in traits
     if settings.method == "solver" and not offers_solver:
         raise ConfigError(
             f"reflectance.method is 'solver', but the renderer {settings.renderer!r} has none; "
@@ -53,7 +58,8 @@ def fit_reflectance(
     prepared = renderer.prepare(initial, capture, settings.downsample)
     with forward_warnings(context):
         if by_solver and isinstance(prepared, ReflectanceSolver):
-            fitted, report = _fit_by_solver(initial, prepared, capture, settings, context)
+            takes_terms = "regularizers" in traits
+            fitted, report = _fit_by_solver(initial, prepared, takes_terms, capture, settings, context)
         else:
             fitted, report = _fit_by_gradient(initial, prepared, capture, settings, context)
     if settings.conserve_energy and fitted.material is not None:
@@ -66,11 +72,16 @@ def fit_reflectance(
 def _fit_by_solver(
     scene: Scene,
     solver: ReflectanceSolver[FitT, RefinementT],
+    takes_terms: bool,
     capture: Capture,
     settings: ReflectanceSettings,
     context: StageContext,
 ) -> tuple[Scene, ReflectanceReport]:
+    """`takes_terms`: the solver minimises the regularizers itself; otherwise gradient steps with them follow it."""
     views = list(range(len(capture.views)))
+    terms = solver_terms(settings.regularizers, context.plugins, context.seed, context.part_seconds)
+    if terms and takes_terms:
+        solver = solver.with_terms(terms)
     progress = StageProgress(context)
     fits = FitSequence(solver, progress.selecting, context.checkpoints, context.checkpoint_seconds)
     selection = select_model(fits, settings, len(views), progress)
@@ -87,19 +98,19 @@ def _fit_by_solver(
         fit = solver.fit(spec, fit, views, 1.0, report_share, fits.checkpoint(spec, views, 1.0))
     solved = solver.scene(fit, views, progress.phase("textures"))
     refinement = None
-    if settings.path_tracing.refine_albedo:  # before the regularizers, whose effect it would undo
+    if settings.path_tracing.refine_albedo:  # before gradient steps, whose effect it would undo
         report_share = progress.phase("path tracing")
         solved, refinement = refine_albedo(solved, solver, capture, settings, spec.bounces, context, report_share)
     fitted, path_tracing = solved.scene, None
     energies = prepare_energies(fitted, settings.regularizers, context.plugins, context.seed)
     steps = gradient_steps(settings.gradient, len(views))
-    if energies and not steps and not settings.path_tracing.iterations:
+    if energies and not takes_terms and not steps and not settings.path_tracing.iterations:
         context.warn(
-            f"the regularizers {', '.join(energies.terms)} act in gradient steps after the solver, and "
-            "reflectance.gradient.iterations is 0: they have no effect"
+            f"the regularizers {', '.join(energies.terms)} act in gradient steps after the solver of "
+            f"{settings.renderer!r}, and reflectance.gradient.iterations is 0: they have no effect"
         )
     gradient = None
-    if energies and steps:
+    if energies and steps and not takes_terms:
         fitted, gradient = fit_by_gradient(
             fitted,
             solved.prepared,
@@ -123,6 +134,7 @@ def _fit_by_solver(
         explanation=explanation_report(selection),
         hypotheses=hypothesis_reports(selection),
         comparisons=comparison_reports(selection),
+        regularizers=_reported(energies, fitted, "solver" if takes_terms else "gradient steps", context),
         solver=solved.report,
         gradient=gradient,
         albedo_refinement=refinement,
@@ -136,12 +148,13 @@ def _fit_by_gradient(
     assert scene.environment is not None
     views = list(range(len(capture.views)))
     spec = forced_spec(settings) or default_spec(settings)
+    energies = prepare_energies(scene, settings.regularizers, context.plugins, context.seed)
     fitted, gradient = fit_by_gradient(
         scene,
         prepared,
         object_pixels(capture, views, settings.downsample, str(scene.mesh.positions.device)),
         settings.gradient,
-        prepare_energies(scene, settings.regularizers, context.plugins, context.seed),
+        energies,
         context,
         steps=gradient_steps(settings.gradient, len(views)),
         conserve_energy=settings.conserve_energy,
@@ -154,7 +167,21 @@ def _fit_by_gradient(
         light_frame=scene.environment.frame,
         fitted=LightAndMaterial.of(fitted),
         gradient=gradient,
+        regularizers=_reported(energies, fitted, "gradient steps", context),
     )
+
+
+def _reported(
+    energies: Energies, fitted: Scene, acted_in: Literal["solver", "gradient steps"], context: StageContext
+) -> dict[str, TermReport] | None:
+    """Weight and value of each term; warns of those that depend on neither material nor light."""
+    reports: dict[str, TermReport] = {}
+    for name, (weight, energy) in energies.terms.items():
+        value, gradients = value_and_gradients(energy, fitted)
+        if not gradients:
+            context.warn(f"regularizer {name} depends on neither material nor light: it has no effect here; remove it")
+        reports[name] = TermReport(weight, significant(float(value)), acted_in)
+    return reports or None
 
 
 def _check_exposure(capture: Capture, downsample: int) -> None:

@@ -86,6 +86,16 @@ class GradientReport:
 
 
 @dataclass(frozen=True)
+class TermReport:
+    """A regularizer of the fit; its processor time is in timings.json."""
+
+    weight: float
+    value: float
+    """Unweighted, at the fitted scene; 4 significant digits."""
+    acted_in: Literal["solver", "gradient steps"]
+
+
+@dataclass(frozen=True)
 class LightAndMaterial:
     """Averages of the fitted light and material."""
 
@@ -128,6 +138,8 @@ class ReflectanceReport:
     solver: Mapping[str, Any] | None = None
     """Figures of the solver's own."""
     gradient: GradientReport | None = None
+    regularizers: Mapping[str, TermReport] | None = None
+    """By name; None without any."""
     albedo_refinement: RefinementReport | None = None
     path_tracing: RefinementReport | None = None
     clamped_share: float | None = None
@@ -206,6 +218,11 @@ def comparison_reports(selection: Selection[FitT]) -> tuple[ComparisonReport, ..
         )
         for c in selection.comparisons
     )
+
+
+def significant(value: float) -> float:
+    """A number rounded to 4 significant digits."""
+    return float(f"{value:.4g}")
 
 
 def _without_none(table: Mapping[str, Any]) -> dict[str, Any]:

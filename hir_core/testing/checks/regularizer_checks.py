@@ -261,3 +261,43 @@ def hard_scenes_stay_finite(subject: Subject) -> None:
         for leaf, gradient in gradients.items():
             bad = int((~torch.isfinite(gradient)).sum())
             require(bad == 0, f"on {name} {bad} values of the gradient by {leaf} are not finite")
+
+
+@contract("regularizer", traits={"vertex_maps"})
+def takes_maps_at_vertices(subject: Subject) -> None:
+    """With maps (V, C) at the vertices of a mesh without texture coordinates the term is finite, and in float64 its
+    gradient agrees with central differences within 1e-4.
+    """
+    import torch
+
+    from hir_core.optimization.term_gradients import parts_of, value_and_gradients, with_parts
+    from hir_core.scene import Mesh, Topology
+    from hir_core.testing.scenes import bumpy_scene
+
+    textured = bumpy_scene(torch.float64)
+    assert textured.material is not None
+    generator = torch.Generator().manual_seed(4)
+    mesh = Mesh(textured.mesh.positions, Topology(textured.mesh.faces))
+    count = len(mesh.positions)
+
+    def noise(channels: int) -> Tensor:
+        return 0.2 + 0.5 * torch.rand(count, channels, generator=generator, dtype=torch.float64)
+
+    material = replace(textured.material, diffuse_albedo=noise(3), specular_albedo=noise(3), roughness=noise(1))
+    scene = replace(textured, mesh=mesh, material=material)
+    energy = subject.create().prepare(scene)
+    changed = {name: part + 0.01 * noise(1)[0] for name, part in parts_of(scene).items()}
+    value, gradients = value_and_gradients(energy, with_parts(scene, changed))
+    require(torch.isfinite(value), f"with maps at vertices the term is {float(value)}")
+    for name, gradient in gradients.items():
+        direction = torch.randn(gradient.shape, generator=generator, dtype=torch.float64)
+        ends = [
+            float(energy(with_parts(scene, {**changed, name: changed[name] + sign * STEP * direction})))
+            for sign in (1, -1)
+        ]
+        difference, analytic = (ends[0] - ends[1]) / (2 * STEP), float((gradient * direction).sum())
+        rounding = 1e-15 * max(map(abs, ends)) / STEP
+        require(
+            abs(analytic - difference) <= 1e-4 * max(abs(difference), abs(analytic)) + 10 * rounding,
+            f"with maps at vertices the gradient by {name} says {analytic:.8g}, differences {difference:.8g}",
+        )

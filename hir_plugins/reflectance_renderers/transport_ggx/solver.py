@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import final
@@ -15,12 +16,13 @@ from torch import Tensor
 
 from hir_core.capture import Capture
 from hir_core.errors import StageError
-from hir_core.plugins.interfaces import CheckpointLocation, PreparedReflectance, ReflectanceSolver, Solved
+from hir_core.plugins.interfaces import CheckpointLocation, PreparedReflectance, ReflectanceSolver, Solved, WeightedTerm
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene import EnvironmentMap, Material, Scene, Topology
 from hir_core.scene.srgb import linear_to_srgb, srgb_to_linear
 from hir_plugins.reflectance_renderers.transport_ggx.fit import joint_optimization
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_checkpoints import FitCheckpoint
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_terms import FitTerms
 from hir_plugins.reflectance_renderers.transport_ggx.fit.initial_guess import initial_albedo, without_indirect
 from hir_plugins.reflectance_renderers.transport_ggx.fit.initial_metalness import with_metalness, without_metalness
 from hir_plugins.reflectance_renderers.transport_ggx.fit.joint_optimization import FitSettings
@@ -88,13 +90,20 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
     """One scene's geometry and one capture's cameras, with transport cached; pixels and lit surfaces are cached too."""
 
     def __init__(
-        self, transport: Transport, scene: Scene, capture: Capture, downsample: int, options: TransportGGXOptions
+        self,
+        transport: Transport,
+        scene: Scene,
+        capture: Capture,
+        downsample: int,
+        options: TransportGGXOptions,
+        terms: Sequence[WeightedTerm] = (),
     ) -> None:
         self._transport = transport
         self._scene = scene
         self._capture = capture
         self._downsample = downsample
         self._options = options
+        self._terms = tuple(terms)
         self._edges = Topology(transport.surface.faces).edges
         self._shading = TransportShading(transport, capture, downsample, options)
         self._observed_pixels: dict[int, ObservedPixels] = {}
@@ -102,6 +111,10 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         self._first_fits: dict[tuple[ModelSpec, tuple[int, ...], float, float], Parameters] = {}
         self._lit_surface: tuple[Parameters, ModelSpec, tuple[int, ...], LitSurface] | None = None
         self._rotation = _camera_rotations(capture, transport.surface.positions.device)
+
+    def with_terms(self, terms: Sequence[WeightedTerm]) -> TransportSolver:
+        """The same solver, whose fits at vertices and whose albedo textures minimise the terms too."""
+        return TransportSolver(self._transport, self._scene, self._capture, self._downsample, self._options, terms)
 
     def radiance(
         self, material: Material, environment: EnvironmentMap, pixels: Int[Tensor, "B 3"]
@@ -184,6 +197,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
             self._edges,
             lambda step, _: report((step + 1) / steps),
             file,
+            self._fit_terms(spec),
         )
         if file is not None:
             file.finish(fitted)
@@ -237,9 +251,23 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         on_camera = fit.spec.light_frame == "camera"
         parameters = fit.scene_parameters
         if fit.spec.per_texel == "brdf":
+            if self._terms:
+                names = ", ".join(term.name for term in self._terms)
+                warnings.warn(
+                    f"the model has a BRDF for each texel, which is solved without the regularizers {names}: they act "
+                    "in the fit at vertices before it and on the albedo; for all maps: "
+                    "--set reflectance.model=roughness_map",
+                    stacklevel=2,
+                )
             lit = self._lit(replace(fit, views=tuple(views)))
             material, parameters, equations, figures = solve_per_texel_maps(
-                lit, self._scene, self._photographs(views), self._downsample, self._options, report
+                lit,
+                self._scene,
+                self._photographs(views),
+                self._downsample,
+                self._options,
+                report,
+                self._fit_terms(fit.spec),
             )
         else:
             material, equations, figures = solve_scene(
@@ -253,14 +281,14 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
                 self._rotation if on_camera else None,
                 self._options,
                 report,
+                self._fit_terms(fit.spec),
             )
         rotation = UPRIGHT.to(parameters.light) if on_camera else None
         light = EnvironmentMap(parameters.radiance, rotation, fit.spec.light_frame)
         scene = replace(self._scene, material=material, environment=light)
         indirect = self._indirect_light(parameters, fit.spec.bounces) if fit.spec.bounces else None
-        return Solved(
-            scene, replace(self._shading, indirect=indirect), AlbedoRefinement(equations, self._options.seed), figures
-        )
+        refinement = AlbedoRefinement(equations, self._options.seed, self._fit_terms(fit.spec))
+        return Solved(scene, replace(self._shading, indirect=indirect), refinement, figures)
 
     def refine(
         self,
@@ -333,6 +361,15 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
             direct,
             part.points.normal,
         )
+
+    def _fit_terms(self, spec: ModelSpec) -> FitTerms | None:
+        """The regularizers, and the scene whose material and light a fit changes; None without any."""
+        light = self._scene.environment
+        if not self._terms or light is None:
+            return None
+        rotation = UPRIGHT.to(light.radiance) if spec.light_frame == "camera" else None
+        light = EnvironmentMap(light.radiance, rotation, spec.light_frame)
+        return FitTerms(self._terms, replace(self._scene, environment=light), self._transport.surface)
 
     def _initial_parameters(self, spec: ModelSpec, initial: Fit | None, photographs: ObservedPixels) -> Parameters:
         """Parameters of a model, from an earlier fit or from the prepared scene."""
@@ -413,6 +450,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
             settings,
             self._edges,
             lambda _, loss: losses.append(loss),
+            terms=self._fit_terms(spec),
         )
         last = losses[-max(1, len(losses) // 5) :]
         return sum(last) / len(last) if last else math.inf

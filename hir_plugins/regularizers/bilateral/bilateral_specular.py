@@ -41,8 +41,7 @@ class BilateralSpecular(Regularizer):
                 stacklevel=2,
             )
             return _nothing
-        size = (material.specular_albedo.shape[0], material.specular_albedo.shape[1])
-        smoothing = surface_filter(scene.mesh, size, config)
+        smoothing = surface_filter(scene.mesh, material.specular_albedo.shape, config)
 
         def energy(scene: Scene) -> Float[Tensor, ""]:
             assert scene.material is not None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from functools import partial
 
@@ -25,9 +25,12 @@ class SurfaceFilter:
     deviation: Callable[[Float[Tensor, "N G"], Float[Tensor, "N D"]], Float[Tensor, "N D"]]
 
 
-def surface_filter(mesh: Mesh, size: tuple[int, int], config: BilateralOptions) -> SurfaceFilter:
-    """For the vertices, or the texels of a texture of `size` (height, width); σ1 is a fraction of the mesh's bounds."""
-    samples = sample_surface(mesh, config.samples, size)
+def surface_filter(mesh: Mesh, shape: Sequence[int], config: BilateralOptions) -> SurfaceFilter:
+    """For vertices, or the texels of a texture; σ1 is a fraction of the mesh's bounds.
+
+    `shape` is that of the finest map: (H, W, C), or (V, C) for maps at vertices.
+    """
+    samples = sample_surface(mesh, config.samples, None if len(shape) == 2 else (int(shape[0]), int(shape[1])))
     positions = samples.positions
     if len(positions) == 0:
         return SurfaceFilter(samples, lambda guide, values: values * 0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, final
 
 import torch
@@ -41,7 +42,7 @@ class JointBilateral(Regularizer):
     def prepare(self, scene: Scene) -> Energy:
         if scene.material is None:
             raise StageError("joint_bilateral needs a material; it belongs to the reflectance stage")
-        names = [name for name in MAPS if getattr(scene.material, name).ndim == 3]
+        names = [name for name in MAPS if getattr(scene.material, name).ndim > 1]
         weights = {name: getattr(self._config, name) for name in names}
         if not any(weights.values()):
             warnings.warn("regularizer joint_bilateral has no effect: no map with a weight is a texture", stacklevel=2)
@@ -57,11 +58,10 @@ class JointBilateral(Regularizer):
         return energy
 
 
-def _largest(material: Material, names: list[str]) -> tuple[int, int]:
-    """Height and width of the finest map: its texels are the samples."""
-    shapes = [getattr(material, name).shape for name in names]
-    height, width = max(((int(s[0]), int(s[1])) for s in shapes), key=lambda s: s[0] * s[1])
-    return height, width
+def _largest(material: Material, names: list[str]) -> Sequence[int]:
+    """Shape of the finest map: its texels are the samples."""
+    shapes: list[Sequence[int]] = [tuple(getattr(material, name).shape) for name in names]
+    return max(shapes, key=lambda shape: shape[0] * shape[1])
 
 
 def _nothing(scene: Scene) -> Float[Tensor, ""]:

@@ -10,6 +10,7 @@ import pytest
 from hir_core.config import GradientSettings, PathTracingSettings, load_config
 from hir_core.errors import ConfigError
 from hir_core.pipeline import reconstruct
+from hir_core.plugins.manager import PluginManager
 from hir_core.stages.settings_without_effect import (
     check_settings_take_effect,
     settings_of_disabled_stages,
@@ -35,16 +36,16 @@ WITHOUT_EFFECT = [
     ("geometry.levels=2", ["geometry.remesh=false"], "geometry.remesh"),
     ("geometry.triangles=2000", ["geometry.remesh=false"], "geometry.remesh"),
     ("geometry.photo_consistency_iterations=7", ["geometry.photo_consistency=off"], "'auto'"),
-    ("reflectance.gradient.iterations=7", [], "regularizers"),
-    ("reflectance.gradient.iterations_per_view=7", [], "regularizers"),
-    ("reflectance.gradient.learning_rate=0.5", [], "regularizers"),
-    ("reflectance.gradient.learning_rate=0.5", [TRACED], "regularizers"),
-    ("reflectance.gradient.learning_rate_end=0.5", [], "regularizers"),
-    ("reflectance.gradient.batch=views", [], "regularizers"),
+    ("reflectance.gradient.iterations=7", [TERM], "method to 'gradient'"),
+    ("reflectance.gradient.iterations_per_view=7", [TERM], "method to 'gradient'"),
+    ("reflectance.gradient.learning_rate=0.5", [TERM], "method to 'gradient'"),
+    ("reflectance.gradient.learning_rate=0.5", [TRACED], "method to 'gradient'"),
+    ("reflectance.gradient.learning_rate_end=0.5", [TERM], "method to 'gradient'"),
+    ("reflectance.gradient.batch=views", [TERM], "method to 'gradient'"),
     ("reflectance.gradient.batch_pixels=7", [], "path_tracing.iterations"),
     ("reflectance.gradient.rgb_weight=0.5", [], "path_tracing.iterations"),
     ("reflectance.gradient.loss_space=linear", [], "path_tracing.iterations"),
-    ("reflectance.gradient.loss_space=linear", ["reflectance.regularizers.total_variation.weight=0"], "regularizers"),
+    ("reflectance.gradient.loss_space=linear", [TERM], "path_tracing.iterations"),
     ("reflectance.gradient.initial_diffuse_albedo=0.2", [], "'gradient'"),
     ("reflectance.gradient.initial_diffuse_albedo=0.2", [TERM], "'gradient'"),
     ("reflectance.gradient.iterations=7", [GRADIENT, BY_VIEW], "iterations_per_view"),
@@ -54,7 +55,6 @@ WITHOUT_EFFECT = [
     ("reflectance.path_tracing.learning_rate=0.5", [], "path_tracing.iterations"),
     ("reflectance.path_tracing.renderer=transport_ggx", [GRADIENT], "'auto'"),
     ("reflectance.path_tracing.renderer=transport_ggx", [NO_REFINEMENT], "refine_albedo"),
-    (TERM, [NO_STEPS], "gradient.iterations"),
     ("reflectance.initial_radiance=0.2", [KNOWN], "known_environment"),
     ("reflectance.light_frame=camera", [KNOWN, GRADIENT], "known_environment"),
     ("reflectance.brdf=paper", [DIFFUSE], "reflectance.model"),
@@ -74,11 +74,10 @@ WITH_EFFECT = [
     ("geometry.photo_consistency_iterations=7", []),
     ("reflectance.gradient.iterations=7", [GRADIENT]),
     ("reflectance.gradient.iterations=7", [MITSUBA]),
-    ("reflectance.gradient.iterations=7", [TERM]),
-    ("reflectance.gradient.iterations_per_view=7", [TERM]),
-    ("reflectance.gradient.learning_rate=0.5", [TERM]),
+    ("reflectance.gradient.iterations_per_view=7", [GRADIENT]),
+    ("reflectance.gradient.learning_rate=0.5", [GRADIENT]),
+    ("reflectance.gradient.batch=views", [GRADIENT]),
     ("reflectance.gradient.learning_rate_end=0.5", [GRADIENT]),
-    ("reflectance.gradient.batch=views", [TERM]),
     ("reflectance.gradient.batch_pixels=7", [TRACED]),
     ("reflectance.gradient.batch_pixels=7", [TRACED, TERM, VIEWS]),
     ("reflectance.gradient.rgb_weight=0.5", [TRACED]),
@@ -88,7 +87,8 @@ WITH_EFFECT = [
     ("reflectance.path_tracing.iterations=7", []),
     ("reflectance.path_tracing.learning_rate=0.5", [TRACED]),
     ("reflectance.path_tracing.renderer=transport_ggx", []),
-    (TERM, [NO_STEPS, TRACED]),
+    (TERM, []),
+    (TERM, [TRACED]),
     ("reflectance.initial_radiance=0.2", []),
     ("reflectance.light_frame=camera", []),
     ("reflectance.brdf=paper", []),
@@ -115,6 +115,29 @@ def test_a_setting_without_effect_is_an_error_with_its_remedy(setting: str, othe
 def test_a_setting_with_an_effect_is_accepted(setting: str, others: list[str]) -> None:
     config = load_config(PLUGINS, "fast", assignments=[*others, setting])
     assert setting.partition("=")[0] not in settings_without_effect(config, PLUGINS)
+
+
+SOLVER = """
+from hir_core.plugins import Component, hookimpl
+
+
+@hookimpl
+def hir_register_reflectance_renderers():
+    return [Component("old_solver", "missing:Missing", traits=frozenset({"material", "environment", "solver"}))]
+"""
+
+
+def test_gradient_steps_follow_a_solver_that_takes_no_regularizers(tmp_path: Path) -> None:
+    (tmp_path / "old_solver.py").write_text(SOLVER)
+    plugins = PluginManager.discover((str(tmp_path / "old_solver.py"),))
+    renderer, steps = "reflectance.renderer=old_solver", "reflectance.gradient.iterations=7"
+
+    def found(*assignments: str) -> dict[str, str]:
+        return settings_without_effect(load_config(plugins, "fast", assignments=[renderer, *assignments]), plugins)
+
+    assert found(TERM, steps) == {}
+    assert "name a term in reflectance.regularizers" in found(steps)["reflectance.gradient.iterations"]
+    assert "gradient.iterations" in found(TERM, NO_STEPS)["reflectance.regularizers"]
 
 
 @pytest.mark.parametrize("preset", sorted(PLUGINS.presets()))

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import torch
 from jaxtyping import Bool, Float
@@ -19,6 +20,9 @@ from torch import Tensor
 
 from hir_core.optimization.clipped_pixels import is_clipped_excess
 from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
+
+AlbedoRefiner: TypeAlias = Callable[[Tensor, Tensor], Tensor]
+"""(albedo in closed form (N, 3), curvature (N, 3) of the mean error of the pixels there) → refined albedo."""
 
 _REWEIGHTING_ITERATIONS = 3
 _CONJUGATE_GRADIENT_ITERATIONS = 12
@@ -84,13 +88,14 @@ def solve_albedo(
     prior: float,
     differences: Callable[[Float[Tensor, "N 3"], Float[Tensor, "N 3"]], Float[Tensor, "N 3"]] | None = None,
     smoothness: float = 0.0,
+    refiner: AlbedoRefiner | None = None,
 ) -> tuple[Float[Tensor, "N 3"], Float[Tensor, " N"], Float[Tensor, " N"]]:
     """Albedo in 0…1, the number of pixels that see each, and the weight of these pixels in units of the prior's.
 
     `prior` and `smoothness` are the weights of `start` and of `differences`. The latter is the gradient of half the
     squared differences, for given weights. Both are fractions of the mean weight of an albedo's pixels: for the mean
     light of all albedos and the mean importance of its own pixels, because black pixels weigh a thousand times as much
-    as white ones.
+    as white ones. `refiner` gets the solution and the curvature there of the mean error over pixels and channels.
     """
     albedo = start.clone()
     count, scale = _prior_scale(equations, start)
@@ -114,6 +119,9 @@ def solve_albedo(
         albedo = _conjugate_gradients(apply, right + prior * scale * start, albedo, preconditioner)
         albedo = albedo.clamp(0, 1)
         information = (diagonal / (prior * scale)).mean(dim=1)
+    if refiner is not None:
+        channels = sum(rows.gain.numel() for rows in equations)
+        albedo = refiner(albedo, (diagonal + prior * scale) / channels)
     return albedo, count, information
 
 

@@ -14,6 +14,7 @@ import torch
 from hir_core.scene.srgb import srgb_slope, srgb_to_linear
 from hir_plugins.reflectance_renderers.transport_ggx.fit.closed_form_albedo import (
     AlbedoEquations,
+    AlbedoRefiner,
     MetalTerm,
     solve_albedo,
 )
@@ -42,11 +43,14 @@ def solve_final_albedo(
     batches: Iterable[tuple[PixelBatch, SpecularMatrices | None]],
     parameters: Parameters,
     bounces: int,
+    refiner: AlbedoRefiner | None = None,
 ) -> Parameters:
     """`parameters` with `closed_form_diffuse` for the pixels of `batches`, whose matrices fit the parameters."""
     with torch.no_grad():
         rows = [_equations(transport, batch, matrices, parameters, bounces) for batch, matrices in batches]
-        albedo, _, _ = solve_albedo(rows, parameters.base_color, VERTEX_HUBER_SRGB, VERTEX_PRIOR_WEIGHT)
+        albedo, _, _ = solve_albedo(
+            rows, parameters.base_color, VERTEX_HUBER_SRGB, VERTEX_PRIOR_WEIGHT, refiner=refiner
+        )
         logits = torch.logit(albedo.clamp(ALBEDO_LOW, ALBEDO_HIGH))
     return replace(parameters, closed_form_diffuse=logits)
 

@@ -22,6 +22,7 @@ from hir_core.optimization.schedules import Schedule
 from hir_plugins.reflectance_renderers.brdf_torch import Model
 from hir_plugins.reflectance_renderers.transport_ggx.fit.final_albedo import solve_final_albedo
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_checkpoints import FitCheckpoint
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_terms import FitTerms
 from hir_plugins.reflectance_renderers.transport_ggx.fit.mini_batches import MiniBatches
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import MAX_FITTED_F0, Parameters
 from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import (
@@ -77,28 +78,30 @@ def fit(
     edges: Int[Tensor, "E 2"],
     on_step: Callable[[int, float], None],
     checkpoint: FitCheckpoint | None = None,
+    terms: FitTerms | None = None,
 ) -> Parameters:
-    """Adam with a cosine schedule over the batches in turn; `on_step(step, loss)` receives the loss of the pixels.
+    """Adam with a cosine schedule over the batches in turn; `on_step(step, loss)` receives the loss of the pixels and
+    of the `terms`, which are regularizers.
 
     With `checkpoint` the state is stored there and resumed. A step without a finite gradient is skipped and warned of,
     with its term and views; too many in a row raise `StageError`.
     """
+    prepared = None if terms is None else terms.prepared(start.detached(), settings.model, settings.huber_srgb)
     parameters = _leaves(start.detached(), settings)
     resident = ResidentBatches(batches, parameters, start.detached(), settings.model, settings.refresh_interval)
-    pixel_loss = math.nan
+    fitted_loss = math.nan
 
     def loss(step: int) -> dict[str, Tensor]:
-        nonlocal pixel_loss
+        nonlocal fitted_loss
         batch, matrices = resident.at(step)
-        difference = _difference(transport, batch, matrices, parameters, settings)
-        zero = torch.zeros_like(difference)
-        pixels = torch.nn.functional.huber_loss(difference, zero, delta=settings.huber_srgb)
-        pixel_loss = float(pixels.detach())
         # metal or not is decided late: while light and colours are wrong, the nearer end of m is no evidence
         decided = replace(
             settings.smoothness, metalness_prior=settings.smoothness.metalness_prior * step / settings.steps
         )
-        return {PIXEL_TERM: pixels, "smoothness": smoothness_energy(parameters, decided, edges)}
+        own = objective(transport, batch, matrices, parameters, replace(settings, smoothness=decided), edges)
+        regularizers = {} if prepared is None else prepared(parameters, step)
+        fitted_loss = sum(float(term.detach()) for term in (own[PIXEL_TERM], *regularizers.values()))
+        return own | regularizers
 
     def freeze(step: int) -> None:
         if parameters.width is not None and step < settings.alpha_frozen_share * settings.steps:
@@ -111,8 +114,8 @@ def fit(
         if parameters.specular is not None and settings.model in ("dielectric", "metallic"):
             with torch.no_grad():
                 parameters.specular.clamp_(max=math.log(MAX_FITTED_F0 / (1 - MAX_FITTED_F0)))
-        if math.isfinite(pixel_loss):
-            on_step(step, pixel_loss)
+        if math.isfinite(fitted_loss):
+            on_step(step, fitted_loss)
         return False
 
     def locate(step: int, term: str) -> str:
@@ -142,7 +145,22 @@ def fit(
     fitted = parameters.detached()
     if not settings.solve_albedo:
         return fitted
-    return solve_final_albedo(transport, resident.all(), fitted, settings.bounces)
+    refiner = None if prepared is None else prepared.albedo_refiner(fitted)
+    return solve_final_albedo(transport, resident.all(), fitted, settings.bounces, refiner)
+
+
+def objective(
+    transport: Transport,
+    batch: PixelBatch,
+    matrices: SpecularMatrices | None,
+    parameters: Parameters,
+    settings: FitSettings,
+    edges: Int[Tensor, "E 2"],
+) -> dict[str, Float[Tensor, ""]]:
+    """The terms of the solver's own: the error of the pixels and the smoothness."""
+    difference = _difference(transport, batch, matrices, parameters, settings)
+    pixels = torch.nn.functional.huber_loss(difference, torch.zeros_like(difference), delta=settings.huber_srgb)
+    return {PIXEL_TERM: pixels, "smoothness": smoothness_energy(parameters, settings.smoothness, edges)}
 
 
 def _difference(

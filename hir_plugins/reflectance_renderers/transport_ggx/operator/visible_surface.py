@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from hir_core.capture import Camera
-from hir_core.scene import Mesh
+from hir_core.scene import Mesh, Topology
 from hir_plugins.reflectance_renderers.transport_ggx.operator.ray_tracer import RayTracer
 
 MAX_REFINED_FACES = 400_000
@@ -33,6 +33,13 @@ class Surface:
         """Unit normals of the faces; zero where a face has no area."""
         a, b, c = self.positions[self.faces].unbind(1)
         return normalize(torch.linalg.cross(b - a, c - a), dim=1, eps=1e-30)
+
+
+def refined_mesh(surface: Surface) -> Mesh:
+    """The surface as a mesh with texture coordinates for each corner."""
+    assert surface.corner_uvs is not None
+    corners = torch.arange(3 * len(surface.faces), device=surface.faces.device).reshape(-1, 3)
+    return Mesh(surface.positions, Topology(surface.faces, corners), surface.corner_uvs.reshape(-1, 2))
 
 
 def refine(mesh: Mesh, vertices: int) -> Surface:

@@ -17,14 +17,14 @@ from hir_core.mesh.texel_rasterization import dilate, texel_surface
 from hir_core.mesh.texture_inpainting import fill_unobserved
 from hir_core.plugins.interfaces import PreparedReflectance
 from hir_core.scene import Material, Scene
-from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import Surface
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_terms import FitTerms
+from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import Surface, refined_mesh
 from hir_plugins.reflectance_renderers.transport_ggx.textures.texel_equations import TexelEquations, solve_texels
 from hir_plugins.reflectance_renderers.transport_ggx.textures.texture_solve import (
     PADDING_TEXELS,
     TEXEL_HUBER_SRGB,
     TEXEL_PRIOR_WEIGHT,
     TEXEL_SMOOTHNESS_WEIGHT,
-    refined_mesh,
 )
 
 
@@ -35,6 +35,8 @@ class AlbedoRefinement:
     equations: list[TexelEquations]
     seed: int = 0
     """Of the noise of the path tracer; each view has its own."""
+    terms: FitTerms | None = None
+    """Regularizers that have their say in the albedo."""
     _cache: dict[int, Tensor] = field(default_factory=dict)
     """Path-traced radiance of each view's pixels, of `_cached`."""
     _cached: tuple[PreparedReflectance, Scene] | None = None
@@ -60,9 +62,9 @@ class AlbedoRefinement:
             for done, part in enumerate(parts):
                 rows.append(part if traced is None else self._corrected(part, scene, traced, albedo, metalness))
                 report(0.9 * (done + 1) / len(parts))
-            found, _ = solve_texels(
-                rows, albedo, TEXEL_HUBER_SRGB, TEXEL_PRIOR_WEIGHT, TEXEL_SMOOTHNESS_WEIGHT, metalness
-            )
+            refiner = None if self.terms is None else self.terms.of_textures(scene, TEXEL_HUBER_SRGB)
+            weights = TEXEL_HUBER_SRGB, TEXEL_PRIOR_WEIGHT, TEXEL_SMOOTHNESS_WEIGHT
+            found, _ = solve_texels(rows, albedo, *weights, metalness, refiner)
             mesh = refined_mesh(surface)
             texels = texel_surface(mesh, (albedo.shape[0], albedo.shape[1]))
             filled = fill_unobserved(found, mesh, material.observed, texels)

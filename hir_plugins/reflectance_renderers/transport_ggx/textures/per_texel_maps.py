@@ -11,10 +11,12 @@ from torch import Tensor
 
 from hir_core.mesh.texel_rasterization import TexelSurface, dilate, texel_surface
 from hir_core.mesh.texture_inpainting import fill_unobserved
-from hir_core.scene import Material, Mesh, Scene
+from hir_core.scene import EnvironmentMap, Material, Mesh, Scene
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_terms import FitTerms
 from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import ObservedPixels, observe_pixels
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import MIN_ALPHA, Parameters
 from hir_plugins.reflectance_renderers.transport_ggx.fit.shading_normals import offset_normals
+from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import refined_mesh
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit_state import PointBrdfs
 from hir_plugins.reflectance_renderers.transport_ggx.textures.light_refit import light_pixels, refit_light
@@ -38,7 +40,6 @@ from hir_plugins.reflectance_renderers.transport_ggx.textures.texture_solve impo
     TEXEL_PRIOR_WEIGHT,
     TEXEL_SMOOTHNESS_WEIGHT,
     TextureReport,
-    refined_mesh,
     texel_equations,
     texture_size,
 )
@@ -51,12 +52,14 @@ def solve_per_texel_maps(
     downsample: int,
     options: TransportGGXOptions,
     report: Callable[[float], None],
+    terms: FitTerms | None = None,
 ) -> tuple[Material, Parameters, list[TexelEquations], TextureReport]:
     """Maps of albedo, ρs, α and normal at the size of the scene's texture, the parameters with their light, the
     equations of the albedo, and a report. Texels with too few photographs are inpainted.
 
     The light is fitted again to `pixels`, first with their own BRDFs, then with the maps. Last the albedo is solved
-    from the radiance of whole pixels, because lookups between pixels blur the photographs.
+    from the radiance of whole pixels, because lookups between pixels blur the photographs; `terms` have their say in
+    this albedo alone.
     """
     assert scene.material is not None
     transport = lit.transport
@@ -76,11 +79,11 @@ def solve_per_texel_maps(
     report(0.7)
     with torch.no_grad():
         equations = _equations(lit, maps, downsample, options, lambda share: report(0.7 + 0.25 * share))
-        albedo = (
-            solve_texels(equations, maps.albedo, TEXEL_HUBER_SRGB, TEXEL_PRIOR_WEIGHT, TEXEL_SMOOTHNESS_WEIGHT)[0]
-            if equations
-            else maps.albedo
-        )
+        textured = Material(lit.model, maps.albedo, maps.specular, maps.alpha)
+        shown = Scene(scene.mesh, textured, EnvironmentMap(lit.parameters.radiance))
+        refiner = None if terms is None else terms.of_textures(shown, TEXEL_HUBER_SRGB)
+        weights = TEXEL_HUBER_SRGB, TEXEL_PRIOR_WEIGHT, TEXEL_SMOOTHNESS_WEIGHT
+        albedo = solve_texels(equations, maps.albedo, *weights, refiner=refiner)[0] if equations else maps.albedo
         material = Material(
             model=lit.model,
             diffuse_albedo=dilate(fill_unobserved(albedo, mesh, maps.observed, texels), texels.covered, PADDING_TEXELS),

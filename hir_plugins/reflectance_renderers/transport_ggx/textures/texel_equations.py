@@ -12,6 +12,7 @@ from torch import Tensor
 
 from hir_plugins.reflectance_renderers.transport_ggx.fit.closed_form_albedo import (
     AlbedoEquations,
+    AlbedoRefiner,
     MetalTerm,
     solve_albedo,
 )
@@ -65,6 +66,7 @@ def solve_texels(
     prior: float,
     smoothness: float = 0.0,
     metalness: Float[Tensor, "H W 1"] | None = None,
+    refiner: AlbedoRefiner | None = None,
 ) -> tuple[Float[Tensor, "H W 3"], Bool[Tensor, "H W"]]:
     """Albedo in 0…1, or the base colour for a `metalness`, and the observed texels.
 
@@ -92,7 +94,9 @@ def solve_texels(
     def differences(x: Float[Tensor, "N 3"], weight: Float[Tensor, "N 3"]) -> Float[Tensor, "N 3"]:
         return _differences(*(values.reshape(height, width, 3) for values in (x, weight))).reshape(-1, 3)
 
-    texture, count, information = solve_albedo([rows], start.reshape(-1, 3), huber_srgb, prior, differences, smoothness)
+    texture, count, information = solve_albedo(
+        [rows], start.reshape(-1, 3), huber_srgb, prior, differences, smoothness, refiner
+    )
     # a texel at the edge of a photograph or in the dark remains at its prior: it was not observed
     observed = (count > MIN_PIXELS) & (information > MIN_INFORMATION)
     return texture.reshape(height, width, 3), observed.reshape(height, width)

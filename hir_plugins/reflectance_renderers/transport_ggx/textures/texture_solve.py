@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import TypeAlias
 
 import torch
@@ -13,16 +14,17 @@ from hir_core.capture import Capture
 from hir_core.mesh.texel_rasterization import TexelSurface, dilate, texel_surface, texture_of_vertices
 from hir_core.mesh.texture_inpainting import fill_unobserved
 from hir_core.plugins.model_spec import ModelSpec
-from hir_core.scene import Material, Mesh, Scene, Topology
+from hir_core.scene import EnvironmentMap, Material, Mesh, Scene
 from hir_core.scene.bilinear import texture_texels
 from hir_core.scene.srgb import srgb_slope
 from hir_plugins.reflectance_renderers.transport_ggx.fit.final_albedo import SRGB_SLOPE_FLOOR_LINEAR
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_terms import FitTerms, material_at_vertices
 from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import ObservedPixels, observe_pixels
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
 from hir_plugins.reflectance_renderers.transport_ggx.fit.shading_normals import offset_normals
 from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_light import pixel_irradiance
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
-from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import Surface
+from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import refined_mesh
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.textures.metallic_equations import metallic_equations
 from hir_plugins.reflectance_renderers.transport_ggx.textures.normal_map import normal_map
@@ -63,8 +65,12 @@ def solve_scene(
     rotation: Tensor | None,
     options: TransportGGXOptions,
     report: Callable[[float], None],
+    terms: FitTerms | None = None,
 ) -> tuple[Material, list[TexelEquations], TextureReport]:
-    """The material of a fit, the equations of its albedo, and a report. What the model does not vary is a constant."""
+    """The material of a fit, the equations of its albedo, and a report. What the model does not vary is a constant.
+
+    `terms` have their say in the albedo; the other maps are those of the fit at vertices, which has minimised them.
+    """
     assert scene.material is not None
     height, width = texture_size(scene.material)
     mesh = refined_mesh(transport.surface)
@@ -89,8 +95,20 @@ def solve_scene(
             information += _vertex_information(transport, part, rows, metalness)
             equations += rows
             report(0.8 * (done + 1) / len(views))
+        refiner = None
+        if terms is not None:
+            at_vertices = material_at_vertices(parameters, spec.brdf)
+            textured = replace(
+                at_vertices,
+                diffuse_albedo=_padded(mesh, surface, at_vertices.diffuse_albedo),
+                specular_albedo=_padded(mesh, surface, at_vertices.specular_albedo),
+                roughness=_padded(mesh, surface, at_vertices.roughness),
+                metalness=metalness,
+            )
+            shown = Scene(scene.mesh, textured, EnvironmentMap(parameters.radiance, None, spec.light_frame))
+            refiner = terms.of_textures(shown, TEXEL_HUBER_SRGB)
         solved, observed_texels = solve_texels(
-            equations, start, TEXEL_HUBER_SRGB, TEXEL_PRIOR_WEIGHT, TEXEL_SMOOTHNESS_WEIGHT, metalness
+            equations, start, TEXEL_HUBER_SRGB, TEXEL_PRIOR_WEIGHT, TEXEL_SMOOTHNESS_WEIGHT, metalness, refiner
         )
         # texels that are smaller than a photograph's pixels are observed through their vertices
         known = (
@@ -226,15 +244,15 @@ def _map(
     return finished(texture_of_vertices(mesh, values, surface))
 
 
+def _padded(mesh: Mesh, surface: TexelSurface, values: Tensor) -> Tensor:
+    """Values at vertices as a texture with borders around its charts; a constant stays one."""
+    if values.ndim == 1:
+        return values
+    return dilate(texture_of_vertices(mesh, values, surface), surface.covered, PADDING_TEXELS)
+
+
 def _rgb(values: Float[Tensor, "#V C"]) -> Float[Tensor, "#V 3"]:
     return values.expand(-1, 3)
-
-
-def refined_mesh(surface: Surface) -> Mesh:
-    """The surface as a mesh with texture coordinates for each corner."""
-    assert surface.corner_uvs is not None
-    corners = torch.arange(3 * len(surface.faces), device=surface.faces.device).reshape(-1, 3)
-    return Mesh(surface.positions, Topology(surface.faces, corners), surface.corner_uvs.reshape(-1, 2))
 
 
 def texture_size(material: Material) -> tuple[int, int]:

@@ -1,0 +1,201 @@
+"""Regularizers inside a fit: each term sees the parameters as the material and the light of a scene.
+
+A term with the trait `vertex_maps` sees the values at the vertices of the refined surface. Any other term of the
+material sees textures of about as many texels as there are vertices, interpolated from them.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, final
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from hir_core.mesh.texel_rasterization import TexelSurface, dilate, texel_surface, texture_of_vertices
+from hir_core.optimization.term_gradients import parts_of, with_parts
+from hir_core.plugins.interfaces import WeightedTerm
+from hir_core.scene import Material, Mesh, Scene, Topology
+from hir_plugins.reflectance_renderers.transport_ggx.fit.closed_form_albedo import AlbedoRefiner
+from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
+from hir_plugins.reflectance_renderers.transport_ggx.fit.proximal_step import proximal_step
+from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import Surface, refined_mesh
+
+if TYPE_CHECKING:
+    from hir_core.plugins.interfaces import Energy
+
+PADDING_TEXELS = 2
+"""Width of the border around charts that repeats their edge."""
+LAG_STEPS = 5
+"""The gradient of a term with the trait `lagged` is taken every so many steps. It divides the interval of
+checkpoints, so that a resumed fit takes the same gradients."""
+
+
+@dataclass(frozen=True, eq=False)
+class FitTerms:
+    """The regularizers of a solver, and the scene whose mesh, texture size and light they see."""
+
+    terms: Sequence[WeightedTerm]
+    scene: Scene
+    surface: Surface
+
+    def prepared(self, start: Parameters, model: str, huber_srgb: float) -> PreparedTerms:
+        """For one fit, from its start values; `huber_srgb` is the residual from which its loss is linear."""
+        shown = {kind: self._shown(kind, start, model) for kind in {_view_of(term) for term in self.terms}}
+        with warnings.catch_warnings():
+            # the core warns once, about the model that was selected
+            warnings.simplefilter("ignore", UserWarning)
+            energies = [term.prepare(_detached(shown[_view_of(term)])) for term in self.terms]
+        return PreparedTerms(self, energies, model, huber_srgb)
+
+    def of_textures(self, scene: Scene, huber_srgb: float) -> AlbedoRefiner | None:
+        """What refines the solved texture of `scene`, a diffuse albedo or the base colour of a `metallic` material.
+
+        None where no term depends on the material.
+        """
+        terms = [term for term in self.terms if "material" in term.traits]
+        material = scene.material
+        if not terms or material is None or material.diffuse_albedo.ndim != 3:
+            return None
+        shape = material.diffuse_albedo.shape
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            energies = [(huber_srgb * term.weight, term.prepare(_detached(scene))) for term in terms]
+
+        def energy(albedo: Float[Tensor, "N 3"]) -> Float[Tensor, ""]:
+            shown = replace(scene, material=_with_solved(material, albedo.reshape(shape)))
+            return sum((weight * term(shown) for weight, term in energies), albedo.new_zeros(()))
+
+        return lambda albedo, curvature: proximal_step(albedo, curvature, energy)
+
+    def _shown(self, view: str, parameters: Parameters, model: str) -> Scene:
+        """The parameters as a scene; differentiable in them."""
+        light = self.scene.environment
+        assert light is not None and self.scene.material is not None
+        light = replace(light, radiance=parameters.radiance)
+        if view == "light":
+            return replace(self.scene, environment=light)
+        material = material_at_vertices(parameters, model)
+        if view == "vertices":
+            return Scene(self._vertex_mesh, material, light)
+        scene = Scene(self.scene.mesh, material, light)
+        maps = {name: self._texture(value) for name, value in parts_of(scene).items() if name != "radiance"}
+        return with_parts(scene, maps)
+
+    def _texture(self, values: Tensor) -> Tensor:
+        if values.ndim == 1:
+            return values
+        return dilate(texture_of_vertices(self._mesh, values, self._texels), self._texels.covered, PADDING_TEXELS)
+
+    @cached_property
+    def _mesh(self) -> Mesh:
+        return refined_mesh(self.surface)
+
+    @cached_property
+    def _vertex_mesh(self) -> Mesh:
+        return Mesh(self.surface.positions, Topology(self.surface.faces))
+
+    @cached_property
+    def _texels(self) -> TexelSurface:
+        assert self.scene.material is not None
+        texture = self.scene.material.diffuse_albedo
+        height, width = texture.shape[:2] if texture.ndim == 3 else (1024, 1024)
+        vertices = len(self.surface.positions)
+        while height * width >= 4 * vertices and height % 2 == width % 2 == 0:
+            height, width = height // 2, width // 2
+        return texel_surface(self._mesh, (int(height), int(width)))
+
+
+@final
+class PreparedTerms:
+    """The weighted terms of one fit as functions of its parameters."""
+
+    def __init__(self, terms: FitTerms, energies: Sequence[Energy], model: str, huber_srgb: float) -> None:
+        self._terms, self._energies, self._model, self._huber = terms, energies, model, huber_srgb
+        self._lagged: dict[str, tuple[Tensor, list[tuple[str, Tensor, Tensor]]]] = {}
+
+    def __call__(self, parameters: Parameters, step: int) -> dict[str, Float[Tensor, ""]]:
+        """Each term times its weight, by name. A lagged one continues from its last gradient, as a linear function."""
+        shown = {
+            kind: self._terms._shown(kind, parameters, self._model)
+            for kind in {_view_of(term) for term in self._terms.terms}
+        }
+        values = {}
+        for term, energy in zip(self._terms.terms, self._energies, strict=True):
+            scene = shown[_view_of(term)]
+            value = self._continued(term.name, energy, scene, step) if "lagged" in term.traits else energy(scene)
+            values[f"regularizer {term.name}"] = self._huber * term.weight * value
+        return values
+
+    def albedo_refiner(self, parameters: Parameters) -> AlbedoRefiner | None:
+        """What refines the solved albedo at vertices, all else fixed; None where no term depends on the material."""
+        chosen = [
+            (self._huber * term.weight, _view_of(term), energy)
+            for term, energy in zip(self._terms.terms, self._energies, strict=True)
+            if "material" in term.traits
+        ]
+        if not chosen:
+            return None
+
+        def energy(albedo: Float[Tensor, "N 3"]) -> Float[Tensor, ""]:
+            at = replace(parameters, diffuse=torch.logit(albedo.clamp(1e-6, 1 - 1e-6)))
+            shown = {view: self._terms._shown(view, at, self._model) for view in {view for _, view, _ in chosen}}
+            return sum((weight * term(shown[view]) for weight, view, term in chosen), albedo.new_zeros(()))
+
+        return lambda albedo, curvature: proximal_step(albedo, curvature, energy)
+
+    def _continued(self, name: str, energy: Energy, scene: Scene, step: int) -> Float[Tensor, ""]:
+        known = self._lagged.get(name)
+        parts = parts_of(scene)
+        if known is None or step % LAG_STEPS == 0:
+            leaves = {n: part.detach().clone().requires_grad_() for n, part in parts.items()}
+            with torch.enable_grad():
+                value = energy(with_parts(scene, leaves))
+                found: Sequence[Tensor | None] = [None] * len(leaves)
+                if value.requires_grad:
+                    found = torch.autograd.grad(value, list(leaves.values()), allow_unused=True)
+            slopes = [(n, leaves[n].detach(), g) for n, g in zip(leaves, found, strict=True) if g is not None]
+            known = self._lagged[name] = value.detach(), slopes
+        total, slopes = known
+        for part, at, gradient in slopes:
+            total = total + ((parts[part] - at) * gradient).sum()
+        return total
+
+
+def material_at_vertices(parameters: Parameters, model: str) -> Material:
+    """The material of parameters, with values (V, C) at the vertices where they vary."""
+    if parameters.specular is None or parameters.width is None:
+        none = parameters.diffuse.new_zeros(3)
+        return Material("paper", parameters.diffuse_albedo, none, torch.ones_like(none[:1]))
+    diffuse, alpha = parameters.diffuse_albedo, _one_or_all(parameters.alpha)
+    specular = _one_or_all(parameters.specular_albedo.expand(-1, 3))
+    if parameters.metalness is None:
+        return Material("paper" if model == "paper" else "dielectric", diffuse, specular, alpha)
+    f0 = float(parameters.dielectric_f0.detach().mean())
+    metalness = _one_or_all(parameters.metal_share)
+    return Material("metallic", diffuse, specular, alpha, metalness=metalness, dielectric_f0=f0)
+
+
+def _with_solved(material: Material, texture: Float[Tensor, "H W 3"]) -> Material:
+    if material.metalness is None:
+        return replace(material, diffuse_albedo=texture)
+    return Material.metallic(texture, material.metalness, material.roughness, dielectric_f0=material.dielectric_f0)
+
+
+def _one_or_all(values: Float[Tensor, "#V C"]) -> Tensor:
+    return values[0] if len(values) == 1 else values
+
+
+def _view_of(term: WeightedTerm) -> str:
+    """What a term sees: `light`, `vertices` or `textures`."""
+    if "material" not in term.traits:
+        return "light"
+    return "vertices" if "vertex_maps" in term.traits else "textures"
+
+
+def _detached(scene: Scene) -> Scene:
+    return with_parts(scene, {name: part.detach().clone() for name, part in parts_of(scene).items()})
