@@ -7,7 +7,7 @@ from collections.abc import Sequence
 HELD_OUT_INTERVAL = 8
 """At least every eighth view is held out for model selection."""
 MIN_HELD_OUT_VIEWS = 6
-"""Held-out views of a model comparison where the capture has enough: the standard error of two or three is itself a guess."""
+"""Held-out views of a comparison, where the capture has enough: two or three give no usable standard error."""
 MIN_VIEWS = 6
 """With fewer views none is held out and no models are compared."""
 MIN_VIEWS_FOR_GEOMETRY = 10
@@ -26,7 +26,7 @@ Fold = tuple[list[int], list[int]]
 def model_selection_folds(views: int) -> list[Fold]:
     """Disjoint sets of held-out views, spaced evenly over the capture's order; none with fewer than `MIN_VIEWS`.
 
-    Half of fewer than twelve views is held out: there both folds together make every view held out once.
+    Half of fewer than twelve views is held out: there every view is held out in one of the two folds.
     """
     if views < MIN_VIEWS:
         return []
@@ -53,8 +53,8 @@ def held_out_for_geometry(views: int, share: float) -> list[int]:
 
 
 def judging_views(views: int, held_out: Sequence[int]) -> list[int]:
-    """Indices of the views that decide about the photo-consistency refinement: `held_out`, and others evenly spaced between
-    them up to `JUDGING_VIEWS` or `JUDGING_SHARE` of the views; none where none is held out.
+    """Indices of the views that decide on the photo-consistency refinement: `held_out`, and others evenly spaced
+    between them, up to `JUDGING_VIEWS` or `JUDGING_SHARE` of the views; none where none is held out.
     """
     if not held_out:
         return []
