@@ -21,7 +21,7 @@ SPEC = ModelSpec("dielectric", "uniform")
 SETTINGS = FitSettings(24, "dielectric", 0, refresh_interval=5, alpha_frozen_share=0.1)
 
 
-def run(resident: int, checkpoint: FitCheckpoint | None = None, stop: int = -1) -> Parameters:
+def run(resident: int, checkpoint: FitCheckpoint | None = None, stop: int = -1, spec: ModelSpec = SPEC) -> Parameters:
     """A fit of 24 steps with some batches in memory, interrupted after the step `stop`."""
     solver, _ = solver_of(block_pixels=200, resident_pixels=resident)
     observed = solver._photographs(range(6))
@@ -30,9 +30,10 @@ def run(resident: int, checkpoint: FitCheckpoint | None = None, stop: int = -1) 
         if step == stop:
             raise KeyboardInterrupt
 
-    start = solver._initial_parameters(SPEC, None, observed)
-    batches = solver._mini_batches(observed, SPEC)
-    return joint_optimization.fit(solver._transport, batches, start, SETTINGS, solver._edges, interrupt, checkpoint)
+    start = solver._initial_parameters(spec, None, observed)
+    batches = solver._mini_batches(observed, spec)
+    settings = replace(SETTINGS, model=spec.brdf)
+    return joint_optimization.fit(solver._transport, batches, start, settings, solver._edges, interrupt, checkpoint)
 
 
 @pytest.mark.parametrize("resident", [1 << 20, 400], ids=["all in memory", "shards"])
@@ -43,6 +44,20 @@ def test_an_interrupted_fit_ends_with_the_same_bits(tmp_path: Path, resident: in
         run(resident, checkpoint, stop)
     assert checkpoint.has_state() == (stop > 5)
     resumed, whole = run(resident, checkpoint), run(resident)
+    for field in fields(Parameters):
+        a, b = getattr(resumed, field.name), getattr(whole, field.name)
+        assert (a is None and b is None) or torch.equal(a, b), field.name
+
+
+@pytest.mark.parametrize("metalness", ["metal", "map"])
+def test_an_interrupted_metallic_fit_ends_with_the_same_bits(tmp_path: Path, metalness: str) -> None:
+    """Metalness is part of the state, infinite logits included; its prior grows with the step."""
+    spec = ModelSpec("metallic", "uniform", metalness=metalness)  # type: ignore[arg-type]
+    checkpoint = FitCheckpoint(tmp_path / "fit", -1.0)
+    with pytest.raises(KeyboardInterrupt):
+        run(400, checkpoint, 12, spec)
+    assert checkpoint.has_state()
+    resumed, whole = run(400, checkpoint, spec=spec), run(400, spec=spec)
     for field in fields(Parameters):
         a, b = getattr(resumed, field.name), getattr(whole, field.name)
         assert (a is None and b is None) or torch.equal(a, b), field.name

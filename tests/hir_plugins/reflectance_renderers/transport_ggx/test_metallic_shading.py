@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +10,10 @@ import pytest
 import torch
 
 from hir_core.capture import Capture, Pixels, View
-from hir_core.scene import EnvironmentMap, Material, Scene
+from hir_core.scene import EnvironmentMap, Material, Mesh, Scene, Topology
 from hir_plugins.reflectance_renderers.mitsuba_ggx.options import MitsubaGGXOptions
 from hir_plugins.reflectance_renderers.mitsuba_ggx.renderer import MitsubaGGX
+from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGGX
 from tests.fixtures.scenes import icosphere, looking_at
@@ -79,3 +81,40 @@ def test_gradients_of_base_colour_and_metalness_are_finite_differences() -> None
         torch.testing.assert_close(gradients[0][0].double(), (up - down) / (2 * step), rtol=1e-3, atol=0)
         up, down = (total(base, m + s * step) for s in (1, -1))
         torch.testing.assert_close(gradients[1][0].double(), (up - down) / (2 * step), rtol=1e-3, atol=0)
+
+
+def test_metal_reflects_onto_metal() -> None:
+    """Two metal balls against path tracing with one reflection, where it brings more than 15 %.
+
+    Measured for a base colour of (.9, .7, .5): without indirect light the mean is 35 % too dark and single pixels
+    are 35 % off (57 and 58 % for α = 0.1); with it 3 and 16 % (11 and 24 %). The energy is right, its direction is not.
+    """
+    made = scene(1.0)
+    assert made.material is not None and made.environment is not None
+    large, small = icosphere(4), icosphere(3, 0.45)
+    positions = torch.cat([large.positions, small.positions + torch.tensor([0.3, 1.2, 0.9])])
+    mesh = Mesh(positions, Topology(torch.cat([large.faces, small.faces + len(large.positions)])))
+    material, light, seen = made.material, made.environment, pixels()
+    solver = TransportGGX(OPTIONS).prepare(Scene(mesh, material, light), capture())
+    base = material.base_color.expand(len(mesh.positions), 3)
+    metal = Parameters(
+        light.radiance.log(), torch.logit(base), torch.zeros(1, 1), None, metalness=torch.full((1, 1), torch.inf)
+    )
+    traced = []
+    for depth in (2, 3):
+        torch.manual_seed(0)
+        tracer = MitsubaGGX(MitsubaGGXOptions(samples=256, max_depth=depth))
+        traced.append(tracer.prepare(Scene(mesh, material, light), capture()).radiance(material, light, seen))
+    direct = solver.radiance(material, light, seen)
+    indirect = replace(solver._shading, indirect=solver._indirect_light(metal, 1)).radiance(material, light, seen)
+    single, reference = traced
+    rows = (direct.sum(1) > 0) & ((reference - single).sum(1) > 0.15 * reference.sum(1))
+    assert int(rows.sum()) > 15
+
+    def errors(shown: torch.Tensor) -> tuple[float, float]:
+        difference, mean = (shown - reference)[rows], reference[rows].mean()
+        return abs(float(difference.mean() / mean)), float(difference.abs().mean() / mean)
+
+    bias, error = errors(indirect)
+    assert bias < 0.1 and error < 0.25
+    assert errors(direct)[0] > 2 * bias and errors(direct)[1] > 1.3 * error
