@@ -11,7 +11,7 @@ from urllib.parse import quote
 
 from hir_exporters.asset import Asset, validate_asset
 from hir_exporters.budgets import apply_budget
-from hir_exporters.exporter import Edit, Exporter, ExportReport
+from hir_exporters.exporter import Edit, Exporter, ExportReport, companion_file
 from hir_exporters.files.atomic import write_bytes_atomic
 from hir_exporters.format_options import GltfConfig
 from hir_exporters.gltf.binary import glb_bytes
@@ -73,7 +73,7 @@ def _write(asset: Asset, destination: Path, config: GltfConfig, edit: Edit | Non
 def _write_document(
     gathered: GatheredAsset, destination: Path, config: GltfConfig, edit: Edit | None, embed: bool
 ) -> list[Path]:
-    prefix = None if embed else f"{destination.stem}_"
+    prefix = None if embed else companion_file(destination, "").name
     document, writer = build_document(gathered, config, prefix)
     if not embed:
         document.buffers[0].uri = quote(f"{destination.stem}.bin")
@@ -86,7 +86,7 @@ def _write_document(
     else:
         # The file that references the others is written last, when all of them exist.
         for image in [*gathered.images, *(gathered.light[0] if gathered.light else [])]:
-            files.append(destination.with_name(f"{prefix}{image.name}"))
+            files.append(companion_file(destination, image.name))
             write_bytes_atomic(files[-1], image.data)
         files.append(destination.with_suffix(".bin"))
         write_bytes_atomic(destination.with_suffix(".bin"), writer.data())

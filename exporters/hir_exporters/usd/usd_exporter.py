@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, final
 from hir_exporters.asset import Asset, validate_asset
 from hir_exporters.budgets import apply_budget
 from hir_exporters.errors import ExportError
-from hir_exporters.exporter import Edit, Exporter, ExportReport
+from hir_exporters.exporter import Edit, Exporter, ExportReport, companion_file
 from hir_exporters.files.atomic import write_bytes_atomic, write_text_atomic
 from hir_exporters.format_options import UsdConfig
 from hir_exporters.light.environment_map import world_radiance
@@ -51,18 +51,18 @@ class UsdExporter(Exporter):
         if config.materialx and config.workflow == "specular":
             raise ExportError("materialx: OpenPBR is written from the metallic workflow; set workflow=metallic or auto")
         asset, surface, images, warnings = _gather(asset, config)
-        paths = {name: f"./{destination.stem}_{image.name}" for name, image in images.items()}
+        paths = {name: f"./{companion_file(destination, image.name).name}" for name, image in images.items()}
         stage = build_stage(asset, surface, paths, config.meters_per_unit, config.subsets)
         if edit is not None:
             edit(stage, asset)
         layer = layer_bytes(stage.GetRootLayer(), destination.suffix)
         files = [destination]
         for image in images.values():
-            files.append(destination.with_name(f"{destination.stem}_{image.name}"))
+            files.append(companion_file(destination, image.name))
             write_bytes_atomic(files[-1], image.data)
         write_bytes_atomic(destination, layer)
         if config.materialx:
-            files.append(destination.with_name(f"{destination.stem}_openpbr.usda"))
+            files.append(companion_file(destination, "openpbr.usda"))
             over = openpbr_layer(surface, prim_name(asset.name), destination.name, paths, config.meters_per_unit)
             write_bytes_atomic(files[-1], layer_bytes(over, ".usda"))
         light_files, light_warnings = _write_light(asset, destination, config)
@@ -137,7 +137,7 @@ def _write_light(asset: Asset, destination: Path, config: UsdConfig) -> tuple[li
     if not config.environment or asset.environment is None:
         return [], ()
     radiance, warnings = world_radiance(asset)
-    image, layer = destination.with_suffix(".hdr"), destination.with_name(f"{destination.stem}_lit.usda")
+    image, layer = destination.with_suffix(".hdr"), companion_file(destination, "lit.usda")
     write_hdr(image, radiance)
     write_text_atomic(layer, light_layer(prim_name(asset.name), destination.name, image.name, config.meters_per_unit))
     return [image, layer], warnings

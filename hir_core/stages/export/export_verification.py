@@ -53,7 +53,7 @@ class ExportVerification:
             psnr = self.report["psnr"]
             parts.append(
                 f"re-rendered from {len(psnr['views'])} cameras: {psnr['object']:.1f} dB (worst "
-                f"{min(psnr['views'].values()):.1f})"
+                f"{min(psnr['views'].values()):.1f}) against the fitted scene, which measures the file and not the fit"
             )
         elif "not_rendered" in self.report:
             parts.append(f"not re-rendered: {self.report['not_rendered']}")

@@ -197,8 +197,8 @@ def test_a_light_that_moves_with_the_camera_is_the_runs_own(tmp_path: Path) -> N
         ({"not_rendered": "no light"}, "read back; not re-rendered: no light"),
         (
             {"psnr": {"object": 41.26, "views": {"a": 40.0, "b": 42.5}}, "engines": {"blender": 50.2, "unity": 31.8}},
-            "read back; re-rendered from 2 cameras: 41.3 dB (worst 40.0); by the formulas of engines, in dB: "
-            "blender 50, unity 32",
+            "read back; re-rendered from 2 cameras: 41.3 dB (worst 40.0) against the fitted scene, which "
+            "measures the file and not the fit; by the formulas of engines, in dB: blender 50, unity 32",
         ),
     ],
 )
