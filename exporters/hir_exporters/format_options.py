@@ -60,19 +60,25 @@ class GltfConfig(CheckedOptions):
     profile: Literal["khr", "blender", "metalrough", "unity-legacy"] = "khr"
     """How the material is encoded: with the ratified extensions (khr), as Blender reads them, as core
     metallic-roughness, or as specular-glossiness for Unity's glTFast (unity-legacy)."""
-    budget: Literal["none", "quicklook", "web", "desktop"] = "none"
-    """Limits of a target: meshes and textures above them are reduced, and the report says so."""
+    budget: Literal["none", "quicklook", "phone", "web", "desktop"] = "none"
+    """Limits of a target on triangles, texture size and bytes (phone 5 MB, web 3 MB, desktop 40 MB): meshes and
+    textures above them are reduced, images become JPEG or WebP, and the report says so."""
     max_texture_size: int = _number(4096, 1, 1 << 16)
     """Larger textures are reduced to this many pixels a side."""
-    image_format: Literal["png", "jpeg", "ktx2"] = "png"
-    """JPEG is smaller and loses detail; normal maps and alpha stay PNG. KTX2 is refused with an error that names a tool
-    for it."""
+    image_format: Literal["png", "jpeg", "webp", "ktx2"] = "png"
+    """JPEG is smaller and loses detail; normal maps and alpha stay PNG. WebP (EXT_texture_webp) is smaller still:
+    linear maps are lossless, and a fallback of at most 512 pixels is for readers without the extension. KTX2 is refused
+    with an error that names a tool for it."""
     jpeg_quality: int = _number(92, 1, 95)
-    """1 to 95."""
+    """Of JPEG and WebP, 1 to 95."""
     tangents: Literal["auto", "always", "never"] = "auto"
     """Whether tangents are written; auto: where there is a normal map."""
     lods: tuple[int, ...] = _number((), 1, 1 << 31)
-    """Triangle counts of further levels of detail, written beside the file as NAME_lod1, NAME_lod2 and so on."""
+    """Triangle counts of further levels of detail, written beside the file as NAME_lod1, NAME_lod2 and so on. Each has
+    textures of half the size of the one before, down to 256 pixels."""
+    lod_layout: Literal["files", "msft_lod"] = "files"
+    """msft_lod: all levels in the one file, with shared textures (MSFT_lod, which Babylon.js reads; others show the
+    finest level)."""
     lod_normals: bool = True
     """Bake the normals of the full mesh into a normal map for each level of detail."""
     quantize: bool = False
@@ -93,10 +99,15 @@ class UsdConfig(CheckedOptions):
 
     workflow: Literal["auto", "metallic", "specular"] = "auto"
     """Workflow of UsdPreviewSurface; auto: metallic, which every importer reads, unless specular is clearly closer."""
-    budget: Literal["none", "quicklook", "web", "desktop"] = "none"
-    """Limits of a target: meshes and textures above them are reduced, and the report says so."""
+    budget: Literal["none", "quicklook", "phone", "web", "desktop"] = "none"
+    """Limits of a target on triangles, texture size and bytes (phone 5 MB, web 3 MB, desktop 40 MB): meshes and
+    textures above them are reduced, images become JPEG or WebP, and the report says so."""
     max_texture_size: int = _number(4096, 1, 1 << 16)
     """Larger textures are reduced to this many pixels a side."""
+    image_format: Literal["png", "jpeg"] = "png"
+    """JPEG is smaller and loses detail; normal maps stay PNG."""
+    jpeg_quality: int = _number(92, 1, 95)
+    """1 to 95."""
     meters_per_unit: float = _number(1.0, 1e-9, 1e9)
     """Metadata of the file; positions are not scaled."""
     environment: bool = True
@@ -113,7 +124,7 @@ class UsdzConfig(UsdConfig):
     """Options of .usdz, a package for AR Quick Look and other USD readers."""
 
     workflow: Literal["auto", "metallic", "specular"] = "metallic"
-    budget: Literal["none", "quicklook", "web", "desktop"] = "quicklook"
+    budget: Literal["none", "quicklook", "phone", "web", "desktop"] = "quicklook"
     max_texture_size: int = _number(2048, 1, 1 << 16)
     subsets: bool = False
 

@@ -19,11 +19,11 @@ from hir_exporters.materials.material_conversion import to_gltf
 from hir_exporters.materials.surfaces import MetallicSurface
 from hir_exporters.materials.texture_packing import (
     PackedSurface,
-    encode_images,
     limit_texture_sizes,
     pack_surface,
     texture_size_warnings,
 )
+from hir_exporters.textures.image_encoding import encode_images
 
 
 @final
@@ -42,17 +42,17 @@ class ObjExporter(Exporter):
         packed = pack_surface(surface, material.normal)
         # The statements cannot select channels: roughness and metalness are separate images.
         pixels = {"base_color": packed.base_color_image, "normal": packed.normal_image}
-        if packed.orm_image is not None and surface.roughness.ndim == 2:
+        if packed.orm_image is not None and packed.roughness_textured:
             pixels["roughness"] = packed.orm_image[..., 1:2]
-        if packed.orm_image is not None and surface.metallic.ndim == 2:
+        if packed.orm_image is not None and packed.metallic_textured:
             pixels["metallic"] = packed.orm_image[..., 2:3]
-        images = encode_images([(name, image) for name, image in pixels.items() if image is not None])
+        images = encode_images({name: image for name, image in pixels.items() if image is not None})
         plain = destination.with_name(_plain(destination.stem) + destination.suffix)
-        names = {i.name.rpartition(".")[0]: companion_file(plain, i.name).name for i in images}
+        names = {key: companion_file(plain, image.name).name for key, image in images.items()}
 
         library = plain.with_suffix(".mtl")
         files = [destination, library, *(destination.with_name(name) for name in names.values())]
-        for image, file in zip(images, files[2:], strict=True):
+        for image, file in zip(images.values(), files[2:], strict=True):
             write_bytes_atomic(file, image.data)
         write_text_atomic(library, material_text(packed, names))
         write_bytes_atomic(

@@ -6,21 +6,17 @@ import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, Final, final
 
 from hir_exporters.asset import Asset, validate_asset
-from hir_exporters.budgets import apply_budget
+from hir_exporters.budgets import BUDGETS, apply_budget, budget_images, fit_mesh
 from hir_exporters.errors import ExportError
 from hir_exporters.exporter import Edit, Exporter, ExportReport, companion_file
 from hir_exporters.files.atomic import write_bytes_atomic, write_text_atomic
 from hir_exporters.format_options import UsdConfig
 from hir_exporters.light.environment_map import world_radiance
-from hir_exporters.materials.texture_packing import (
-    EncodedImage,
-    encode_images,
-    limit_texture_sizes,
-    texture_size_warnings,
-)
+from hir_exporters.materials.texture_packing import limit_texture_sizes, texture_size_warnings
+from hir_exporters.textures.image_encoding import EncodedImage, ImageEncoding
 from hir_exporters.textures.image_files import write_hdr
 from hir_exporters.usd.dome_light import light_layer
 from hir_exporters.usd.openpbr import openpbr_layer
@@ -129,8 +125,25 @@ def _gather(asset: Asset, config: UsdConfig) -> tuple[Asset, UsdSurface, dict[st
     warnings += texture_size_warnings(asset.material, config.max_texture_size)
     asset = replace(asset, material=limit_texture_sizes(asset.material, config.max_texture_size))
     surface = usd_surface(asset.material, "metallic" if config.materialx else config.workflow)
-    images = encode_images(list(surface.images.items()))
-    return asset, surface, dict(zip(surface.images, images, strict=True)), warnings + surface.warnings
+    size = 0
+    if BUDGETS[config.budget].bytes is not None:
+        asset, mesh_warnings = fit_mesh(asset, config.budget, _bytes_without_images(asset, surface, config))
+        warnings += mesh_warnings
+        size = _bytes_without_images(asset, surface, config)
+    encoding = ImageEncoding(config.image_format, config.jpeg_quality)
+    images, image_warnings = budget_images(surface.images, config.budget, size, encoding)
+    return asset, surface, images, warnings + surface.warnings + image_warnings
+
+
+_SLACK_BYTES: Final = 4096
+"""For the directory of a package and the alignment of its files."""
+
+
+def _bytes_without_images(asset: Asset, surface: UsdSurface, config: UsdConfig) -> int:
+    stage = build_stage(
+        asset, surface, {name: f"{name}.png" for name in surface.images}, config.meters_per_unit, config.subsets
+    )
+    return len(layer_bytes(stage.GetRootLayer(), ".usdc")) + _SLACK_BYTES
 
 
 def _write_light(asset: Asset, destination: Path, config: UsdConfig) -> tuple[list[Path], tuple[str, ...]]:

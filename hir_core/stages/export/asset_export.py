@@ -56,6 +56,8 @@ def export_asset(
                 report = exporter.write(asset, destination, _edit(registered, plugins))
                 reports[name] = _publish(report, name, destination.parent, folder, writers)
             except HirError as error:
+                if str(destination.parent) not in str(error):
+                    raise
                 raise type(error)(str(error).replace(str(destination.parent), str(folder))) from error
             if on_file is not None:
                 on_file(name, reports[name])
