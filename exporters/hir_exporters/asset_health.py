@@ -91,8 +91,8 @@ def _albedo(material: AssetMaterial, uvs: Array) -> Array:
 def _correlation(albedo: Array, irradiance: Array) -> float | None:
     """Pearson correlation of the logarithms of the luminances (N, 3); None where one of them hardly varies."""
     logs = [np.log(np.maximum(luminance(values), _LOWEST)) for values in (albedo, irradiance)]
-    spread = [float(values.std()) for values in logs]
-    if min(spread) < MIN_VARIATION:
+    deviations = [float(values.std()) for values in logs]
+    if min(deviations) < MIN_VARIATION:
         return None
     first, second = (values - values.mean() for values in logs)
-    return float((first * second).mean() / (spread[0] * spread[1]))
+    return float((first * second).mean() / (deviations[0] * deviations[1]))
