@@ -1,17 +1,20 @@
 // Light and specular of exported assets in Unity 6 with glTFast 6.9; goes into Assets/Editor. Not run by hir's tests: docs/engines/unity.md.
 // The .glb of profile `unity-legacy` carries specular-glossiness, which glTFast turns into a material of the specular workflow by itself.
+using System.IO;
+using System.Text;
 using UnityEditor;
 using UnityEngine;
 using UnityEngine.Rendering;
 
 namespace Hir
 {
-    /// Imports .hdr files as uncompressed panoramas, their pixels as they are.
+    /// Imports the .hdr beside a .glb or .gltf of hir as an uncompressed panorama, its pixels as they are. Other .hdr files keep
+    /// the project's settings.
     public sealed class HirLightImporter : AssetPostprocessor
     {
         void OnPreprocessTexture()
         {
-            if (!assetPath.EndsWith(".hdr")) return;
+            if (!IsLightOfExport(assetPath)) return;
             var importer = (TextureImporter)assetImporter;
             importer.textureShape = TextureImporterShape.Texture2D; // Skybox/Panoramic samples the panorama itself
             importer.sRGBTexture = false;
@@ -20,6 +23,28 @@ namespace Hir
             importer.wrapModeV = TextureWrapMode.Clamp;
             importer.textureCompression = TextureImporterCompression.Uncompressed;
             importer.npotScale = TextureImporterNPOTScale.None;
+        }
+
+        static bool IsLightOfExport(string path)
+        {
+            if (!path.EndsWith(".hdr")) return false;
+            foreach (var suffix in new[] { ".glb", ".gltf" })
+            {
+                var model = Path.ChangeExtension(path, suffix);
+                if (File.Exists(model) && Json(model).Contains("hir_exporters")) return true; // its "generator"
+            }
+            return false;
+        }
+
+        /// The JSON of a glTF file; that of a .glb is its first chunk.
+        static string Json(string model)
+        {
+            if (model.EndsWith(".gltf")) return File.ReadAllText(model);
+            using var reader = new BinaryReader(File.OpenRead(model));
+            reader.BaseStream.Seek(12, SeekOrigin.Begin);
+            var length = reader.ReadInt32();
+            reader.ReadInt32();
+            return Encoding.UTF8.GetString(reader.ReadBytes(length));
         }
     }
 
@@ -44,7 +69,7 @@ namespace Hir
             sky.SetFloat("_Rotation", Rotation);
             sky.SetFloat("_Exposure", 1f);
             AssetDatabase.CreateAsset(sky, AssetDatabase.GenerateUniqueAssetPath(
-                System.IO.Path.ChangeExtension(AssetDatabase.GetAssetPath(panorama), ".sky.mat")));
+                Path.ChangeExtension(AssetDatabase.GetAssetPath(panorama), ".sky.mat")));
             RenderSettings.skybox = sky;
             RenderSettings.ambientMode = AmbientMode.Skybox;
             RenderSettings.ambientIntensity = 1f;

@@ -2,8 +2,8 @@
 
     blender --python blender_import.py -- NAME.glb NAME.hdr [PICTURE.png]
 
-With a .usda, .usdc or .usdz give NAME_lit.usda alone: its dome light becomes the world. With a picture, Cycles
-renders it.
+With a .usda, .usdc or .usdz give NAME_usda_lit.usda (NAME_usdc_…, NAME_usdz_…) alone: its dome light becomes the
+world. With a picture, Cycles renders it.
 """
 
 import math

@@ -22,7 +22,9 @@ def imported(file):
     task.replace_existing = True
     task.save = True
     unreal.AssetToolsHelpers.get_asset_tools().import_asset_tasks([task])
-    return [unreal.load_asset(path) for path in task.imported_object_paths]
+    # Interchange leaves the task's list empty in some versions: then everything in the folder is taken
+    paths = task.imported_object_paths or unreal.EditorAssetLibrary.list_assets(task.destination_path)
+    return [unreal.load_asset(path) for path in paths]
 
 
 def main(glb, hdr):

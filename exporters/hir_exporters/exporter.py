@@ -31,6 +31,11 @@ class ExportReport:
     seconds: float = 0.0
 
 
+def companion_file(destination: Path, name: str) -> Path:
+    """A file beside the destination that no other format writes: `a.gltf` and `color.png` give `a_gltf_color.png`."""
+    return destination.with_name(f"{destination.stem}_{destination.suffix.removeprefix('.')}_{name}")
+
+
 class Exporter(ABC):
     """Writes assets in one format. Constructed from the format's options, a frozen dataclass."""
 

@@ -1,31 +1,84 @@
-"""Options of each file format. The module imports nothing else, so that plugin descriptors can import it."""
+"""Options of each file format. The module imports nothing else, so that plugin descriptors can import it.
+
+A value of a wrong type or out of range raises `ValueError` with one sentence when the options are constructed.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+import math
+from dataclasses import dataclass, field, fields
+from typing import Any, Final, Literal, get_args, get_origin, get_type_hints
+
+_RANGE: Final = "range"
+"""Key of a field's metadata: smallest and largest value."""
+
+
+def _number(default: Any, low: float, high: float) -> Any:
+    """A field whose value, or each of whose values, is from `low` to `high`."""
+    return field(default=default, metadata={_RANGE: (low, high)})
 
 
 @dataclass(frozen=True)
-class GltfConfig:
+class CheckedOptions:
+    """Base of the options: checks the type and range of each field."""
+
+    def __post_init__(self) -> None:
+        hints = get_type_hints(type(self))
+        for option in fields(self):
+            value = getattr(self, option.name)
+            low, high = option.metadata.get(_RANGE, (-math.inf, math.inf))
+            object.__setattr__(self, option.name, _checked(option.name, value, hints[option.name], low, high))
+
+
+def _checked(name: str, value: Any, hint: Any, low: float, high: float) -> Any:
+    """The value, or `ValueError`. `hint` is bool, int, float, a tuple of these, or a `Literal`."""
+    kind = get_origin(hint)
+    if kind is Literal:
+        if value not in get_args(hint):
+            raise ValueError(f"{name} is {value!r}; it is one of {', '.join(map(repr, get_args(hint)))}")
+        return value
+    if kind is tuple:
+        if isinstance(value, str) or not hasattr(value, "__iter__"):
+            raise ValueError(f"{name} is {value!r}; it is a list of numbers")
+        return tuple(_checked(name, entry, get_args(hint)[0], low, high) for entry in value)
+    if hint is bool:
+        if not isinstance(value, bool):
+            raise ValueError(f"{name} is {value!r}; it is True or False")
+        return value
+    whole = hint is int
+    if isinstance(value, bool) or not hasattr(value, "__index__" if whole else "__float__"):
+        raise ValueError(f"{name} is {value!r}; it is a{' whole' if whole else ''} number")
+    if not low <= value <= high:
+        raise ValueError(f"{name} is {value!r}; it must be from {low:.10g} to {high:.10g}")
+    return int(value) if whole else float(value)
+
+
+@dataclass(frozen=True)
+class GltfConfig(CheckedOptions):
     """Options of .glb and .gltf."""
 
     profile: Literal["khr", "blender", "metalrough", "unity-legacy"] = "khr"
     """How the material is encoded: with the ratified extensions (khr), as Blender reads them, as core
     metallic-roughness, or as specular-glossiness for Unity's glTFast (unity-legacy)."""
-    budget: Literal["none", "quicklook", "web", "desktop"] = "none"
-    """Limits of a target: meshes and textures above them are reduced, and the report says so."""
-    max_texture_size: int = 4096
+    budget: Literal["none", "quicklook", "phone", "web", "desktop"] = "none"
+    """Limits of a target on triangles, texture size and bytes (phone 5 MB, web 3 MB, desktop 40 MB): meshes and
+    textures above them are reduced, images become JPEG or WebP, and the report says so."""
+    max_texture_size: int = _number(4096, 1, 1 << 16)
     """Larger textures are reduced to this many pixels a side."""
-    image_format: Literal["png", "jpeg", "ktx2"] = "png"
-    """JPEG is smaller and loses detail; normal maps and alpha stay PNG. KTX2 is refused with an error that names a tool
-    for it."""
-    jpeg_quality: int = 92
-    """1 to 95."""
+    image_format: Literal["png", "jpeg", "webp", "ktx2"] = "png"
+    """JPEG is smaller and loses detail; normal maps and alpha stay PNG. WebP (EXT_texture_webp) is smaller still:
+    linear maps are lossless, and a fallback of at most 512 pixels is for readers without the extension. KTX2 is refused
+    with an error that names a tool for it."""
+    jpeg_quality: int = _number(92, 1, 95)
+    """Of JPEG and WebP, 1 to 95."""
     tangents: Literal["auto", "always", "never"] = "auto"
     """Whether tangents are written; auto: where there is a normal map."""
-    lods: tuple[int, ...] = ()
-    """Triangle counts of further levels of detail, written beside the file as NAME_lod1, NAME_lod2 and so on."""
+    lods: tuple[int, ...] = _number((), 1, 1 << 31)
+    """Triangle counts of further levels of detail, written beside the file as NAME_lod1, NAME_lod2 and so on. Each has
+    textures of half the size of the one before, down to 256 pixels."""
+    lod_layout: Literal["files", "msft_lod"] = "files"
+    """msft_lod: all levels in the one file, with shared textures (MSFT_lod, which Babylon.js reads; others show the
+    finest level)."""
     lod_normals: bool = True
     """Bake the normals of the full mesh into a normal map for each level of detail."""
     quantize: bool = False
@@ -41,21 +94,27 @@ class GltfConfig:
 
 
 @dataclass(frozen=True)
-class UsdConfig:
+class UsdConfig(CheckedOptions):
     """Options of .usda and .usdc."""
 
     workflow: Literal["auto", "metallic", "specular"] = "auto"
     """Workflow of UsdPreviewSurface; auto: metallic, which every importer reads, unless specular is clearly closer."""
-    budget: Literal["none", "quicklook", "web", "desktop"] = "none"
-    """Limits of a target: meshes and textures above them are reduced, and the report says so."""
-    max_texture_size: int = 4096
+    budget: Literal["none", "quicklook", "phone", "web", "desktop"] = "none"
+    """Limits of a target on triangles, texture size and bytes (phone 5 MB, web 3 MB, desktop 40 MB): meshes and
+    textures above them are reduced, images become JPEG or WebP, and the report says so."""
+    max_texture_size: int = _number(4096, 1, 1 << 16)
     """Larger textures are reduced to this many pixels a side."""
-    meters_per_unit: float = 1.0
+    image_format: Literal["png", "jpeg"] = "png"
+    """JPEG is smaller and loses detail; normal maps stay PNG."""
+    jpeg_quality: int = _number(92, 1, 95)
+    """1 to 95."""
+    meters_per_unit: float = _number(1.0, 1e-9, 1e9)
     """Metadata of the file; positions are not scaled."""
     environment: bool = True
-    """Write the environment as NAME.hdr and NAME_lit.usda, a layer that adds a dome light to the asset."""
+    """Write the environment as NAME.hdr and NAME_usda_lit.usda (usdc and usdz likewise), a layer that adds a dome light
+    to the asset."""
     materialx: bool = False
-    """Write NAME_openpbr.usda, a layer that adds the material as OpenPBR in MaterialX. Not for .usdz."""
+    """Write NAME_usda_openpbr.usda, a layer that adds the material as OpenPBR in MaterialX. Not for .usdz."""
     subsets: bool = True
     """Write the face subsets `observed` and `unobserved`, where the asset says which texels a view observed."""
 
@@ -65,29 +124,29 @@ class UsdzConfig(UsdConfig):
     """Options of .usdz, a package for AR Quick Look and other USD readers."""
 
     workflow: Literal["auto", "metallic", "specular"] = "metallic"
-    budget: Literal["none", "quicklook", "web", "desktop"] = "quicklook"
-    max_texture_size: int = 2048
+    budget: Literal["none", "quicklook", "phone", "web", "desktop"] = "quicklook"
+    max_texture_size: int = _number(2048, 1, 1 << 16)
     subsets: bool = False
 
 
 @dataclass(frozen=True)
-class ObjConfig:
+class ObjConfig(CheckedOptions):
     """Options of .obj with .mtl."""
 
-    max_texture_size: int = 4096
+    max_texture_size: int = _number(4096, 1, 1 << 16)
     """Larger textures are reduced to this many pixels a side."""
 
 
 @dataclass(frozen=True)
-class EnvironmentConfig:
+class EnvironmentConfig(CheckedOptions):
     """Options of the environment as a lat-long image, .hdr or .exr."""
 
-    height: int = 0
+    height: int = _number(0, 0, 1 << 14)
     """Rows of the image, which is twice as wide; 0 keeps the asset's resolution."""
 
 
 @dataclass(frozen=True)
-class CubemapConfig:
+class CubemapConfig(CheckedOptions):
     """Options of the environment as a prefiltered cubemap, .ktx."""
 
     size: int = 256
@@ -95,5 +154,5 @@ class CubemapConfig:
 
 
 @dataclass(frozen=True)
-class HarmonicsConfig:
+class HarmonicsConfig(CheckedOptions):
     """Options of the environment as nine spherical harmonics; there are none."""

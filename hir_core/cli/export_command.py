@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from hir_core.plugins.manager import PluginManager
 
 PROFILES = ("khr", "blender", "metalrough", "unity-legacy")
-BUDGETS = ("none", "quicklook", "web", "desktop")
+BUDGETS = ("none", "quicklook", "phone", "web", "desktop")
+PIVOTS = ("source", "base", "centre")
 
 
 @click.command("export")
@@ -36,8 +37,18 @@ BUDGETS = ("none", "quicklook", "web", "desktop")
     type=click.Choice(PROFILES),
     help="Target of the glTF material; docs/engines/ says which one to choose.",
 )
-@click.option("--budget", type=click.Choice(BUDGETS), help="Limits of a target platform on triangles and texture size.")
+@click.option(
+    "--budget", type=click.Choice(BUDGETS), help="Limits of a target platform on triangles, texture size and bytes."
+)
 @click.option("--lod", metavar="N,N,…", help="glTF levels of detail as triangle counts, such as 100k,20k,5k.")
+@click.option("--height", type=float, metavar="METRES", help="Scale the asset to this height.")
+@click.option("--scale", type=float, metavar="FACTOR", help="Scale the asset by this factor.")
+@click.option(
+    "--pivot",
+    type=click.Choice(PIVOTS),
+    default="source",
+    help="Origin of the file: that of the asset (source), the middle of its lower side (base), or its centre.",
+)
 @click.option("--base-color", metavar="FILE|R,G,B", help="Base colour of a MESH: an sRGB image, or linear numbers.")
 @click.option("--roughness", metavar="FILE|NUMBER", help="Perceptual roughness of a MESH, 0 to 1.")
 @click.option("--metallic", metavar="FILE|NUMBER", help="Metalness of a MESH, 0 to 1.")
@@ -64,6 +75,9 @@ def export_command(
     profile: str | None,
     budget: str | None,
     lod: str | None,
+    height: float | None,
+    scale: float | None,
+    pivot: Literal["source", "base", "centre"],
     base_color: str | None,
     roughness: str | None,
     metallic: str | None,
@@ -84,6 +98,7 @@ def export_command(
 
     from hir_exporters.exporter import ExportReport
     from hir_exporters.formats import preload_exporters
+    from hir_exporters.mesh.placement import placed_asset, placement
 
     from hir_core.plugins.manager import PluginManager
     from hir_core.stages.export.asset_export import export_asset
@@ -96,6 +111,8 @@ def export_command(
         reading = executor.submit(_asset, source, {n: text for n, text in maps.items() if text is not None}, light)
         preload_exporters(chosen)
         asset = reading.result()
+    matrix = placement(asset, scale, height, pivot)
+    asset = placed_asset(asset, matrix)
 
     def print_files(name: str, report: ExportReport) -> None:
         for warning in report.warnings:
@@ -108,7 +125,11 @@ def export_command(
     if verify:
         from hir_core.stages.export.export_verification import rerender_of_run, verify_export
 
-        rerender, why_not = rerender_of_run(source, asset, plugins)
+        rerender, why_not = rerender_of_run(source, asset, plugins, matrix)
+        if not quiet:
+            from hir_exporters.asset_health import asset_health
+
+            click.echo(f"asset: {asset_health(asset).sentence()}")
         for name, report in reports.items():
             verification = verify_export(report, asset, options.get(name), rerender, why_not)
             for warning in verification.warnings:

@@ -145,7 +145,11 @@ def _sentence(error: Any, kind: type) -> str:
     parts = []
     for problem in error.errors():
         key = ".".join(str(p) for p in problem["loc"])
-        if problem["type"] == "unexpected_keyword_argument":
+        if (
+            not key and problem["type"] == "value_error"
+        ):  # raised by the class itself about several or all of its options
+            parts.append(str(problem["ctx"]["error"]))
+        elif problem["type"] == "unexpected_keyword_argument":
             known = _fields_at(kind, problem["loc"][:-1])
             near = get_close_matches(str(problem["loc"][-1]), known, 1)
             advice = f"did you mean {near[0]!r}? " if near else ""

@@ -11,6 +11,7 @@ import hir_exporters
 import numpy as np
 import pytest
 from hir_exporters.asset import Asset, AssetMaterial
+from hir_exporters.format_options import GltfConfig, UsdConfig
 from hir_exporters.materials import material_conversion
 from hir_exporters.scene_format import save_scene
 
@@ -26,7 +27,7 @@ def test_the_readme_builds_an_asset_in_ten_lines(tmp_path: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": str(PACKAGE.parent)}
     subprocess.run([sys.executable, "-c", block], check=True, cwd=tmp_path, env=environment)
     names = sorted(path.name for path in tmp_path.iterdir())
-    assert names == ["tile.glb", "tile.hdr", "tile.usdz", "tile_lit.usda"]
+    assert names == ["tile.glb", "tile.hdr", "tile.usdz", "tile_usdz_lit.usda"]
 
 
 def residual_rows() -> list[str]:
@@ -123,6 +124,28 @@ def imported(statement: str) -> set[str]:
     environment = {**os.environ, "PYTHONPATH": str(PACKAGE.parent)}
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True, env=environment)
     return {name.partition(".")[0] for name in done.stdout.split()}
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"profile": "xyz"}, "profile is 'xyz'; it is one of 'khr'"),
+        ({"image_format": "bmp"}, "image_format is 'bmp'; it is one of 'png'"),
+        ({"max_texture_size": 0}, "max_texture_size is 0; it must be from 1 to 65536"),
+        ({"jpeg_quality": 500}, "jpeg_quality is 500; it must be from 1 to 95"),
+        ({"lods": (0,)}, "lods is 0; it must be from 1"),
+        ({"lods": "10"}, "lods is '10'; it is a list of numbers"),
+        ({"budget": "huge"}, "budget is 'huge'; it is one of 'none'"),
+        ({"quantize": 1}, "quantize is 1; it is True or False"),
+        ({"max_texture_size": 2.5}, "max_texture_size is 2.5; it is a whole number"),
+    ],
+)
+def test_options_are_checked_when_they_are_made(options: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match="^" + re.escape(message)):
+        GltfConfig(**options)  # type: ignore[arg-type]
+    assert GltfConfig(lods=[20, 10]).lods == (20, 10)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="meters_per_unit is nan"):
+        UsdConfig(meters_per_unit=float("nan"))
 
 
 def test_importing_costs_what_is_used() -> None:

@@ -93,6 +93,11 @@ def test_the_ten_lines_of_the_readme(programs: Path, tmp_path: Path) -> None:
     text = (ROOT / "exporters" / "README.md").read_text(encoding="utf-8")
     [block] = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     message(programs / "python", "-c", block, folder=tmp_path)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["tile.glb", "tile.hdr", "tile.usdz", "tile_lit.usda"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "tile.glb",
+        "tile.hdr",
+        "tile.usdz",
+        "tile_usdz_lit.usda",
+    ]
     code = "import sys, hir_exporters.gltf.gltf_exporter, hir_exporters.usd.usd_exporter; print('torch' in sys.modules)"
     assert message(programs / "python", "-c", code, folder=tmp_path) == "False\n"

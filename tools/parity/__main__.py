@@ -1,6 +1,6 @@
 """Renders the same exported objects in all installed engines and writes docs/engines/parity.md with pictures.
 
-    make parity            three objects, all engines; about 15 minutes on two cores
+    make parity            four objects, all engines; about 20 minutes on two cores
 
 spot and avocado are finished runs in the folder `--work` (`--reconstruct` makes them), else the models that their
 captures were rendered from. Models, captures and the light come from the shared test data (HIR_SHARED).
@@ -21,11 +21,11 @@ from hir_exporters.format_options import GltfConfig, UsdConfig
 from hir_exporters.formats import create_exporter
 
 from hir_core.capture import Camera
-from hir_core.metrics import psnr
+from hir_core.metrics import OBJECT_COVERAGE, psnr
 from hir_core.plugins.manager import PluginManager
 from parity.engines import ROOT, EngineRun, Picture, engine_runs, render_reference
 from parity.page import Row, write_page
-from parity.scenes import MODELS, Subject, finished_run, metal_egg, model, with_light
+from parity.scenes import MODELS, Subject, finished_run, metal_egg, mixed_egg, model, with_light
 from parity.shots import cameras_around
 
 
@@ -35,7 +35,7 @@ def main() -> int:
     parser.add_argument("--work", type=Path, default=ROOT / "runs" / "parity", help="Runs and exported files.")
     parser.add_argument("--size", type=int, default=384, help="Pixels a side.")
     parser.add_argument("--samples", type=int, default=256, help="Paths a pixel, ours and Blender's.")
-    parser.add_argument("--only", action="append", default=[], help="An object: spot, avocado, metal.")
+    parser.add_argument("--only", action="append", default=[], help="An object: spot, avocado, metal, mixed.")
     parser.add_argument("--engine", action="append", default=[], help="Part of an engine's name; all by default.")
     parser.add_argument("--reconstruct", action="store_true", help="Reconstruct missing runs; minutes each.")
     parser.add_argument("--reuse", action="store_true", help="Reuse pictures of an earlier call in --work.")
@@ -46,7 +46,7 @@ def main() -> int:
     options = parser.parse_args()
     shared = Path(os.environ.get("HIR_SHARED", ROOT.parent / "shared"))
     plugins, rows = PluginManager.discover(), []
-    for name in options.only or ["spot", "avocado", "metal"]:
+    for name in options.only or ["spot", "avocado", "metal", "mixed"]:
         subject = _subject(name, shared, options.work, options.reconstruct)
         rows += _rows(
             subject,
@@ -67,6 +67,8 @@ def _subject(name: str, shared: Path, work: Path, make_runs: bool) -> Subject:
     studio = shared / "envmaps" / "studio.hdr"
     if name == "metal":
         return metal_egg(studio)
+    if name == "mixed":
+        return mixed_egg(studio)
     run = work / name
     if (run / "scene" / "scene.json").is_file():
         return finished_run(name, run)
@@ -102,11 +104,12 @@ def _rows(
         lambda: render_reference(asset, cameras, subject.bounces, samples, plugins),
     )
     print(f"{subject.name}: our renderer, {time.perf_counter() - start:.0f} s", flush=True)
+    coverage, truth = [picture[..., 3] for picture in truth], [picture[..., :3] for picture in truth]
     rows = [Row(subject.name, f"hir, path traced, {subject.origin}", "", truth, None, None, "")]
     for engine_run in engine_runs(samples):
         if chosen and not any(word.lower() in engine_run.engine.lower() for word in chosen):
             continue
-        rows.append(_row(subject.name, engine_run, work, light, cameras, truth, reuse, reuse_only))
+        rows.append(_row(subject.name, engine_run, work, light, cameras, truth, coverage, reuse, reuse_only))
         print(f"{subject.name}: {rows[-1].sentence()}", flush=True)
     return rows
 
@@ -127,7 +130,7 @@ def _export(asset: Asset, folder: Path, name: str) -> None:
     create_exporter("glb", GltfConfig(profile="metalrough")).write(asset, folder / f"{name}_metalrough.glb")
     create_exporter("glb", GltfConfig(profile="blender")).write(asset, folder / f"{name}_blender.glb")
     create_exporter("glb", GltfConfig(image_based_light=True)).write(asset, folder / f"{name}_lit.glb")
-    create_exporter("usda", UsdConfig()).write(asset, folder / f"{name}_usda.usda")
+    create_exporter("usda", UsdConfig()).write(asset, folder / f"{name}.usda")
     create_exporter("ktx").write(asset, folder / f"{name}_khr.ktx")
 
 
@@ -138,6 +141,7 @@ def _row(
     light: Path,
     cameras: list[Camera],
     truth: list[Picture],
+    coverage: list[Picture],
     reuse: bool,
     reuse_only: bool,
 ) -> Row:
@@ -152,7 +156,7 @@ def _row(
     except RuntimeError as error:
         return Row(name, engine_run.engine, engine_run.file, [], None, None, f"failed: {error}")
     frame = [psnr(p, t, np.ones(t.shape[:2], bool)) for p, t in zip(pictures, truth, strict=True)]
-    inside = [psnr(p, t, t.max(axis=-1) > 0) for p, t in zip(pictures, truth, strict=True)]
+    inside = [psnr(p, t, c > OBJECT_COVERAGE) for p, t, c in zip(pictures, truth, coverage, strict=True)]
     return Row(name, engine_run.engine, engine_run.file, pictures, _mean(frame), _mean(inside), "")
 
 

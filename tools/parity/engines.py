@@ -79,7 +79,10 @@ def engine_runs(blender_samples: int) -> list[EngineRun]:
 def render_reference(
     asset: Asset, cameras: Sequence[Camera], bounces: int | None, samples: int, plugins: PluginManager
 ) -> list[Picture]:
-    """Pictures of the reference renderer, path-traced with the number of bounces of the asset's model."""
+    """Pictures (H, W, 4) of the reference renderer: sRGB over black, and coverage.
+
+    They are path-traced with the number of bounces of the asset's model.
+    """
     from hir_core.metrics import composite, unassociate
     from hir_core.rendering.reference_renderer import reference_renderer, render_view
     from hir_core.scene.asset_conversion import scene_from_asset
@@ -95,7 +98,8 @@ def render_reference(
     pictures = []
     for index, camera in enumerate(cameras):
         image = render_view(renderer, scene, camera.transformed(working_from_asset), f"side {index}")
-        pictures.append(np.asarray(composite(*unassociate(image)), np.float32))
+        color = np.asarray(composite(*unassociate(image)), np.float32)
+        pictures.append(np.concatenate([color, np.asarray(image[..., 3:], np.float32)], axis=-1))
     return pictures
 
 

@@ -1,4 +1,4 @@
-"""The three objects of the table: two finished runs and a metal object made here."""
+"""The objects of the table: two finished runs, and a metal and a mixed object made here."""
 
 from __future__ import annotations
 
@@ -54,8 +54,18 @@ def metal_egg(light: Path) -> Subject:
     bands = np.floor(u * 6 + 0.35 * np.sin(4 * np.pi * v)).astype(int) % 3
     color = np.array([GOLD, COPPER, IRON], np.float32)[bands]
     alpha = 0.08 + 0.42 * (0.5 - 0.5 * np.cos(6 * np.pi * v)) * (0.6 + 0.4 * np.sin(4 * np.pi * u))
-    material = AssetMaterial("dielectric", np.zeros(3), color, np.maximum(alpha, 0.05))
+    material = AssetMaterial.metallic(color, 1.0, np.maximum(alpha, 0.05))
     return Subject("metal", Asset(_egg(), material, _studio(light), name="metal"), None, "made by hand")
+
+
+def mixed_egg(light: Path) -> Subject:
+    """Bands of brushed iron and of red and white plastic, under a lat-long .hdr: metalness is a texture."""
+    v, u = np.meshgrid((np.arange(256) + 0.5) / 256, (np.arange(512) + 0.5) / 512, indexing="ij")
+    bands = np.floor(u * 6 + 0.35 * np.sin(4 * np.pi * v)).astype(int) % 3
+    color = np.array([IRON, (0.5, 0.05, 0.04), (0.7, 0.68, 0.62)], np.float32)[bands]
+    alpha = np.array([0.2, 0.12, 0.3], np.float32)[bands]
+    material = AssetMaterial.metallic(color, (bands == 0).astype(np.float32), alpha)
+    return Subject("mixed", Asset(_egg(), material, _studio(light), name="mixed"), None, "made by hand")
 
 
 def with_light(subject: Subject, hdr: Path) -> Asset:

@@ -29,8 +29,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     destination = Path(path)
     temporary = destination.with_name(f"{_TEMPORARY_PREFIX}{secrets.token_hex(8)}{destination.suffix}")
     with _named_errors(destination):
-        if destination.is_dir():
-            raise ExportError(f"cannot write {destination}: a folder of that name exists; choose another name")
+        _check_replaceable(destination)
         destination.parent.mkdir(parents=True, exist_ok=True)
         try:
             yield temporary
@@ -39,6 +38,27 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         finally:
             temporary.unlink(missing_ok=True)
         _flush_folder(destination.parent)
+
+
+def move_atomic(source: Path, destination: Path) -> None:
+    """Renames a file of the same file system to `destination`, with the checks of `atomic_path`."""
+    with _named_errors(destination):
+        _check_replaceable(destination)
+        os.replace(source, destination)
+        _flush_folder(destination.parent)
+
+
+@contextlib.contextmanager
+def staging_folder(folder: Path) -> Iterator[Path]:
+    """Yields an empty temporary folder inside `folder`, which is created; it is deleted when the block ends."""
+    temporary = folder / f"{_TEMPORARY_PREFIX}{secrets.token_hex(8)}"
+    with _named_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        temporary.mkdir()
+    try:
+        yield temporary
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
 
 
 @contextlib.contextmanager
@@ -112,6 +132,14 @@ def remove_partials(folder: Path) -> int:
         else:
             partial.unlink(missing_ok=True)
     return len(partials)
+
+
+def _check_replaceable(destination: Path) -> None:
+    """Raises `ExportError` for a folder, a device or a pipe: a rename would put a file in its place."""
+    if destination.is_dir():
+        raise ExportError(f"cannot write {destination}: a folder of that name exists; choose another name")
+    if destination.exists() and not destination.is_file():
+        raise ExportError(f"cannot write {destination}: it is not a regular file; choose another name")
 
 
 @contextlib.contextmanager

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from hir_exporters.asset import Asset, AssetMaterial, AssetMesh
 from hir_exporters.errors import ExportError
 from hir_exporters.format_options import GltfConfig
-from hir_exporters.gltf import image_based_light, ior, specular, specular_glossiness
+from hir_exporters.gltf import image_based_light, ior, msft_lod, specular, specular_glossiness
 from hir_exporters.gltf.binary import BinaryWriter
 from hir_exporters.gltf.draco import add_draco_primitive
 from hir_exporters.gltf.gltf_images import add_textures
@@ -19,8 +21,9 @@ from hir_exporters.gltf.quantization import add_quantized_primitive
 from hir_exporters.light.environment_map import world_radiance
 from hir_exporters.materials.material_conversion import to_gltf
 from hir_exporters.materials.surfaces import MetallicSurface, SpecularSurface
-from hir_exporters.materials.texture_packing import EncodedImage, PackedSurface, encode_images, pack_surface
+from hir_exporters.materials.texture_packing import PackedSurface, pack_normal, pack_surface
 from hir_exporters.mesh.tangents import with_tangents
+from hir_exporters.textures.image_encoding import EncodedImage, Image8, ImageEncoding
 
 if TYPE_CHECKING:
     from pygltflib import GLTF2, Material
@@ -30,13 +33,14 @@ GENERATOR = "hir_exporters"
 
 @dataclass(frozen=True)
 class GatheredAsset:
-    """The parts of a glTF file: mesh, packed material with its images, light, and warnings of the conversion."""
+    """The parts of a glTF file: mesh, packed material with its images' pixels, light, warnings of the conversion."""
 
     asset: Asset
     mesh: AssetMesh
     packed: PackedSurface
     specular_surface: SpecularSurface | None
-    images: list[EncodedImage]
+    pixels: dict[str, Image8]
+    """Images by the name of their texture."""
     light: tuple[list[EncodedImage], dict[str, object]] | None
     """Images of the prefiltered light and its JSON object, where the file includes it (`image_based_light`)."""
     warnings: tuple[str, ...]
@@ -44,18 +48,20 @@ class GatheredAsset:
 
 
 def gather_asset(asset: Asset, config: GltfConfig) -> GatheredAsset:
-    """Converts the material, computes tangents where they are needed, and encodes the images."""
+    """Converts the material and computes tangents where they are needed."""
+    if pack_normal(asset.material.normal) is None:
+        asset = replace(asset, material=replace(asset.material, normal=None))
     needs_tangents = config.tangents == "always" or (config.tangents == "auto" and asset.material.normal is not None)
     with ThreadPoolExecutor(max_workers=1) as pool:
         mesh = pool.submit(with_tangents, asset.mesh) if needs_tangents else None
-        converted, base, packed, images = _surface(asset.material, config)
+        converted, base, packed, pixels = _surface(asset.material, config)
     specular_surface = converted if isinstance(converted, SpecularSurface) else None
     return GatheredAsset(
         asset=asset,
         mesh=asset.mesh if mesh is None else mesh.result(),
         packed=packed,
         specular_surface=specular_surface,
-        images=images,
+        pixels=pixels,
         light=_light(asset, config),
         warnings=converted.warnings + _light_warning(asset, config),
         residuals={config.profile: converted.residual, "metalrough": base.residual}
@@ -66,13 +72,8 @@ def gather_asset(asset: Asset, config: GltfConfig) -> GatheredAsset:
 
 def _surface(
     material: AssetMaterial, config: GltfConfig
-) -> tuple[MetallicSurface | SpecularSurface, MetallicSurface, PackedSurface, list[EncodedImage]]:
-    """The material in the profile, its core metallic-roughness form, the latter packed, and all image files."""
-    if config.image_format == "ktx2":
-        raise ExportError(
-            "image_format 'ktx2': no Python package encodes KTX2; export png, then convert the file with "
-            "`gltf-transform uastc` or Khronos' toktx"
-        )
+) -> tuple[MetallicSurface | SpecularSurface, MetallicSurface, PackedSurface, dict[str, Image8]]:
+    """The material in the profile, its core metallic-roughness form, the latter packed, and all images."""
     converted = to_gltf(material, config.profile)
     base = converted if isinstance(converted, MetallicSurface) else to_gltf(material, "metalrough")
     assert isinstance(base, MetallicSurface)
@@ -85,10 +86,20 @@ def _surface(
         if packed.specular_weight_image is None
         else packed.specular_weight_image,
     }
-    named = [(name, image) for name, image in pixels.items() if image is not None]
+    named = {name: image for name, image in pixels.items() if image is not None}
     if isinstance(converted, SpecularSurface):
-        named += specular_glossiness.specular_glossiness_images(converted).items()
-    return converted, base, packed, encode_images(named, config.image_format, config.jpeg_quality)
+        named |= specular_glossiness.specular_glossiness_images(converted)
+    return converted, base, packed, named
+
+
+def image_encoding(config: GltfConfig) -> ImageEncoding:
+    """How the images of a file are encoded where no budget asks for less."""
+    if config.image_format == "ktx2":
+        raise ExportError(
+            "image_format 'ktx2': no licensed Python package encodes KTX2; export png, then convert the file with "
+            "`gltf-transform uastc` or Khronos' toktx"
+        )
+    return ImageEncoding(config.image_format, config.jpeg_quality)
 
 
 def _light_warning(asset: Asset, config: GltfConfig) -> tuple[str, ...]:
@@ -106,47 +117,90 @@ def _light(asset: Asset, config: GltfConfig) -> tuple[list[EncodedImage], dict[s
     return image_based_light.light_images(world_radiance(asset)[0])
 
 
-def build_document(gathered: GatheredAsset, config: GltfConfig, files_prefix: str | None) -> tuple[GLTF2, BinaryWriter]:
+def build_document(
+    levels: Sequence[GatheredAsset],
+    images: Mapping[str, EncodedImage],
+    config: GltfConfig,
+    files_prefix: str | None,
+) -> tuple[GLTF2, BinaryWriter]:
     """The document and the writer of its buffer.
 
-    Images go into the buffer, or are referenced as files whose names begin with `files_prefix`.
+    `levels` are the asset and its levels of detail in the same file, if any; `images` those of all levels, by the keys
+    of `level_images`. Images go into the buffer, or are referenced as files whose names begin with `files_prefix`.
     """
-    from pygltflib import GLTF2, Attributes, Mesh, Node, Scene
+    from pygltflib import GLTF2, Scene
     from pygltflib import Asset as Header
 
+    finest = levels[0]
     document = GLTF2(asset=Header(version="2.0", generator=GENERATOR))
     document.extensionsUsed, document.extensionsRequired = [], []
-    if gathered.asset.provenance:
-        document.asset.extras = {"hir": dict(gathered.asset.provenance)}
+    if finest.asset.provenance:
+        document.asset.extras = {"hir": dict(finest.asset.provenance)}
     writer = BinaryWriter(document, config.compression == "meshopt")
-    node = Node(name=gathered.asset.name, mesh=0)
-    if config.quantize and config.compression == "draco":
-        raise ExportError("quantize and compression=draco both quantise the mesh; choose one of them")
-    if config.compression == "draco":
-        primitive = add_draco_primitive(document, gathered.mesh, writer, 0)
-    elif config.quantize:
-        primitive = add_quantized_primitive(document, gathered.mesh, writer, 0, node)
-    else:
-        primitive = add_primitive(gathered.mesh, writer, 0)
-    if config.tangents == "never" or gathered.mesh.tangents is None:
-        assert isinstance(primitive.attributes, Attributes)
-        primitive.attributes.TANGENT = None
-    uvs = gathered.mesh.uvs
     embedding = writer if files_prefix is None else None
-    atlas = bool(uvs.min() >= 0 and uvs.max() <= 1)
-    textures = add_textures(document, gathered.images, embedding, files_prefix or "", atlas)
-    document.meshes.append(Mesh(name=gathered.asset.name, primitives=[primitive]))
-    document.materials.append(_material(gathered, textures, document))
-    document.nodes.append(node)
+    for level, gathered in enumerate(levels):
+        _add_level(document, writer, level, gathered, config)
+    atlas = all(bool(g.mesh.uvs.min() >= 0 and g.mesh.uvs.max() <= 1) for g in levels)
+    textures = add_textures(document, images, embedding, files_prefix or "", atlas)
+    for level, gathered in enumerate(levels):
+        own = {name: textures[key] for name, key in level_images(levels, level).items()}
+        document.materials.append(_material(gathered, own, document, _level_name(finest.asset.name, level)))
+    if len(levels) > 1:
+        msft_lod.add_levels(document, [len(g.mesh.faces) for g in levels])
     document.scenes.append(Scene(nodes=[0]))
     document.scene = 0
-    if gathered.light is not None:
-        image_based_light.add_light(document, *gathered.light, embedding, files_prefix or "")
+    if finest.light is not None:
+        image_based_light.add_light(document, *finest.light, embedding, files_prefix or "")
     writer.add_buffers()
+    for names in (document.extensionsUsed, document.extensionsRequired):
+        names[:] = dict.fromkeys(names)  # each level adds those that it uses
     return document, writer
 
 
-def _material(gathered: GatheredAsset, textures: dict[str, int], document: GLTF2) -> Material:
+def level_images(levels: Sequence[GatheredAsset], level: int) -> dict[str, str]:
+    """For each texture of a level the key of its image: the finest level's where both have the same pixels."""
+    finest = levels[0].pixels
+    return {
+        name: name if level == 0 or np.array_equal(pixels, finest.get(name, ())) else _level_name(name, level)
+        for name, pixels in levels[level].pixels.items()
+    }
+
+
+def document_pixels(levels: Sequence[GatheredAsset]) -> dict[str, Image8]:
+    """The images of all levels by the keys of `level_images`."""
+    return {
+        key: gathered.pixels[name]
+        for level, gathered in enumerate(levels)
+        for name, key in level_images(levels, level).items()
+    }
+
+
+def _level_name(name: str, level: int) -> str:
+    return f"{name}_lod{level}" if level else name
+
+
+def _add_level(document: GLTF2, writer: BinaryWriter, level: int, gathered: GatheredAsset, config: GltfConfig) -> None:
+    """Adds the mesh and the node of a level; its material has the same index."""
+    from pygltflib import Attributes, Mesh, Node
+
+    name = _level_name(gathered.asset.name, level)
+    node = Node(name=name, mesh=level)
+    if config.quantize and config.compression == "draco":
+        raise ExportError("quantize and compression=draco both quantise the mesh; choose one of them")
+    if config.compression == "draco":
+        primitive = add_draco_primitive(document, gathered.mesh, writer, level)
+    elif config.quantize:
+        primitive = add_quantized_primitive(document, gathered.mesh, writer, level, node)
+    else:
+        primitive = add_primitive(gathered.mesh, writer, level)
+    if config.tangents == "never" or gathered.mesh.tangents is None:
+        assert isinstance(primitive.attributes, Attributes)
+        primitive.attributes.TANGENT = None
+    document.meshes.append(Mesh(name=name, primitives=[primitive]))
+    document.nodes.append(node)
+
+
+def _material(gathered: GatheredAsset, textures: Mapping[str, int], document: GLTF2, name: str) -> Material:
     from pygltflib import Material as GltfMaterial
     from pygltflib import NormalMaterialTexture, PbrMetallicRoughness, TextureInfo
 
@@ -154,7 +208,7 @@ def _material(gathered: GatheredAsset, textures: dict[str, int], document: GLTF2
     core = PbrMetallicRoughness(
         baseColorFactor=[*packed.base_color, 1.0], metallicFactor=packed.metallic, roughnessFactor=packed.roughness
     )
-    material = GltfMaterial(name=gathered.asset.name, pbrMetallicRoughness=core, alphaMode="OPAQUE", doubleSided=False)
+    material = GltfMaterial(name=name, pbrMetallicRoughness=core, alphaMode="OPAQUE", doubleSided=False)
     if "base_color" in textures:
         core.baseColorTexture = TextureInfo(index=textures["base_color"])
     if "occlusion_roughness_metallic" in textures:

@@ -4,21 +4,29 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, Final, final
 from urllib.parse import quote
 
 from hir_exporters.asset import Asset, validate_asset
-from hir_exporters.budgets import apply_budget
-from hir_exporters.exporter import Edit, Exporter, ExportReport
+from hir_exporters.budgets import BUDGETS, apply_budget, budget_images, fit_mesh
+from hir_exporters.exporter import Edit, Exporter, ExportReport, companion_file
 from hir_exporters.files.atomic import write_bytes_atomic
 from hir_exporters.format_options import GltfConfig
 from hir_exporters.gltf.binary import glb_bytes
-from hir_exporters.gltf.gltf_document import GatheredAsset, build_document, gather_asset
+from hir_exporters.gltf.gltf_document import (
+    GatheredAsset,
+    build_document,
+    document_pixels,
+    gather_asset,
+    image_encoding,
+)
 from hir_exporters.gltf.lods import level_of_detail
 from hir_exporters.light.environment_map import world_radiance
 from hir_exporters.materials.texture_packing import limit_texture_sizes, texture_size_warnings
+from hir_exporters.textures.image_encoding import EncodedImage
 from hir_exporters.textures.image_files import write_hdr
 
 if TYPE_CHECKING:
@@ -50,18 +58,30 @@ class GltfExporter(Exporter):
 def _write(asset: Asset, destination: Path, config: GltfConfig, edit: Edit | None, embed: bool) -> ExportReport:
     start = time.perf_counter()
     validate_asset(asset)
+    encoding = image_encoding(config)
     asset, warnings = apply_budget(asset, config.budget)
     warnings += texture_size_warnings(asset.material, config.max_texture_size)
     asset = replace(asset, material=limit_texture_sizes(asset.material, config.max_texture_size))
     gathered = gather_asset(asset, config)
+    if BUDGETS[config.budget].bytes is not None:
+        smaller, mesh_warnings = fit_mesh(asset, config.budget, _bytes_without_images([gathered], config))
+        if mesh_warnings:
+            asset, warnings = smaller, warnings + mesh_warnings
+            gathered = gather_asset(asset, config)
     warnings += gathered.warnings
-    files = _write_document(gathered, destination, config, edit, embed)
+    levels, finer = [gathered], asset
     for level, triangles in enumerate(config.lods, start=1):
-        coarse, lod_warnings = level_of_detail(gathered, level, triangles, config)
+        finer, lod_warnings = level_of_detail(asset, finer, level, triangles, config)
         warnings += lod_warnings
-        path = destination.with_name(f"{destination.stem}_lod{level}{destination.suffix}")
-        # With all images: each level of detail is a complete file.
-        files += _write_document(coarse, path, config, edit, embed)
+        levels.append(gather_asset(finer, config))
+    paths = [destination.with_name(f"{destination.stem}_lod{k}{destination.suffix}") for k in range(1, len(levels))]
+    files: list[Path] = []
+    documents = [levels] if config.lod_layout == "msft_lod" else [[level] for level in levels]
+    for document_levels, path in zip(documents, [destination, *paths], strict=False):
+        overhead = 0 if config.budget == "none" else _bytes_without_images(document_levels, config)
+        images, image_warnings = budget_images(document_pixels(document_levels), config.budget, overhead, encoding)
+        warnings += image_warnings if path == destination else ()
+        files += _write_document(document_levels, images, path, config, edit, embed)
     if config.environment and asset.environment is not None:
         radiance, light_warnings = world_radiance(asset)
         files.append(destination.with_suffix(".hdr"))
@@ -70,23 +90,40 @@ def _write(asset: Asset, destination: Path, config: GltfConfig, edit: Edit | Non
     return ExportReport(tuple(files), warnings, gathered.residuals, time.perf_counter() - start)
 
 
+_SLACK_BYTES: Final = 2048
+"""For the padding and the longer numbers of a document with its images."""
+
+
+def _bytes_without_images(levels: Sequence[GatheredAsset], config: GltfConfig) -> int:
+    empty = {key: EncodedImage(f"{key}.png", b"", "image/png") for key in document_pixels(levels)}
+    document, writer = build_document(levels, empty, config, None)
+    return len(glb_bytes(json_bytes(document), writer.data())) + _SLACK_BYTES
+
+
 def _write_document(
-    gathered: GatheredAsset, destination: Path, config: GltfConfig, edit: Edit | None, embed: bool
+    levels: Sequence[GatheredAsset],
+    images: Mapping[str, EncodedImage],
+    destination: Path,
+    config: GltfConfig,
+    edit: Edit | None,
+    embed: bool,
 ) -> list[Path]:
-    prefix = None if embed else f"{destination.stem}_"
-    document, writer = build_document(gathered, config, prefix)
+    prefix = None if embed else companion_file(destination, "").name
+    document, writer = build_document(levels, images, config, prefix)
     if not embed:
         document.buffers[0].uri = quote(f"{destination.stem}.bin")
     if edit is not None:
-        edit(document, gathered.asset)
+        edit(document, levels[0].asset)
 
     files = [destination]
     if embed:
         write_bytes_atomic(destination, glb_bytes(json_bytes(document), writer.data()))
     else:
         # The file that references the others is written last, when all of them exist.
-        for image in [*gathered.images, *(gathered.light[0] if gathered.light else [])]:
-            files.append(destination.with_name(f"{prefix}{image.name}"))
+        fallbacks = [image.fallback for image in images.values() if image.fallback is not None]
+        light = levels[0].light[0] if levels[0].light else []
+        for image in [*images.values(), *fallbacks, *light]:
+            files.append(companion_file(destination, image.name))
             write_bytes_atomic(files[-1], image.data)
         files.append(destination.with_suffix(".bin"))
         write_bytes_atomic(destination.with_suffix(".bin"), writer.data())

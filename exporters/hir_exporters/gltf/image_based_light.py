@@ -17,7 +17,7 @@ from hir_exporters.conventions import linear_to_srgb
 from hir_exporters.gltf.binary import BinaryWriter
 from hir_exporters.light.environment_map import irradiance_harmonics
 from hir_exporters.light.prefilter import level_sizes, linear_roughness, prefiltered_cubemap
-from hir_exporters.materials.texture_packing import EncodedImage
+from hir_exporters.textures.image_encoding import EncodedImage
 from hir_exporters.textures.image_files import encode_png
 
 if TYPE_CHECKING:

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hir_exporters.materials.surfaces import SpecularSurface
-from hir_exporters.materials.texture_packing import pack_color, resize_codes
+from hir_exporters.materials.texture_packing import pack_color
+from hir_exporters.textures.image_encoding import resize_codes
 from hir_exporters.textures.texture_maps import unorm8
 
 NAME = "KHR_materials_pbrSpecularGlossiness"

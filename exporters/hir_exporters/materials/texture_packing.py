@@ -2,29 +2,27 @@
 
 from __future__ import annotations
 
-import hashlib
-import io
-from collections import OrderedDict
-from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from threading import Lock
-from typing import Literal
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hir_exporters.asset import AssetMaterial, textures
+from hir_exporters.conventions import srgb_to_linear
 from hir_exporters.materials.surfaces import MetallicSurface
-from hir_exporters.textures.image_files import encode_png
+from hir_exporters.textures.image_encoding import resize_codes
 from hir_exporters.textures.texture_maps import limit_size, normal_to_unorm8, resize, srgb8, unorm8
 
 Image8 = NDArray[np.uint8]
 
+FLAT_NORMAL_CODES: Final = normal_to_unorm8(np.array([[[0, 0, 1]]], np.float32))[0, 0]
+"""The codes of a normal map that changes nothing."""
+
 
 @dataclass(frozen=True)
 class PackedSurface:
-    """Linear factors that multiply images (H, W, C); an image is None where the parameter is constant."""
+    """Linear factors that multiply images (H, W, C); an image is None where all its 8-bit codes would be equal."""
 
     base_color: tuple[float, float, float]
     base_color_image: Image8 | None
@@ -33,6 +31,8 @@ class PackedSurface:
     roughness: float
     orm_image: Image8 | None
     """Red 255 (no occlusion), green roughness, blue metalness; linear."""
+    metallic_textured: bool
+    roughness_textured: bool
     specular_weight: float
     specular_color: tuple[float, float, float]
     specular_weight_image: Image8 | None
@@ -42,15 +42,6 @@ class PackedSurface:
     ior: float
     normal_image: Image8 | None
     """Tangent space, green up; linear."""
-
-
-@dataclass(frozen=True)
-class EncodedImage:
-    """The bytes of an image file and its file name."""
-
-    name: str
-    data: bytes
-    mime: Literal["image/png", "image/jpeg"]
 
 
 def limit_texture_sizes(material: AssetMaterial, largest: int) -> AssetMaterial:
@@ -94,7 +85,8 @@ def texture_size_warnings(material: AssetMaterial, largest: int) -> tuple[str, .
 def pack_surface(surface: MetallicSurface, normal: NDArray[np.float32] | None) -> PackedSurface:
     """Images of the parameters that vary; constant parameters become factors."""
     base, base_image = _color(surface.base_color, normalise=False)
-    metallic, roughness, orm = _orm(surface.metallic, surface.roughness)
+    metallic, roughness = (_without_uniform_codes(value) for value in (surface.metallic, surface.roughness))
+    orm = _orm(metallic, roughness)
     weight, weight_plane = _scalar(surface.specular_weight)
     color, color_image = _color(surface.specular_color, normalise=True)
     weight_image: Image8 | None = None
@@ -108,23 +100,24 @@ def pack_surface(surface: MetallicSurface, normal: NDArray[np.float32] | None) -
     return PackedSurface(
         base,
         base_image,
-        metallic,
-        roughness,
+        float(metallic) if metallic.ndim == 0 else 1.0,
+        float(roughness) if roughness.ndim == 0 else 1.0,
         orm,
+        metallic.ndim == 2,
+        roughness.ndim == 2,
         weight,
         color,
         weight_image,
         color_image,
         surface.ior,
-        None if normal is None else normal_to_unorm8(normal),
+        pack_normal(normal),
     )
 
 
-def resize_codes(codes: Image8, height: int, width: int) -> Image8:
-    """8-bit codes at another size."""
-    if codes.shape[:2] == (height, width):
-        return codes
-    return np.rint(resize(codes.astype(np.float32), height, width)).astype(np.uint8)
+def pack_normal(normal: NDArray[np.float32] | None) -> Image8 | None:
+    """The normal map's codes; None where it is flat: equal to the mesh's own normals everywhere."""
+    codes = None if normal is None else normal_to_unorm8(normal)
+    return None if codes is None or (codes == FLAT_NORMAL_CODES).all() else codes
 
 
 def pack_color(value: NDArray[np.floating]) -> tuple[tuple[float, float, float], Image8 | None]:
@@ -132,72 +125,36 @@ def pack_color(value: NDArray[np.floating]) -> tuple[tuple[float, float, float],
     return _color(value, normalise=False)
 
 
-def encode_images(
-    images: Sequence[tuple[str, Image8]], image_format: Literal["png", "jpeg"] = "png", quality: int = 92
-) -> list[EncodedImage]:
-    """Files of named images, encoded in four threads; JPEG only for colour without alpha, never for normal maps."""
-
-    def encode(item: tuple[str, Image8]) -> EncodedImage:
-        name, pixels = item
-        if image_format == "jpeg" and pixels.shape[2] == 3 and "normal" not in name:
-            return EncodedImage(f"{name}.jpg", _encode_jpeg(pixels, quality), "image/jpeg")
-        return EncodedImage(f"{name}.png", _PNG_CACHE.png(pixels), "image/png")
-
-    with ThreadPoolExecutor(max_workers=4) as pool:
-        return list(pool.map(encode, images))
-
-
-class PngCache:
-    """Encodes PNG and caches the last few files: formats exported one after the other mostly share their images."""
-
-    def __init__(self, capacity: int) -> None:
-        self._capacity = capacity
-        self._files: OrderedDict[tuple[bytes, tuple[int, ...]], bytes] = OrderedDict()
-        self._lock = Lock()
-
-    def png(self, pixels: Image8) -> bytes:
-        """The file of 8-bit pixels (H, W, C); the key is their SHA-256."""
-        key = hashlib.sha256(np.ascontiguousarray(pixels).data).digest(), pixels.shape
-        with self._lock:
-            cached = self._files.get(key)
-        data = encode_png(pixels) if cached is None else cached
-        with self._lock:
-            self._files[key] = data
-            self._files.move_to_end(key)
-            while len(self._files) > self._capacity:
-                self._files.popitem(last=False)
-        return data
-
-
-_PNG_CACHE = PngCache(8)
-
-
-def _encode_jpeg(pixels: Image8, quality: int) -> bytes:
-    from PIL import Image
-
-    stream = io.BytesIO()
-    Image.fromarray(pixels).save(stream, format="JPEG", quality=quality, subsampling=0, optimize=False)
-    return stream.getvalue()
-
-
 def _color(value: NDArray[np.floating], normalise: bool) -> tuple[tuple[float, float, float], Image8 | None]:
     if value.ndim == 1:
         return (float(value[0]), float(value[1]), float(value[2])), None
     # Dividing by the largest value uses all 8 bits, also for small reflectances.
     largest = float(value.max()) if normalise and value.max() > 0 else 1.0
-    return (largest, largest, largest), srgb8(value / np.float32(largest) if largest != 1.0 else value)
+    codes = srgb8(value / np.float32(largest) if largest != 1.0 else value)
+    if _is_uniform(codes):
+        red, green, blue = srgb_to_linear(codes[0, 0] / np.float32(255)) * largest
+        return (float(red), float(green), float(blue)), None
+    return (largest, largest, largest), codes
 
 
 def _scalar(value: NDArray[np.floating]) -> tuple[float, Image8 | None]:
     if value.ndim == 0:
         return float(value), None
     largest = float(value.max()) or 1.0
-    return largest, unorm8(value / np.float32(largest))
+    codes = unorm8(value / np.float32(largest))
+    if _is_uniform(codes):
+        return float(codes[0, 0]) / 255 * largest, None
+    return largest, codes
 
 
-def _orm(metallic: NDArray[np.floating], roughness: NDArray[np.floating]) -> tuple[float, float, Image8 | None]:
+def _is_uniform(codes: Image8) -> bool:
+    first = codes[0, 0]
+    return bool((codes[::64] == first).all() and (codes == first).all())  # the first test decides most images
+
+
+def _orm(metallic: NDArray[np.floating], roughness: NDArray[np.floating]) -> Image8 | None:
     if metallic.ndim == 0 and roughness.ndim == 0:
-        return float(metallic), float(roughness), None
+        return None
     textures = [value for value in (metallic, roughness) if value.ndim == 2]
     height, width = max(value.shape for value in textures)
     image = np.full((height, width, 3), 255, np.uint8)
@@ -207,4 +164,12 @@ def _orm(metallic: NDArray[np.floating], roughness: NDArray[np.floating]) -> tup
         image[..., 2] = unorm8(resize(metallic, height, width))
     elif float(metallic) == 0:
         image[..., 2] = 0  # readers that ignore the factor see no metal either
-    return float(metallic) if metallic.ndim == 0 else 1.0, float(roughness) if roughness.ndim == 0 else 1.0, image
+    return image
+
+
+def _without_uniform_codes(value: NDArray[np.floating]) -> NDArray[np.floating]:
+    """A constant in place of a texture whose 8-bit codes are all equal."""
+    if value.ndim == 0:
+        return value
+    codes = unorm8(value)
+    return np.asarray(codes[0, 0] / np.float32(255)) if _is_uniform(codes) else value

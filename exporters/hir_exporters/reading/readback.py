@@ -60,10 +60,12 @@ def read_gltf(path: Path) -> ReadBack:
         check_references(path)
         document = GLTF2().load(str(path))
         scene = gltf_scene(path, document)
-        if len(scene.geometry) != 1:
-            raise InputError(f"{path} contains {len(scene.geometry)} meshes; an exported file has one")
-        [mesh] = scene.geometry.values()
-        to_world = scene.graph[scene.graph.nodes_geometry[0]][0]
+        # meshes of coarser levels (MSFT_lod) belong to nodes outside of the scene
+        placed = [scene.graph[node] for node in scene.graph.nodes_geometry]
+        if len(placed) != 1:
+            raise InputError(f"{path} contains {len(placed)} meshes; an exported file has one")
+        to_world, geometry = placed[0]
+        mesh = scene.geometry[geometry]
         faces = np.asarray(mesh.faces)
         positions = mesh.vertices[faces] @ to_world[:3, :3].T + to_world[:3, 3]
         normals = mesh.vertex_normals[faces] @ np.linalg.inv(to_world[:3, :3])
@@ -156,7 +158,9 @@ def _gltf_material(
         if reference is None:
             return None
         index = reference["index"] if isinstance(reference, dict) else reference.index
-        return _decoded(_gltf_image(document, document.textures[index].source, path))
+        texture = document.textures[index]
+        webp = (texture.extensions or {}).get("EXT_texture_webp", {})
+        return _decoded(_gltf_image(document, webp.get("source", texture.source), path))
 
     packed = pixels(core.metallicRoughnessTexture)
     weight, color = pixels(specular.get("specularTexture")), pixels(specular.get("specularColorTexture"))

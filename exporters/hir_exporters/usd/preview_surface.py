@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hir_exporters.asset import AssetMaterial
 from hir_exporters.materials.material_conversion import to_specular_workflow, to_usd_metallic
-from hir_exporters.materials.texture_packing import pack_color, pack_surface
+from hir_exporters.materials.texture_packing import pack_color, pack_normal, pack_surface
 
 if TYPE_CHECKING:
     from pxr import Sdf, Usd, UsdShade
@@ -66,8 +66,8 @@ def usd_surface(material: AssetMaterial, workflow: Literal["auto", "metallic", "
             packed.roughness,
             packed.ior,
             _present(images),
-            converted.metallic.ndim == 2,
-            converted.roughness.ndim == 2,
+            packed.metallic_textured,
+            packed.roughness_textured,
             converted.residual,
             converted.warnings,
         )
@@ -78,12 +78,11 @@ def usd_surface(material: AssetMaterial, workflow: Literal["auto", "metallic", "
     if surface.roughness.ndim == 2:
         plane = np.rint(np.clip(surface.roughness, 0, 1) * 255).astype(np.uint8)
         roughness_image = np.stack([np.full_like(plane, 255), plane, np.zeros_like(plane)], axis=-1)
-    normal = None if material.normal is None else np.rint((material.normal + 1) * 127.5).astype(np.uint8)
     images = {
         "base_color": diffuse_image,
         "specular_color": specular_image,
         "occlusion_roughness_metallic": roughness_image,
-        "normal": normal,
+        "normal": pack_normal(material.normal),
     }
     roughness = float(surface.roughness) if surface.roughness.ndim == 0 else 1.0
     return UsdSurface(

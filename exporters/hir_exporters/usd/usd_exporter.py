@@ -6,21 +6,17 @@ import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, Final, final
 
 from hir_exporters.asset import Asset, validate_asset
-from hir_exporters.budgets import apply_budget
+from hir_exporters.budgets import BUDGETS, apply_budget, budget_images, fit_mesh
 from hir_exporters.errors import ExportError
-from hir_exporters.exporter import Edit, Exporter, ExportReport
+from hir_exporters.exporter import Edit, Exporter, ExportReport, companion_file
 from hir_exporters.files.atomic import write_bytes_atomic, write_text_atomic
 from hir_exporters.format_options import UsdConfig
 from hir_exporters.light.environment_map import world_radiance
-from hir_exporters.materials.texture_packing import (
-    EncodedImage,
-    encode_images,
-    limit_texture_sizes,
-    texture_size_warnings,
-)
+from hir_exporters.materials.texture_packing import limit_texture_sizes, texture_size_warnings
+from hir_exporters.textures.image_encoding import EncodedImage, ImageEncoding
 from hir_exporters.textures.image_files import write_hdr
 from hir_exporters.usd.dome_light import light_layer
 from hir_exporters.usd.openpbr import openpbr_layer
@@ -51,18 +47,18 @@ class UsdExporter(Exporter):
         if config.materialx and config.workflow == "specular":
             raise ExportError("materialx: OpenPBR is written from the metallic workflow; set workflow=metallic or auto")
         asset, surface, images, warnings = _gather(asset, config)
-        paths = {name: f"./{destination.stem}_{image.name}" for name, image in images.items()}
+        paths = {name: f"./{companion_file(destination, image.name).name}" for name, image in images.items()}
         stage = build_stage(asset, surface, paths, config.meters_per_unit, config.subsets)
         if edit is not None:
             edit(stage, asset)
         layer = layer_bytes(stage.GetRootLayer(), destination.suffix)
         files = [destination]
         for image in images.values():
-            files.append(destination.with_name(f"{destination.stem}_{image.name}"))
+            files.append(companion_file(destination, image.name))
             write_bytes_atomic(files[-1], image.data)
         write_bytes_atomic(destination, layer)
         if config.materialx:
-            files.append(destination.with_name(f"{destination.stem}_openpbr.usda"))
+            files.append(companion_file(destination, "openpbr.usda"))
             over = openpbr_layer(surface, prim_name(asset.name), destination.name, paths, config.meters_per_unit)
             write_bytes_atomic(files[-1], layer_bytes(over, ".usda"))
         light_files, light_warnings = _write_light(asset, destination, config)
@@ -129,15 +125,32 @@ def _gather(asset: Asset, config: UsdConfig) -> tuple[Asset, UsdSurface, dict[st
     warnings += texture_size_warnings(asset.material, config.max_texture_size)
     asset = replace(asset, material=limit_texture_sizes(asset.material, config.max_texture_size))
     surface = usd_surface(asset.material, "metallic" if config.materialx else config.workflow)
-    images = encode_images(list(surface.images.items()))
-    return asset, surface, dict(zip(surface.images, images, strict=True)), warnings + surface.warnings
+    size = 0
+    if BUDGETS[config.budget].bytes is not None:
+        asset, mesh_warnings = fit_mesh(asset, config.budget, _bytes_without_images(asset, surface, config))
+        warnings += mesh_warnings
+        size = _bytes_without_images(asset, surface, config)
+    encoding = ImageEncoding(config.image_format, config.jpeg_quality)
+    images, image_warnings = budget_images(surface.images, config.budget, size, encoding)
+    return asset, surface, images, warnings + surface.warnings + image_warnings
+
+
+_SLACK_BYTES: Final = 4096
+"""For the directory of a package and the alignment of its files."""
+
+
+def _bytes_without_images(asset: Asset, surface: UsdSurface, config: UsdConfig) -> int:
+    stage = build_stage(
+        asset, surface, {name: f"{name}.png" for name in surface.images}, config.meters_per_unit, config.subsets
+    )
+    return len(layer_bytes(stage.GetRootLayer(), ".usdc")) + _SLACK_BYTES
 
 
 def _write_light(asset: Asset, destination: Path, config: UsdConfig) -> tuple[list[Path], tuple[str, ...]]:
     if not config.environment or asset.environment is None:
         return [], ()
     radiance, warnings = world_radiance(asset)
-    image, layer = destination.with_suffix(".hdr"), destination.with_name(f"{destination.stem}_lit.usda")
+    image, layer = destination.with_suffix(".hdr"), companion_file(destination, "lit.usda")
     write_hdr(image, radiance)
     write_text_atomic(layer, light_layer(prim_name(asset.name), destination.name, image.name, config.meters_per_unit))
     return [image, layer], warnings

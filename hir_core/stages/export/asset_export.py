@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hir_exporters.errors import ExportError, HirError
 from hir_exporters.exporter import Edit, Exporter, ExportReport
+from hir_exporters.files.atomic import move_atomic, staging_folder
 
 from hir_core.errors import ConfigError
 from hir_core.files.file_names import file_stem
@@ -34,7 +37,8 @@ def export_asset(
     """Writes `folder/<name of the asset>.<format>` for each format.
 
     All formats and options are checked before the first file is written. `options` are those of each format; `on_file`
-    is called after each format. `ConfigError` where no format is named.
+    is called after each format. `ConfigError` where no format is named. `ExportError` where two formats write different
+    content to one file name; the files of the first one stay.
     """
     exporters: dict[str, tuple[Registered, Exporter]] = {}
     for name in formats:
@@ -43,13 +47,43 @@ def export_asset(
     if not exporters:
         known = ", ".join(r.component.name for r in plugins.components("exporter"))
         raise ConfigError(f"no format is chosen; choose one or more with -f: {known}")
-    reports = {}
-    for name, (registered, exporter) in exporters.items():
-        report = exporter.write(asset, folder / f"{file_stem(asset.name)}.{name}", _edit(registered, plugins))
-        reports[name] = report
-        if on_file is not None:
-            on_file(name, report)
+    reports: dict[str, ExportReport] = {}
+    with staging_folder(folder) as staging:
+        writers: dict[Path, str] = {}
+        for name, (registered, exporter) in exporters.items():
+            destination = staging / name / f"{file_stem(asset.name)}.{name}"
+            try:
+                report = exporter.write(asset, destination, _edit(registered, plugins))
+                reports[name] = _publish(report, name, destination.parent, folder, writers)
+            except HirError as error:
+                if str(destination.parent) not in str(error):
+                    raise
+                raise type(error)(str(error).replace(str(destination.parent), str(folder))) from error
+            if on_file is not None:
+                on_file(name, reports[name])
     return reports
+
+
+def _publish(report: ExportReport, name: str, staged: Path, folder: Path, writers: dict[Path, str]) -> ExportReport:
+    """Moves the files of a format from `staged` to `folder`.
+
+    `writers` has the format that wrote each file and is extended. A file that another format wrote with other content
+    raises `ExportError`, and nothing is moved.
+    """
+    sources = [file for file in sorted(staged.rglob("*")) if file.is_file()]
+    targets = [folder / file.relative_to(staged) for file in sources]
+    for source, target in zip(sources, targets, strict=True):
+        if target in writers and source.read_bytes() != target.read_bytes():
+            raise ExportError(
+                f"{target}: the formats {writers[target]} and {name} both write this file, with different content; "
+                "export them into separate folders"
+            )
+    for source, target in zip(sources, targets, strict=True):
+        target.parent.mkdir(parents=True, exist_ok=True)
+        move_atomic(source, target)
+        writers[target] = name
+    moved = dict(zip(sources, targets, strict=True))
+    return replace(report, files=tuple(moved.get(Path(file), Path(file)) for file in report.files))
 
 
 def _edit(registered: Registered, plugins: PluginManager) -> Edit | None:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from hir_exporters.asset_health import asset_health
 from hir_exporters.files.atomic import atomic_directory
 
 from hir_core.run.capture_store import read_cameras
@@ -26,7 +27,7 @@ class FormatReport:
     residuals: Mapping[str, float]
     """Errors of the material conversion."""
     verified: Mapping[str, Any]
-    """What reading back and rendering again measured."""
+    """What reading back and rendering again measured, and the health of the asset."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,7 @@ def export_stage(state: RunState, context: StageContext) -> ExportStageReport:
     if len(formats) < len(config.export):
         context.warn("the asset has no light, so no light is exported; let the reflectance stage run to get one")
     verified = {}
+    health = asset_health(asset).as_document()
     with atomic_directory(state.directory.exports) as folder:
         reports = export_asset(asset, formats, folder, plugins, config.exporter) if formats else {}
         rerender = _rerender(state)
@@ -62,7 +64,9 @@ def export_stage(state: RunState, context: StageContext) -> ExportStageReport:
     return ExportStageReport(
         {
             name: FormatReport(
-                tuple(file.name for file in report.files), dict(report.residuals), dict(verified[name].report)
+                tuple(file.name for file in report.files),
+                dict(report.residuals),
+                {**verified[name].report, "health": health},
             )
             for name, report in reports.items()
         }

@@ -20,6 +20,7 @@ from hir_exporters.light.environment_map import mean_radiance
 from hir_exporters.reading.asset_decoding import decode_asset
 from hir_exporters.reading.environment_import import read_environment
 from hir_exporters.reading.file_verification import READERS, compare_with_asset, read_back
+from numpy.typing import NDArray
 
 from hir_core.stages.export.render_threshold import GOOD_PSNR
 
@@ -53,7 +54,7 @@ class ExportVerification:
             psnr = self.report["psnr"]
             parts.append(
                 f"re-rendered from {len(psnr['views'])} cameras: {psnr['object']:.1f} dB (worst "
-                f"{min(psnr['views'].values()):.1f})"
+                f"{min(psnr['views'].values()):.1f}) against the fitted scene, which measures the file and not the fit"
             )
         elif "not_rendered" in self.report:
             parts.append(f"not re-rendered: {self.report['not_rendered']}")
@@ -132,8 +133,13 @@ def _surface(
     return ExportVerification(report, tuple(problems))
 
 
-def rerender_of_run(run: Path, asset: Asset, plugins: PluginManager) -> tuple[Rerender | None, str]:
-    """The `Rerender` of a finished run; or None and the reason: no run, no light, missing packages, no cameras."""
+def rerender_of_run(
+    run: Path, asset: Asset, plugins: PluginManager, placement: NDArray[np.float64]
+) -> tuple[Rerender | None, str]:
+    """The `Rerender` of a finished run; or None and the reason: no run, no light, missing packages, no cameras.
+
+    `placement` is the matrix (4, 4) by which the asset was scaled and moved after it was read from the run.
+    """
     from hir_core.run.run_directory import RunDirectory
 
     if not (run / "run.json").is_file():
@@ -152,4 +158,6 @@ def rerender_of_run(run: Path, asset: Asset, plugins: PluginManager) -> tuple[Re
     cameras = read_cameras(opened.directory.cameras)
     if not cameras:
         return None, "the run has no cameras"
-    return Rerender(asset, cameras, opened.frames.working_from_asset, plugins, side=256, bounces=opened.bounces), ""
+    placed = {name: camera.transformed(placement) for name, camera in cameras.items()}
+    working_from_asset = opened.frames.working_from_asset @ np.linalg.inv(placement)
+    return Rerender(asset, placed, working_from_asset, plugins, side=256, bounces=opened.bounces), ""

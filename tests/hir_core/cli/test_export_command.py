@@ -43,6 +43,7 @@ def test_a_mesh_with_textures(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert hir("export", tmp_path / "plate.obj", *arguments, "-o", tmp_path / "out") == 0
     message = capsys.readouterr()
     assert "by the formulas of engines, in dB: gltf" in message.out and "three.js" in message.out
+    assert "asset: one roughness for the whole surface" in message.out
     back = read_gltf(tmp_path / "out" / "plate.glb")
     np.testing.assert_allclose(back.surface.roughness, 0.3, atol=1e-6)
     np.testing.assert_allclose(back.corner_uvs[0], [[0, 1], [1, 1], [0, 0]])
@@ -66,7 +67,10 @@ def test_short_options_reach_the_formats_that_have_them(tmp_path: Path) -> None:
         (["{tmp}/plate.obj", "-f", "glb", "--roughness", "gone.png"], "gone.png for roughness does not exist"),
         (["{tmp}/plate.obj", "-f", "glb", "--roughness", "7"], "roughness is 7.0; it must be from 0 to 1"),
         (["{tmp}/plate.obj", "-f", "glb", "--light", "{tmp}/plate.obj"], "is a lat-long"),
-        (["{tmp}/scene", "-f", "glb", "--set", "glb.image_format=ktx2"], "no Python package encodes KTX2"),
+        (["{tmp}/scene", "-f", "glb", "--set", "glb.image_format=ktx2"], "no licensed Python package encodes KTX2"),
+        (["{tmp}/scene", "-f", "glb", "--set", "glb.max_texture_size=0"], "max_texture_size is 0; it must be from 1"),
+        (["{tmp}/scene", "-f", "glb", "--height", "0"], "height is 0; it must be a positive number"),
+        (["{tmp}/scene", "-f", "glb", "--height", "1", "--scale", "2"], "scale and height are both given"),
         (["{tmp}/scene", "-f", "fbx"], "fbx"),
         (["{tmp}/scene", "-f", "glb", "-o", "{tmp}/plate.obj/sub"], "plate.obj"),
     ],
@@ -81,6 +85,59 @@ def test_what_is_refused(
     assert hir("export", *arguments, *([] if "-o" in arguments else ["-o", tmp_path / "out"])) == 2
     assert message in capsys.readouterr().err
     assert [p for p in sorted(tmp_path.rglob("*")) if p.is_file()] == [p for p in before if p.is_file()]
+
+
+@pytest.mark.parametrize("pivot", ["source", "base", "centre"])
+def test_height_and_pivot(pivot: str, tmp_path: Path) -> None:
+    """The file's bounding box, and that only size and place differ from a file written without the options."""
+    lifted = replace(plate(), mesh=replace(plate().mesh, positions=plate().mesh.positions * [1, 2, 1] + [3, 5, 7]))
+    save_scene(lifted, tmp_path / "scene")
+    arguments = ["-f", "glb", "-q", "--height", "0.24", "--pivot", pivot, "-o", tmp_path / "out"]
+    assert hir("export", tmp_path / "scene", *arguments) == 0
+    points = read_gltf(tmp_path / "out" / "plate.glb").corner_positions.reshape(-1, 3)
+    low, high = points.min(axis=0), points.max(axis=0)
+    np.testing.assert_allclose(high - low, [0.12, 0.24, 0], atol=1e-6)
+    corner = {"source": [0.36, 0.6, 0.84], "base": [-0.06, 0, 0], "centre": [-0.06, -0.12, 0]}[pivot]
+    np.testing.assert_allclose(low, corner, atol=1e-6)
+    assert document(tmp_path / "out" / "plate.glb")["asset"]["extras"]["hir"]["placement"][0][0] == pytest.approx(0.12)
+
+
+def test_formats_side_by_side_are_those_written_alone(tmp_path: Path) -> None:
+    """Each format in one folder has the bytes that it has alone, and no file but the light belongs to two formats.
+
+    A coloured lobe: the base colours of core metallic-roughness, of the extensions and of USD differ.
+    """
+    noise = np.random.default_rng(0).random((16, 16, 3))
+    material = AssetMaterial("paper", 0.2 + 0.5 * noise, 0.1 + 0.2 * noise, 0.1 + 0.3 * noise[..., 0])
+    save_scene(replace(plate(), material=material), tmp_path / "scene")
+    formats = ("gltf", "obj", "usda", "usdc", "usdz", "glb", "hdr")
+    every = [word for name in formats for word in ("-f", name)]
+    assert hir("export", tmp_path / "scene", *every, "-q", "--no-verify", "-o", tmp_path / "all") == 0
+    owners: dict[str, str] = {}
+    for name in formats:
+        assert hir("export", tmp_path / "scene", "-f", name, "-q", "--no-verify", "-o", tmp_path / name) == 0
+        for file in sorted((tmp_path / name).iterdir()):
+            assert file.read_bytes() == (tmp_path / "all" / file.name).read_bytes(), (name, file.name)
+            assert file.suffix == ".hdr" or owners.setdefault(file.name, name) == name
+    assert {file.name for file in (tmp_path / "all").iterdir()} == {*owners, "plate.hdr"}
+
+
+def test_two_formats_that_write_one_file_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    save_scene(plate(), tmp_path / "scene")
+    arguments = ["-f", "glb", "-f", "hdr", "--set", "hdr.height=8", "-o", tmp_path / "out"]
+    assert hir("export", tmp_path / "scene", *arguments) == 2
+    message = capsys.readouterr().err
+    assert f"{tmp_path / 'out' / 'plate.hdr'}: the formats glb and hdr both write this file" in message
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["plate.glb", "plate.hdr"]
+
+
+def test_a_target_that_is_no_file_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    save_scene(plate(), tmp_path / "scene")
+    (tmp_path / "out").mkdir()
+    os.mkfifo(tmp_path / "out" / "plate.glb")
+    assert hir("export", tmp_path / "scene", "-f", "glb", "-o", tmp_path / "out") == 2
+    assert f"{tmp_path / 'out' / 'plate.glb'}: it is not a regular file" in capsys.readouterr().err
+    assert [p.name for p in (tmp_path / "out").iterdir()] == ["plate.glb"]
 
 
 def test_vendors_change_documents_before_they_are_written(tmp_path: Path) -> None:

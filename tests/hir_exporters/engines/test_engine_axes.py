@@ -34,6 +34,13 @@ def three(d: Direction) -> tuple[float, float]:
     return np.arctan2(z, x) / TAU + 0.5, height(y)
 
 
+def model_viewer(d: Direction) -> tuple[float, float]:
+    """The model turned by `orientation` of 90 degrees about Y, then equirectUv without a rotation."""
+    angle = np.pi / 2
+    x, y, z = np.cos(angle) * d[0] + np.sin(angle) * d[2], d[1], np.cos(angle) * d[2] - np.sin(angle) * d[0]
+    return np.arctan2(z, x) / TAU + 0.5, height(y)
+
+
 def blender(d: Direction) -> tuple[float, float]:
     """The importer's (x, -z, y), a Mapping node of +90 degrees about Z, and the Environment Texture's formula."""
     x, y, z = d[0], -d[2], d[1]
@@ -67,7 +74,7 @@ def usd(d: Direction) -> tuple[float, float]:
     return 0.5 - np.arctan2(d[0], d[2]) / TAU, height(d[1])
 
 
-@pytest.mark.parametrize("engine", [three, blender, unity, unreal, godot, usd])
+@pytest.mark.parametrize("engine", [three, model_viewer, blender, unity, unreal, godot, usd])
 def test_each_axis_shows_its_colour(
     engine: Callable[[Direction], tuple[float, float]], textured_asset: Asset, tmp_path: Path
 ) -> None:
@@ -85,7 +92,7 @@ def test_light_inside_gltf_has_its_colours_on_the_faces(textured_asset: Asset, t
     create_exporter("gltf", GltfConfig(image_based_light=True)).write(textured_asset, tmp_path / "x.gltf")
     faces = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]
     for number, (x, y, z) in enumerate(faces):
-        codes = read_ldr(tmp_path / f"x_light_0_{number}.png")
+        codes = read_ldr(tmp_path / f"x_gltf_light_0_{number}.png")
         middle = srgb_to_linear(codes[60:68, 60:68, :3]) / codes[60:68, 60:68, 3:]
         np.testing.assert_allclose(middle.mean((0, 1)), COLORS[x, y, -z], atol=0.02, err_msg=str(number))
 
@@ -98,7 +105,7 @@ def test_light_inside_gltf_goes_on_over_the_edges_of_faces(textured_asset: Asset
     light = AssetEnvironment((0.5 + 0.45 * latlong_directions(64, 128)).astype(np.float32))
     asset = dataclasses.replace(textured_asset, environment=light)
     create_exporter("gltf", GltfConfig(image_based_light=True)).write(asset, tmp_path / "x.gltf")
-    faces = [read_ldr(tmp_path / f"x_light_0_{number}.png") for number in range(6)]
+    faces = [read_ldr(tmp_path / f"x_gltf_light_0_{number}.png") for number in range(6)]
     for direction in np.random.default_rng(0).normal(size=(300, 3)):
         x, y, z = direction / np.linalg.norm(direction) * [1, 1, -1]
         axis = int(np.abs([x, y, z]).argmax())
@@ -117,6 +124,7 @@ def test_the_ready_scripts_turn_the_light_as_tested() -> None:
         "examples/engines/HirAssetImporter.cs": "Rotation = 90f",
         "examples/engines/blender_import.py": "math.radians(90)",
         "examples/engines/threejs.html": "-Math.PI / 2",
+        "docs/engines/threejs.md": 'orientation="0deg 0deg 90deg"',
         "docs/engines/unreal.md": "*Source Cubemap Angle* 180",
         "docs/engines/README.md": "| Unreal 5.5 | 180°",
     }.items():

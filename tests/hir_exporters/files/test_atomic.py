@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 from hir_exporters.errors import ExportError
-from hir_exporters.files.atomic import atomic_directory, atomic_write, write_bytes_atomic
+from hir_exporters.files.atomic import atomic_directory, atomic_write, move_atomic, write_bytes_atomic
 
 
 def test_bytes_appear_whole_with_their_parents(tmp_path: Path) -> None:
@@ -57,3 +57,16 @@ def test_a_folder_is_replaced_as_a_whole_or_stays(tmp_path: Path) -> None:
     with atomic_directory(tmp_path / "d") as place:
         (place / "two").write_bytes(b"2")
     assert os.listdir(tmp_path / "d") == ["two"] and os.listdir(tmp_path) == ["d"]
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs the pipes of POSIX")
+def test_a_pipe_is_refused_and_stays(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.glb")
+    (tmp_path / "null.glb").symlink_to("/dev/null")
+    (tmp_path / "source").write_bytes(b"x")
+    for name in ("pipe.glb", "null.glb"):
+        with pytest.raises(ExportError, match=rf"{name}: it is not a regular file"):
+            write_bytes_atomic(tmp_path / name, b"x")
+        with pytest.raises(ExportError, match=rf"{name}: it is not a regular file"):
+            move_atomic(tmp_path / "source", tmp_path / name)
+        assert not (tmp_path / name).is_file()

@@ -137,7 +137,7 @@ def test_small_reflectances_use_all_eight_bits(textured_asset: Asset, tmp_path: 
     np.testing.assert_allclose(extension["specularColorFactor"], largest, rtol=1e-6)
     from hir_exporters.textures.image_files import read_ldr
 
-    assert read_ldr(tmp_path / "a_specular.png").max() == 1
+    assert read_ldr(tmp_path / "a_gltf_specular.png").max() == 1
 
 
 def test_indices_are_as_small_as_they_can_be(constant_asset: Asset, make_sphere: Sphere, tmp_path: Path) -> None:

@@ -93,7 +93,7 @@ def test_light_lies_beside_the_asset_the_right_way_round(textured_asset: Asset, 
     from pxr import Usd, UsdGeom, UsdLux
 
     create_exporter("usda").write(textured_asset, tmp_path / "x.usda")
-    stage = Usd.Stage.Open(str(tmp_path / "x_lit.usda"))
+    stage = Usd.Stage.Open(str(tmp_path / "x_usda_lit.usda"))
     [light] = [UsdLux.DomeLight(p) for p in stage.Traverse() if p.IsA(UsdLux.DomeLight)]
     assert light.GetTextureFormatAttr().Get() == "latlong"
     assert UsdGeom.Xformable(light).GetLocalTransformation() == type(UsdGeom.Xformable(light).GetLocalTransformation())(
@@ -161,8 +161,8 @@ def test_openpbr_lies_in_a_layer_of_its_own(kind: str, request: pytest.FixtureRe
     create_exporter("usda", UsdConfig(materialx=True)).write(request.getfixturevalue(kind), tmp_path / "x.usda")
     layers = sorted(tmp_path.glob("*.usda"))
     found = {f.file.name: {g.code for g in validate_usd(layers) if g.file == f.file} for f in validate_usd(layers)}
-    assert found == {"x_openpbr.usda": {"MissingShaderIdInRegistry"}}
-    stage = Usd.Stage.Open(str(tmp_path / "x_openpbr.usda"))
+    assert found == {"x_usda_openpbr.usda": {"MissingShaderIdInRegistry"}}
+    stage = Usd.Stage.Open(str(tmp_path / "x_usda_openpbr.usda"))
     [material] = [UsdShade.Material(p) for p in stage.Traverse() if p.IsA(UsdShade.Material)]
     names = [material.ComputeSurfaceSource(context)[0].GetIdAttr().Get() for context in ("mtlx", "")]
     assert names == ["ND_open_pbr_surface_surfaceshader", "UsdPreviewSurface"]
@@ -176,7 +176,7 @@ def test_openpbr_uses_nodes_and_inputs_that_materialx_has(textured_asset: Asset,
     materialx.loadLibraries(materialx.getDefaultDataLibraryFolders(), materialx.getDefaultDataSearchPath(), definitions)
     create_exporter("usda", UsdConfig(materialx=True)).write(textured_asset, tmp_path / "x.usda")
     types = {"color3f": "color3", "float3": "vector3", "vector3f": "vector3", "float2": "vector2", "asset": "filename"}
-    stage, count = Usd.Stage.Open(str(tmp_path / "x_openpbr.usda")), 0
+    stage, count = Usd.Stage.Open(str(tmp_path / "x_usda_openpbr.usda")), 0
     for prim in stage.Traverse():
         shader = UsdShade.Shader(prim)
         if not shader or not str(shader.GetIdAttr().Get()).startswith("ND_"):
