@@ -130,6 +130,6 @@ def hir_register_reflectance_renderers() -> list[Component]:
             summary="Matte surfaces under nine spherical harmonics, without shadows: quick, and blind to gloss.",
             requires=("torch", "jaxtyping", "open3d"),
             extra="reconstruct",
-            traits=frozenset({"material", "environment"}),
+            traits=frozenset({"material", "environment", "lambertian"}),
         )
     ]

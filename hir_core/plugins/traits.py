@@ -28,6 +28,7 @@ TRAITS: Mapping[str, Mapping[str, str]] = {
         "environment": "radiance carries gradients to the light",
         "mesh": "radiance carries gradients to the positions",
         "stochastic": "values are noisy; the noise follows torch's random generator",
+        "lambertian": "shades diffuse reflection alone: specular albedo and roughness have no effect",
         "solver": "`prepare` returns a `ReflectanceSolver`",
         "regularizers": "the solver minimises regularizers in its own fit (`ReflectanceSolver.with_terms`)",
         "reference": "unbiased; other renderers are compared with it",
