@@ -142,3 +142,26 @@ def test_the_frame_of_the_light_is_selected(frame: str, tmp_path: Path) -> None:
     assert scene.environment is not None and scene.environment.frame == frame
     values, _ = observed(scene)
     assert float(values.log().std(dim=0).max()) < 0.05, "no shading in the albedo"
+
+
+@pytest.mark.slow
+def test_a_resumed_selection_of_six_views_gives_the_same_scene(tmp_path: Path) -> None:
+    """Both folds make every view a judge; a third of the finished fits is lost."""
+    mesh = ball()
+    truth = Scene(mesh, make_material((0.4, 0.2, 0.1), 0.04, 0.2, "dielectric"), lamps())
+    capture = photographs(truth, around(6), size=16)
+    scenes, reports = [], []
+    for _ in range(2):
+        scene, report = fitted(mesh, capture, tmp_path, options={"steps": 12, "cache_cells": 200})
+        scenes.append(scene)
+        reports.append(report)
+        finished = sorted(tmp_path.rglob("fit_*.npz"))
+        assert len(finished) > 20
+        for path in finished[::3]:
+            path.unlink()
+    assert reports[0].explanation is not None and reports[0].explanation.held_out_views == 6
+    assert reports[0].hypotheses == reports[1].hypotheses and reports[0].comparisons == reports[1].comparisons
+    (first, first_light), (second, second_light) = ((s.material, s.environment) for s in scenes)
+    assert first is not None and second is not None and first_light is not None and second_light is not None
+    assert torch.equal(first.diffuse_albedo, second.diffuse_albedo)
+    assert torch.equal(first_light.radiance, second_light.radiance)
