@@ -55,7 +55,9 @@ def main() -> None:
     for effort in EFFORTS:
         row(
             f"gradient steps, effort {effort:g}",
-            lambda solver, e=effort: solver.fit(FITTED_MODEL, None, every, e, _ignore_progress),
+            lambda solver, e=effort: solver.fit(
+                FITTED_MODEL, None, every, e, _ignore_progress, pixel_share=min(1.0, 2 * e)
+            ),
         )
     for rounds in ROUNDS:
         row(f"closed form, {rounds} in turn", lambda solver, n=rounds: Fit(FITTED_MODEL, alternate(solver, every, n)))

@@ -59,6 +59,19 @@ def complexity(spec: ModelSpec) -> tuple[int, int]:
     return FRAMES.index(spec.light_frame), SIMPLICITY.index(spec.kind)
 
 
+def contains(general: ModelSpec, special: ModelSpec) -> bool:
+    """Whether a hypothesis becomes another one where it has no metal, or no specular lobe.
+
+    It then explains as much, whatever the truth: a tie says nothing against the special one.
+    """
+    wider: dict[str, tuple[str, ...]] = {
+        "diffuse": ("paper", "dielectric", "mixed"),
+        "dielectric": ("mixed",),
+        "metal": ("mixed",),
+    }
+    return general.light_frame == special.light_frame and general.kind in wider.get(special.kind, ())
+
+
 def described(spec: ModelSpec, beside: ModelSpec | None = None) -> str:
     """The kind of material and, unless it is that of `beside`, the light."""
     if beside is not None and beside.light_frame == spec.light_frame:

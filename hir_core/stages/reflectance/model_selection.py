@@ -28,7 +28,7 @@ from hir_core.stages.reflectance.held_out_comparison import (
     mean_decibels,
     paired_gain,
 )
-from hir_core.stages.reflectance.hypotheses import complexity, hypotheses
+from hir_core.stages.reflectance.hypotheses import complexity, contains, hypotheses
 from hir_core.stages.reflectance.refinement_selection import Comparison, RefinementSelection, expected_cost
 from hir_core.stages.reflectance.requested_model import default_spec, forced_spec
 from hir_core.stages.reflectance.successive_halving import (
@@ -80,6 +80,18 @@ class Selection(Generic[FitT]):
     margins: tuple[Margin, ...] = ()
     """Of all other hypotheses, the runner-up first: those that took part in most rounds, then the nearest."""
     comparisons: tuple[Comparison, ...] = ()
+
+    @property
+    def runner_up(self) -> Margin | None:
+        """The nearest hypothesis that does not contain the selected one; any other where there is none."""
+        others = [each for each in self.margins if not contains(each.spec, self.hypothesis)]
+        return next(iter(others or self.margins), None)
+
+    @property
+    def is_near_tie(self) -> bool:
+        """Whether held-out views hardly distinguish the runner-up, though it says something else."""
+        second = self.runner_up
+        return second is not None and second.is_near_tie and not contains(second.spec, self.hypothesis)
 
     @property
     def compared(self) -> bool:

@@ -41,7 +41,7 @@ class ExplanationReport:
     standard_error_db: float | None = None
     held_out_views: int | None = None
     near_tie: bool = False
-    """Whether the margin is within noise."""
+    """Whether the margin is within noise; not where the runner-up contains the selected hypothesis."""
     sentence: str = ""
     """All of it in words."""
 
@@ -177,9 +177,9 @@ def explanation_report(selection: Selection[FitT]) -> ExplanationReport | None:
     if not selection.compared:
         return None
     chosen = described(selection.hypothesis)
-    if not selection.margins:
+    runner_up = selection.runner_up
+    if runner_up is None:
         return ExplanationReport(chosen, sentence=f"{chosen}; the settings left no other hypothesis")
-    runner_up = selection.margins[0]
     name = described(runner_up.spec, beside=selection.hypothesis)
     side = "worse" if runner_up.margin_db >= 0 else "better, but less simple"
     return ExplanationReport(
@@ -188,16 +188,16 @@ def explanation_report(selection: Selection[FitT]) -> ExplanationReport | None:
         round(runner_up.margin_db, 3),
         round(runner_up.standard_error_db, 3),
         runner_up.held_out_views,
-        runner_up.is_near_tie,
+        selection.is_near_tie,
         f"{chosen}; next: {name}, {abs(runner_up.margin_db):.1f} ± {runner_up.standard_error_db:.1f} dB {side}",
     )
 
 
 def near_tie_warning(selection: Selection[FitT]) -> str | None:
     """One sentence where the margin to the runner-up is within noise: it names the settings that force either."""
-    if not selection.margins or not selection.margins[0].is_near_tie:
+    first, second = selection.hypothesis, selection.runner_up
+    if second is None or not selection.is_near_tie:
         return None
-    first, second = selection.hypothesis, selection.margins[0]
     return (
         f"held-out views hardly distinguish {described(first)} from {described(second.spec)} "
         f"({second.margin_db:+.1f} ± {second.standard_error_db:.1f} dB on {second.held_out_views} views); to force the "

@@ -111,7 +111,8 @@ class FitBenchmark:
         def fitted(effort: float) -> tuple[Scene, str]:
             solver = renderer.prepare(start, self.train, DOWNSAMPLE)
             assert isinstance(solver, ReflectanceSolver)
-            fit = solver.fit(FITTED_MODEL, None, every, effort, lambda share: None)
+            # a short fit takes fewer pixels, too
+            fit = solver.fit(FITTED_MODEL, None, every, effort, lambda share: None, pixel_share=min(1.0, 2 * effort))
             return solver.scene(fit, every, lambda share: None).scene, ""
 
         for effort in efforts:

@@ -164,8 +164,8 @@ def _trace(
     total = (lobe * inverse).sum(1, keepdim=True).clamp_min(1e-6)
     inverse = inverse * ((a + b) / total).clamp(0.5, 2.0)
     return Lobes(
-        columns.reshape(count, -1).int(),
-        bilinear.reshape(count, -1),
+        columns.reshape(count, 4 * samples).int(),
+        bilinear.reshape(count, 4 * samples),
         n_wi,
         h[..., 2],
         sin2,

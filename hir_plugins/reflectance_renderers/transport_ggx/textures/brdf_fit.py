@@ -10,6 +10,7 @@ from typing import final
 
 import drjit as dr
 import mitsuba as mi
+from hir_exporters.metallic_parameters import DEFAULT_DIELECTRIC_F0
 from jaxtyping import Float
 from torch import Tensor
 
@@ -34,6 +35,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit_steps imp
     shading_normal,
     step,
 )
+from hir_plugins.reflectance_renderers.transport_ggx.textures.metallic_steps import metallic_step
 from hir_plugins.reflectance_renderers.transport_ggx.textures.observations import Observations
 
 INITIAL_DAMPING, MIN_DAMPING, MAX_DAMPING = 0.01, 1e-4, 1e4
@@ -46,9 +48,15 @@ class PointBrdfFit:
     """Points with their photographs, ready to be solved."""
 
     def __init__(
-        self, points: ShadingPoints, observations: Observations, probes: ProbeTable, model: Model, priors: Priors
+        self,
+        points: ShadingPoints,
+        observations: Observations,
+        probes: ProbeTable,
+        model: Model,
+        priors: Priors,
+        dielectric_f0: float = DEFAULT_DIELECTRIC_F0,
     ) -> None:
-        self.arrays = FitArrays(points, observations, probes, model, priors)
+        self.arrays = FitArrays(points, observations, probes, model, priors, dielectric_f0)
         self._frame = tangent_frame(points.normal)
         self._device = points.position.device
 
@@ -60,7 +68,10 @@ class PointBrdfFit:
         current, damping = normal_equations(arrays, state, initial), dr.opaque(mi.Float, INITIAL_DAMPING, arrays.count)
         dr.eval(current)
         for _ in range(arrays.priors.iterations):
-            trial = step(arrays, state, current, damping)
+            if arrays.metallic:
+                trial = metallic_step(arrays, state, initial, current, damping)
+            else:
+                trial = step(arrays, state, current, damping)
             dr.eval(trial)
             candidate = normal_equations(arrays, trial, initial)
             better = candidate.cost < current.cost  # false if either is NaN: the state stays
@@ -84,20 +95,24 @@ class PointBrdfFit:
     def state(self, values: PointBrdfs) -> BrdfState:
         """The BRDFs as Dr.Jit arrays."""
         tangent, bitangent = self._frame
+        # the albedos of `metallic` follow from its base colour and must stay consistent
+        least = 0.0 if self.arrays.metallic else MIN_SPECULAR_ALBEDO
         state = BrdfState(
             vectors_of(values.albedo.clamp(0, 1)),
-            vectors_of(values.specular.clamp(MIN_SPECULAR_ALBEDO, 1)),
+            vectors_of(values.specular.clamp(least, 1)),
             to_float(level_of(values.alpha), mi),
             to_float((values.normal_offset * tangent).sum(dim=1), mi),
             to_float((values.normal_offset * bitangent).sum(dim=1), mi),
+            to_float(values.metalness[:, 0], mi),
         )
         dr.eval(state)
         return state
 
     def _values(self, state: BrdfState) -> PointBrdfs:
         tangent, bitangent = self._frame
-        along, across, level = (
-            to_torch(value, (-1, 1), self._device) for value in (state.along, state.across, state.level)
+        along, across, level, metalness = (
+            to_torch(value, (-1, 1), self._device)
+            for value in (state.along, state.across, state.level, state.metalness)
         )
         albedo, specular = to_color(state.albedo, self._device), to_color(state.specular, self._device)
-        return PointBrdfs(albedo, specular, alpha_of(level), along * tangent + across * bitangent)
+        return PointBrdfs(albedo, specular, alpha_of(level), along * tangent + across * bitangent, metalness)

@@ -9,6 +9,7 @@ from typing import final
 import drjit as dr
 import mitsuba as mi
 import torch
+from hir_exporters.metallic_parameters import DEFAULT_DIELECTRIC_F0
 from jaxtyping import Float, Int
 from torch import Tensor
 
@@ -49,6 +50,8 @@ class PointBrdfs:
     alpha: Float[Tensor, "P 1"]
     normal_offset: Float[Tensor, "P 3"]
     """In the world (`fit/shading_normals.py`)."""
+    metalness: Float[Tensor, "P 1"]
+    """Of `metallic`, whose albedos follow from it and the base colour; 0 for other BRDFs."""
 
     def where(self, chosen: Tensor, other: PointBrdfs) -> PointBrdfs:
         """These where `chosen` (P,) is true, `other` elsewhere."""
@@ -60,8 +63,8 @@ class PointBrdfs:
         return PointBrdfs(*(value[rows] for value in self.all()))
 
     def all(self) -> tuple[Tensor, ...]:
-        """Albedo, ρs, α and normal offset."""
-        return self.albedo, self.specular, self.alpha, self.normal_offset
+        """Albedo, ρs, α, normal offset and metalness."""
+        return self.albedo, self.specular, self.alpha, self.normal_offset, self.metalness
 
     @classmethod
     def join(cls, parts: Sequence[PointBrdfs]) -> PointBrdfs:
@@ -78,6 +81,7 @@ class Priors:
     level: float = 0.01
     normal_offset: float = 0.01
     """Of a zero normal offset."""
+    metalness: float = 0.02
     huber_srgb: float = 0.1
     """Residual in sRGB from which the loss is linear."""
     iterations: int = 20
@@ -88,6 +92,11 @@ class Priors:
         """Only the albedo changes; its equations are nearly linear."""
         return cls(specular=FROZEN_WEIGHT, level=FROZEN_WEIGHT, normal_offset=FROZEN_WEIGHT, iterations=6)
 
+    @classmethod
+    def of_base_color(cls) -> Priors:
+        """Of `metallic` only the base colour changes, and both albedos with it."""
+        return cls(metalness=FROZEN_WEIGHT, level=FROZEN_WEIGHT, normal_offset=FROZEN_WEIGHT, iterations=6)
+
 
 @final
 class FitArrays:
@@ -97,14 +106,22 @@ class FitArrays:
     """
 
     def __init__(
-        self, points: ShadingPoints, observations: Observations, probes: ProbeTable, model: Model, priors: Priors
+        self,
+        points: ShadingPoints,
+        observations: Observations,
+        probes: ProbeTable,
+        model: Model,
+        priors: Priors,
+        dielectric_f0: float = DEFAULT_DIELECTRIC_F0,
     ) -> None:
         tangent, bitangent = tangent_frame(points.normal)
         self.count = len(points.position)
-        self.coupled = 1.0 if model == "dielectric" else 0.0
-        """1 for `dielectric`, where the lobe reduces the diffuse part; 0 for `paper`."""
+        self.coupled = 0.0 if model == "paper" else 1.0
+        """0 for `paper`; 1 for the other BRDFs, where the lobe reduces the diffuse part."""
+        self.metallic = model == "metallic"
         self.priors = priors
         # opaque: a literal would compile a new kernel for each number of points or photographs
+        self.dielectric_f0 = dr.opaque(mi.Float, dielectric_f0)
         self.points, self.views = dr.opaque(mi.UInt32, self.count), dr.opaque(mi.UInt32, len(observations.eyes))
         self.position, self.normal = vectors_of(points.position), vectors_of(points.normal)
         self.tangent, self.bitangent = vectors_of(tangent), vectors_of(bitangent)
@@ -136,6 +153,7 @@ class BrdfState:
     along: DrJitArray
     across: DrJitArray
     """Normal offset along tangent and bitangent: `along`, `across`."""
+    metalness: DrJitArray
 
 
 @dataclass

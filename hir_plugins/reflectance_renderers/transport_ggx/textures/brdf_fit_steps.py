@@ -106,6 +106,8 @@ def normal_equations(fit: FitArrays, x: BrdfState, initial: BrdfState) -> Normal
     albedo, specular, level = x.albedo - initial.albedo, x.specular - initial.specular, x.level - initial.level
     penalty = prior.albedo * dr.squared_norm(albedo) + prior.specular * dr.squared_norm(specular)
     penalty += prior.level * level * level + prior.normal_offset * (x.along * x.along + x.across * x.across)
+    if fit.metallic:
+        penalty += prior.metalness * dr.square(x.metalness - initial.metalness)
     return NormalEquations(
         cost + 0.5 * penalty,
         (dd + prior.albedo, df, ff + prior.specular),
@@ -162,9 +164,23 @@ def step(fit: FitArrays, x: BrdfState, current: NormalEquations, damping: DrJitA
     specular = dr.clip(x.specular + i_df * rest_d + i_ff * rest_f, MIN_SPECULAR_ALBEDO, 1)
     # in `paper` albedo and ρs together are at most 1; in `dielectric` the lobe reduces the diffuse part
     specular = specular if fit.coupled else dr.minimum(specular, dr.maximum(1 - albedo, MIN_SPECULAR_ALBEDO))
+    return moved_lobe(x, albedo, specular, by_a, by_1, by_2, x.metalness)
+
+
+def moved_lobe(
+    x: BrdfState,
+    albedo: DrJitArray,
+    specular: DrJitArray,
+    by_a: DrJitArray,
+    by_1: DrJitArray,
+    by_2: DrJitArray,
+    metalness: DrJitArray,
+) -> BrdfState:
+    """The state with new albedos and metalness, and with level and normal offset moved within their limits."""
     along, across = x.along + by_1, x.across + by_2
     short = _shortened(along, across)
-    return BrdfState(albedo, specular, dr.clip(x.level + by_a, 0, ALPHA_LEVELS - 1), along * short, across * short)
+    level = dr.clip(x.level + by_a, 0, ALPHA_LEVELS - 1)
+    return BrdfState(albedo, specular, level, along * short, across * short, metalness)
 
 
 def radiance(fit: FitArrays, x: BrdfState, patch: Patch, lobe: Lobe, arriving: DrJitArray) -> DrJitArray:

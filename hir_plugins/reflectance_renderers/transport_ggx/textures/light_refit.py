@@ -54,7 +54,7 @@ def refit_light(
 
     def loss(_: int) -> dict[str, Tensor]:
         radiance = replace(parameters, light=light).radiance
-        sources, irradiance = transport.sources(radiance, parameters.diffuse_albedo, lit.spec.bounces)
+        sources, irradiance = transport.sources(radiance, parameters.base_color, lit.spec.bounces)
         vectors = transport.vector_irradiance(radiance)
         arriving = irradiance_at(transport, points, pixels.points.normal, irradiance, vectors)
         received = lobe_maps[0] @ sources, lobe_maps[1] @ sources

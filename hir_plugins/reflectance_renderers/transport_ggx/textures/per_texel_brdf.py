@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import torch
+from hir_exporters.metallic_parameters import DEFAULT_DIELECTRIC_F0
 from jaxtyping import Float
 from torch import Tensor
 
@@ -23,6 +24,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.operator.probe_lookup impor
 from hir_plugins.reflectance_renderers.transport_ggx.operator.radiance_probes import build_probes
 from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit import PointBrdfFit
 from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit_state import (
+    FROZEN_WEIGHT,
     PointBrdfs,
     Priors,
     ShadingPoints,
@@ -36,6 +38,8 @@ OBSERVATIONS_PER_POINT = 30
 GLOSSY_SPECULAR_SHARE, GLOSSY_ALPHA = 1 / 3, 0.33
 """The second initial guess of a point has this share of its colour in a lobe of this α: metal and paint are two minima
 of the cost."""
+MAX_GUESSED_METALNESS = 0.95
+"""The second initial guess of a `metallic` point is not nearer to a metal or to a dielectric."""
 MIN_OBSERVATIONS = 4
 """A point with fewer photographs takes the BRDF of the fit at vertices."""
 
@@ -60,7 +64,7 @@ class LitSurface:
     ) -> LitSurface:
         """Filters the light of a fit into radiance probes."""
         with torch.no_grad():
-            sources, irradiance = transport.sources(parameters.radiance, parameters.diffuse_albedo, spec.bounces)
+            sources, irradiance = transport.sources(parameters.radiance, parameters.base_color, spec.bounces)
             vectors = transport.vector_irradiance(parameters.radiance)
             probes = ProbeTable(build_probes(transport, sources[transport.level], sources[transport.pyramid.texels :]))
         return cls(transport, images, views, spec, parameters, probes, sources, irradiance, vectors)
@@ -68,7 +72,12 @@ class LitSurface:
     @property
     def model(self) -> Model:
         """BRDF model of the points."""
-        return "paper" if self.spec.brdf == "paper" else "dielectric"
+        return "dielectric" if self.spec.brdf == "diffuse" else self.spec.brdf
+
+    @property
+    def dielectric_f0(self) -> float:
+        """F0 of the dielectric part of `metallic`; not used by other BRDFs."""
+        return float(self.parameters.dielectric_f0) if self.model == "metallic" else DEFAULT_DIELECTRIC_F0
 
     def with_parameters(self, parameters: Parameters) -> LitSurface:
         """The same surface under the light of other parameters."""
@@ -88,15 +97,38 @@ class LitSurface:
             self.transport, self.images, self.views, self.parameters.exposure, position, surface.face_normals[face]
         )
         points = ShadingPoints(position, normal, nearest, irradiance, vectors)
-        priors = Priors() if all_parameters else Priors.of_albedo()
-        fit = PointBrdfFit(points, observations, self.probes, self.model, priors)
+        fit = PointBrdfFit(
+            points, observations, self.probes, self.model, self._priors(all_parameters), self.dielectric_f0
+        )
         start = self._start(corners, barycentric)
         brdfs, cost = fit.solve(start)
         if all_parameters:
-            glossy, glossy_cost = fit.solve(_glossy(observations, irradiance, start))
+            second = _glossy(observations, irradiance, start)
+            if self.model == "metallic":
+                second = self._other_metalness(second, start)
+            glossy, glossy_cost = fit.solve(second)
             brdfs = glossy.where(glossy_cost < cost, brdfs)
             brdfs = brdfs.where(observations.count >= MIN_OBSERVATIONS, start)
         return fit, brdfs, observations
+
+    def _priors(self, all_parameters: bool) -> Priors:
+        if self.model != "metallic":
+            return Priors() if all_parameters else Priors.of_albedo()
+        if not all_parameters:
+            return Priors.of_base_color()
+        return Priors(metalness=FROZEN_WEIGHT) if self.spec.metalness == "metal" else Priors()
+
+    def _other_metalness(self, glossy: PointBrdfs, start: PointBrdfs) -> PointBrdfs:
+        """The second initial guess of `metallic`: the mean colour, as a wide metal where the first is a dielectric, and
+        as a dielectric where it is a metal, unless all is metal.
+        """
+        metal = torch.ones_like(start.metalness)
+        if self.spec.metalness == "map":
+            metal = 1 - start.metalness.clamp(1 - MAX_GUESSED_METALNESS, MAX_GUESSED_METALNESS)
+        base = (glossy.albedo + glossy.specular).clamp(0, 1)
+        albedo, specular = (1 - metal) * base, (1 - metal) * self.dielectric_f0 + metal * base
+        alpha = torch.where(metal > 0.5, glossy.alpha, start.alpha)
+        return PointBrdfs(albedo, specular, alpha, glossy.normal_offset, metal)
 
     def _start(self, corners: Tensor, barycentric: Tensor) -> PointBrdfs:
         """The fit at vertices, with the mesh's normals: no model has both a normal map and per-texel BRDFs."""
@@ -111,6 +143,9 @@ class LitSurface:
             at(self.parameters.specular_albedo).expand(-1, 3),
             at(self.parameters.alpha),
             torch.zeros_like(barycentric),
+            torch.zeros_like(barycentric[:, :1])
+            if self.parameters.metalness is None
+            else at(self.parameters.metal_share),
         )
 
 
@@ -124,6 +159,7 @@ def _glossy(observations: Observations, irradiance: Float[Tensor, "P 3"], start:
         (GLOSSY_SPECULAR_SHARE * albedo).clamp(0.02, 0.8),
         torch.full_like(start.alpha, GLOSSY_ALPHA),
         torch.zeros_like(start.normal_offset),
+        start.metalness,
     )
 
 

@@ -20,6 +20,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface im
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit_state import PointBrdfs
 from hir_plugins.reflectance_renderers.transport_ggx.textures.light_refit import light_pixels, refit_light
+from hir_plugins.reflectance_renderers.transport_ggx.textures.metallic_equations import metallic_equations
 from hir_plugins.reflectance_renderers.transport_ggx.textures.normal_map import normal_map
 from hir_plugins.reflectance_renderers.transport_ggx.textures.per_texel_brdf import (
     MIN_OBSERVATIONS,
@@ -79,19 +80,21 @@ def solve_per_texel_maps(
     report(0.7)
     with torch.no_grad():
         equations = _equations(lit, maps, downsample, options, lambda share: report(0.7 + 0.25 * share))
-        textured = Material(lit.model, maps.albedo, maps.specular, maps.alpha)
-        shown = Scene(scene.mesh, textured, EnvironmentMap(lit.parameters.radiance))
+        metallic = lit.model == "metallic"
+        start, metalness = (maps.base_color(lit.dielectric_f0), maps.metalness) if metallic else (maps.albedo, None)
+        metal = maps.metalness if lit.spec.metalness == "map" else torch.ones_like(maps.metalness[0, 0])
+
+        def material_of(texture: Tensor, normal: Tensor | None = None) -> Material:
+            if metallic:
+                return Material.metallic(texture, metal, maps.alpha, normal, maps.observed, lit.dielectric_f0)
+            return Material(lit.model, texture, maps.specular, maps.alpha, normal, maps.observed)
+
+        shown = Scene(scene.mesh, material_of(start), EnvironmentMap(lit.parameters.radiance))
         refiner = None if terms is None else terms.of_textures(shown, TEXEL_HUBER_SRGB)
         weights = TEXEL_HUBER_SRGB, TEXEL_PRIOR_WEIGHT, TEXEL_SMOOTHNESS_WEIGHT
-        albedo = solve_texels(equations, maps.albedo, *weights, refiner=refiner)[0] if equations else maps.albedo
-        material = Material(
-            model=lit.model,
-            diffuse_albedo=dilate(fill_unobserved(albedo, mesh, maps.observed, texels), texels.covered, PADDING_TEXELS),
-            specular_albedo=maps.specular,
-            roughness=maps.alpha,
-            normal=normal_map(scene.mesh, maps.normal_offset, PADDING_TEXELS),
-            observed=maps.observed,
-        )
+        solved = solve_texels(equations, start, *weights, metalness, refiner)[0] if equations else start
+        texture = dilate(fill_unobserved(solved, mesh, maps.observed, texels), texels.covered, PADDING_TEXELS)
+        material = material_of(texture, normal_map(scene.mesh, maps.normal_offset, PADDING_TEXELS))
     report(1.0)
     report_values: TextureReport = {
         "texels": int(texels.covered.sum()),
@@ -111,8 +114,13 @@ class _Maps:
     specular: Float[Tensor, "H W 3"]
     alpha: Float[Tensor, "H W 1"]
     normal_offset: Float[Tensor, "H W 3"]
+    metalness: Float[Tensor, "H W 1"]
     observed: Bool[Tensor, "H W"]
     """Texels with enough photographs."""
+
+    def base_color(self, f0: float) -> Float[Tensor, "H W 3"]:
+        """Of the `metallic` BRDF."""
+        return (self.albedo + self.specular - (1 - self.metalness) * f0).clamp(0, 1)
 
     @classmethod
     def of(cls, values: PointBrdfs, known: Bool[Tensor, " N"], mesh: Mesh, texels: TexelSurface) -> _Maps:
@@ -124,14 +132,13 @@ class _Maps:
             texture[texels.covered] = rows
             return dilate(fill_unobserved(texture, mesh, observed, texels), texels.covered, PADDING_TEXELS)
 
-        albedo, specular, alpha, normal_offset = (image(rows) for rows in values.all())
-        return cls(albedo, specular, alpha, normal_offset, observed)
+        albedo, specular, alpha, normal_offset, metalness = (image(rows) for rows in values.all())
+        return cls(albedo, specular, alpha, normal_offset, metalness, observed)
 
     def at(self, uv: Float[Tensor, "P 2"]) -> PointBrdfs:
         """The values of the maps at texture coordinates."""
-        return PointBrdfs(
-            *(sample(image, uv) for image in (self.albedo, self.specular, self.alpha, self.normal_offset))
-        )
+        images = self.albedo, self.specular, self.alpha, self.normal_offset, self.metalness
+        return PointBrdfs(*(sample(image, uv) for image in images))
 
 
 def _equations(
@@ -155,6 +162,10 @@ def _equations(
         received = lobe_radiance(lobes, alpha, lit.sources)
         gain, lobe = gain_and_lobe(lit.model, values.specular, alpha, arriving, lobes, received)
         size = (int(maps.albedo.shape[0]), int(maps.albedo.shape[1]))
-        equations.append(texel_equations(transport, part, gain, lobe, lit.parameters.exposure, size))
+        rows = texel_equations(transport, part, gain, lobe, lit.parameters.exposure, size)
+        if lit.model == "metallic":
+            base, f0 = maps.base_color(lit.dielectric_f0), lit.dielectric_f0
+            rows = metallic_equations(rows, base, maps.metalness, f0, arriving, lobes, alpha, received)
+        equations.append(rows)
         report((done + 1) / len(lit.views))
     return equations

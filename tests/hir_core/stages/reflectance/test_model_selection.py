@@ -23,7 +23,7 @@ from hir_core.run.stage_context import StageContext
 from hir_core.stages.held_out_views import held_out_for_model_selection, model_selection_folds
 from hir_core.stages.reflectance.fit_sequence import FitSequence
 from hir_core.stages.reflectance.held_out_comparison import critical_value, decibels, paired_gain
-from hir_core.stages.reflectance.hypotheses import forcing_settings, hypotheses, hypothesis
+from hir_core.stages.reflectance.hypotheses import contains, forcing_settings, hypotheses, hypothesis
 from hir_core.stages.reflectance.model_selection import Selection, select_model
 from hir_core.stages.reflectance.refinement_selection import Comparison
 from hir_core.stages.reflectance.reflectance_report import (
@@ -174,7 +174,7 @@ def test_budgets_are_continued() -> None:
 
 def test_a_tie_goes_to_the_simpler_hypothesis() -> None:
     def error(spec: ModelSpec) -> float:
-        return level(30 + 0.05 * (spec.kind == "mixed") + 0.03 * (spec.light_frame == "camera"))
+        return level(30 + 0.05 * (spec.kind == "metal") + 0.03 * (spec.light_frame == "camera"))
 
     selection = select(Scripted(error, noise=0.005), ReflectanceSettings())
     assert selection.hypothesis == hypothesis("diffuse", "world")
@@ -254,6 +254,26 @@ def test_settings_restrict_the_hypotheses(settings: dict[str, Any], kinds: int, 
     assert all(spec.light_is_known == bool(settings.get("known_environment")) for spec in specs)
     if "brdf" in settings:
         assert {spec.brdf for spec in specs} == {settings["brdf"]}
+
+
+def test_a_hypothesis_that_contains_the_selected_one_is_no_runner_up() -> None:
+    """Metal with a map of metalness explains every metal."""
+
+    def error(spec: ModelSpec) -> float:
+        return level(30 - 3 * (spec.kind not in ("metal", "mixed")) - 9 * (spec.light_frame == "camera"))
+
+    selection = select(Scripted(error, noise=0.01), ReflectanceSettings())
+    report = explanation_report(selection)
+    assert report is not None and report.sentence.startswith("metal, light in the world; next: ")
+    assert report.runner_up in ("dielectric, light in the world", "diffuse, light in the world")
+    assert report.margin_db == pytest.approx(3, abs=0.1) and not report.near_tie
+    assert near_tie_warning(selection) is None
+    only = select(Scripted(error), ReflectanceSettings(brdf="metallic", light_frame="world"))
+    report = explanation_report(only)
+    assert report is not None and report.runner_up == "mixed, light in the world" and not report.near_tie
+    mixed = hypothesis("mixed")
+    assert [contains(mixed, hypothesis(kind)) for kind in ("diffuse", "dielectric", "metal", "mixed")] == [1, 1, 1, 0]
+    assert not contains(mixed, hypothesis("metal", "camera")) and not contains(hypothesis("metal"), mixed)
 
 
 def test_one_hypothesis_has_no_runner_up() -> None:

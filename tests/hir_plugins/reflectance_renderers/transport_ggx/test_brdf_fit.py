@@ -75,11 +75,22 @@ def points(generator: torch.Generator) -> ShadingPoints:
     return ShadingPoints(normal.clone(), normal, cell, irradiance, vectors)
 
 
+def brdfs(albedo: Tensor, specular: Tensor, alpha: Tensor, normal_offset: Tensor) -> PointBrdfs:
+    """Of a model without metalness."""
+    return PointBrdfs(albedo, specular, alpha, normal_offset, torch.zeros_like(alpha))
+
+
+def metallic(base: Tensor, metalness: Tensor, alpha: Tensor, normal_offset: Tensor) -> PointBrdfs:
+    """glTF's model with an F0 of 0.04."""
+    diffuse, specular = (1 - metalness) * base, (1 - metalness) * 0.04 + metalness * base
+    return PointBrdfs(diffuse, specular, alpha, normal_offset, metalness)
+
+
 def truth(generator: torch.Generator) -> PointBrdfs:
     def draw(low: float, high: float, channels: int) -> Tensor:
         return low + (high - low) * torch.rand(COUNT, channels, generator=generator)
 
-    return PointBrdfs(draw(0.1, 0.6, 3), draw(0.1, 0.5, 3), draw(0.15, 0.5, 1), draw(-0.3, 0.3, 3))
+    return brdfs(draw(0.1, 0.6, 3), draw(0.1, 0.5, 3), draw(0.15, 0.5, 1), draw(-0.3, 0.3, 3))
 
 
 def vectors(values: Tensor) -> mi.Vector3f:
@@ -121,7 +132,7 @@ def reference(at: ShadingPoints, values: PointBrdfs, toward: Tensor, light: Radi
 
 
 def double(values: PointBrdfs) -> PointBrdfs:
-    return PointBrdfs(*(getattr(values, n).double() for n in ("albedo", "specular", "alpha", "normal_offset")))
+    return PointBrdfs(*(value.double() for value in values.all()))
 
 
 def photographs(
@@ -136,7 +147,7 @@ def photographs(
 
 
 def grey() -> PointBrdfs:
-    return PointBrdfs(
+    return brdfs(
         torch.full((COUNT, 3), 0.3), torch.full((COUNT, 3), 0.1), torch.full((COUNT, 1), 0.3), torch.zeros(COUNT, 3)
     )
 
@@ -189,7 +200,7 @@ def test_least_squares_reach_the_cost_of_gradient_descent() -> None:
     optimizer = torch.optim.Adam(free, lr=0.05)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, 300)
     for _ in range(300):
-        values = PointBrdfs(torch.sigmoid(free[0]), torch.sigmoid(free[1]), alpha_of(free[2]), free[3])
+        values = brdfs(torch.sigmoid(free[0]), torch.sigmoid(free[1]), alpha_of(free[2]), free[3])
         row_brdfs = PointBrdfs(*(getattr(values, name)[row] for name in PointBrdfs.__dataclass_fields__))
         off = linear_to_srgb(reference(many, row_brdfs, toward, light, "dielectric").clamp_min(0)) - wanted
         part = weight * huber_loss(off, torch.zeros_like(off), delta=priors.huber_srgb, reduction="none").sum(1)
@@ -248,7 +259,7 @@ def test_normal_equations_contain_the_gradient_of_the_cost(model: str) -> None:
     cost = torch.zeros((), dtype=torch.float64)
     for row in range(VIEWS):
         toward = normalize(stand[row].double() - at.position.double(), dim=1)
-        now = PointBrdfs(free.albedo, free.specular, alpha_of(level), free.normal_offset)
+        now = brdfs(free.albedo, free.specular, alpha_of(level), free.normal_offset)
         off = linear_to_srgb(reference(at, now, toward, light, model)) - linear_to_srgb(seen.color[row].double())
         part = huber_loss(off, torch.zeros_like(off), delta=fit.arrays.priors.huber_srgb, reduction="none").sum(dim=1)
         cost = cost + (seen.weight[row].double() * part).sum()
@@ -302,3 +313,84 @@ def test_hard_cases_stay_finite_and_physical(case: str, model: str) -> None:
     assert torch.isfinite(fit.predict(found, at.normal)).all()
     if case == "unseen":
         assert torch.allclose(found.albedo, grey().albedo, atol=1e-5) and torch.allclose(found.alpha, grey().alpha)
+
+
+def metallic_truth(generator: torch.Generator) -> PointBrdfs:
+    """Half metal, half dielectric, of any colour."""
+    base = 0.2 + 0.8 * torch.rand(COUNT, 3, generator=generator)
+    alpha = 0.15 + 0.35 * torch.rand(COUNT, 1, generator=generator)
+    metal = (torch.arange(COUNT) % 4 < 2).float()[:, None]
+    return metallic(base, metal, alpha, 0.4 * torch.rand(COUNT, 3, generator=generator) - 0.2)
+
+
+def undecided() -> PointBrdfs:
+    """Grey, half a metal."""
+    return metallic(torch.full((COUNT, 3), 0.5), torch.full((COUNT, 1), 0.5), grey().alpha, grey().normal_offset)
+
+
+def test_fitted_metallic_points_predict_other_views_and_know_metal() -> None:
+    generator = torch.Generator().manual_seed(6)
+    at, values, light = points(generator), metallic_truth(generator), probes()
+    seen = photographs(at, values, light, eyes(generator), "metallic")
+    fit = PointBrdfFit(at, seen, ProbeTable(light), "metallic", Priors(iterations=40))
+    found, _ = fit.solve(undecided())
+    elsewhere = normalize(eyes(generator)[0] - at.position, dim=1)
+    off = linear_to_srgb(fit.predict(found, elsewhere)) - linear_to_srgb(fit.predict(values, elsewhere))
+    assert off.abs().median() < 0.005
+    metal = values.metalness > 0.5
+    assert found.metalness[metal].mean() > found.metalness[~metal].mean() + 0.4
+    base = found.albedo + found.specular - 0.04 * (1 - found.metalness)
+    expected = metallic(base, found.metalness, found.alpha, found.normal_offset)
+    torch.testing.assert_close(found.albedo, expected.albedo, rtol=0, atol=1e-5)
+    torch.testing.assert_close(found.specular, expected.specular, rtol=0, atol=1e-5)
+
+
+def test_the_base_colour_alone() -> None:
+    """Metalness, α and normals stay; both albedos follow the base colour."""
+    generator = torch.Generator().manual_seed(7)
+    at, values, light = points(generator), metallic_truth(generator), probes()
+    seen = photographs(at, values, light, eyes(generator), "metallic")
+    wrong = metallic(torch.full((COUNT, 3), 0.5), values.metalness, values.alpha, values.normal_offset)
+    found, _ = PointBrdfFit(at, seen, ProbeTable(light), "metallic", Priors.of_base_color()).solve(wrong)
+    torch.testing.assert_close(found.metalness, values.metalness, rtol=0, atol=1e-5)
+    torch.testing.assert_close(found.alpha, values.alpha, rtol=1e-4, atol=0)
+    error, before = (
+        (each.albedo + each.specular - values.albedo - values.specular).abs().median() for each in (found, wrong)
+    )
+    assert error < 0.2 * before
+
+
+def test_metallic_least_squares_reach_the_cost_of_gradient_descent() -> None:
+    """Adam in float64 on the same energy of base colour, metalness, level and normal offset."""
+    generator = torch.Generator().manual_seed(8)
+    at, light, priors = points(generator), probes(), Priors(iterations=40)
+    seen = photographs(at, metallic_truth(generator), light, eyes(generator), "metallic")
+    color = (seen.color * (1 + 0.2 * torch.randn(seen.color.shape, generator=generator))).clamp_min(0)
+    noisy = Observations(color, seen.weight, seen.eyes, seen.ceiling)
+    _, cost = PointBrdfFit(at, noisy, ProbeTable(light), "metallic", priors).solve(undecided())
+    start, few = double(undecided()), 12
+    row = torch.arange(few).repeat(VIEWS)
+    many = ShadingPoints(*(getattr(at, name)[row] for name in ShadingPoints.__dataclass_fields__))
+    toward = normalize(noisy.eyes.repeat_interleave(few, 0).double() - many.position.double(), dim=1)
+    wanted = linear_to_srgb(noisy.color[:, :few].reshape(-1, 3).double())
+    weight, normal = noisy.weight[:, :few].reshape(-1).double(), at.normal[:few].double()
+    base = torch.zeros(few, 3, dtype=torch.float64)
+    free = [base, base[:, :1], level_of(start.alpha[:few]), start.normal_offset[:few]]
+    free = [value.detach().clone().requires_grad_() for value in free]
+    optimizer = torch.optim.Adam(free, lr=0.05)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, 300)
+    for _ in range(300):
+        values = metallic(torch.sigmoid(free[0]), torch.sigmoid(free[1]), alpha_of(free[2]), free[3])
+        off = linear_to_srgb(reference(many, values.take(row), toward, light, "metallic").clamp_min(0)) - wanted
+        part = weight * huber_loss(off, torch.zeros_like(off), delta=priors.huber_srgb, reduction="none").sum(1)
+        along = values.normal_offset - (values.normal_offset * normal).sum(1, keepdim=True) * normal
+        held = priors.albedo * (values.albedo - start.albedo[:few]).square().sum(1)
+        held = held + priors.specular * (values.specular - start.specular[:few]).square().sum(1)
+        held = held + priors.metalness * (values.metalness - start.metalness[:few]).square()[:, 0]
+        held = held + priors.level * (free[2] - level_of(start.alpha[:few])).square()[:, 0]
+        total = part.sum() + 0.5 * (held + priors.normal_offset * along.square().sum(1)).sum()
+        optimizer.zero_grad()
+        total.backward()
+        optimizer.step()
+        schedule.step()
+    assert cost[:few].double().sum() < 1.02 * total.detach()
