@@ -83,9 +83,8 @@ def solve_per_texel_maps(
         metallic = lit.model == "metallic"
         start, metalness = (maps.base_color(lit.dielectric_f0), maps.metalness) if metallic else (maps.albedo, None)
         metal = maps.metalness if lit.spec.metalness == "map" else torch.ones_like(maps.metalness[0, 0])
-        normal = normal_map(scene.mesh, maps.normal_offset, PADDING_TEXELS)
 
-        def material_of(texture: Tensor) -> Material:
+        def material_of(texture: Tensor, normal: Tensor | None = None) -> Material:
             if metallic:
                 return Material.metallic(texture, metal, maps.alpha, normal, maps.observed, lit.dielectric_f0)
             return Material(lit.model, texture, maps.specular, maps.alpha, normal, maps.observed)
@@ -95,7 +94,7 @@ def solve_per_texel_maps(
         weights = TEXEL_HUBER_SRGB, TEXEL_PRIOR_WEIGHT, TEXEL_SMOOTHNESS_WEIGHT
         solved = solve_texels(equations, start, *weights, metalness, refiner)[0] if equations else start
         texture = dilate(fill_unobserved(solved, mesh, maps.observed, texels), texels.covered, PADDING_TEXELS)
-        material = material_of(texture)
+        material = material_of(texture, normal_map(scene.mesh, maps.normal_offset, PADDING_TEXELS))
     report(1.0)
     report_values: TextureReport = {
         "texels": int(texels.covered.sum()),
