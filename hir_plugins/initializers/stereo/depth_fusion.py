@@ -23,6 +23,15 @@ _TRUNCATION_VOXELS = 2.0
 _MAX_DEPTH_BEHIND_VOXELS = 6.0
 """Distance behind a measured surface, in voxels, up to which the measurement is evidence of the inside."""
 
+_SMOOTHING_VOXELS = 1.2
+"""Standard deviation, in voxels, of the smoothing of carved distances; the noise of depths would make handles."""
+
+_CARVED_VOXELS = 0.3
+"""A distance that decreased by more than this many voxels was carved."""
+
+_CARVED_SHARE = 0.02
+"""Share of carved voxels around a voxel, by the same Gaussian, from which it is smoothed."""
+
 _MIN_CORRELATION_GAIN = 0.02
 """Gain in correlation at which half of a carving is kept."""
 
@@ -83,6 +92,16 @@ def carve_depths(volume: Volume, maps: Sequence[DepthMap], min_weight: float) ->
     values = values.clone()
     values[near[known]] = torch.minimum(values[near[known]], total[known] / weight[known])
     return replace(volume, values=values.reshape(size).cpu().numpy())
+
+
+def smoothed_carving(whole: Volume, carving: Volume) -> Volume:
+    """The carving with smoothed distances where depths carved; other voxels keep theirs, and nothing is added."""
+    limit = _TRUNCATION_VOXELS * whole.spacing
+    before, after = np.clip(whole.values, -limit, limit), np.clip(carving.values, -limit, limit)
+    carved = (before - after > _CARVED_VOXELS * whole.spacing).astype(np.float32)
+    near = gaussian_filter(carved, _SMOOTHING_VOXELS) > _CARVED_SHARE
+    values = np.where(near, gaussian_filter(after, _SMOOTHING_VOXELS), carving.values)
+    return replace(carving, values=np.minimum(whole.values, values))
 
 
 @dataclass(frozen=True)

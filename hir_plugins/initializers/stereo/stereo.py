@@ -25,6 +25,7 @@ from hir_plugins.initializers.stereo.depth_fusion import (
     VerifiedCarving,
     carve_depths,
     signed_distance_volume,
+    smoothed_carving,
     verify_carving,
 )
 from hir_plugins.initializers.stereo.patch_match import patch_match, patch_match_available
@@ -172,7 +173,7 @@ def measure_depths(
             if volume is None:
                 continue
             result = carve_depths(volume, maps, min_weight=1.0)
-            mesh = keep_large_components(*extract_surface(result), min_share=_MIN_COMPONENT)
+            mesh = _carved_mesh(volume, result)
             current = SweptSurface(*mesh)
             if options.verify_carving:
                 seen = [p.at_level(2**level, current, bound, device) for p in photographs]
@@ -180,11 +181,15 @@ def measure_depths(
                     [p.camera for p in photographs], center, options.neighbours + _VERIFICATION_NEIGHBOURS
                 )
                 carving = verify_carving(volume, result, seen, more, options.window, _steps(seen, more, center))
-                mesh = keep_large_components(*extract_surface(carving.volume), min_share=_MIN_COMPONENT)
+                mesh = _carved_mesh(volume, carving.volume)
                 current = SweptSurface(*mesh)
     point_spacing = 1.5 * pixel_size([p.camera for p in photographs], center)
     points = oriented_points(maps, [p.color_linear for p in photographs], point_spacing)
     return StereoMeasurement(maps, points, mesh, carving)
+
+
+def _carved_mesh(whole: Volume, carving: Volume) -> Mesh:
+    return keep_large_components(*extract_surface(smoothed_carving(whole, carving)), min_share=_MIN_COMPONENT)
 
 
 def _sweep_view(

@@ -15,12 +15,13 @@ from PIL import Image
 
 from hir_core.capture import Array, Camera, Capture
 from hir_core.errors import CaptureError, MissingExtraError
+from hir_core.mesh.mesh_validity import inspect_mesh
 from hir_core.scene import Mesh, Scene, Topology
 from hir_plugins.initializers.hull.visual_hull import VisualHull
 from hir_plugins.initializers.options import PoissonOptions, StereoOptions, VisualHullOptions
 from hir_plugins.initializers.poisson.poisson import Poisson, poisson_surface
 from hir_plugins.initializers.stereo.depth_consistency import DepthMap, oriented_points
-from hir_plugins.initializers.stereo.depth_fusion import carve_depths, signed_distance_volume
+from hir_plugins.initializers.stereo.depth_fusion import carve_depths, signed_distance_volume, smoothed_carving
 from hir_plugins.initializers.stereo.stereo import Stereo, measure_depths
 from hir_plugins.initializers.stereo.stereo_photographs import SweptSurface, choose_neighbours
 from hir_plugins.initializers.stereo.surface_sweep import (
@@ -33,7 +34,7 @@ from hir_plugins.initializers.stereo.surface_sweep import (
     sweep,
     texture_confidence,
 )
-from hir_plugins.initializers.surface.isosurface import extract_surface
+from hir_plugins.initializers.surface.isosurface import extract_surface, keep_large_components
 from hir_plugins.initializers.surface.volume import Volume
 from tests.fixtures.silhouette_captures import dome, hits_boxes, look_at, make_view
 from tests.hir_plugins.initializers.test_colmap import room
@@ -198,6 +199,24 @@ def test_fusion_carves_a_dent_and_never_adds() -> None:
     assert abs(crossing - 0.3) < 0.04
     # nothing was measured at the back
     np.testing.assert_array_equal(fused.values[:, :, :15], volume.values[:, :, :15])
+
+
+def test_noise_of_a_carving_makes_no_handles() -> None:
+    """Noise of a voxel in the dent makes handles; smoothed, the surface has none, the dent its depth, and what was not
+    carved its values.
+    """
+    volume, maps = hollow_volume()
+    fused = carve_depths(volume, maps, min_weight=3)
+    carved = fused.values < volume.values - 0.02
+    noise = np.random.default_rng(0).normal(scale=0.04, size=volume.values.shape).astype(np.float32)
+    noisy = replace(fused, values=np.where(carved, np.minimum(fused.values + noise, volume.values), fused.values))
+    smoothed = smoothed_carving(volume, noisy)
+    genus = [inspect_mesh(*keep_large_components(*extract_surface(v), 0.02)).genus for v in (noisy, smoothed)]
+    assert genus[0] > 0 and genus[1] == 0
+    assert (smoothed.values <= volume.values).all()
+    np.testing.assert_array_equal(smoothed.values[:, :, :15], volume.values[:, :, :15])
+    z = np.linspace(-0.8, 0.8, 41)
+    assert abs(z[np.nonzero(smoothed.values[20, 20] > 0)[0].max()] - 0.3) < 0.05
 
 
 def test_a_mesh_becomes_a_volume_and_a_mesh_again() -> None:
