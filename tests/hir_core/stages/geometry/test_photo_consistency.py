@@ -133,8 +133,8 @@ def test_photographs_find_the_floor_of_a_bowl(hollow: tuple[Positions, Faces], c
 
 
 @pytest.mark.slow
-def test_another_seed_moves_the_mesh_as_far(tmp_path) -> None:  # type: ignore[no-untyped-def]
-    """A sphere, which the silhouettes find: what photographs add is near the gain of which half is believed."""
+def test_no_seed_moves_a_mesh_to_which_photographs_add_nothing(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    """A sphere, which the silhouettes find."""
     truth = _photographed(*icosphere(5), around(24, 64))
     settings = replace(SETTINGS, iterations=20, triangles=1500, photo_consistency_iterations=20, held_out=0.08)
     found = []
@@ -144,8 +144,7 @@ def test_another_seed_moves_the_mesh_as_far(tmp_path) -> None:  # type: ignore[n
         assert isinstance(report.photo_consistency, PhotoConsistencyReport)
         assert len(report.photo_consistency.judging_views) == 6
         found.append(report.photo_consistency.movement)
-    shares = [each.share for each in found]
-    assert max(shares) - min(shares) < 0.3, found
+    assert max(each.share for each in found) < 0.2, found
 
 
 @pytest.mark.parametrize("carved", [True, False], ids=["carved", "smooth"])
