@@ -60,10 +60,13 @@ PHOTOGRAPHS = "hir_core.stages.geometry"
 TEXTURES = "hir_plugins.reflectance_renderers.transport_ggx.textures"
 DEFAULT_VALUES = {
     "required_standard_errors": DefaultValue(1.0, (0.5, 2.0), constant=f"{SELECTION}:REQUIRED_STANDARD_ERRORS"),
+    "standard_errors_of_hypotheses": DefaultValue(
+        1.5, (1.0, 2.5), constant=f"{SELECTION}:REQUIRED_STANDARD_ERRORS_OF_HYPOTHESES"
+    ),
+    "drop_standard_errors": DefaultValue(2.0, (1.0, 3.0), constant=f"{SELECTION}:DROP_STANDARD_ERRORS"),
     "standard_errors_of_normals": DefaultValue(
         2.0, (1.0, 3.0), constant=f"{SELECTION}:REQUIRED_STANDARD_ERRORS_OF_NORMALS"
     ),
-    "photo_significance": DefaultValue(1.0, (0.5, 2.0), constant=f"{PHOTOGRAPHS}:SIGNIFICANCE", mesh="reconstructed"),
     "least_fine_gain": DefaultValue(0.03, (0.01, 0.1), constant=f"{PHOTOGRAPHS}:LEAST_FINE_GAIN", mesh="reconstructed"),
     "texel_prior_weight": DefaultValue(0.01, (0.003, 0.05), constant=f"{TEXTURES}:TEXEL_PRIOR_WEIGHT"),
     "light_whiteness": DefaultValue(1e-3, (0.0, 1e-2), "reflectance_renderer.transport_ggx.light_whiteness"),
