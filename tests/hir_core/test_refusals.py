@@ -165,7 +165,7 @@ def _registered(target: str) -> PluginManager:
     [
         ("no_such_module:It", "regularizer 'it' of theirs cannot be loaded from 'no_such_module:It'"),
         ("json:It", "regularizer 'it' of theirs cannot be loaded from 'json:It'"),
-        ("json:dumps", "'json:dumps' of theirs is not a class"),
+        ("json:dumps", "regularizer 'it' of theirs cannot be used: 'json:dumps' is not a class"),
     ],
 )
 def test_a_component_whose_code_is_not_there_names_its_distribution(target: str, said: str) -> None:

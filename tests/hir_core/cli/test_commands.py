@@ -213,9 +213,12 @@ except KeyboardInterrupt:
 
 
 def test_interrupt_ends_with_130_and_names_resume() -> None:
+    """Only the command that has `--resume`."""
     code = (
-        "import hir_core.cli.app as app\nfrom hir_core.plugins.manager import PluginManager\n"
-        "def stop(*_): raise KeyboardInterrupt\nPluginManager.discover = stop\napp.main(['plugins'])"
+        "import sys\nimport hir_core.cli.app as app\n"
+        "def stop(*_): raise KeyboardInterrupt\napp.LazyGroup.get_command = stop\napp.main([sys.argv[1]])"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 130 and "--resume" in done.stderr and "Traceback" not in done.stderr
+    for command in ("reconstruct", "plugins"):
+        done = subprocess.run([sys.executable, "-c", code, command], capture_output=True, text=True, check=False)
+        assert done.returncode == 130 and "interrupted" in done.stderr and "Traceback" not in done.stderr
+        assert ("--resume" in done.stderr) is (command == "reconstruct")

@@ -17,7 +17,7 @@ def grid(rows: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([x / columns, y / rows], axis=-1).reshape(-1, 2), np.concatenate([lower, upper])
 
 
-def test_a_bent_sheet_is_unrolled_with_its_lengths() -> None:
+def test_a_curved_sheet_is_unrolled_with_its_lengths() -> None:
     """A part of a cylinder of many facets has a map without stretch: every edge keeps its length."""
     st, faces = grid(24, 40)
     angle = 2.5 * st[:, 0]

@@ -219,8 +219,8 @@ def test_a_light_with_one_bright_texel(tmp_path: Path) -> None:
     radiance = torch.full((ROWS, 2 * ROWS, 3), 0.1)
     radiance[4, 9] = 40.0
     truth = Scene(ball(), make_material(BROWN), EnvironmentMap(radiance))
-    scene, _ = fitted(truth.mesh, photographs(truth, around(10)), tmp_path, model="diffuse")
-    assert scene.environment is not None
+    scene, report = fitted(truth.mesh, photographs(truth, around(10)), tmp_path)
+    assert report.model == "diffuse" and scene.environment is not None
     assert divmod(int(scene.environment.radiance.mean(dim=2).argmax()), 2 * ROWS) == (4, 9)
     assert float(mean_direction(scene.environment) @ mean_direction(EnvironmentMap(radiance))) > np.cos(np.radians(3))
     values, _ = observed(scene)

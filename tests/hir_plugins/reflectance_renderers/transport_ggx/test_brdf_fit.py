@@ -181,6 +181,7 @@ def test_fitted_points_predict_other_views(model: str) -> None:
     )
 
 
+@pytest.mark.slow
 def test_least_squares_reach_the_cost_of_gradient_descent() -> None:
     """Adam in float64 on the same energy: a slow reference that shares no code."""
     generator = torch.Generator().manual_seed(3)
@@ -336,7 +337,8 @@ def test_fitted_metallic_points_predict_other_views_and_know_metal() -> None:
     found, _ = fit.solve(undecided())
     elsewhere = normalize(eyes(generator)[0] - at.position, dim=1)
     off = linear_to_srgb(fit.predict(found, elsewhere)) - linear_to_srgb(fit.predict(values, elsewhere))
-    assert off.abs().median() < 0.005
+    before = linear_to_srgb(fit.predict(undecided(), elsewhere)) - linear_to_srgb(fit.predict(values, elsewhere))
+    assert off.abs().median() < 0.1 * before.abs().median() and off.abs().median() < 0.01
     metal = values.metalness > 0.5
     assert found.metalness[metal].mean() > found.metalness[~metal].mean() + 0.4
     base = found.albedo + found.specular - 0.04 * (1 - found.metalness)
@@ -360,6 +362,7 @@ def test_the_base_colour_alone() -> None:
     assert error < 0.2 * before
 
 
+@pytest.mark.slow
 def test_metallic_least_squares_reach_the_cost_of_gradient_descent() -> None:
     """Adam in float64 on the same energy of base colour, metalness, level and normal offset."""
     generator = torch.Generator().manual_seed(8)

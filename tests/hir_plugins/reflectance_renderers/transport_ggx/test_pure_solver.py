@@ -120,7 +120,7 @@ def test_the_simpler_model_of_an_initial_guess_is_fitted_once(
     monkeypatch.setattr(
         joint_optimization,
         "fit",
-        lambda *arguments: fitted.append(arguments[3].model) or true_fit(*arguments),  # type: ignore[func-returns-value]
+        lambda *arguments, **others: fitted.append(arguments[3].model) or true_fit(*arguments, **others),  # type: ignore[func-returns-value]
     )
     after = solver.fit(spec, None, VIEWS, 1.0, silent, None, 0.5)
     assert "diffuse" not in fitted and len(fitted) <= 4, "short fits for the initial values, and one fit"
