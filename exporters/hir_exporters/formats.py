@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from contextlib import suppress
 from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, Final
@@ -31,26 +29,14 @@ class Format:
     """`module:Class`, imported when it is first used."""
     config: type
     summary: str
-    libraries: tuple[str, ...] = ()
-    """Third-party modules that the exporter imports when it writes."""
 
-
-_GLTF, _USD = ("pygltflib",), ("pxr.Usd", "pxr.UsdGeom", "pxr.UsdShade")
 
 FORMATS: Final[dict[str, Format]] = {
-    "glb": Format("hir_exporters.gltf.gltf_exporter:GlbExporter", GltfConfig, "glTF 2.0 in one binary file.", _GLTF),
-    "gltf": Format(
-        "hir_exporters.gltf.gltf_exporter:GltfExporter", GltfConfig, "glTF 2.0 with textures as files.", _GLTF
-    ),
-    "usda": Format(
-        "hir_exporters.usd.usd_exporter:UsdExporter", UsdConfig, "USD as text, with textures as files.", _USD
-    ),
-    "usdc": Format(
-        "hir_exporters.usd.usd_exporter:UsdExporter", UsdConfig, "USD in binary, with textures as files.", _USD
-    ),
-    "usdz": Format(
-        "hir_exporters.usd.usd_exporter:UsdzExporter", UsdzConfig, "USD in one package, for AR Quick Look.", _USD
-    ),
+    "glb": Format("hir_exporters.gltf.gltf_exporter:GlbExporter", GltfConfig, "glTF 2.0 in one binary file."),
+    "gltf": Format("hir_exporters.gltf.gltf_exporter:GltfExporter", GltfConfig, "glTF 2.0 with textures as files."),
+    "usda": Format("hir_exporters.usd.usd_exporter:UsdExporter", UsdConfig, "USD as text, with textures as files."),
+    "usdc": Format("hir_exporters.usd.usd_exporter:UsdExporter", UsdConfig, "USD in binary, with textures as files."),
+    "usdz": Format("hir_exporters.usd.usd_exporter:UsdzExporter", UsdzConfig, "USD in one package, for AR Quick Look."),
     "obj": Format(
         "hir_exporters.obj.obj_exporter:ObjExporter", ObjConfig, "Wavefront OBJ with an MTL in its PBR dialect."
     ),
@@ -84,15 +70,3 @@ def create_exporter(name: str, config: object = None) -> Exporter:
     exporter = getattr(import_module(module), attribute)(FORMATS[name].config() if config is None else config)
     assert isinstance(exporter, Exporter)
     return exporter
-
-
-def preload_exporters(names: Iterable[str]) -> None:
-    """Imports the modules that writing these formats needs; unknown formats and missing modules are skipped.
-
-    A program can call this while another thread reads the asset: image decoders release the interpreter lock.
-    """
-    for name in names:
-        if name in FORMATS:
-            for module in (FORMATS[name].target.partition(":")[0], *FORMATS[name].libraries):
-                with suppress(ImportError):
-                    import_module(module)

@@ -94,10 +94,7 @@ def export_command(
     A MESH is an .obj, .ply, .glb, .gltf or USD file with texture coordinates. The material is that of the file, or
     that of the options.
     """
-    from concurrent.futures import ThreadPoolExecutor
-
     from hir_exporters.exporter import ExportReport
-    from hir_exporters.formats import preload_exporters
     from hir_exporters.mesh.placement import placed_asset, placement
 
     from hir_core.plugins.manager import PluginManager
@@ -107,10 +104,8 @@ def export_command(
     plugins = PluginManager.discover(plugin_files)
     chosen = list(dict.fromkeys(formats))
     options = _options(plugins, assignments, chosen, profile, budget, lod)
-    with ThreadPoolExecutor(max_workers=1) as executor:
-        reading = executor.submit(_asset, source, {n: text for n, text in maps.items() if text is not None}, light)
-        preload_exporters(chosen)
-        asset = reading.result()
+    # not while another thread imports pxr: two extension modules that load at once can wait for each other for ever
+    asset = _asset(source, {n: text for n, text in maps.items() if text is not None}, light)
     matrix = placement(asset, scale, height, pivot)
     asset = placed_asset(asset, matrix)
 

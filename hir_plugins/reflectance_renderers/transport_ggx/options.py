@@ -18,7 +18,7 @@ class TransportGGXOptions:
     """Pixels of all views together that light and model are fitted to."""
     samples: int = 16
     """Directions of each pixel's specular lobe."""
-    diffuse_samples: int = 48
+    diffuse_samples: int = 96
     """Directions of each pixel's hemisphere, where the light moves with the camera."""
     cache_cells: int = 6_000
     """Cells of the irradiance cache, about, at most."""

@@ -16,8 +16,11 @@ METALLIC = ReflectanceSettings(brdf="metallic")
 
 
 def test_the_metallic_brdf_by_its_settings() -> None:
-    """`auto` lets metalness vary; the model adds maps, and the light frame is kept."""
-    assert default_spec(METALLIC) == forced_spec(METALLIC) == replace(METAL, metalness="map")
+    """`auto` compares metal with metal and dielectric, or lets metalness vary where a model is named; the model adds
+    maps, and the light frame is kept.
+    """
+    assert forced_spec(METALLIC) is None
+    assert default_spec(METALLIC) == forced_spec(replace(METALLIC, model="specular")) == replace(METAL, metalness="map")
     assert forced_spec(replace(METALLIC, metalness="metal", model="specular")) == METAL
     rough = forced_spec(replace(METALLIC, metalness="metal", model="roughness_map", light_frame="camera"))
     assert rough == replace(METAL, roughness="map", light_frame="camera")

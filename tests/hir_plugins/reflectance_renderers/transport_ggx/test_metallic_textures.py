@@ -148,8 +148,9 @@ def test_a_plastic_is_not_taken_for_metal() -> None:
 def test_a_forced_metallic_fit_ends_in_a_glb(half_gold: tuple[Scene, Capture], tmp_path: Path) -> None:
     """The whole stage by its settings, refinement included, then bake and export: the file has the fitted maps."""
     truth, capture = half_gold
+    options = {"steps": 60, "cache_cells": 200}
     scene, report = fitted(
-        truth.mesh, capture, tmp_path, light=lamps(), brdf="metallic", options={"steps": 60, "cache_cells": 200}
+        truth.mesh, capture, tmp_path, light=lamps(), brdf="metallic", model="specular", options=options
     )
     assert report.model == "metal and dielectric" and report.comparisons == ()
     assert scene.material is not None and scene.material.model == "metallic"
