@@ -1,6 +1,9 @@
 """A reflectance renderer: matte surfaces under a light of nine spherical harmonics (Ramamoorthi and Hanrahan 2001).
 
 hir reconstruct PHOTOS -o RUN --plugin lambert_sh.py --set reflectance.renderer=lambert_sh
+
+`prepare` returns a `GradientSolver`, so that the core selects the frame of the light, refines the albedo and stores
+checkpoints.
 """
 
 from __future__ import annotations
@@ -13,6 +16,7 @@ from annotated_types import Interval, Unit
 
 from hir_core.plugins import Component, hookimpl
 from hir_core.plugins.interfaces import PreparedReflectance, ReflectanceRenderer
+from hir_core.plugins.options import seed_of_run
 
 
 @dataclass(frozen=True)
@@ -21,16 +25,24 @@ class Options:
 
     samples: Annotated[int, Interval(ge=1, le=16), Unit("rays")] = 4
     """Rays along each side of a pixel that give a picture its coverage."""
+    steps: Annotated[int, Interval(ge=1)] = 200
+    """Gradient steps of a full fit."""
+    seed: int = seed_of_run()
+    """Seed of the pixels of each step; the run's, unless it is set."""
 
 
 class LambertHarmonics(ReflectanceRenderer):
     """Radiance ρd/π · E(n): irradiance of an unshadowed light, from its harmonics of degree 0 to 2."""
 
     def __init__(self, config: Options) -> None:
-        self._samples = config.samples
+        self._samples, self._steps, self._seed = config.samples, config.steps, config.seed
 
     def prepare(self, scene, capture, downsample=1):
-        return Prepared(scene.mesh, [camera.downsampled(downsample) for camera in capture.cameras])
+        from hir_core.stages.reflectance.gradient_solver import GradientSolver
+
+        prepared = Prepared(scene.mesh, [camera.downsampled(downsample) for camera in capture.cameras])
+        fit = {"steps": self._steps, "seed": self._seed}
+        return GradientSolver(prepared, scene, capture, downsample, kinds=("diffuse",), **fit)
 
     def render(self, scene, camera):
         import torch
@@ -130,6 +142,6 @@ def hir_register_reflectance_renderers() -> list[Component]:
             summary="Matte surfaces under nine spherical harmonics, without shadows: quick, and blind to gloss.",
             requires=("torch", "jaxtyping", "open3d"),
             extra="reconstruct",
-            traits=frozenset({"material", "environment", "lambertian"}),
+            traits=frozenset({"material", "environment", "lambertian", "solver", "regularizers"}),
         )
     ]

@@ -13,13 +13,13 @@ import pytest
 from click.testing import CliRunner
 
 from hir_core.cli.app import cli
-from hir_core.pipeline import Run
+from hir_core.pipeline import Run, reconstruct
 from hir_core.plugins.manager import PluginManager
 from hir_core.testing import check_component, check_whole_plugin, whole_plugin
 from hir_core.testing.captures import tiny_capture
 from hir_core.testing.running import named
 from tests.fixtures.command_line import hir
-from tests.fixtures.runs import make_tiny
+from tests.fixtures.runs import QUICK, make_tiny
 
 GALLERY = Path(__file__).resolve().parents[3] / "examples" / "gallery"
 PLUGINS = sorted(path.stem for path in GALLERY.glob("*.py"))
@@ -131,13 +131,14 @@ def test_term_observer_and_format_take_part_in_a_run(tmp_path: Path, quick: Call
 
 
 @pytest.mark.slow
-def test_lambert_harmonics_fit_a_capture(tmp_path: Path, quick: Callable[..., Run]) -> None:
+def test_lambert_harmonics_fit_a_capture(tmp_path: Path) -> None:
     plugins, _ = loaded("lambert_sh")
     capture = make_tiny(tmp_path / "capture")
-    settings = ("reflectance.renderer=lambert_sh", "reflectance.gradient.iterations=60", 'export=["glb"]')
-    run = quick(capture, tmp_path / "run", *settings, plugins=plugins)
+    settings = ("reflectance.renderer=lambert_sh", "reflectance_renderer.lambert_sh.steps=60", 'export=["glb"]')
+    common = [each for each in QUICK if "transport_ggx" not in each and "light_frame" not in each]
+    run = reconstruct(capture, tmp_path / "run", assignments=(*common, *settings), device="cpu", plugins=plugins)
     report: Any = run.directory.read_run()["stages"]["reflectance"]["report"]
-    assert report["gradient"]["steps"] == 60
+    assert report["method"] == "solver" and report["model"].startswith("diffuse")
 
 
 @pytest.mark.slow

@@ -30,7 +30,7 @@ from hir_core.stages.reflectance.reflectance_report import ReflectanceReport
 from tests.fixtures.made_captures import around
 from tests.fixtures.scenes import icosphere, looking_at
 
-EXAMPLE = Path(__file__).parents[4] / "examples" / "lambert_sh.py"
+EXAMPLE = Path(__file__).parents[4] / "examples" / "gallery" / "lambert_sh.py"
 PLUGINS = PluginManager.discover((str(EXAMPLE),))
 SIZE, TEXELS, VIEWS = 16, 32, 8
 
@@ -180,6 +180,6 @@ def test_the_harmonics_give_the_irradiance_of_a_uniform_and_of_a_linear_light() 
     d = torch.from_numpy(latlong_directions(64, 128)).double()
     slope = torch.tensor([0.3, -0.2, 0.4], dtype=torch.float64)
     normal = torch.nn.functional.normalize(torch.randn(9, 3, dtype=torch.float64), dim=1)
-    found = module.irradiance_of(normal, (1 + d @ slope)[..., None].expand(-1, -1, 3))
+    found = module.irradiance((1 + d @ slope)[..., None].expand(-1, -1, 3), normal)
     expected = np.pi + 2 * np.pi / 3 * (normal @ slope)
     assert torch.allclose(found, expected[:, None].expand(-1, 3), rtol=2e-3)
