@@ -23,8 +23,13 @@ from hir_core.scene.srgb import linear_to_srgb, srgb_to_linear
 from hir_plugins.reflectance_renderers.transport_ggx.fit import joint_optimization
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_checkpoints import FitCheckpoint
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_terms import FitTerms
-from hir_plugins.reflectance_renderers.transport_ggx.fit.initial_guess import initial_albedo, without_indirect
-from hir_plugins.reflectance_renderers.transport_ggx.fit.initial_metalness import with_metalness, without_metalness
+from hir_plugins.reflectance_renderers.transport_ggx.fit.initial_guess import (
+    extended_to,
+    initial_albedo,
+    initial_candidates,
+    simpler_model,
+    without_indirect,
+)
 from hir_plugins.reflectance_renderers.transport_ggx.fit.joint_optimization import FitSettings
 from hir_plugins.reflectance_renderers.transport_ggx.fit.mini_batches import MiniBatches
 from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import (
@@ -33,7 +38,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import 
     concatenate,
     observe_pixels,
 )
-from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import MAX_RADIANCE, Parameters, logit_of_alpha
+from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import MAX_RADIANCE, Parameters
 from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import (
     PixelBatch,
     PixelColors,
@@ -56,18 +61,12 @@ from hir_plugins.reflectance_renderers.transport_ggx.textures.texture_solve impo
 UPRIGHT = torch.diag(torch.tensor([1.0, -1.0, -1.0]))
 """Rotation from a camera's axes to those of a light that moves with it: y up and z backwards, so that the light's image
 is upright."""
-WIDE_ALPHA = 0.3
-"""The second initial GGX width that is tried: highlights and sheen are two minima of the loss."""
-MIN_INITIAL_SPECULAR_LOGIT = math.log(0.03 / 0.97)
-"""Lower limit of logit ρs where a colour or a map starts: near ρs = 0 the logistic function has no slope."""
 MIN_VIEW_DEGREES = math.degrees(math.asin(MIN_VIEW_COSINE))
 MAX_COMPARED_POINTS = 12_000
 """Surface points of held-out views at which per-texel values are solved to compare them."""
 TRIAL_EFFORT = 0.25
 TRIAL_PIXEL_SHARE = 0.4
 """Effort (at most half of the fit's) and share of the pixels of the short fits that choose initial values."""
-MOSTLY_METAL = 0.75
-"""The second initial metalness that is tried: a narrow lobe with much diffuse light is a minimum of the loss too."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +151,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
             report(1.0)
             return Fit(spec, self._first_fits[first], tuple(views))
         from_nothing = initial is None
-        simpler = _simpler_model(spec)
+        simpler = simpler_model(spec)
         if initial is None and simpler is not None:
             part = checkpoint.part(simpler.kind) if checkpoint is not None else None
             initial = self.fit(simpler, None, views, effort, lambda share: None, part, pixel_share)
@@ -186,7 +185,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
             ),
         )
         resumes = file is not None and file.has_state()
-        candidates = _initial_candidates(parameters, initial)
+        candidates = initial_candidates(parameters, None if initial is None else initial.parameters)
         if len(candidates) > 1 and not resumes:
             parameters = self._best_candidate(photographs, candidates, settings, spec, effort)
         fitted = joint_optimization.fit(
@@ -383,40 +382,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
             base = initial.parameters
             if spec.bounces and not initial.spec.bounces:
                 base = replace(base, diffuse=without_indirect(self._transport, base, spec.bounces))
-        material = self._scene.material
-        f0 = material.specular_albedo.mean()
-        if material.metalness is not None:
-            f0 = f0.new_tensor(material.dielectric_f0)
-        initial_f0 = torch.logit(f0.clamp(1e-3, 0.999)).reshape(1, 1)
-        if spec.brdf == "metallic":
-            base = with_metalness(base, initial_f0, spec.metalness == "metal")
-        else:
-            base = without_metalness(base)
-        normal_offset = base.normal_offset
-        if spec.normals == "map" and normal_offset is None:
-            normal_offset = torch.zeros_like(self._transport.surface.positions)
-        if spec.brdf == "diffuse":
-            return Parameters(base.light, base.diffuse, None, None, base.log_exposure, normal_offset=normal_offset)
-        specular, width = base.specular, base.width
-        vertices = len(base.diffuse)
-        if specular is None or width is None:
-            alpha = material.roughness.mean().clamp(0.02, 0.98)
-            specular, width = initial_f0, logit_of_alpha(alpha).reshape(1, 1)
-        if spec.colored and specular.shape[1] == 1:
-            specular = specular.clamp_min(MIN_INITIAL_SPECULAR_LOGIT).expand(-1, 3)
-        if spec.specular == "map" and len(specular) == 1:
-            specular = specular.clamp_min(MIN_INITIAL_SPECULAR_LOGIT).expand(vertices, -1)
-        if spec.roughness == "map" and len(width) == 1:
-            width = width.expand(vertices, -1)
-        return Parameters(
-            base.light,
-            base.diffuse,
-            specular.contiguous(),
-            width.contiguous(),
-            base.log_exposure,
-            normal_offset=normal_offset,
-            metalness=base.metalness,
-        )
+        return extended_to(spec, base, self._scene.material)
 
     def _initial_albedo(self, photographs: ObservedPixels, spec: ModelSpec, light: Tensor) -> Float[Tensor, "V 3"]:
         rotation = self._rotation if spec.light_frame == "camera" else None
@@ -454,37 +420,6 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         )
         last = losses[-max(1, len(losses) // 5) :]
         return sum(last) / len(last) if last else math.inf
-
-
-def _simpler_model(spec: ModelSpec) -> ModelSpec | None:
-    """The model that is fitted first where there is no earlier fit."""
-    if spec.metalness == "map":
-        return ModelSpec(
-            "metallic",
-            "uniform",
-            bounces=spec.bounces,
-            light_frame=spec.light_frame,
-            light_is_known=spec.light_is_known,
-            metalness="metal",
-        )
-    if spec.brdf in ("diffuse", "metallic"):
-        return None
-    return ModelSpec("diffuse", bounces=spec.bounces, light_frame=spec.light_frame, light_is_known=spec.light_is_known)
-
-
-def _initial_candidates(parameters: Parameters, initial: Fit | None) -> list[Parameters]:
-    """The initial values, and others from which a fit may find a lower minimum, where a lobe or a metalness is new."""
-    if parameters.width is None:
-        return [parameters]
-    wide = replace(parameters, width=logit_of_alpha(torch.full_like(parameters.width, WIDE_ALPHA)))
-    if initial is None or initial.parameters.width is None:
-        return [parameters, wide]
-    if parameters.metalness is None or initial.parameters.metalness is not None:
-        return [parameters]
-    if parameters.is_metal:
-        return [parameters, wide]
-    metal = torch.logit(torch.full_like(parameters.metalness, MOSTLY_METAL))
-    return [parameters, replace(parameters, metalness=metal), replace(wide, metalness=metal)]
 
 
 def _camera_rotations(capture: Capture, device: torch.device) -> Float[Tensor, "N 3 3"]:

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from hir_core.plugins.model_spec import ModelSpec
+from hir_core.scene import Material
 from hir_plugins.reflectance_renderers.transport_ggx.fit.final_albedo import ALBEDO_HIGH, ALBEDO_LOW
+from hir_plugins.reflectance_renderers.transport_ggx.fit.initial_metalness import with_metalness, without_metalness
 from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import ObservedPixels
-from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
+from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters, logit_of_alpha
 from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_light import irradiance_of
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
 
@@ -17,6 +23,12 @@ MEAN_WEIGHT = 0.05
 """Weight of the mean albedo at a vertex, as a fraction of the mean weight of a vertex's pixels."""
 INDIRECT_ITERATIONS = 4
 """Iterations of darker albedos and the indirect light that they cause; each reduces the change by the albedo."""
+WIDE_ALPHA = 0.3
+"""The second initial GGX width that is tried: highlights and sheen are two minima of the loss."""
+MIN_INITIAL_SPECULAR_LOGIT = math.log(0.03 / 0.97)
+"""Lower limit of logit ρs where a colour or a map starts: near ρs = 0 the logistic function has no slope."""
+MOSTLY_METAL = 0.75
+"""The second initial metalness that is tried: a narrow lobe with much diffuse light is a minimum of the loss too."""
 
 
 def initial_albedo(
@@ -68,3 +80,71 @@ def without_indirect(transport: Transport, base: Parameters, bounces: int) -> Fl
                 share = share + base.metal_share * (1 - share)
             albedo = original * share
         return torch.logit(albedo.clamp(ALBEDO_LOW, ALBEDO_HIGH))
+
+
+def simpler_model(spec: ModelSpec) -> ModelSpec | None:
+    """The model that is fitted first where there is no earlier fit."""
+    if spec.metalness == "map":
+        return ModelSpec(
+            "metallic",
+            "uniform",
+            bounces=spec.bounces,
+            light_frame=spec.light_frame,
+            light_is_known=spec.light_is_known,
+            metalness="metal",
+        )
+    if spec.brdf in ("diffuse", "metallic"):
+        return None
+    return ModelSpec("diffuse", bounces=spec.bounces, light_frame=spec.light_frame, light_is_known=spec.light_is_known)
+
+
+def extended_to(spec: ModelSpec, base: Parameters, material: Material) -> Parameters:
+    """The values of `base` with those that a model needs and `base` lacks: lobes and metalness of the material."""
+    f0 = material.specular_albedo.mean()
+    if material.metalness is not None:
+        f0 = f0.new_tensor(material.dielectric_f0)
+    initial_f0 = torch.logit(f0.clamp(1e-3, 0.999)).reshape(1, 1)
+    if spec.brdf == "metallic":
+        base = with_metalness(base, initial_f0, spec.metalness == "metal")
+    else:
+        base = without_metalness(base)
+    normal_offset = base.normal_offset
+    if spec.normals == "map" and normal_offset is None:
+        normal_offset = base.diffuse.new_zeros(base.diffuse.shape)
+    if spec.brdf == "diffuse":
+        return Parameters(base.light, base.diffuse, None, None, base.log_exposure, normal_offset=normal_offset)
+    specular, width = base.specular, base.width
+    vertices = len(base.diffuse)
+    if specular is None or width is None:
+        alpha = material.roughness.mean().clamp(0.02, 0.98)
+        specular, width = initial_f0, logit_of_alpha(alpha).reshape(1, 1)
+    if spec.colored and specular.shape[1] == 1:
+        specular = specular.clamp_min(MIN_INITIAL_SPECULAR_LOGIT).expand(-1, 3)
+    if spec.specular == "map" and len(specular) == 1:
+        specular = specular.clamp_min(MIN_INITIAL_SPECULAR_LOGIT).expand(vertices, -1)
+    if spec.roughness == "map" and len(width) == 1:
+        width = width.expand(vertices, -1)
+    return Parameters(
+        base.light,
+        base.diffuse,
+        specular.contiguous(),
+        width.contiguous(),
+        base.log_exposure,
+        normal_offset=normal_offset,
+        metalness=base.metalness,
+    )
+
+
+def initial_candidates(parameters: Parameters, earlier: Parameters | None) -> list[Parameters]:
+    """The initial values, and others from which a fit may find a lower minimum, where a lobe or a metalness is new."""
+    if parameters.width is None:
+        return [parameters]
+    wide = replace(parameters, width=logit_of_alpha(torch.full_like(parameters.width, WIDE_ALPHA)))
+    if earlier is None or earlier.width is None:
+        return [parameters, wide]
+    if parameters.metalness is None or earlier.metalness is not None:
+        return [parameters]
+    if parameters.is_metal:
+        return [parameters, wide]
+    metal = torch.logit(torch.full_like(parameters.metalness, MOSTLY_METAL))
+    return [parameters, replace(parameters, metalness=metal), replace(wide, metalness=metal)]

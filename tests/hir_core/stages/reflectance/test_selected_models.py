@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from torch import Tensor
 
 from hir_core.scene import Material, Mesh, Scene
 from hir_core.stages.atlas import unwrap_mesh
@@ -17,6 +16,7 @@ from tests.fixtures.made_captures import (
     around,
     ball,
     bowl,
+    checked,
     fitted,
     lamps,
     make_material,
@@ -26,12 +26,6 @@ from tests.fixtures.made_captures import (
     sky,
     unseen_db,
 )
-
-
-def checked(mesh: Mesh, low: float, high: float) -> Tensor:
-    """A map (H, W, 1) of two values with soft edges."""
-    wave = painted(mesh, lambda p: torch.tanh(4 * torch.sin(3 * p[:, :1] + p[:, 1:2])))[0]
-    return low + (high - low) * (0.5 + 0.5 * wave)
 
 
 def metal(color: tuple[float, float, float], alpha: float) -> Material:
