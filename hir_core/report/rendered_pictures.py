@@ -57,9 +57,15 @@ def write_pictures(
     """Replaces the PNG files of `report/` and returns their description for views.json.
 
     `views`: name, figures and file names of each view, and `measured_at` where the photograph was reduced. `stages`:
-    mean PSNR of the same views after each stage, at `SMALL_SIDE`.
+    mean PSNR of the same views after each stage, at `SMALL_SIDE`. Both are empty for a run without a reflectance stage.
     """
     run = open_finished_run(directory)
+    if run.scene.material is None or run.scene.environment is None:
+        if on_message is not None:
+            on_message("report: no photograph is compared because the run has fitted no material and no light")
+        with atomic_directory(directory.report) as folder:
+            _write_asset_pictures(folder, directory.scene)
+        return {"views": [], "stages": {}}
     capture = run.views_of_split(run.capture_path, "train", plugins)
     tracer = _PathTracer(run, plugins, max_noise_share)
     views: list[dict[str, Any]] = []
@@ -77,9 +83,13 @@ def write_pictures(
             measured.append((truth, camera, _middle(pair)))
             size = {"measured_at": [camera.width, camera.height]} if factor > 1 else {}
             views.append({"name": view.name} | _view_pictures(folder, file_stem(view.name), pair, truth) | size)
-        for name, picture in asset_pictures(directory.scene).items():
-            write_png(folder / f"{name}.png", picture)
+        _write_asset_pictures(folder, directory.scene)
     return {"views": views, "stages": stage_psnr(directory, measured)}
+
+
+def _write_asset_pictures(folder: Path, scene: Path) -> None:
+    for name, picture in asset_pictures(scene).items():
+        write_png(folder / f"{name}.png", picture)
 
 
 class _PathTracer:

@@ -32,8 +32,7 @@ def test_every_block_of_the_page_runs(page: Path, tmp_path: Path) -> None:
 def test_whole_runs_of_the_page(name: str, tmp_path: Path) -> None:
     """The commands that need photographs or a finished run, too: on a tiny capture, with settings that are quick."""
     make_tiny(tmp_path / "photos")
-    steps = ("reflectance.gradient.iterations=5",) if name in ("index.md", "regularizer.md") else ()
-    quick = tuple(word for setting in (*QUICK, *steps) for word in ("--set", setting))
+    quick = tuple(word for setting in QUICK for word in ("--set", setting))
     if name == "exporter.md":
         first = Reader(tmp_path / "first", quick, run_heavy=True)
         first._command(f"hir reconstruct {tmp_path / 'photos'} -o {tmp_path / 'run'}")

@@ -95,11 +95,11 @@ def test_it_is_used_by_a_run_and_an_export(python: Path, tmp_path: Path) -> None
         "reflectance.light_frame=world",
         "reflectance.environment_height=8",
         "reflectance.environment_width=16",
-        "reflectance_renderer.transport_ggx.steps=10",
+        "reflectance.method=gradient",
+        "reflectance.gradient.iterations=10",
         "reflectance.downsample=4",
         "reflectance_renderer.transport_ggx.cache_cells=300",
         "reflectance_renderer.transport_ggx.vertices=1500",
-        "reflectance.gradient.iterations=10",
         "reflectance.regularizers.light_chroma.weight=10",
         'export=["ply"]',
     ]

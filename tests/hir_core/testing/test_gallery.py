@@ -150,3 +150,4 @@ def test_record3d_capture_becomes_a_run(tmp_path: Path, quick: Callable[..., Run
     masks = 'masks=["color_key"]'
     run = quick(written, tmp_path / "run", masks, "reflectance.enabled=false", "export=[]", plugins=plugins)
     assert run.directory.read_run()["capture"]["reader"] == "record3d"
+    assert (run.directory.path / "report.html").is_file()

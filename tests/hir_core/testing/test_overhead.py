@@ -136,7 +136,7 @@ def test_no_hook_runs_in_an_inner_loop(tmp_path: Path, quick: Callable[..., Run]
     plugins.register(counting, "test", "")
     assert plugins.problems == []
     capture = make_tiny(tmp_path / "capture")
-    steps = ("geometry.iterations=300", "reflectance.gradient.iterations=100", "reflectance.gradient.batch_pixels=64")
+    steps = ("geometry.iterations=300", "reflectance_renderer.transport_ggx.steps=100")
     term = "reflectance.regularizers={ total_variation = { weight = 1.0 } }"
     run = quick(capture, tmp_path / "run", *steps, term, 'export=["glb"]', plugins=plugins)
     timings = run.directory.read_timings()["stages"]
