@@ -166,6 +166,13 @@ class ReflectanceSolver(PreparedReflectance, Generic[FitT, RefinementT]):
         """
         return spec
 
+    def simpler(self, spec: ModelSpec) -> ModelSpec | None:
+        """The model that `fit` without an initial fit fits first, with the same effort; None, the default, for none.
+
+        The model selection compares models after equal numbers of steps, and counts these.
+        """
+        return None
+
     @abstractmethod
     def fit(
         self,

@@ -64,6 +64,11 @@ class FoldedFits(Generic[FitT, RefinementT]):
             errors.append(self._fits.solver.errors(fits[-1], held_out))
         return FoldedFit(spec, tuple(fits), np.concatenate(errors))
 
+    def fits_from_nothing(self, spec: ModelSpec) -> int:
+        """Number of fits of which a fit without an initial one consists: its own and those of simpler models."""
+        simpler = self._fits.solver.simpler(spec)
+        return 1 if simpler is None else 1 + self.fits_from_nothing(simpler)
+
     def supported(self, spec: ModelSpec) -> ModelSpec | None:
         """`ReflectanceSolver.supported`."""
         return self._fits.solver.supported(spec)

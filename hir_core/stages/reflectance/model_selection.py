@@ -119,7 +119,7 @@ def select_model(
     specs = _supported(fits, hypotheses(settings))
     halving = SuccessiveHalving(folded, specs, later_cost=expected_cost(specs[-1]), fitted=fitted)
     finalists = halving.run()
-    chosen, pooled = _decide(folded, finalists)
+    chosen, pooled = _decide(folded, halving, finalists)
     folded.expect(expected_cost(chosen.spec))
     refinement = RefinementSelection(folded, chosen.last, fitted, observer.compared)
     refinement.refine_vertices()
@@ -171,7 +171,9 @@ Errors = dict[ModelSpec, NDArray[np.float64]]
 
 
 def _decide(
-    fits: FoldedFits[FitT, RefinementT], finalists: Sequence[Contestant[FitT]]
+    fits: FoldedFits[FitT, RefinementT],
+    halving: SuccessiveHalving[FitT, RefinementT],
+    finalists: Sequence[Contestant[FitT]],
 ) -> tuple[Contestant[FitT], Errors]:
     """The simplest of the finalists that tie with the best one, and the errors of those on the views of all folds.
 
@@ -181,11 +183,11 @@ def _decide(
     tied = _tied(finalists, errors)
     pooled: Errors = {}
     if len(tied) > 1 and len(fits.further):
-        fits.expect(2 * sum(fit_cost(each.spec, b.effort, b.pixel_share) for each in tied for b in ROUNDS))
+        fits.expect(2 * sum(halving.cost(each.spec) for each in tied))
         for each in tied:
             fit = None
             for budget in ROUNDS:
-                fit = fits.fit(each.spec, fit, budget.effort, budget.pixel_share, folds=fits.further)
+                fit = halving.fit_round(each.spec, fit, budget, fits.further)
             assert fit is not None
             pooled[each.spec] = np.concatenate([each.last.errors, fit.errors])
         tied = _tied(tied, pooled)

@@ -1,7 +1,8 @@
 """Successive halving of hypotheses (Jamieson & Talwalkar 2016): all get a small budget, those that can win get more.
 
-Budgets are continued, not restarted. A hypothesis is dropped only where a bound says that it cannot catch up: held-out
-PSNR grows less from round to round, so it gains at most its last gain in each round that is left.
+Budgets are continued, not restarted, and after a round all have taken equally many steps. A hypothesis is dropped only
+where a bound says that it cannot catch up: held-out PSNR grows less from round to round, so it gains at most its last
+gain in each round that is left.
 """
 
 from __future__ import annotations
@@ -72,6 +73,7 @@ class SuccessiveHalving(Generic[FitT, RefinementT]):
         """`later_cost`: expected cost of what follows the rounds, for the progress; `fitted` receives each fit."""
         self._fits, self._rounds, self._later, self._fitted = fits, tuple(rounds), later_cost, fitted
         self.contestants: list[Contestant[FitT]] = [Contestant(spec) for spec in specs]
+        self._most_fits = max((fits.fits_from_nothing(spec) for spec in specs), default=1)
 
     def run(self) -> list[Contestant[FitT]]:
         """The hypotheses that were fitted in every round, the best one first."""
@@ -80,11 +82,34 @@ class SuccessiveHalving(Generic[FitT, RefinementT]):
             self._fits.expect(self._cost(alive, number) + self._later)
             for contestant in alive:
                 before = contestant.rounds[-1] if contestant.rounds else None
-                fit = self._fits.fit(contestant.spec, before, budget.effort, budget.pixel_share)
+                fit = self.fit_round(contestant.spec, before, budget)
                 contestant.rounds.append(fit)
                 self._fitted(fit)
             alive = self._survivors(alive, len(self._rounds) - 1 - number)
         return sorted(alive, key=lambda each: -each.last.held_out_db)
+
+    def fit_round(
+        self, spec: ModelSpec, before: FoldedFit[FitT] | None, budget: Budget, folds: range | None = None
+    ) -> FoldedFit[FitT]:
+        """The fit of one round. In the first one a hypothesis is fitted again until it has as many steps as those whose
+        solver fits a simpler model first: else these would win by their steps.
+        """
+        repeats = 1 if before is not None else self._repeats(spec)
+        fit = self._fits.fit(spec, before, budget.effort, budget.pixel_share, folds=folds)
+        for _ in range(repeats - 1):
+            fit = self._fits.fit(spec, fit, budget.effort, budget.pixel_share, folds=folds)
+        return fit
+
+    def cost(self, spec: ModelSpec) -> float:
+        """Of all rounds of a hypothesis."""
+        return sum(self._round_cost(spec, number) for number in range(len(self._rounds)))
+
+    def _repeats(self, spec: ModelSpec) -> int:
+        return 1 + self._most_fits - self._fits.fits_from_nothing(spec)
+
+    def _round_cost(self, spec: ModelSpec, number: int) -> float:
+        budget = self._rounds[number]
+        return (1 if number else self._repeats(spec)) * fit_cost(spec, budget.effort, budget.pixel_share)
 
     def _survivors(self, alive: Sequence[Contestant[FitT]], rounds_left: int) -> list[Contestant[FitT]]:
         best = max(alive, key=lambda each: each.last.held_out_db)
@@ -98,8 +123,8 @@ class SuccessiveHalving(Generic[FitT, RefinementT]):
     def _cost(self, alive: Sequence[Contestant[FitT]], first_round: int) -> float:
         """Of the rounds from `first_round` on, with half of the hypotheses left after each."""
         total, share = 0.0, 1.0
-        for budget in self._rounds[first_round:]:
-            total += share * sum(fit_cost(each.spec, budget.effort, budget.pixel_share) for each in alive)
+        for number in range(first_round, len(self._rounds)):
+            total += share * sum(self._round_cost(each.spec, number) for each in alive)
             share /= 2
         return total
 

@@ -121,6 +121,10 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         """Direct radiance through pixels (view, x, y); 0 where they miss. Differentiable in material and light."""
         return self._shading.radiance(material, environment, pixels)
 
+    def simpler(self, spec: ModelSpec) -> ModelSpec | None:
+        """The model that is fitted first where there is no earlier fit."""
+        return simpler_model(spec)
+
     def fit(
         self,
         spec: ModelSpec,
@@ -151,7 +155,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
             report(1.0)
             return Fit(spec, self._first_fits[first], tuple(views))
         from_nothing = initial is None
-        simpler = simpler_model(spec)
+        simpler = self.simpler(spec)
         if initial is None and simpler is not None:
             part = checkpoint.part(simpler.kind) if checkpoint is not None else None
             initial = self.fit(simpler, None, views, effort, lambda share: None, part, pixel_share)

@@ -172,6 +172,26 @@ def test_budgets_are_continued() -> None:
     assert all(before.pixel_share <= after.pixel_share for before, after in pairwise(ROUNDS))
 
 
+def test_hypotheses_are_compared_after_equally_many_steps() -> None:
+    """A solver that fits diffuse before dielectric and metal before mixed: none of them wins by the steps of both."""
+
+    class Chained(Scripted):
+        def simpler(self, spec: ModelSpec) -> ModelSpec | None:
+            before = {"dielectric": "diffuse", "mixed": "metal"}.get(spec.kind)
+            return None if before is None else hypothesis(before, spec.light_frame)  # type: ignore[arg-type]
+
+        def fit(self, spec: ModelSpec, initial: Fit | None, *arguments: Any, **others: Any) -> Fit:
+            simpler = self.simpler(spec)
+            if initial is None and simpler is not None:
+                initial = self.fit(simpler, None, *arguments, **others)
+            return super().fit(spec, initial, *arguments, **others)
+
+    chosen = select(Chained(lambda spec, effort: 0.01 * 0.5**effort), ReflectanceSettings(light_frame="world"))
+    assert chosen.hypothesis.kind == "diffuse"
+    assert len({len(each.rounds) for each in chosen.contestants}) == 1
+    assert all(margin.margin_db == 0 for margin in chosen.margins), chosen.margins
+
+
 def test_a_tie_goes_to_the_simpler_hypothesis() -> None:
     def error(spec: ModelSpec) -> float:
         return level(30 + 0.05 * (spec.kind == "metal") + 0.03 * (spec.light_frame == "camera"))
