@@ -20,9 +20,15 @@ PATHS_PER_PIXEL: Final = 128
 
 
 def end_to_end_rows(
-    options: BenchOptions, view_counts: Sequence[int] = VIEW_COUNTS, image_sides: Sequence[int] = IMAGE_SIDES
+    options: BenchOptions,
+    view_counts: Sequence[int] = VIEW_COUNTS,
+    image_sides: Sequence[int] = IMAGE_SIDES,
+    settings: Sequence[str] = (),
 ) -> Iterator[Row]:
-    """Rows for each capture, number of views and image size; an interrupted run is resumed."""
+    """Rows for each capture, number of views and image size; an interrupted run is resumed.
+
+    `settings` differ from those of the default preset, each as KEY=VALUE.
+    """
     for path in options.captures:
         available_views, available_side = capture_size(path)
         previous: Timing | None = None
@@ -38,14 +44,15 @@ def end_to_end_rows(
                     continue
                 name = f"{path.name}_{views}_{side}"
                 capture = make_reduced_capture(path, options.workspace / "captures" / name, views, side)
-                rows = list(run_rows(capture, options.workspace / "runs" / name, case, options))
+                rows = list(run_rows(capture, options.workspace / "runs" / name, case, options, settings))
                 previous = rows[-1].timing
                 yield from rows
 
 
-def run_rows(capture: Path, folder: Path, case: Case, options: BenchOptions) -> Iterator[Row]:
+def run_rows(capture: Path, folder: Path, case: Case, options: BenchOptions, settings: Sequence[str]) -> Iterator[Row]:
     """One row for each stage of a run, then one for the whole run with its error on unseen views."""
-    run = reconstruct(capture, folder, resume=True, plugins=options.plugins, assignments=("export=[]",))
+    assignments = ("export=[]", *settings)
+    run = reconstruct(capture, folder, resume=True, plugins=options.plugins, assignments=assignments)
     stages = run.directory.read_timings()["stages"]
     timings = {
         name: _single_timing(

@@ -13,6 +13,7 @@ from hir_plugins.commands.bench.bench_options import BenchOptions
 from hir_plugins.commands.bench.inputs.bench_captures import capture_size, make_reduced_capture, make_resized_capture
 from hir_plugins.commands.bench.suites import end_to_end_suite, initializers_suite
 from hir_plugins.commands.bench.suites.reflectance_fits import FitBudgets, fit_rows
+from tests.fixtures.runs import QUICK
 
 pytestmark = pytest.mark.slow
 
@@ -64,7 +65,7 @@ def test_fits_on_the_true_mesh_are_compared_with_other_programs(bench_options: B
 
 
 def test_a_whole_run_has_a_row_for_each_stage(bench_options: BenchOptions) -> None:
-    rows = list(end_to_end_suite.end_to_end_rows(bench_options, view_counts=(12, 20), image_sides=(128, 512)))
+    rows = list(end_to_end_suite.end_to_end_rows(bench_options, (12, 20), (128, 512), QUICK))
     assert [row.method for row in rows if row.case["views"] == 12 and row.case["image"] == 128] == [
         "initializer",
         "geometry",
