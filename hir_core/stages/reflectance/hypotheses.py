@@ -15,6 +15,10 @@ FRAMES: tuple[Literal["world", "camera"], ...] = ("world", "camera")
 """The light is fixed in the world, or moves with the camera (turntable, flash); the more frequent one first."""
 LIGHT = {"world": "light in the world", "camera": "light on the camera"}
 
+INTERREFLECTIONS = 3
+"""Reflections between parts of the object under a light in the world. In a hemispherical bowl of albedo 0.6 one leaves
+out 6 % of the irradiance, three 1 %; each costs a product with one matrix."""
+
 
 def hypothesis(
     kind: MaterialKind, frame: Literal["world", "camera"] = "world", light_is_known: bool = False
@@ -29,7 +33,7 @@ def hypothesis(
         brdf="metallic" if metallic else kind,  # type: ignore[arg-type]
         specular="none" if kind == "diffuse" else "uniform",
         metalness={"metal": "metal", "mixed": "map"}.get(kind, "none"),  # type: ignore[arg-type]
-        bounces=1 if frame == "world" else 0,
+        bounces=INTERREFLECTIONS if frame == "world" else 0,
         light_frame=frame,
         light_is_known=light_is_known,
     )

@@ -65,11 +65,12 @@ class Transport:
         if not bounces:
             return torch.cat([pyramid, torch.zeros_like(direct)]), direct
         cell_albedo = self.cell_average @ albedo
-        irradiance = direct
+        irradiance = seen = direct
         for _ in range(bounces):
-            irradiance = direct + self.diffuse.bounce @ (cell_albedo * irradiance / torch.pi)
-        # a reflection shows the surface under direct light: one bounce less than the irradiance
-        return torch.cat([pyramid, cell_albedo * direct / torch.pi]), irradiance
+            seen = irradiance
+            irradiance = direct + self.diffuse.bounce @ (cell_albedo * seen / torch.pi)
+        # what a reflection shows has one bounce less than the surface that reflects it
+        return torch.cat([pyramid, cell_albedo * seen / torch.pi]), irradiance
 
     @cached_property
     def _vector_sky(self) -> LinearMap:

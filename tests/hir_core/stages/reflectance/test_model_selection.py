@@ -23,7 +23,7 @@ from hir_core.run.stage_context import StageContext
 from hir_core.stages.held_out_views import held_out_for_model_selection, model_selection_folds
 from hir_core.stages.reflectance.fit_sequence import FitSequence
 from hir_core.stages.reflectance.held_out_comparison import critical_value, decibels, paired_gain
-from hir_core.stages.reflectance.hypotheses import contains, forcing_settings, hypotheses, hypothesis
+from hir_core.stages.reflectance.hypotheses import INTERREFLECTIONS, contains, forcing_settings, hypotheses, hypothesis
 from hir_core.stages.reflectance.model_selection import Selection, select_model
 from hir_core.stages.reflectance.refinement_selection import Comparison
 from hir_core.stages.reflectance.reflectance_report import (
@@ -357,16 +357,16 @@ def test_progress_rises_to_the_end(better: str, settings: dict[str, Any]) -> Non
     "truth",
     [
         ModelSpec(),
-        ModelSpec(bounces=1),
+        ModelSpec(bounces=INTERREFLECTIONS),
         ModelSpec("dielectric", "uniform"),
         ModelSpec("dielectric", "map"),
         ModelSpec("dielectric", "uniform", "map"),
-        ModelSpec("dielectric", "map", "map", bounces=1),
+        ModelSpec("dielectric", "map", "map", bounces=INTERREFLECTIONS),
         ModelSpec("dielectric", "uniform", light_frame="camera"),
-        ModelSpec("metallic", "uniform", metalness="metal", bounces=1),
+        ModelSpec("metallic", "uniform", metalness="metal", bounces=INTERREFLECTIONS),
         ModelSpec("metallic", "uniform", "map", metalness="map"),
         ModelSpec("dielectric", "uniform", normals="map"),
-        ModelSpec(bounces=1, normals="map"),
+        ModelSpec(bounces=INTERREFLECTIONS, normals="map"),
         ModelSpec("dielectric", "uniform", per_texel="brdf"),
         ModelSpec("metallic", "uniform", metalness="metal", per_texel="brdf"),
     ],
@@ -608,5 +608,5 @@ def test_a_selection_that_was_killed_repeats_no_finished_fit(tmp_path: Path) -> 
 def test_hypotheses_differ_in_more_than_their_name() -> None:
     specs = hypotheses(ReflectanceSettings())
     assert len(set(specs)) == len(specs) == 8
-    assert all(spec.bounces == (spec.light_frame == "world") for spec in specs)
+    assert all(spec.bounces == (INTERREFLECTIONS if spec.light_frame == "world" else 0) for spec in specs)
     assert replace(specs[0], bounces=0) == ModelSpec()

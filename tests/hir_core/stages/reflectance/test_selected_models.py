@@ -10,6 +10,7 @@ import torch
 
 from hir_core.scene import Material, Mesh, Scene
 from hir_core.stages.atlas import unwrap_mesh
+from hir_core.stages.reflectance.hypotheses import INTERREFLECTIONS
 from tests.fixtures.made_captures import (
     BROWN,
     above,
@@ -93,19 +94,19 @@ def test_indirect_light_is_selected(tmp_path: Path) -> None:
     scene, report = fitted(
         mesh, capture, tmp_path, texels=128, light=sky(), options={"steps": 150, "cache_cells": 4000, "vertices": 8000}
     )
-    assert report.model == "diffuse, 1 bounce"
+    assert report.model == f"diffuse, {INTERREFLECTIONS} bounces"
     values, _ = observed(scene)
     assert float((values.mean(dim=0) - color).abs().max()) < 0.03
 
 
 @pytest.mark.slow
 def test_indirect_light_is_selected_where_there_are_more_bounces_than_in_the_model(tmp_path: Path) -> None:
-    """Six bounces in the photographs, one in the model, few cells: a lobe or normals may imitate the rest."""
+    """Six bounces in the photographs, three in the model, few cells: a lobe or normals may imitate the rest."""
     mesh, color = unwrap_mesh(bowl(), 128)[0], torch.tensor([0.6, 0.4, 0.2])
     truth = Scene(mesh, make_material(color), sky())
     capture = photographs(truth, above(12, 0.9), depth=8, size=48)
     scene, report = fitted(mesh, capture, tmp_path, texels=128, light=sky(), options={"steps": 150})
-    assert "1 bounce" in report.model
+    assert f"{INTERREFLECTIONS} bounces" in report.model
     direct = next(row for row in report.comparisons if not row.spec.bounces)
     assert direct.gain_db < -1 and not direct.accepted
     values, _ = observed(scene)
