@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Generic, final
 
@@ -70,12 +70,8 @@ class RefinementSelection(Generic[FitT, RefinementT]):
         """Compares everything that is fitted at vertices."""
         if self.spec.bounces:
             self._compare(replace(self.spec, bounces=0), simpler=True)
-        if self.spec.kind == "paper":
-            self._compare(replace(self.spec, colored=True))
-        if self.spec.kind in ("paper", "dielectric"):
-            self._compare(replace(self.spec, specular="map"))
-        if self.spec.kind != "diffuse":
-            self._compare(replace(self.spec, roughness="map"))
+        while self._accept_best(lobe_refinements(self.spec)):
+            pass
         if self.spec.light_frame == "world":
             self._compare(
                 replace(self.spec, normals="map"), required_standard_errors=REQUIRED_STANDARD_ERRORS_OF_NORMALS
@@ -120,19 +116,10 @@ class RefinementSelection(Generic[FitT, RefinementT]):
     def _compare(
         self, spec: ModelSpec, simpler: bool = False, required_standard_errors: float = REQUIRED_STANDARD_ERRORS
     ) -> None:
-        """Selects a candidate that gains significantly; a `simpler` one unless the control gains on it.
-
-        Nothing is added to a fit that needs no improvement, and nothing is compared that the solver does not fit.
-        """
-        if (not simpler and self.fit.held_out_db >= SUFFICIENT_DB) or not self._is_supported(spec):
+        """Selects a candidate that gains significantly; a `simpler` one unless the control gains on it."""
+        if not self._is_worth_comparing(spec, simpler):
             return
-        if not self._has_control:
-            # more steps alone lower the error: without this control every candidate would seem to gain
-            self._initial, self._has_control = self.fit, True
-            self.fit = self._continued(self.spec)
-            self.effort += COMPARISON.effort
-        fit = self._continued(spec)
-        gain, standard_error = paired_gain(self.fit.errors, fit.errors)
+        fit, gain, standard_error = self._against_control(spec)
         views = len(fit.errors)
         if simpler:
             accepted = not is_significant(-gain, standard_error, views, required_standard_errors)
@@ -141,6 +128,35 @@ class RefinementSelection(Generic[FitT, RefinementT]):
         if accepted:
             self.fit, self._has_control = fit, False
         self._record(fit, gain, standard_error, accepted)
+
+    def _accept_best(self, specs: Sequence[ModelSpec]) -> bool:
+        """Selects the candidate with the largest gain if that is significant. Whether one was selected.
+
+        All continue from the same fit. One after the other, a map that imitates what a later one explains would be
+        selected because its turn comes first.
+        """
+        compared = [self._against_control(spec) for spec in specs if self._is_worth_comparing(spec)]
+        gaining = [each for each in compared if is_significant(each[1], each[2], len(each[0].errors))]
+        best = max(gaining, key=lambda each: each[1], default=None)
+        for each in compared:
+            self._record(*each, accepted=each is best)
+        if best is not None:
+            self.fit, self._has_control = best[0], False
+        return best is not None
+
+    def _is_worth_comparing(self, spec: ModelSpec, simpler: bool = False) -> bool:
+        """Nothing is added to a fit that needs no improvement, and nothing is compared that the solver does not fit."""
+        return (simpler or self.fit.held_out_db < SUFFICIENT_DB) and self._is_supported(spec)
+
+    def _against_control(self, spec: ModelSpec) -> tuple[FoldedFit[FitT], float, float]:
+        """The fit of a candidate, its gain over the control and the standard error of that."""
+        if not self._has_control:
+            # more steps alone lower the error: without this control every candidate would seem to gain
+            self._initial, self._has_control = self.fit, True
+            self.fit = self._continued(self.spec)
+            self.effort += COMPARISON.effort
+        fit = self._continued(spec)
+        return fit, *paired_gain(self.fit.errors, fit.errors)
 
     def _is_supported(self, spec: ModelSpec) -> bool:
         """Whether the solver fits this very model."""
@@ -154,6 +170,18 @@ class RefinementSelection(Generic[FitT, RefinementT]):
     def _record(self, fit: FoldedFit[FitT], gain: float, standard_error: float, accepted: bool) -> None:
         self.comparisons.append(Comparison(fit.spec, fit.held_out_db, gain, standard_error, accepted))
         self._compared(self.comparisons[-1])
+
+
+def lobe_refinements(spec: ModelSpec) -> list[ModelSpec]:
+    """The models with one more map or colour in the specular lobe."""
+    found = []
+    if spec.kind == "paper" and not spec.colored:
+        found.append(replace(spec, colored=True))
+    if spec.kind in ("paper", "dielectric") and spec.specular != "map":
+        found.append(replace(spec, specular="map"))
+    if spec.kind != "diffuse" and spec.roughness != "map":
+        found.append(replace(spec, roughness="map"))
+    return found
 
 
 def with_refinements(spec: ModelSpec, of: ModelSpec) -> ModelSpec:

@@ -24,6 +24,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit import joint_optimizati
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_checkpoints import FitCheckpoint
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_terms import FitTerms
 from hir_plugins.reflectance_renderers.transport_ggx.fit.initial_guess import (
+    alpha_frozen_share,
     extended_to,
     initial_albedo,
     initial_candidates,
@@ -181,6 +182,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
             spec.brdf,
             spec.bounces,
             known_light=spec.light_is_known,
+            alpha_frozen_share=alpha_frozen_share(parameters, None if initial is None else initial.parameters),
             smoothness=SmoothnessWeights(
                 light=self._options.light_smoothness,
                 light_chroma=self._options.light_whiteness,

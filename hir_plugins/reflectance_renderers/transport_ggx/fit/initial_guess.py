@@ -23,6 +23,12 @@ MEAN_WEIGHT = 0.05
 """Weight of the mean albedo at a vertex, as a fraction of the mean weight of a vertex's pixels."""
 INDIRECT_ITERATIONS = 4
 """Iterations of darker albedos and the indirect light that they cause; each reduces the change by the albedo."""
+ALPHA_FROZEN_SHARE = 0.7
+"""Share of the steps before α changes. Earlier, under a light that is still uniform, every lobe would widen, and under
+a blurred one narrow."""
+CONTINUED_FROZEN_SHARE = 0.0
+"""Where a fit with lobes goes on: its light is known. A map of widths would stay uniform for most of its steps, so that
+a map of specular albedos, which imitates it, would gain more."""
 WIDE_ALPHA = 0.3
 """The second initial GGX width that is tried: highlights and sheen are two minima of the loss."""
 MIN_INITIAL_SPECULAR_LOGIT = math.log(0.03 / 0.97)
@@ -148,3 +154,8 @@ def initial_candidates(parameters: Parameters, earlier: Parameters | None) -> li
         return [parameters, wide]
     metal = torch.logit(torch.full_like(parameters.metalness, MOSTLY_METAL))
     return [parameters, replace(parameters, metalness=metal), replace(wide, metalness=metal)]
+
+
+def alpha_frozen_share(parameters: Parameters, earlier: Parameters | None) -> float:
+    """Share of the steps before α changes: most of them where the light is new, none where a fit with lobes goes on."""
+    return ALPHA_FROZEN_SHARE if earlier is None or earlier.width is None else CONTINUED_FROZEN_SHARE

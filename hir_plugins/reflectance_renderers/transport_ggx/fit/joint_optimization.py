@@ -56,8 +56,7 @@ class FitSettings:
     normal_rate: float = 0.03
     metalness_rate: float = 0.15
     alpha_frozen_share: float = 0.7
-    """Share of the steps before α changes. Earlier, under a light that is still uniform, every lobe would widen, and
-    under a blurred one narrow."""
+    """Share of the steps before α changes; see `initial_guess.alpha_frozen_share`."""
     f0_frozen_share: float = 0.7
     """Share of the steps before F0 of the dielectric part changes: while metalness is undecided, metal imitates it."""
     refresh_interval: int = 15
