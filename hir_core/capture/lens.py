@@ -45,12 +45,20 @@ def camera_lens(camera: Camera, distortion: tuple[float, ...]) -> Lens:
     """
     k = camera.intrinsics
     intrinsics = (float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]))
-    lens = Lens(intrinsics, tuple(distortion), "radial", intrinsics)
-    border = lens.distort(_border(camera.width, camera.height)) - intrinsics[2:]
-    moved, size = float(np.abs(border).max(initial=0.0)), max(camera.width, camera.height)
+    return _checked_lens(intrinsics, tuple(distortion), camera.width, camera.height)
+
+
+@lru_cache(maxsize=64)
+def _checked_lens(
+    intrinsics: tuple[float, float, float, float], distortion: tuple[float, ...], width: int, height: int
+) -> Lens:
+    """The views of a capture share one lens or few, and each reads its photograph more than once."""
+    lens = Lens(intrinsics, distortion, "radial", intrinsics)
+    border = lens.distort(_border(width, height)) - intrinsics[2:]
+    moved, size = float(np.abs(border).max(initial=0.0)), max(width, height)
     if not moved < MAX_DISPLACEMENT * (size + max(map(abs, intrinsics[2:]))):
         raise CaptureError(f"the distortion coefficients {distortion} move the image by {moved:.3g} pixels; check them")
-    if not _is_monotonic(lens, camera.width, camera.height):
+    if not _is_monotonic(lens, width, height):
         raise CaptureError(f"the distortion coefficients {distortion} fold the image over itself; check them")
     return lens
 

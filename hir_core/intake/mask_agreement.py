@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,13 +10,9 @@ from numpy.typing import NDArray
 from hir_core.capture import Array, Camera
 from hir_core.intake.view_directions import camera_focus
 
-if TYPE_CHECKING:
-    pass
-
-
 _GRID_RESOLUTION = 56
 
-MAX_HULL_VIEWS = 300
+MAX_HULL_VIEWS = 100
 """The hull is made of at most so many masks, evenly spaced; each takes about 0.1 s."""
 
 
@@ -50,7 +45,8 @@ def mask_agreement(cameras: Sequence[Camera | None], masks: Sequence[NDArray[np.
 
 
 def _consensus_hull(pairs: Sequence[tuple[Camera, NDArray[np.float32]]]) -> tuple[Array, float] | None:
-    """Grid points (N, 3) that are object in nine of ten masks, and the grid's spacing; None without such points."""
+    """Grid points (N, 3) that are object in nine of ten masks, as far as they are at the boundary of all these, and the
+    grid's spacing; None without such points."""
     focus, distance = camera_focus([c for c, _ in pairs])
     low, high = focus - 0.8 * distance, focus + 0.8 * distance
     points, cell = np.zeros((0, 3)), 0.0
@@ -65,25 +61,40 @@ def _consensus_hull(pairs: Sequence[tuple[Camera, NDArray[np.float32]]]) -> tupl
             seen = (depth > 0) & (x >= 0) & (y >= 0) & (x < camera.width) & (y < camera.height)
             image_count += seen
             mask_count[seen] += mask[y[seen], x[seen]] > 0.5
-        points = grid[(mask_count >= 0.9 * image_count) & (image_count >= max(2.0, image_count.max() / 2))]
+        inside = (mask_count >= 0.9 * image_count) & (image_count >= max(2.0, image_count.max() / 2))
+        points = grid[inside]
         if len(points) < 2:
             return None
         low, high = points.min(axis=0) - 1.5 * cell, points.max(axis=0) + 1.5 * cell
-    return points, cell
+    return grid[_boundary(inside.reshape((_GRID_RESOLUTION,) * 3)).reshape(-1)], cell
+
+
+def _boundary(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The cells of a solid with a neighbour outside: the silhouette is theirs."""
+    padded = np.pad(inside, 1)
+    core = inside.copy()
+    for axis in range(3):
+        for shift in (-1, 1):
+            core &= np.roll(padded, shift, axis)[1:-1, 1:-1, 1:-1]
+    return inside & ~core
 
 
 def _project_cells(points: Array, cell: float, camera: Camera) -> NDArray[np.bool_]:
-    """Pixels (H, W) whose centre is within half a cell of a projected point."""
-    covered = np.zeros((camera.height, camera.width), dtype=bool)
+    """Pixels (H, W) whose square is within half a cell of a projected point, in x and in y.
+
+    Each point adds a rectangle of pixels. The corners of all rectangles are summed up first, and the sum over rows and
+    columns then counts the rectangles at each pixel (a summed-area table; Crow 1984).
+    """
+    height, width = camera.height, camera.width
     at, depth = camera.project(points)
     ahead = depth > 0
-    at, half = at[ahead], 0.5 * cell * camera.intrinsics[0, 0] / depth[ahead]
-    reach = int(np.ceil(half.max(initial=0.0)))
-    x0, y0 = np.floor(at).astype(int).T
-    for dy in range(-reach, reach + 1):
-        for dx in range(-reach, reach + 1):
-            x, y = x0 + dx, y0 + dy
-            near = (np.abs(x + 0.5 - at[:, 0]) <= half + 0.5) & (np.abs(y + 0.5 - at[:, 1]) <= half + 0.5)
-            near &= (x >= 0) & (y >= 0) & (x < camera.width) & (y < camera.height)
-            covered[y[near], x[near]] = True
-    return covered
+    at, half = at[ahead], (0.5 * cell * camera.intrinsics[0, 0] / depth[ahead])[:, None]
+    size = np.array([width, height])
+    first = np.clip(np.ceil(at - half - 1), 0, size).astype(int)
+    end = np.clip(np.floor(at + half) + 1, 0, size).astype(int)
+    first = np.minimum(first, end)
+    corners = np.zeros((height + 1) * (width + 1))
+    for x, y, sign in ((first, first, 1), (end, first, -1), (first, end, -1), (end, end, 1)):
+        corners += sign * np.bincount(y[:, 1] * (width + 1) + x[:, 0], minlength=len(corners))
+    count = corners.reshape(height + 1, width + 1).cumsum(axis=0).cumsum(axis=1)
+    return count[:height, :width] > 0.5

@@ -31,6 +31,8 @@ CONTINUED_FROZEN_SHARE = 0.0
 a map of specular albedos, which imitates it, would gain more."""
 WIDE_ALPHA = 0.3
 """The second initial GGX width that is tried: highlights and sheen are two minima of the loss."""
+MEDIUM_METAL_ALPHA = 0.15
+"""The third one of a metal, whose reflection is all its light: one of .15 stayed at .06 or went to .3."""
 MIN_INITIAL_SPECULAR_LOGIT = math.log(0.03 / 0.97)
 """Lower limit of logit ρs where a colour or a map starts: near ρs = 0 the logistic function has no slope."""
 MOSTLY_METAL = 0.75
@@ -145,13 +147,16 @@ def initial_candidates(parameters: Parameters, earlier: Parameters | None) -> li
     """The initial values, and others from which a fit may find a lower minimum, where a lobe or a metalness is new."""
     if parameters.width is None:
         return [parameters]
-    wide = replace(parameters, width=logit_of_alpha(torch.full_like(parameters.width, WIDE_ALPHA)))
+    wide, medium = (
+        replace(parameters, width=logit_of_alpha(torch.full_like(parameters.width, alpha)))
+        for alpha in (WIDE_ALPHA, MEDIUM_METAL_ALPHA)
+    )
     if earlier is None or earlier.width is None:
-        return [parameters, wide]
+        return [parameters, medium, wide] if parameters.is_metal else [parameters, wide]
     if parameters.metalness is None or earlier.metalness is not None:
         return [parameters]
     if parameters.is_metal:
-        return [parameters, wide]
+        return [parameters, medium, wide]
     metal = torch.logit(torch.full_like(parameters.metalness, MOSTLY_METAL))
     return [parameters, replace(parameters, metalness=metal), replace(wide, metalness=metal)]
 

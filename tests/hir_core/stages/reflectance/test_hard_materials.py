@@ -95,14 +95,19 @@ def test_a_mirror_like_metal_has_a_coloured_reflection(tmp_path: Path) -> None:
         environment_height=32,
         environment_width=64,
     )
-    assert report.explanation is not None and report.explanation.chosen.startswith("metal"), report.explanation
-    assert scene.material is not None and scene.material.model == "metallic"
+    # with metalness as a map the narrow lobe converges sooner; what it finds is metal everywhere
+    assert report.explanation is not None and report.explanation.chosen.startswith(("metal", "mixed")), (
+        report.explanation
+    )
+    assert scene.material is not None and scene.material.metalness is not None
     _, seen = observed(scene)
+    metalness = scene.material.metalness
+    assert float((metalness[seen] if metalness.ndim == 3 else metalness).min()) > 0.99
     base = scene.material.base_color
     found = base[seen].mean(dim=0) if base.ndim == 3 else base
     torch.testing.assert_close(found, gold, atol=0.1, rtol=0)
     assert float(scene.material.roughness.mean()) < 0.05
-    assert unseen_db(scene, truth) > 28
+    assert unseen_db(scene, truth) > 34
 
 
 # -- views ----------------------------------------------------------------------------------------------------------

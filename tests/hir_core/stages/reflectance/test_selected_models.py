@@ -90,7 +90,7 @@ def test_indirect_light_is_selected(tmp_path: Path) -> None:
     """In a bowl under a known light; without it the albedo contains the light between the walls and is near 1."""
     mesh, color = unwrap_mesh(bowl(), 128)[0], torch.tensor([0.6, 0.4, 0.2])
     truth = Scene(mesh, make_material(color), sky())
-    capture = photographs(truth, above(12, 0.9), depth=3, size=48)
+    capture = photographs(truth, above(12, 0.9), depth=2 + INTERREFLECTIONS, size=48)
     scene, report = fitted(
         mesh, capture, tmp_path, texels=128, light=sky(), options={"steps": 150, "cache_cells": 4000, "vertices": 8000}
     )
