@@ -18,7 +18,7 @@ from hir_exporters.errors import HirError
 from hir_core import __version__
 from hir_core.files.file_names import on_one_line
 from hir_core.plugins.engine_commands import ENGINE_COMMANDS
-from hir_core.run.interrupt import remember_interrupts
+from hir_core.run.interrupt import remember_interrupts, was_interrupted
 
 if TYPE_CHECKING:
     from hir_core.plugins.manager import PluginManager
@@ -93,26 +93,29 @@ def main(arguments: Sequence[str] | None = None, plugins: PluginManager | None =
     except click.ClickException as error:
         error.show()
         code = INPUT_ERROR
-    except HirError as error:
-        if verbose:
-            traceback.print_exc()
-        click.echo(f"hir: {on_one_line(str(error))}", err=True)
-        code = INPUT_ERROR
-    except (KeyboardInterrupt, click.Abort):
-        code = INTERRUPTED
-        if arguments is None:  # an orderly shutdown of compilers and thread pools takes seconds
-            _exit_at_once(command_line)
-        click.echo(_interruption(command_line), err=True)
     except BrokenPipeError:
         sys.stderr.close()  # the reader of the output is closed; otherwise Python prints an error at exit
         code = 1
-    except Exception as error:
-        if verbose:
+    except (KeyboardInterrupt, Exception) as error:
+        # an import of native code that is interrupted raises an ImportError
+        interrupted = isinstance(error, (KeyboardInterrupt, click.Abort)) or (arguments is None and was_interrupted())
+        code = INTERRUPTED if interrupted else INPUT_ERROR if isinstance(error, HirError) else 1
+        if verbose and not interrupted:
             traceback.print_exc()
-        reason = on_one_line(f"{type(error).__name__}: {error}")
-        click.echo(f"hir: this is a bug: {reason} (-v prints the traceback)", err=True)
-        code = 1
+        if interrupted and arguments is None:
+            _exit_at_once(command_line)  # an orderly shutdown of compilers and thread pools takes seconds
+        click.echo(_sentence(error, code, command_line), err=True)
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _sentence(error: BaseException, code: int, command_line: Sequence[str]) -> str:
+    """What the user reads."""
+    if code == INTERRUPTED:
+        return _interruption(command_line)
+    if isinstance(error, HirError):
+        return f"hir: {on_one_line(str(error))}"
+    reason = on_one_line(f"{type(error).__name__}: {error}")
+    return f"hir: this is a bug: {reason} (-v prints the traceback)"
 
 
 def _interruption(command_line: Sequence[str]) -> str:

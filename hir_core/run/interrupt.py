@@ -2,9 +2,9 @@
 
 Python raises `KeyboardInterrupt` at an arbitrary place. In a finaliser, a callback of native code, or an import that
 catches everything, the exception is lost and the run would continue. This module remembers the signal and raises the
-exception again when the stage reports progress next. While native code computes, Python raises nothing: a thread waits
-for the signal and ends the process if it still runs after `MAX_EXIT_SECONDS`. Files on disk are complete at any moment,
-so nothing is lost.
+exception again when the stage reports progress next. During an import it raises nothing at first, because native code
+that is being initialised may abort. While native code computes, Python raises nothing: a thread waits for the signal and
+ends the process if it still runs after `MAX_EXIT_SECONDS`. Files on disk are complete at any moment, so nothing is lost.
 """
 
 from __future__ import annotations
@@ -31,11 +31,21 @@ def remember_interrupts(leave: Callable[[], None] | None = None) -> None:
 
     def interrupted(number: int, frame: FrameType | None) -> None:
         _interrupted.set()
-        signal.default_int_handler(number, frame)
+        if not (_is_importing(frame) and leave is not None):
+            signal.default_int_handler(number, frame)
 
     signal.signal(signal.SIGINT, interrupted)
     if leave is not None and os.name == "posix":
         _watch(leave)
+
+
+def _is_importing(frame: FrameType | None) -> bool:
+    """Whether a module is being imported: an exception in the initialisation of native code may abort the process."""
+    while frame is not None:
+        if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
+            return True
+        frame = frame.f_back
+    return False
 
 
 def raise_lost_interrupt() -> None:
@@ -43,6 +53,11 @@ def raise_lost_interrupt() -> None:
     if _interrupted.is_set():
         _interrupted.clear()
         raise KeyboardInterrupt
+
+
+def was_interrupted() -> bool:
+    """Whether a signal arrived: an exception may then be what a library made of the interrupt, as in an import."""
+    return _interrupted.is_set()
 
 
 def _watch(leave: Callable[[], None]) -> None:
