@@ -3,8 +3,9 @@
 Python raises `KeyboardInterrupt` at an arbitrary place. In a finaliser, a callback of native code, or an import that
 catches everything, the exception is lost and the run would continue. This module remembers the signal and raises the
 exception again when the stage reports progress next. During an import it raises nothing at first, because native code
-that is being initialised may abort. While native code computes, Python raises nothing: a thread waits for the signal and
-ends the process if it still runs after `MAX_EXIT_SECONDS`. Files on disk are complete at any moment, so nothing is lost.
+that is being initialised may abort. While native code computes, Python raises nothing: a thread waits for the signal
+and ends the process if it still runs after `MAX_EXIT_SECONDS`. Files on disk are complete at any moment: nothing is
+lost.
 """
 
 from __future__ import annotations
