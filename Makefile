@@ -39,7 +39,7 @@ demo: setup
 	@echo "report:  $(CURDIR)/$(DEMO)/run/report.html"
 
 test: lint
-	@OMP_NUM_THREADS=1 $(PYTHON) -m pytest -n 2 --dist loadfile # two processes with one thread each, for two cores
+	@OMP_NUM_THREADS=1 $(PYTHON) -m pytest -n 2 --dist worksteal # two processes with one thread each, for two cores
 
 test-all: setup-test # both processes shuffle with one seed, because they must collect the same order
 	@OMP_NUM_THREADS=1 $(PYTHON) -m pytest -m "not gpu" -n 2 --dist worksteal --random-order --random-order-seed=$$(date +%s) --durations=30
