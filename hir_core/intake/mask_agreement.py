@@ -12,7 +12,7 @@ from hir_core.intake.view_directions import camera_focus
 
 _GRID_RESOLUTION = 56
 
-MAX_HULL_VIEWS = 100
+MAX_HULL_VIEWS = 300
 """The hull is made of at most so many masks, evenly spaced; each takes about 0.1 s."""
 
 

@@ -30,13 +30,16 @@ def remember_interrupts(leave: Callable[[], None] | None = None) -> None:
     `leave` is called in a thread if the process still runs `MAX_EXIT_SECONDS` after the signal; it should end it.
     """
 
+    watched = leave is not None and os.name == "posix"
+
     def interrupted(number: int, frame: FrameType | None) -> None:
         _interrupted.set()
-        if not (_is_importing(frame) and leave is not None):
+        # what is not raised here is raised at the next report of progress, or the thread that watches ends the process
+        if not (watched and _is_importing(frame)):
             signal.default_int_handler(number, frame)
 
     signal.signal(signal.SIGINT, interrupted)
-    if leave is not None and os.name == "posix":
+    if leave is not None and watched:
         _watch(leave)
 
 

@@ -73,6 +73,54 @@ def test_an_interrupted_command_says_one_sentence(
     assert ended.value.code == 130 and capsys.readouterr().err == sentence
 
 
+def test_an_import_is_finished_before_the_command_ends(tmp_path: Path) -> None:
+    """An exception while native code is initialised aborts the process, or the code makes an `ImportError` of it."""
+    slow = "import time\nprint('ready', flush=True)\ntime.sleep(0.7)\nprint('imported', flush=True)\n"
+    (tmp_path / "slow_module.py").write_text(slow)
+    code = (
+        "from functools import partial\nimport time\n"
+        "from hir_core.cli.app import _exit_at_once\nfrom hir_core.run.interrupt import remember_interrupts\n"
+        "remember_interrupts(partial(_exit_at_once, ['reconstruct']))\nimport slow_module\ntime.sleep(60)\n"
+    )
+    path = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
+    with subprocess.Popen(
+        [sys.executable, "-c", code],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONPATH": path},
+    ) as child:
+        assert child.stdout is not None and child.stderr is not None
+        assert child.stdout.readline() == "ready\n"
+        child.send_signal(signal.SIGINT)
+        assert child.wait(timeout=60) == 130
+        assert child.stdout.read() == "imported\n"
+        assert child.stderr.read() == "hir: interrupted; continue the run with --resume\n"
+
+
+def test_an_import_error_after_an_interrupt_is_no_bug(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from hir_core.cli import app
+
+    def failed(*_: object, **__: object) -> None:
+        raise ImportError("initialization failed")
+
+    def leave(command_line: list[str]) -> None:
+        raise SystemExit(app.INTERRUPTED)
+
+    monkeypatch.setattr(app.cli, "main", failed)
+    monkeypatch.setattr(app, "remember_interrupts", lambda leave: None)
+    monkeypatch.setattr(app, "_exit_at_once", leave)
+    monkeypatch.setattr(sys, "argv", ["hir", "reconstruct", "folder"])
+    for interrupted, code in ((True, app.INTERRUPTED), (False, 1)):
+        monkeypatch.setattr(app, "was_interrupted", lambda value=interrupted: value)
+        with pytest.raises(SystemExit) as ended:
+            app.main()
+        assert ended.value.code == code
+        assert ("this is a bug: ImportError" in capsys.readouterr().err) == (not interrupted)
+
+
 @pytest.mark.slow
 def test_any_moment_of_a_run_ends_in_time_and_resumes(tiny_capture: Path, tmp_path: Path) -> None:
     """Twelve interrupts of a run that is resumed after each; after its end a new run starts."""

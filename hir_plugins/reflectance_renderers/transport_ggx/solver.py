@@ -24,7 +24,6 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit import joint_optimizati
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_checkpoints import FitCheckpoint
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_terms import FitTerms
 from hir_plugins.reflectance_renderers.transport_ggx.fit.initial_guess import (
-    alpha_frozen_share,
     extended_to,
     initial_albedo,
     initial_candidates,
@@ -182,7 +181,6 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
             spec.brdf,
             spec.bounces,
             known_light=spec.light_is_known,
-            alpha_frozen_share=alpha_frozen_share(parameters, None if initial is None else initial.parameters),
             smoothness=SmoothnessWeights(
                 light=self._options.light_smoothness,
                 light_chroma=self._options.light_whiteness,
@@ -190,6 +188,8 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
                 metalness_prior=self._options.metalness_prior,
             ),
         )
+        if initial is not None and initial.parameters.width is not None:
+            settings = replace(settings, alpha_frozen_share=0.0)
         resumes = file is not None and file.has_state()
         candidates = initial_candidates(parameters, None if initial is None else initial.parameters)
         if len(candidates) > 1 and not resumes:

@@ -23,16 +23,8 @@ MEAN_WEIGHT = 0.05
 """Weight of the mean albedo at a vertex, as a fraction of the mean weight of a vertex's pixels."""
 INDIRECT_ITERATIONS = 4
 """Iterations of darker albedos and the indirect light that they cause; each reduces the change by the albedo."""
-ALPHA_FROZEN_SHARE = 0.7
-"""Share of the steps before α changes. Earlier, under a light that is still uniform, every lobe would widen, and under
-a blurred one narrow."""
-CONTINUED_FROZEN_SHARE = 0.0
-"""Where a fit with lobes goes on: its light is known. A map of widths would stay uniform for most of its steps, so that
-a map of specular albedos, which imitates it, would gain more."""
 WIDE_ALPHA = 0.3
 """The second initial GGX width that is tried: highlights and sheen are two minima of the loss."""
-MEDIUM_METAL_ALPHA = 0.15
-"""The third one of a metal, whose reflection is all its light: one of .15 stayed at .06 or went to .3."""
 MIN_INITIAL_SPECULAR_LOGIT = math.log(0.03 / 0.97)
 """Lower limit of logit ρs where a colour or a map starts: near ρs = 0 the logistic function has no slope."""
 MOSTLY_METAL = 0.75
@@ -147,20 +139,12 @@ def initial_candidates(parameters: Parameters, earlier: Parameters | None) -> li
     """The initial values, and others from which a fit may find a lower minimum, where a lobe or a metalness is new."""
     if parameters.width is None:
         return [parameters]
-    wide, medium = (
-        replace(parameters, width=logit_of_alpha(torch.full_like(parameters.width, alpha)))
-        for alpha in (WIDE_ALPHA, MEDIUM_METAL_ALPHA)
-    )
+    wide = replace(parameters, width=logit_of_alpha(torch.full_like(parameters.width, WIDE_ALPHA)))
     if earlier is None or earlier.width is None:
-        return [parameters, medium, wide] if parameters.is_metal else [parameters, wide]
+        return [parameters, wide]
     if parameters.metalness is None or earlier.metalness is not None:
         return [parameters]
     if parameters.is_metal:
-        return [parameters, medium, wide]
+        return [parameters, wide]
     metal = torch.logit(torch.full_like(parameters.metalness, MOSTLY_METAL))
     return [parameters, replace(parameters, metalness=metal), replace(wide, metalness=metal)]
-
-
-def alpha_frozen_share(parameters: Parameters, earlier: Parameters | None) -> float:
-    """Share of the steps before α changes: most of them where the light is new, none where a fit with lobes goes on."""
-    return ALPHA_FROZEN_SHARE if earlier is None or earlier.width is None else CONTINUED_FROZEN_SHARE

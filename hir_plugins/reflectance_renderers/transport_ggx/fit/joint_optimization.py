@@ -56,7 +56,9 @@ class FitSettings:
     normal_rate: float = 0.03
     metalness_rate: float = 0.15
     alpha_frozen_share: float = 0.7
-    """Share of the steps before α changes; see `initial_guess.alpha_frozen_share`."""
+    """Share of the steps before α changes where lobes are new. Earlier, under a light that is still uniform, every lobe
+    would widen, and under a blurred one narrow. Where a fit with lobes goes on it is 0: a map of widths would stay
+    uniform for most of its steps, so that a map of specular albedos, which imitates it, would gain more."""
     f0_frozen_share: float = 0.7
     """Share of the steps before F0 of the dielectric part changes: while metalness is undecided, metal imitates it."""
     refresh_interval: int = 15
