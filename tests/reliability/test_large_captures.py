@@ -91,7 +91,7 @@ def test_a_part_of_the_photographs_can_be_checked(tmp_path: Path, capsys: pytest
 
 @pytest.mark.slow
 def test_ten_thousand_photographs_are_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A minute on two cores (docs/reliability.md); without a limit here, which would be one of the machine."""
+    """Without a limit of seconds, which would be one of the machine: benchmarks are not tests."""
     from hir_core.cli.app import main
 
     seeds.transforms(tmp_path)
