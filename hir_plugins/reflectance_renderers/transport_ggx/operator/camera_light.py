@@ -14,7 +14,8 @@ from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import
 from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes import r2_points, tangent_frame
 from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import SurfacePoints
 
-PIXELS_PER_CHUNK = 1 << 16
+PIXELS_PER_CHUNK = 1 << 13
+"""Pixels whose directions are looked up at a time: 200 bytes a direction, freed again."""
 
 
 def pixel_irradiance(

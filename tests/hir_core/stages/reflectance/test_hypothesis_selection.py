@@ -1,0 +1,211 @@
+"""Hypotheses: which one is selected, and what is reported of the others."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hir_core.config import ReflectanceSettings
+from hir_core.plugins.model_spec import ModelSpec
+from hir_core.stages.held_out_views import model_selection_folds
+from hir_core.stages.reflectance.hypotheses import contains, hypotheses, hypothesis
+from hir_core.stages.reflectance.reflectance_report import (
+    explanation_report,
+    hypothesis_reports,
+    near_tie_warning,
+)
+from hir_core.stages.reflectance.successive_halving import ROUNDS
+from tests.hir_core.stages.reflectance.scripted_solver import TOTAL, Scripted, level, select
+
+
+@pytest.mark.parametrize("kind", ["diffuse", "dielectric", "metal", "mixed"])
+@pytest.mark.parametrize("frame", ["world", "camera"])
+def test_the_true_hypothesis_is_selected(kind: Any, frame: Any) -> None:
+    def error(spec: ModelSpec, effort: float) -> float:
+        wrong = (spec.kind != kind) + 2 * (spec.light_frame != frame)
+        return level(20 + 8 * (1 - 0.1**effort) - 3 * wrong)
+
+    selection = select(Scripted(error, noise=0.1), ReflectanceSettings())
+    assert selection.hypothesis.kind == kind and selection.hypothesis.light_frame == frame
+    report = explanation_report(selection)
+    assert report is not None and report.margin_db == pytest.approx(3, abs=0.3) and not report.near_tie
+    assert near_tie_warning(selection) is None
+
+
+def test_curves_that_cross_are_fitted_to_their_end() -> None:
+    """A metal's initial guess is ahead by 5 dB after the first round; the dielectric ends 3 dB above it."""
+    curves = {"diffuse": [15.0, 16.0, 16.5], "dielectric": [16.0, 20.0, 26.0], "metal": [21.4, 22.5, 23.0]}
+
+    def error(spec: ModelSpec, effort: float) -> float:
+        efforts = np.cumsum([budget.effort for budget in ROUNDS])
+        curve = curves.get(spec.kind, [10.0, 10.5, 11.0])
+        return level(float(np.interp(effort, efforts, curve)) - 4 * (spec.light_frame == "camera"))
+
+    selection = select(Scripted(error, noise=0.05), ReflectanceSettings())
+    assert selection.hypothesis.kind == "dielectric"
+    rounds = {(each.spec.kind, each.spec.light_frame): len(each.rounds) for each in selection.contestants}
+    assert rounds["dielectric", "world"] == rounds["metal", "world"] == 3
+    assert rounds["mixed", "camera"] < 3, "a curve that cannot reach the best one gets no full budget"
+    report = explanation_report(selection)
+    assert report is not None and report.sentence.startswith("dielectric, light in the world; next: metal, ")
+    assert report.margin_db == pytest.approx(3, abs=0.2)
+
+
+def test_budgets_are_continued() -> None:
+    solver = Scripted(lambda spec: level(20))
+    selection = select(solver, ReflectanceSettings(light_frame="world", brdf="metallic", metalness="metal"))
+    assert selection.contestants[0].last.fits[0].effort == pytest.approx(TOTAL)
+    budgets = [(effort, share) for spec, effort, share in solver.budgets][: len(ROUNDS)]
+    assert budgets == [(budget.effort, budget.pixel_share) for budget in ROUNDS]
+    assert all(before.pixel_share <= after.pixel_share for before, after in pairwise(ROUNDS))
+
+
+def test_hypotheses_are_compared_after_equally_many_steps() -> None:
+    """A solver that fits diffuse before dielectric and metal before mixed: none of them wins by the steps of both."""
+
+    class Chained(Scripted):
+        def simpler(self, spec: ModelSpec) -> ModelSpec | None:
+            before = {"dielectric": "diffuse", "mixed": "metal"}.get(spec.kind)
+            return None if before is None else hypothesis(before, spec.light_frame)  # type: ignore[arg-type]
+
+        def fit(self, spec: ModelSpec, initial: Fit | None, *arguments: Any, **others: Any) -> Fit:
+            simpler = self.simpler(spec)
+            if initial is None and simpler is not None:
+                initial = self.fit(simpler, None, *arguments, **others)
+            return super().fit(spec, initial, *arguments, **others)
+
+    chosen = select(Chained(lambda spec, effort: 0.01 * 0.5**effort), ReflectanceSettings(light_frame="world"))
+    assert chosen.hypothesis.kind == "diffuse"
+    assert len({len(each.rounds) for each in chosen.contestants}) == 1
+    assert all(margin.margin_db == 0 for margin in chosen.margins), chosen.margins
+
+
+def test_a_tie_goes_to_the_simpler_hypothesis() -> None:
+    def error(spec: ModelSpec) -> float:
+        return level(30 + 0.05 * (spec.kind == "metal") + 0.03 * (spec.light_frame == "camera"))
+
+    selection = select(Scripted(error, noise=0.005), ReflectanceSettings())
+    assert selection.hypothesis == hypothesis("diffuse", "world")
+    assert selection.spec == ModelSpec(), "and without indirect light, which gains nothing"
+    report, warning = explanation_report(selection), near_tie_warning(selection)
+    assert report is not None and report.near_tie and "better, but less simple" in report.sentence
+    assert warning is not None and warning.count("--set reflectance.light_frame=") == 2
+    assert "--set reflectance.model=diffuse --set reflectance.light_frame=world" in warning
+
+
+def test_a_near_tie_is_judged_by_a_second_fold() -> None:
+    """Both finalists are fitted again without the second fold's views; a clear case costs nothing more."""
+    folds = model_selection_folds(48)
+
+    def error(gap: float) -> Callable[[ModelSpec], float]:
+        return lambda spec: level(30 - gap * (spec.kind != "diffuse"))
+
+    trained = {}
+    for gap in (0.0, 3.0):
+        solver = Scripted(error(gap))
+        select(solver, ReflectanceSettings(light_frame="world"))
+        trained[gap] = {views for _, views in solver.fitted}
+    assert trained[3.0] == {tuple(folds[0][0])}
+    assert trained[0.0] == {tuple(folds[0][0]), tuple(folds[1][0])}
+
+
+def test_noise_does_not_choose_between_equal_hypotheses() -> None:
+    """Whatever the seed, a difference that is noise selects the simplest one in most draws; all are near ties."""
+    specs = [
+        select(Scripted(lambda spec: level(30), 0.2, seed), ReflectanceSettings(light_frame="world"), 48).hypothesis
+        for seed in range(20)
+    ]
+    assert [spec.kind for spec in specs].count("diffuse") >= 12
+
+
+def test_gains_that_differ_between_views_are_gains() -> None:
+    """Half of the views see metal and gain 9 dB, half see plastic and gain little: the mean is uncertain, not zero."""
+
+    class TwoMaterials(Scripted):
+        def errors(self, fit: Fit, views: Sequence[int]) -> np.ndarray:
+            errors = super().errors(fit, views)
+            plastic = np.array([number % 2 for number in range(len(views))])
+            return np.asarray(errors * np.where(plastic, 1.0, level(9.0 * (fit.spec.kind == "mixed"))))
+
+    selection = select(TwoMaterials(lambda spec: level(25), noise=0.05), ReflectanceSettings(light_frame="world"))
+    assert selection.hypothesis.kind == "mixed"
+
+
+def test_a_runner_up_gets_the_refinements_of_the_selected_one() -> None:
+    """Mixed without maps is ahead of a dielectric, whose specular map explains as much."""
+
+    def error(spec: ModelSpec) -> float:
+        gain = {"diffuse": 0.0, "dielectric": 4.0, "metal": 1.0, "mixed": 4.8}[spec.kind]
+        return level(25 + gain + 0.8 * (spec.specular == "map"))
+
+    selection = select(Scripted(error, noise=0.01), ReflectanceSettings(light_frame="world"))
+    assert selection.spec == ModelSpec("dielectric", "map")
+    assert selection.hypothesis.kind == "dielectric"
+    assert [each.spec.kind for each in selection.comparisons].count("dielectric") == 1
+
+
+@pytest.mark.parametrize(
+    "settings,kinds,frames",
+    [
+        ({}, 4, ("world", "camera")),
+        ({"light_frame": "camera"}, 4, ("camera",)),
+        ({"brdf": "metallic"}, 2, ("world", "camera")),
+        ({"brdf": "metallic", "metalness": "metal"}, 1, ("world", "camera")),
+        ({"brdf": "paper", "light_frame": "world"}, 1, ("world",)),
+        ({"known_environment": "light.hdr"}, 4, ("world",)),
+    ],
+    ids=str,
+)
+def test_settings_restrict_the_hypotheses(settings: dict[str, Any], kinds: int, frames: tuple[str, ...]) -> None:
+    specs = hypotheses(ReflectanceSettings(**settings))
+    assert len(specs) == kinds * len(frames) and {spec.light_frame for spec in specs} == set(frames)
+    assert all(spec.light_is_known == bool(settings.get("known_environment")) for spec in specs)
+    if "brdf" in settings:
+        assert {spec.brdf for spec in specs} == {settings["brdf"]}
+
+
+def test_a_hypothesis_that_contains_the_selected_one_is_no_runner_up() -> None:
+    """Metal with a map of metalness explains every metal."""
+
+    def error(spec: ModelSpec) -> float:
+        return level(30 - 3 * (spec.kind not in ("metal", "mixed")) - 9 * (spec.light_frame == "camera"))
+
+    selection = select(Scripted(error, noise=0.01), ReflectanceSettings())
+    report = explanation_report(selection)
+    assert report is not None and report.sentence.startswith("metal, light in the world; next: ")
+    assert report.runner_up in ("dielectric, light in the world", "diffuse, light in the world")
+    assert report.margin_db == pytest.approx(3, abs=0.1) and not report.near_tie
+    assert near_tie_warning(selection) is None
+    only = select(Scripted(error), ReflectanceSettings(brdf="metallic", light_frame="world"))
+    report = explanation_report(only)
+    assert report is not None and report.runner_up == "mixed, light in the world" and not report.near_tie
+    mixed = hypothesis("mixed")
+    assert [contains(mixed, hypothesis(kind)) for kind in ("diffuse", "dielectric", "metal", "mixed")] == [1, 1, 1, 0]
+    assert not contains(mixed, hypothesis("metal", "camera")) and not contains(hypothesis("metal"), mixed)
+
+
+def test_one_hypothesis_has_no_runner_up() -> None:
+    selection = select(
+        Scripted(lambda spec: level(30)), ReflectanceSettings(light_frame="world", brdf="metallic", metalness="map")
+    )
+    report = explanation_report(selection)
+    assert report is not None and report.runner_up is None and near_tie_warning(selection) is None
+
+
+def test_run_json_names_every_hypothesis() -> None:
+    def error(spec: ModelSpec) -> float:
+        return level(30 - 9 * (spec.kind != "metal") - 9 * (spec.light_frame == "camera"))
+
+    reports = hypothesis_reports(select(Scripted(error), ReflectanceSettings()))
+    assert len(reports) == 8 and reports[0].hypothesis == "metal, light in the world"
+    assert reports[0].margin_db is None and len(reports[0].held_out_db) == len(ROUNDS)
+    order = [(-len(each.held_out_db), each.margin_db) for each in reports[1:]]
+    assert order == sorted(order) and len(order) == 7, "those that were fitted longest first"
+    assert any(each.dropped for each in reports)
+
+
+# -- refinements ----------------------------------------------------------------------------------------------------

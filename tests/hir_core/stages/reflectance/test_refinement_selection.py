@@ -1,0 +1,190 @@
+"""Refinements of the selected hypothesis: which are accepted, and against which control."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hir_core.config import ReflectanceSettings
+from hir_core.errors import ConfigError
+from hir_core.plugins.manager import PluginManager
+from hir_core.plugins.model_spec import ModelSpec
+from hir_core.plugins.progress import MODEL_FITTED, MODELS_COMPARED
+from hir_core.report.convergence import milestones
+from hir_core.run.progress_listener import ProgressListener
+from hir_core.run.stage_context import StageContext
+from hir_core.stages.reflectance.fit_sequence import FitSequence
+from hir_core.stages.reflectance.hypotheses import INTERREFLECTIONS
+from hir_core.stages.reflectance.model_selection import select_model
+from hir_core.stages.reflectance.requested_model import forced_spec
+from hir_core.stages.reflectance.stage_progress import StageProgress
+from hir_core.stages.reflectance.successive_halving import ROUNDS
+from tests.hir_core.stages.reflectance.scripted_solver import Recorder, Scripted, chosen, level, select
+
+
+def test_more_steps_alone_are_no_gain() -> None:
+    """Fits that improve with every step alike accept no refinement."""
+    selection = select(
+        Scripted(lambda spec, effort: level(20 + 5 * effort - 9 * (spec.kind != "dielectric"))),
+        ReflectanceSettings(light_frame="world"),
+    )
+    assert selection.spec == ModelSpec("dielectric", "uniform")
+
+
+def test_one_control_serves_all_comparisons_until_a_candidate_is_accepted() -> None:
+    solver = Scripted(lambda spec: level(30 if spec.kind == "dielectric" and spec.bounces else 10))
+    spec = select(solver, ReflectanceSettings(light_frame="world")).spec
+    again = [each for each, _ in solver.fitted].count(spec)
+    assert again == len(ROUNDS) + 1, "once in each round, once as the control of four refinements"
+
+
+@pytest.mark.parametrize("settings", [{}, {"model": "normal_map"}, {"brdf": "paper", "light_frame": "world"}], ids=str)
+@pytest.mark.parametrize("better", ["nothing", "a lobe", "everything but the camera's light"])
+def test_progress_rises_to_the_end(better: str, settings: dict[str, Any]) -> None:
+    def error(spec: ModelSpec) -> float:
+        if spec.light_frame == "camera" or better == "nothing":
+            return 1e-2
+        more = spec.brdf != "diffuse"
+        if better != "a lobe":
+            more += spec.colored + (spec.specular, spec.roughness, spec.normals).count("map")
+        return 1e-2 * 0.3**more
+
+    recorder = Recorder()
+    selection = select(Scripted(error), ReflectanceSettings(**settings), 48, recorder)
+    assert recorder.shares == sorted(recorder.shares) and recorder.shares[0] > 0 and recorder.shares[-1] <= 1
+    assert recorder.shares[-1] > 0.7, "the expected cost is near the true one"
+    assert recorder.comparisons == list(selection.comparisons)
+
+
+@pytest.mark.parametrize(
+    "truth",
+    [
+        ModelSpec(),
+        ModelSpec(bounces=INTERREFLECTIONS),
+        ModelSpec("dielectric", "uniform"),
+        ModelSpec("dielectric", "map"),
+        ModelSpec("dielectric", "uniform", "map"),
+        ModelSpec("dielectric", "map", "map", bounces=INTERREFLECTIONS),
+        ModelSpec("dielectric", "uniform", light_frame="camera"),
+        ModelSpec("metallic", "uniform", metalness="metal", bounces=INTERREFLECTIONS),
+        ModelSpec("metallic", "uniform", "map", metalness="map"),
+        ModelSpec("dielectric", "uniform", normals="map"),
+        ModelSpec(bounces=INTERREFLECTIONS, normals="map"),
+        ModelSpec("dielectric", "uniform", per_texel="brdf"),
+        ModelSpec("metallic", "uniform", metalness="metal", per_texel="brdf"),
+    ],
+    ids=lambda spec: spec.name,
+)
+def test_the_true_model_is_selected(truth: ModelSpec) -> None:
+    def error(spec: ModelSpec) -> float:
+        wrong = (
+            spec.kind == truth.kind,
+            spec.specular == truth.specular or spec.kind != truth.kind,
+            spec.roughness == truth.roughness,
+            spec.bounces == truth.bounces,
+            spec.light_frame == truth.light_frame,
+            spec.normals == truth.normals,
+            (spec.per_texel == "brdf") == (truth.per_texel == "brdf"),
+        )
+        return 1e-3 * 2.0 ** (wrong.count(False) + (spec.kind != truth.kind))
+
+    assert chosen(error) == truth
+
+
+@pytest.mark.parametrize("colored", [False, True])
+def test_paper_is_fitted_by_request(colored: bool) -> None:
+    def error(spec: ModelSpec) -> float:
+        return 1e-3 * (1 if spec.colored == colored else 2)
+
+    assert chosen(error, brdf="paper") == ModelSpec("paper", "uniform", colored=colored)
+
+
+def test_a_gain_within_its_standard_error_is_rejected() -> None:
+    def error(spec: ModelSpec) -> float:
+        return 0.97e-3 if spec.normals == "map" else 1e-3
+
+    assert chosen(error, brdf="dielectric").normals == "map", "the same gain without noise is accepted"
+    assert chosen(error, noise=1.0, brdf="dielectric").normals == "mesh"
+
+
+def test_a_fit_within_one_step_of_eight_bits_is_sufficient() -> None:
+    def twice_as_good(spec: ModelSpec) -> float:
+        return 1.0 if spec.kind == "diffuse" and spec.normals == "mesh" else 0.5
+
+    assert chosen(lambda spec: (1.2 / 255) ** 2 * twice_as_good(spec)) != ModelSpec()
+    assert chosen(lambda spec: (0.9 / 255) ** 2 * twice_as_good(spec)) == ModelSpec()
+
+
+def test_no_normal_map_under_a_light_on_the_camera() -> None:
+    def error(spec: ModelSpec) -> float:
+        return (1e-3 if spec.normals == "map" else 3e-3) * (1 if spec.light_frame == "camera" else 5)
+
+    assert chosen(error) == ModelSpec(light_frame="camera")
+    for model in ("normal_map", "per_texel_brdf"):
+        with pytest.raises(ConfigError, match="fixed in the world"):
+            forced_spec(ReflectanceSettings(model=model, light_frame="camera"))
+
+
+def test_the_map_that_gains_most_is_selected_first() -> None:
+    """A specular map imitates a roughness map. It gains, and is compared before; but it is not what is there."""
+
+    def error(spec: ModelSpec) -> float:
+        return level(20 + (3 if spec.roughness == "map" else 1.5 if spec.specular == "map" else 0))
+
+    settings = ReflectanceSettings(brdf="dielectric", light_frame="world")
+    selection = select(Scripted(error), settings)
+    assert (selection.spec.specular, selection.spec.roughness) == ("uniform", "map")
+    first, second, again, _ = (
+        each for each in selection.comparisons if "map" in (each.spec.specular, each.spec.roughness)
+    )
+    assert not first.accepted and second.accepted and not again.accepted
+    assert again.spec == replace(selection.spec, specular="map"), "what is left is compared with the new model"
+
+
+def test_no_per_texel_brdf_after_maps_at_vertices() -> None:
+    def error(spec: ModelSpec) -> float:
+        return 1e-3 * 0.5 ** sum([spec.brdf == "dielectric", spec.normals == "map", spec.per_texel == "brdf"])
+
+    assert chosen(error) == ModelSpec("dielectric", "uniform", normals="map")
+
+
+def test_per_texel_brdf_is_compared_with_per_texel_albedo() -> None:
+    """Points with their own albedo fit better than vertices, whatever the lobe: that is not a gain of the lobe."""
+
+    def error(spec: ModelSpec) -> float:
+        return (1e-3 if spec.per_texel == "none" else 0.2e-3) * (1 if spec.brdf == "dielectric" else 3)
+
+    selection = select(Scripted(error), ReflectanceSettings())
+    assert selection.spec == ModelSpec("dielectric", "uniform")
+    last = selection.comparisons[-1]
+    assert not last.accepted and last.spec.per_texel == "brdf" and last.gain_db == pytest.approx(0)
+
+
+def test_comparisons_are_timed_when_they_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A fit reports nothing before its first step; that time counts as its own."""
+    now = [0.0]
+    monkeypatch.setattr("hir_core.run.progress_listener.time.perf_counter", lambda: now[0])
+
+    class Slow(Scripted):
+        def fit(self, spec: ModelSpec, *others: Any) -> Any:
+            now[0] += 10 + len(self.fitted)
+            return super().fit(spec, *others)
+
+    listener = ProgressListener("reflectance", PluginManager(), None)
+    bar = StageProgress(StageContext(PluginManager(), tmp_path, {}, report=listener.report))
+    solver = Slow(lambda spec: 1e-3 if spec.bounces else 1e-2)
+    settings = ReflectanceSettings(brdf="dielectric", light_frame="world")
+    selection = select_model(FitSequence(solver, bar.selecting), settings, 48, bar)
+    ended = np.cumsum([10 + number for number in range(len(solver.fitted))])
+    timings = {"stages": {"reflectance": {"milestones": listener.milestones}}}
+    assert milestones(timings, MODEL_FITTED) == ended[:-2].tolist(), "per-texel models are compared, not fitted"
+    # three rounds, then control and no indirect light, specular and roughness map together, normals, per-texel models
+    assert milestones(timings, MODELS_COMPARED) == ended[[4, 6, 6, 7, 9]].tolist()
+    assert len(selection.comparisons) == 5
+
+
+# -- views ----------------------------------------------------------------------------------------------------------
