@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from hir_core.plugins.interfaces import GeometryRenderer, ReflectanceRenderer
     from hir_core.plugins.manager import PluginManager
 
-BASE_PROCESS_BYTES = 800 << 20
+BASE_PROCESS_BYTES = 1000 << 20
 """Python with torch, Mitsuba, Open3D and SciPy imported and their kernels compiled."""
 
 DECODED_PIXEL_BYTES = 12 + 4 + 1
@@ -27,6 +27,8 @@ DECODED_PIXEL_BYTES = 12 + 4 + 1
 
 MIN_CACHE_BYTES = 64 << 20
 MAX_DOWNSAMPLE = 8
+MAX_REDUCTIONS = 16
+"""Reductions of a component that are tried at once."""
 
 
 @dataclass(frozen=True)
@@ -99,8 +101,8 @@ def plan_memory(config: RunConfig, plugins: PluginManager, size: CaptureSize) ->
 def _smaller(plan: MemoryPlan, plugins: PluginManager, size: CaptureSize) -> MemoryPlan | None:
     """A plan with a smaller estimate for the largest stage; None if nothing can be reduced."""
     worst = max(plan.stages, key=plan.total)
-    for config, cache, change in _candidates(plan, plugins, size, worst):
-        changed = _estimated(config, plugins, size, cache, plan.limit, _with(plan.changes, change))
+    for config, cache, changed_settings in _candidates(plan, plugins, size, worst):
+        changed = _estimated(config, plugins, size, cache, plan.limit, _with(plan.changes, changed_settings))
         if changed.total(worst) < plan.total(worst):
             return changed
     return None
@@ -108,36 +110,39 @@ def _smaller(plan: MemoryPlan, plugins: PluginManager, size: CaptureSize) -> Mem
 
 def _candidates(
     plan: MemoryPlan, plugins: PluginManager, size: CaptureSize, worst: str
-) -> Iterator[tuple[RunConfig, int, str]]:
-    """Settings, bytes of the pixel cache, and a description of the change; the least harmful change first."""
+) -> Iterator[tuple[RunConfig, int, dict[str, str]]]:
+    """Settings, bytes of the pixel cache, and what changed; the least harmful change first."""
     config, used = plan.config, min(plan.cache_bytes, size.pixels * DECODED_PIXEL_BYTES)
     cache = max(MIN_CACHE_BYTES, used - (plan.total(worst) - plan.limit))
     if cache < used:
-        yield config, cache, f"cache of decoded photographs={gigabytes(cache)}"
+        yield config, cache, {"cache of decoded photographs": gigabytes(cache)}
     if worst == "reflectance":
-        name = config.reflectance.renderer
-        if options := dict(_reflectance_renderer(config, plugins).smaller()):
-            table = config.reflectance_renderer.get(name, {}) | options
-            change = ", ".join(f"reflectance_renderer.{name}.{key}={value}" for key, value in options.items())
-            yield (
-                replace(config, reflectance_renderer=config.reflectance_renderer | {name: table}),
-                plan.cache_bytes,
-                change,
-            )
+        name, changed, options = config.reflectance.renderer, config, dict[str, int]()
+        for _ in range(MAX_REDUCTIONS):  # one reduction alone may leave the largest part as it is
+            smaller = dict(_reflectance_renderer(changed, plugins).smaller())
+            if not smaller:
+                break
+            options |= smaller
+            table = changed.reflectance_renderer.get(name, {}) | options
+            changed = replace(changed, reflectance_renderer=changed.reflectance_renderer | {name: table})
+            yield changed, plan.cache_bytes, {f"reflectance_renderer.{name}.{k}": str(v) for k, v in options.items()}
     if worst == "geometry" and config.geometry.views_per_step > 1:
         fewer = replace(config.geometry, views_per_step=config.geometry.views_per_step // 2)
-        yield replace(config, geometry=fewer), plan.cache_bytes, f"geometry.views_per_step={fewer.views_per_step}"
+        yield replace(config, geometry=fewer), plan.cache_bytes, {"geometry.views_per_step": str(fewer.views_per_step)}
     if worst in ("geometry", "reflectance"):
         settings = getattr(config, worst)
         if settings.downsample * 2 <= MAX_DOWNSAMPLE:
             coarser = replace(settings, downsample=settings.downsample * 2)
-            yield replace(config, **{worst: coarser}), plan.cache_bytes, f"{worst}.downsample={coarser.downsample}"
+            yield (
+                replace(config, **{worst: coarser}),
+                plan.cache_bytes,
+                {f"{worst}.downsample": str(coarser.downsample)},
+            )
 
 
-def _with(changes: tuple[str, ...], change: str) -> tuple[str, ...]:
-    """The changes with a new one; it replaces an earlier change of the same setting."""
-    setting = change.partition("=")[0]
-    return (*(c for c in changes if c.partition("=")[0] != setting), change)
+def _with(changes: tuple[str, ...], new: Mapping[str, str]) -> tuple[str, ...]:
+    """The changes with new ones; each replaces an earlier change of the same setting."""
+    return (*(c for c in changes if c.partition("=")[0] not in new), *(f"{key}={value}" for key, value in new.items()))
 
 
 def _estimated(

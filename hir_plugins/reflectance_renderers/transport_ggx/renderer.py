@@ -69,11 +69,17 @@ class TransportGGX(ReflectanceRenderer):
         return max(fit, textures, per_texel) + options.cache_cells * 4 * options.diffuse_rows**2 * 4
 
     def smaller(self) -> dict[str, int]:
-        """Half the pixels of the fit and of the textures; not below an eighth of the default."""
-        options, minimum = self._options, TransportGGXOptions().pixels // 8
-        if options.pixels // 2 < minimum:
-            return {}
-        return {"pixels": options.pixels // 2, "texture_pixels": options.texture_pixels // 2}
+        """Half the pixels of the fit, of its mini-batches and of the textures, down to an eighth of the default; then
+        half the cells of the irradiance cache, down to a quarter.
+        """
+        options, default = self._options, TransportGGXOptions()
+        if options.pixels // 2 >= default.pixels // 8:
+            return {
+                "pixels": options.pixels // 2,
+                "block_pixels": max(1, options.block_pixels // 2),
+                "texture_pixels": options.texture_pixels // 2,
+            }
+        return {"cache_cells": options.cache_cells // 2} if options.cache_cells // 2 >= default.cache_cells // 4 else {}
 
     def prepare(self, scene: Scene, capture: Capture, downsample: int = 1) -> TransportSolver:
         """Caches transport for the scene's mesh and for lights of the size of the scene's light."""
