@@ -2,15 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from hir_core.intake.check_result import CaptureCheck
-
-if TYPE_CHECKING:
-    pass
-
 
 _MIN_HEADLIGHT_SCORE = 0.5
 

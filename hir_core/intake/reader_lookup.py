@@ -16,13 +16,14 @@ if TYPE_CHECKING:
 
 
 def find_reader(path: Path, plugins: PluginManager, name: str = "auto") -> tuple[str, CaptureReader]:
-    """The reader of that name, or with `auto` the first installed one that matches the capture."""
+    """The reader of that name, or with `auto` the first installed one that matches; readers of cameras come first."""
     if not path.exists():
         raise CaptureError(f"{path} does not exist; give the folder of a capture")
     if name != "auto":
         return name, plugins.create("capture_reader", name)
     tried = []
-    for registered in plugins.components("capture_reader"):
+    readers = plugins.components("capture_reader")
+    for registered in sorted(readers, key=lambda r: "without_cameras" in r.component.traits):
         if registered.missing:
             continue
         reader: CaptureReader = plugins.create("capture_reader", registered.component.name)

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 TRAITS: Mapping[str, Mapping[str, str]] = {
-    "capture_reader": {},
+    "capture_reader": {
+        "without_cameras": "reads photographs alone; asked after all readers that know cameras",
+    },
     "mask_source": {
         "automatic": "used without being named in the settings, for photographs without a mask",
         "needs_cameras": "runs when every view has a camera",

@@ -131,6 +131,145 @@ def blended_mvs(capture: Capture, folder: Path) -> Path:
     return folder
 
 
+def metashape(capture: Capture, folder: Path) -> Path:
+    """Cameras as XML in a chunk of scale 2, with labels without suffix."""
+    _pictures(capture, folder / "photos")
+    sensors, cameras = [], []
+    for i, (view, camera) in enumerate(zip(capture.views, capture.cameras, strict=True)):
+        k = camera.intrinsics
+        values = {"f": k[1, 1], "b1": k[0, 0] - k[1, 1]}
+        values |= {"cx": k[0, 2] - camera.width / 2, "cy": k[1, 2] - camera.height / 2}
+        lens = "".join(f"<{name}>{float(value)!r}</{name}>" for name, value in values.items())
+        size = f'<resolution width="{camera.width}" height="{camera.height}"/>'
+        sensors.append(
+            f'<sensor id="{i}" type="frame">{size}<calibration type="frame" class="adjusted">{size}{lens}'
+            "</calibration></sensor>"
+        )
+        pose = np.linalg.inv(camera.world_to_camera)
+        pose[:3, 3] /= 2
+        cameras.append(
+            f'<camera id="{i}" sensor_id="{i}" component_id="0" label="{view.name}">'
+            f"<transform>{_row(pose.reshape(-1))}</transform></camera>"
+        )
+    place = "<rotation>1 0 0 0 1 0 0 0 1</rotation><translation>0 0 0</translation><scale>2</scale>"
+    (folder / "cameras.xml").write_text(
+        f'<?xml version="1.0" encoding="UTF-8"?>\n<document version="2.0.0"><chunk label="a">'
+        f'<sensors>{"".join(sensors)}</sensors><components><component id="0"><transform>{place}</transform></component>'
+        f"</components><cameras>{''.join(cameras)}</cameras></chunk></document>\n",
+        encoding="utf-8",
+    )
+    return folder
+
+
+def reality_capture(capture: Capture, folder: Path) -> Path:
+    """XMP sidecars: lengths as shares of the longer side, the rotation of the world in the camera, the position."""
+    _pictures(capture, folder)
+    for view, camera in zip(capture.views, capture.cameras, strict=True):
+        k, side = camera.intrinsics, max(camera.width, camera.height)
+        attributes = {
+            "Version": 3,
+            "DistortionModel": "brown3",
+            "DistortionCoeficients": "0 0 0 0 0 0",
+            "FocalLength35mm": float(k[0, 0] / side * 36),
+            "Skew": 0,
+            "AspectRatio": float(k[1, 1] / k[0, 0]),
+            "PrincipalPointU": float((k[0, 2] - camera.width / 2) / side),
+            "PrincipalPointV": float((k[1, 2] - camera.height / 2) / side),
+            "Rotation": _row(camera.world_to_camera[:3, :3].reshape(-1)),
+        }
+        words = " ".join(f'xcr:{name}="{value}"' for name, value in attributes.items())
+        (folder / f"{view.name}.xmp").write_text(
+            '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
+            f'<rdf:Description xmlns:xcr="http://www.capturingreality.com/ns/xcr/1.1#" {words}>'
+            f"<xcr:Position>{_row(camera.center)}</xcr:Position></rdf:Description></rdf:RDF></x:xmpmeta>\n",
+            encoding="utf-8",
+        )
+    return folder
+
+
+def meshroom(capture: Capture, folder: Path) -> Path:
+    """cameras.sfm of version 1.2.6; all numbers are text, paths are those of another computer."""
+    _pictures(capture, folder / "images")
+    views, intrinsics, poses = [], [], []
+    for i, (view, camera) in enumerate(zip(capture.views, capture.cameras, strict=True)):
+        k = camera.intrinsics
+        path = f"D:/scans/images/{view.name}.png"
+        views.append({"viewId": str(i), "poseId": str(i), "intrinsicId": str(i), "path": path})
+        offset = [str(k[0, 2] - camera.width / 2), str(k[1, 2] - camera.height / 2)]
+        lens = {"type": "pinhole", "focalLength": str(k[0, 0] * 36 / camera.width), "sensorWidth": "36"}
+        size = {"width": str(camera.width), "height": str(camera.height)}
+        intrinsics.append({"intrinsicId": str(i), **size, **lens, "pixelRatio": "1", "principalPoint": offset})
+        rotation = [str(value) for value in camera.world_to_camera[:3, :3].T.reshape(-1)]
+        transform = {"rotation": rotation, "center": [str(value) for value in camera.center]}
+        poses.append({"poseId": str(i), "pose": {"transform": transform, "locked": "1"}})
+    content = {"version": ["1", "2", "6"], "views": views, "intrinsics": intrinsics, "poses": poses}
+    (folder / "cameras.sfm").write_text(json.dumps(content, indent=1), encoding="utf-8")
+    return folder
+
+
+def open_mvg(capture: Capture, folder: Path) -> Path:
+    """sfm_data.json with polymorphic intrinsics."""
+    _pictures(capture, folder / "images")
+    views, intrinsics, extrinsics = [], [], []
+    for i, (view, camera) in enumerate(zip(capture.views, capture.cameras, strict=True)):
+        k, size = camera.intrinsics, {"width": camera.width, "height": camera.height}
+        data = {"local_path": "", "filename": f"{view.name}.png", **size, "id_intrinsic": i, "id_pose": i}
+        views.append({"key": i, "value": {"ptr_wrapper": {"id": i, "data": data}}})
+        lens = {**size, "focal_length": k[0, 0], "principal_point": [k[0, 2], k[1, 2]], "disto_k3": [0.0, 0.0, 0.0]}
+        intrinsics.append({"key": i, "value": {"polymorphic_id": 1, "ptr_wrapper": {"id": i, "data": lens}}})
+        pose = {"rotation": camera.world_to_camera[:3, :3].tolist(), "center": camera.center.tolist()}
+        extrinsics.append({"key": i, "value": pose})
+    content = {"sfm_data_version": "0.3", "root_path": "/elsewhere", "views": views}
+    content |= {"intrinsics": intrinsics, "extrinsics": extrinsics}
+    (folder / "sfm_data.json").write_text(json.dumps(content, indent=1), encoding="utf-8")
+    return folder
+
+
+def bundler(capture: Capture, folder: Path) -> Path:
+    """bundle.out and list.txt; the format has neither principal points nor sizes."""
+    _pictures(capture, folder / "images")
+    lines = ["# Bundle file v0.3", f"{len(capture.views)} 0"]
+    for camera in capture.cameras:
+        pose = FLIP @ camera.world_to_camera
+        lines += [f"{float(camera.intrinsics[0, 0])!r} 0 0", *(_row(row[:3]) for row in pose[:3]), _row(pose[:3, 3])]
+    (folder / "bundle.out").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    names = "".join(f"images/{view.name}.png 0 500\n" for view in capture.views)
+    (folder / "list.txt").write_text(names, encoding="utf-8")
+    return folder
+
+
+def polycam(capture: Capture, folder: Path) -> Path:
+    """One JSON file for each keyframe; +Y up, cameras look along −z."""
+    _pictures(capture, folder / "keyframes" / "corrected_images")
+    cameras = folder / "keyframes" / "corrected_cameras"
+    cameras.mkdir(parents=True)
+    for view, camera in zip(capture.views, capture.cameras, strict=True):
+        pose, k = np.linalg.inv(camera.world_to_camera) @ FLIP, camera.intrinsics
+        table = {f"t_{row}{column}": float(pose[row, column]) for row in range(3) for column in range(4)}
+        table |= {"fx": k[0, 0], "fy": k[1, 1], "cx": k[0, 2], "cy": k[1, 2]}
+        table |= {"width": camera.width, "height": camera.height}
+        (cameras / f"{view.name}.json").write_text(json.dumps(table), encoding="utf-8")
+    return folder
+
+
+def record3d(capture: Capture, folder: Path) -> Path:
+    """metadata.json with one quaternion and position a frame; photographs are numbered."""
+    from scipy.spatial.transform import Rotation
+
+    poses, frames = [], []
+    for i, (view, camera) in enumerate(zip(capture.views, capture.cameras, strict=True)):
+        pose, k = np.linalg.inv(camera.world_to_camera) @ FLIP, camera.intrinsics
+        poses.append([*Rotation.from_matrix(pose[:3, :3]).as_quat().tolist(), *pose[:3, 3].tolist()])
+        frames.append([k[0, 0], k[1, 1], k[0, 2], k[1, 2]])
+        encoded = linear_to_srgb(view.pixels().color_linear)
+        write_png(folder / "rgb" / f"{i}.png", encoded.astype(np.float32))
+    first = capture.cameras[0]
+    content = {"w": first.width, "h": first.height, "K": first.intrinsics.T.reshape(-1).tolist()}
+    document = content | {"poses": poses, "perFrameIntrinsicCoeffs": frames}
+    (folder / "metadata.json").write_text(json.dumps(document), encoding="utf-8")
+    return folder
+
+
 def _pictures(capture: Capture, folder: Path, alpha: bool = False) -> None:
     for view in capture.views:
         pixels = view.pixels()

@@ -22,6 +22,7 @@ PHOTOS = Component(
     name="photos",
     target="hir_plugins.readers.photos:PhotosReader",
     summary="A folder of photographs without cameras, with or without masks.",
+    traits=frozenset({"without_cameras"}),
     testing="hir_plugins.readers.contract_inputs:photos",
 )
 
@@ -53,14 +54,80 @@ BLENDED_MVS = Component(
     testing="hir_plugins.readers.contract_inputs:blended_mvs",
 )
 
+METASHAPE = Component(
+    name="metashape",
+    target="hir_plugins.readers.metashape:MetashapeReader",
+    summary="Agisoft Metashape: cameras exported as XML.",
+    testing="hir_plugins.readers.contract_inputs:metashape",
+)
+
+REALITY_CAPTURE = Component(
+    name="reality_capture",
+    target="hir_plugins.readers.reality_capture:RealityCaptureReader",
+    summary="RealityScan and RealityCapture: XMP sidecars, or the registration as CSV.",
+    testing="hir_plugins.readers.contract_inputs:reality_capture",
+)
+
+MESHROOM = Component(
+    name="meshroom",
+    target="hir_plugins.readers.meshroom:MeshroomReader",
+    summary="Meshroom (AliceVision): cameras.sfm in JSON.",
+    testing="hir_plugins.readers.contract_inputs:meshroom",
+)
+
+OPEN_MVG = Component(
+    name="open_mvg",
+    target="hir_plugins.readers.open_mvg:OpenMvgReader",
+    summary="OpenMVG: sfm_data.json with poses.",
+    testing="hir_plugins.readers.contract_inputs:open_mvg",
+)
+
+BUNDLER = Component(
+    name="bundler",
+    target="hir_plugins.readers.bundler:BundlerReader",
+    summary="Bundler: bundle.out with its list of images.",
+    testing="hir_plugins.readers.contract_inputs:bundler",
+)
+
+POLYCAM = Component(
+    name="polycam",
+    target="hir_plugins.readers.polycam:PolycamReader",
+    summary="Polycam: the raw data export with its keyframes.",
+    testing="hir_plugins.readers.contract_inputs:polycam",
+)
+
+RECORD3D = Component(
+    name="record3d",
+    target="hir_plugins.readers.record3d:Record3DReader",
+    summary="Record3D: metadata.json with a folder rgb.",
+    testing="hir_plugins.readers.contract_inputs:record3d",
+)
+
 VIDEO = Component(
     name="video",
     target="hir_plugins.readers.video:VideoReader",
     summary="A video around the object: the sharpest frame of each of 80 equal parts; needs PyAV.",
+    traits=frozenset({"without_cameras"}),
     testing="hir_plugins.readers.contract_inputs:video",
 )
 
 
 @hookimpl
 def hir_register_capture_readers() -> list[Component]:
-    return [TRANSFORMS_JSON, COLMAP_MODEL, IDR_CAMERAS, LLFF, MIDDLEBURY, BLENDED_MVS, PHOTOS, VIDEO]
+    return [
+        TRANSFORMS_JSON,
+        COLMAP_MODEL,
+        METASHAPE,
+        REALITY_CAPTURE,
+        MESHROOM,
+        OPEN_MVG,
+        BUNDLER,
+        POLYCAM,
+        RECORD3D,
+        IDR_CAMERAS,
+        LLFF,
+        MIDDLEBURY,
+        BLENDED_MVS,
+        PHOTOS,
+        VIDEO,
+    ]

@@ -6,6 +6,7 @@ import io
 import json
 import os
 import platform
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -280,6 +281,21 @@ def blended_mvs(folder: Path) -> None:
     rows = "\n".join(" ".join(map(str, row)) for row in _POSE)
     k = "\n".join(" ".join(map(str, row)) for row in _K)
     (folder / "cams" / "00000000_cam.txt").write_text(f"extrinsic\n{rows}\n\nintrinsic\n{k}\n\n425 2.5\n")
+
+
+def scan(name: str) -> Callable[[Path], None]:
+    """The cameras of a scanning program; `name` is the reader's."""
+    from hir_plugins.readers import contract_inputs
+
+    def write(folder: Path) -> None:
+        def pixels() -> Pixels:
+            color = np.random.default_rng(1).random((48, 64, 3)).astype(np.float32)
+            return Pixels(color, None, np.zeros((48, 64), np.bool_))
+
+        views = (View("0", Camera(_K, _POSE, 64, 48), pixels),)
+        getattr(contract_inputs, name)(Capture(folder, views), folder)
+
+    return write
 
 
 def video(folder: Path) -> None:

@@ -177,6 +177,14 @@ def seeds_png() -> bytes:
         (seeds.llff, "poses_bounds.npy"),
         (seeds.middlebury, "temple_par.txt"),
         (seeds.blended_mvs, "cams/00000000_cam.txt"),
+        (seeds.scan("metashape"), "cameras.xml"),
+        (seeds.scan("reality_capture"), "0.xmp"),
+        (seeds.scan("meshroom"), "cameras.sfm"),
+        (seeds.scan("open_mvg"), "sfm_data.json"),
+        (seeds.scan("bundler"), "bundle.out"),
+        (seeds.scan("bundler"), "list.txt"),
+        (seeds.scan("polycam"), "keyframes/corrected_cameras/0.json"),
+        (seeds.scan("record3d"), "metadata.json"),
     ],
 )
 def test_a_pipe_in_a_capture_does_not_block(fill: Callable[[Path], None], file: str, tmp_path: Path) -> None:

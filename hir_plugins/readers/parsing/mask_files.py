@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
 
+from hir_core.capture import View
 from hir_plugins.readers.parsing.capture_paths import PHOTO_SUFFIXES
 
 FOLDERS = ("masks", "mask", "Masks", "Mask", "object_mask", "silhouettes")
@@ -17,7 +19,8 @@ _AFFIXES = ("", "mask", "masks", "alpha", "matte", "silhouette", "seg")
 def match_mask(photo: Path, masks: Iterable[Path]) -> Path | None:
     """The mask of `photo` among files of the same name, without suffixes and words such as "mask"; case is ignored.
 
-    `a.jpg` matches `a.png`, `A.PNG`, `a.jpg.png`, `a_mask.png`, `mask-a.png`, in this order of preference.
+    `a.jpg` matches `a.png`, `A.PNG`, `a.jpg.png`, `a_mask.png`, `mask-a.png`, in this order of preference; a photograph
+    that is a number, such as `000000.png` of DTU, matches the only mask of that number, such as `000.png`.
     """
     return MaskIndex(masks).match(photo)
 
@@ -28,10 +31,14 @@ class MaskIndex:
     def __init__(self, masks: Iterable[Path]) -> None:
         self._by_stem: dict[str, list[Path]] = {}
         self._by_plain_name: dict[str, list[Path]] = {}
+        self._by_number: dict[int, list[Path]] = {}
         for mask in sorted(masks):
             if mask.suffix.lower() in PHOTO_SUFFIXES:
                 self._by_stem.setdefault(mask.stem, []).append(mask)
-                self._by_plain_name.setdefault(_name_without_affixes(mask.stem), []).append(mask)
+                plain = _name_without_affixes(mask.stem)
+                self._by_plain_name.setdefault(plain, []).append(mask)
+                if _is_number(plain):
+                    self._by_number.setdefault(int(plain), []).append(mask)
 
     def match(self, photo: Path) -> Path | None:
         """As `match_mask`."""
@@ -40,7 +47,8 @@ class MaskIndex:
             for mask in found:
                 if mask != photo:
                     return mask
-        return None
+        same = self._by_number.get(int(photo.stem), []) if _is_number(photo.stem) else []
+        return same[0] if len(same) == 1 and same[0] != photo else None
 
 
 def find_mask(photo: Path, capture: Path) -> Path | None:
@@ -89,6 +97,23 @@ def _indexed(folder: Path) -> MaskIndex:
         return _index_at(folder, folder.stat().st_mtime_ns) if folder.is_dir() else MaskIndex(())
     except OSError:
         return MaskIndex(())
+
+
+def warn_of_matches_by_number(views: Iterable[View]) -> None:
+    """Says once which masks were matched by number only, such as `000.png` for `000000.png` in folders of DTU."""
+    pairs = [(view.path, view.mask_path) for view in views if view.path is not None and view.mask_path is not None]
+    matched = [(p, m) for p, m in pairs if _name_without_affixes(p.stem) != _name_without_affixes(m.stem)]
+    if matched:
+        photo, mask = matched[0]
+        warnings.warn(
+            f"{len(matched)} masks are matched by number, such as {mask.name} with {photo.name}; if that is wrong, "
+            "name masks like their photographs",
+            stacklevel=3,
+        )
+
+
+def _is_number(stem: str) -> bool:
+    return stem.isascii() and stem.isdecimal() and len(stem) < 19
 
 
 def _name_without_affixes(stem: str) -> str:

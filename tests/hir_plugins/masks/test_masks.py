@@ -36,12 +36,20 @@ from tests.fixtures.silhouette_captures import StoredPixels, coverage, dome, hit
         ("a.jpg", "mask-a.png"),
         ("DSC1.jpeg", "dsc1.tif"),
         ("r_0.png", "r_0.png"),
+        ("000007.png", "007.png"),
+        ("000007.png", "7_mask.png"),
     ],
 )
 def test_names_match_tolerantly(photo: str, mask: str) -> None:
     masks = [Path("masks") / mask, Path("masks/other.png"), Path("masks/a10.png"), Path("masks/notes.txt")]
     assert match_mask(Path("images") / photo, masks) == masks[0]
     assert match_mask(Path("images/b.jpg"), masks) is None
+
+
+def test_a_number_that_two_masks_have_matches_none() -> None:
+    masks = [Path("masks/007.png"), Path("masks/07.png")]
+    assert match_mask(Path("images/000007.png"), masks) is None
+    assert match_mask(Path("images/007.png"), masks) == masks[0]
 
 
 def capture_with(folder: Path, masks: dict[str, np.ndarray]) -> Capture:

@@ -80,6 +80,18 @@ def test_a_point_lands_on_its_pixel(picture: Path, name: str) -> None:
         reader.read(picture, "test")
 
 
+def test_masks_of_dtu_are_matched_by_number_and_it_says_so(picture: Path) -> None:
+    """`mask/000.png` beside `image/000000.png`."""
+    reader = idr(picture)
+    (picture / "images").rename(picture / "image")
+    (picture / "image" / "a.png").rename(picture / "image" / "000000.png")
+    (picture / "mask").mkdir()
+    shutil.copy(picture / "image" / "000000.png", picture / "mask" / "000.png")
+    with pytest.warns(UserWarning, match=r"1 masks are matched by number, such as 000.png with 000000.png; if that is"):
+        view = reader.read(picture).views[0]
+    assert view.mask_path == picture / "mask" / "000.png"
+
+
 def test_the_unit_ball_of_idr_is_the_unit_ball(picture: Path) -> None:
     capture = idr(picture).read(picture)
     # the ball of radius 2 around (0.3, 0, 0)

@@ -1,0 +1,102 @@
+"""Bundler: `bundle.out` and its list of images.
+
+Cameras look along −z with y up, and pixels are counted from the middle of the image with y up (Bundler v0.3, user
+manual).
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import final
+
+import numpy as np
+from hir_exporters.files.regular_files import refuse_special_file
+
+from hir_core.capture import Capture
+from hir_core.errors import CaptureError
+from hir_core.plugins import NoOptions
+from hir_core.plugins.interfaces import CaptureReader
+from hir_plugins.readers.parsing.camera_axes import OPENCV_FROM_OPENGL, rigid_transform
+from hir_plugins.readers.parsing.capture_paths import MAX_TEXT_BYTES
+from hir_plugins.readers.parsing.lens_camera import LensCamera
+from hir_plugins.readers.parsing.picture_decoding import photo_size
+from hir_plugins.readers.parsing.posed_photos import PhotoFinder, PosedPhoto, posed_capture, refuse_split
+from hir_plugins.readers.parsing.xml_files import file_head
+
+_HEADER = b"# Bundle file"
+
+
+@final
+class BundlerReader(CaptureReader):
+    """Five lines a camera: focal length and two radial coefficients, the rotation, the translation."""
+
+    def __init__(self, config: NoOptions) -> None:
+        del config
+
+    def matches(self, path: Path) -> bool:
+        """A folder with a bundle file."""
+        return path.is_dir() and _file(path) is not None
+
+    def splits(self, path: Path) -> list[str]:
+        """Only "train"."""
+        return ["train"]
+
+    def read(self, path: Path, split: str = "train") -> Capture:
+        """Registered cameras in the order of the file; the world is rotated upright."""
+        refuse_split(path, split)
+        source = _file(path)
+        if source is None:
+            raise CaptureError(f"{path} has no bundle file; put bundle.out and its list of images into this folder")
+        blocks = _blocks(source)
+        names = _names(path, source, len(blocks))
+        finder = PhotoFinder(path)
+        cameras = []
+        for name, block in zip(names, blocks, strict=True):
+            owner = f"{source}, {name!r}"
+            focal, k1, k2 = block[0]
+            if focal == 0:  # not registered
+                continue
+            pose = np.concatenate([block[1:4], block[4][:, None]], axis=1)
+            width, height = photo_size(finder.find(name, owner))
+            lens = LensCamera(focal, focal, width / 2, height / 2, width, height, (k1, k2, 0.0, 0.0))
+            cameras.append(PosedPhoto(name, owner, lens, OPENCV_FROM_OPENGL @ rigid_transform(pose, owner)))
+        return posed_capture(path, "bundler", cameras)
+
+
+def _file(path: Path) -> Path | None:
+    usual = [path / "bundle.out", path / "bundle" / "bundle.out", *sorted(path.glob("*.out"))[:20]]
+    return next((file for file in usual if file_head(file).startswith(_HEADER)), None)
+
+
+def _blocks(source: Path) -> np.ndarray:
+    """(N, 5, 3): the five lines of each camera."""
+    lines = _text(source).splitlines()[1:]
+    try:
+        count = int(lines[0].split()[0])
+        rows = [[float(word) for word in line.split()] for line in lines[1 : 1 + 5 * count]]
+        blocks = np.array(rows, dtype=np.float64).reshape(count, 5, 3)
+    except (ValueError, IndexError, OverflowError, MemoryError):
+        raise CaptureError(f"{source} needs five lines of three numbers for each camera; export it again") from None
+    if not np.isfinite(blocks).all():
+        raise CaptureError(f"{source} contains NaN or infinite values; export the cameras again")
+    return blocks
+
+
+def _names(path: Path, source: Path, count: int) -> list[str]:
+    lists = [folder / "list.txt" for folder in (source.parent, path)] + sorted(path.glob("*list*.txt"))[:20]
+    for file in dict.fromkeys(lists):
+        if file.is_file():
+            lines = [line.strip() for line in _text(file).splitlines() if line.strip()]
+            # a line may end with the focal length from EXIF: "a.jpg 0 2844.4"
+            names = [re.sub(r"\s+0(\s+[-+.\deE]+)?$", "", line) for line in lines]
+            if len(names) == count:
+                return names
+    raise CaptureError(f"{source} has {count} cameras; put list.txt with the names of as many images beside it")
+
+
+def _text(path: Path) -> str:
+    if path.stat().st_size > MAX_TEXT_BYTES:
+        raise CaptureError(f"{path} is larger than {MAX_TEXT_BYTES >> 20} MB; it is not a camera file")
+    refuse_special_file(path)
+    return path.read_text(encoding="utf-8", errors="replace")

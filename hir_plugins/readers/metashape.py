@@ -1,0 +1,163 @@
+"""Agisoft Metashape: cameras exported as XML (File, Export, Export Cameras), beside the photographs.
+
+Camera model: appendix C of the Metashape Professional user manual. Camera axes are OpenCV's; principal points are
+offsets from the middle of the image.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import final
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from hir_core.capture import Array, Capture
+from hir_core.errors import CaptureError
+from hir_core.plugins import NoOptions
+from hir_core.plugins.interfaces import CaptureReader
+from hir_plugins.readers.parsing.camera_axes import rigid_inverse, rigid_transform
+from hir_plugins.readers.parsing.lens_camera import LensCamera
+from hir_plugins.readers.parsing.posed_photos import PosedPhoto, posed_capture, refuse_split
+from hir_plugins.readers.parsing.xml_files import file_head, read_xml
+
+EARTH_DISTANCE = 1e5
+"""Longer translations, in metres, place the object on the Earth. They are dropped: float32 is too coarse for them."""
+
+LARGEST_SKEW_PIXELS = 0.5
+"""Skew (`b2`) up to this is neglected: it moves pixels by less than half of it."""
+
+
+@final
+class MetashapeReader(CaptureReader):
+    """The first chunk with aligned cameras; cameras that are disabled or not aligned are left out."""
+
+    def __init__(self, config: NoOptions) -> None:
+        del config
+
+    def matches(self, path: Path) -> bool:
+        """A folder with an XML file that has a chunk."""
+        return path.is_dir() and _file(path) is not None
+
+    def splits(self, path: Path) -> list[str]:
+        """Only "train"."""
+        return ["train"]
+
+    def read(self, path: Path, split: str = "train") -> Capture:
+        """Cameras in the chunk's world, in metres if the chunk has a scale; then rotated upright."""
+        refuse_split(path, split)
+        source = _file(path)
+        if source is None:
+            raise CaptureError(f"{path} has no cameras of Metashape; export them as XML into this folder")
+        chunks = [chunk for chunk in read_xml(source).iter("chunk") if _aligned(chunk)]
+        if not chunks:
+            raise CaptureError(f"{source} has no aligned camera; align the photographs and export the cameras again")
+        return posed_capture(path, "metashape", _cameras(chunks[0], source))
+
+
+def _file(path: Path) -> Path | None:
+    return next((f for f in sorted(path.glob("*.xml"))[:20] if b"<chunk" in file_head(f)), None)
+
+
+def _aligned(chunk: Element) -> list[Element]:
+    return [
+        camera
+        for camera in chunk.iterfind(".//cameras//camera")
+        if camera.find("transform") is not None and camera.get("enabled", "1") not in ("0", "false")
+    ]
+
+
+def _cameras(chunk: Element, source: Path) -> list[PosedPhoto]:
+    lenses = {s.get("id"): s for s in chunk.iterfind(".//sensors//sensor")}
+    components = {c.get("id"): c for c in chunk.iterfind(".//components//component")}
+    found = []
+    for camera in _aligned(chunk):
+        label = camera.get("label") or ""
+        owner = f"{source}, camera {label!r}"
+        sensor = lenses.get(camera.get("sensor_id"))
+        if sensor is None:
+            raise CaptureError(f"{owner} has no sensor; export the cameras again")
+        pose = rigid_transform(np.reshape(_numbers(camera.find("transform"), 16, owner), (4, 4)), owner)
+        component = components.get(camera.get("component_id"))
+        place = chunk.find("transform") if component is None else component.find("transform")
+        found.append(PosedPhoto(label, owner, _lens(sensor, owner), rigid_inverse(_in_world(pose, place, owner))))
+    return found
+
+
+def _in_world(pose: Array, place: Element | None, owner: str) -> Array:
+    """A camera's pose in the world of a chunk's rotation, translation and scale; one that has none stays as it is."""
+    if place is None:
+        return pose
+    parts = [place.find(name) for name in ("rotation", "translation", "scale")]
+    if any(part is None for part in parts):
+        return pose
+    rotation = rigid_transform(
+        np.concatenate([np.reshape(_numbers(parts[0], 9, owner), (3, 3)), np.zeros((3, 1))], axis=1), owner
+    )
+    translation, scale = np.array(_numbers(parts[1], 3, owner)), _numbers(parts[2], 1, owner)[0]
+    if scale <= 0:
+        raise CaptureError(f"{owner}: the scale {scale:g} of its chunk is not positive; export the cameras again")
+    if np.linalg.norm(translation) > EARTH_DISTANCE:
+        translation = np.zeros(3)
+    result = rotation @ pose
+    result[:3, 3] = scale * (rotation[:3, :3] @ pose[:3, 3]) + translation
+    return result
+
+
+def _lens(sensor: Element, owner: str) -> LensCamera:
+    kind = sensor.get("type", "frame")
+    if kind not in ("frame", "fisheye"):
+        raise CaptureError(f"{owner}: the sensor type {kind!r} is not supported; use frame or fisheye photographs")
+    calibrations = sensor.findall("calibration")
+    calibration = next(
+        (c for c in calibrations if c.get("class") == "adjusted"), calibrations[-1] if calibrations else None
+    )
+    size = None if calibration is None else calibration.find("resolution")
+    size = sensor.find("resolution") if size is None else size
+    if calibration is None or size is None or calibration.find("f") is None:
+        raise CaptureError(f"{owner}: its sensor has no calibration with a focal length; export the cameras again")
+    width, height = (_number(size.get(key), owner) for key in ("width", "height"))
+    names = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
+    value = {name: _number(calibration.findtext(name, "0"), owner) for name in names}
+    unsupported = ("p3", "p4") if kind == "frame" else ("p1", "p2", "p3", "p4")
+    if kind == "frame":
+        unsupported = ("k4", *unsupported)
+    used = [name for name in unsupported if value[name]]
+    if used or abs(value["b2"]) > LARGEST_SKEW_PIXELS:
+        named = ", ".join(used or ["b2"])
+        raise CaptureError(
+            f"{owner}: the lens uses {named}, which is not supported; optimize the cameras without it, or export "
+            "undistorted photographs"
+        )
+    if kind == "frame":  # Metashape's p1 acts along x, OpenCV's along y
+        coefficients = tuple(value[name] for name in ("k1", "k2", "p2", "p1", "k3"))
+    else:
+        coefficients = tuple(value[name] for name in ("k1", "k2", "k3", "k4"))
+    return LensCamera(
+        value["f"] + value["b1"],
+        value["f"],
+        width / 2 + value["cx"],
+        height / 2 + value["cy"],
+        width,
+        height,
+        coefficients,
+        "radial" if kind == "frame" else "fisheye",
+    )
+
+
+def _numbers(element: Element | None, count: int, owner: str) -> list[float]:
+    words = (element.text or "").split() if element is not None else []
+    if len(words) != count:
+        raise CaptureError(f"{owner}: {len(words)} numbers where {count} are expected; export the cameras again")
+    return [_number(word, owner) for word in words]
+
+
+def _number(text: str | None, owner: str) -> float:
+    try:
+        value = float(text or "")
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise CaptureError(f"{owner}: {text!r} is not a finite number; export the cameras again")
+    return value

@@ -1,0 +1,103 @@
+"""OpenMVG: `sfm_data.json` with views, intrinsics and extrinsics (OpenMVG documentation, "SfM data")."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final, final
+
+import numpy as np
+
+from hir_core.capture import Array, Capture
+from hir_core.errors import CaptureError
+from hir_core.plugins import NoOptions
+from hir_core.plugins.interfaces import CaptureReader
+from hir_plugins.readers.parsing.camera_axes import rigid_transform
+from hir_plugins.readers.parsing.json_fields import number_field, read_json
+from hir_plugins.readers.parsing.lens_camera import LensCamera
+from hir_plugins.readers.parsing.posed_photos import PosedPhoto, posed_capture, refuse_split
+
+_FILES: Final = ("sfm_data.json", "sfm_data_expanded.json")
+_LENSES: Final = {"disto_k1": 1, "disto_k3": 3, "disto_t2": 5, "fisheye": 4}
+"""Name of the list of coefficients for each lens model, and its length."""
+
+
+@final
+class OpenMvgReader(CaptureReader):
+    """Views whose pose and intrinsic are in the file."""
+
+    def __init__(self, config: NoOptions) -> None:
+        del config
+
+    def matches(self, path: Path) -> bool:
+        """A folder with sfm_data.json."""
+        return path.is_dir() and _file(path) is not None
+
+    def splits(self, path: Path) -> list[str]:
+        """Only "train"."""
+        return ["train"]
+
+    def read(self, path: Path, split: str = "train") -> Capture:
+        """Views in the order of the file; the world is rotated upright."""
+        refuse_split(path, split)
+        source = _file(path)
+        if source is None:
+            raise CaptureError(f"{path} has no sfm_data.json; put that file of OpenMVG into this folder")
+        content = read_json(source)
+        intrinsics, poses = _entries(content, "intrinsics", source), _entries(content, "extrinsics", source)
+        cameras = []
+        for view in _entries(content, "views", source).values():
+            name = f"{view.get('local_path') or ''}/{view.get('filename') or ''}"
+            owner = f"{source}, {view.get('filename')!r}"
+            pose, intrinsic = poses.get(str(view.get("id_pose"))), intrinsics.get(str(view.get("id_intrinsic")))
+            if pose is None or intrinsic is None:  # not reconstructed
+                continue
+            cameras.append(PosedPhoto(name, owner, _lens(intrinsic, owner), _pose(pose, owner)))
+        return posed_capture(path, "open_mvg", cameras)
+
+
+def _file(path: Path) -> Path | None:
+    return next((path / name for name in _FILES if (path / name).is_file()), None)
+
+
+def _entries(content: Mapping[str, object], key: str, source: Path) -> dict[str, dict[str, object]]:
+    """The values of a list of (key, value); cereal wraps polymorphic values into `ptr_wrapper.data`."""
+    entries = content.get(key, [])
+    found: dict[str, dict[str, object]] = {}
+    for entry in entries if isinstance(entries, list) else [None]:
+        value = entry.get("value") if isinstance(entry, dict) else None
+        wrapper = value.get("ptr_wrapper") if isinstance(value, dict) else None
+        data = wrapper.get("data") if isinstance(wrapper, dict) else value
+        if not isinstance(entry, dict) or not isinstance(data, dict) or not isinstance(entry.get("key"), int):
+            raise CaptureError(f"{source}: {key!r} is not a list of keys and values; export the file again")
+        found[str(entry["key"])] = data
+    return found
+
+
+def _pose(entry: Mapping[str, object], owner: str) -> Array:
+    try:
+        rotation = np.array(entry.get("rotation"), dtype=np.float64).reshape(3, 3)
+        center = np.array(entry.get("center"), dtype=np.float64).reshape(3)
+    except (TypeError, ValueError, OverflowError):
+        raise CaptureError(f"{owner}: its pose needs a 3×3 rotation and a centre; export the file again") from None
+    return rigid_transform(np.concatenate([rotation, -(rotation @ center)[:, None]], axis=1), owner)
+
+
+def _lens(table: Mapping[str, object], owner: str) -> LensCamera:
+    focal = number_field(table, "focal_length", owner)
+    width, height = number_field(table, "width", owner), number_field(table, "height", owner)
+    point = table.get("principal_point")
+    if not focal or not width or not height or not isinstance(point, list) or len(point) != 2:
+        raise CaptureError(f"{owner}: its intrinsic needs width, height, focal_length and principal_point")
+    cx, cy = (number_field({"principal_point": value}, "principal_point", owner, 0.0) or 0.0 for value in point)
+    key = next((name for name in table if name.startswith("disto") or name == "fisheye"), None)
+    if key is None:
+        return LensCamera(focal, focal, cx, cy, width, height)
+    values = table[key]
+    if not isinstance(values, list) or len(values) != _LENSES.get(key):
+        raise CaptureError(f"{owner}: the lens model {key!r} is not supported; undistort the photographs")
+    numbers = [number_field({key: value}, key, owner, 0.0) or 0.0 for value in values]
+    if key == "fisheye":
+        return LensCamera(focal, focal, cx, cy, width, height, tuple(numbers), "fisheye")
+    k1, k2, k3, t1, t2 = [*numbers, 0.0, 0.0, 0.0, 0.0][:5]
+    return LensCamera(focal, focal, cx, cy, width, height, (k1, k2, t1, t2, k3))

@@ -1,0 +1,115 @@
+"""Photographs with cameras that another program estimated: finds their files and makes the capture."""
+
+from __future__ import annotations
+
+import os
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hir_core.capture import Array, Capture
+from hir_core.errors import CaptureError
+from hir_plugins.readers.parsing.capture_paths import PHOTO_SUFFIXES, contained_path, unique_names
+from hir_plugins.readers.parsing.lens_camera import LensCamera, make_view
+from hir_plugins.readers.parsing.mask_files import FOLDERS as MASK_FOLDERS
+from hir_plugins.readers.parsing.mask_files import find_mask, warn_of_matches_by_number
+from hir_plugins.readers.parsing.upright import upright_rotation
+
+MAX_DEPTH = 4
+"""Folders below the capture in which photographs are looked for."""
+
+MAX_FILES = 200_000
+"""Files of a capture's folder that are listed."""
+
+
+@dataclass(frozen=True, eq=False)
+class PosedPhoto:
+    """One camera of the file."""
+
+    name: str
+    """The photograph as the file names it: a label, a file name or a path on another computer."""
+    owner: str
+    """The file and the entry, for messages."""
+    lens: LensCamera
+    world_to_camera: Array
+    """4×4, OpenCV axes."""
+
+
+class PhotoFinder:
+    """Finds photographs below a folder by name, because other programs store paths of the computer they ran on."""
+
+    def __init__(self, capture: Path) -> None:
+        self._capture = capture
+        self._by_name: dict[str, list[Path]] = defaultdict(list)
+        for path in _photos(capture):
+            for name in {path.name.lower(), path.stem.lower()}:
+                self._by_name[name].append(path)
+
+    def find(self, name: str, owner: str) -> Path:
+        """The file of that name, with or without suffix; of several, the one whose folders agree with the name's."""
+        parts = [part for part in name.replace("\\", "/").split("/") if part not in ("", ".")]
+        last = parts[-1].lower() if parts else ""
+        found = self._by_name.get(last, [])
+        if not found:
+            raise CaptureError(
+                f"{owner} names the image {name!r}, which is not in {self._capture}; add the file or remove its entry"
+            )
+        agreements = [_common_folders(path, parts) for path in found]
+        best = [path for path, agreement in zip(found, agreements, strict=True) if agreement == max(agreements)]
+        if len(best) > 1:
+            raise CaptureError(
+                f"{owner}: the image {name!r} may be {best[0]} or {best[1]}; keep only one of them in {self._capture}"
+            )
+        return contained_path(self._capture, best[0].relative_to(self._capture).as_posix(), self._capture)
+
+
+def posed_capture(path: Path, reader: str, cameras: Sequence[PosedPhoto], world: Array | None = None) -> Capture:
+    """The capture of these cameras. `world` (4×4) maps the file's world to +Y up; without it the world is rotated
+    upright by the cameras.
+    """
+    if not cameras:
+        raise CaptureError(
+            f"{path} has no photograph with a camera; align the photographs and export the cameras again"
+        )
+    finder = PhotoFinder(path)
+    photos = [finder.find(camera.name, camera.owner) for camera in cameras]
+    views = [
+        make_view(name, photo, camera.lens, camera.world_to_camera, camera.owner, find_mask(photo, path))
+        for camera, photo, name in zip(cameras, photos, unique_names(photos, path), strict=True)
+    ]
+    warn_of_matches_by_number(views)
+    capture = Capture(path=path, views=tuple(views), world_from_source=np.eye(4), reader=reader)
+    return capture.transformed(upright_rotation([c.world_to_camera for c in cameras]) if world is None else world)
+
+
+def refuse_split(path: Path, split: str) -> None:
+    """A `CaptureError` for every split but "train"."""
+    if split != "train":
+        raise CaptureError(f"{path} has no split {split!r}; read 'train', the only split of these cameras")
+
+
+def _photos(capture: Path) -> list[Path]:
+    found: list[Path] = []
+    listed = 0
+    for folder, subfolders, files in os.walk(capture):
+        depth = len(Path(folder).relative_to(capture).parts)
+        keep = sorted(s for s in subfolders if s not in MASK_FOLDERS and not s.startswith(".") and depth < MAX_DEPTH)
+        subfolders[:] = [s for s in keep if not s.endswith(("_mask", "_masks"))]
+        listed += len(files)
+        if listed > MAX_FILES:
+            raise CaptureError(f"{capture} has more than {MAX_FILES} files; give the capture a folder of its own")
+        found += [Path(folder) / file for file in sorted(files) if Path(file).suffix.lower() in PHOTO_SUFFIXES]
+    return found
+
+
+def _common_folders(path: Path, parts: Sequence[str]) -> int:
+    """Number of folders, from the last, that a file and a name have in common."""
+    count = 0
+    for own, named in zip(reversed(path.parts[:-1]), reversed(parts[:-1]), strict=False):
+        if own.lower() != named.lower():
+            break
+        count += 1
+    return count

@@ -1,0 +1,175 @@
+"""RealityScan and RealityCapture: XMP sidecars beside the photographs, or the registration as CSV.
+
+XMP: "RealityCapture XMP Camera Math" (Capturing Reality, knowledge base): x = R (X − position), lengths as shares of
+the longer side of the image. CSV: "Internal/External camera parameters"; its angles as nerfstudio reads them.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final, final
+from xml.etree.ElementTree import Element
+
+import numpy as np
+from hir_exporters.files.regular_files import refuse_special_file
+from scipy.spatial.transform import Rotation
+
+from hir_core.capture import Array, Capture
+from hir_core.errors import CaptureError
+from hir_core.plugins import NoOptions
+from hir_core.plugins.interfaces import CaptureReader
+from hir_plugins.readers.parsing.camera_axes import OPENCV_FROM_OPENGL, rigid_inverse, rigid_transform
+from hir_plugins.readers.parsing.capture_paths import MAX_TEXT_BYTES, PHOTO_SUFFIXES
+from hir_plugins.readers.parsing.lens_camera import LensCamera
+from hir_plugins.readers.parsing.picture_decoding import photo_size
+from hir_plugins.readers.parsing.posed_photos import PhotoFinder, PosedPhoto, posed_capture, refuse_split
+from hir_plugins.readers.parsing.xml_files import file_head, read_xml
+
+_NAMESPACE: Final = "http://www.capturingreality.com/ns/xcr/1.1#"
+_COLUMNS: Final = ("x", "y", "alt", "heading", "pitch", "roll", "f")
+FILM_WIDTH_MM = 36.0
+"""Focal lengths are those of a 35 mm camera, whose longer side this is."""
+LARGEST_SKEW = 1e-4
+"""Skew up to this share of the image's longer side is neglected."""
+
+
+@final
+class RealityCaptureReader(CaptureReader):
+    """XMP sidecars if there are any, because they hold exact rotations; otherwise the CSV."""
+
+    def __init__(self, config: NoOptions) -> None:
+        del config
+
+    def matches(self, path: Path) -> bool:
+        """A folder with such a sidecar, also one folder below, or with such a CSV."""
+        return path.is_dir() and (_table(path) is not None or next(_sidecars(path), None) is not None)
+
+    def splits(self, path: Path) -> list[str]:
+        """Only "train"."""
+        return ["train"]
+
+    def read(self, path: Path, split: str = "train") -> Capture:
+        """Registered photographs in the order of their names; the world is rotated upright."""
+        refuse_split(path, split)
+        finder = PhotoFinder(path)
+        cameras = [camera for file in _sidecars(path) if (camera := _from_sidecar(path, file)) is not None]
+        table = _table(path)
+        if not cameras and table is not None:
+            cameras = _from_table(table, finder)
+        return posed_capture(path, "reality_capture", cameras)
+
+
+def _sidecars(path: Path) -> Iterator[Path]:
+    """XMP files of this program that belong to a photograph; other programs write XMP files too."""
+    for folder in (path, *sorted(p for p in path.iterdir() if p.is_dir() and not p.name.startswith("."))):
+        for file in sorted(folder.glob("*.xmp")):
+            if _NAMESPACE.encode() in file_head(file) and _photo_of(file) is not None:
+                yield file
+
+
+def _photo_of(sidecar: Path) -> Path | None:
+    names = (sidecar.with_suffix(suffix) for suffix in PHOTO_SUFFIXES)
+    return next((p for name in names for p in (name, name.with_suffix(name.suffix.upper())) if p.is_file()), None)
+
+
+def _from_sidecar(path: Path, file: Path) -> PosedPhoto | None:
+    photo = _photo_of(file)
+    description = next((e for e in read_xml(file).iter() if _field(e, "FocalLength35mm") is not None), None)
+    if photo is None or description is None or _field(description, "Rotation") is None:
+        return None  # not registered
+    owner = str(file)
+    rotation = np.reshape(_numbers(description, "Rotation", 9, owner), (3, 3))
+    position = np.array(_numbers(description, "Position", 3, owner))
+    pose = rigid_transform(np.concatenate([rotation, -(rotation @ position)[:, None]], axis=1), owner)
+    (skew,), (aspect,) = (_numbers(description, n, 1, owner, d) for n, d in (("Skew", "0"), ("AspectRatio", "1")))
+    if abs(skew) > LARGEST_SKEW:
+        raise CaptureError(f"{owner}: the skew {skew:g} is not supported; align the photographs with square pixels")
+    (focal,) = _numbers(description, "FocalLength35mm", 1, owner)
+    (u,), (v,) = (_numbers(description, name, 1, owner, "0") for name in ("PrincipalPointU", "PrincipalPointV"))
+    model = _field(description, "DistortionModel") or "perspective"
+    lens = _numbers(description, "DistortionCoeficients", 6, owner, "0 0 0 0 0 0")  # their spelling
+    if any(lens) and not model.startswith("brown"):
+        raise CaptureError(f"{owner}: the lens model {model!r} is not supported; align with the model Brown3")
+    name = photo.relative_to(path).as_posix()
+    return PosedPhoto(name, owner, _lens(photo, focal / FILM_WIDTH_MM, aspect, u, v, lens, owner), pose)
+
+
+def _table(path: Path) -> Path | None:
+    """The CSV whose header names the columns; a line `#cameras N` may stand before it."""
+    for file in sorted(path.glob("*.csv"))[:20]:
+        if any(line.startswith(b"#name,") for line in file_head(file).splitlines()[:2]):
+            return file
+    return None
+
+
+def _from_table(source: Path, finder: PhotoFinder) -> list[PosedPhoto]:
+    if source.stat().st_size > MAX_TEXT_BYTES:
+        raise CaptureError(f"{source} is larger than {MAX_TEXT_BYTES >> 20} MB; it is not a camera file")
+    refuse_special_file(source)
+    lines = source.read_text(encoding="utf-8-sig", errors="replace").splitlines()
+    start = next(i for i, line in enumerate(lines) if line.startswith("#name,"))
+    header = [name.strip() for name in lines[start][1:].split(",")]
+    missing = [name for name in _COLUMNS if name not in header]
+    if missing:
+        raise CaptureError(
+            f"{source} has no column {missing[0]!r}; export the registration as Internal/External camera parameters"
+        )
+    cameras = []
+    for row in csv.reader(line for line in lines[start + 1 :] if line.strip()):
+        owner = f"{source}, {row[0]!r}"
+        value = {key: _finite(text, owner) for key, text in zip(header[1:], row[1:], strict=False)}
+        if any(name not in value for name in _COLUMNS):
+            raise CaptureError(f"{owner}: the line has {len(row)} of {len(header)} columns; export it again")
+        pose = np.eye(4)
+        pose[:3, :3] = _rotation(value["heading"], value["pitch"], value["roll"])
+        pose[:3, 3] = [value["x"], value["y"], value["alt"]]
+        lens = [value.get(name, 0.0) for name in ("k1", "k2", "k3", "k4", "t1", "t2")]
+        u, v = (value.get(name, 0.0) / FILM_WIDTH_MM for name in ("px", "py"))
+        camera = _lens(finder.find(row[0], owner), value["f"] / FILM_WIDTH_MM, 1.0, u, v, lens, owner)
+        world_to_camera = OPENCV_FROM_OPENGL @ rigid_inverse(rigid_transform(pose, owner))
+        cameras.append(PosedPhoto(row[0], owner, camera, world_to_camera))
+    return cameras
+
+
+def _rotation(heading: float, pitch: float, roll: float) -> Array:
+    """Camera (axes as OpenGL's) to world (+Z up), from degrees: heading about −z, pitch about x, roll about y."""
+    return np.asarray(Rotation.from_euler("ZXY", [-heading, pitch, roll], degrees=True).as_matrix())
+
+
+def _lens(
+    photo: Path, focal: float, aspect: float, u: float, v: float, coefficients: list[float], owner: str
+) -> LensCamera:
+    """From lengths that are shares of the longer side, and k1 k2 k3 k4 t1 t2."""
+    k1, k2, k3, k4, t1, t2 = coefficients
+    if k4:
+        raise CaptureError(f"{owner}: the lens uses k4, which is not supported; align with the model Brown3")
+    width, height = photo_size(photo)
+    side = max(width, height)
+    center = (width / 2 + u * side, height / 2 + v * side)
+    return LensCamera(focal * side, focal * aspect * side, *center, width, height, (k1, k2, t1, t2, k3))
+
+
+def _field(element: Element, name: str) -> str | None:
+    """A property of the XMP, which is an attribute or an element of its own."""
+    value = element.get(f"{{{_NAMESPACE}}}{name}")
+    return element.findtext(f"{{{_NAMESPACE}}}{name}") if value is None else value
+
+
+def _numbers(element: Element, name: str, count: int, owner: str, default: str | None = None) -> list[float]:
+    words = (_field(element, name) or default or "").split()
+    if len(words) != count:
+        raise CaptureError(f"{owner}: {name} has {len(words)} numbers, not {count}; export the metadata again")
+    return [_finite(word, owner) for word in words]
+
+
+def _finite(text: str, owner: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise CaptureError(f"{owner}: {text!r} is not a finite number; export the cameras again")
+    return value
