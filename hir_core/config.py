@@ -82,6 +82,9 @@ class AtlasSettings:
     """Side of the square textures; 0 derives it from the pixels that see the surface."""
     padding: int = 4
     """Texels between charts."""
+    texture_coordinates: Literal["auto", "keep"] = "auto"
+    """`auto` keeps those that the mesh has if they lie in 0…1 and do not overlap, and makes new ones otherwise. `keep`
+    is an error where they cannot be kept."""
 
 
 ModelName: TypeAlias = Literal[

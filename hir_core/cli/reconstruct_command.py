@@ -95,7 +95,7 @@ def reconstruct_command(
             **overrides,
         )
     if not quiet:
-        _summary(result)
+        show_summary(result)
 
 
 def _check_heavy_packages() -> None:
@@ -119,7 +119,7 @@ def explanation_sentence(document: Mapping[str, Any]) -> str:
     return str((report.get("explanation") or {}).get("sentence", ""))
 
 
-def _summary(result: Run) -> None:
+def show_summary(result: Run) -> None:
     """Prints where the results are."""
     directory = result.directory
     if sentence := explanation_sentence(directory.read_run()):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -12,6 +12,17 @@ if TYPE_CHECKING:
     from hir_core.plugins.interfaces import MaskSource
     from hir_core.plugins.manager import PluginManager
     from hir_core.scene import Scene
+
+
+Known = Literal["photographs", "cameras", "mesh"]
+"""What is known when mask sources are called: photographs alone, their cameras too, and the initializers' mesh too."""
+
+
+def needed_by(traits: Collection[str]) -> Known:
+    """What a source with these traits needs."""
+    if "needs_mesh" in traits:
+        return "mesh"
+    return "cameras" if "needs_cameras" in traits else "photographs"
 
 
 def mask_source_names(masks: Sequence[str] | Literal["auto"], plugins: PluginManager) -> list[str]:
@@ -29,21 +40,22 @@ def apply_mask_sources(
     options: Mapping[str, Mapping[str, Any]],
     plugins: PluginManager,
     *,
-    with_cameras: bool,
+    known: Known,
     seed: int = 0,
 ) -> Capture:
     """Calls the mask sources in their order for the views that still lack a mask.
 
-    `with_cameras` chooses between sources that need cameras and sources that do not. Sources that `masks` names
-    replace masks that the views have already. `options` holds the options of each source, `seed` is the run's.
+    `known` chooses the sources that need just that. Sources that `masks` names replace the masks of the capture's
+    files, but not those of a source that was called before. `options` holds the options of each source, `seed` is
+    the run's.
     """
     needed = [i for i, view in enumerate(capture.views) if view.pixels().mask is None]
     names = mask_source_names(masks, plugins)
     if masks != "auto":
-        needed = list(range(len(capture.views))) if names else []
+        first = known == "photographs"
+        needed = [i for i, view in enumerate(capture.views) if first or view.mask is None] if names else []
     for name in names:
-        needs_cameras = "needs_cameras" in plugins.find("mask_source", name).component.traits
-        if not needed or needs_cameras is not with_cameras:
+        if not needed or needed_by(plugins.find("mask_source", name).component.traits) != known:
             continue
         source: MaskSource = plugins.create("mask_source", name, options.get(name), seed)
         found = source.masks(capture, scene)
@@ -58,4 +70,4 @@ def apply_mask_sources(
 
 def with_automatic_masks(capture: Capture, plugins: PluginManager) -> Capture:
     """The capture with masks from the automatic sources that need no cameras, for views without a mask."""
-    return apply_mask_sources(capture, None, "auto", {}, plugins, with_cameras=False)
+    return apply_mask_sources(capture, None, "auto", {}, plugins, known="photographs")

@@ -11,6 +11,7 @@ TRAITS: Mapping[str, Mapping[str, str]] = {
     "mask_source": {
         "automatic": "used without being named in the settings, for photographs without a mask",
         "needs_cameras": "runs when every view has a camera",
+        "needs_mesh": "runs after the initializers: `scene` holds their mesh, and every view has a camera",
         "reads_files": "`files` lists what it reads besides photographs, so that a change invalidates the cache",
     },
     "initializer": {

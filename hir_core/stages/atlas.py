@@ -57,6 +57,12 @@ def unwrap(scene: Scene, capture: Capture, settings: AtlasSettings, context: Sta
         raise ConfigError(f"atlas.texture_size is {size}; it must lie between 1 and {_SETTING_MAX} (0 derives it)")
     mesh, charts = scene.mesh, None
     if mesh.uvs is None or not _usable(mesh):
+        if settings.texture_coordinates == "keep":
+            problem = "has no texture coordinates" if mesh.uvs is None else "has coordinates that overlap or leave 0…1"
+            raise StageError(
+                f"the mesh {problem}, so they cannot be kept; unwrap it in the program that made it, or make new ones: "
+                "--set 'atlas.texture_coordinates=\"auto\"'"
+            )
         if mesh.uvs is not None:
             context.warn("the mesh's own texture coordinates overlap or leave 0…1; new ones replace them")
         mesh, charts = unwrap_mesh(mesh, size, settings.padding)

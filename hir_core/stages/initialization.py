@@ -13,7 +13,7 @@ from hir_core.capture import Capture, CoordinateFrames
 from hir_core.config import RunConfig
 from hir_core.errors import CaptureError, StageError
 from hir_core.files.file_checksums import file_hash
-from hir_core.intake.mask_sources import apply_mask_sources, mask_source_names
+from hir_core.intake.mask_sources import Known, apply_mask_sources, mask_source_names
 from hir_core.plugins.interfaces import Initializer, MaskSource
 from hir_core.plugins.manager import PluginManager
 from hir_core.plugins.progress import Progress
@@ -55,13 +55,13 @@ def initialize(
     assert config.initializers != "auto", "`resolve_initializers` comes first"
     scene: Scene | None = None
     _check_distance_from_origin(capture)
-    capture = apply_masks(capture, scene, config, context, with_cameras=False)
+    capture = apply_masks(capture, scene, config, context, "photographs")
     chain = config.initializers
     details: dict[str, Mapping[str, Any]] = {}
     masked = False
     for i, name in enumerate(chain):
         if not masked and capture.views and all(view.camera is not None for view in capture.views):
-            capture = apply_masks(capture, scene, config, context, with_cameras=True)
+            capture = apply_masks(capture, scene, config, context, "cameras")
             masked = True
         context.report(Progress("initializer", i, len(chain), 0.0, message=name))
         initializer: Initializer = context.plugins.create(
@@ -79,6 +79,7 @@ def initialize(
         raise StageError(
             f"the initializers {', '.join(chain)} made no surface; end the chain with one that makes a surface"
         )
+    capture = apply_masks(capture, scene, config, context, "mesh")
     if len(capture.views) < MIN_VIEWS:
         context.warn(
             f"there are only {len(capture.views)} photographs: the shape is a guess where they do not look, and with "
@@ -141,7 +142,7 @@ def _with_expected_masks(capture: Capture, config: RunConfig, plugins: PluginMan
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # the stage repeats them, for the user and run.json
             return apply_mask_sources(
-                capture, None, "auto", config.mask_source, plugins, with_cameras=False, seed=config.seed
+                capture, None, "auto", config.mask_source, plugins, known="photographs", seed=config.seed
             )
     if not config.masks or not capture.views:
         return capture
@@ -163,7 +164,7 @@ def hashes_of_files_read(capture: Capture, config: RunConfig, plugins: PluginMan
 
 
 def apply_masks(
-    capture: Capture, scene: Scene | None, config: RunConfig, context: StageContext, with_cameras: bool
+    capture: Capture, scene: Scene | None, config: RunConfig, context: StageContext, known: Known
 ) -> Capture:
     """The capture with masks of the configured sources; their warnings go to the user and to run.json."""
     with forward_warnings(context):
@@ -173,7 +174,7 @@ def apply_masks(
             config.masks,
             config.mask_source,
             context.plugins,
-            with_cameras=with_cameras,
+            known=known,
             seed=context.seed,
         )
 

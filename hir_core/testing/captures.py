@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from hir_exporters.conventions import linear_to_srgb, srgb_to_linear
@@ -11,6 +12,9 @@ from hir_exporters.textures.image_files import write_png
 from numpy.typing import NDArray
 
 from hir_core.capture import Array, Camera, Capture, OrientedPoints, Pixels, View
+
+if TYPE_CHECKING:
+    from hir_core.scene import Scene
 
 BALLS = ((np.array([0.0, 0.0, 0.0]), 1.0), (np.array([0.55, 0.8, 0.35]), 0.5))
 """Centres and radii: no symmetry, so a flipped axis shows."""
@@ -86,6 +90,19 @@ def surface_points(count: int = 3000) -> OrientedPoints:
     position, normal = np.concatenate(positions), np.concatenate(normals)
     outside = distance_to_surface(position) > -1e-9
     return OrientedPoints(position[outside], normal[outside], _color(position[outside], 3.0))
+
+
+def surface_mesh() -> Scene:
+    """The true surface as a mesh: both balls, the parts of each inside the other included."""
+    import torch
+    import trimesh
+
+    from hir_core.scene import Mesh, Scene, Topology
+
+    ball = trimesh.creation.icosphere(4, 1.0)
+    positions = np.concatenate([centre + radius * ball.vertices for centre, radius in BALLS]).astype(np.float32)
+    faces = np.concatenate([ball.faces + i * len(ball.vertices) for i in range(len(BALLS))]).astype(np.int64)
+    return Scene(Mesh(torch.from_numpy(positions), Topology(torch.from_numpy(faces))))
 
 
 def similarity_between(source: Array, target: Array) -> tuple[Array, float]:

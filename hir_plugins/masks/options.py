@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from hir_core.errors import ConfigError
 from hir_core.plugins.options import seed_of_run
 
 
@@ -53,3 +54,15 @@ class RembgOptions:
     """Name of one of rembg's models; its weights must be on this machine (`rembg d u2net` downloads them)."""
     weights: str = ""
     """ONNX file of weights to use instead, with U²-Net's input and output; relative to the capture."""
+
+
+@dataclass(frozen=True)
+class MeshSilhouetteOptions:
+    """Options of the silhouette of a mesh."""
+
+    rays_per_side: int = 4
+    """Rays along each side of a pixel; their square is the number of grey levels of an edge."""
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.rays_per_side <= 32:
+            raise ConfigError(f"rays_per_side is {self.rays_per_side}; it must lie between 1 and 32")

@@ -3,7 +3,13 @@
 from __future__ import annotations
 
 from hir_core.plugins import Component, hookimpl
-from hir_plugins.masks.options import ColorKeyOptions, FolderOptions, GrabCutOptions, RembgOptions
+from hir_plugins.masks.options import (
+    ColorKeyOptions,
+    FolderOptions,
+    GrabCutOptions,
+    MeshSilhouetteOptions,
+    RembgOptions,
+)
 
 ALPHA = Component(
     name="alpha",
@@ -50,6 +56,17 @@ REMBG = Component(
 )
 
 
+MESH_SILHOUETTE = Component(
+    name="mesh_silhouette",
+    target="hir_plugins.masks.mesh_silhouette:MeshSilhouette",
+    config=MeshSilhouetteOptions,
+    summary="The silhouette of a mesh that is already there, such as a scan.",
+    requires=("open3d",),
+    extra="reconstruct",
+    traits=frozenset({"needs_mesh"}),
+)
+
+
 @hookimpl
 def hir_register_mask_sources() -> list[Component]:
-    return [ALPHA, FOLDER, COLOR_KEY, GRABCUT, REMBG]
+    return [ALPHA, FOLDER, COLOR_KEY, GRABCUT, REMBG, MESH_SILHOUETTE]

@@ -252,24 +252,6 @@ def polycam(capture: Capture, folder: Path) -> Path:
     return folder
 
 
-def record3d(capture: Capture, folder: Path) -> Path:
-    """metadata.json with one quaternion and position a frame; photographs are numbered."""
-    from scipy.spatial.transform import Rotation
-
-    poses, frames = [], []
-    for i, (view, camera) in enumerate(zip(capture.views, capture.cameras, strict=True)):
-        pose, k = np.linalg.inv(camera.world_to_camera) @ FLIP, camera.intrinsics
-        poses.append([*Rotation.from_matrix(pose[:3, :3]).as_quat().tolist(), *pose[:3, 3].tolist()])
-        frames.append([k[0, 0], k[1, 1], k[0, 2], k[1, 2]])
-        encoded = linear_to_srgb(view.pixels().color_linear)
-        write_png(folder / "rgb" / f"{i}.png", encoded.astype(np.float32))
-    first = capture.cameras[0]
-    content = {"w": first.width, "h": first.height, "K": first.intrinsics.T.reshape(-1).tolist()}
-    document = content | {"poses": poses, "perFrameIntrinsicCoeffs": frames}
-    (folder / "metadata.json").write_text(json.dumps(document), encoding="utf-8")
-    return folder
-
-
 def _pictures(capture: Capture, folder: Path, alpha: bool = False) -> None:
     for view in capture.views:
         pixels = view.pixels()

@@ -96,13 +96,6 @@ POLYCAM = Component(
     testing="hir_plugins.readers.contract_inputs:polycam",
 )
 
-RECORD3D = Component(
-    name="record3d",
-    target="hir_plugins.readers.record3d:Record3DReader",
-    summary="Record3D: metadata.json with a folder rgb.",
-    testing="hir_plugins.readers.contract_inputs:record3d",
-)
-
 VIDEO = Component(
     name="video",
     target="hir_plugins.readers.video:VideoReader",
@@ -123,7 +116,6 @@ def hir_register_capture_readers() -> list[Component]:
         OPEN_MVG,
         BUNDLER,
         POLYCAM,
-        RECORD3D,
         IDR_CAMERAS,
         LLFF,
         MIDDLEBURY,

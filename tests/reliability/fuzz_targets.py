@@ -333,7 +333,6 @@ TARGETS = [
     Target("open_mvg", "sfm_data.json", _capture, seeds.scan("open_mvg")),
     Target("bundler", "bundle.out", _capture, seeds.scan("bundler")),
     Target("polycam", "keyframes/corrected_cameras/0.json", _capture, seeds.scan("polycam")),
-    Target("record3d", "metadata.json", _capture, seeds.scan("record3d")),
     Target("video", "clip.mp4", _capture, seeds.video, slow=True),
     *(Target(f"mesh_{kind}", f"mesh.{kind}", _mesh(f"mesh.{kind}"), seeds.mesh) for kind in seeds.MESHES),
     *(Target(f"asset_{kind}", f"mesh.{kind}", _asset(f"mesh.{kind}"), seeds.mesh) for kind in seeds.ASSETS),

@@ -8,17 +8,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hir_core.errors import HirError
-from hir_core.testing.captures import StoredPixels, TinyCapture, tiny_capture
+from hir_core.testing.captures import StoredPixels, TinyCapture, surface_mesh, tiny_capture
 from hir_core.testing.contract import Subject, contract, require
 from hir_core.testing.exercise import Exercise, seeded
 
 if TYPE_CHECKING:
     from hir_core.capture import Capture, View
     from hir_core.plugins.interfaces import MaskSource
+    from hir_core.scene import Scene
 
 
-def _case(subject: Subject) -> tuple[TinyCapture, Capture, MaskSource]:
-    """The truth; opaque photographs with cameras and points, or what `testing` makes of them; the source."""
+def _case(subject: Subject) -> tuple[TinyCapture, Capture, Scene | None, MaskSource]:
+    """The truth; opaque photographs with cameras and points, or what `testing` makes of them; the mesh where the source
+    needs it; the source.
+    """
     if "case" not in subject.memory:
         truth = tiny_capture(subject.folder(), views=8, size=96)
         input_capture, options = truth.without_masks(), dict[str, Any]()
@@ -26,16 +29,17 @@ def _case(subject: Subject) -> tuple[TinyCapture, Capture, MaskSource]:
             input_capture, options = subject.testing(truth, input_capture, subject.folder())
         subject.memory["case"] = truth, input_capture, options
     truth, input_capture, options = subject.memory["case"]
-    return truth, input_capture, subject.create(**options)
+    scene = surface_mesh() if "needs_mesh" in subject.component.traits else None
+    return truth, input_capture, scene, subject.create(**options)
 
 
 def exercise(subject: Subject, device: str) -> Exercise:
     """All masks."""
     del device
-    _, input_capture, source = _case(subject)
+    _, input_capture, scene, source = _case(subject)
 
     def run() -> dict[str, np.ndarray]:
-        found = source.masks(input_capture, None)
+        found = source.masks(input_capture, scene)
         return {input_capture.views[i].name: mask for i, mask in enumerate(found) if mask is not None}
 
     return Exercise({"capture": input_capture}, run)
@@ -46,9 +50,9 @@ def masks_are_the_true_ones(subject: Subject) -> None:
     """One mask (height, width) of float32 in 0…1 for each view, or None; those that it gives overlap the true coverage
     by an IoU of at least 0.9, and it gives at least one.
     """
-    truth, input_capture, source = _case(subject)
+    truth, input_capture, scene, source = _case(subject)
     seeded(0)
-    masks = source.masks(input_capture, None)
+    masks = source.masks(input_capture, scene)
     require(
         isinstance(masks, list) and len(masks) == len(input_capture.views),
         f"{len(input_capture.views)} views get {len(masks) if isinstance(masks, list) else type(masks).__name__} masks",
@@ -71,7 +75,7 @@ def masks_are_the_true_ones(subject: Subject) -> None:
 @contract("mask_source")
 def unusable_photographs_are_refused(subject: Subject) -> None:
     """No views, photographs of one colour, of noise, of one pixel: masks in 0…1, None, or a `HirError`."""
-    _, input_capture, source = _case(subject)
+    _, input_capture, scene, source = _case(subject)
     random = np.random.default_rng(0)
     pictures = {
         "photographs of one colour": np.full((32, 32, 3), 0.2, np.float32),
@@ -83,7 +87,7 @@ def unusable_photographs_are_refused(subject: Subject) -> None:
         cases[name] = replace(input_capture, views=tuple(_with(v, picture) for v in input_capture.views), points=None)
     for name, capture in cases.items():
         try:
-            masks = source.masks(capture, None)
+            masks = source.masks(capture, scene)
         except HirError as error:
             require(len(str(error)) > 15, f"given {name}, it raises {type(error).__name__}({str(error)!r})")
             continue

@@ -91,9 +91,9 @@ def means(capture: Capture) -> list[float | None]:
 def test_a_later_source_fills_what_an_earlier_one_left(stage: tuple[StageContext, list[str]]) -> None:
     context, _ = stage
     config = replace(RunConfig(), masks=("every_other", "half"))
-    first = apply_masks(capture_of(4), None, config, context, with_cameras=False)
+    first = apply_masks(capture_of(4), None, config, context, known="photographs")
     assert means(first) == [1.0, None, 1.0, None], "half needs cameras, and there are none yet"
-    both = apply_masks(capture_of(4, CAMERA), None, replace(config, masks=("half",)), context, with_cameras=True)
+    both = apply_masks(capture_of(4, CAMERA), None, replace(config, masks=("half",)), context, known="cameras")
     assert means(both) == [0.5] * 4
 
 
@@ -101,9 +101,9 @@ def test_masks_of_the_files_stay_unless_sources_are_named(stage: tuple[StageCont
     context, _ = stage
     masked = capture_of(2)
     masked = replace(masked, views=tuple(replace(v, mask=np.full((8, 8), 0.25, np.float32)) for v in masked.views))
-    assert means(apply_masks(masked, None, RunConfig(), context, with_cameras=False)) == [0.25, 0.25]
+    assert means(apply_masks(masked, None, RunConfig(), context, known="photographs")) == [0.25, 0.25]
     named = replace(RunConfig(), masks=("every_other",))
-    assert means(apply_masks(masked, None, named, context, with_cameras=False)) == [1.0, 0.25]
+    assert means(apply_masks(masked, None, named, context, known="photographs")) == [1.0, 0.25]
 
 
 def test_photographs_without_a_camera_are_left_out_with_a_warning(stage: tuple[StageContext, list[str]]) -> None:

@@ -168,17 +168,9 @@ def keyframes(folder: Path) -> None:
     (folder / "keyframes" / "corrected_cameras" / "a.json").write_text(json.dumps(table))
 
 
-def recording(folder: Path) -> None:
-    (folder / "images").rename(folder / "rgb")
-    (folder / "rgb" / "a.png").rename(folder / "rgb" / "0.png")
-    content = {"w": WIDTH, "h": HEIGHT, "K": [FOCAL, 0, 0, 0, FOCAL, 0, 32, 24, 1], "fps": 60}
-    (folder / "metadata.json").write_text(json.dumps(content | {"poses": [[0, 0, 0, 1, 0, 0, 5]]}))
-
-
 SEEN_FROM_ABOVE: dict[str, tuple[Callable[[Path], None], NDFloat]] = {
     "bundler": (bundle, np.array([8.5 / 16, -11.5 / 16, 0.0])),
     "polycam": (keyframes, np.array([8.5 / 16, 11.5 / 16, 0.0])),
-    "record3d": (recording, np.array([8.5 / 16, 11.5 / 16, 0.0])),
 }
 """Cameras 5 units from a point of their own world that they see at the centre of pixel (40, 12)."""
 
@@ -245,7 +237,6 @@ REFUSED: list[tuple[Callable[[Path], None], str, str, str, str]] = [
     (bundle, "bundle.out", "2 1", "200000 1", "five lines of three numbers"),
     (bundle, "list.txt", "images/lost.png", "", "names of as many images"),
     (keyframes, "keyframes/corrected_cameras/a.json", '"fx"', '"focal"', "no 'fx'"),
-    (recording, "metadata.json", "[[0, 0, 0, 1,", "[[0, 0, 0, 0,", "not a quaternion"),
 ]
 
 
@@ -282,7 +273,7 @@ def test_no_photograph_is_read_outside_the_capture(picture: Path, tmp_path_facto
         read_capture(picture, "train", PLUGINS)
 
 
-@pytest.mark.parametrize("name", ["metashape", "reality_capture", "meshroom", "open_mvg", "bundler", "record3d"])
+@pytest.mark.parametrize("name", ["metashape", "reality_capture", "meshroom", "open_mvg", "bundler"])
 def test_cameras_come_before_photographs_alone(tiny_capture: Path, tmp_path: Path, name: str) -> None:
     """A folder that is also a folder of photographs is read with its cameras."""
     from hir_plugins.readers import contract_inputs
