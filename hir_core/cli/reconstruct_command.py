@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import Any, get_args
 
 import click
 
 from hir_core.config import ModelName
 from hir_core.run.run_directory import STAGE_NAMES
 from hir_core.terminal.command_options import FOLDER, plugin_option, settings_options, verbosity_options
-
-if TYPE_CHECKING:
-    from hir_core.pipeline import Run
+from hir_core.terminal.required_packages import require_reconstruction_packages
+from hir_core.terminal.run_results import show_summary
 
 
 @click.command("reconstruct")
@@ -71,7 +69,7 @@ def reconstruct_command(
     if plugin_files:
         chosen.append(f"plugins={json.dumps(plugin_files)}")
     overrides: dict[str, Any] = {"seed": seed, "max_memory": max_memory, "deterministic": deterministic or None}
-    _check_heavy_packages()
+    require_reconstruction_packages("hir reconstruct")
     plugins = PluginManager.discover(plugin_files)
     for problem in plugins.problems:
         click.echo(f"hir: plugin problem: {problem}", err=True)
@@ -95,39 +93,4 @@ def reconstruct_command(
             **overrides,
         )
     if not quiet:
-        show_summary(result)
-
-
-def _check_heavy_packages() -> None:
-    """Raises `MissingExtraError` with one sentence where the packages of hir[reconstruct] are not installed."""
-    from importlib.util import find_spec
-
-    from hir_core.errors import MissingExtraError
-
-    missing = [name for name in ("torch", "jaxtyping") if find_spec(name) is None]
-    if missing:
-        raise MissingExtraError(
-            f"hir reconstruct needs {', '.join(missing)}; install it with: "
-            "pip install 'hir[reconstruct]' "
-            "(in a checkout: pip install -e '.[reconstruct]')"
-        )
-
-
-def explanation_sentence(document: Mapping[str, Any]) -> str:
-    """The selected material and light beside the runner-up, from run.json; empty where none were compared."""
-    report = document.get("stages", {}).get("reflectance", {}).get("report") or {}
-    return str((report.get("explanation") or {}).get("sentence", ""))
-
-
-def show_summary(result: Run) -> None:
-    """Prints where the results are."""
-    directory = result.directory
-    if sentence := explanation_sentence(directory.read_run()):
-        click.echo(f"{'model':>8}  {sentence}")
-    lines = [("asset", directory.scene), ("files", directory.exports), ("report", directory.path / "report.html")]
-    for name, path in lines:
-        if path.exists():
-            click.echo(f"{name:>8}  {path}")
-    if directory.exports.is_dir():
-        for file in sorted(directory.exports.iterdir()):
-            click.echo(f"{'':>8}  {file.name}  {file.stat().st_size / 1e6:.2f} MB")
+        show_summary(result.directory)

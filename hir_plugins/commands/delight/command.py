@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hir_core.cli.reconstruct_command import show_summary
 from hir_core.terminal.command_options import FOLDER, verbosity_options
+from hir_core.terminal.required_packages import require_reconstruction_packages
+from hir_core.terminal.run_results import show_summary
 
 if TYPE_CHECKING:
     from hir_core.plugins.manager import PluginManager
@@ -54,6 +55,7 @@ def delight_command(
     (docs/captures.md); without one they are estimated, and the scan is aligned with them. This is `hir reconstruct`
     with the preset delight.
     """
+    require_reconstruction_packages("hir delight")
     from hir_core.pipeline import reconstruct
     from hir_core.plugins.manager import PluginManager
     from hir_core.terminal.progress_bar import ProgressBar
@@ -72,7 +74,7 @@ def delight_command(
             on_message=bar.message,
         )
     if not quiet:
-        show_summary(result)
+        show_summary(result.directory)
 
 
 def scan_settings(scan: Path, photos: Path, axes: str, align: bool | None, plugins: PluginManager) -> list[str]:

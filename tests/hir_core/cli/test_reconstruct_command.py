@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from hir_core.cli.reconstruct_command import explanation_sentence
 from hir_core.pipeline import Run
+from hir_core.terminal.run_results import explanation_sentence
 from tests.fixtures.command_line import hir
 from tests.fixtures.runs import QUICK
 
