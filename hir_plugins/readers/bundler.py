@@ -19,10 +19,10 @@ from hir_core.plugins import NoOptions
 from hir_core.plugins.interfaces import CaptureReader
 from hir_plugins.readers.parsing.camera_axes import OPENCV_FROM_OPENGL, rigid_transform
 from hir_plugins.readers.parsing.capture_paths import MAX_TEXT_BYTES
+from hir_plugins.readers.parsing.file_head import file_head
 from hir_plugins.readers.parsing.lens_camera import LensCamera
 from hir_plugins.readers.parsing.picture_decoding import photo_size
 from hir_plugins.readers.parsing.posed_photos import PhotoFinder, PosedPhoto, posed_capture, refuse_split
-from hir_plugins.readers.parsing.xml_files import file_head
 
 _HEADER = b"# Bundle file"
 

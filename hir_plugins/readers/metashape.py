@@ -6,7 +6,6 @@ offsets from the middle of the image.
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import final
 from xml.etree.ElementTree import Element
@@ -18,9 +17,11 @@ from hir_core.errors import CaptureError
 from hir_core.plugins import NoOptions
 from hir_core.plugins.interfaces import CaptureReader
 from hir_plugins.readers.parsing.camera_axes import rigid_inverse, rigid_transform
+from hir_plugins.readers.parsing.file_head import file_head
 from hir_plugins.readers.parsing.lens_camera import LensCamera
+from hir_plugins.readers.parsing.number_text import finite_number, finite_numbers
 from hir_plugins.readers.parsing.posed_photos import PosedPhoto, posed_capture, refuse_split
-from hir_plugins.readers.parsing.xml_files import file_head, read_xml
+from hir_plugins.readers.parsing.xml_files import read_xml
 
 EARTH_DISTANCE = 1e5
 """Longer translations, in metres, place the object on the Earth. They are dropped: float32 is too coarse for them."""
@@ -78,7 +79,7 @@ def _cameras(chunk: Element, source: Path) -> list[PosedPhoto]:
         sensor = lenses.get(camera.get("sensor_id"))
         if sensor is None:
             raise CaptureError(f"{owner} has no sensor; export the cameras again")
-        pose = rigid_transform(np.reshape(_numbers(camera.find("transform"), 16, owner), (4, 4)), owner)
+        pose = rigid_transform(np.reshape(finite_numbers(camera.findtext("transform"), 16, owner), (4, 4)), owner)
         component = components.get(camera.get("component_id"))
         place = chunk.find("transform") if component is None else component.find("transform")
         found.append(PosedPhoto(label, owner, _lens(sensor, owner), rigid_inverse(_in_world(pose, place, owner))))
@@ -89,13 +90,13 @@ def _in_world(pose: Array, place: Element | None, owner: str) -> Array:
     """A camera's pose in the world of a chunk's rotation, translation and scale; one that has none stays as it is."""
     if place is None:
         return pose
-    parts = [place.find(name) for name in ("rotation", "translation", "scale")]
+    parts = [place.findtext(name) for name in ("rotation", "translation", "scale")]
     if any(part is None for part in parts):
         return pose
     rotation = rigid_transform(
-        np.concatenate([np.reshape(_numbers(parts[0], 9, owner), (3, 3)), np.zeros((3, 1))], axis=1), owner
+        np.concatenate([np.reshape(finite_numbers(parts[0], 9, owner), (3, 3)), np.zeros((3, 1))], axis=1), owner
     )
-    translation, scale = np.array(_numbers(parts[1], 3, owner)), _numbers(parts[2], 1, owner)[0]
+    translation, scale = np.array(finite_numbers(parts[1], 3, owner)), finite_numbers(parts[2], 1, owner)[0]
     if scale <= 0:
         raise CaptureError(f"{owner}: the scale {scale:g} of its chunk is not positive; export the cameras again")
     if np.linalg.norm(translation) > EARTH_DISTANCE:
@@ -117,9 +118,9 @@ def _lens(sensor: Element, owner: str) -> LensCamera:
     size = sensor.find("resolution") if size is None else size
     if calibration is None or size is None or calibration.find("f") is None:
         raise CaptureError(f"{owner}: its sensor has no calibration with a focal length; export the cameras again")
-    width, height = (_number(size.get(key), owner) for key in ("width", "height"))
+    width, height = (finite_number(size.get(key), owner) for key in ("width", "height"))
     names = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
-    value = {name: _number(calibration.findtext(name, "0"), owner) for name in names}
+    value = {name: finite_number(calibration.findtext(name, "0"), owner) for name in names}
     unsupported = ("p3", "p4") if kind == "frame" else ("p1", "p2", "p3", "p4")
     if kind == "frame":
         unsupported = ("k4", *unsupported)
@@ -144,20 +145,3 @@ def _lens(sensor: Element, owner: str) -> LensCamera:
         coefficients,
         "radial" if kind == "frame" else "fisheye",
     )
-
-
-def _numbers(element: Element | None, count: int, owner: str) -> list[float]:
-    words = (element.text or "").split() if element is not None else []
-    if len(words) != count:
-        raise CaptureError(f"{owner}: {len(words)} numbers where {count} are expected; export the cameras again")
-    return [_number(word, owner) for word in words]
-
-
-def _number(text: str | None, owner: str) -> float:
-    try:
-        value = float(text or "")
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise CaptureError(f"{owner}: {text!r} is not a finite number; export the cameras again")
-    return value

@@ -7,7 +7,6 @@ the longer side of the image. CSV: "Internal/External camera parameters"; its an
 from __future__ import annotations
 
 import csv
-import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final, final
@@ -23,10 +22,12 @@ from hir_core.plugins import NoOptions
 from hir_core.plugins.interfaces import CaptureReader
 from hir_plugins.readers.parsing.camera_axes import OPENCV_FROM_OPENGL, rigid_inverse, rigid_transform
 from hir_plugins.readers.parsing.capture_paths import MAX_TEXT_BYTES, PHOTO_SUFFIXES
+from hir_plugins.readers.parsing.file_head import file_head
 from hir_plugins.readers.parsing.lens_camera import LensCamera
+from hir_plugins.readers.parsing.number_text import finite_number, finite_numbers
 from hir_plugins.readers.parsing.picture_decoding import photo_size
 from hir_plugins.readers.parsing.posed_photos import PhotoFinder, PosedPhoto, posed_capture, refuse_split
-from hir_plugins.readers.parsing.xml_files import file_head, read_xml
+from hir_plugins.readers.parsing.xml_files import read_xml
 
 _NAMESPACE: Final = "http://www.capturingreality.com/ns/xcr/1.1#"
 _COLUMNS: Final = ("x", "y", "alt", "heading", "pitch", "roll", "f")
@@ -120,7 +121,7 @@ def _from_table(source: Path, finder: PhotoFinder) -> list[PosedPhoto]:
     cameras = []
     for row in csv.reader(line for line in lines[start + 1 :] if line.strip()):
         owner = f"{source}, {row[0]!r}"
-        value = {key: _finite(text, owner) for key, text in zip(header[1:], row[1:], strict=False)}
+        value = {key: finite_number(text, owner) for key, text in zip(header[1:], row[1:], strict=False)}
         if any(name not in value for name in _COLUMNS):
             raise CaptureError(f"{owner}: the line has {len(row)} of {len(header)} columns; export it again")
         pose = np.eye(4)
@@ -159,17 +160,4 @@ def _field(element: Element, name: str) -> str | None:
 
 
 def _numbers(element: Element, name: str, count: int, owner: str, default: str | None = None) -> list[float]:
-    words = (_field(element, name) or default or "").split()
-    if len(words) != count:
-        raise CaptureError(f"{owner}: {name} has {len(words)} numbers, not {count}; export the metadata again")
-    return [_finite(word, owner) for word in words]
-
-
-def _finite(text: str, owner: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise CaptureError(f"{owner}: {text!r} is not a finite number; export the cameras again")
-    return value
+    return finite_numbers(_field(element, name) or default, count, f"{owner}, {name}")

@@ -12,9 +12,6 @@ from hir_core.errors import CaptureError
 MAX_XML_BYTES = 64 << 20
 """Largest accepted size; its tree takes about ten times as much memory."""
 
-HEAD_BYTES = 4096
-"""What is read of a file to recognise its format."""
-
 
 def read_xml(path: Path) -> ElementTree.Element:
     """The root of an XML file in UTF-8.
@@ -37,14 +34,3 @@ def read_xml(path: Path) -> ElementTree.Element:
         return ElementTree.fromstring(text)
     except (ElementTree.ParseError, ValueError, RecursionError) as error:
         raise CaptureError(f"{path} is not valid XML ({error}); export it again") from None
-
-
-def file_head(path: Path) -> bytes:
-    """The first bytes of a regular file; empty if it cannot be read."""
-    try:
-        if not path.is_file():
-            return b""
-        with path.open("rb") as file:
-            return file.read(HEAD_BYTES)
-    except OSError:
-        return b""
