@@ -13,41 +13,30 @@ from typing import final
 import numpy as np
 from hir_exporters.files.regular_files import refuse_special_file
 
-from hir_core.capture import Capture
 from hir_core.errors import CaptureError
-from hir_core.plugins import NoOptions
-from hir_core.plugins.interfaces import CaptureReader
 from hir_plugins.readers.parsing.camera_axes import OPENCV_FROM_OPENGL, rigid_transform
 from hir_plugins.readers.parsing.capture_paths import MAX_TEXT_BYTES
 from hir_plugins.readers.parsing.file_head import file_head
 from hir_plugins.readers.parsing.lens_camera import LensCamera
 from hir_plugins.readers.parsing.picture_decoding import photo_size
-from hir_plugins.readers.parsing.posed_photos import PhotoFinder, PosedPhoto, posed_capture, refuse_split
+from hir_plugins.readers.parsing.posed_photos import PhotoFinder, PosedPhoto, PosedPhotosReader
 
 _HEADER = b"# Bundle file"
 
 
 @final
-class BundlerReader(CaptureReader):
+class BundlerReader(PosedPhotosReader[Path]):
     """Five lines a camera: focal length and two radial coefficients, the rotation, the translation."""
 
-    def __init__(self, config: NoOptions) -> None:
-        del config
+    name = "bundler"
+    remedy = "no bundle file; put bundle.out and its list of images into this folder"
 
-    def matches(self, path: Path) -> bool:
-        """A folder with a bundle file."""
-        return path.is_dir() and _file(path) is not None
+    def find(self, path: Path) -> Path | None:
+        """The bundle file."""
+        return _file(path)
 
-    def splits(self, path: Path) -> list[str]:
-        """Only "train"."""
-        return ["train"]
-
-    def read(self, path: Path, split: str = "train") -> Capture:
-        """Registered cameras in the order of the file; the world is rotated upright."""
-        refuse_split(path, split)
-        source = _file(path)
-        if source is None:
-            raise CaptureError(f"{path} has no bundle file; put bundle.out and its list of images into this folder")
+    def cameras(self, path: Path, source: Path) -> list[PosedPhoto]:
+        """Those that are registered."""
         blocks = _blocks(source)
         names = _names(path, source, len(blocks))
         finder = PhotoFinder(path)
@@ -61,7 +50,7 @@ class BundlerReader(CaptureReader):
             width, height = photo_size(finder.find(name, owner))
             lens = LensCamera(focal, focal, width / 2, height / 2, width, height, (k1, k2, 0.0, 0.0))
             cameras.append(PosedPhoto(name, owner, lens, OPENCV_FROM_OPENGL @ rigid_transform(pose, owner)))
-        return posed_capture(path, "bundler", cameras)
+        return cameras
 
 
 def _file(path: Path) -> Path | None:

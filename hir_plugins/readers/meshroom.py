@@ -12,14 +12,12 @@ from typing import Final, final
 
 import numpy as np
 
-from hir_core.capture import Array, Capture
+from hir_core.capture import Array
 from hir_core.errors import CaptureError
-from hir_core.plugins import NoOptions
-from hir_core.plugins.interfaces import CaptureReader
 from hir_plugins.readers.parsing.camera_axes import rigid_transform
 from hir_plugins.readers.parsing.json_fields import read_json
 from hir_plugins.readers.parsing.lens_camera import LensCamera
-from hir_plugins.readers.parsing.posed_photos import PosedPhoto, posed_capture, refuse_split
+from hir_plugins.readers.parsing.posed_photos import PosedPhoto, PosedPhotosReader
 
 _CENTERED_SINCE: Final = (1, 2, 1)
 _NO_RIG: Final = ("", "-1", "4294967295")
@@ -28,26 +26,18 @@ _FISHEYE: Final = ("fisheye", "fisheye4")
 
 
 @final
-class MeshroomReader(CaptureReader):
+class MeshroomReader(PosedPhotosReader[Path]):
     """Views with a pose; numbers of the file may be text."""
 
-    def __init__(self, config: NoOptions) -> None:
-        del config
+    name = "meshroom"
+    remedy = "no .sfm file; put cameras.sfm of Meshroom into this folder"
 
-    def matches(self, path: Path) -> bool:
-        """A folder with a .sfm file."""
-        return path.is_dir() and _file(path) is not None
+    def find(self, path: Path) -> Path | None:
+        """cameras.sfm, or the first .sfm file."""
+        return _file(path)
 
-    def splits(self, path: Path) -> list[str]:
-        """Only "train"."""
-        return ["train"]
-
-    def read(self, path: Path, split: str = "train") -> Capture:
-        """Views in the order of the file; the world is rotated upright."""
-        refuse_split(path, split)
-        source = _file(path)
-        if source is None:
-            raise CaptureError(f"{path} has no .sfm file; put cameras.sfm of Meshroom into this folder")
+    def cameras(self, path: Path, source: Path) -> list[PosedPhoto]:
+        """Those that are registered."""
         content = read_json(source)
         version = _version(content.get("version"))
         intrinsics = {str(i.get("intrinsicId")): i for i in _tables(content, "intrinsics", source)}
@@ -62,7 +52,7 @@ class MeshroomReader(CaptureReader):
             if str(view.get("rigId", "")) not in _NO_RIG:
                 raise CaptureError(f"{owner}: rigs are not supported; reconstruct the photographs without a rig")
             cameras.append(PosedPhoto(name, owner, _lens(intrinsic, version, owner), _pose(pose, owner)))
-        return posed_capture(path, "meshroom", cameras)
+        return cameras
 
 
 def _file(path: Path) -> Path | None:

@@ -12,15 +12,13 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from hir_core.capture import Array, Capture
+from hir_core.capture import Array
 from hir_core.errors import CaptureError
-from hir_core.plugins import NoOptions
-from hir_core.plugins.interfaces import CaptureReader
 from hir_plugins.readers.parsing.camera_axes import rigid_inverse, rigid_transform
 from hir_plugins.readers.parsing.file_head import file_head
 from hir_plugins.readers.parsing.lens_camera import LensCamera
 from hir_plugins.readers.parsing.number_text import finite_number, finite_numbers
-from hir_plugins.readers.parsing.posed_photos import PosedPhoto, posed_capture, refuse_split
+from hir_plugins.readers.parsing.posed_photos import PosedPhoto, PosedPhotosReader
 from hir_plugins.readers.parsing.xml_files import read_xml
 
 EARTH_DISTANCE = 1e5
@@ -31,30 +29,22 @@ LARGEST_SKEW_PIXELS = 0.5
 
 
 @final
-class MetashapeReader(CaptureReader):
+class MetashapeReader(PosedPhotosReader[Path]):
     """The first chunk with aligned cameras; cameras that are disabled or not aligned are left out."""
 
-    def __init__(self, config: NoOptions) -> None:
-        del config
+    name = "metashape"
+    remedy = "no cameras of Metashape; export them as XML into this folder"
 
-    def matches(self, path: Path) -> bool:
-        """A folder with an XML file that has a chunk."""
-        return path.is_dir() and _file(path) is not None
+    def find(self, path: Path) -> Path | None:
+        """The first XML file that has a chunk."""
+        return _file(path)
 
-    def splits(self, path: Path) -> list[str]:
-        """Only "train"."""
-        return ["train"]
-
-    def read(self, path: Path, split: str = "train") -> Capture:
-        """Cameras in the chunk's world, in metres if the chunk has a scale; then rotated upright."""
-        refuse_split(path, split)
-        source = _file(path)
-        if source is None:
-            raise CaptureError(f"{path} has no cameras of Metashape; export them as XML into this folder")
+    def cameras(self, path: Path, source: Path) -> list[PosedPhoto]:
+        """In the chunk's world, in metres if the chunk has a scale."""
         chunks = [chunk for chunk in read_xml(source).iter("chunk") if _aligned(chunk)]
         if not chunks:
             raise CaptureError(f"{source} has no aligned camera; align the photographs and export the cameras again")
-        return posed_capture(path, "metashape", _cameras(chunks[0], source))
+        return _cameras(chunks[0], source)
 
 
 def _file(path: Path) -> Path | None:

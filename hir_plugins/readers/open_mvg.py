@@ -8,14 +8,12 @@ from typing import Final, final
 
 import numpy as np
 
-from hir_core.capture import Array, Capture
+from hir_core.capture import Array
 from hir_core.errors import CaptureError
-from hir_core.plugins import NoOptions
-from hir_core.plugins.interfaces import CaptureReader
 from hir_plugins.readers.parsing.camera_axes import rigid_transform
 from hir_plugins.readers.parsing.json_fields import number_field, read_json
 from hir_plugins.readers.parsing.lens_camera import LensCamera
-from hir_plugins.readers.parsing.posed_photos import PosedPhoto, posed_capture, refuse_split
+from hir_plugins.readers.parsing.posed_photos import PosedPhoto, PosedPhotosReader
 
 _FILES: Final = ("sfm_data.json", "sfm_data_expanded.json")
 _LENSES: Final = {"disto_k1": 1, "disto_k3": 3, "disto_t2": 5, "fisheye": 4}
@@ -23,26 +21,18 @@ _LENSES: Final = {"disto_k1": 1, "disto_k3": 3, "disto_t2": 5, "fisheye": 4}
 
 
 @final
-class OpenMvgReader(CaptureReader):
+class OpenMvgReader(PosedPhotosReader[Path]):
     """Views whose pose and intrinsic are in the file."""
 
-    def __init__(self, config: NoOptions) -> None:
-        del config
+    name = "open_mvg"
+    remedy = "no sfm_data.json; put that file of OpenMVG into this folder"
 
-    def matches(self, path: Path) -> bool:
-        """A folder with sfm_data.json."""
-        return path.is_dir() and _file(path) is not None
+    def find(self, path: Path) -> Path | None:
+        """sfm_data.json."""
+        return _file(path)
 
-    def splits(self, path: Path) -> list[str]:
-        """Only "train"."""
-        return ["train"]
-
-    def read(self, path: Path, split: str = "train") -> Capture:
-        """Views in the order of the file; the world is rotated upright."""
-        refuse_split(path, split)
-        source = _file(path)
-        if source is None:
-            raise CaptureError(f"{path} has no sfm_data.json; put that file of OpenMVG into this folder")
+    def cameras(self, path: Path, source: Path) -> list[PosedPhoto]:
+        """Those that are registered."""
         content = read_json(source)
         intrinsics, poses = _entries(content, "intrinsics", source), _entries(content, "extrinsics", source)
         cameras = []
@@ -53,7 +43,7 @@ class OpenMvgReader(CaptureReader):
             if pose is None or intrinsic is None:  # not reconstructed
                 continue
             cameras.append(PosedPhoto(name, owner, _lens(intrinsic, owner), _pose(pose, owner)))
-        return posed_capture(path, "open_mvg", cameras)
+        return cameras
 
 
 def _file(path: Path) -> Path | None:

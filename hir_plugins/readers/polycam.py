@@ -11,41 +11,31 @@ from typing import Final, final
 
 import numpy as np
 
-from hir_core.capture import Capture
 from hir_core.errors import CaptureError
-from hir_core.plugins import NoOptions
-from hir_core.plugins.interfaces import CaptureReader
 from hir_plugins.readers.parsing.camera_axes import OPENCV_FROM_OPENGL, rigid_inverse, rigid_transform
 from hir_plugins.readers.parsing.json_fields import number_field, read_json
 from hir_plugins.readers.parsing.lens_camera import LensCamera
-from hir_plugins.readers.parsing.posed_photos import PosedPhoto, posed_capture, refuse_split
+from hir_plugins.readers.parsing.posed_photos import PosedPhoto, PosedPhotosReader
 
 _FOLDERS: Final = (("corrected_cameras", "corrected_images"), ("cameras", "images"))
 _INTRINSICS: Final = ("fx", "fy", "cx", "cy", "width", "height")
 
 
 @final
-class PolycamReader(CaptureReader):
+class PolycamReader(PosedPhotosReader[tuple[Path, str]]):
     """Corrected cameras if there are any; those of the recording drift."""
 
-    def __init__(self, config: NoOptions) -> None:
-        del config
+    name = "polycam"
+    remedy = "no keyframes/cameras; export the raw data of Polycam into this folder"
+    is_upright = True
 
-    def matches(self, path: Path) -> bool:
-        """A folder with `keyframes` and cameras in it."""
-        return path.is_dir() and _folders(path) is not None
+    def find(self, path: Path) -> tuple[Path, str] | None:
+        """The folder of the cameras, and the name of that of the images."""
+        return _folders(path)
 
-    def splits(self, path: Path) -> list[str]:
-        """Only "train"."""
-        return ["train"]
-
-    def read(self, path: Path, split: str = "train") -> Capture:
-        """Photographs in the order of their time stamps; ARKit's +Y up and metres are kept."""
-        refuse_split(path, split)
-        folders = _folders(path)
-        if folders is None:
-            raise CaptureError(f"{path} has no keyframes/cameras; export the raw data of Polycam into this folder")
-        cameras_folder, images = folders
+    def cameras(self, path: Path, source: tuple[Path, str]) -> list[PosedPhoto]:
+        """In the order of the time stamps."""
+        cameras_folder, images = source
         cameras = []
         for file in sorted(cameras_folder.glob("*.json"), key=lambda f: (len(f.stem), f.stem)):
             table = read_json(file)
@@ -65,7 +55,7 @@ class PolycamReader(CaptureReader):
             lens = LensCamera(fx, fy, cx, cy, width, height)
             name = f"keyframes/{images}/{file.stem}"
             cameras.append(PosedPhoto(name, owner, lens, OPENCV_FROM_OPENGL @ rigid_inverse(pose)))
-        return posed_capture(path, "polycam", cameras, np.eye(4))
+        return cameras
 
 
 def _folders(path: Path) -> tuple[Path, str] | None:

@@ -16,17 +16,15 @@ import numpy as np
 from hir_exporters.files.regular_files import refuse_special_file
 from scipy.spatial.transform import Rotation
 
-from hir_core.capture import Array, Capture
+from hir_core.capture import Array
 from hir_core.errors import CaptureError
-from hir_core.plugins import NoOptions
-from hir_core.plugins.interfaces import CaptureReader
 from hir_plugins.readers.parsing.camera_axes import OPENCV_FROM_OPENGL, rigid_inverse, rigid_transform
 from hir_plugins.readers.parsing.capture_paths import MAX_TEXT_BYTES, PHOTO_SUFFIXES
 from hir_plugins.readers.parsing.file_head import file_head
 from hir_plugins.readers.parsing.lens_camera import LensCamera
 from hir_plugins.readers.parsing.number_text import finite_number, finite_numbers
 from hir_plugins.readers.parsing.picture_decoding import photo_size
-from hir_plugins.readers.parsing.posed_photos import PhotoFinder, PosedPhoto, posed_capture, refuse_split
+from hir_plugins.readers.parsing.posed_photos import PhotoFinder, PosedPhoto, PosedPhotosReader
 from hir_plugins.readers.parsing.xml_files import read_xml
 
 _NAMESPACE: Final = "http://www.capturingreality.com/ns/xcr/1.1#"
@@ -38,29 +36,23 @@ LARGEST_SKEW = 1e-4
 
 
 @final
-class RealityCaptureReader(CaptureReader):
+class RealityCaptureReader(PosedPhotosReader[list[Path]]):
     """XMP sidecars if there are any, because they hold exact rotations; otherwise the CSV."""
 
-    def __init__(self, config: NoOptions) -> None:
-        del config
+    name = "reality_capture"
+    remedy = "no cameras of RealityScan; export XMP files beside the photographs, or the registration as CSV"
 
-    def matches(self, path: Path) -> bool:
-        """A folder with such a sidecar, also one folder below, or with such a CSV."""
-        return path.is_dir() and (_table(path) is not None or next(_sidecars(path), None) is not None)
-
-    def splits(self, path: Path) -> list[str]:
-        """Only "train"."""
-        return ["train"]
-
-    def read(self, path: Path, split: str = "train") -> Capture:
-        """Registered photographs in the order of their names; the world is rotated upright."""
-        refuse_split(path, split)
-        finder = PhotoFinder(path)
-        cameras = [camera for file in _sidecars(path) if (camera := _from_sidecar(path, file)) is not None]
+    def find(self, path: Path) -> list[Path] | None:
+        """The sidecars, in the folder or one below, and the CSV."""
         table = _table(path)
-        if not cameras and table is not None:
-            cameras = _from_table(table, finder)
-        return posed_capture(path, "reality_capture", cameras)
+        return [*_sidecars(path), *([] if table is None else [table])] or None
+
+    def cameras(self, path: Path, source: list[Path]) -> list[PosedPhoto]:
+        """Those that are registered, in the order of their names."""
+        sidecars = [file for file in source if file.suffix == ".xmp"]
+        found = [camera for file in sidecars if (camera := _from_sidecar(path, file)) is not None]
+        tables = [file for file in source if file.suffix == ".csv"]
+        return found or [camera for file in tables for camera in _from_table(file, PhotoFinder(path))]
 
 
 def _sidecars(path: Path) -> Iterator[Path]:

@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import os
+from abc import abstractmethod
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar, Generic, TypeVar, final
 
 import numpy as np
 
 from hir_core.capture import Array, Capture
 from hir_core.errors import CaptureError
+from hir_core.plugins import NoOptions
+from hir_core.plugins.interfaces import CaptureReader
 from hir_plugins.readers.parsing.capture_paths import PHOTO_SUFFIXES, contained_path, unique_names
 from hir_plugins.readers.parsing.lens_camera import LensCamera, make_view
 from hir_plugins.readers.parsing.mask_files import FOLDERS as MASK_FOLDERS
 from hir_plugins.readers.parsing.mask_files import find_mask, warn_of_matches_by_number
 from hir_plugins.readers.parsing.upright import upright_rotation
+
+Source = TypeVar("Source")
 
 MAX_DEPTH = 4
 """Folders below the capture in which photographs are looked for."""
@@ -66,29 +72,60 @@ class PhotoFinder:
         return contained_path(self._capture, best[0].relative_to(self._capture).as_posix(), self._capture)
 
 
-def posed_capture(path: Path, reader: str, cameras: Sequence[PosedPhoto], world: Array | None = None) -> Capture:
-    """The capture of these cameras. `world` (4×4) maps the file's world to +Y up; without it the world is rotated
-    upright by the cameras.
-    """
-    if not cameras:
-        raise CaptureError(
-            f"{path} has no photograph with a camera; align the photographs and export the cameras again"
-        )
-    finder = PhotoFinder(path)
-    photos = [finder.find(camera.name, camera.owner) for camera in cameras]
-    views = [
-        make_view(name, photo, camera.lens, camera.world_to_camera, camera.owner, find_mask(photo, path))
-        for camera, photo, name in zip(cameras, photos, unique_names(photos, path), strict=True)
-    ]
-    warn_of_matches_by_number(views)
-    capture = Capture(path=path, views=tuple(views), world_from_source=np.eye(4), reader=reader)
-    return capture.transformed(upright_rotation([c.world_to_camera for c in cameras]) if world is None else world)
+class PosedPhotosReader(CaptureReader, Generic[Source]):
+    """A format whose files list photographs with poses; it has the split "train" alone."""
 
+    name: ClassVar[str]
+    """The reader's."""
+    remedy: ClassVar[str]
+    """What a folder lacks that is not of the format, and what to put into it."""
+    is_upright: ClassVar[bool] = False
+    """Whether the file's world has +Y up; otherwise the world is rotated upright by the cameras."""
 
-def refuse_split(path: Path, split: str) -> None:
-    """A `CaptureError` for every split but "train"."""
-    if split != "train":
-        raise CaptureError(f"{path} has no split {split!r}; read 'train', the only split of these cameras")
+    def __init__(self, config: NoOptions) -> None:
+        del config
+
+    @abstractmethod
+    def find(self, path: Path) -> Source | None:
+        """The file of the cameras in a folder, or whatever says where they are; None if there is none."""
+
+    @abstractmethod
+    def cameras(self, path: Path, source: Source) -> list[PosedPhoto]:
+        """The photographs that have a pose, in the order of the file."""
+
+    @final
+    def matches(self, path: Path) -> bool:
+        """A folder in which `find` finds something."""
+        return path.is_dir() and self.find(path) is not None
+
+    @final
+    def splits(self, path: Path) -> list[str]:
+        """Only "train"."""
+        return ["train"]
+
+    @final
+    def read(self, path: Path, split: str = "train") -> Capture:
+        """The photographs that have a pose; a photograph that is missing is an error."""
+        if split != "train":
+            raise CaptureError(f"{path} has no split {split!r}; read 'train', the only split of these cameras")
+        source = self.find(path)
+        if source is None:
+            raise CaptureError(f"{path} has {self.remedy}")
+        cameras = self.cameras(path, source)
+        if not cameras:
+            raise CaptureError(
+                f"{path} has no photograph with a camera; align the photographs and export the cameras again"
+            )
+        finder = PhotoFinder(path)
+        photos = [finder.find(camera.name, camera.owner) for camera in cameras]
+        views = [
+            make_view(name, photo, camera.lens, camera.world_to_camera, camera.owner, find_mask(photo, path))
+            for camera, photo, name in zip(cameras, photos, unique_names(photos, path), strict=True)
+        ]
+        warn_of_matches_by_number(views)
+        capture = Capture(path=path, views=tuple(views), world_from_source=np.eye(4), reader=self.name)
+        upright = np.eye(4) if self.is_upright else upright_rotation([c.world_to_camera for c in cameras])
+        return capture.transformed(upright)
 
 
 def _photos(capture: Path) -> list[Path]:

@@ -26,7 +26,7 @@ SAMPLE = ROOT / "examples" / "sample_capture"
         (["reconstruct", "{tmp}", "-o", "{tmp}/run"], "no capture that an installed reader knows"),
         (
             ["reconstruct", SAMPLE, "-o", "{tmp}/run", "--preset", "fastest"],
-            "no preset 'fastest'; installed: best, fast, paper",
+            "no preset 'fastest'; installed: best, delight, fast, paper",
         ),
         (
             ["reconstruct", SAMPLE, "-o", "{tmp}/run", "--set", "geometry.iteration=3"],
