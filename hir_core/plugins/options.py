@@ -143,7 +143,11 @@ def _entry_at(kind: type, place: tuple[Any, ...]) -> Mapping[str, Any]:
 
 def _sentence(error: Any, kind: type) -> str:
     parts = []
+    unions: dict[str, list[str]] = {}
     for problem in error.errors():
+        if alternative := _alternative(problem["loc"]):
+            unions.setdefault(alternative[0], []).append(alternative[1])
+            continue
         key = ".".join(str(p) for p in problem["loc"])
         if (
             not key and problem["type"] == "value_error"
@@ -162,4 +166,19 @@ def _sentence(error: Any, kind: type) -> str:
             needed = f"; it is a number {allowed}" if allowed else ""
             said = f"{problem['msg'][0].lower()}{problem['msg'][1:]}"
             parts.append(f"option {key!r}: {said} (got {problem['input']!r}){needed}")
+    parts += [f"option {key!r} must be {' or '.join(dict.fromkeys(kinds))}" for key, kinds in unions.items()]
     return "; ".join(parts)
+
+
+def _alternative(place: tuple[Any, ...]) -> tuple[str, str] | None:
+    """The option and one of the kinds of value it may have, where an error is about one alternative of several.
+
+    Pydantic names the alternative in the place of the error: `("masks", "literal['auto']")`.
+    """
+    kinds = ("literal[", "tuple[", "list[")
+    index = next((i for i, name in enumerate(place) if isinstance(name, str) and name.startswith(kinds)), None)
+    if index is None:
+        return None
+    kind, _, values = place[index].partition("[")
+    allowed = values.rstrip("]") if kind == "literal" else 'a list such as ["name"]'
+    return ".".join(str(name) for name in place[:index]), allowed

@@ -25,6 +25,10 @@ SAMPLE = ROOT / "examples" / "sample_capture"
         (["reconstruct", "no/such/folder", "-o", "{tmp}/run"], "no/such/folder does not exist"),
         (["reconstruct", "{tmp}", "-o", "{tmp}/run"], "no capture that an installed reader knows"),
         (
+            ["reconstruct", SAMPLE, "-o", "{tmp}/run", "--set", "masks=nonsense"],
+            "option 'masks' must be a list such as [\"name\"] or 'auto'",
+        ),
+        (
             ["reconstruct", SAMPLE, "-o", "{tmp}/run", "--preset", "fastest"],
             "no preset 'fastest'; installed: best, delight, fast, paper",
         ),
