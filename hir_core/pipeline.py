@@ -16,6 +16,7 @@ from hir_core.plugins.manager import PluginManager
 from hir_core.run.capture_store import fingerprint
 from hir_core.run.determinism import determinism
 from hir_core.run.device import resolve_device
+from hir_core.run.python_warnings import forward_user_warnings
 from hir_core.run.run_directory import LAST_STAGE, STAGE_NAMES, RunDirectory, check_stage_name, claimed_run
 from hir_core.run.run_log import write_log
 from hir_core.run.run_records import RunRecords
@@ -134,7 +135,8 @@ def prepare(
 
     Photographs are decoded when a stage asks for them, and at most once.
     """
-    capture = read_capture(path, "train", plugins, config.reader)
+    with forward_user_warnings(lambda sentence: on_message(f"warning: {sentence}")):
+        capture = read_capture(path, "train", plugins, config.reader)
     if not capture.views:
         raise CaptureError(f"{path} holds no photographs to fit; is it the folder of a capture?")
     memory = plan_memory(config, plugins, size_of(capture))

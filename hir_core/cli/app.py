@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 INPUT_ERROR = 2
 INTERRUPTED = 130
 RESUMABLE = "reconstruct"
-"""The command that has `--resume`."""
+"""The engine's command that has `--resume`; its module may not be imported yet when it is interrupted."""
 
 
 class LazyGroup(click.Group):
@@ -120,7 +120,13 @@ def _sentence(error: BaseException, code: int, command_line: Sequence[str]) -> s
 
 def _interruption(command_line: Sequence[str]) -> str:
     """The sentence after Ctrl-C."""
-    return "hir: interrupted" + ("; continue the run with --resume" if RESUMABLE in command_line[:1] else "")
+    return "hir: interrupted" + ("; continue the run with --resume" if _is_resumable(command_line[:1]) else "")
+
+
+def _is_resumable(name: Sequence[str]) -> bool:
+    """Whether the command has `--resume`; nothing is imported, because the process is about to end."""
+    command = cli.commands.get(name[0]) if name else None
+    return RESUMABLE in name or (command is not None and any("--resume" in p.opts for p in command.params))
 
 
 def _exit_at_once(command_line: Sequence[str]) -> None:

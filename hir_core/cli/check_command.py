@@ -71,11 +71,14 @@ def check_command(
     from hir_core.intake.reader_lookup import read_capture
     from hir_core.plugins.manager import PluginManager
     from hir_core.rendering.view_selection import evenly_spaced_indices
+    from hir_core.run.python_warnings import forward_user_warnings
 
     if sheet is not None and sheet.suffix.lower() != ".png":
         raise InputError(f"--sheet {sheet}: the contact sheet is a PNG; give a name that ends in .png")
     plugins = PluginManager.discover(plugin_files)
-    whole = read_capture(capture, split, plugins, reader)
+    said: list[str] = []
+    with forward_user_warnings(said.append):
+        whole = read_capture(capture, split, plugins, reader)
     if photographs:
         chosen = evenly_spaced_indices(len(whole.views), photographs)
         whole = replace(whole, views=tuple(whole.views[i] for i in chosen))
@@ -83,6 +86,7 @@ def check_command(
     if not found.views:
         raise InputError(f"{capture} has no photographs in the split {split}; give the folder of a capture")
     check = check_capture(found, None if mesh is None else surface_of(mesh, found))
+    check = replace(check, advice=(*said, *check.advice))
     if sheet is not None:
         from hir_exporters.textures.image_files import write_png
 

@@ -49,14 +49,21 @@ def apply_mask_sources(
     files, but not those of a source that was called before. `options` holds the options of each source, `seed` is
     the run's.
     """
-    needed = [i for i, view in enumerate(capture.views) if view.pixels().mask is None]
-    names = mask_source_names(masks, plugins)
-    if masks != "auto":
+    names = [
+        name
+        for name in mask_source_names(masks, plugins)
+        if needed_by(plugins.find("mask_source", name).component.traits) == known
+    ]
+    if not names:  # no photograph is decoded for nothing
+        return capture
+    if masks == "auto":
+        needed = [i for i, view in enumerate(capture.views) if view.pixels().mask is None]
+    else:
         first = known == "photographs"
-        needed = [i for i, view in enumerate(capture.views) if first or view.mask is None] if names else []
+        needed = [i for i, view in enumerate(capture.views) if first or view.mask is None]
     for name in names:
-        if not needed or needed_by(plugins.find("mask_source", name).component.traits) != known:
-            continue
+        if not needed:
+            break
         source: MaskSource = plugins.create("mask_source", name, options.get(name), seed)
         found = source.masks(capture, scene)
         views = list(capture.views)

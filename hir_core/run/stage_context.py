@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hir_core.plugins.progress import Progress
+from hir_core.run.python_warnings import forward_user_warnings
 
 if TYPE_CHECKING:
     from hir_core.plugins.manager import PluginManager
@@ -49,9 +49,5 @@ class StageContext:
 @contextlib.contextmanager
 def forward_warnings(context: StageContext) -> Iterator[None]:
     """Turns Python `UserWarning`s of the block into the stage's own warnings: plugins without a context use them."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("default", UserWarning)
+    with forward_user_warnings(context.warn):
         yield
-    for warning in caught:
-        if issubclass(warning.category, UserWarning):
-            context.warn(" ".join(str(warning.message).split()))

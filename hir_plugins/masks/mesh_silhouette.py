@@ -34,28 +34,21 @@ class MeshSilhouette(MaskSource):
                 "'initializers=[\"mesh_file\"]' --set initializer.mesh_file.path=FILE"
             )
         positions = scene.mesh.positions.detach().cpu().numpy().astype(np.float64)
-        # rays are traced in float32: around the origin and of unit size they have all digits
+        # rays are traced in float32: around the origin they have all digits
         center = positions.mean(axis=0)
-        size = float(np.abs(positions - center).max()) or 1.0
-        queries = MeshQueries((positions - center) / size, scene.mesh.faces.cpu().numpy())
-        return [None if v.camera is None else self._mask(queries, v.camera, center, size) for v in capture.views]
+        queries = MeshQueries(positions - center, scene.mesh.faces.cpu().numpy())
+        return [None if view.camera is None else self._mask(queries, view.camera, center) for view in capture.views]
 
-    def _mask(
-        self, queries: MeshQueries, camera: Camera, center: NDArray[np.float64], size: float
-    ) -> NDArray[np.float32]:
-        inverse = np.linalg.inv(camera.intrinsics)
-        to_world = camera.world_to_camera[:3, :3].T
-        origin = (camera.center - center) / size
+    def _mask(self, queries: MeshQueries, camera: Camera, center: NDArray[np.float64]) -> NDArray[np.float32]:
         steps = (np.arange(self._side) + 0.5) / self._side
+        x = (np.arange(camera.width)[:, None] + steps).reshape(-1)
         mask = np.zeros((camera.height, camera.width), np.float32)
         rows = max(1, RAYS_PER_CALL // (camera.width * self._side**2))
         for top in range(0, camera.height, rows):
             bottom = min(top + rows, camera.height)
             y = (np.arange(top, bottom)[:, None] + steps).reshape(-1)
-            x = (np.arange(camera.width)[:, None] + steps).reshape(-1)
-            pixels = np.stack([*np.meshgrid(x, y), np.ones((len(y), len(x)))], axis=-1).reshape(-1, 3)
-            directions = pixels @ inverse.T @ to_world.T
-            hit = queries.occluded(np.broadcast_to(origin, directions.shape), directions)
+            origins, directions = camera.rays(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))
+            hit = queries.occluded(origins - center, directions)
             blocks = hit.reshape(bottom - top, self._side, camera.width, self._side)
             mask[top:bottom] = blocks.mean(axis=(1, 3))
         return mask

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
-from hir_core.errors import ConfigError
+from annotated_types import Interval
+
 from hir_core.plugins.options import seed_of_run
 
 
@@ -60,9 +61,5 @@ class RembgOptions:
 class MeshSilhouetteOptions:
     """Options of the silhouette of a mesh."""
 
-    rays_per_side: int = 4
+    rays_per_side: Annotated[int, Interval(ge=1, le=32)] = 4
     """Rays along each side of a pixel; their square is the number of grey levels of an edge."""
-
-    def __post_init__(self) -> None:
-        if not 1 <= self.rays_per_side <= 32:
-            raise ConfigError(f"rays_per_side is {self.rays_per_side}; it must lie between 1 and 32")

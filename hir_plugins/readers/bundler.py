@@ -11,15 +11,13 @@ from pathlib import Path
 from typing import final
 
 import numpy as np
-from hir_exporters.files.regular_files import refuse_special_file
 
 from hir_core.errors import CaptureError
 from hir_plugins.readers.parsing.camera_axes import OPENCV_FROM_OPENGL, rigid_transform
-from hir_plugins.readers.parsing.capture_paths import MAX_TEXT_BYTES
-from hir_plugins.readers.parsing.file_head import file_head
 from hir_plugins.readers.parsing.lens_camera import LensCamera
 from hir_plugins.readers.parsing.picture_decoding import photo_size
 from hir_plugins.readers.parsing.posed_photos import PhotoFinder, PosedPhoto, PosedPhotosReader
+from hir_plugins.readers.parsing.text_files import file_head, read_text
 
 _HEADER = b"# Bundle file"
 
@@ -33,13 +31,13 @@ class BundlerReader(PosedPhotosReader[Path]):
 
     def find(self, path: Path) -> Path | None:
         """The bundle file."""
-        return _file(path)
+        usual = [path / "bundle.out", path / "bundle" / "bundle.out", *sorted(path.glob("*.out"))[:20]]
+        return next((file for file in usual if file_head(file).startswith(_HEADER)), None)
 
-    def cameras(self, path: Path, source: Path) -> list[PosedPhoto]:
+    def cameras(self, source: Path, finder: PhotoFinder) -> list[PosedPhoto]:
         """Those that are registered."""
         blocks = _blocks(source)
-        names = _names(path, source, len(blocks))
-        finder = PhotoFinder(path)
+        names = _names(finder.capture, source, len(blocks))
         cameras = []
         for name, block in zip(names, blocks, strict=True):
             owner = f"{source}, {name!r}"
@@ -53,14 +51,9 @@ class BundlerReader(PosedPhotosReader[Path]):
         return cameras
 
 
-def _file(path: Path) -> Path | None:
-    usual = [path / "bundle.out", path / "bundle" / "bundle.out", *sorted(path.glob("*.out"))[:20]]
-    return next((file for file in usual if file_head(file).startswith(_HEADER)), None)
-
-
 def _blocks(source: Path) -> np.ndarray:
     """(N, 5, 3): the five lines of each camera."""
-    lines = _text(source).splitlines()[1:]
+    lines = read_text(source).splitlines()[1:]
     try:
         count = int(lines[0].split()[0])
         rows = [[float(word) for word in line.split()] for line in lines[1 : 1 + 5 * count]]
@@ -76,16 +69,9 @@ def _names(path: Path, source: Path, count: int) -> list[str]:
     lists = [folder / "list.txt" for folder in (source.parent, path)] + sorted(path.glob("*list*.txt"))[:20]
     for file in dict.fromkeys(lists):
         if file.is_file():
-            lines = [line.strip() for line in _text(file).splitlines() if line.strip()]
+            lines = [line.strip() for line in read_text(file).splitlines() if line.strip()]
             # a line may end with the focal length from EXIF: "a.jpg 0 2844.4"
             names = [re.sub(r"\s+0(\s+[-+.\deE]+)?$", "", line) for line in lines]
             if len(names) == count:
                 return names
     raise CaptureError(f"{source} has {count} cameras; put list.txt with the names of as many images beside it")
-
-
-def _text(path: Path) -> str:
-    if path.stat().st_size > MAX_TEXT_BYTES:
-        raise CaptureError(f"{path} is larger than {MAX_TEXT_BYTES >> 20} MB; it is not a camera file")
-    refuse_special_file(path)
-    return path.read_text(encoding="utf-8", errors="replace")

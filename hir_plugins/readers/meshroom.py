@@ -17,7 +17,7 @@ from hir_core.errors import CaptureError
 from hir_plugins.readers.parsing.camera_axes import rigid_transform
 from hir_plugins.readers.parsing.json_fields import read_json
 from hir_plugins.readers.parsing.lens_camera import LensCamera
-from hir_plugins.readers.parsing.posed_photos import PosedPhoto, PosedPhotosReader
+from hir_plugins.readers.parsing.posed_photos import PhotoFinder, PosedPhoto, PosedPhotosReader
 
 _CENTERED_SINCE: Final = (1, 2, 1)
 _NO_RIG: Final = ("", "-1", "4294967295")
@@ -34,10 +34,12 @@ class MeshroomReader(PosedPhotosReader[Path]):
 
     def find(self, path: Path) -> Path | None:
         """cameras.sfm, or the first .sfm file."""
-        return _file(path)
+        files = sorted(p for p in path.glob("*.sfm") if p.is_file())
+        return next((f for f in files if f.name == "cameras.sfm"), files[0] if files else None)
 
-    def cameras(self, path: Path, source: Path) -> list[PosedPhoto]:
+    def cameras(self, source: Path, finder: PhotoFinder) -> list[PosedPhoto]:
         """Those that are registered."""
+        del finder
         content = read_json(source)
         version = _version(content.get("version"))
         intrinsics = {str(i.get("intrinsicId")): i for i in _tables(content, "intrinsics", source)}
@@ -53,11 +55,6 @@ class MeshroomReader(PosedPhotosReader[Path]):
                 raise CaptureError(f"{owner}: rigs are not supported; reconstruct the photographs without a rig")
             cameras.append(PosedPhoto(name, owner, _lens(intrinsic, version, owner), _pose(pose, owner)))
         return cameras
-
-
-def _file(path: Path) -> Path | None:
-    files = sorted(p for p in path.glob("*.sfm") if p.is_file())
-    return next((f for f in files if f.name == "cameras.sfm"), files[0] if files else None)
 
 
 def _version(value: object) -> tuple[int, ...]:

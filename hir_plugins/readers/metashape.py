@@ -6,6 +6,7 @@ offsets from the middle of the image.
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import final
 from xml.etree.ElementTree import Element
@@ -15,17 +16,17 @@ import numpy as np
 from hir_core.capture import Array
 from hir_core.errors import CaptureError
 from hir_plugins.readers.parsing.camera_axes import rigid_inverse, rigid_transform
-from hir_plugins.readers.parsing.file_head import file_head
 from hir_plugins.readers.parsing.lens_camera import LensCamera
 from hir_plugins.readers.parsing.number_text import finite_number, finite_numbers
-from hir_plugins.readers.parsing.posed_photos import PosedPhoto, PosedPhotosReader
+from hir_plugins.readers.parsing.posed_photos import PhotoFinder, PosedPhoto, PosedPhotosReader
+from hir_plugins.readers.parsing.text_files import file_head
 from hir_plugins.readers.parsing.xml_files import read_xml
 
 EARTH_DISTANCE = 1e5
 """Longer translations, in metres, place the object on the Earth. They are dropped: float32 is too coarse for them."""
 
 LARGEST_SKEW_PIXELS = 0.5
-"""Skew (`b2`) up to this is neglected: it moves pixels by less than half of it."""
+"""Skew (`b2`) up to this is neglected. It moves a pixel by `b2` times its height over the middle in focal lengths."""
 
 
 @final
@@ -37,18 +38,15 @@ class MetashapeReader(PosedPhotosReader[Path]):
 
     def find(self, path: Path) -> Path | None:
         """The first XML file that has a chunk."""
-        return _file(path)
+        return next((f for f in sorted(path.glob("*.xml"))[:20] if b"<chunk" in file_head(f)), None)
 
-    def cameras(self, path: Path, source: Path) -> list[PosedPhoto]:
+    def cameras(self, source: Path, finder: PhotoFinder) -> list[PosedPhoto]:
         """In the chunk's world, in metres if the chunk has a scale."""
+        del finder
         chunks = [chunk for chunk in read_xml(source).iter("chunk") if _aligned(chunk)]
         if not chunks:
             raise CaptureError(f"{source} has no aligned camera; align the photographs and export the cameras again")
         return _cameras(chunks[0], source)
-
-
-def _file(path: Path) -> Path | None:
-    return next((f for f in sorted(path.glob("*.xml"))[:20] if b"<chunk" in file_head(f)), None)
 
 
 def _aligned(chunk: Element) -> list[Element]:
@@ -71,7 +69,8 @@ def _cameras(chunk: Element, source: Path) -> list[PosedPhoto]:
             raise CaptureError(f"{owner} has no sensor; export the cameras again")
         pose = rigid_transform(np.reshape(finite_numbers(camera.findtext("transform"), 16, owner), (4, 4)), owner)
         component = components.get(camera.get("component_id"))
-        place = chunk.find("transform") if component is None else component.find("transform")
+        own = None if component is None else component.find("transform")
+        place = chunk.find("transform") if own is None else own
         found.append(PosedPhoto(label, owner, _lens(sensor, owner), rigid_inverse(_in_world(pose, place, owner))))
     return found
 
@@ -91,6 +90,11 @@ def _in_world(pose: Array, place: Element | None, owner: str) -> Array:
         raise CaptureError(f"{owner}: the scale {scale:g} of its chunk is not positive; export the cameras again")
     if np.linalg.norm(translation) > EARTH_DISTANCE:
         translation = np.zeros(3)
+        warnings.warn(
+            "the cameras are placed on the Earth; that position is dropped, so a scan of the same project fits them "
+            "only if it was exported in local coordinates",
+            stacklevel=2,
+        )
     result = rotation @ pose
     result[:3, 3] = scale * (rotation[:3, :3] @ pose[:3, 3]) + translation
     return result

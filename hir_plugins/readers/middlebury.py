@@ -6,16 +6,16 @@ from pathlib import Path
 from typing import final
 
 import numpy as np
-from hir_exporters.files.regular_files import refuse_special_file
 
 from hir_core.capture import Capture
 from hir_core.errors import CaptureError
 from hir_core.plugins import NoOptions
 from hir_core.plugins.interfaces import CaptureReader
 from hir_plugins.readers.parsing.camera_axes import rigid_transform
-from hir_plugins.readers.parsing.capture_paths import MAX_TEXT_BYTES, find_photo, unique_names
+from hir_plugins.readers.parsing.capture_paths import find_photo, unique_names
 from hir_plugins.readers.parsing.lens_camera import LensCamera, make_view
 from hir_plugins.readers.parsing.mask_files import find_mask
+from hir_plugins.readers.parsing.text_files import read_text
 from hir_plugins.readers.parsing.upright import upright_rotation
 
 
@@ -39,11 +39,7 @@ class MiddleburyReader(CaptureReader):
         source = next(iter(sorted(path.glob("*_par.txt"))), None)
         if source is None or split != "train":
             raise CaptureError(f"{path} has no split {split!r}; read 'train', the only split of a Middlebury capture")
-        if source.stat().st_size > MAX_TEXT_BYTES:
-            raise CaptureError(f"{source} is larger than {MAX_TEXT_BYTES >> 20} MB")
-        refuse_special_file(source)
-        text = source.read_text(encoding="utf-8", errors="replace")
-        rows = [line.split() for line in text.splitlines() if line.strip()][1:]
+        rows = [line.split() for line in read_text(source).splitlines() if line.strip()][1:]
         if not rows or any(len(row) != 22 for row in rows):
             raise CaptureError(f"{source} needs one line with a name and 21 numbers for each image")
         photos = [find_photo(path, row[0], source) for row in rows]

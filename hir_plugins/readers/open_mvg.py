@@ -13,7 +13,7 @@ from hir_core.errors import CaptureError
 from hir_plugins.readers.parsing.camera_axes import rigid_transform
 from hir_plugins.readers.parsing.json_fields import number_field, read_json
 from hir_plugins.readers.parsing.lens_camera import LensCamera
-from hir_plugins.readers.parsing.posed_photos import PosedPhoto, PosedPhotosReader
+from hir_plugins.readers.parsing.posed_photos import PhotoFinder, PosedPhoto, PosedPhotosReader
 
 _FILES: Final = ("sfm_data.json", "sfm_data_expanded.json")
 _LENSES: Final = {"disto_k1": 1, "disto_k3": 3, "disto_t2": 5, "fisheye": 4}
@@ -29,10 +29,11 @@ class OpenMvgReader(PosedPhotosReader[Path]):
 
     def find(self, path: Path) -> Path | None:
         """sfm_data.json."""
-        return _file(path)
+        return next((path / name for name in _FILES if (path / name).is_file()), None)
 
-    def cameras(self, path: Path, source: Path) -> list[PosedPhoto]:
+    def cameras(self, source: Path, finder: PhotoFinder) -> list[PosedPhoto]:
         """Those that are registered."""
+        del finder
         content = read_json(source)
         intrinsics, poses = _entries(content, "intrinsics", source), _entries(content, "extrinsics", source)
         cameras = []
@@ -44,10 +45,6 @@ class OpenMvgReader(PosedPhotosReader[Path]):
                 continue
             cameras.append(PosedPhoto(name, owner, _lens(intrinsic, owner), _pose(pose, owner)))
         return cameras
-
-
-def _file(path: Path) -> Path | None:
-    return next((path / name for name in _FILES if (path / name).is_file()), None)
 
 
 def _entries(content: Mapping[str, object], key: str, source: Path) -> dict[str, dict[str, object]]:

@@ -15,7 +15,7 @@ from hir_core.errors import CaptureError
 from hir_plugins.readers.parsing.camera_axes import OPENCV_FROM_OPENGL, rigid_inverse, rigid_transform
 from hir_plugins.readers.parsing.json_fields import number_field, read_json
 from hir_plugins.readers.parsing.lens_camera import LensCamera
-from hir_plugins.readers.parsing.posed_photos import PosedPhoto, PosedPhotosReader
+from hir_plugins.readers.parsing.posed_photos import PhotoFinder, PosedPhoto, PosedPhotosReader
 
 _FOLDERS: Final = (("corrected_cameras", "corrected_images"), ("cameras", "images"))
 _INTRINSICS: Final = ("fx", "fy", "cx", "cy", "width", "height")
@@ -31,10 +31,15 @@ class PolycamReader(PosedPhotosReader[tuple[Path, str]]):
 
     def find(self, path: Path) -> tuple[Path, str] | None:
         """The folder of the cameras, and the name of that of the images."""
-        return _folders(path)
+        for cameras, images in _FOLDERS:
+            folder = path / "keyframes" / cameras
+            if folder.is_dir() and next(folder.glob("*.json"), None) is not None:
+                return folder, images
+        return None
 
-    def cameras(self, path: Path, source: tuple[Path, str]) -> list[PosedPhoto]:
+    def cameras(self, source: tuple[Path, str], finder: PhotoFinder) -> list[PosedPhoto]:
         """In the order of the time stamps."""
+        del finder
         cameras_folder, images = source
         cameras = []
         for file in sorted(cameras_folder.glob("*.json"), key=lambda f: (len(f.stem), f.stem)):
@@ -56,11 +61,3 @@ class PolycamReader(PosedPhotosReader[tuple[Path, str]]):
             name = f"keyframes/{images}/{file.stem}"
             cameras.append(PosedPhoto(name, owner, lens, OPENCV_FROM_OPENGL @ rigid_inverse(pose)))
         return cameras
-
-
-def _folders(path: Path) -> tuple[Path, str] | None:
-    for cameras, images in _FOLDERS:
-        folder = path / "keyframes" / cameras
-        if folder.is_dir() and next(folder.glob("*.json"), None) is not None:
-            return folder, images
-    return None

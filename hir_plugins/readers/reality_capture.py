@@ -13,18 +13,17 @@ from typing import Final, final
 from xml.etree.ElementTree import Element
 
 import numpy as np
-from hir_exporters.files.regular_files import refuse_special_file
 from scipy.spatial.transform import Rotation
 
 from hir_core.capture import Array
 from hir_core.errors import CaptureError
 from hir_plugins.readers.parsing.camera_axes import OPENCV_FROM_OPENGL, rigid_inverse, rigid_transform
-from hir_plugins.readers.parsing.capture_paths import MAX_TEXT_BYTES, PHOTO_SUFFIXES
-from hir_plugins.readers.parsing.file_head import file_head
+from hir_plugins.readers.parsing.capture_paths import PHOTO_SUFFIXES
 from hir_plugins.readers.parsing.lens_camera import LensCamera
 from hir_plugins.readers.parsing.number_text import finite_number, finite_numbers
 from hir_plugins.readers.parsing.picture_decoding import photo_size
 from hir_plugins.readers.parsing.posed_photos import PhotoFinder, PosedPhoto, PosedPhotosReader
+from hir_plugins.readers.parsing.text_files import file_head, read_text
 from hir_plugins.readers.parsing.xml_files import read_xml
 
 _NAMESPACE: Final = "http://www.capturingreality.com/ns/xcr/1.1#"
@@ -47,12 +46,12 @@ class RealityCaptureReader(PosedPhotosReader[list[Path]]):
         table = _table(path)
         return [*_sidecars(path), *([] if table is None else [table])] or None
 
-    def cameras(self, path: Path, source: list[Path]) -> list[PosedPhoto]:
+    def cameras(self, source: list[Path], finder: PhotoFinder) -> list[PosedPhoto]:
         """Those that are registered, in the order of their names."""
         sidecars = [file for file in source if file.suffix == ".xmp"]
-        found = [camera for file in sidecars if (camera := _from_sidecar(path, file)) is not None]
+        found = [camera for file in sidecars if (camera := _from_sidecar(finder.capture, file)) is not None]
         tables = [file for file in source if file.suffix == ".csv"]
-        return found or [camera for file in tables for camera in _from_table(file, PhotoFinder(path))]
+        return found or [camera for file in tables for camera in _from_table(file, finder)]
 
 
 def _sidecars(path: Path) -> Iterator[Path]:
@@ -99,10 +98,7 @@ def _table(path: Path) -> Path | None:
 
 
 def _from_table(source: Path, finder: PhotoFinder) -> list[PosedPhoto]:
-    if source.stat().st_size > MAX_TEXT_BYTES:
-        raise CaptureError(f"{source} is larger than {MAX_TEXT_BYTES >> 20} MB; it is not a camera file")
-    refuse_special_file(source)
-    lines = source.read_text(encoding="utf-8-sig", errors="replace").splitlines()
+    lines = read_text(source).splitlines()
     start = next(i for i, line in enumerate(lines) if line.startswith("#name,"))
     header = [name.strip() for name in lines[start][1:].split(",")]
     missing = [name for name in _COLUMNS if name not in header]

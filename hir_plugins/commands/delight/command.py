@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hir_core.terminal.command_options import FOLDER, verbosity_options
+from hir_core.terminal.command_options import FOLDER, plugin_option, verbosity_options
 from hir_core.terminal.required_packages import require_reconstruction_packages
 from hir_core.terminal.run_results import show_summary
 
@@ -36,6 +36,7 @@ PRESET = "delight"
 @click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="One setting; repeatable.")
 @click.option("--resume", is_flag=True, help="Continue a run: reuse finished stages whose settings are unchanged.")
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of all random numbers.")
+@plugin_option
 @verbosity_options
 def delight_command(
     scan: Path,
@@ -46,6 +47,7 @@ def delight_command(
     assignments: tuple[str, ...],
     resume: bool,
     seed: int | None,
+    plugin_files: tuple[str, ...],
     quiet: bool,
     verbose: bool,
 ) -> None:
@@ -60,7 +62,7 @@ def delight_command(
     from hir_core.plugins.manager import PluginManager
     from hir_core.terminal.progress_bar import ProgressBar
 
-    plugins = PluginManager.discover()
+    plugins = PluginManager.discover(plugin_files)
     with ProgressBar(quiet=quiet) as bar:
         result = reconstruct(
             photos,
@@ -80,8 +82,10 @@ def delight_command(
 def scan_settings(scan: Path, photos: Path, axes: str, align: bool | None, plugins: PluginManager) -> list[str]:
     """The settings beside those of the preset: where the scan is, and how it comes into the world of the cameras."""
     from hir_core.intake.reader_lookup import read_capture
+    from hir_core.run.python_warnings import forward_user_warnings
 
-    views = read_capture(photos, "train", plugins).views
+    with forward_user_warnings(lambda sentence: None):  # the run says them
+        views = read_capture(photos, "train", plugins).views
     known = bool(views) and all(view.camera is not None for view in views)
     settings = [f"initializer.mesh_file.path={json.dumps(str(scan.resolve()))}", f'initializer.mesh_file.axes="{axes}"']
     align = not known if align is None else align

@@ -48,7 +48,7 @@ class PhotoFinder:
     """Finds photographs below a folder by name, because other programs store paths of the computer they ran on."""
 
     def __init__(self, capture: Path) -> None:
-        self._capture = capture
+        self.capture = capture
         self._by_name: dict[str, list[Path]] = defaultdict(list)
         for path in _photos(capture):
             for name in {path.name.lower(), path.stem.lower()}:
@@ -61,15 +61,15 @@ class PhotoFinder:
         found = self._by_name.get(last, [])
         if not found:
             raise CaptureError(
-                f"{owner} names the image {name!r}, which is not in {self._capture}; add the file or remove its entry"
+                f"{owner} names the image {name!r}, which is not in {self.capture}; add the file or remove its entry"
             )
         agreements = [_common_folders(path, parts) for path in found]
         best = [path for path, agreement in zip(found, agreements, strict=True) if agreement == max(agreements)]
         if len(best) > 1:
             raise CaptureError(
-                f"{owner}: the image {name!r} may be {best[0]} or {best[1]}; keep only one of them in {self._capture}"
+                f"{owner}: the image {name!r} may be {best[0]} or {best[1]}; keep only one of them in {self.capture}"
             )
-        return contained_path(self._capture, best[0].relative_to(self._capture).as_posix(), self._capture)
+        return contained_path(self.capture, best[0].relative_to(self.capture).as_posix(), self.capture)
 
 
 class PosedPhotosReader(CaptureReader, Generic[Source]):
@@ -90,8 +90,8 @@ class PosedPhotosReader(CaptureReader, Generic[Source]):
         """The file of the cameras in a folder, or whatever says where they are; None if there is none."""
 
     @abstractmethod
-    def cameras(self, path: Path, source: Source) -> list[PosedPhoto]:
-        """The photographs that have a pose, in the order of the file."""
+    def cameras(self, source: Source, finder: PhotoFinder) -> list[PosedPhoto]:
+        """The photographs that have a pose, in the order of the file; `finder` knows the capture's folder."""
 
     @final
     def matches(self, path: Path) -> bool:
@@ -111,12 +111,12 @@ class PosedPhotosReader(CaptureReader, Generic[Source]):
         source = self.find(path)
         if source is None:
             raise CaptureError(f"{path} has {self.remedy}")
-        cameras = self.cameras(path, source)
+        finder = PhotoFinder(path)
+        cameras = self.cameras(source, finder)
         if not cameras:
             raise CaptureError(
                 f"{path} has no photograph with a camera; align the photographs and export the cameras again"
             )
-        finder = PhotoFinder(path)
         photos = [finder.find(camera.name, camera.owner) for camera in cameras]
         views = [
             make_view(name, photo, camera.lens, camera.world_to_camera, camera.owner, find_mask(photo, path))

@@ -154,3 +154,24 @@ def test_the_tankard_in_llff_agrees_with_its_opencv_cameras(shared: Path) -> Non
         np.testing.assert_allclose(view.camera.intrinsics, row["K"], rtol=1e-3)
     mask = capture.views[0].pixels().mask
     assert mask is not None and 0.02 < mask.mean() < 0.9
+
+
+def test_the_command_line_says_which_masks_were_matched_by_number(tmp_path: Path) -> None:
+    """Python's warnings are off there: without being forwarded the sentence would be lost."""
+    import subprocess
+    import sys
+
+    from hir_core.testing.captures import tiny_capture
+    from hir_plugins.readers.contract_inputs import idr_cameras
+
+    folder = idr_cameras(tiny_capture(tmp_path / "truth", views=6, size=32).capture, tmp_path / "scan")
+    for kind, digits in (("image", 6), ("mask", 3)):
+        for i, file in enumerate(sorted((folder / kind).iterdir())):
+            file.rename(file.with_name(f"{i:0{digits}d}.png"))
+    command = [sys.executable, "-m", "hir_core.cli"]
+    check = subprocess.run([*command, "check", str(folder)], capture_output=True, text=True, check=True)
+    assert "6 masks are matched by number, such as 000.png with 000000.png" in " ".join(check.stdout.split())
+    run = [*command, "reconstruct", str(folder), "-o", str(tmp_path / "run"), "--until", "initializer"]
+    settings = ["--set", "initializer.visual_hull.max_resolution=32"]
+    started = subprocess.run([*run, *settings], capture_output=True, text=True, check=True)
+    assert "warning: 6 masks are matched by number" in " ".join(started.stderr.split())

@@ -82,6 +82,23 @@ def test_named_sources_do_not_replace_what_an_earlier_one_found(tiny_capture: Pa
     assert apply_mask_sources(first, None, names, {}, plugins, known="mesh").views == first.views
 
 
+def test_no_photograph_is_decoded_for_a_moment_without_sources(tiny_capture: Path) -> None:
+    from dataclasses import replace
+
+    from hir_core.capture import Pixels
+    from hir_core.intake.mask_sources import apply_mask_sources
+    from hir_core.intake.reader_lookup import read_capture
+    from hir_core.plugins.manager import PluginManager
+
+    def unread() -> Pixels:
+        raise AssertionError("a photograph was decoded")
+
+    plugins = PluginManager.discover()
+    capture = read_capture(tiny_capture, "train", plugins)
+    capture = replace(capture, views=tuple(replace(view, read=unread) for view in capture.views))
+    assert apply_mask_sources(capture, None, "auto", {}, plugins, known="mesh") is capture
+
+
 @pytest.mark.parametrize("broken", ["no coordinates", "overlap"])
 def test_coordinates_that_cannot_be_kept_are_an_error(
     finished: Run, tiny_capture: Path, tmp_path: Path, broken: str, capsys: pytest.CaptureFixture[str]
