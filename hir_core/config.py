@@ -159,7 +159,7 @@ class ReflectanceSettings:
     """Columns of the light's image."""
     initial_radiance: float = 0.5
     """Of every texel of the light."""
-    initial_roughness: float = 0.07
+    initial_roughness: float = 0.15
     """GGX width α."""
     initial_specular_albedo: float = 0.04
     """ρs."""

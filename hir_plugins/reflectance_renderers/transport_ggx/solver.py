@@ -64,6 +64,8 @@ is upright."""
 MIN_VIEW_DEGREES = math.degrees(math.asin(MIN_VIEW_COSINE))
 MAX_COMPARED_POINTS = 12_000
 """Surface points of held-out views at which per-texel values are solved to compare them."""
+SAMPLE_PIXELS = 4_096
+"""Pixels of all views together on which widths of a lobe are compared."""
 TRIAL_EFFORT = 0.25
 TRIAL_PIXEL_SHARE = 0.4
 """Effort (at most half of the fit's) and share of the pixels of the short fits that choose initial values."""
@@ -338,7 +340,10 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
             seed = number + (self._options.seed << 32)
             return self._pixel_batch(photographs.take(order[number::count]), spec, state, seed)
 
-        return MiniBatches(make, count, max(1, self._options.resident_pixels // block))
+        def sample(state: Parameters) -> PixelBatch:
+            return self._pixel_batch(photographs.take(order[:SAMPLE_PIXELS]), spec, state, self._options.seed)
+
+        return MiniBatches(make, sample, count, max(1, self._options.resident_pixels // block))
 
     def _pixel_batch(self, part: ObservedPixels, spec: ModelSpec, parameters: Parameters, seed: int) -> PixelBatch:
         vertices, cells = self._transport.interpolation(part.points)

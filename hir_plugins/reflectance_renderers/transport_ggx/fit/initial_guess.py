@@ -23,8 +23,6 @@ MEAN_WEIGHT = 0.05
 """Weight of the mean albedo at a vertex, as a fraction of the mean weight of a vertex's pixels."""
 INDIRECT_ITERATIONS = 4
 """Iterations of darker albedos and the indirect light that they cause; each reduces the change by the albedo."""
-WIDE_ALPHA = 0.3
-"""The second initial GGX width that is tried: highlights and sheen are two minima of the loss."""
 MIN_INITIAL_SPECULAR_LOGIT = math.log(0.03 / 0.97)
 """Lower limit of logit ρs where a colour or a map starts: near ρs = 0 the logistic function has no slope."""
 MOSTLY_METAL = 0.75
@@ -136,15 +134,7 @@ def extended_to(spec: ModelSpec, base: Parameters, material: Material) -> Parame
 
 
 def initial_candidates(parameters: Parameters, earlier: Parameters | None) -> list[Parameters]:
-    """The initial values, and others from which a fit may find a lower minimum, where a lobe or a metalness is new."""
-    if parameters.width is None:
+    """The initial values, and others from which a fit may find a lower minimum, where a metalness is new."""
+    if earlier is None or parameters.metalness is None or earlier.metalness is not None or parameters.is_metal:
         return [parameters]
-    wide = replace(parameters, width=logit_of_alpha(torch.full_like(parameters.width, WIDE_ALPHA)))
-    if earlier is None or earlier.width is None:
-        return [parameters, wide]
-    if parameters.metalness is None or earlier.metalness is not None:
-        return [parameters]
-    if parameters.is_metal:
-        return [parameters, wide]
-    metal = torch.logit(torch.full_like(parameters.metalness, MOSTLY_METAL))
-    return [parameters, replace(parameters, metalness=metal), replace(wide, metalness=metal)]
+    return [parameters, replace(parameters, metalness=torch.logit(torch.full_like(parameters.metalness, MOSTLY_METAL)))]

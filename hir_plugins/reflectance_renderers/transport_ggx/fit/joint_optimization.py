@@ -28,11 +28,14 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import MAX_F
 from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import (
     PixelBatch,
     predict,
+    refresh_matrices,
+    specular_matrices,
     srgb_residual,
     with_exposure,
 )
 from hir_plugins.reflectance_renderers.transport_ggx.fit.resident_batches import ResidentBatches
 from hir_plugins.reflectance_renderers.transport_ggx.fit.smoothness import SmoothnessWeights, smoothness_energy
+from hir_plugins.reflectance_renderers.transport_ggx.fit.width_search import searched_width
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
 from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_radiance import SpecularMatrices
 
@@ -55,10 +58,9 @@ class FitSettings:
     exposure_rate: float = 0.02
     normal_rate: float = 0.03
     metalness_rate: float = 0.15
-    alpha_frozen_share: float = 0.7
-    """Share of the steps before α changes where lobes are new. Earlier, under a light that is still uniform, every lobe
-    would widen, and under a blurred one narrow. Where a fit with lobes goes on it is 0: a map of widths would stay
-    uniform for most of its steps, so that a map of specular albedos, which imitates it, would gain more."""
+    alpha_frozen_share: float = 0.2
+    """Share of the steps before α changes where lobes are new: under a light that is still uniform it has no meaning.
+    Where a fit with lobes goes on it is 0."""
     f0_frozen_share: float = 0.7
     """Share of the steps before F0 of the dielectric part changes: while metalness is undecided, metal imitates it."""
     refresh_interval: int = 15
@@ -89,11 +91,35 @@ def fit(
     """
     prepared = None if terms is None else terms.prepared(start.detached(), settings.model, settings.huber_srgb)
     parameters = _leaves(start.detached(), settings)
-    resident = ResidentBatches(batches, parameters, start.detached(), settings.model, settings.refresh_interval)
-    fitted_loss = math.nan
+
+    def predicted(batch: PixelBatch, matrices: SpecularMatrices, at: Parameters) -> Tensor:
+        return predict(transport, batch, matrices, at, settings.bounces)
+
+    resident = ResidentBatches(
+        batches, parameters, start.detached(), settings.model, settings.refresh_interval, predicted
+    )
+    searches_width = parameters.width is not None and len(parameters.width) == 1
+    fitted_loss, searched_at = math.nan, -1
+
+    def search_width(step: int) -> None:
+        nonlocal searched_at
+        if step == searched_at or step % settings.refresh_interval or not searches_width:
+            return
+        searched_at = step
+        if step >= settings.alpha_frozen_share * settings.steps:
+            assert parameters.width is not None
+
+            def loss_of(moved: Parameters) -> float:
+                with torch.no_grad():
+                    regularizers = {} if prepared is None else prepared(moved, step)
+                    pixels = _sample_loss(transport, batches, moved, settings)
+                return sum((float(term) for term in regularizers.values()), pixels)
+
+            parameters.width.data.copy_(searched_width(parameters, loss_of))
 
     def loss(step: int) -> dict[str, Tensor]:
         nonlocal fitted_loss
+        search_width(step)
         batch, matrices = resident.at(step)
         # metal or not is decided late: while light and colours are wrong, the nearer end of m is no evidence
         decided = replace(
@@ -105,7 +131,7 @@ def fit(
         return own | regularizers
 
     def freeze(step: int) -> None:
-        if parameters.width is not None and step < settings.alpha_frozen_share * settings.steps:
+        if parameters.width is not None and (searches_width or step < settings.alpha_frozen_share * settings.steps):
             parameters.width.grad = None
         if parameters.metalness is not None and step < settings.f0_frozen_share * settings.steps:
             assert parameters.specular is not None
@@ -162,6 +188,15 @@ def objective(
     difference = _difference(transport, batch, matrices, parameters, settings)
     pixels = torch.nn.functional.huber_loss(difference, torch.zeros_like(difference), delta=settings.huber_srgb)
     return {PIXEL_TERM: pixels, "smoothness": smoothness_energy(parameters, settings.smoothness, edges)}
+
+
+def _sample_loss(transport: Transport, batches: MiniBatches, parameters: Parameters, settings: FitSettings) -> float:
+    """The loss of a small batch of pixels, with lobes drawn for the parameters."""
+    batch = [batches.sample(parameters)]
+    matrices = specular_matrices(batch, settings.model)
+    refresh_matrices(batch, matrices, parameters)
+    difference = _difference(transport, batch[0], matrices[0], parameters, settings)
+    return float(torch.nn.functional.huber_loss(difference, torch.zeros_like(difference), delta=settings.huber_srgb))
 
 
 def _difference(

@@ -21,6 +21,8 @@ class MiniBatches:
 
     make: Callable[[Parameters, int], PixelBatch]
     """Makes the batch of a number, with lobes sampled for parameters."""
+    sample: Callable[[Parameters], PixelBatch]
+    """Makes one small batch of pixels of all views, the same each time, with lobes sampled for parameters."""
     count: int
     resident: int
     """Batches in memory at once."""
@@ -30,10 +32,14 @@ class MiniBatches:
         """1 if all batches stay in memory."""
         return math.ceil(self.count / self.resident)
 
+    def numbers(self, shard: int) -> range:
+        """The numbers of a shard's batches; shards beyond the last one wrap."""
+        first = shard % self.shards * self.resident
+        return range(first, min(first + self.resident, self.count))
+
     def shard(self, parameters: Parameters, number: int) -> list[PixelBatch]:
-        """The batches of a shard; numbers beyond the last shard wrap."""
-        first = number % self.shards * self.resident
-        return [self.make(parameters, i) for i in range(first, min(first + self.resident, self.count))]
+        """The batches of a shard."""
+        return [self.make(parameters, i) for i in self.numbers(number)]
 
     def each(self, parameters: Parameters, model: str) -> Iterator[tuple[PixelBatch, SpecularMatrices | None]]:
         """All batches one by one, with their specular matrices for `parameters`."""

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from typing import Any, final
 
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from hir_core.optimization.checkpoints import Arrays
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_checkpoints import parameter_arrays, parameters_from_arrays
 from hir_plugins.reflectance_renderers.transport_ggx.fit.mini_batches import MiniBatches
-from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
+from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters, logit_of_alpha
 from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import (
     PixelBatch,
     at_pixels,
@@ -22,8 +24,11 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import (
 )
 from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_radiance import SpecularMatrices
 
-MAX_ALPHA_RATIO = 1.5
+MAX_ALPHA_RATIO = 1.1
 """Lobes are sampled anew if α has changed by more than this factor on average."""
+
+RELATIVE_ALPHA_STEP = 0.1
+"""Step of the finite differences in α."""
 
 MAX_NORMAL_CHANGE_IN_ALPHAS = 1.0
 """Lobes are sampled anew if shading normals have turned by more than this multiple of α on average."""
@@ -38,10 +43,18 @@ class ResidentBatches:
     """
 
     def __init__(
-        self, source: MiniBatches, parameters: Parameters, initial: Parameters, model: str, interval: int
+        self,
+        source: MiniBatches,
+        parameters: Parameters,
+        initial: Parameters,
+        model: str,
+        interval: int,
+        predicted: Callable[[PixelBatch, SpecularMatrices, Parameters], Tensor],
     ) -> None:
-        """`parameters` are those that the loop changes; `initial` are detached from them."""
+        """`parameters` are those that the loop changes; `initial` are detached from them. `predicted` gives the
+        radiance of a batch (P, 3)."""
         self._source, self._parameters, self._model, self._interval = source, parameters, model, interval
+        self._predicted = predicted
         self._sampled_for = initial
         self._batches: list[PixelBatch] = []
         self._matrices: list[SpecularMatrices | None] = []
@@ -83,7 +96,27 @@ class ResidentBatches:
             self._batches, self._matrices = [], []
             self._sample(step // self._interval)
         refresh_matrices(self._batches, self._matrices, self._parameters)
+        if self._parameters.width is not None and len(self._parameters.width) > 1:
+            self._find_alpha_slopes(step // self._interval)
         self._refreshed_at = step
+
+    def _find_alpha_slopes(self, shard: int) -> None:
+        """Derivatives in a map of α, from lobes that are drawn with the same random numbers at α ± a step."""
+        current = self._parameters.detached()
+        for batch, matrices, number in zip(self._batches, self._matrices, self._source.numbers(shard), strict=True):
+            if matrices is None:
+                continue
+            ends = []
+            for factor in (1 - RELATIVE_ALPHA_STEP, 1 + RELATIVE_ALPHA_STEP):
+                moved = replace(current, width=logit_of_alpha(current.alpha * factor))
+                drawn = self._source.make(moved, number)
+                own = specular_matrices([drawn], self._model)
+                refresh_matrices([drawn], own, moved)
+                assert own[0] is not None
+                with torch.no_grad():
+                    ends.append((self._predicted(drawn, own[0], moved), at_pixels(batch, moved.alpha)))
+            (below, narrow), (above, wide) = ends
+            matrices.alpha_slope = (above - below) / (wide - narrow).clamp_min(1e-6)
 
     def _sample_first(self) -> None:
         if not self._batches:

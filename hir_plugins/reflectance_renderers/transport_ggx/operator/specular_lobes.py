@@ -22,6 +22,8 @@ from hir_plugins.reflectance_renderers.transport_ggx.operator.ray_tracer import 
 from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import SurfacePoints
 
 PIXELS_PER_CHUNK = 1 << 16
+SCALE_LIMITS = 0.5, 2.0
+"""Of the factor that makes the weights of a lobe's directions add up to its albedo."""
 MIN_EYE_COSINE = 1e-3
 """Least cosine between normal and eye: interpolated normals may face away from the camera at silhouettes."""
 
@@ -73,6 +75,10 @@ class Lobes:
             sin2_h = torch.linalg.cross(half, normal[:, None].expand_as(half)).square().sum(-1)
             lobe = specular_lobe(alpha, n_wi, self.cosine_of_eye(normal)[:, None], n_h, sin2_h)
         weight = lobe * self.inverse_pdf
+        # a white light is integrated exactly at every width: few directions have an error of some per cent
+        a, b = directional_albedo_terms(self.cosine_of_eye(normal)[:, None], alpha)
+        scale = (a + b) / weight.sum(dim=1, keepdim=True).clamp_min(1e-6)
+        weight = weight * scale.clamp(*SCALE_LIMITS)
         return weight, weight * schlick_weight(self.h_wo)
 
     def cosine_of_eye(self, normal: Float[Tensor, "P 3"] | None = None) -> Float[Tensor, " P"]:
@@ -158,11 +164,6 @@ def _trace(
     blocked = chosen[torch.from_numpy(face >= 0).to(device)]
     columns[blocked] = pyramid.texels + torch.from_numpy(face_cells[face[face >= 0]]).to(device)[:, None]
     bilinear[blocked] = 0.25
-    # normalised so that a white light is integrated exactly: few directions have an error of some per cent
-    lobe = specular_lobe(alpha, n_wi, cosine, h[..., 2], sin2)
-    a, b = directional_albedo_terms(cosine, alpha)
-    total = (lobe * inverse).sum(1, keepdim=True).clamp_min(1e-6)
-    inverse = inverse * ((a + b) / total).clamp(0.5, 2.0)
     return Lobes(
         columns.reshape(count, 4 * samples).int(),
         bilinear.reshape(count, 4 * samples),

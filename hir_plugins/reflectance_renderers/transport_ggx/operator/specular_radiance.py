@@ -1,4 +1,8 @@
-"""Specular radiance of a pixel batch: sparse, linear in light and ρs, and linearised in α between refreshes."""
+"""Specular radiance of a pixel batch: sparse, linear in light and ρs, linearised in normals and α between refreshes.
+
+The derivative in α comes from outside, from lobes of other widths: that of the weights of fixed directions is mostly
+noise (docs/studies/lobe_width.md).
+"""
 
 from __future__ import annotations
 
@@ -12,8 +16,6 @@ from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes imp
 
 _NORMAL_STEP_IN_ALPHAS = 0.02
 """Finite-difference step of the normal, as a fraction of α."""
-_RELATIVE_ALPHA_STEP = 0.01
-"""Relative finite-difference step of α; its error is far below that of the linearisation itself."""
 
 
 class SpecularMatrices:
@@ -25,6 +27,8 @@ class SpecularMatrices:
         self._model = model
         self.alpha = torch.empty(0)
         self.normal: Tensor | None = None
+        self.alpha_slope: Tensor | None = None
+        """Derivative of the radiance in α (P, 3), set after a `refresh` where α changes until the next one."""
 
     def refresh(
         self, alpha: Float[Tensor, "#P 1"], rho_s: Float[Tensor, "#P C"], normal: Float[Tensor, "P 3"] | None = None
@@ -41,14 +45,14 @@ class SpecularMatrices:
                 return mean * (moved - weight)
             return mean * (moved - weight) + (1 - mean) * (moved_grazing - grazing)
 
-        slopes = [slope(*lobes.weights(alpha * (1 + _RELATIVE_ALPHA_STEP), normal)) / (alpha * _RELATIVE_ALPHA_STEP)]
+        slopes = []
         if normal is not None:
             for axis in range(2):
                 step = torch.zeros_like(normal)
                 step[:, axis] = (_NORMAL_STEP_IN_ALPHAS * alpha).expand(len(normal), 1)[:, 0]
                 turned = torch.nn.functional.normalize(normal + step, dim=1, eps=1e-12)
                 slopes.append(slope(*lobes.weights(alpha, turned)) / (_NORMAL_STEP_IN_ALPHAS * alpha))
-        self.alpha, self.normal = alpha, normal
+        self.alpha, self.normal, self.alpha_slope = alpha, normal, None
         self._w = lobes.matrix_entries(weight)
         self._g = lobes.matrix_entries(grazing)
         self._w_matrix = self._pattern.matrix(self._w)
@@ -83,13 +87,16 @@ class SpecularMatrices:
         alpha: Float[Tensor, "#P 1"],
         normal: Float[Tensor, "P 3"] | None = None,
     ) -> Float[Tensor, "P 3"]:
-        """Specular radiance; differentiable in all arguments. α and normal enter to first order around the last
-        `refresh`."""
+        """Specular radiance; differentiable in light, ρs and normals, and in α where `alpha_slope` is set.
+
+        α and normals enter to first order around the last `refresh`.
+        """
         count = len(self._lobes)
-        drift = (alpha - self.alpha).expand(count, 1)
+        drift = sources.new_zeros(count, 0)
         if normal is not None and self.normal is not None:
-            drift = torch.cat([drift, (normal - self.normal)[:, :2]], dim=1)
-        return _Specular.apply(sources, rho_s.expand(count, -1), drift, self)
+            drift = (normal - self.normal)[:, :2]
+        value: Tensor = _Specular.apply(sources, rho_s.expand(count, -1), drift, self)
+        return value if self.alpha_slope is None else value + (alpha - self.alpha) * self.alpha_slope
 
 
 class _Specular(torch.autograd.Function):
@@ -119,5 +126,5 @@ class _Specular(torch.autograd.Function):
             light = light + block._g_transposed @ ((1 - rho_s) * gradient)
         rho = gradient * factor
         rho = rho.sum(dim=1, keepdim=True) if rho_s.shape[1] == 1 else rho
-        drift = torch.stack([(gradient * slope).sum(dim=1) for slope in slopes], dim=1)
-        return light, rho, drift, None
+        drift = [(gradient * slope).sum(dim=1, keepdim=True) for slope in slopes]
+        return light, rho, torch.cat(drift, dim=1) if drift else None, None

@@ -106,7 +106,7 @@ def test_every_batch_is_used_and_no_more_are_in_memory_than_allowed(monkeypatch:
         fit._transport, batches, fit._initial_parameters(spec, None, photographs), settings, fit._edges, lambda *_: None
     )
     assert batches.shards > 2 and used == set(range(batches.count))
-    assert most <= 2, "batches of two shards at once"
+    assert most <= 3, "at once: the two batches of a shard, and the sample on which widths are compared"
 
 
 @pytest.mark.slow
