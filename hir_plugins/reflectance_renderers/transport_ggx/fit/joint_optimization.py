@@ -112,7 +112,7 @@ def fit(
             def loss_of(moved: Parameters) -> float:
                 with torch.no_grad():
                     regularizers = {} if prepared is None else prepared(moved, step)
-                    pixels = _sample_loss(transport, batches, moved, settings)
+                    pixels = sample_loss(transport, batches, moved, settings)
                 return sum((float(term) for term in regularizers.values()), pixels)
 
             parameters.width.data.copy_(searched_width(parameters, loss_of))
@@ -190,7 +190,7 @@ def objective(
     return {PIXEL_TERM: pixels, "smoothness": smoothness_energy(parameters, settings.smoothness, edges)}
 
 
-def _sample_loss(transport: Transport, batches: MiniBatches, parameters: Parameters, settings: FitSettings) -> float:
+def sample_loss(transport: Transport, batches: MiniBatches, parameters: Parameters, settings: FitSettings) -> float:
     """The loss of a small batch of pixels, with lobes drawn for the parameters."""
     batch = [batches.sample(parameters)]
     matrices = specular_matrices(batch, settings.model)

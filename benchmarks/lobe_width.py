@@ -1,0 +1,78 @@
+"""Loss against the width of a lobe, for fixed and for new directions: `python -m benchmarks.lobe_width CAPTURE`.
+
+On the true mesh of a capture of the materials benchmark, with its true kind of material and light. Then fits that start
+at several widths. Result: docs/studies/lobe_width.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from hir_core.config import ReflectanceSettings
+from hir_core.intake.reader_lookup import read_capture
+from hir_core.plugins.manager import PluginManager
+from hir_core.stages.held_out_views import model_selection_folds
+from hir_core.stages.reflectance.hypotheses import hypothesis
+from hir_core.stages.reflectance.initial_material_and_light import initial_scene
+from hir_plugins.commands.bench.inputs.bench_captures import decode_images, true_scene
+from hir_plugins.commands.bench.inputs.scene_evaluator import SceneEvaluator
+from hir_plugins.reflectance_renderers.transport_ggx.fit.joint_optimization import FitSettings, sample_loss
+from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import logit_of_alpha
+from hir_plugins.reflectance_renderers.transport_ggx.solver import Fit, TransportSolver
+
+RATIOS = (0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.35, 1.5)
+STARTS = (0.05, 0.15, 0.4)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("capture", type=Path)
+    path = parser.parse_args().capture
+    plugins = PluginManager.discover()
+    train = decode_images(read_capture(path, "train", plugins))
+    scene = true_scene(path, train)
+    if scene is None:
+        raise SystemExit(f"{path} has no true mesh")
+    truth = json.loads((path / "truth.json").read_text())
+    spec = hypothesis(truth["kind"], truth["light_frame"])
+    solver = plugins.create("reflectance_renderer", "transport_ggx", {}).prepare(
+        initial_scene(scene, train, ReflectanceSettings()), train, 1
+    )
+    assert isinstance(solver, TransportSolver)
+    fitted_views, held_out = model_selection_folds(len(train.views))[0]
+    evaluate = SceneEvaluator(path, plugins, 1)
+    first = solver.fit(spec, None, fitted_views, 0.2, lambda share: None, pixel_share=0.5)
+    print("| initial α | α | dB, fitted views | dB, views left out | by path tracing |\n|---|---|---|---|---|")
+    for start in STARTS:
+        moved = replace(first.parameters, width=logit_of_alpha(torch.full((1, 1), start)))
+        fit = solver.fit(spec, replace(first, parameters=moved), fitted_views, 1.0, lambda share: None)
+        db = [-10 * np.log10(solver.errors(fit, views)).mean() for views in (fitted_views, held_out)]
+        found = evaluate(solver.scene(fit, fitted_views, lambda share: None).scene, spec.bounces)
+        errors = ", ".join(f"{name} {value:.1f}" for name, value in found.items())
+        print(f"| {start} | {float(fit.parameters.alpha):.3f} | {db[0]:.2f} | {db[1]:.2f} | {errors} |", flush=True)
+    print_profile(solver, fit, fitted_views)
+
+
+def print_profile(solver: TransportSolver, fit: Fit, views: list[int]) -> None:
+    """The loss around the fitted width: weights of directions that were drawn there, and directions drawn anew."""
+    settings = FitSettings(1, fit.spec.brdf, fit.spec.bounces)
+    batches = solver._mini_batches(solver._photographs(views), fit.spec)
+    drawn = batches.sample(fit.parameters)
+    alpha = float(fit.parameters.alpha)
+    print("\n| α / fitted α | fixed directions | drawn anew |\n|---|---|---|")
+    for ratio in RATIOS:
+        moved = replace(fit.parameters, width=logit_of_alpha(torch.full((1, 1), alpha * ratio)))
+        fixed = replace(batches, sample=lambda _: drawn)
+        with torch.no_grad():
+            losses = [sample_loss(solver._transport, each, moved, settings) for each in (fixed, batches)]
+        print(f"| {ratio} | {losses[0]:.3e} | {losses[1]:.3e} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
