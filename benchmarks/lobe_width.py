@@ -27,7 +27,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import logit
 from hir_plugins.reflectance_renderers.transport_ggx.solver import Fit, TransportSolver
 
 RATIOS = (0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.35, 1.5)
-STARTS = (0.05, 0.15, 0.4)
+INITIAL_ALPHAS = (0.05, 0.15, 0.4)
 
 
 def main() -> None:
@@ -49,7 +49,7 @@ def main() -> None:
     evaluate = SceneEvaluator(path, plugins, 1)
     first = solver.fit(spec, None, fitted_views, 0.2, lambda share: None, pixel_share=0.5)
     print("| initial α | α | dB, fitted views | dB, views left out | by path tracing |\n|---|---|---|---|---|")
-    for start in STARTS:
+    for start in INITIAL_ALPHAS:
         moved = replace(first.parameters, width=logit_of_alpha(torch.full((1, 1), start)))
         fit = solver.fit(spec, replace(first, parameters=moved), fitted_views, 1.0, lambda share: None)
         db = [-10 * np.log10(solver.errors(fit, views)).mean() for views in (fitted_views, held_out)]

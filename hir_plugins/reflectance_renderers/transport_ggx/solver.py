@@ -45,10 +45,10 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import (
     predict,
     srgb_residual,
 )
-from hir_plugins.reflectance_renderers.transport_ggx.fit.shading_normals import offset_normals
 from hir_plugins.reflectance_renderers.transport_ggx.fit.smoothness import SmoothnessWeights
 from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_light import pixel_irradiance
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
+from hir_plugins.reflectance_renderers.transport_ggx.operator.shading_normals import offset_normals
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.shading import TransportShading
 from hir_plugins.reflectance_renderers.transport_ggx.textures.albedo_refinement import AlbedoRefinement

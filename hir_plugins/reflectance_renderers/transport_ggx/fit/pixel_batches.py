@@ -13,12 +13,12 @@ from hir_core.optimization.clipped_pixels import without_clipped_excess
 from hir_core.scene.srgb import linear_to_srgb
 from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import ObservedPixels
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
-from hir_plugins.reflectance_renderers.transport_ggx.fit.shading_normals import (
+from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
+from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
+from hir_plugins.reflectance_renderers.transport_ggx.operator.shading_normals import (
     offset_normals,
     shading_normal_irradiance,
 )
-from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
-from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
 from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes import Lobes
 from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_radiance import SpecularMatrices
 

@@ -38,7 +38,7 @@ class ShadingPoints:
     """The cache cell whose radiance probe is used."""
     irradiance: Float[Tensor, "P 3"]
     vectors: Float[Tensor, "P 3 3"]
-    """Vector irradiance: axes first, then colours (`fit/shading_normals.py`)."""
+    """Vector irradiance: axes first, then colours (`operator/shading_normals.py`)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,7 @@ class PointBrdfs:
     specular: Float[Tensor, "P 3"]
     alpha: Float[Tensor, "P 1"]
     normal_offset: Float[Tensor, "P 3"]
-    """In the world (`fit/shading_normals.py`)."""
+    """In the world (`operator/shading_normals.py`)."""
     metalness: Float[Tensor, "P 1"]
     """Of `metallic`, whose albedos follow from it and the base colour; 0 for other BRDFs."""
 

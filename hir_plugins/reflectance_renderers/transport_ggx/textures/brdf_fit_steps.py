@@ -12,7 +12,6 @@ import mitsuba as mi
 from hir_plugins.reflectance_renderers.drjit_clipped_pixels import without_clipped_excess
 from hir_plugins.reflectance_renderers.drjit_srgb import linear_to_srgb_and_slope
 from hir_plugins.reflectance_renderers.drjit_types import DrJitArray
-from hir_plugins.reflectance_renderers.transport_ggx.fit.shading_normals import MAX_NORMAL_OFFSET
 from hir_plugins.reflectance_renderers.transport_ggx.operator.probe_lookup import (
     Lobe,
     Patch,
@@ -21,6 +20,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.operator.probe_lookup impor
     patch_radiance,
 )
 from hir_plugins.reflectance_renderers.transport_ggx.operator.radiance_probes import ALPHA_LEVELS
+from hir_plugins.reflectance_renderers.transport_ggx.operator.shading_normals import MAX_NORMAL_OFFSET
 from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit_state import (
     MIN_SPECULAR_ALBEDO,
     BrdfState,

@@ -14,9 +14,9 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.joint_optimization impo
 from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import ObservedPixels
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import MIN_ALPHA
 from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import PixelColors, srgb_residual
-from hir_plugins.reflectance_renderers.transport_ggx.fit.shading_normals import offset_normals
 from hir_plugins.reflectance_renderers.transport_ggx.fit.smoothness import light_energy
 from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
+from hir_plugins.reflectance_renderers.transport_ggx.operator.shading_normals import offset_normals
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit_state import PointBrdfs
 from hir_plugins.reflectance_renderers.transport_ggx.textures.per_texel_brdf import LitSurface

@@ -11,7 +11,7 @@ from torch.nn.functional import normalize
 
 from hir_core.mesh.texel_rasterization import dilate, interpolate, texel_surface
 from hir_core.scene import Mesh
-from hir_plugins.reflectance_renderers.transport_ggx.fit.shading_normals import offset_normals
+from hir_plugins.reflectance_renderers.transport_ggx.operator.shading_normals import offset_normals
 from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import Surface, SurfacePoints
 
 MIN_FRAME_VOLUME = 1e-3

@@ -15,7 +15,7 @@ from hir_core.scene import EnvironmentMap, Material, Mesh, Scene
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_terms import FitTerms
 from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import ObservedPixels, observe_pixels
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import MIN_ALPHA, Parameters
-from hir_plugins.reflectance_renderers.transport_ggx.fit.shading_normals import offset_normals
+from hir_plugins.reflectance_renderers.transport_ggx.operator.shading_normals import offset_normals
 from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import refined_mesh
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit_state import PointBrdfs

@@ -14,10 +14,10 @@ from hir_core.scene import EnvironmentMap, Material, Texture
 from hir_core.scene.bilinear import texture_texels
 from hir_plugins.reflectance_renderers.brdf_torch import Model, directional_albedo_terms
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import MIN_ALPHA
-from hir_plugins.reflectance_renderers.transport_ggx.fit.shading_normals import shading_normal_irradiance
 from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_light import pixel_irradiance
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import resized
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
+from hir_plugins.reflectance_renderers.transport_ggx.operator.shading_normals import shading_normal_irradiance
 from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes import Lobes
 from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import SurfacePoints, visible_points
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions

@@ -21,9 +21,9 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.final_albedo import SRG
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_terms import FitTerms, material_at_vertices
 from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import ObservedPixels, observe_pixels
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
-from hir_plugins.reflectance_renderers.transport_ggx.fit.shading_normals import offset_normals
 from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_light import pixel_irradiance
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
+from hir_plugins.reflectance_renderers.transport_ggx.operator.shading_normals import offset_normals
 from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import refined_mesh
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.textures.metallic_equations import metallic_equations

@@ -14,10 +14,6 @@ from torch.nn.functional import grid_sample, huber_loss, normalize
 from hir_core.scene.srgb import linear_to_srgb
 from hir_plugins.reflectance_renderers.brdf_torch import directional_albedo_terms
 from hir_plugins.reflectance_renderers.mitsuba_variant import mitsuba_on
-from hir_plugins.reflectance_renderers.transport_ggx.fit.shading_normals import (
-    offset_normals,
-    shading_normal_irradiance,
-)
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import texel_directions
 from hir_plugins.reflectance_renderers.transport_ggx.operator.probe_lookup import (
     Lobe,
@@ -35,6 +31,10 @@ from hir_plugins.reflectance_renderers.transport_ggx.operator.radiance_probes im
     RadianceProbes,
     alpha_of,
     level_of,
+)
+from hir_plugins.reflectance_renderers.transport_ggx.operator.shading_normals import (
+    offset_normals,
+    shading_normal_irradiance,
 )
 from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit import PointBrdfFit
 from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit_state import (
