@@ -64,8 +64,11 @@ is upright."""
 MIN_VIEW_DEGREES = math.degrees(math.asin(MIN_VIEW_COSINE))
 MAX_COMPARED_POINTS = 12_000
 """Surface points of held-out views at which per-texel values are solved to compare them."""
-SAMPLE_PIXELS = 4_096
+SAMPLE_PIXELS = 2_048
 """Pixels of all views together on which widths of a lobe are compared."""
+SAMPLE_DIRECTIONS = 4
+"""Multiple of the directions of a lobe there: the noise of few directions grows with the width and favours narrow
+lobes."""
 TRIAL_EFFORT = 0.25
 TRIAL_PIXEL_SHARE = 0.4
 """Effort (at most half of the fit's) and share of the pixels of the short fits that choose initial values."""
@@ -341,11 +344,14 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
             return self._pixel_batch(photographs.take(order[number::count]), spec, state, seed)
 
         def sample(state: Parameters) -> PixelBatch:
-            return self._pixel_batch(photographs.take(order[:SAMPLE_PIXELS]), spec, state, self._options.seed)
+            few, directions = photographs.take(order[:SAMPLE_PIXELS]), SAMPLE_DIRECTIONS * self._options.samples
+            return self._pixel_batch(few, spec, state, self._options.seed, directions)
 
         return MiniBatches(make, sample, count, max(1, self._options.resident_pixels // block))
 
-    def _pixel_batch(self, part: ObservedPixels, spec: ModelSpec, parameters: Parameters, seed: int) -> PixelBatch:
+    def _pixel_batch(
+        self, part: ObservedPixels, spec: ModelSpec, parameters: Parameters, seed: int, directions: int = 0
+    ) -> PixelBatch:
         vertices, cells = self._transport.interpolation(part.points)
         points = part.points
         if parameters.normal_offset is not None:
@@ -360,7 +366,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         if spec.brdf != "diffuse":
             alpha = parameters.alpha.detach()
             alpha = alpha if len(alpha) == 1 else vertices.matrix @ alpha
-            lobes = self._transport.lobes(points, alpha, self._options.samples, rotation, seed)
+            lobes = self._transport.lobes(points, alpha, directions or self._options.samples, rotation, seed)
         return PixelBatch(
             linear_to_srgb(part.color),
             part.saturated,
