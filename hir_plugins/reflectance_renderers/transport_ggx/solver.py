@@ -64,9 +64,9 @@ is upright."""
 MIN_VIEW_DEGREES = math.degrees(math.asin(MIN_VIEW_COSINE))
 MAX_COMPARED_POINTS = 12_000
 """Surface points of held-out views at which per-texel values are solved to compare them."""
-SAMPLE_PIXELS = 2_048
+SAMPLE_PIXELS = 4_096
 """Pixels of all views together on which widths of a lobe are compared."""
-SAMPLE_DIRECTIONS = 4
+SAMPLE_DIRECTIONS = 2
 """Multiple of the directions of a lobe there: the noise of few directions grows with the width and favours narrow
 lobes."""
 TRIAL_EFFORT = 0.25
