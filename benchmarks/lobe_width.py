@@ -6,22 +6,15 @@ at several widths. Result: docs/studies/lobe_width.md.
 
 from __future__ import annotations
 
-import argparse
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import torch
 
-from hir_core.config import ReflectanceSettings
-from hir_core.intake.reader_lookup import read_capture
-from hir_core.plugins.manager import PluginManager
+from benchmarks.reflectance_task import capture_argument, task_of
 from hir_core.stages.held_out_views import model_selection_folds
 from hir_core.stages.reflectance.hypotheses import hypothesis
-from hir_core.stages.reflectance.initial_material_and_light import initial_scene
-from hir_plugins.commands.bench.inputs.bench_captures import decode_images, true_scene
-from hir_plugins.commands.bench.inputs.scene_evaluator import SceneEvaluator
 from hir_plugins.reflectance_renderers.transport_ggx.fit.joint_optimization import FitSettings, sample_loss
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import logit_of_alpha
 from hir_plugins.reflectance_renderers.transport_ggx.solver import Fit, TransportSolver
@@ -31,29 +24,19 @@ INITIAL_ALPHAS = (0.05, 0.15, 0.4)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("capture", type=Path)
-    path = parser.parse_args().capture
-    plugins = PluginManager.discover()
-    train = decode_images(read_capture(path, "train", plugins))
-    scene = true_scene(path, train)
-    if scene is None:
-        raise SystemExit(f"{path} has no true mesh")
-    truth = json.loads((path / "truth.json").read_text())
+    task = task_of(capture_argument(__doc__), downsample=1)
+    truth = json.loads((task.path / "truth.json").read_text())
     spec = hypothesis(truth["kind"], truth["light_frame"])
-    solver = plugins.create("reflectance_renderer", "transport_ggx", {}).prepare(
-        initial_scene(scene, train, ReflectanceSettings()), train, 1
-    )
+    solver = task.plugins.create("reflectance_renderer", "transport_ggx", {}).prepare(task.start, task.train, 1)
     assert isinstance(solver, TransportSolver)
-    fitted_views, held_out = model_selection_folds(len(train.views))[0]
-    evaluate = SceneEvaluator(path, plugins, 1)
+    fitted_views, held_out = model_selection_folds(len(task.train.views))[0]
     first = solver.fit(spec, None, fitted_views, 0.2, lambda share: None, pixel_share=0.5)
     print("| initial α | α | dB, fitted views | dB, views left out | by path tracing |\n|---|---|---|---|---|")
     for start in INITIAL_ALPHAS:
         moved = replace(first.parameters, width=logit_of_alpha(torch.full((1, 1), start)))
         fit = solver.fit(spec, replace(first, parameters=moved), fitted_views, 1.0, lambda share: None)
         db = [-10 * np.log10(solver.errors(fit, views)).mean() for views in (fitted_views, held_out)]
-        found = evaluate(solver.scene(fit, fitted_views, lambda share: None).scene, spec.bounces)
+        found = task.evaluator(solver.scene(fit, fitted_views, lambda share: None).scene, spec.bounces)
         errors = ", ".join(f"{name} {value:.1f}" for name, value in found.items())
         print(f"| {start} | {float(fit.parameters.alpha):.3f} | {db[0]:.2f} | {db[1]:.2f} | {errors} |", flush=True)
     print_profile(solver, fit, fitted_views)

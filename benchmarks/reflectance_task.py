@@ -37,14 +37,25 @@ class Task:
 
 def task_from_arguments(description: str | None) -> Task:
     """The task of the capture that the command line names; prints the table's header."""
+    task = task_of(capture_argument(description), DOWNSAMPLE)
+    print("| | seconds | unseen, object / frame | relit, frame, scaled |\n|---|---|---|---|")
+    return task
+
+
+def capture_argument(description: str | None) -> Path:
+    """The only argument of these programs."""
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("capture", type=Path)
-    path = parser.parse_args().capture
+    path: Path = parser.parse_args().capture
+    return path
+
+
+def task_of(path: Path, downsample: int) -> Task:
+    """The task of a capture whose true mesh is known."""
     plugins = PluginManager.discover()
     train = decode_images(read_capture(path, "train", plugins))
     scene = true_scene(path, train)
     if scene is None:
         raise SystemExit(f"{path} has no true mesh")
     start = initial_scene(scene, train, ReflectanceSettings())
-    print("| | seconds | unseen, object / frame | relit, frame, scaled |\n|---|---|---|---|")
-    return Task(path, plugins, train, start, SceneEvaluator(path, plugins, DOWNSAMPLE))
+    return Task(path, plugins, train, start, SceneEvaluator(path, plugins, downsample))

@@ -14,7 +14,9 @@ def forward_user_warnings(say: Callable[[str], None]) -> Iterator[None]:
     """
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("default", UserWarning)
-        yield
-    for warning in caught:
-        if issubclass(warning.category, UserWarning):
-            say(" ".join(str(warning.message).split()))
+        try:
+            yield
+        finally:  # what was said before an error may explain it
+            for warning in caught:
+                if issubclass(warning.category, UserWarning):
+                    say(" ".join(str(warning.message).split()))

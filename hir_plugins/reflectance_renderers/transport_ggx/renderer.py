@@ -61,8 +61,8 @@ class TransportGGX(ReflectanceRenderer):
         lobes = options.samples * LOBE_BYTES + options.diffuse_samples * HEMISPHERE_BYTES
         fitted = min(options.pixels, size.pixels)
         resident = min(fitted, max(options.resident_pixels, options.block_pixels))
-        # while a block's matrices are transposed they exist twice
-        fit = (resident + min(resident, options.block_pixels)) * lobes + fitted * PIXEL_BYTES
+        # a block is drawn at another width beside all others, and while its matrices are transposed they exist twice
+        fit = (resident + 2 * min(resident, options.block_pixels)) * lobes + fitted * PIXEL_BYTES
         textures = min(options.texture_pixels, size.pixels) * EQUATION_BYTES
         per_texel = 2 * PROBE_BYTES * options.cache_cells + 2 * OBSERVATION_BYTES * OBSERVATIONS_PER_CHUNK
         per_texel += min(MAX_CACHE_BYTES, PHOTOGRAPH_PIXEL_BYTES * size.pixels)

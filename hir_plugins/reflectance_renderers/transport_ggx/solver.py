@@ -66,7 +66,7 @@ MAX_COMPARED_POINTS = 12_000
 """Surface points of held-out views at which per-texel values are solved to compare them."""
 SAMPLE_PIXELS = 4_096
 """Pixels of all views together on which widths of a lobe are compared."""
-SAMPLE_DIRECTIONS = 2
+SAMPLE_DIRECTIONS_FACTOR = 2
 """Multiple of the directions of a lobe there: the noise of few directions grows with the width and favours narrow
 lobes."""
 TRIAL_EFFORT = 0.25
@@ -341,16 +341,17 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
 
         def make(state: Parameters, number: int) -> PixelBatch:
             seed = number + (self._options.seed << 32)
-            return self._pixel_batch(photographs.take(order[number::count]), spec, state, seed)
+            return self._pixel_batch(photographs.take(order[number::count]), spec, state, seed, self._options.samples)
 
         def sample(state: Parameters) -> PixelBatch:
-            few, directions = photographs.take(order[:SAMPLE_PIXELS]), SAMPLE_DIRECTIONS * self._options.samples
+            directions = SAMPLE_DIRECTIONS_FACTOR * self._options.samples
+            few = photographs.take(order[:SAMPLE_PIXELS])
             return self._pixel_batch(few, spec, state, self._options.seed, directions)
 
         return MiniBatches(make, sample, count, max(1, self._options.resident_pixels // block))
 
     def _pixel_batch(
-        self, part: ObservedPixels, spec: ModelSpec, parameters: Parameters, seed: int, directions: int = 0
+        self, part: ObservedPixels, spec: ModelSpec, parameters: Parameters, seed: int, directions: int
     ) -> PixelBatch:
         vertices, cells = self._transport.interpolation(part.points)
         points = part.points
@@ -366,7 +367,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         if spec.brdf != "diffuse":
             alpha = parameters.alpha.detach()
             alpha = alpha if len(alpha) == 1 else vertices.matrix @ alpha
-            lobes = self._transport.lobes(points, alpha, directions or self._options.samples, rotation, seed)
+            lobes = self._transport.lobes(points, alpha, directions, rotation, seed)
         return PixelBatch(
             linear_to_srgb(part.color),
             part.saturated,

@@ -226,3 +226,20 @@ def test_interrupt_ends_with_130_and_names_resume() -> None:
         done = subprocess.run([sys.executable, "-c", code, command], capture_output=True, text=True, check=False)
         assert done.returncode == 130 and "interrupted" in done.stderr and "Traceback" not in done.stderr
         assert ("--resume" in done.stderr) is (command == "reconstruct")
+
+
+def test_an_interrupted_command_of_a_plugin_names_resume_where_it_has_it() -> None:
+    """It is imported by then; only its options tell."""
+    code = """
+import sys
+import hir_core.cli.app as app
+command = app.cli.get_command(None, sys.argv[1])
+def stop(*_, **__): raise KeyboardInterrupt
+command.invoke = stop
+app.LazyGroup.get_command = lambda *_: command
+app.main(sys.argv[1:])
+"""
+    for arguments, resumable in ((["delight", __file__, ".", "-o", "run"], True), (["bench"], False)):
+        done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=False)
+        assert done.returncode == 130 and "Traceback" not in done.stderr, done.stderr
+        assert ("continue the run with --resume" in done.stderr) is resumable

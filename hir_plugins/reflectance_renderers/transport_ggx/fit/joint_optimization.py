@@ -132,7 +132,7 @@ def fit(
 
     def freeze(step: int) -> None:
         if parameters.width is not None and (searches_width or step < settings.alpha_frozen_share * settings.steps):
-            parameters.width.grad = None
+            parameters.width.grad = None  # a uniform width is searched, for the terms, too
         if parameters.metalness is not None and step < settings.f0_frozen_share * settings.steps:
             assert parameters.specular is not None
             parameters.specular.grad = None

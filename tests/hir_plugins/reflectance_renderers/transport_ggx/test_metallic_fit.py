@@ -20,6 +20,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.closed_form_albedo impo
 )
 from hir_plugins.reflectance_renderers.transport_ggx.fit.final_albedo import solve_final_albedo
 from hir_plugins.reflectance_renderers.transport_ggx.fit.initial_metalness import metallic_of_albedos
+from hir_plugins.reflectance_renderers.transport_ggx.fit.mini_batches import MiniBatches
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters, logit_of_alpha
 from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import (
     PixelBatch,
@@ -27,6 +28,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import (
     refresh_matrices,
     specular_matrices,
 )
+from hir_plugins.reflectance_renderers.transport_ggx.fit.resident_batches import ResidentBatches
 from hir_plugins.reflectance_renderers.transport_ggx.fit.smoothness import SmoothnessWeights, smoothness_energy
 from hir_plugins.reflectance_renderers.transport_ggx.operator.diffuse_transport import DiffuseTransport
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
@@ -77,7 +79,7 @@ def solver_of(truth: Scene, capture: Capture) -> TransportSolver:
 def batch_of(solver: TransportSolver, parameters: Parameters) -> tuple[Transport, PixelBatch]:
     """The transport and one batch of a few pixels."""
     pixels = solver._photographs([0, 1]).take(torch.arange(0, 300, 6))
-    return solver._transport, solver._pixel_batch(pixels, MIXED, parameters, 0)
+    return solver._transport, solver._pixel_batch(pixels, MIXED, parameters, 0, 16)
 
 
 def parameters_of(solver: TransportSolver, m: Tensor, f0: float = 0.04) -> Parameters:
@@ -105,6 +107,38 @@ def test_without_metal_the_prediction_is_that_of_dielectric(half_gold: tuple[Sce
     shown = predict(transport, batch, matrices_of(batch, metallic), metallic, 1)
     same = predict(transport, batch, matrices_of(batch, dielectric, "dielectric"), dielectric, 1)
     torch.testing.assert_close(shown, same, rtol=2e-6, atol=1e-7)
+
+
+def test_the_slope_in_a_map_of_widths_is_that_of_newly_drawn_lobes(half_gold: tuple[Scene, Capture]) -> None:
+    """Against central differences of pictures with many directions at two narrow neighbours of each width."""
+    solver = solver_of(*half_gold)
+    count = len(solver._transport.surface.positions)
+    widths = torch.linspace(0.15, 0.4, count)[:, None]
+    parameters = replace(parameters_of(solver, torch.ones(count, 1)), width=logit_of_alpha(widths))
+    pixels = solver._photographs([0, 1]).take(torch.arange(0, 300, 6))
+
+    def picture(state: Parameters, directions: int) -> Tensor:
+        batch = solver._pixel_batch(pixels, MIXED, state, 0, directions)
+        return predict(solver._transport, batch, matrices_of(batch, state), state, 0)
+
+    def make(state: Parameters, number: int) -> PixelBatch:
+        return solver._pixel_batch(pixels, MIXED, state, number, 1024)
+
+    source = MiniBatches(make, lambda state: make(state, 0), 1, 1)
+    resident = ResidentBatches(
+        source, parameters, parameters, "metallic", 5,
+        lambda batch, matrices, state: predict(solver._transport, batch, matrices, state, 0),
+    )  # fmt: skip
+    batch, matrices = resident.at(0)
+    assert matrices is not None and matrices.alpha_slope is not None
+    step = 0.02
+    below, above = (
+        picture(replace(parameters, width=logit_of_alpha(widths * factor)), 8192) for factor in (1 - step, 1 + step)
+    )
+    expected = (above - below) / (2 * step * (batch.vertices @ widths))
+    error = (matrices.alpha_slope - expected).norm() / expected.norm()
+    assert float(expected.norm()) > 0.1
+    assert float(error) < 0.03, float(error)
 
 
 def test_a_metal_shows_its_lobe_alone(half_gold: tuple[Scene, Capture]) -> None:
@@ -187,7 +221,7 @@ def test_closed_form_finds_the_base_colour_that_was_rendered(half_gold: tuple[Sc
     for m in (torch.zeros(count, 1), torch.ones(1, 1), torch.full((count, 1), 0.5)):
         truth = parameters_of(solver, m)
         pixels = solver._photographs(range(10))
-        transport, batch = solver._transport, solver._pixel_batch(pixels, MIXED, truth, 0)
+        transport, batch = solver._transport, solver._pixel_batch(pixels, MIXED, truth, 0, 16)
         shown = predict(transport, batch, matrices_of(batch, truth), truth, 0)
         from hir_core.scene.srgb import linear_to_srgb
 
