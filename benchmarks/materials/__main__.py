@@ -1,12 +1,20 @@
-"""`python -m benchmarks.materials make OUT`: renders the captures of the materials benchmark."""
+"""`python -m benchmarks.materials make OUT`: renders the captures of the materials benchmark.
+
+`model FILE OUT` renders one larger capture of a model file, with a material and lights of the benchmark.
+"""
 
 from __future__ import annotations
 
 import argparse
 import time
+import zlib
 from pathlib import Path
 
-from benchmarks.materials.recipes import recipes
+from benchmarks.materials.lights import LIGHTS
+from benchmarks.materials.materials import MATERIALS
+from benchmarks.materials.model_shapes import shape_of_model
+from benchmarks.materials.recipes import Recipe, recipes
+from benchmarks.materials.shapes import make_shape
 from hir_core.files.json_documents import write_json
 from hir_plugins.commands.bench.inputs.materials_captures import INDEX
 
@@ -20,7 +28,20 @@ def main() -> None:
     make.add_argument("--half", choices=("tuning", "validation"), help="only one half")
     make.add_argument("--only", nargs="*", default=(), help="names or numbers of captures")
     make.add_argument("--variant", default="llvm_ad_rgb", help="Mitsuba's variant")
+    model = commands.add_parser("model", help="render one capture of a model file")
+    model.add_argument("file", type=Path, help="glTF, OBJ or PLY")
+    model.add_argument("out", type=Path)
+    model.add_argument("--material", choices=tuple(MATERIALS), required=True)
+    model.add_argument("--lights", nargs=3, choices=tuple(LIGHTS), default=("windows", "overcast", "sun"),
+                       help="the light of the photographs, and two other ones")  # fmt: skip
+    model.add_argument("--side", type=int, default=384, help="pixels")
+    model.add_argument("--samples", type=int, default=128, help="paths for each pixel")
+    model.add_argument("--views", type=int, default=64, help="training photographs")
+    model.add_argument("--variant", default="llvm_ad_rgb", help="Mitsuba's variant")
     options = parser.parse_args()
+    if options.command == "model":
+        render_model(options)
+        return
     chosen = recipes()
     if options.command == "list":
         for recipe in chosen:
@@ -41,8 +62,23 @@ def main() -> None:
         if (folder / "truth.json").exists():
             continue
         started = time.perf_counter()
-        write_capture(recipe, folder)
+        write_capture(recipe, make_shape(recipe.shape), folder)
         print(f"{folder}  {time.perf_counter() - started:.0f} s", flush=True)
+
+
+def render_model(options: argparse.Namespace) -> None:
+    """One capture of a model file; what is random in it follows from the names."""
+    import mitsuba as mi
+
+    mi.set_variant(options.variant)
+    from benchmarks.materials.render import SPLITS, RenderSettings, write_capture
+
+    light, *others = options.lights
+    name = f"{options.file.stem}_{options.material}_{light}"
+    seed = zlib.crc32(name.encode())
+    recipe = Recipe(name, options.file.stem, options.material, light, (others[0], others[1]), 0.9, "validation", seed)
+    settings = RenderSettings(options.side, options.samples, SPLITS | {"train": options.views})
+    write_capture(recipe, shape_of_model(options.file), options.out, settings)
 
 
 def write_index(out: Path) -> None:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
-from dataclasses import asdict
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from benchmarks.materials.lights import LIGHTS, light_image
 from benchmarks.materials.materials import MATERIALS, Surface
 from benchmarks.materials.recipes import Recipe
-from benchmarks.materials.shapes import Shape, make_shape
+from benchmarks.materials.shapes import Shape
 
 SIDE = 144
 SAMPLES = 192
@@ -29,12 +29,24 @@ LATLONG_TO_WORLD = [[0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]]
 """Mitsuba's environment axes (pole +Y) to the captures' (pole +Z, image centre +X)."""
 
 
-def write_capture(recipe: Recipe, folder: Path, side: int = SIDE, samples: int = SAMPLES) -> None:
+@dataclass(frozen=True)
+class RenderSettings:
+    """Size and number of the photographs of one capture."""
+
+    side: int = SIDE
+    samples: int = SAMPLES
+    """Paths for each pixel."""
+    views: Mapping[str, int] = field(default_factory=lambda: SPLITS)
+    """Photographs of each split."""
+
+
+def write_capture(recipe: Recipe, shape: Shape, folder: Path, settings: RenderSettings | None = None) -> None:
     """Writes photographs, cameras, lights, the true mesh and the true material of one capture."""
     import mitsuba as mi
 
+    settings = settings or RenderSettings()
+    side, samples = settings.side, settings.samples
     rng = np.random.default_rng(recipe.seed)
-    shape = make_shape(recipe.shape)
     material = MATERIALS[recipe.material]
     surface = material.draw(shape.positions.astype(np.float64), shape.parts, rng)
     mesh = mitsuba_mesh(mi, shape, surface)
@@ -46,7 +58,7 @@ def write_capture(recipe: Recipe, folder: Path, side: int = SIDE, samples: int =
         write_hdr(folder / f"env_{split}.hdr", light_image(name, rng))
         images[split] = read_hdr(folder / f"env_{split}.hdr")
     strengths: dict[str, float] = {}
-    for split, count in SPLITS.items():
+    for split, count in settings.views.items():
         lit_by = "train" if split == "test" else split
         cameras = [spiral_camera(i, count, split) for i in range(count)]
         light = LIGHTS[lights[lit_by]]
