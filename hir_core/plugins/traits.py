@@ -21,6 +21,7 @@ TRAITS: Mapping[str, Mapping[str, str]] = {
         "needs_masks": "views must have masks",
         "needs_points": "the capture must have oriented points",
         "measures_points": "adds oriented points to the capture",
+        "sets_scale": "scales the world to metres; where the settings give its options, an automatic chain contains it",
         "reads_files": "`files` lists what it reads besides photographs, so that a change invalidates the cache",
     },
     "geometry_renderer": {

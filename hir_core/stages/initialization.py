@@ -125,6 +125,7 @@ def resolve_initializers(capture: Capture, config: RunConfig, plugins: PluginMan
         chain = tuple(config.initializers)
     else:
         chain = tuple(plugins.suggest_initializers(_with_expected_masks(capture, config, plugins)))
+        chain = _with_scale(chain, config, plugins)
     if not chain:
         known = ", ".join(r.component.name for r in plugins.components("initializer")) or "none"
         raise CaptureError(
@@ -134,6 +135,17 @@ def resolve_initializers(capture: Capture, config: RunConfig, plugins: PluginMan
     for name in chain:
         plugins.find("initializer", name)
     return chain
+
+
+def _with_scale(chain: tuple[str, ...], config: RunConfig, plugins: PluginManager) -> tuple[str, ...]:
+    """The chain with those that set the scale and whose options the settings give, before what makes the surface."""
+
+    def has(name: str, trait: str) -> bool:
+        return trait in plugins.find("initializer", name).component.traits
+
+    added = [name for name in config.initializer if name not in chain and has(name, "sets_scale")]
+    first = next((i for i, name in enumerate(chain) if has(name, "makes_surface")), len(chain))
+    return (*chain[:first], *added, *chain[first:]) if chain else chain
 
 
 def _with_expected_masks(capture: Capture, config: RunConfig, plugins: PluginManager) -> Capture:

@@ -103,6 +103,30 @@ class ColmapOptions:
 
 
 @dataclass(frozen=True)
+class FiducialMarkersOptions:
+    """Options of printed markers of known size."""
+
+    side: float = 0.0
+    """Side of a marker's black square in metres; all markers have the same. Required."""
+    dictionary: Literal[
+        "auto",
+        "aruco_4x4",
+        "aruco_5x5",
+        "aruco_6x6",
+        "aruco_7x7",
+        "aruco_original",
+        "apriltag_16h5",
+        "apriltag_25h9",
+        "apriltag_36h10",
+        "apriltag_36h11",
+    ] = "auto"
+    """Which set the markers are from; `auto` tries all on twelve photographs."""
+    level: bool = True
+    """Turn the world so that the table on which the markers lie is horizontal. Not done where they do not lie in one
+    plane, or where that is more than 45 degrees from the horizontal."""
+
+
+@dataclass(frozen=True)
 class StereoOptions:
     """Options of multi-view stereo."""
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from hir_core.plugins import Component, hookimpl
 from hir_plugins.initializers.options import (
     ColmapOptions,
+    FiducialMarkersOptions,
     MeshFileOptions,
     PoissonOptions,
     StereoOptions,
@@ -47,6 +48,17 @@ COLMAP = Component(
     traits=frozenset({"finds_cameras", "reads_files"}),
 )
 
+FIDUCIAL_MARKERS = Component(
+    name="fiducial_markers",
+    target="hir_plugins.initializers.markers.fiducial_markers:FiducialMarkers",
+    config=FiducialMarkersOptions,
+    summary="Metres and the horizontal from printed ArUco or AprilTag markers beside the object.",
+    requires=("torch", "jaxtyping", "cv2"),
+    extra="reconstruct",
+    traits=frozenset({"needs_cameras", "sets_scale"}),
+    testing="hir_plugins.initializers.contract_inputs:with_markers",
+)
+
 STEREO = Component(
     name="stereo",
     target="hir_plugins.initializers.stereo.stereo:Stereo",
@@ -71,7 +83,7 @@ POISSON = Component(
 
 @hookimpl
 def hir_register_initializers() -> list[Component]:
-    return [VISUAL_HULL, MESH_FILE, COLMAP, STEREO, POISSON]
+    return [VISUAL_HULL, MESH_FILE, COLMAP, FIDUCIAL_MARKERS, STEREO, POISSON]
 
 
 @hookimpl

@@ -1,0 +1,1 @@
+"""Scale and level of a capture from printed markers (ArUco, AprilTag)."""
