@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from hir_exporters.asset import Asset, AssetMaterial, AssetMesh
+from hir_exporters.engines.engine_light import EngineLight
 from hir_exporters.errors import ExportError
 from hir_exporters.format_options import GltfConfig
-from hir_exporters.gltf import image_based_light, ior, msft_lod, specular, specular_glossiness
+from hir_exporters.gltf import image_based_light, ior, msft_lod, punctual_lights, specular, specular_glossiness
 from hir_exporters.gltf.binary import BinaryWriter
 from hir_exporters.gltf.draco import add_draco_primitive
 from hir_exporters.gltf.gltf_images import add_textures
@@ -30,6 +31,9 @@ if TYPE_CHECKING:
 
 GENERATOR = "hir_exporters"
 
+RESIDUAL_SUFFIX: Final = "residual.hdr"
+"""End of the name of the residual environment beside a file of profile engine."""
+
 
 @dataclass(frozen=True)
 class GatheredAsset:
@@ -43,12 +47,17 @@ class GatheredAsset:
     """Images by the name of their texture."""
     light: tuple[list[EncodedImage], dict[str, object]] | None
     """Images of the prefiltered light and its JSON object, where the file includes it (`image_based_light`)."""
+    engine_light: EngineLight | None
+    """The lights of profile engine, where the asset has an environment."""
     warnings: tuple[str, ...]
     residuals: dict[str, float]
 
 
-def gather_asset(asset: Asset, config: GltfConfig) -> GatheredAsset:
-    """Converts the material and computes tangents where they are needed."""
+def gather_asset(asset: Asset, config: GltfConfig, engine_light: EngineLight | None = None) -> GatheredAsset:
+    """Converts the material and computes tangents where they are needed.
+
+    With `engine_light` the asset's environment is its residual.
+    """
     if pack_normal(asset.material.normal) is None:
         asset = replace(asset, material=replace(asset.material, normal=None))
     needs_tangents = config.tangents == "always" or (config.tangents == "auto" and asset.material.normal is not None)
@@ -63,6 +72,7 @@ def gather_asset(asset: Asset, config: GltfConfig) -> GatheredAsset:
         specular_surface=specular_surface,
         pixels=pixels,
         light=_light(asset, config),
+        engine_light=engine_light,
         warnings=converted.warnings + _light_warning(asset, config),
         residuals={config.profile: converted.residual, "metalrough": base.residual}
         if specular_surface is not None
@@ -149,12 +159,26 @@ def build_document(
         msft_lod.add_levels(document, [len(g.mesh.faces) for g in levels])
     document.scenes.append(Scene(nodes=[0]))
     document.scene = 0
+    if config.profile == "engine":
+        _add_engine_profile(document, finest, config)
     if finest.light is not None:
         image_based_light.add_light(document, *finest.light, embedding, files_prefix or "")
     writer.add_buffers()
     for names in (document.extensionsUsed, document.extensionsRequired):
         names[:] = dict.fromkeys(names)  # each level adds those that it uses
     return document, writer
+
+
+def _add_engine_profile(document: GLTF2, gathered: GatheredAsset, config: GltfConfig) -> None:
+    """Adds the lights, and extras of the scene that say how the file differs from the asset."""
+    done: dict[str, object] = {
+        "profile": "engine",
+        "base_color": "changed where metalness is above 0, for engines that add multiple scattering",
+    }
+    if gathered.engine_light is not None:
+        punctual_lights.add_lights(document, gathered.engine_light.split, config.light_type, gathered.asset.mesh)
+        done["light"] = gathered.engine_light.document(RESIDUAL_SUFFIX)
+    document.scenes[0].extras = {"hir": done}
 
 
 def level_images(levels: Sequence[GatheredAsset], level: int) -> dict[str, str]:
