@@ -57,6 +57,15 @@ DEFAULT_LIGHTS: Final = 8
 """Babylon.js uses one uniform block for each light, and WebGL guarantees 12 of them."""
 
 
+DEFAULT_HULLS: Final = 16
+
+
+def _only_with_collision(collision: bool, hulls: int) -> None:
+    """Raises `ValueError` where a number of hulls is set and none are written."""
+    if not collision and hulls != DEFAULT_HULLS:
+        raise ValueError(f"collision_hulls is {hulls}, but no collision shapes are written; set collision, too")
+
+
 def _only_for_engine(options: CheckedOptions, *names: str) -> None:
     """Raises `ValueError` where an option of profile engine is set for another profile."""
     defaults = {option.name: option.default for option in fields(options)}
@@ -111,9 +120,16 @@ class GltfConfig(CheckedOptions):
     image_based_light: bool = False
     """EXT_lights_image_based: also write the prefiltered environment into the file, for Babylon.js."""
 
+    collision: Literal["none", "unreal", "godot"] = "none"
+    """Add convex hulls for collisions (library coacd in `hir[collision]`; up to minutes), named for Unreal
+    (UCX_NAME_00) or Godot (NAME_00-convcolonly). Other programs show them as meshes."""
+    collision_hulls: int = _number(DEFAULT_HULLS, 1, 256)
+    """Largest number of convex hulls."""
+
     def __post_init__(self) -> None:
         super().__post_init__()
         _only_for_engine(self, "lights", "light_type")
+        _only_with_collision(self.collision != "none", self.collision_hulls)
 
 
 @dataclass(frozen=True)
@@ -146,9 +162,15 @@ class UsdConfig(CheckedOptions):
     subsets: bool = True
     """Write the face subsets `observed` and `unobserved`, where the asset says which texels a view observed."""
 
+    collision: bool = False
+    """Add convex hulls as collision shapes of UsdPhysics (library coacd in `hir[collision]`; up to minutes)."""
+    collision_hulls: int = _number(DEFAULT_HULLS, 1, 256)
+    """Largest number of convex hulls."""
+
     def __post_init__(self) -> None:
         super().__post_init__()
         _only_for_engine(self, "lights")
+        _only_with_collision(self.collision, self.collision_hulls)
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,11 @@ from hir_exporters.asset import Asset, AssetMaterial, AssetMesh
 from hir_exporters.engines.engine_light import EngineLight
 from hir_exporters.errors import ExportError
 from hir_exporters.format_options import GltfConfig
-from hir_exporters.gltf import image_based_light, ior, msft_lod, punctual_lights, specular, specular_glossiness
+from hir_exporters.gltf import image_based_light
 from hir_exporters.gltf.binary import BinaryWriter
+from hir_exporters.gltf.collision_nodes import add_collision_nodes
 from hir_exporters.gltf.draco import add_draco_primitive
+from hir_exporters.gltf.extensions import ior, msft_lod, punctual_lights, specular, specular_glossiness
 from hir_exporters.gltf.gltf_images import add_textures
 from hir_exporters.gltf.mesh_primitives import add_primitive
 from hir_exporters.gltf.quantization import add_quantized_primitive
@@ -23,6 +25,7 @@ from hir_exporters.light.environment_map import world_radiance
 from hir_exporters.materials.material_conversion import to_gltf
 from hir_exporters.materials.surfaces import MetallicSurface, SpecularSurface
 from hir_exporters.materials.texture_packing import PackedSurface, pack_normal, pack_surface
+from hir_exporters.mesh.convex_decomposition import ConvexHull
 from hir_exporters.mesh.tangents import with_tangents
 from hir_exporters.textures.image_encoding import EncodedImage, Image8, ImageEncoding
 
@@ -51,6 +54,8 @@ class GatheredAsset:
     """The lights of profile engine, where the asset has an environment."""
     warnings: tuple[str, ...]
     residuals: dict[str, float]
+    collision: tuple[ConvexHull, ...] = ()
+    """Collision shapes, where the file has them."""
 
 
 def gather_asset(asset: Asset, config: GltfConfig, engine_light: EngineLight | None = None) -> GatheredAsset:
@@ -159,6 +164,8 @@ def build_document(
         msft_lod.add_levels(document, [len(g.mesh.faces) for g in levels])
     document.scenes.append(Scene(nodes=[0]))
     document.scene = 0
+    if config.collision != "none":
+        add_collision_nodes(document, finest.collision, config.collision, finest.asset.name, writer)
     if config.profile == "engine":
         _add_engine_profile(document, finest, config)
     if finest.light is not None:

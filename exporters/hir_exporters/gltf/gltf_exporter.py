@@ -28,6 +28,7 @@ from hir_exporters.gltf.gltf_document import (
 from hir_exporters.gltf.lods import level_of_detail
 from hir_exporters.light.environment_map import world_radiance
 from hir_exporters.materials.texture_packing import limit_texture_sizes, texture_size_warnings
+from hir_exporters.mesh.convex_decomposition import convex_hulls
 from hir_exporters.textures.image_encoding import EncodedImage
 from hir_exporters.textures.image_files import write_hdr
 
@@ -76,6 +77,8 @@ def _write(asset: Asset, destination: Path, config: GltfConfig, edit: Edit | Non
             asset, warnings = smaller, warnings + mesh_warnings
             gathered = gather_asset(asset, config, light)
     warnings += gathered.warnings
+    if config.collision != "none":
+        gathered = replace(gathered, collision=convex_hulls(asset.mesh, config.collision_hulls))
     levels, finer = [gathered], asset
     for level, triangles in enumerate(config.lods, start=1):
         finer, lod_warnings = level_of_detail(asset, finer, level, triangles, config)

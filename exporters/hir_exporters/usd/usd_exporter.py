@@ -17,8 +17,10 @@ from hir_exporters.files.atomic import write_bytes_atomic, write_text_atomic
 from hir_exporters.format_options import UsdConfig
 from hir_exporters.light.environment_map import world_radiance
 from hir_exporters.materials.texture_packing import limit_texture_sizes, texture_size_warnings
+from hir_exporters.mesh.convex_decomposition import convex_hulls
 from hir_exporters.textures.image_encoding import EncodedImage, ImageEncoding
 from hir_exporters.textures.image_files import write_hdr
+from hir_exporters.usd.collision_prims import add_collision_prims
 from hir_exporters.usd.dome_light import distant_lights, light_layer
 from hir_exporters.usd.openpbr import openpbr_layer
 from hir_exporters.usd.preview_surface import UsdSurface, usd_surface
@@ -50,6 +52,8 @@ class UsdExporter(Exporter):
         asset, surface, images, warnings = _gather(asset, config)
         paths = {name: f"./{companion_file(destination, image.name).name}" for name, image in images.items()}
         stage = build_stage(asset, surface, paths, config.meters_per_unit, config.subsets)
+        if config.collision:
+            add_collision_prims(stage, convex_hulls(asset.mesh, config.collision_hulls))
         if edit is not None:
             edit(stage, asset)
         layer = layer_bytes(stage.GetRootLayer(), destination.suffix)
@@ -83,6 +87,8 @@ class UsdzExporter(Exporter):
             raise ExportError("materialx: AR Quick Look does not read MaterialX; export usda or usdc instead")
         names = {name: image.name for name, image in images.items()}
         stage = build_stage(asset, surface, names, self._config.meters_per_unit, self._config.subsets)
+        if self._config.collision:
+            add_collision_prims(stage, convex_hulls(asset.mesh, self._config.collision_hulls))
         if edit is not None:
             edit(stage, asset)
         root = f"{prim_name(asset.name)}.usdc"

@@ -17,7 +17,7 @@ from hir_exporters.format_options import (
     UsdzConfig,
 )
 from hir_exporters.formats import create_exporter
-from hir_exporters.gltf.punctual_lights import POINT_DISTANCE, POINT_RANGE
+from hir_exporters.gltf.extensions.punctual_lights import POINT_DISTANCE, POINT_RANGE
 from hir_exporters.reading.file_verification import verify_file
 from hir_exporters.textures.image_files import read_exr, read_hdr
 from pxr import Gf, Usd, UsdGeom, UsdLux
