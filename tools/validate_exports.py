@@ -63,6 +63,7 @@ def variants() -> Iterator[tuple[str, str, GltfConfig | UsdConfig]]:
     yield "point_lights", "glb", GltfConfig(profile="engine", light_type="point")
     yield "quantized", "glb", GltfConfig(quantize=True)
     yield "lit", "glb", GltfConfig(image_based_light=True)
+    yield "xmp", "glb", GltfConfig(xmp=True)
     for name, library in (("draco", "DracoPy"), ("meshopt", "meshopt")):
         if find_spec(library):
             yield name, "glb", GltfConfig(compression="draco" if name == "draco" else "meshopt")

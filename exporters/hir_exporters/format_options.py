@@ -120,6 +120,8 @@ class GltfConfig(CheckedOptions):
     image_based_light: bool = False
     """EXT_lights_image_based: also write the prefiltered environment into the file, for Babylon.js."""
 
+    xmp: bool = False
+    """KHR_xmp_json_ld: also write title, program, capture and what is known of the material as XMP."""
     collision: Literal["none", "unreal", "godot"] = "none"
     """Add convex hulls for collisions (library coacd in `hir[collision]`; up to minutes), named for Unreal
     (UCX_NAME_00) or Godot (NAME_00-convcolonly). Other programs show them as meshes."""

@@ -17,7 +17,7 @@ from hir_exporters.gltf import image_based_light
 from hir_exporters.gltf.binary import BinaryWriter
 from hir_exporters.gltf.collision_nodes import add_collision_nodes
 from hir_exporters.gltf.draco import add_draco_primitive
-from hir_exporters.gltf.extensions import ior, msft_lod, punctual_lights, specular, specular_glossiness
+from hir_exporters.gltf.extensions import ior, msft_lod, punctual_lights, specular, specular_glossiness, xmp
 from hir_exporters.gltf.gltf_images import add_textures
 from hir_exporters.gltf.mesh_primitives import add_primitive
 from hir_exporters.gltf.quantization import add_quantized_primitive
@@ -164,6 +164,8 @@ def build_document(
         msft_lod.add_levels(document, [len(g.mesh.faces) for g in levels])
     document.scenes.append(Scene(nodes=[0]))
     document.scene = 0
+    if config.xmp:
+        xmp.add_provenance(document, finest.asset, finest.residuals[config.profile])
     if config.collision != "none":
         add_collision_nodes(document, finest.collision, config.collision, finest.asset.name, writer)
     if config.profile == "engine":

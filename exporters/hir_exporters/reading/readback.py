@@ -81,11 +81,10 @@ def read_gltf(path: Path) -> ReadBack:
 
 def gltf_scene(path: Path, document: GLTF2) -> trimesh.Scene:
     """The scene of a .glb or .gltf without collision shapes; extensions that trimesh does not read are decoded."""
-    if DECODED_EXTENSIONS.isdisjoint(document.extensionsRequired or []):
-        scene = load_mesh_scene(path, process=False)
-    else:
+    plain = None
+    if not DECODED_EXTENSIONS.isdisjoint(document.extensionsRequired or []):
         plain = io.BytesIO(decompressed_glb(document, lambda i: _gltf_buffer(document, i, path)))
-        scene = load_mesh_scene(path, plain, "glb", process=False)
+    scene = load_mesh_scene(path, plain, "" if plain is None else "glb", process=False)
     scene.delete_geometry([scene.graph[node][1] for node in scene.graph.nodes_geometry if is_collision_name(node)])
     return scene
 
