@@ -22,7 +22,7 @@ from hir_exporters.reading.validators import Finding, validate_gltf, validate_om
 from hir_exporters.scene_format import load_scene
 
 TOOLS: Final = Path(__file__).resolve().parent
-PROFILES: Final = ("khr", "blender", "metalrough", "unity-legacy")
+PROFILES: Final = ("khr", "blender", "metalrough", "unity-legacy", "engine")
 
 
 Validators = Callable[[list[Path], bool], list[Finding]]
@@ -60,8 +60,10 @@ def variants() -> Iterator[tuple[str, str, GltfConfig | UsdConfig]]:
     for suffix in ("glb", "gltf"):
         for profile in PROFILES:
             yield profile, suffix, GltfConfig(profile=profile)
+    yield "point_lights", "glb", GltfConfig(profile="engine", light_type="point")
     yield "quantized", "glb", GltfConfig(quantize=True)
     yield "lit", "glb", GltfConfig(image_based_light=True)
+    yield "xmp", "glb", GltfConfig(xmp=True)
     for name, library in (("draco", "DracoPy"), ("meshopt", "meshopt")):
         if find_spec(library):
             yield name, "glb", GltfConfig(compression="draco" if name == "draco" else "meshopt")
@@ -69,6 +71,7 @@ def variants() -> Iterator[tuple[str, str, GltfConfig | UsdConfig]]:
         for suffix in ("usda", "usdc"):
             yield workflow, suffix, UsdConfig(workflow=workflow)
         yield workflow, "usdz", UsdzConfig(workflow=workflow, budget="none")
+    yield "engine", "usda", UsdConfig(profile="engine")
     yield "materialx", "usda", UsdConfig(materialx=True)
 
 

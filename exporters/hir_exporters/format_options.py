@@ -53,13 +53,41 @@ def _checked(name: str, value: Any, hint: Any, low: float, high: float) -> Any:
     return int(value) if whole else float(value)
 
 
+DEFAULT_LIGHTS: Final = 8
+"""Babylon.js uses one uniform block for each light, and WebGL guarantees 12 of them."""
+
+
+DEFAULT_HULLS: Final = 16
+
+
+def _only_with_collision(collision: bool, hulls: int) -> None:
+    """Raises `ValueError` where a number of hulls is set and none are written."""
+    if not collision and hulls != DEFAULT_HULLS:
+        raise ValueError(f"collision_hulls is {hulls}, but no collision shapes are written; set collision, too")
+
+
+def _only_for_engine(options: CheckedOptions, *names: str) -> None:
+    """Raises `ValueError` where an option of profile engine is set for another profile."""
+    defaults = {option.name: option.default for option in fields(options)}
+    for name in names:
+        if getattr(options, "profile", "engine") != "engine" and getattr(options, name) != defaults[name]:
+            raise ValueError(f"{name} is {getattr(options, name)!r}, but only profile engine has lights; set it, too")
+
+
 @dataclass(frozen=True)
 class GltfConfig(CheckedOptions):
     """Options of .glb and .gltf."""
 
-    profile: Literal["khr", "blender", "metalrough", "unity-legacy"] = "khr"
+    profile: Literal["khr", "blender", "metalrough", "unity-legacy", "engine"] = "khr"
     """How the material is encoded: with the ratified extensions (khr), as Blender reads them, as core
-    metallic-roughness, or as specular-glossiness for Unity's glTFast (unity-legacy)."""
+    metallic-roughness, or as specular-glossiness for Unity's glTFast (unity-legacy). engine: as khr, but for the
+    shading of three.js, Babylon.js and Filament: the brightest parts of the light become lights in the file, the rest
+    of the light is NAME_glb_residual.hdr, and the base colour of metals is changed for multiple scattering."""
+    lights: int = _number(DEFAULT_LIGHTS, 1, 64)
+    """Largest number of lights of profile engine. Babylon.js renders no more than 8 to 12 on many devices."""
+    light_type: Literal["directional", "point"] = "directional"
+    """Lights of profile engine (KHR_lights_punctual). point: point lights at 100 times the object's size, for Filament,
+    which has one directional light at most."""
     budget: Literal["none", "quicklook", "phone", "web", "desktop"] = "none"
     """Limits of a target on triangles, texture size and bytes (phone 5 MB, web 3 MB, desktop 40 MB): meshes and
     textures above them are reduced, images become JPEG or WebP, and the report says so."""
@@ -92,11 +120,29 @@ class GltfConfig(CheckedOptions):
     image_based_light: bool = False
     """EXT_lights_image_based: also write the prefiltered environment into the file, for Babylon.js."""
 
+    xmp: bool = False
+    """KHR_xmp_json_ld: also write title, program, capture and what is known of the material as XMP."""
+    collision: Literal["none", "unreal", "godot"] = "none"
+    """Add convex hulls for collisions (library coacd in `hir[collision]`; up to minutes), named for Unreal
+    (UCX_NAME_00) or Godot (NAME_00-convcolonly). Other programs show them as meshes."""
+    collision_hulls: int = _number(DEFAULT_HULLS, 1, 256)
+    """Largest number of convex hulls."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _only_for_engine(self, "lights", "light_type")
+        _only_with_collision(self.collision != "none", self.collision_hulls)
+
 
 @dataclass(frozen=True)
 class UsdConfig(CheckedOptions):
     """Options of .usda and .usdc."""
 
+    profile: Literal["unaltered", "engine"] = "unaltered"
+    """engine: the layer with the light has distant lights for the brightest parts of the light, and a dome light with
+    NAME_usda_residual.hdr for the rest. The material is unaltered."""
+    lights: int = _number(DEFAULT_LIGHTS, 1, 64)
+    """Largest number of distant lights of profile engine."""
     workflow: Literal["auto", "metallic", "specular"] = "auto"
     """Workflow of UsdPreviewSurface; auto: metallic, which every importer reads, unless specular is clearly closer."""
     budget: Literal["none", "quicklook", "phone", "web", "desktop"] = "none"
@@ -118,6 +164,16 @@ class UsdConfig(CheckedOptions):
     subsets: bool = True
     """Write the face subsets `observed` and `unobserved`, where the asset says which texels a view observed."""
 
+    collision: bool = False
+    """Add convex hulls as collision shapes of UsdPhysics (library coacd in `hir[collision]`; up to minutes)."""
+    collision_hulls: int = _number(DEFAULT_HULLS, 1, 256)
+    """Largest number of convex hulls."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _only_for_engine(self, "lights")
+        _only_with_collision(self.collision, self.collision_hulls)
+
 
 @dataclass(frozen=True)
 class UsdzConfig(UsdConfig):
@@ -138,7 +194,21 @@ class ObjConfig(CheckedOptions):
 
 
 @dataclass(frozen=True)
-class EnvironmentConfig(CheckedOptions):
+class HarmonicsConfig(CheckedOptions):
+    """Options of the environment as nine spherical harmonics."""
+
+    profile: Literal["unaltered", "engine"] = "unaltered"
+    """engine: what remains of the light beside the lights in a file of glb.profile=engine."""
+    lights: int = _number(DEFAULT_LIGHTS, 1, 64)
+    """Largest number of these lights, as in glb.lights."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _only_for_engine(self, "lights")
+
+
+@dataclass(frozen=True)
+class EnvironmentConfig(HarmonicsConfig):
     """Options of the environment as a lat-long image, .hdr or .exr."""
 
     height: int = _number(0, 0, 1 << 14)
@@ -146,13 +216,8 @@ class EnvironmentConfig(CheckedOptions):
 
 
 @dataclass(frozen=True)
-class CubemapConfig(CheckedOptions):
+class CubemapConfig(HarmonicsConfig):
     """Options of the environment as a prefiltered cubemap, .ktx."""
 
     size: int = 256
     """Side of the first level in pixels, a power of two; the last level, 16 pixels, is for roughness 1."""
-
-
-@dataclass(frozen=True)
-class HarmonicsConfig(CheckedOptions):
-    """Options of the environment as nine spherical harmonics; there are none."""

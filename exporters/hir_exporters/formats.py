@@ -41,16 +41,22 @@ FORMATS: Final[dict[str, Format]] = {
         "hir_exporters.obj.obj_exporter:ObjExporter", ObjConfig, "Wavefront OBJ with an MTL in its PBR dialect."
     ),
     "hdr": Format(
-        "hir_exporters.light.environment_exporters:HdrExporter", EnvironmentConfig, "The light, Radiance RGBE."
+        "hir_exporters.environment_files.environment_exporters:HdrExporter",
+        EnvironmentConfig,
+        "The light, Radiance RGBE.",
     ),
     "exr": Format(
-        "hir_exporters.light.environment_exporters:ExrExporter", EnvironmentConfig, "The light, OpenEXR float32."
+        "hir_exporters.environment_files.environment_exporters:ExrExporter",
+        EnvironmentConfig,
+        "The light, OpenEXR float32.",
     ),
     "ktx": Format(
-        "hir_exporters.light.environment_exporters:KtxExporter", CubemapConfig, "The light, prefiltered, for Filament."
+        "hir_exporters.environment_files.environment_exporters:KtxExporter",
+        CubemapConfig,
+        "The light, prefiltered, for Filament.",
     ),
     "sh.json": Format(
-        "hir_exporters.light.environment_exporters:HarmonicsExporter",
+        "hir_exporters.environment_files.environment_exporters:HarmonicsExporter",
         HarmonicsConfig,
         "The light, 9 spherical harmonics.",
     ),

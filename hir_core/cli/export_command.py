@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin, get_type_hints
 
 import click
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from hir_core.plugins.manager import PluginManager
 
-PROFILES = ("khr", "blender", "metalrough", "unity-legacy")
+PROFILES = ("khr", "blender", "metalrough", "unity-legacy", "engine")
 BUDGETS = ("none", "quicklook", "phone", "web", "desktop")
 PIVOTS = ("source", "base", "centre")
 
@@ -35,7 +35,7 @@ PIVOTS = ("source", "base", "centre")
 @click.option(
     "--profile",
     type=click.Choice(PROFILES),
-    help="Target of the glTF material; docs/engines/ says which one to choose.",
+    help="Target of the glTF material, or engine for material and lights; docs/engines/ says which one to choose.",
 )
 @click.option(
     "--budget", type=click.Choice(BUDGETS), help="Limits of a target platform on triangles, texture size and bytes."
@@ -157,7 +157,7 @@ def _options(
     for key, value in shortcuts.items():
         if value is None:
             continue
-        supporting = [n for n in formats if key in _fields(plugins, n)]
+        supporting = [n for n in formats if _allows(plugins, n, key, value)]
         if not supporting:
             flag = {"lods": "--lod"}.get(key, f"--{key}")
             raise ConfigError(f"{flag}: no format of {', '.join(formats)} has this option; remove it, or add -f glb")
@@ -166,8 +166,13 @@ def _options(
     return options
 
 
-def _fields(plugins: PluginManager, name: str) -> dict[str, Any]:
-    return getattr(plugins.find("exporter", name).component.config, "__dataclass_fields__", {})
+def _allows(plugins: PluginManager, name: str, key: str, value: Any) -> bool:
+    """Whether the format has the option and, where it has a list of values, this value."""
+    config = plugins.find("exporter", name).component.config
+    if key not in getattr(config, "__dataclass_fields__", {}):
+        return False
+    hint = get_type_hints(config)[key]
+    return get_origin(hint) is not Literal or value in get_args(hint)
 
 
 def parse_lods(text: str) -> list[int]:

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 from hir_exporters.asset import Asset
-from hir_exporters.format_options import GltfConfig, UsdConfig
+from hir_exporters.format_options import CubemapConfig, GltfConfig, UsdConfig
 from hir_exporters.formats import create_exporter
 
 from hir_core.capture import Camera
@@ -109,7 +109,7 @@ def _rows(
     for engine_run in engine_runs(samples):
         if chosen and not any(word.lower() in engine_run.engine.lower() for word in chosen):
             continue
-        rows.append(_row(subject.name, engine_run, work, light, cameras, truth, coverage, reuse, reuse_only))
+        rows.append(_row(subject.name, engine_run, work, cameras, truth, coverage, reuse, reuse_only))
         print(f"{subject.name}: {rows[-1].sentence()}", flush=True)
     return rows
 
@@ -132,13 +132,17 @@ def _export(asset: Asset, folder: Path, name: str) -> None:
     create_exporter("glb", GltfConfig(image_based_light=True)).write(asset, folder / f"{name}_lit.glb")
     create_exporter("usda", UsdConfig()).write(asset, folder / f"{name}.usda")
     create_exporter("ktx").write(asset, folder / f"{name}_khr.ktx")
+    create_exporter("glb", GltfConfig(profile="engine")).write(asset, folder / f"{name}_engine.glb")
+    points = GltfConfig(profile="engine", light_type="point")
+    create_exporter("glb", points).write(asset, folder / f"{name}_engine_points.glb")
+    residual = CubemapConfig(profile="engine")
+    create_exporter("ktx", residual).write(asset, folder / f"{name}_engine_points_glb_residual.ktx")
 
 
 def _row(
     name: str,
     engine_run: EngineRun,
     work: Path,
-    light: Path,
     cameras: list[Camera],
     truth: list[Picture],
     coverage: list[Picture],
@@ -150,6 +154,7 @@ def _row(
     try:
         file = work / "pictures" / f"{name}_{engine_run.engine.split()[0]}_{engine_run.file}.npy"
         asset = work / "files" / f"{name}_{engine_run.file}"
+        light = work / "files" / f"{name}_{engine_run.light}"
         if reuse_only and not file.is_file():
             return Row(name, engine_run.engine, engine_run.file, [], None, None, "")
         pictures = _pictures(file, reuse, lambda: engine_run.render(asset, light, cameras))

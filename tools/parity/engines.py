@@ -24,7 +24,7 @@ Picture = NDArray[np.float32]
 """sRGB over black (H, W, 3)."""
 
 ROOT = HERE.parent.parent
-BLENDER_SCRIPT = ROOT / "tools" / "render_render_in_blender.py"
+BLENDER_SCRIPT = ROOT / "tools" / "render_in_blender.py"
 
 
 @dataclass(frozen=True)
@@ -38,6 +38,8 @@ class EngineRun:
     """Pictures of (file, light.hdr, cameras)."""
     missing: str
     """What must be installed before it can run; empty if it can."""
+    light: str = "khr.hdr"
+    """Suffix of the name of the light that it is shown under."""
 
 
 def engine_runs(blender_samples: int) -> list[EngineRun]:
@@ -45,11 +47,11 @@ def engine_runs(blender_samples: int) -> list[EngineRun]:
     no_browser = "" if chromium_command() else "Chromium"
     blender = "" if blender_python().exists() else "bpy: tools/setup.sh blender, or HIR_BLENDER_PYTHON"
 
-    def web(engine: str, package: str, page: str, file: str = "khr.glb") -> EngineRun:
+    def web(engine: str, package: str, page: str, file: str = "khr.glb", light: str = "khr.hdr") -> EngineRun:
         here = module_folder(package) is not None
         title = f"{engine} {module_version(package)}" if here else engine
         missing = no_browser or ("" if here else f"npm package {package}: npm --prefix tools/parity ci")
-        return EngineRun(title, file, lambda f, light, cameras: render_in_browser(page, f, light, cameras), missing)
+        return EngineRun(title, file, lambda f, hdr, cameras: render_in_browser(page, f, hdr, cameras), missing, light)
 
     def cycles(file: str, light_in_file: bool = False) -> EngineRun:
         return EngineRun(
@@ -61,9 +63,12 @@ def engine_runs(blender_samples: int) -> list[EngineRun]:
 
     return [
         web("three.js", "three", "three.html"),
+        web("three.js", "three", "three.html", "engine.glb", "engine_glb_residual.hdr"),
         web("Babylon.js", "babylonjs", "babylon.html"),
+        web("Babylon.js", "babylonjs", "babylon.html", "engine.glb", "engine_glb_residual.hdr"),
         web("Babylon.js", "babylonjs", "babylon.html", "lit.glb"),
         web("Filament", "filament", "filament.html"),
+        web("Filament", "filament", "filament.html", "engine_points.glb", "engine_points_glb_residual.hdr"),
         EngineRun(
             f"Godot {godot_version()}" if not godot_missing() else "Godot 3",
             "metalrough.glb",

@@ -1,8 +1,14 @@
-"""Writes docs/engines/parity.md: the table and one sheet of pictures for each object."""
+"""Writes docs/engines/parity.md: the table and one sheet of pictures for each object.
+
+Figures are stored in parity.json beside the page. Engines and objects that a call does not render keep their stored
+figures.
+"""
 
 from __future__ import annotations
 
+import json
 import textwrap
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +17,11 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 _TEXT = Path(__file__).with_name("parity.template.md")
+_ORDER = ("spot", "avocado", "metal", "mixed")
+_OTHER_PIXELS = (
+    "Some figures over the object are of an earlier run (`pixels` in parity.json is not `covered`): they count all "
+    "pixels that are not black, a few of the outline more."
+)
 _TILE = 192
 _CHARACTERS_PER_LINE = 18
 """Characters of a line beside a row of pictures."""
@@ -39,23 +50,30 @@ class Row:
 
 def write_page(folder: Path, rows: list[Row], size: int, samples: int) -> None:
     """parity.md from its template, and images/parity_SUBJECT.jpg beside it."""
-    subjects = list(dict.fromkeys(row.subject for row in rows))
-    kinds = list(dict.fromkeys((row.engine, row.file) for row in rows if row.frame is not None or row.note))
+    stored = _merged(folder / "parity.json", rows)
+    rendered_subjects = list(dict.fromkeys(row.subject for row in rows))
+    subjects = sorted({str(entry["subject"]) for entry in stored} | set(rendered_subjects), key=_position)
+    kinds = sorted({(str(entry["engine"]), str(entry["file"])) for entry in stored})
     table = ["| engine | file | " + " | ".join(subjects) + " |", "|---|---|" + "---|" * len(subjects)]
     for engine, file in kinds:
         cells = [
-            _cell(next((r for r in rows if (r.subject, r.engine, r.file) == (s, engine, file)), None)) for s in subjects
+            _cell(next((e for e in stored if (e["subject"], e["engine"], e["file"]) == (s, engine, file)), None))
+            for s in subjects
         ]
         table.append(f"| {engine} | `{file}` | " + " | ".join(cells) + " |")
-    notes = [f"- {r.engine}, `{r.file}`, {r.subject}: {r.note}" for r in rows if r.note]
+    notes = ["- " + _OTHER_PIXELS] if any(entry["pixels"] != "covered" for entry in stored) else []
+    notes += [f"- {r.engine}, `{r.file}`, {r.subject}: {r.note}" for r in rows if r.note]
     (folder / "images").mkdir(parents=True, exist_ok=True)
     pictures = []
     for subject in subjects:
+        if subject not in rendered_subjects:  # its sheet of an earlier call
+            pictures.append(f"![{subject}](images/parity_{subject}.jpg)")
+            continue
         rendered = [row for row in rows if row.subject == subject and row.pictures]
         _sheet(rendered).save(folder / "images" / f"parity_{subject}.jpg", quality=88)
         engines = ", ".join(f"{row.engine} {row.file}".strip() for row in rendered)
         pictures.append(f"![{subject}: {engines}](images/parity_{subject}.jpg)")
-    sources = {row.subject: row.engine.rpartition(", ")[2] for row in rows if row.frame is None and row.pictures}
+    sources = {str(entry["subject"]): str(entry["origin"]) for entry in stored}
     arguments = {"a run": "a whole run of `hir reconstruct`", "a model": "the model that its capture was rendered from"}
     origins = "; ".join(f"{name} is {arguments[how]}" for name, how in sources.items() if how in arguments)
     fields = {
@@ -72,10 +90,33 @@ def write_page(folder: Path, rows: list[Row], size: int, samples: int) -> None:
     (folder / "parity.md").write_text(text.rstrip() + "\n", encoding="utf-8")
 
 
-def _cell(row: Row | None) -> str:
-    if row is None or row.frame is None or row.inside is None:
-        return "– (not run)"
-    return f"{row.frame:.1f} / {row.inside:.1f}"
+def _merged(file: Path, rows: list[Row]) -> list[dict[str, str | float]]:
+    """The stored figures with those of `rows` in their place; they are written back."""
+    stored = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else []
+    found = {(entry["subject"], entry["engine"], entry["file"]): entry for entry in stored}
+    origins = {row.subject: row.engine.rpartition(", ")[2] for row in rows if row.frame is None and row.pictures}
+    for row in rows:
+        if row.frame is not None and row.inside is not None:
+            found[row.subject, row.engine, row.file] = {
+                "subject": row.subject,
+                "engine": row.engine,
+                "file": row.file,
+                "frame": round(row.frame, 4),
+                "inside": round(row.inside, 4),
+                "origin": origins[row.subject],
+                "pixels": "covered",
+            }
+    entries = [found[key] for key in sorted(found)]
+    file.write_text(json.dumps(entries, indent=1) + "\n", encoding="utf-8")
+    return entries
+
+
+def _position(subject: str) -> tuple[int, str]:
+    return (_ORDER.index(subject) if subject in _ORDER else len(_ORDER), subject)
+
+
+def _cell(entry: Mapping[str, str | float] | None) -> str:
+    return "– (not run)" if entry is None else f"{entry['frame']:.1f} / {entry['inside']:.1f}"
 
 
 def _sheet(rows: list[Row]) -> Image.Image:

@@ -22,18 +22,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hir_exporters.asset import Asset
-from hir_exporters.conventions import linear_to_srgb
 from hir_exporters.engines.surface_points import SurfacePoints, surface_points
+from hir_exporters.engines.surface_psnr import encoded, model_radiance, psnr_db
 from hir_exporters.materials import target_brdfs as models
-from hir_exporters.materials.brdf_slice import model_brdf
 from hir_exporters.materials.material_conversion import NO_FRESNEL_IOR
 from hir_exporters.materials.surfaces import MetallicSurface, SpecularSurface
 from hir_exporters.textures.texture_maps import sample_texels
 
 Array = NDArray[np.float64]
-
-PSNR_MAX: Final = 100.0
-"""Reported for equal values, in dB."""
 
 
 class MaterialSamples:
@@ -70,15 +66,10 @@ def engine_psnr(
     points = surface_points(asset)
     if not len(points.uvs):
         return {}
-    diffuse = sample_texels(asset.material.diffuse_albedo, True, points.uvs)
-    specular = sample_texels(asset.material.specular_albedo, True, points.uvs)
-    reference = _encoded(points.shade(model_brdf(points.slices, asset.material.model, diffuse, specular)))
+    reference = encoded(model_radiance(asset, points))
     samples = MaterialSamples(points, surface, specular_surface)
-    psnr = {}
-    for name, shade in (USD_ENGINES if usd else GLTF_ENGINES).items():
-        error = float(np.mean((_encoded(shade(points, samples)) - reference) ** 2))
-        psnr[name] = round(min(-10 * float(np.log10(max(error, 1e-12))), PSNR_MAX), 2)
-    return psnr
+    engines = USD_ENGINES if usd else GLTF_ENGINES
+    return {name: psnr_db(encoded(shade(points, samples)), reference) for name, shade in engines.items()}
 
 
 def gltf(points: SurfacePoints, t: MaterialSamples) -> Array:
@@ -161,10 +152,6 @@ GLTF_ENGINES: Final[Mapping[str, Shader]] = {
     "unity": unity,
 }
 USD_ENGINES: Final[Mapping[str, Shader]] = {"usd": usd_preview_surface, "blender": blender}
-
-
-def _encoded(linear: Array) -> Array:
-    return np.asarray(linear_to_srgb(np.clip(linear, 0, 1)), np.float64)
 
 
 def _unit(vectors: Array) -> Array:

@@ -5,16 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from hir_exporters.asset import Asset, AssetMaterial, AssetMesh
+from hir_exporters.engines.engine_light import EngineLight
 from hir_exporters.errors import ExportError
 from hir_exporters.format_options import GltfConfig
-from hir_exporters.gltf import image_based_light, ior, msft_lod, specular, specular_glossiness
+from hir_exporters.gltf import image_based_light
 from hir_exporters.gltf.binary import BinaryWriter
+from hir_exporters.gltf.collision_nodes import add_collision_nodes
 from hir_exporters.gltf.draco import add_draco_primitive
+from hir_exporters.gltf.extensions import ior, msft_lod, punctual_lights, specular, specular_glossiness, xmp
 from hir_exporters.gltf.gltf_images import add_textures
 from hir_exporters.gltf.mesh_primitives import add_primitive
 from hir_exporters.gltf.quantization import add_quantized_primitive
@@ -22,6 +25,7 @@ from hir_exporters.light.environment_map import world_radiance
 from hir_exporters.materials.material_conversion import to_gltf
 from hir_exporters.materials.surfaces import MetallicSurface, SpecularSurface
 from hir_exporters.materials.texture_packing import PackedSurface, pack_normal, pack_surface
+from hir_exporters.mesh.convex_decomposition import ConvexHull
 from hir_exporters.mesh.tangents import with_tangents
 from hir_exporters.textures.image_encoding import EncodedImage, Image8, ImageEncoding
 
@@ -29,6 +33,9 @@ if TYPE_CHECKING:
     from pygltflib import GLTF2, Material
 
 GENERATOR = "hir_exporters"
+
+RESIDUAL_SUFFIX: Final = "residual.hdr"
+"""End of the name of the residual environment beside a file of profile engine."""
 
 
 @dataclass(frozen=True)
@@ -43,12 +50,19 @@ class GatheredAsset:
     """Images by the name of their texture."""
     light: tuple[list[EncodedImage], dict[str, object]] | None
     """Images of the prefiltered light and its JSON object, where the file includes it (`image_based_light`)."""
+    engine_light: EngineLight | None
+    """The lights of profile engine, where the asset has an environment."""
     warnings: tuple[str, ...]
     residuals: dict[str, float]
+    collision: tuple[ConvexHull, ...] = ()
+    """Collision shapes, where the file has them."""
 
 
-def gather_asset(asset: Asset, config: GltfConfig) -> GatheredAsset:
-    """Converts the material and computes tangents where they are needed."""
+def gather_asset(asset: Asset, config: GltfConfig, engine_light: EngineLight | None = None) -> GatheredAsset:
+    """Converts the material and computes tangents where they are needed.
+
+    With `engine_light` the asset's environment is its residual.
+    """
     if pack_normal(asset.material.normal) is None:
         asset = replace(asset, material=replace(asset.material, normal=None))
     needs_tangents = config.tangents == "always" or (config.tangents == "auto" and asset.material.normal is not None)
@@ -63,6 +77,7 @@ def gather_asset(asset: Asset, config: GltfConfig) -> GatheredAsset:
         specular_surface=specular_surface,
         pixels=pixels,
         light=_light(asset, config),
+        engine_light=engine_light,
         warnings=converted.warnings + _light_warning(asset, config),
         residuals={config.profile: converted.residual, "metalrough": base.residual}
         if specular_surface is not None
@@ -149,12 +164,30 @@ def build_document(
         msft_lod.add_levels(document, [len(g.mesh.faces) for g in levels])
     document.scenes.append(Scene(nodes=[0]))
     document.scene = 0
+    if config.xmp:
+        xmp.add_provenance(document, finest.asset, finest.residuals[config.profile])
+    if config.collision != "none":
+        add_collision_nodes(document, finest.collision, config.collision, finest.asset.name, writer)
+    if config.profile == "engine":
+        _add_engine_profile(document, finest, config)
     if finest.light is not None:
         image_based_light.add_light(document, *finest.light, embedding, files_prefix or "")
     writer.add_buffers()
     for names in (document.extensionsUsed, document.extensionsRequired):
         names[:] = dict.fromkeys(names)  # each level adds those that it uses
     return document, writer
+
+
+def _add_engine_profile(document: GLTF2, gathered: GatheredAsset, config: GltfConfig) -> None:
+    """Adds the lights, and extras of the scene that say how the file differs from the asset."""
+    done: dict[str, object] = {
+        "profile": "engine",
+        "base_color": "changed where metalness is above 0, for engines that add multiple scattering",
+    }
+    if gathered.engine_light is not None:
+        punctual_lights.add_lights(document, gathered.engine_light.split, config.light_type, gathered.asset.mesh)
+        done["light"] = gathered.engine_light.document(RESIDUAL_SUFFIX)
+    document.scenes[0].extras = {"hir": done}
 
 
 def level_images(levels: Sequence[GatheredAsset], level: int) -> dict[str, str]:

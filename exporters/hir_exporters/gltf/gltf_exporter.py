@@ -10,13 +10,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, final
 from urllib.parse import quote
 
-from hir_exporters.asset import Asset, validate_asset
+from hir_exporters.asset import Asset, AssetEnvironment, validate_asset
 from hir_exporters.budgets import BUDGETS, apply_budget, budget_images, fit_mesh
+from hir_exporters.engines.engine_light import engine_light
 from hir_exporters.exporter import Edit, Exporter, ExportReport, companion_file
 from hir_exporters.files.atomic import write_bytes_atomic
 from hir_exporters.format_options import GltfConfig
 from hir_exporters.gltf.binary import glb_bytes
 from hir_exporters.gltf.gltf_document import (
+    RESIDUAL_SUFFIX,
     GatheredAsset,
     build_document,
     document_pixels,
@@ -26,6 +28,7 @@ from hir_exporters.gltf.gltf_document import (
 from hir_exporters.gltf.lods import level_of_detail
 from hir_exporters.light.environment_map import world_radiance
 from hir_exporters.materials.texture_packing import limit_texture_sizes, texture_size_warnings
+from hir_exporters.mesh.convex_decomposition import convex_hulls
 from hir_exporters.textures.image_encoding import EncodedImage
 from hir_exporters.textures.image_files import write_hdr
 
@@ -62,18 +65,25 @@ def _write(asset: Asset, destination: Path, config: GltfConfig, edit: Edit | Non
     asset, warnings = apply_budget(asset, config.budget)
     warnings += texture_size_warnings(asset.material, config.max_texture_size)
     asset = replace(asset, material=limit_texture_sizes(asset.material, config.max_texture_size))
-    gathered = gather_asset(asset, config)
+    light = None
+    if config.profile == "engine" and asset.environment is not None:
+        light = engine_light(asset, config.lights)
+        asset = replace(asset, environment=AssetEnvironment(light.split.residual))
+        warnings += (light.sentence(), *light.warnings)
+    gathered = gather_asset(asset, config, light)
     if BUDGETS[config.budget].bytes is not None:
         smaller, mesh_warnings = fit_mesh(asset, config.budget, _bytes_without_images([gathered], config))
         if mesh_warnings:
             asset, warnings = smaller, warnings + mesh_warnings
-            gathered = gather_asset(asset, config)
+            gathered = gather_asset(asset, config, light)
     warnings += gathered.warnings
+    if config.collision != "none":
+        gathered = replace(gathered, collision=convex_hulls(asset.mesh, config.collision_hulls))
     levels, finer = [gathered], asset
     for level, triangles in enumerate(config.lods, start=1):
         finer, lod_warnings = level_of_detail(asset, finer, level, triangles, config)
         warnings += lod_warnings
-        levels.append(gather_asset(finer, config))
+        levels.append(gather_asset(finer, config, light))
     paths = [destination.with_name(f"{destination.stem}_lod{k}{destination.suffix}") for k in range(1, len(levels))]
     files: list[Path] = []
     documents = [levels] if config.lod_layout == "msft_lod" else [[level] for level in levels]
@@ -84,7 +94,8 @@ def _write(asset: Asset, destination: Path, config: GltfConfig, edit: Edit | Non
         files += _write_document(document_levels, images, path, config, edit, embed)
     if config.environment and asset.environment is not None:
         radiance, light_warnings = world_radiance(asset)
-        files.append(destination.with_suffix(".hdr"))
+        residual = companion_file(destination, RESIDUAL_SUFFIX)
+        files.append(destination.with_suffix(".hdr") if light is None else residual)
         write_hdr(files[-1], radiance)
         warnings += light_warnings
     return ExportReport(tuple(files), warnings, gathered.residuals, time.perf_counter() - start)

@@ -76,6 +76,6 @@ def add_light(
         else:
             document.images.append(Image(name=image.name, mimeType=image.mime, bufferView=writer.view(image.data)))
     faces = [list(range(first + 6 * k, first + 6 * k + 6)) for k in range(len(images) // 6)]
-    document.extensions = {NAME: {"lights": [{**light, "specularImages": faces}]}}
+    document.extensions = {**(document.extensions or {}), NAME: {"lights": [{**light, "specularImages": faces}]}}
     document.scenes[0].extensions = {NAME: {"light": 0}}
     document.extensionsUsed.append(NAME)

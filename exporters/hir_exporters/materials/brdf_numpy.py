@@ -158,8 +158,12 @@ def integrated_table() -> Array:
     return np.stack([np.minimum(scale, 1 - bias), bias], axis=-1)  # A + B <= 1 also where a cubic overshoots
 
 
-def integrate_albedo(cos_theta: ArrayLike, alpha: ArrayLike, index: int = 15) -> tuple[Array, Array]:
-    """A and B by quadrature over visible half vectors: the mean of G1(i) F, which has no peak.
+def integrate_albedo(
+    cos_theta: ArrayLike, alpha: ArrayLike, index: int = 15, *, correlated: bool = False
+) -> tuple[Array, Array]:
+    """A and B by quadrature over visible half vectors: the mean of G / G1(o) F, which has no peak.
+
+    G / G1(o) is G1(i), or with `correlated` that of Smith's height-correlated G (Heitz 2014, eq. 99).
 
     `index` is that of the Fibonacci number of lattice points. The default, 987 points, is within 4e-4 of 28657 points;
     the error decreases with about the 1.5th power of the number.
@@ -170,7 +174,12 @@ def integrate_albedo(cos_theta: ArrayLike, alpha: ArrayLike, index: int = 15) ->
     for weight, height, azimuth in _cap_lattice(index):
         cos_h, cos_d = visible_half_vector(cos_o, a, height, azimuth)
         cos_i = np.maximum(2 * cos_d * cos_h - cos_o, 0.0)
-        masking = weight * 2 * cos_i / (cos_i + np.sqrt(a * a + (1 - a * a) * cos_i * cos_i))
+        root_i = np.sqrt(a * a + (1 - a * a) * cos_i * cos_i)
+        if correlated:
+            root_o = np.sqrt(a * a + (1 - a * a) * cos_o * cos_o)
+            masking = weight * cos_i * (cos_o + root_o) / np.maximum(cos_i * root_o + cos_o * root_i, 1e-300)
+        else:
+            masking = weight * 2 * cos_i / (cos_i + root_i)
         fresnel = schlick_weight(cos_d)
         scale += masking * (1 - fresnel)
         bias += masking * fresnel

@@ -20,10 +20,20 @@ from hir_exporters.textures.texture_maps import sample_texels
 Array = NDArray[np.floating]
 
 
-def metallic_residual(material: AssetMaterial, surface: MetallicSurface, as_blender: bool = False) -> float:
-    """Relative error on the BRDF slice of a surface, by glTF's ratified formula or as Blender reads ior 1000."""
+def metallic_residual(
+    material: AssetMaterial,
+    surface: MetallicSurface,
+    as_blender: bool = False,
+    expected: MetallicSurface | None = None,
+) -> float:
+    """Relative error on the BRDF slice of a surface, by glTF's ratified formula or as Blender reads ior 1000.
+
+    The reference is the material's model, or glTF's formula with the parameters `expected`.
+    """
     uvs, directions, reference = _reference_samples(material)
-    if material.metalness is not None:
+    if expected is not None:
+        reference = _gltf_values(expected, uvs, directions)
+    elif material.metalness is not None:
         reference = target_brdfs.gltf_brdf(
             directions,
             sample_texels(material.base_color, True, uvs),
@@ -32,15 +42,20 @@ def metallic_residual(material: AssetMaterial, surface: MetallicSurface, as_blen
             np.ones((len(uvs), 3)),
             target_brdfs.f0_to_ior(material.dielectric_f0),
         )
-    base = sample_texels(surface.base_color, True, uvs)
-    color = sample_texels(surface.specular_color, True, uvs)
     if as_blender:
+        base, color = (sample_texels(value, True, uvs) for value in (surface.base_color, surface.specular_color))
         converted = target_brdfs.blender_brdf(directions, base, color)
     else:
-        metallic = sample_texels(surface.metallic, False, uvs)
-        weight = sample_texels(surface.specular_weight, False, uvs)
-        converted = target_brdfs.gltf_brdf(directions, base, metallic, weight, color, surface.ior)
+        converted = _gltf_values(surface, uvs, directions)
     return brdf_slice.relative_error(directions, converted, reference)
+
+
+def _gltf_values(
+    surface: MetallicSurface, uvs: NDArray[np.float64], directions: brdf_slice.BrdfSlice
+) -> NDArray[np.float64]:
+    base, color = (sample_texels(value, True, uvs) for value in (surface.base_color, surface.specular_color))
+    metallic, weight = (sample_texels(value, False, uvs) for value in (surface.metallic, surface.specular_weight))
+    return target_brdfs.gltf_brdf(directions, base, metallic, weight, color, surface.ior)
 
 
 def specular_residual(material: AssetMaterial, surface: SpecularSurface) -> float:

@@ -6,6 +6,7 @@
 | `blender`      | the same as Blender reads them (ior 1000, tint rho_s)             | `paper`, any rho_s           |
 | `metalrough`   | core metallic-roughness by least squares                          | the lobe of metals           |
 | `unity-legacy` | KHR_materials_pbrSpecularGlossiness                               | the lobe of `dielectric`     |
+| `engine`       | as `khr`; metals for engines that add multiple scattering         | see `multiple_scattering`    |
 | `usd-metallic` | UsdPreviewSurface, metallic; its ior where rho_s is one grey value| the lobe of grey `dielectric`|
 | `usd-specular` | UsdPreviewSurface, specular workflow                              | the lobe of `dielectric`     |
 
@@ -35,12 +36,13 @@ from hir_exporters.materials.conversion_residuals import (
     specular_residual,
 )
 from hir_exporters.materials.metallic_fit import core_base_color, fit_metallic, fit_specular_workflow
+from hir_exporters.materials.multiple_scattering import engine_base_color
 from hir_exporters.materials.surfaces import MetallicSurface, SpecularSurface
 from hir_exporters.textures.texture_maps import common_size, constant_if_uniform, map_in_strips, resize, sample_texels
 
 Array = NDArray[np.floating]
 
-GltfProfile = Literal["khr", "blender", "metalrough", "unity-legacy"]
+GltfProfile = Literal["khr", "blender", "metalrough", "unity-legacy", "engine"]
 
 NO_FRESNEL_IOR: Final = 1000.0
 """Written in place of infinity: the extension's F0 is 0.996, and a colour of 1 / 0.996 makes it 1. Blender renders
@@ -53,8 +55,15 @@ _CORE_TOLERANCE: Final = 0.02  # relative: a rho_s from 0.0392 to 0.0408 is writ
 
 
 def to_gltf(material: AssetMaterial, profile: GltfProfile) -> MetallicSurface | SpecularSurface:
-    """The material in a glTF profile; `unity-legacy` is a `SpecularSurface`, all others a `MetallicSurface`."""
+    """The material in a glTF profile; `unity-legacy` is a `SpecularSurface`, all others a `MetallicSurface`.
+
+    The residual of `engine` is that of `khr`: the change of the base colour is no error of the conversion.
+    """
     material = collapse_uniform_textures(material)
+    if profile == "engine":
+        surface = to_gltf(material, "khr")
+        assert isinstance(surface, MetallicSurface)
+        return engine_base_color(surface)
     if profile == "unity-legacy":
         return to_specular_workflow(material)
     if material.model == "metallic":

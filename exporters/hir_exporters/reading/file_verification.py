@@ -12,6 +12,8 @@ import numpy as np
 from hir_exporters.asset import Asset, AssetMesh
 from hir_exporters.errors import ExportError
 from hir_exporters.materials.conversion_residuals import metallic_residual, specular_residual
+from hir_exporters.materials.material_conversion import to_gltf
+from hir_exporters.materials.surfaces import SpecularSurface
 from hir_exporters.materials.texture_packing import pack_normal
 from hir_exporters.reading.readback import ReadBack, read_gltf, read_usd
 from hir_exporters.reading.usd_import import read_untrusted_usd
@@ -44,7 +46,7 @@ class Verification:
 
 
 def verify_file(path: Path, asset: Asset, profile: str = "khr") -> Verification:
-    """Reads `path` back and compares it with the asset; `profile` is that of a glTF file.
+    """Reads `path` back and compares it with the asset; `profile` is that of a glTF file, engine with its own material.
 
     The asset must be the one that was written, after any reduction to a budget: positions and UVs are compared corner
     by corner. Raises `InputError` for files that cannot be read, `ExportError` for other formats.
@@ -85,7 +87,9 @@ def compare_with_asset(path: Path, asset: Asset, back: ReadBack, profile: str = 
         brdf = specular_residual(asset.material, back.specular_surface)
     else:
         blender = profile == "blender" and asset.material.model == "paper"
-        brdf = metallic_residual(asset.material, back.surface, as_blender=blender)
+        expected = to_gltf(asset.material, "engine") if profile == "engine" else None
+        assert not isinstance(expected, SpecularSurface)
+        brdf = metallic_residual(asset.material, back.surface, as_blender=blender, expected=expected)
     if positions > 1e-4:
         problems.append(f"{path.name}: positions differ by {positions:.2g} of the object's size")
     if uvs > 1e-3:

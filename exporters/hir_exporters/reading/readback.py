@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hir_exporters.collision_names import is_collision_name
 from hir_exporters.conventions import srgb_to_linear
 from hir_exporters.errors import HirError, InputError
 from hir_exporters.materials.surfaces import MetallicSurface, SpecularSurface
@@ -79,11 +80,13 @@ def read_gltf(path: Path) -> ReadBack:
 
 
 def gltf_scene(path: Path, document: GLTF2) -> trimesh.Scene:
-    """The scene of a .glb or .gltf, after decoding the extensions that trimesh does not read."""
-    if DECODED_EXTENSIONS.isdisjoint(document.extensionsRequired or []):
-        return load_mesh_scene(path, process=False)
-    plain = io.BytesIO(decompressed_glb(document, lambda i: _gltf_buffer(document, i, path)))
-    return load_mesh_scene(path, plain, "glb", process=False)
+    """The scene of a .glb or .gltf without collision shapes; extensions that trimesh does not read are decoded."""
+    plain = None
+    if not DECODED_EXTENSIONS.isdisjoint(document.extensionsRequired or []):
+        plain = io.BytesIO(decompressed_glb(document, lambda i: _gltf_buffer(document, i, path)))
+    scene = load_mesh_scene(path, plain, "" if plain is None else "glb", process=False)
+    scene.delete_geometry([scene.graph[node][1] for node in scene.graph.nodes_geometry if is_collision_name(node)])
+    return scene
 
 
 def read_gltf_surface(
@@ -106,7 +109,7 @@ def read_gltf_surface(
 
 def read_usd(path: Path) -> ReadBack:
     """A .usda, .usdc or .usdz with one mesh and one UsdPreviewSurface. Raises `InputError` naming the file."""
-    from pxr import Usd, UsdGeom, UsdShade
+    from pxr import Usd, UsdGeom, UsdPhysics, UsdShade
 
     path = Path(path)
     if not path.is_file():
@@ -114,7 +117,8 @@ def read_usd(path: Path) -> ReadBack:
     try:
         check_layers(path)
         stage = Usd.Stage.Open(str(path))
-        meshes = [prim for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh)]
+        shapes = UsdPhysics.CollisionAPI
+        meshes = [prim for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh) and not prim.HasAPI(shapes)]
         if len(meshes) != 1:
             raise InputError(f"{path} contains {len(meshes)} meshes; an exported file has one")
         mesh = UsdGeom.Mesh(meshes[0])

@@ -10,15 +10,18 @@ from typing import TYPE_CHECKING, Final, final
 
 from hir_exporters.asset import Asset, validate_asset
 from hir_exporters.budgets import BUDGETS, apply_budget, budget_images, fit_mesh
+from hir_exporters.engines.engine_light import engine_light
 from hir_exporters.errors import ExportError
 from hir_exporters.exporter import Edit, Exporter, ExportReport, companion_file
 from hir_exporters.files.atomic import write_bytes_atomic, write_text_atomic
 from hir_exporters.format_options import UsdConfig
 from hir_exporters.light.environment_map import world_radiance
 from hir_exporters.materials.texture_packing import limit_texture_sizes, texture_size_warnings
+from hir_exporters.mesh.convex_decomposition import convex_hulls
 from hir_exporters.textures.image_encoding import EncodedImage, ImageEncoding
 from hir_exporters.textures.image_files import write_hdr
-from hir_exporters.usd.dome_light import light_layer
+from hir_exporters.usd.collision_prims import add_collision_prims
+from hir_exporters.usd.dome_light import distant_lights, light_layer
 from hir_exporters.usd.openpbr import openpbr_layer
 from hir_exporters.usd.preview_surface import UsdSurface, usd_surface
 from hir_exporters.usd.usd_stage import build_stage, prim_name
@@ -49,6 +52,8 @@ class UsdExporter(Exporter):
         asset, surface, images, warnings = _gather(asset, config)
         paths = {name: f"./{companion_file(destination, image.name).name}" for name, image in images.items()}
         stage = build_stage(asset, surface, paths, config.meters_per_unit, config.subsets)
+        if config.collision:
+            add_collision_prims(stage, convex_hulls(asset.mesh, config.collision_hulls))
         if edit is not None:
             edit(stage, asset)
         layer = layer_bytes(stage.GetRootLayer(), destination.suffix)
@@ -82,6 +87,8 @@ class UsdzExporter(Exporter):
             raise ExportError("materialx: AR Quick Look does not read MaterialX; export usda or usdc instead")
         names = {name: image.name for name, image in images.items()}
         stage = build_stage(asset, surface, names, self._config.meters_per_unit, self._config.subsets)
+        if self._config.collision:
+            add_collision_prims(stage, convex_hulls(asset.mesh, self._config.collision_hulls))
         if edit is not None:
             edit(stage, asset)
         root = f"{prim_name(asset.name)}.usdc"
@@ -149,10 +156,18 @@ def _bytes_without_images(asset: Asset, surface: UsdSurface, config: UsdConfig) 
 def _write_light(asset: Asset, destination: Path, config: UsdConfig) -> tuple[list[Path], tuple[str, ...]]:
     if not config.environment or asset.environment is None:
         return [], ()
-    radiance, warnings = world_radiance(asset)
-    image, layer = destination.with_suffix(".hdr"), companion_file(destination, "lit.usda")
+    layer = companion_file(destination, "lit.usda")
+    if config.profile == "engine":
+        light = engine_light(asset, config.lights)
+        image, radiance, warnings = companion_file(destination, "residual.hdr"), light.split.residual, light.warnings
+        warnings += (light.sentence(),)
+    else:
+        light, image = None, destination.with_suffix(".hdr")
+        radiance, warnings = world_radiance(asset)
     write_hdr(image, radiance)
-    write_text_atomic(layer, light_layer(prim_name(asset.name), destination.name, image.name, config.meters_per_unit))
+    lights = "" if light is None else distant_lights(light.split)
+    text = light_layer(prim_name(asset.name), destination.name, image.name, config.meters_per_unit, lights)
+    write_text_atomic(layer, text)
     return [image, layer], warnings
 
 

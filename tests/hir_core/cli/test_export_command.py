@@ -58,9 +58,29 @@ def test_short_options_reach_the_formats_that_have_them(tmp_path: Path) -> None:
     assert parse_lods("100k,2.5k,7") == [100_000, 2500, 7]
 
 
+def test_the_profile_engine_reaches_all_formats_that_have_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sky = np.full((32, 64, 3), 0.2)
+    sky[6:9, 40:44] = 30
+    metal = replace(plate(), material=AssetMaterial.metallic([0.9, 0.7, 0.4], 1.0, 0.3))
+    save_scene(replace(metal, environment=AssetEnvironment(sky)), tmp_path / "scene")
+    formats = [word for name in ("glb", "usda", "ktx", "obj") for word in ("-f", name)]
+    assert hir("export", tmp_path / "scene", *formats, "--profile", "engine", "-o", tmp_path / "out") == 0
+    message = capsys.readouterr()
+    assert "load the residual environment beside it" in message.err
+    assert "not re-rendered: profile engine changes material and light" in message.out
+    assert "KHR_lights_punctual" in document(tmp_path / "out" / "plate.glb")["extensionsUsed"]
+    assert 'def DistantLight "Light_0"' in (tmp_path / "out" / "plate_usda_lit.usda").read_text()
+    glb, usda = (tmp_path / "out" / f"plate_{name}_residual.hdr" for name in ("glb", "usda"))
+    assert glb.read_bytes() == usda.read_bytes() and not (tmp_path / "out" / "plate.hdr").exists()
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
+        (["{tmp}/scene", "-f", "glb", "--set", "glb.lights=4"], "only profile engine has lights"),
+        (["{tmp}/scene", "-f", "usda", "--profile", "khr"], "--profile: no format of usda has this option"),
         (["{tmp}/scene", "-f", "obj", "--profile", "khr"], "--profile: no format of obj has this option"),
         (["{tmp}/scene", "-f", "glb", "--lod", "many"], "'many' is not a number of triangles"),
         (["{tmp}/scene", "-f", "glb", "--roughness", "0.5"], "--roughness can only be used with a mesh"),

@@ -16,6 +16,7 @@ from hir_exporters.materials import material_conversion
 from hir_exporters.reading.file_verification import verify_file
 from hir_exporters.reading.readback import read_gltf
 from hir_exporters.reading.validators import validate_gltf
+from pygltflib import GLTF2
 
 PROFILES = ["khr", "blender", "metalrough", "unity-legacy"]
 Sphere = Callable[..., AssetMesh]
@@ -322,3 +323,28 @@ def test_draco_is_refused_where_it_cannot_be(
     with pytest.raises(ExportError, match=r"meshopt.*hir\[compress\]"):
         create_exporter("glb", GltfConfig(compression="meshopt")).write(textured_asset, tmp_path / "a.glb")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("suffix", ["glb", "gltf"])
+def test_xmp_says_which_program_made_the_file_of_which_capture(
+    textured_asset: Asset, tmp_path: Path, suffix: str
+) -> None:
+    known = {"generator": "hir 9.9", "capture": "my spoon", "fingerprint": "abc123", "seed": 3}
+    asset = dataclasses.replace(textured_asset, provenance=known)
+    create_exporter(suffix, GltfConfig(xmp=True)).write(asset, tmp_path / f"x.{suffix}")
+    document = GLTF2().load(str(tmp_path / f"x.{suffix}"))
+    packets = document.extensions["KHR_xmp_json_ld"]["packets"]
+    packet = packets[document.asset.extensions["KHR_xmp_json_ld"]["packet"]]
+    assert packet["xmp:CreatorTool"] == "hir 9.9" and packet["dc:source"] == "my spoon"
+    assert packet["dc:identifier"] == "abc123"
+    assert packet["dc:title"]["rdf:_1"]["@value"] == textured_asset.name
+    facts = packet["dc:description"]["rdf:_1"]["@value"]
+    assert f"{len(asset.mesh.faces)} triangles" in facts and "100.0% of the texels were seen" in facts
+    used = {word.partition(":")[0] for word in packet if not word.startswith("@")}
+    assert used <= set(packet["@context"]), "every prefix is defined"
+    assert "KHR_xmp_json_ld" in document.extensionsUsed
+
+
+def test_there_is_no_xmp_by_default(textured_asset: Asset, tmp_path: Path) -> None:
+    create_exporter("glb").write(textured_asset, tmp_path / "x.glb")
+    assert "KHR_xmp_json_ld" not in GLTF2().load(str(tmp_path / "x.glb")).extensionsUsed

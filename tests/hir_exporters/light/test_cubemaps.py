@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from hir_exporters.asset import Asset, AssetEnvironment
 from hir_exporters.conventions import latlong_directions, latlong_solid_angles, srgb_to_linear
+from hir_exporters.environment_files.environment_exporters import filament_harmonics
 from hir_exporters.errors import ExportError
 from hir_exporters.format_options import CubemapConfig, GltfConfig
 from hir_exporters.formats import create_exporter
 from hir_exporters.gltf.image_based_light import rgbd
-from hir_exporters.light.environment_exporters import filament_harmonics
 from hir_exporters.light.environment_map import world_radiance
 from hir_exporters.light.prefilter import face_directions, filament_roughness, level_sizes, prefiltered_cubemap
 

@@ -12,12 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hir_exporters.asset import Asset, validate_asset
+from hir_exporters.engines.engine_light import engine_light
+from hir_exporters.environment_files.ktx1_container import ktx1_bytes
 from hir_exporters.errors import ExportError
 from hir_exporters.exporter import Edit, Exporter, ExportReport
 from hir_exporters.files.atomic import write_bytes_atomic, write_text_atomic
 from hir_exporters.format_options import CubemapConfig, EnvironmentConfig, HarmonicsConfig
-from hir_exporters.light.environment_map import irradiance_harmonics, spherical_harmonics, world_radiance
-from hir_exporters.light.ktx1_container import ktx1_bytes
+from hir_exporters.light.environment_map import (
+    irradiance_harmonics,
+    resample_latlong,
+    spherical_harmonics,
+    world_radiance,
+)
 from hir_exporters.light.prefilter import LAST_LEVEL_SIZE, filament_roughness, level_sizes, prefiltered_cubemap
 from hir_exporters.textures.image_files import write_exr, write_hdr
 
@@ -58,7 +64,7 @@ class KtxExporter(Exporter):
         validate_asset(asset)
         if size < LAST_LEVEL_SIZE or size & (size - 1) or size > 4096:
             raise ExportError(f"a cubemap of {size} pixels a side is not a power of two from {LAST_LEVEL_SIZE} to 4096")
-        radiance, warnings = world_radiance(asset)
+        radiance, warnings = _radiance(asset, self._config)
         levels = len(level_sizes(size))
         cubemap = prefiltered_cubemap(radiance, [filament_roughness(k, levels) for k in range(levels)], size)
         write_bytes_atomic(destination, ktx1_bytes(cubemap, {"sh": filament_harmonics(radiance)}))
@@ -75,7 +81,7 @@ class HarmonicsExporter(Exporter):
     def write(self, asset: Asset, destination: Path, edit: Edit | None = None) -> ExportReport:
         start = time.perf_counter()
         validate_asset(asset)
-        radiance, warnings = world_radiance(asset)
+        radiance, warnings = _radiance(asset, self._config)
         document = {
             "basis": "real spherical harmonics, bands 0 to 2, m = -l..l, world axes (x, y, z), +Y up",
             "order": ["1", "y", "z", "x", "xy", "yz", "3zz-1", "xz", "xx-yy"],
@@ -94,11 +100,22 @@ def filament_harmonics(radiance: NDArray[np.floating]) -> str:
     return "\n".join(" ".join(f"{x:.9g}" for x in row) for row in rows) + "\n"
 
 
+def _radiance(asset: Asset, config: HarmonicsConfig, height: int = 0) -> tuple[NDArray[np.float32], tuple[str, ...]]:
+    """The light in world axes, or what remains of it beside the lights of profile engine."""
+    if config.profile == "unaltered":
+        return world_radiance(asset, height)
+    light = engine_light(asset, config.lights)
+    residual = light.split.residual
+    if height:
+        residual = resample_latlong(residual, height, 2 * height).astype(np.float32)
+    return residual, light.warnings
+
+
 def _write(
     asset: Asset, destination: Path, config: EnvironmentConfig, writer: Callable[[Path, NDArray[np.float32]], None]
 ) -> ExportReport:
     start = time.perf_counter()
     validate_asset(asset)
-    radiance, warnings = world_radiance(asset, config.height)
+    radiance, warnings = _radiance(asset, config, config.height)
     writer(destination, radiance)
     return ExportReport((Path(destination),), warnings, seconds=time.perf_counter() - start)

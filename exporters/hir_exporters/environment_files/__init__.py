@@ -1,0 +1,1 @@
+"""Exporters of the light alone: lat-long images, prefiltered cubemaps, spherical harmonics."""

@@ -1,0 +1,1 @@
+"""glTF extensions that are JSON alone: one module for each."""
