@@ -29,8 +29,13 @@ from torch import Tensor
 from hir_core.scene import Mesh, Topology
 from hir_core.scene.scene_store import load_stage_scene
 from hir_core.scene.srgb import srgb_to_linear
-from hir_plugins.regularizers.bilateral.bilateral_grid import bilateral_deviation, cells_of, cubes_of
-from hir_plugins.regularizers.bilateral.bilateral_pairs import deviation_of_pairs, weight_error
+from hir_plugins.regularizers.bilateral.bilateral_grid import cells_of, cubes_of
+from hir_plugins.regularizers.bilateral.bilateral_pairs import (
+    absolute_deviation_of_pairs,
+    deviation_of_pairs,
+    weight_error,
+)
+from hir_plugins.regularizers.bilateral.grid_deviation import absolute_deviation, bilateral_deviation
 from hir_plugins.regularizers.material_options import BilateralSpecularOptions
 from hir_plugins.regularizers.surface_samples import SurfaceSamples, sample_surface
 
@@ -71,12 +76,12 @@ def _evaluated(method: str, positions: Tensor, diffuse: Tensor, specular: Tensor
     began = time.process_time()
     if method == "grid":
         cubes = cubes_of(positions, DEFAULTS.cutoff, DEFAULTS.cell_size)
-        deviation = partial(bilateral_deviation, cubes, edge=DEFAULTS.cell_size)
+        total = partial(absolute_deviation, cubes, edge=DEFAULTS.cell_size)
     else:
-        deviation = partial(deviation_of_pairs, positions)
+        total = partial(absolute_deviation_of_pairs, positions)
     prepared = time.process_time()
     leaves = (diffuse.requires_grad_(), specular.requires_grad_())
-    torch.autograd.grad(deviation(*leaves).abs().sum(), leaves)
+    torch.autograd.grad(total(*leaves), leaves)
     return prepared - began, time.process_time() - prepared
 
 
@@ -116,12 +121,12 @@ def compared(run: Path, count: int, white: bool, cutoff: float, edge: float) -> 
     leaves = (diffuse.requires_grad_(), specular.requires_grad_())
     cubes = cubes_of(positions, cutoff, edge)
     began = time.process_time()
-    found = bilateral_deviation(cubes, *leaves, edge)
-    found_gradients = torch.autograd.grad(found.abs().sum(), leaves)
+    found_gradients = torch.autograd.grad(absolute_deviation(cubes, *leaves, edge), leaves)
     seconds = time.process_time() - began
+    found = bilateral_deviation(cubes, *leaves, edge)
     true = deviation_of_pairs(positions, *leaves)
     true_gradients = torch.autograd.grad(true.abs().sum(), leaves)
-    found, true = found.detach(), true.detach()
+    true = true.detach()
     turned = [float((f - t).norm() / t.norm()) for f, t in zip(found_gradients, true_gradients, strict=True)]
     return {
         "value": abs(float(found.abs().sum() / true.abs().sum()) - 1),

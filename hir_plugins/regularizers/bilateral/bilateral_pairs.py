@@ -31,6 +31,13 @@ def deviation_of_pairs(
     return torch.cat(parts) if parts else torch.zeros_like(values)
 
 
+def absolute_deviation_of_pairs(
+    positions: Float[Tensor, "N 3"], guide: Float[Tensor, "N G"], values: Float[Tensor, "N D"]
+) -> Float[Tensor, ""]:
+    """The sum of the absolute values of all deviations."""
+    return deviation_of_pairs(positions, guide, values).abs().sum()
+
+
 def weight_error(cubes: Cubes, guide: Float[Tensor, "N G"], edge: float) -> Float[Tensor, " N"]:
     """`ε_p = Σ_q |k − k̃| / Σ_q k` of the weights k̃ that `bilateral_deviation` gives the samples; quadratic in time.
 

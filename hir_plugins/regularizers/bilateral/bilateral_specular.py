@@ -47,7 +47,12 @@ class BilateralSpecular(Regularizer):
             assert scene.material is not None
             specular = smoothing.samples.values(scene.material.specular_albedo)
             diffuse = smoothing.samples.values(scene.material.diffuse_albedo) / config.sigma_albedo
-            total = smoothing.deviation(diffuse, specular).abs().sum()
+            # a grey ρs has the same deviation in each channel
+            if bool((specular == specular[:, :1]).all()):
+                grey = specular.mean(dim=1, keepdim=True)
+                total = specular.shape[1] * smoothing.absolute_deviation(diffuse, grey)
+            else:
+                total = smoothing.absolute_deviation(diffuse, specular)
             return total / max(len(specular), 1) if config.average else total
 
         return energy

@@ -11,18 +11,19 @@ from torch import Tensor
 
 from hir_core.errors import ConfigError
 from hir_core.scene import Mesh
-from hir_plugins.regularizers.bilateral.bilateral_grid import bilateral_deviation, cubes_of
-from hir_plugins.regularizers.bilateral.bilateral_pairs import deviation_of_pairs
+from hir_plugins.regularizers.bilateral.bilateral_grid import cubes_of
+from hir_plugins.regularizers.bilateral.bilateral_pairs import absolute_deviation_of_pairs
+from hir_plugins.regularizers.bilateral.grid_deviation import absolute_deviation
 from hir_plugins.regularizers.material_options import BilateralOptions
 from hir_plugins.regularizers.surface_samples import SurfaceSamples, sample_surface
 
 
 @dataclass(frozen=True, eq=False)
 class SurfaceFilter:
-    """Samples, and `deviation(guide N G in σ, values N D)`: values minus their bilateral mean."""
+    """Samples, and `absolute_deviation(guide N G in σ, values N D)`: the sum of |values minus their bilateral mean|."""
 
     samples: SurfaceSamples
-    deviation: Callable[[Float[Tensor, "N G"], Float[Tensor, "N D"]], Float[Tensor, "N D"]]
+    absolute_deviation: Callable[[Float[Tensor, "N G"], Float[Tensor, "N D"]], Float[Tensor, ""]]
 
 
 def surface_filter(mesh: Mesh, shape: Sequence[int], config: BilateralOptions) -> SurfaceFilter:
@@ -33,13 +34,13 @@ def surface_filter(mesh: Mesh, shape: Sequence[int], config: BilateralOptions) -
     samples = sample_surface(mesh, config.samples, None if len(shape) == 2 else (int(shape[0]), int(shape[1])))
     positions = samples.positions
     if len(positions) == 0:
-        return SurfaceFilter(samples, lambda guide, values: values * 0)
+        return SurfaceFilter(samples, lambda guide, values: (guide.sum() + values.sum()) * 0)
     low, high = positions.amin(0), positions.amax(0)
     scaled = (positions - low) / (config.sigma_position * max(float((high - low).norm()), 1e-30))
     if config.method == "all_pairs":
-        return SurfaceFilter(samples, partial(deviation_of_pairs, scaled))
+        return SurfaceFilter(samples, partial(absolute_deviation_of_pairs, scaled))
     cubes = cubes_of(scaled, config.cutoff, config.cell_size)
-    return SurfaceFilter(samples, partial(bilateral_deviation, cubes, edge=config.cell_size))
+    return SurfaceFilter(samples, partial(absolute_deviation, cubes, edge=config.cell_size))
 
 
 def refuse_empty_widths(name: str, config: BilateralOptions) -> None:

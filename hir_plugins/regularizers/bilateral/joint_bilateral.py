@@ -53,7 +53,7 @@ class JointBilateral(Regularizer):
             values = {name: smoothing.samples.values(getattr(scene.material, name)) for name in names}
             guide = torch.cat([values[name] / self._widths[name] for name in names], dim=1)
             weighted = torch.cat([values[name] * weights[name] for name in names], dim=1)
-            return smoothing.deviation(guide, weighted).abs().sum() / max(len(weighted), 1)
+            return smoothing.absolute_deviation(guide, weighted) / max(len(weighted), 1)
 
         return energy
 

@@ -16,9 +16,10 @@ from torch import Tensor
 from hir_core.errors import ConfigError, StageError
 from hir_core.scene import Material, Scene, Topology
 from hir_core.stages.atlas import unwrap_mesh
-from hir_plugins.regularizers.bilateral.bilateral_grid import _tiles, bilateral_deviation, cells_of, cubes_of
+from hir_plugins.regularizers.bilateral.bilateral_grid import cells_of, cubes_of, tiles_of
 from hir_plugins.regularizers.bilateral.bilateral_pairs import deviation_of_pairs, weight_error
 from hir_plugins.regularizers.bilateral.bilateral_specular import BilateralSpecular
+from hir_plugins.regularizers.bilateral.grid_deviation import absolute_deviation, bilateral_deviation
 from hir_plugins.regularizers.bilateral.joint_bilateral import JointBilateral
 from hir_plugins.regularizers.material_options import BilateralSpecularOptions, JointBilateralOptions
 from hir_plugins.regularizers.surface_samples import sample_surface
@@ -133,12 +134,14 @@ def test_error_against_all_pairs(
     """
     positions, guide, values = surface(2000, per_width, noise)
     leaves = [guide.requires_grad_(), values.requires_grad_()]
-    found = bilateral_deviation(cubes_of(positions, CUTOFF, CELL), guide, values, CELL)
+    cubes = cubes_of(positions, CUTOFF, CELL)
+    total, found = absolute_deviation(cubes, guide, values, CELL), bilateral_deviation(cubes, guide, values, CELL)
+    assert float(total.detach()) == pytest.approx(float(found.abs().sum()), rel=1e-12)
     true = deviation_of_pairs(positions, guide, values)
     ratio = (found.abs().sum() / true.abs().sum()).detach()
     assert abs(float(ratio) - 1) < value
     assert float(((found - true).square().mean().sqrt() / values.std()).detach()) < deviation
-    pairs = [torch.autograd.grad(sum_.abs().sum(), leaves) for sum_ in (found, true)]
+    pairs = [torch.autograd.grad(sum_, leaves) for sum_ in (total, true.abs().sum())]
     for ours, exact, most in zip(*pairs, (by_guide, by_value), strict=True):
         assert float((ours - exact).norm() / exact.norm()) < most
 
@@ -186,8 +189,8 @@ def test_pairs_grow_linearly() -> None:
         cubes = cubes_of(positions, CUTOFF, CELL)
         pairs.append(
             sum(
-                int(sounding.sum(1) @ real.sum(1))
-                for _, real, _, sounding in _tiles(cubes, cells_of(cubes, guide, values, CELL))
+                int(tile.is_cell.sum(1) @ tile.is_sample.sum(1))
+                for tile in tiles_of(cubes, cells_of(cubes, guide, values, CELL))
             )
         )
     assert 4 <= pairs[1] / pairs[0] < 6
@@ -222,6 +225,26 @@ def test_specular_that_follows_edges_of_colour_costs_little() -> None:
         follows = float(energy(with_maps(scene, stripes * 0.4 + 0.3, stripes * 0.2)))
         alone = float(energy(with_maps(scene, torch.full_like(stripes, 0.5), stripes * 0.2)))
         assert follows < 0.3 * alone
+
+
+@pytest.mark.parametrize("samples", ["vertices", "texels"])
+def test_a_grey_map_has_the_value_and_gradient_of_three_channels(samples: str) -> None:
+    """Which are computed once; the gradient still belongs to each channel."""
+    scene = textured()
+    assert scene.material is not None
+    grey = scene.material.specular_albedo[..., :1].expand(-1, -1, 3)
+    found = []
+    for method in ("grid", "all_pairs"):
+        config = BilateralSpecularOptions(0.1, samples, method, cutoff=7.0, cell_size=0.01, sigma_albedo=0.2)  # type: ignore[arg-type]
+        energy = BilateralSpecular(config).prepare(scene)
+        for tint in (0.0, 1e-9):
+            maps = [scene.material.diffuse_albedo, grey + tint * torch.tensor([0.0, 1.0, 2.0], dtype=torch.float64)]
+            leaves = [each.clone().requires_grad_() for each in maps]
+            value = energy(with_maps(scene, *leaves))
+            found.append((value.detach()[None], *torch.autograd.grad(value, leaves)))
+    for other in found[1:]:
+        for one, another in zip(found[0], other, strict=True):
+            assert torch.allclose(one, another, rtol=1e-5, atol=1e-7), "a channel of its own for each"
 
 
 def test_joint_bilateral_smooths_noise_and_keeps_edges_of_any_map() -> None:
@@ -314,12 +337,12 @@ def test_a_million_samples_stay_within_two_gigabytes() -> None:
     """In a process of its own: the peak is that of the term, with what importing torch takes."""
     code = (
         "import resource, torch\n"
-        "from tests.hir_plugins.regularizers.test_bilateral import surface, cubes_of, bilateral_deviation\n"
+        "from tests.hir_plugins.regularizers.test_bilateral import surface, cubes_of, absolute_deviation\n"
         "from tests.hir_plugins.regularizers.test_bilateral import CUTOFF, CELL\n"
         "positions, guide, values = (t.float() for t in surface(1_000_000, 300, 0.1))\n"
         "before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
         "guide.requires_grad_(), values.requires_grad_()\n"
-        "total = bilateral_deviation(cubes_of(positions, CUTOFF, CELL), guide, values, CELL).abs().sum()\n"
+        "total = absolute_deviation(cubes_of(positions, CUTOFF, CELL), guide, values, CELL)\n"
         "total.backward()\n"
         "assert torch.isfinite(guide.grad).all() and torch.isfinite(values.grad).all()\n"
         "print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024)\n"
