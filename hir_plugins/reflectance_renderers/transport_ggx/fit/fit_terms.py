@@ -22,7 +22,7 @@ from hir_core.plugins.interfaces import WeightedTerm
 from hir_core.scene import Material, Mesh, Scene, Topology
 from hir_plugins.reflectance_renderers.transport_ggx.fit.closed_form_albedo import AlbedoRefiner
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
-from hir_plugins.reflectance_renderers.transport_ggx.fit.proximal_step import LAG_STEPS, proximal_step
+from hir_plugins.reflectance_renderers.transport_ggx.fit.proximal_step import proximal_step
 from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import Surface, refined_mesh
 
 if TYPE_CHECKING:
@@ -30,6 +30,10 @@ if TYPE_CHECKING:
 
 PADDING_TEXELS = 2
 """Width of the border around charts that repeats their edge."""
+LAG_STEPS = 5
+"""A term with the trait `lagged` acts every so many steps, with its gradient times their number. Its last gradient
+must not act again in between: near a minimum of an absolute value that oscillates. The number divides the interval of
+checkpoints, so that a resumed fit takes the same gradients."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +122,7 @@ class PreparedTerms:
         self._of_roughness: set[str] | None = None
 
     def __call__(self, parameters: Parameters, step: int) -> dict[str, Float[Tensor, ""]]:
-        """Each term times its weight, by name. A lagged one continues from its last gradient, as a linear function."""
+        """Each term times its weight, by name. A lagged one is linear since its last evaluation, and acts only there."""
         shown = {
             kind: self._terms._shown(kind, parameters, self._model)
             for kind in {_view_of(term) for term in self._terms.terms}
@@ -126,7 +130,7 @@ class PreparedTerms:
         values = {}
         for term, energy in zip(self._terms.terms, self._energies, strict=True):
             scene = shown[_view_of(term)]
-            value = self._linear(term.name, energy, scene, step).at(scene) if _is_lagged(term) else energy(scene)
+            value = self._impulse(term.name, energy, scene, step) if _is_lagged(term) else energy(scene)
             values[f"regularizer {term.name}"] = self._huber * term.weight * value
         return values
 
@@ -173,6 +177,12 @@ class PreparedTerms:
             return sum(values, albedo.new_zeros(()))
 
         return _refiner([term for term, _ in chosen], total)
+
+    def _impulse(self, name: str, energy: Energy, scene: Scene, step: int) -> Float[Tensor, ""]:
+        linear = self._linear(name, energy, scene, step)
+        value = linear.at(scene)
+        factor = LAG_STEPS if linear.step == step else 0
+        return value.detach() + factor * (value - value.detach())
 
     def _linear(self, name: str, energy: Energy, scene: Scene, step: int) -> _Linear:
         """A lagged term by its last gradient, or by that of `scene` every few steps."""

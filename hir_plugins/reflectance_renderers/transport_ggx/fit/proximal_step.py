@@ -16,9 +16,8 @@ from torch import Tensor
 
 STEPS = 24
 """Evaluations of E and its gradient, each."""
-LAG_STEPS = 5
-"""A slow part of E, or a slow term of a fit, is evaluated with its gradient every so many steps; in between it is
-linear. The number divides the interval of checkpoints, so that a resumed fit takes the same gradients."""
+SLOW_STEPS = 5
+"""A slow part of E is evaluated with its gradient every so many steps; in between it is linear."""
 FIRST_LIMIT, LAST_LIMIT = 0.1, 5e-4
 """Of the change of a value of 0…1 in a step; together they reach 0.5."""
 CURVATURE_FLOOR = 0.01
@@ -44,7 +43,7 @@ def proximal_step(
     lagged = None
     for step in range(STEPS + 1):
         term, slope = _value_and_slope(energy, x)
-        compared = slow is None or step % LAG_STEPS == 0 or step == STEPS
+        compared = slow is None or step % SLOW_STEPS == 0 or step == STEPS
         if slow is not None:
             if lagged is None or compared:
                 lagged = x, *_value_and_slope(slow, x)

@@ -301,6 +301,30 @@ def test_the_search_of_a_width_evaluates_only_terms_of_it(
         assert len(evaluated) == (1 if lagged else 1 + searches + 3 * of_alpha)
 
 
+def test_the_gradients_of_a_lagged_term_add_up_to_those_of_every_step(solver: TransportSolver) -> None:
+    """At parameters that stay, five steps have five times the gradient; the value is exact to first order."""
+
+    def energy(scene: Scene) -> Tensor:
+        assert scene.material is not None
+        return scene.material.diffuse_albedo.square().sum()
+
+    start = solver._initial_parameters(ModelSpec("dielectric", "uniform"), None, solver._photographs(VIEWS))
+    gradients, values = [], []
+    for traits in ({"material", "vertex_maps"}, {"material", "vertex_maps", "lagged"}):
+        term = WeightedTerm("square", 2.0, frozenset(traits), lambda scene: energy)
+        prepared = FitTerms((term,), solver._scene, solver._transport.surface).prepared(start, "dielectric", 0.1)
+        leaf = start.diffuse.clone().requires_grad_()
+        for step in range(5):
+            prepared(replace(start, diffuse=leaf), step)["regularizer square"].backward()  # type: ignore[no-untyped-call]
+        assert leaf.grad is not None
+        gradients.append(leaf.grad)
+        moved = replace(start, diffuse=start.diffuse + 0.01)
+        values.append([float(prepared(at, 4)["regularizer square"].detach()) for at in (start, moved)])
+    assert torch.allclose(*gradients, rtol=1e-5)
+    assert values[1] == pytest.approx(values[0], rel=1e-3)
+    assert values[0][1] > 1.005 * values[0][0]
+
+
 def test_a_lagged_term_is_evaluated_every_fifth_step(solver: TransportSolver) -> None:
     """In a whole fit with a search of the width, and six times for the albedo in closed form."""
     evaluated = []
