@@ -22,29 +22,17 @@ _LEAST_LOG_WEIGHT: Final = -40.0
 
 def absolute_deviation(
     cubes: Cubes, guide: Float[Tensor, "N G"], values: Float[Tensor, "N D"], edge: float
-) -> Float[Tensor, ""]:
-    """`Σ_p ‖values_p − Σ_q k values_q / Σ_q k‖₁`, guide in units of its σ, its cells of `edge`; differentiable once.
+) -> tuple[Float[Tensor, ""], Float[Tensor, "N D"]]:
+    """`Σ_p ‖values_p − Σ_q k values_q / Σ_q k‖₁`, differentiable once, and the deviations, without gradients.
 
-    Equal values give exactly 0. The sums run over the cells that `cells_of` makes.
+    The guide is in units of its σ, its cells of `edge`. Equal values give exactly 0. The sums run over the cells that
+    `cells_of` makes.
     """
     cells = cells_of(cubes, guide, values, edge)
     level, slope = _planes(cells)
     centroid = cells.feature[:, cubes.positions.shape[1] :]  # its position does not depend on guide or values
-    total: Tensor = _AbsoluteDeviation.apply(cubes, cells, guide, values, centroid, level, slope)
-    return total
-
-
-@torch.no_grad()
-def bilateral_deviation(
-    cubes: Cubes, guide: Float[Tensor, "N G"], values: Float[Tensor, "N D"], edge: float
-) -> Float[Tensor, "N D"]:
-    """The deviation at each sample, whose absolute sum is `absolute_deviation`; without gradients."""
-    cells = cells_of(cubes, guide, values, edge)
-    sums = _Sums.of(cubes, cells, guide, values, *_planes(cells))
-    deviations = torch.zeros_like(values)
-    for tile in tiles_of(cubes, cells):
-        deviations[tile.samples[tile.is_sample]] = sums.at(tile).deviation.mT[tile.is_sample]
-    return deviations
+    total, deviations = _AbsoluteDeviation.apply(cubes, cells, guide, values, centroid, level, slope)
+    return total, deviations
 
 
 def _planes(cells: GridCells) -> tuple[Float[Tensor, "C D"], Float[Tensor, "C FD"]]:
@@ -117,18 +105,19 @@ class _AbsoluteDeviation(torch.autograd.Function):
     def forward(ctx, cubes, cells, guide, values, centroid, level, slope):  # type: ignore[no-untyped-def]
         sums = _Sums.of(cubes, cells, guide, values, level, slope)
         gradients = _Gradients.zeros(guide, values, centroid, level, slope) if any(ctx.needs_input_grad) else None
-        total = values.new_zeros(())
+        deviations = torch.zeros_like(values)
         for tile in tiles_of(cubes, cells):
             found = sums.at(tile)
-            total += torch.where(tile.is_sample[:, None], found.deviation, 0).abs().sum()
+            deviations[tile.samples[tile.is_sample]] = found.deviation.mT[tile.is_sample]
             if gradients is not None:
                 gradients.add(tile, found, sums.features)
         ctx.gradients = gradients
-        return total
+        ctx.mark_non_differentiable(deviations)
+        return deviations.abs().sum(), deviations
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx, outer):  # type: ignore[no-untyped-def]
+    def backward(ctx, outer, _):  # type: ignore[no-untyped-def]
         gradients, ctx.gradients = ctx.gradients, None
         return None, None, *(outer * part for part in gradients.parts())
 

@@ -31,9 +31,9 @@ if TYPE_CHECKING:
 PADDING_TEXELS = 2
 """Width of the border around charts that repeats their edge."""
 LAG_STEPS = 5
-"""A term with the trait `lagged` acts every so many steps, with its gradient times their number. Its last gradient
-must not act again in between: near a minimum of an absolute value that oscillates. The number divides the interval of
-checkpoints, so that a resumed fit takes the same gradients."""
+"""A term with the trait `lagged` is evaluated every so many steps. In between its `near` is used. One without that acts
+only where it is evaluated, with its gradient times this number: a gradient that acts again oscillates around the
+minimum of an absolute value. The number divides the interval of checkpoints: a resumed fit takes the same gradients."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,11 +118,11 @@ class PreparedTerms:
 
     def __init__(self, terms: FitTerms, energies: Sequence[Energy], model: str, huber_srgb: float) -> None:
         self._terms, self._energies, self._model, self._huber = terms, energies, model, huber_srgb
-        self._lagged: dict[str, _Linear] = {}
+        self._lagged: dict[str, _Near | _Linear] = {}
         self._of_roughness: set[str] | None = None
 
     def __call__(self, parameters: Parameters, step: int) -> dict[str, Float[Tensor, ""]]:
-        """Each term times its weight, by name. A lagged one is linear since its last evaluation, and acts only there."""
+        """Each term times its weight, by name. A lagged one has been evaluated some steps before."""
         shown = {
             kind: self._terms._shown(kind, parameters, self._model)
             for kind in {_view_of(term) for term in self._terms.terms}
@@ -130,7 +130,7 @@ class PreparedTerms:
         values = {}
         for term, energy in zip(self._terms.terms, self._energies, strict=True):
             scene = shown[_view_of(term)]
-            value = self._impulse(term.name, energy, scene, step) if _is_lagged(term) else energy(scene)
+            value = self._lagged_value(term.name, energy, scene, step) if _is_lagged(term) else energy(scene)
             values[f"regularizer {term.name}"] = self._huber * term.weight * value
         return values
 
@@ -139,7 +139,7 @@ class PreparedTerms:
         parts: list[tuple[WeightedTerm, Energy]] = []
         for term, energy in zip(self._terms.terms, self._energies, strict=True):
             if _is_lagged(term):
-                energy = self._linear(term.name, energy, self._shown_to(term, parameters), step).at
+                energy = self._evaluated(term.name, energy, self._shown_to(term, parameters), step).at
             parts.append((term, energy))
         if self._of_roughness is None:
             slopes = {term.name: value_and_gradients(e, self._shown_to(term, parameters))[1] for term, e in parts}
@@ -178,20 +178,34 @@ class PreparedTerms:
 
         return _refiner([term for term, _ in chosen], total)
 
-    def _impulse(self, name: str, energy: Energy, scene: Scene, step: int) -> Float[Tensor, ""]:
-        linear = self._linear(name, energy, scene, step)
-        value = linear.at(scene)
-        factor = LAG_STEPS if linear.step == step else 0
+    def _lagged_value(self, name: str, energy: Energy, scene: Scene, step: int) -> Float[Tensor, ""]:
+        last = self._evaluated(name, energy, scene, step)
+        value = last.at(scene)
+        if isinstance(last, _Near):
+            return value
+        factor = LAG_STEPS if last.step == step else 0
         return value.detach() + factor * (value - value.detach())
 
-    def _linear(self, name: str, energy: Energy, scene: Scene, step: int) -> _Linear:
-        """A lagged term by its last gradient, or by that of `scene` every few steps."""
+    def _evaluated(self, name: str, energy: Energy, scene: Scene, step: int) -> _Near | _Linear:
+        """A lagged term near the scene of its last evaluation, every few steps near `scene`."""
         known = self._lagged.get(name)
         if known is None or (step % LAG_STEPS == 0 and known.step != step):
+            near: Callable[[Scene], Energy] | None = getattr(energy, "near", None)
+            if near is not None:
+                known = self._lagged[name] = _Near(step, near(_detached(scene)))
+                return known
             value, slopes = value_and_gradients(energy, scene)
             at = {part: tensor.detach().clone() for part, tensor in parts_of(scene).items() if part in slopes}
             known = self._lagged[name] = _Linear(step, value.detach(), at, slopes)
         return known
+
+
+@dataclass(frozen=True, eq=False)
+class _Near:
+    """What a term says of itself near the scene of a step."""
+
+    step: int
+    at: Energy
 
 
 @dataclass(frozen=True, eq=False)
