@@ -29,8 +29,13 @@ from torch import Tensor
 from hir_core.scene import Mesh, Topology
 from hir_core.scene.scene_store import load_stage_scene
 from hir_core.scene.srgb import srgb_to_linear
-from hir_plugins.regularizers.bilateral.bilateral_grid import bilateral_deviation, cells_of, cubes_of
-from hir_plugins.regularizers.bilateral.bilateral_pairs import deviation_of_pairs, weight_error
+from hir_plugins.regularizers.bilateral.bilateral_grid import cells_of, cubes_of
+from hir_plugins.regularizers.bilateral.bilateral_pairs import (
+    absolute_deviation_of_pairs,
+    deviation_of_pairs,
+    weight_error,
+)
+from hir_plugins.regularizers.bilateral.grid_deviation import absolute_deviation
 from hir_plugins.regularizers.material_options import BilateralSpecularOptions
 from hir_plugins.regularizers.surface_samples import SurfaceSamples, sample_surface
 
@@ -63,7 +68,7 @@ def measured(method: str, run: Path, samples: int, white: bool) -> dict[str, flo
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     prepared, stepped = _evaluated(method, *given)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return {"places": len(given[0]), "prepare": prepared, "step": stepped, "memory": (peak - before) / 1024}
+    return {"samples": len(given[0]), "prepare": prepared, "step": stepped, "memory": (peak - before) / 1024}
 
 
 def _evaluated(method: str, positions: Tensor, diffuse: Tensor, specular: Tensor) -> tuple[float, float]:
@@ -71,18 +76,18 @@ def _evaluated(method: str, positions: Tensor, diffuse: Tensor, specular: Tensor
     began = time.process_time()
     if method == "grid":
         cubes = cubes_of(positions, DEFAULTS.cutoff, DEFAULTS.cell_size)
-        deviation = partial(bilateral_deviation, cubes, edge=DEFAULTS.cell_size)
+        total = partial(absolute_deviation, cubes, edge=DEFAULTS.cell_size)
     else:
-        deviation = partial(deviation_of_pairs, positions)
+        total = partial(absolute_deviation_of_pairs, positions)
     prepared = time.process_time()
     leaves = (diffuse.requires_grad_(), specular.requires_grad_())
-    torch.autograd.grad(deviation(*leaves).abs().sum(), leaves)
+    torch.autograd.grad(total(*leaves)[0], leaves)
     return prepared - began, time.process_time() - prepared
 
 
 def speed(run: Path, counts: list[int]) -> None:
     """One process per row, so that the memory is that of the row."""
-    print("| albedo | places | prepare ms | cells ms | MB | all pairs ms | value error | deviation error | bound ε |")
+    print("| albedo | samples | prepare ms | cells ms | MB | all pairs ms | value error | deviation error | bound ε |")
     print("|---|---|---|---|---|---|---|---|---|")
     for white in (False, True):
         for count in counts[:3] if white else counts:
@@ -116,12 +121,12 @@ def compared(run: Path, count: int, white: bool, cutoff: float, edge: float) -> 
     leaves = (diffuse.requires_grad_(), specular.requires_grad_())
     cubes = cubes_of(positions, cutoff, edge)
     began = time.process_time()
-    found = bilateral_deviation(cubes, *leaves, edge)
-    found_gradients = torch.autograd.grad(found.abs().sum(), leaves)
+    total, found = absolute_deviation(cubes, *leaves, edge)
+    found_gradients = torch.autograd.grad(total, leaves)
     seconds = time.process_time() - began
     true = deviation_of_pairs(positions, *leaves)
     true_gradients = torch.autograd.grad(true.abs().sum(), leaves)
-    found, true = found.detach(), true.detach()
+    true = true.detach()
     turned = [float((f - t).norm() / t.norm()) for f, t in zip(found_gradients, true_gradients, strict=True)]
     return {
         "value": abs(float(found.abs().sum() / true.abs().sum()) - 1),
@@ -136,7 +141,7 @@ def compared(run: Path, count: int, white: bool, cutoff: float, edge: float) -> 
 
 def cells(run: Path, count: int) -> None:
     """Error and time by the edge of the cells and the cutoff."""
-    print("| albedo | cutoff | cell | cells per place | ms | value | deviation | gradient by ρs | by ρd | bound ε |")
+    print("| albedo | cutoff | cell | cells per sample | ms | value | deviation | gradient by ρs | by ρd | bound ε |")
     print("|---|---|---|---|---|---|---|---|---|---|")
     for white in (False, True):
         for cutoff in (3.0, 4.0):
@@ -174,7 +179,7 @@ def sigma(avocado: Path, spot: Path, count: int = 20_000) -> None:
             cubes = cubes_of(positions / (near * diagonal), 3.0, 0.75)
             left = []
             for like in widths:
-                away = bilateral_deviation(cubes, guide / like, specular + noise, 0.75)
+                away = absolute_deviation(cubes, guide / like, specular + noise, 0.75)[1]
                 left.append(float((noise - away).square().mean().sqrt() / noise.square().mean().sqrt()))
             print(f"| {near} | {' | '.join(f'{v:.2f}' for v in left)} |", flush=True)
 

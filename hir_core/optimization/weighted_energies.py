@@ -78,11 +78,27 @@ def _prepare_timed(term: Regularizer, name: str, seconds: dict[str, float], scen
     with _timed(seconds, name):
         energy = term.prepare(scene)
 
-    def evaluated(scene: Scene) -> Float[Tensor, ""]:
-        with _timed(seconds, name):
-            return with_known_gradient(energy, scene)
+    return _TimedNear(energy, name, seconds) if hasattr(energy, "near") else _TimedEnergy(energy, name, seconds)
 
-    return evaluated
+
+class _TimedEnergy:
+    """Adds the processor time of each evaluation, with its gradient, to `seconds[name]`."""
+
+    def __init__(self, energy: Energy, name: str, seconds: dict[str, float]) -> None:
+        self._energy, self._name, self._seconds = energy, name, seconds
+
+    def __call__(self, scene: Scene) -> Float[Tensor, ""]:
+        with _timed(self._seconds, self._name):
+            return with_known_gradient(self._energy, scene)
+
+
+class _TimedNear(_TimedEnergy):
+    """Of a term with a cheaper form near a scene."""
+
+    def near(self, scene: Scene) -> Energy:
+        """That form, timed too."""
+        with _timed(self._seconds, self._name):
+            return _TimedEnergy(self._energy.near(scene), self._name, self._seconds)  # type: ignore[attr-defined]
 
 
 @contextmanager

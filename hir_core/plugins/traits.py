@@ -46,7 +46,7 @@ TRAITS: Mapping[str, Mapping[str, str]] = {
         "material": "the term depends on the material; it belongs to the reflectance stage",
         "environment": "the term depends on the light",
         "vertex_maps": "the term also takes maps at the vertices of the mesh, (V, C); solvers fit such maps",
-        "lagged": "the term is slow: a solver takes its gradient every few steps and uses it again in between",
+        "lagged": "the term is slow: a solver evaluates it every few steps, and uses its `near` in between",
     },
     "exporter": {
         "gltf": "`edit` receives the finished `pygltflib.GLTF2`",

@@ -15,21 +15,20 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy.typing import NDArray
 from torch import Tensor
-from torch.utils.checkpoint import checkpoint
 
 from hir_core.errors import StageError
 
-_PAIRS = 4_000_000
-"""Pairs of sample and cell evaluated at once: bounds memory at about 200 MB, also in the backward pass."""
-_ROWS = 128
-"""Samples of one block that share a list of cells in one evaluation."""
+_PAIRS = 1_000_000
+"""Pairs of sample and cell evaluated at once: bounds memory at about 20 MB, which caches partly hold."""
+_ROWS = 256
+"""Most samples of one block that share a list of cells in one evaluation."""
+_ROW_STEP = 32
+"""Tiles are padded to multiples of so many samples, and those with equal numbers evaluated together."""
 _BLOCK = 2
 """Cubes along the side of a block of samples that share a list of near cubes."""
-_LEAST_LOG_WEIGHT = -40.0
-"""Logarithm of a negligible weight. Smaller weights would be denormal numbers, which are tens of times slower."""
 _STEPS_PER_CHANNEL = 1 << 14
 """Largest number of grid steps along one channel of the guide."""
 
@@ -70,6 +69,18 @@ class GridCells:
     """Where each cube's cells begin."""
 
 
+@dataclass(frozen=True, eq=False)
+class Tile:
+    """T lists of samples, each with the cells of its sums; padded to lists of equal length."""
+
+    samples: Int[Tensor, "T R"]
+    is_sample: Bool[Tensor, "T R"]
+    """False where a list is padded, with its first sample."""
+    cells: Int[Tensor, "T W"]
+    is_cell: Bool[Tensor, "T W"]
+    """False where a list is padded, with cell 0."""
+
+
 def cubes_of(positions: Float[Tensor, "N 3"], cutoff: float, edge: float) -> Cubes:
     """Sorts samples (in σ) into cubes of `edge`; near a block are the cubes with bounds within `cutoff` of its own."""
     from scipy.spatial import cKDTree
@@ -105,51 +116,6 @@ def _grouped(
     return of_point, order, first, low, high
 
 
-def bilateral_deviation(
-    cubes: Cubes, guide: Float[Tensor, "N G"], values: Float[Tensor, "N D"], edge: float
-) -> Float[Tensor, "N D"]:
-    """`values − Σ_q k values_q / Σ_q k` at each sample, guide in units of its σ, its cells of `edge`; differentiable.
-
-    Equal values give exactly 0. The sums run over the cells that `cells_of` makes.
-    """
-    cells = cells_of(cubes, guide, values, edge)
-    feature = torch.cat([cubes.positions.to(guide.dtype), guide], dim=1)
-    slope, channels = cells.slope.flatten(1), values.shape[1]
-    # value at q of the plane through a cell's mean: level + q·slope
-    level = cells.value - (cells.feature[..., None] * cells.slope).sum(1)
-    table = torch.cat([cells.feature, cells.count.log()[:, None], level, slope], dim=1)
-    split = [feature.shape[1], 1, channels, slope.shape[1]]
-
-    def part(rows: Tensor, is_sample: Tensor, listed: Tensor, is_cell: Tensor, *leaves: Tensor) -> Tensor:
-        features, sample_values, cell_table = leaves
-        p, (q, weight, levels, slopes) = features[rows], cell_table[listed].split(split, dim=-1)
-        origin, base = p[:, :1].detach(), sample_values[rows[:, :1]].detach()
-        weight = weight.masked_fill(~is_cell[..., None], _LEAST_LOG_WEIGHT)
-        exponent = _with_norm(p - origin, 0.0, first=True) @ _with_norm(q - origin, weight, first=False).mT
-        kernel = exponent.clamp_min(_LEAST_LOG_WEIGHT).exp()
-        # relative to a value of the block: for equal values all differences are exactly 0
-        sums = kernel @ torch.cat([torch.ones_like(weight), levels - base, slopes], dim=-1)
-        total, offset, gradient = sums.split([1, channels, slopes.shape[-1]], dim=-1)
-        mean = (offset + (p[..., None] * gradient.unflatten(-1, (-1, channels))).sum(-2)) / total
-        return (sample_values[rows] - base - mean)[is_sample]
-
-    deviations, evaluated = [], []
-    for tile in _tiles(cubes, cells):
-        deviations.append(checkpoint(part, *tile, feature, values, table, use_reentrant=False))
-        evaluated.append(tile[0][tile[1]])
-    if not deviations:
-        return torch.zeros_like(values)
-    back = torch.argsort(torch.cat(evaluated))
-    return torch.cat(deviations)[back]
-
-
-def _with_norm(x: Float[Tensor, "B K F"], more: Tensor | float, *, first: bool) -> Float[Tensor, "B K F+2"]:
-    """Columns whose products, of a first with a second, are `−½‖x − y‖² + more`."""
-    norm = more - 0.5 * x.square().sum(-1, keepdim=True)
-    ones = torch.ones_like(norm)
-    return torch.cat([x, norm, ones] if first else [x, ones, norm], dim=-1)
-
-
 def cells_of(cubes: Cubes, guide: Float[Tensor, "N G"], values: Float[Tensor, "N D"], edge: float) -> GridCells:
     """Divides each cube by the guide in steps of `edge`; centroids and means are differentiable, membership is not."""
     with torch.no_grad():
@@ -183,11 +149,8 @@ def cells_of(cubes: Cubes, guide: Float[Tensor, "N G"], values: Float[Tensor, "N
     return GridCells(key, number, centroid, middle, slope, first)
 
 
-def _tiles(cubes: Cubes, cells: GridCells) -> Iterator[tuple[Tensor, ...]]:
-    """Samples (T R) and which of them are no padding, and the cells (T W) of their sums and which are no padding.
-
-    Tiles of similar size are evaluated together, padded with a sample of the block and with cell 0.
-    """
+def tiles_of(cubes: Cubes, cells: GridCells) -> Iterator[Tile]:
+    """All samples, each in one tile; lists of similar length are evaluated together."""
     device = cells.count.device
     order, first = cubes.order.cpu().numpy(), cubes.first.cpu().numpy()
     near, near_first = cubes.near.cpu().numpy(), cubes.near_first.cpu().numpy()
@@ -197,12 +160,13 @@ def _tiles(cubes: Cubes, cells: GridCells) -> Iterator[tuple[Tensor, ...]]:
     width = before[near_first[1:]] - before[near_first[:-1]]
     most = np.clip(_PAIRS // np.maximum(width, 1), 1, _ROWS)
     per_block = -(-np.diff(first) // most)
+    most = -(-np.diff(first) // np.maximum(per_block, 1))  # lists of equal length need the least padding
     block = np.repeat(np.arange(len(width)), per_block)
     begin = first[block] + most[block] * (
         np.arange(len(block)) - np.repeat(np.cumsum(per_block) - per_block, per_block)
     )
     rows = np.minimum(first[block + 1] - begin, most[block])
-    wanted = 1 << np.ceil(np.log2(rows)).astype(np.int64)
+    wanted = -(-rows // _ROW_STEP) * _ROW_STEP
     by_size = np.lexsort((width[block], wanted))
     start = 0
     while start < len(by_size):
@@ -214,7 +178,7 @@ def _tiles(cubes: Cubes, cells: GridCells) -> Iterator[tuple[Tensor, ...]]:
         listed, is_cell = _cells_of_blocks(
             block[tile], near, near_first, cell_first, size, int(width[block[tile]].max())
         )
-        yield tuple(torch.from_numpy(part).to(device) for part in (row, is_sample, listed, is_cell))
+        yield Tile(*(torch.from_numpy(part).to(device) for part in (row, is_sample, listed, is_cell)))
         start = stop
 
 

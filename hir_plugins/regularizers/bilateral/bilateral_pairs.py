@@ -31,8 +31,16 @@ def deviation_of_pairs(
     return torch.cat(parts) if parts else torch.zeros_like(values)
 
 
+def absolute_deviation_of_pairs(
+    positions: Float[Tensor, "N 3"], guide: Float[Tensor, "N G"], values: Float[Tensor, "N D"]
+) -> tuple[Float[Tensor, ""], Float[Tensor, "N D"]]:
+    """The sum of the absolute values of all deviations, and these, without gradients."""
+    deviations = deviation_of_pairs(positions, guide, values)
+    return deviations.abs().sum(), deviations.detach()
+
+
 def weight_error(cubes: Cubes, guide: Float[Tensor, "N G"], edge: float) -> Float[Tensor, " N"]:
-    """`ε_p = Σ_q |k − k̃| / Σ_q k` of the weights k̃ that `bilateral_deviation` gives the samples; quadratic in time.
+    """`ε_p = Σ_q |k − k̃| / Σ_q k` of the weights k̃ that `absolute_deviation` gives the samples; quadratic in time.
 
     Its means m̃ lie within `ε_p · max_q |v_q − m̃_p|` of those over all pairs, whatever the values v are: the true mean m
     has `m − m̃ = Σ (k − k̃)(v − m̃) / Σ k`, for Σ k̃ (v − m̃) = 0 by the definition of m̃.

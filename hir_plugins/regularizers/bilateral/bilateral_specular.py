@@ -11,7 +11,7 @@ from torch import Tensor
 from hir_core.errors import StageError
 from hir_core.plugins.interfaces import Regularizer
 from hir_core.scene import Scene
-from hir_plugins.regularizers.bilateral.bilateral_term import refuse_empty_widths, surface_filter
+from hir_plugins.regularizers.bilateral.bilateral_term import BilateralEnergy, refuse_empty_widths, surface_filter
 from hir_plugins.regularizers.material_options import BilateralSpecularOptions
 
 if TYPE_CHECKING:
@@ -43,14 +43,14 @@ class BilateralSpecular(Regularizer):
             return _nothing
         smoothing = surface_filter(scene.mesh, material.specular_albedo.shape, config)
 
-        def energy(scene: Scene) -> Float[Tensor, ""]:
-            assert scene.material is not None
-            specular = smoothing.samples.values(scene.material.specular_albedo)
-            diffuse = smoothing.samples.values(scene.material.diffuse_albedo) / config.sigma_albedo
-            total = smoothing.deviation(diffuse, specular).abs().sum()
-            return total / max(len(specular), 1) if config.average else total
+        factor = 1 / max(len(smoothing.samples.positions), 1) if config.average else 1.0
 
-        return energy
+        def shown(scene: Scene) -> tuple[Tensor, Tensor]:
+            assert scene.material is not None
+            diffuse = smoothing.samples.values(scene.material.diffuse_albedo) / config.sigma_albedo
+            return diffuse, factor * smoothing.samples.values(scene.material.specular_albedo)
+
+        return BilateralEnergy(smoothing, shown)
 
 
 def _nothing(scene: Scene) -> Float[Tensor, ""]:

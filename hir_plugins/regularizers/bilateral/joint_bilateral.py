@@ -13,7 +13,7 @@ from torch import Tensor
 from hir_core.errors import StageError
 from hir_core.plugins.interfaces import Regularizer
 from hir_core.scene import Material, Scene
-from hir_plugins.regularizers.bilateral.bilateral_term import refuse_empty_widths, surface_filter
+from hir_plugins.regularizers.bilateral.bilateral_term import BilateralEnergy, refuse_empty_widths, surface_filter
 from hir_plugins.regularizers.material_options import JointBilateralOptions
 
 if TYPE_CHECKING:
@@ -49,13 +49,14 @@ class JointBilateral(Regularizer):
             return _nothing
         smoothing = surface_filter(scene.mesh, _largest(scene.material, names), self._config)
 
-        def energy(scene: Scene) -> Float[Tensor, ""]:
+        factor = 1 / max(len(smoothing.samples.positions), 1)
+
+        def shown(scene: Scene) -> tuple[Tensor, Tensor]:
             values = {name: smoothing.samples.values(getattr(scene.material, name)) for name in names}
             guide = torch.cat([values[name] / self._widths[name] for name in names], dim=1)
-            weighted = torch.cat([values[name] * weights[name] for name in names], dim=1)
-            return smoothing.deviation(guide, weighted).abs().sum() / max(len(weighted), 1)
+            return guide, torch.cat([factor * values[name] * weights[name] for name in names], dim=1)
 
-        return energy
+        return BilateralEnergy(smoothing, shown)
 
 
 def _largest(material: Material, names: list[str]) -> Sequence[int]:

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,9 +17,10 @@ from torch import Tensor
 from hir_core.errors import ConfigError, StageError
 from hir_core.scene import Material, Scene, Topology
 from hir_core.stages.atlas import unwrap_mesh
-from hir_plugins.regularizers.bilateral.bilateral_grid import _tiles, bilateral_deviation, cells_of, cubes_of
+from hir_plugins.regularizers.bilateral.bilateral_grid import Cubes, cells_of, cubes_of, tiles_of
 from hir_plugins.regularizers.bilateral.bilateral_pairs import deviation_of_pairs, weight_error
 from hir_plugins.regularizers.bilateral.bilateral_specular import BilateralSpecular
+from hir_plugins.regularizers.bilateral.grid_deviation import absolute_deviation
 from hir_plugins.regularizers.bilateral.joint_bilateral import JointBilateral
 from hir_plugins.regularizers.material_options import BilateralSpecularOptions, JointBilateralOptions
 from hir_plugins.regularizers.surface_samples import sample_surface
@@ -48,6 +50,10 @@ def surface(count: int, per_width: float, noise: float) -> tuple[Tensor, Tensor,
     colors = 4 + 2 * torch.sign(torch.sin(6 * x[:, :1])) * torch.tensor([1.0, 0.6, 0.3], dtype=torch.float64)
     guide = colors + noise * torch.randn(count, 3, generator=generator, dtype=torch.float64)
     return radius * x, guide, 0.04 + 0.1 * torch.rand(count, 3, generator=generator, dtype=torch.float64)
+
+
+def deviation_by_grid(cubes: Cubes, guide: Tensor, values: Tensor, edge: float) -> Tensor:
+    return absolute_deviation(cubes, guide, values, edge)[1]
 
 
 def definition(positions: np.ndarray, diffuse: np.ndarray, specular: np.ndarray, s1: float, s2: float) -> float:
@@ -133,12 +139,15 @@ def test_error_against_all_pairs(
     """
     positions, guide, values = surface(2000, per_width, noise)
     leaves = [guide.requires_grad_(), values.requires_grad_()]
-    found = bilateral_deviation(cubes_of(positions, CUTOFF, CELL), guide, values, CELL)
+    cubes = cubes_of(positions, CUTOFF, CELL)
+    total, found = absolute_deviation(cubes, guide, values, CELL)
+    assert not found.requires_grad
+    assert float(total.detach()) == pytest.approx(float(found.abs().sum()), rel=1e-12)
     true = deviation_of_pairs(positions, guide, values)
     ratio = (found.abs().sum() / true.abs().sum()).detach()
     assert abs(float(ratio) - 1) < value
     assert float(((found - true).square().mean().sqrt() / values.std()).detach()) < deviation
-    pairs = [torch.autograd.grad(sum_.abs().sum(), leaves) for sum_ in (found, true)]
+    pairs = [torch.autograd.grad(sum_, leaves) for sum_ in (total, true.abs().sum())]
     for ours, exact, most in zip(*pairs, (by_guide, by_value), strict=True):
         assert float((ours - exact).norm() / exact.norm()) < most
 
@@ -152,7 +161,7 @@ def test_no_mean_leaves_its_bound(per_width: float, noise: float) -> None:
     against = (guide - guide.roll(1, 0) > 0).double()
     waves = (torch.sin(3 * positions) > 0).double()
     for held in (values, against, waves):
-        found = held - bilateral_deviation(cubes, guide, held, CELL)
+        found = held - deviation_by_grid(cubes, guide, held, CELL)
         error = (found - (held - deviation_of_pairs(positions, guide, held))).abs()
         reach = torch.maximum(held.amax(0) - found, found - held.amin(0))
         assert (error <= bound[:, None] * reach + 1e-12).all()
@@ -164,7 +173,7 @@ def test_narrow_cells_and_a_far_cutoff_are_all_pairs() -> None:
     true = deviation_of_pairs(positions, guide, values)
     errors = []
     for cell, cutoff in ((1.0, 3.0), (0.5, 4.0), (0.25, 5.0), (0.01, 8.0)):
-        found = bilateral_deviation(cubes_of(positions, cutoff, cell), guide, values, cell)
+        found = deviation_by_grid(cubes_of(positions, cutoff, cell), guide, values, cell)
         errors.append(float((found - true).abs().max()))
     assert errors == sorted(errors, reverse=True)
     assert errors[-1] < 1e-12
@@ -173,8 +182,8 @@ def test_narrow_cells_and_a_far_cutoff_are_all_pairs() -> None:
 def test_the_order_of_samples_does_not_matter() -> None:
     positions, guide, values = surface(1000, 20, 0.5)
     shuffled = torch.randperm(1000, generator=torch.Generator().manual_seed(0))
-    one = bilateral_deviation(cubes_of(positions, CUTOFF, CELL), guide, values, CELL)
-    other = bilateral_deviation(cubes_of(positions[shuffled], CUTOFF, CELL), guide[shuffled], values[shuffled], CELL)
+    one = deviation_by_grid(cubes_of(positions, CUTOFF, CELL), guide, values, CELL)
+    other = deviation_by_grid(cubes_of(positions[shuffled], CUTOFF, CELL), guide[shuffled], values[shuffled], CELL)
     assert torch.allclose(one[shuffled], other, rtol=0, atol=1e-12)
 
 
@@ -186,8 +195,8 @@ def test_pairs_grow_linearly() -> None:
         cubes = cubes_of(positions, CUTOFF, CELL)
         pairs.append(
             sum(
-                int(sounding.sum(1) @ real.sum(1))
-                for _, real, _, sounding in _tiles(cubes, cells_of(cubes, guide, values, CELL))
+                int(tile.is_cell.sum(1) @ tile.is_sample.sum(1))
+                for tile in tiles_of(cubes, cells_of(cubes, guide, values, CELL))
             )
         )
     assert 4 <= pairs[1] / pairs[0] < 6
@@ -224,6 +233,57 @@ def test_specular_that_follows_edges_of_colour_costs_little() -> None:
         assert follows < 0.3 * alone
 
 
+@pytest.mark.parametrize("method", ["grid", "all_pairs"])
+@pytest.mark.parametrize("joint", [False, True])
+def test_near_has_the_value_and_gradient_of_the_term_at_its_scene(method: str, joint: bool) -> None:
+    """And the paper's is closer to the term than a linear function where values have crossed their means."""
+    scene = textured()
+    assert scene.material is not None
+    term = (
+        JointBilateral(JointBilateralOptions(0.1, method=method))  # type: ignore[arg-type]
+        if joint
+        else BilateralSpecular(BilateralSpecularOptions(0.1, "texels", method, average=True))  # type: ignore[arg-type]
+    )
+    energy: Any = term.prepare(scene)
+    near = energy.near(scene)
+    maps = [scene.material.diffuse_albedo, scene.material.specular_albedo]
+    values, gradients = [], []
+    for function in (energy, near):
+        leaves = [each.clone().requires_grad_() for each in maps]
+        value = function(with_maps(scene, *leaves))
+        values.append(float(value.detach()))
+        gradients.append(torch.autograd.grad(value, leaves))
+    assert values[1] == pytest.approx(values[0], rel=1e-12)
+    for one, other in zip(*gradients, strict=True):
+        assert torch.allclose(one, other, rtol=1e-9, atol=1e-15)
+    step = -0.3 * scene.material.specular_albedo.std() * gradients[0][1].sign()
+    moved = with_maps(scene, maps[0], maps[1] + step)
+    exact, close = float(energy(moved)), float(near(moved))
+    linear = values[0] + float((gradients[0][1] * step).sum())
+    if not joint:  # whose maps are guides too: their change moves the means
+        assert abs(close - exact) < 0.5 * abs(linear - exact)
+
+
+@pytest.mark.parametrize("samples", ["vertices", "texels"])
+def test_a_grey_map_has_the_value_and_gradient_of_three_channels(samples: str) -> None:
+    """Which are computed once; the gradient still belongs to each channel."""
+    scene = textured()
+    assert scene.material is not None
+    grey = scene.material.specular_albedo[..., :1].expand(-1, -1, 3)
+    found = []
+    for method in ("grid", "all_pairs"):
+        config = BilateralSpecularOptions(0.1, samples, method, cutoff=7.0, cell_size=0.01, sigma_albedo=0.2)  # type: ignore[arg-type]
+        energy = BilateralSpecular(config).prepare(scene)
+        for tint in (0.0, 1e-9):
+            maps = [scene.material.diffuse_albedo, grey + tint * torch.tensor([0.0, 1.0, 2.0], dtype=torch.float64)]
+            leaves = [each.clone().requires_grad_() for each in maps]
+            value = energy(with_maps(scene, *leaves))
+            found.append((value.detach()[None], *torch.autograd.grad(value, leaves)))
+    for other in found[1:]:
+        for one, another in zip(found[0], other, strict=True):
+            assert torch.allclose(one, another, rtol=1e-5, atol=1e-7), "a channel of its own for each"
+
+
 def test_joint_bilateral_smooths_noise_and_keeps_edges_of_any_map() -> None:
     """Descent on the term alone: noise of ρd goes, an edge that only the roughness shows stays where it was."""
     scene = textured(3)
@@ -255,10 +315,10 @@ def test_one_sample_no_sample_and_many_at_one_point() -> None:
     values = torch.rand(6, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
     guide = torch.zeros(6, 3, dtype=torch.float64)
     for count in (0, 1):
-        found = bilateral_deviation(cubes_of(torch.zeros(count, 3), CUTOFF, CELL), guide[:count], values[:count], CELL)
+        found = deviation_by_grid(cubes_of(torch.zeros(count, 3), CUTOFF, CELL), guide[:count], values[:count], CELL)
         assert found.shape == (count, 3)
         assert not found.any(), "an isolated sample is its own mean"
-    found = bilateral_deviation(cubes_of(torch.ones(6, 3), CUTOFF, CELL), guide, values, CELL)
+    found = deviation_by_grid(cubes_of(torch.ones(6, 3), CUTOFF, CELL), guide, values, CELL)
     assert torch.allclose(found, values - values.mean(0), atol=1e-15), "duplicates are averaged"
 
 
@@ -272,14 +332,14 @@ def test_what_is_not_finite_is_refused_or_shows() -> None:
     for broken in (float("nan"), float("inf")):
         guide = torch.rand(50, 3)
         guide[3] = broken
-        assert not torch.isfinite(bilateral_deviation(cubes, guide, torch.rand(50, 3), CELL).sum())
+        assert not torch.isfinite(deviation_by_grid(cubes, guide, torch.rand(50, 3), CELL).sum())
 
 
 def test_a_width_that_resolves_nothing_is_named() -> None:
     cubes = cubes_of(torch.rand(4, 3), CUTOFF, CELL)
     guide = torch.tensor([[0.0], [1e6], [2.0], [3.0]])
     with pytest.raises(StageError, match="larger sigma"):
-        bilateral_deviation(cubes, guide, torch.rand(4, 3), CELL)
+        deviation_by_grid(cubes, guide, torch.rand(4, 3), CELL)
     for options in (BilateralSpecularOptions(sigma_albedo=0.0), BilateralSpecularOptions(cell_size=-1.0)):
         with pytest.raises(ConfigError, match="must be greater than 0"):
             BilateralSpecular(options)
@@ -314,12 +374,12 @@ def test_a_million_samples_stay_within_two_gigabytes() -> None:
     """In a process of its own: the peak is that of the term, with what importing torch takes."""
     code = (
         "import resource, torch\n"
-        "from tests.hir_plugins.regularizers.test_bilateral import surface, cubes_of, bilateral_deviation\n"
+        "from tests.hir_plugins.regularizers.test_bilateral import surface, cubes_of, absolute_deviation\n"
         "from tests.hir_plugins.regularizers.test_bilateral import CUTOFF, CELL\n"
         "positions, guide, values = (t.float() for t in surface(1_000_000, 300, 0.1))\n"
         "before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
         "guide.requires_grad_(), values.requires_grad_()\n"
-        "total = bilateral_deviation(cubes_of(positions, CUTOFF, CELL), guide, values, CELL).abs().sum()\n"
+        "total = absolute_deviation(cubes_of(positions, CUTOFF, CELL), guide, values, CELL)[0]\n"
         "total.backward()\n"
         "assert torch.isfinite(guide.grad).all() and torch.isfinite(values.grad).all()\n"
         "print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024)\n"

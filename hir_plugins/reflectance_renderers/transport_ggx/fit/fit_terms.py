@@ -7,7 +7,7 @@ material sees textures of about as many texels as there are vertices, interpolat
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, final
@@ -17,7 +17,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from hir_core.mesh.texel_rasterization import TexelSurface, dilate, texel_surface, texture_of_vertices
-from hir_core.optimization.term_gradients import parts_of, with_parts
+from hir_core.optimization.term_gradients import parts_of, value_and_gradients, with_parts
 from hir_core.plugins.interfaces import WeightedTerm
 from hir_core.scene import Material, Mesh, Scene, Topology
 from hir_plugins.reflectance_renderers.transport_ggx.fit.closed_form_albedo import AlbedoRefiner
@@ -31,8 +31,9 @@ if TYPE_CHECKING:
 PADDING_TEXELS = 2
 """Width of the border around charts that repeats their edge."""
 LAG_STEPS = 5
-"""The gradient of a term with the trait `lagged` is taken every so many steps. It divides the interval of
-checkpoints, so that a resumed fit takes the same gradients."""
+"""A term with the trait `lagged` is evaluated every so many steps. In between its `near` is used. One without that acts
+only where it is evaluated, with its gradient times this number: a gradient that acts again oscillates around the
+minimum of an absolute value. The number divides the interval of checkpoints: a resumed fit takes the same gradients."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,13 +65,14 @@ class FitTerms:
         shape = material.diffuse_albedo.shape
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)
-            energies = [(huber_srgb * term.weight, term.prepare(_detached(scene))) for term in terms]
+            energies = [(term, huber_srgb * term.weight, term.prepare(_detached(scene))) for term in terms]
 
-        def energy(albedo: Float[Tensor, "N 3"]) -> Float[Tensor, ""]:
+        def total(albedo: Float[Tensor, "N 3"], lagged: bool) -> Float[Tensor, ""]:
             shown = replace(scene, material=_with_solved(material, albedo.reshape(shape)))
-            return sum((weight * term(shown) for weight, term in energies), albedo.new_zeros(()))
+            chosen = (weight * energy(shown) for term, weight, energy in energies if _is_lagged(term) == lagged)
+            return sum(chosen, albedo.new_zeros(()))
 
-        return lambda albedo, curvature: proximal_step(albedo, curvature, energy)
+        return _refiner(terms, total)
 
     def _shown(self, view: str, parameters: Parameters, model: str) -> Scene:
         """The parameters as a scene; differentiable in them."""
@@ -116,10 +118,11 @@ class PreparedTerms:
 
     def __init__(self, terms: FitTerms, energies: Sequence[Energy], model: str, huber_srgb: float) -> None:
         self._terms, self._energies, self._model, self._huber = terms, energies, model, huber_srgb
-        self._lagged: dict[str, tuple[Tensor, list[tuple[str, Tensor, Tensor]]]] = {}
+        self._lagged: dict[str, _Near | _Linear] = {}
+        self._of_roughness: set[str] | None = None
 
     def __call__(self, parameters: Parameters, step: int) -> dict[str, Float[Tensor, ""]]:
-        """Each term times its weight, by name. A lagged one continues from its last gradient, as a linear function."""
+        """Each term times its weight, by name. A lagged one has been evaluated some steps before."""
         shown = {
             kind: self._terms._shown(kind, parameters, self._model)
             for kind in {_view_of(term) for term in self._terms.terms}
@@ -127,42 +130,98 @@ class PreparedTerms:
         values = {}
         for term, energy in zip(self._terms.terms, self._energies, strict=True):
             scene = shown[_view_of(term)]
-            value = self._continued(term.name, energy, scene, step) if "lagged" in term.traits else energy(scene)
+            value = self._lagged_value(term.name, energy, scene, step) if _is_lagged(term) else energy(scene)
             values[f"regularizer {term.name}"] = self._huber * term.weight * value
         return values
+
+    def of_widths(self, parameters: Parameters, step: int) -> Callable[[Parameters], float]:
+        """The sum of the terms that depend on α, as a function of parameters that differ from these in the width."""
+        parts: list[tuple[WeightedTerm, Energy]] = []
+        for term, energy in zip(self._terms.terms, self._energies, strict=True):
+            if _is_lagged(term):
+                energy = self._evaluated(term.name, energy, self._shown_to(term, parameters), step).at
+            parts.append((term, energy))
+        if self._of_roughness is None:
+            slopes = {term.name: value_and_gradients(e, self._shown_to(term, parameters))[1] for term, e in parts}
+            self._of_roughness = {name for name, found in slopes.items() if "roughness" in found}
+        chosen = [(term, energy) for term, energy in parts if term.name in self._of_roughness]
+
+        def total(moved: Parameters) -> float:
+            with torch.no_grad():
+                return sum(
+                    self._huber * term.weight * float(energy(self._shown_to(term, moved))) for term, energy in chosen
+                )
+
+        return total
+
+    def _shown_to(self, term: WeightedTerm, parameters: Parameters) -> Scene:
+        return self._terms._shown(_view_of(term), parameters, self._model)
 
     def albedo_refiner(self, parameters: Parameters) -> AlbedoRefiner | None:
         """What refines the solved albedo at vertices, all else fixed; None where no term depends on the material."""
         chosen = [
-            (self._huber * term.weight, _view_of(term), energy)
+            (term, energy)
             for term, energy in zip(self._terms.terms, self._energies, strict=True)
             if "material" in term.traits
         ]
         if not chosen:
             return None
 
-        def energy(albedo: Float[Tensor, "N 3"]) -> Float[Tensor, ""]:
+        def total(albedo: Float[Tensor, "N 3"], lagged: bool) -> Float[Tensor, ""]:
             at = replace(parameters, diffuse=torch.logit(albedo.clamp(1e-6, 1 - 1e-6)))
-            shown = {view: self._terms._shown(view, at, self._model) for view in {view for _, view, _ in chosen}}
-            return sum((weight * term(shown[view]) for weight, view, term in chosen), albedo.new_zeros(()))
+            values = (
+                self._huber * term.weight * energy(self._shown_to(term, at))
+                for term, energy in chosen
+                if _is_lagged(term) == lagged
+            )
+            return sum(values, albedo.new_zeros(()))
 
-        return lambda albedo, curvature: proximal_step(albedo, curvature, energy)
+        return _refiner([term for term, _ in chosen], total)
 
-    def _continued(self, name: str, energy: Energy, scene: Scene, step: int) -> Float[Tensor, ""]:
+    def _lagged_value(self, name: str, energy: Energy, scene: Scene, step: int) -> Float[Tensor, ""]:
+        last = self._evaluated(name, energy, scene, step)
+        value = last.at(scene)
+        if isinstance(last, _Near):
+            return value
+        factor = LAG_STEPS if last.step == step else 0
+        return value.detach() + factor * (value - value.detach())
+
+    def _evaluated(self, name: str, energy: Energy, scene: Scene, step: int) -> _Near | _Linear:
+        """A lagged term near the scene of its last evaluation, every few steps near `scene`."""
         known = self._lagged.get(name)
-        parts = parts_of(scene)
-        if known is None or step % LAG_STEPS == 0:
-            leaves = {n: part.detach().clone().requires_grad_() for n, part in parts.items()}
-            with torch.enable_grad():
-                value = energy(with_parts(scene, leaves))
-                found: Sequence[Tensor | None] = [None] * len(leaves)
-                if value.requires_grad:
-                    found = torch.autograd.grad(value, list(leaves.values()), allow_unused=True)
-            slopes = [(n, leaves[n].detach(), g) for n, g in zip(leaves, found, strict=True) if g is not None]
-            known = self._lagged[name] = value.detach(), slopes
-        total, slopes = known
-        for part, at, gradient in slopes:
-            total = total + ((parts[part] - at) * gradient).sum()
+        if known is None or (step % LAG_STEPS == 0 and known.step != step):
+            near: Callable[[Scene], Energy] | None = getattr(energy, "near", None)
+            if near is not None:
+                known = self._lagged[name] = _Near(step, near(_detached(scene)))
+                return known
+            value, slopes = value_and_gradients(energy, scene)
+            at = {part: tensor.detach().clone() for part, tensor in parts_of(scene).items() if part in slopes}
+            known = self._lagged[name] = _Linear(step, value.detach(), at, slopes)
+        return known
+
+
+@dataclass(frozen=True, eq=False)
+class _Near:
+    """What a term says of itself near the scene of a step."""
+
+    step: int
+    at: Energy
+
+
+@dataclass(frozen=True, eq=False)
+class _Linear:
+    """A term near the scene of a step, by its gradient there."""
+
+    step: int
+    value: Float[Tensor, ""]
+    parts: dict[str, Tensor]
+    slopes: dict[str, Tensor]
+
+    def at(self, scene: Scene) -> Float[Tensor, ""]:
+        """The linear function."""
+        shown, total = parts_of(scene), self.value
+        for part, slope in self.slopes.items():
+            total = total + ((shown[part] - self.parts[part]) * slope).sum()
         return total
 
 
@@ -188,6 +247,16 @@ def _with_solved(material: Material, texture: Float[Tensor, "H W 3"]) -> Materia
 
 def _one_or_all(values: Float[Tensor, "#V C"]) -> Tensor:
     return values[0] if len(values) == 1 else values
+
+
+def _is_lagged(term: WeightedTerm) -> bool:
+    return "lagged" in term.traits
+
+
+def _refiner(terms: Sequence[WeightedTerm], total: Callable[[Tensor, bool], Tensor]) -> AlbedoRefiner:
+    """The proximal step of terms; `total(albedo, lagged)` is the sum of those that are lagged, or of the others."""
+    slow = (lambda albedo: total(albedo, True)) if any(map(_is_lagged, terms)) else None
+    return lambda albedo, curvature: proximal_step(albedo, curvature, lambda x: total(x, False), slow)
 
 
 def _view_of(term: WeightedTerm) -> str:

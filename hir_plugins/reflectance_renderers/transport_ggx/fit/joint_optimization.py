@@ -109,11 +109,12 @@ def fit(
         if step >= settings.alpha_frozen_share * settings.steps:
             assert parameters.width is not None
 
+            regularizers = None if prepared is None else prepared.of_widths(parameters, step)
+
             def loss_of(moved: Parameters) -> float:
                 with torch.no_grad():
-                    regularizers = {} if prepared is None else prepared(moved, step)
                     pixels = sample_loss(transport, batches, moved, settings)
-                return sum((float(term) for term in regularizers.values()), pixels)
+                return pixels if regularizers is None else pixels + regularizers(moved)
 
             parameters.width.data.copy_(searched_width(parameters, loss_of))
 

@@ -255,8 +255,94 @@ def test_a_proximal_step_solves_a_quadratic_and_is_never_worse() -> None:
     assert float((found - expected).abs().max()) < 5e-3
     assert torch.equal(proximal_step(start, curvature, lambda x: x.sum() * 0), start)
     assert torch.equal(proximal_step(start, curvature, lambda x: x.sum() * torch.nan), start)
+    # a slow part is evaluated at six of the steps, and linear between them
+    evaluated = []
+
+    def slow(x: Tensor) -> Tensor:
+        evaluated.append(x)
+        return 0.25 * (x - target).square().sum()
+
+    found = proximal_step(start, curvature, lambda x: 0.25 * (x - target).square().sum(), slow)
+    assert float((found - expected).abs().max()) < 2e-2
+    assert len(evaluated) == 6
+    assert torch.equal(proximal_step(start, curvature, lambda x: x.sum() * 0, lambda x: x.sum() * torch.nan), start)
     steep = proximal_step(start, curvature, lambda x: 1e6 * (x.mean(dim=0) - 0.5).abs().sum())
     assert float((steep.mean(dim=0) - 0.5).abs().max()) < 0.02 < float((start.mean(dim=0) - 0.5).abs().max())
+
+
+@pytest.mark.parametrize(("lagged", "of_alpha"), [(True, False), (True, True), (False, False), (False, True)])
+def test_the_search_of_a_width_evaluates_only_terms_of_it(
+    solver: TransportSolver, lagged: bool, of_alpha: bool
+) -> None:
+    """Of a lagged term, the gradient that the step takes anyway; the values at the three widths differ as the term."""
+    evaluated = []
+
+    def energy(scene: Scene) -> Tensor:
+        assert scene.material is not None
+        evaluated.append(scene)
+        value = scene.material.diffuse_albedo.square().mean()
+        return value + scene.material.roughness.mean() if of_alpha else value
+
+    traits = frozenset({"material", "vertex_maps"} | ({"lagged"} if lagged else set()))
+    term = WeightedTerm("counted", 2.0, traits, lambda scene: energy)
+    uniform = ModelSpec("dielectric", "uniform")
+    start = solver._initial_parameters(uniform, None, solver._photographs(VIEWS))
+    prepared = FitTerms((term,), solver._scene, solver._transport.surface).prepared(start, "dielectric", 0.1)
+    assert start.width is not None
+    wider = replace(start, width=start.width + 1)
+    for step in (15, 30):
+        evaluated.clear()
+        values = [prepared.of_widths(start, step)(at) for at in (start, wider, start)]
+        prepared(start, step)
+        expected = 0.2 * float((wider.alpha - start.alpha).mean()) if of_alpha else 0.0
+        assert values[1] - values[0] == pytest.approx(expected, rel=1e-4)
+        assert values[2] == values[0]
+        searches = 1 if step == 15 else 0  # which terms depend on the width is found once
+        assert len(evaluated) == (1 if lagged else 1 + searches + 3 * of_alpha)
+
+
+def test_the_gradients_of_a_lagged_term_add_up_to_those_of_every_step(solver: TransportSolver) -> None:
+    """At parameters that stay, five steps have five times the gradient; the value is exact to first order."""
+
+    def energy(scene: Scene) -> Tensor:
+        assert scene.material is not None
+        return scene.material.diffuse_albedo.square().sum()
+
+    start = solver._initial_parameters(ModelSpec("dielectric", "uniform"), None, solver._photographs(VIEWS))
+    gradients, values = [], []
+    for traits in ({"material", "vertex_maps"}, {"material", "vertex_maps", "lagged"}):
+        term = WeightedTerm("square", 2.0, frozenset(traits), lambda scene: energy)
+        prepared = FitTerms((term,), solver._scene, solver._transport.surface).prepared(start, "dielectric", 0.1)
+        leaf = start.diffuse.clone().requires_grad_()
+        for step in range(5):
+            prepared(replace(start, diffuse=leaf), step)["regularizer square"].backward()  # type: ignore[no-untyped-call]
+        assert leaf.grad is not None
+        gradients.append(leaf.grad)
+        moved = replace(start, diffuse=start.diffuse + 0.01)
+        values.append([float(prepared(at, 4)["regularizer square"].detach()) for at in (start, moved)])
+    assert torch.allclose(*gradients, rtol=1e-5)
+    assert values[1] == pytest.approx(values[0], rel=1e-3)
+    assert values[0][1] > 1.005 * values[0][0]
+
+
+def test_a_lagged_term_is_evaluated_every_fifth_step(solver: TransportSolver) -> None:
+    """In a whole fit with a search of the width, and six times for the albedo in closed form."""
+    evaluated = []
+
+    def energy(scene: Scene) -> Tensor:
+        assert scene.material is not None
+        evaluated.append(scene)
+        return scene.material.diffuse_albedo.square().mean()
+
+    term = WeightedTerm("counted", 2.0, frozenset({"material", "vertex_maps", "lagged"}), lambda scene: energy)
+    uniform = ModelSpec("dielectric", "uniform")
+    observed = solver._photographs(VIEWS)
+    settings = FitSettings(60, "dielectric", 0, refresh_interval=15)
+    shown = FitTerms((term,), solver._scene, solver._transport.surface)
+    start = solver._initial_parameters(uniform, None, observed)
+    batches = solver._mini_batches(observed, uniform)
+    fit(solver._transport, batches, start, settings, solver._edges, lambda step, loss: None, None, shown)
+    assert len(evaluated) == 60 / 5 + 6
 
 
 def test_one_value_for_the_whole_surface_stays_a_constant(solver: TransportSolver) -> None:
