@@ -135,10 +135,13 @@ def _usable(mesh: Mesh) -> bool:
 
 
 def _baked_colors(mesh: Mesh, surface: TexelSurface, padding: int) -> Material:
-    """A Lambert material of the vertex colours; mid-grey for a mesh without them."""
+    """A Lambert material with a texture of the vertex colours; mid-grey for a mesh without them.
+
+    That is a texture, too: later stages fit as many texels as this one has.
+    """
     like = mesh.positions
     black, fully_rough = like.new_zeros(3), like.new_ones(1)
     if mesh.vertex_colors is None:
-        return Material("paper", like.new_full((3,), 0.5), black, fully_rough)
+        return Material("paper", like.new_full((*surface.covered.shape, 3), 0.5), black, fully_rough)
     texture = texture_of_vertices(mesh, mesh.vertex_colors.clamp(0, 1), surface)
     return Material("paper", dilate(texture, surface.covered, 2 * padding), black, fully_rough)

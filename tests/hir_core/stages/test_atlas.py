@@ -209,6 +209,16 @@ def test_stage_bakes_vertex_colours(tmp_path: Path) -> None:
     torch.testing.assert_close(scene.material.diffuse_albedo[surface.covered], expected, atol=1e-5, rtol=0)
 
 
+def test_stage_gives_a_mesh_without_colours_a_texture_of_the_size_that_was_set(tmp_path: Path) -> None:
+    """Later stages fit as many texels; a constant would have been one colour for the whole object."""
+    scene = Scene(mesh=replace(icosphere(2), vertex_colors=None))
+    capture = capture_of(looking_at((0, 0, 4), 64, 64))
+    unwrapped, report = unwrap(scene, capture, AtlasSettings(texture_size=64), context(tmp_path, []))
+    assert report.texture_size == 64 and unwrapped.material is not None
+    assert unwrapped.material.diffuse_albedo.shape == (64, 64, 3)
+    assert bool((unwrapped.material.diffuse_albedo == 0.5).all())
+
+
 def test_a_mesh_without_triangles_is_named() -> None:
     with pytest.raises(StageError, match="no triangles"):
         unwrap_mesh(Mesh(torch.zeros(3, 3), Topology(torch.zeros(0, 3, dtype=torch.long))), 64)
