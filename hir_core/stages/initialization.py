@@ -11,7 +11,7 @@ import numpy as np
 
 from hir_core.capture import Capture, CoordinateFrames
 from hir_core.config import RunConfig
-from hir_core.errors import CaptureError, StageError
+from hir_core.errors import CaptureError, ConfigError, StageError
 from hir_core.files.file_checksums import file_hash
 from hir_core.intake.mask_sources import Known, apply_mask_sources, mask_source_names
 from hir_core.plugins.interfaces import Initializer, MaskSource
@@ -123,6 +123,11 @@ def resolve_initializers(capture: Capture, config: RunConfig, plugins: PluginMan
     """
     if config.initializers != "auto":
         chain = tuple(config.initializers)
+        if unused := _scale_setters(chain, config, plugins):
+            raise ConfigError(
+                f"initializer.{unused[0]} has no effect: initializers = {list(chain)} does not contain it; name it "
+                "there, before the one that makes the surface, or leave initializers out"
+            )
     else:
         chain = tuple(plugins.suggest_initializers(_with_expected_masks(capture, config, plugins)))
         chain = _with_scale(chain, config, plugins)
@@ -139,13 +144,20 @@ def resolve_initializers(capture: Capture, config: RunConfig, plugins: PluginMan
 
 def _with_scale(chain: tuple[str, ...], config: RunConfig, plugins: PluginManager) -> tuple[str, ...]:
     """The chain with those that set the scale and whose options the settings give, before what makes the surface."""
+    if not chain:
+        return chain
+    makers = (i for i, name in enumerate(chain) if _has_trait(name, "makes_surface", plugins))
+    first = next(makers, len(chain))
+    return (*chain[:first], *_scale_setters(chain, config, plugins), *chain[first:])
 
-    def has(name: str, trait: str) -> bool:
-        return trait in plugins.find("initializer", name).component.traits
 
-    added = [name for name in config.initializer if name not in chain and has(name, "sets_scale")]
-    first = next((i for i, name in enumerate(chain) if has(name, "makes_surface")), len(chain))
-    return (*chain[:first], *added, *chain[first:]) if chain else chain
+def _scale_setters(chain: tuple[str, ...], config: RunConfig, plugins: PluginManager) -> list[str]:
+    """Initializers outside the chain that set the scale and whose options the settings give."""
+    return [name for name in config.initializer if name not in chain and _has_trait(name, "sets_scale", plugins)]
+
+
+def _has_trait(name: str, trait: str, plugins: PluginManager) -> bool:
+    return trait in plugins.find("initializer", name).component.traits
 
 
 def _with_expected_masks(capture: Capture, config: RunConfig, plugins: PluginManager) -> Capture:

@@ -65,9 +65,7 @@ class FiducialMarkers(Initializer):
             )
         corners = {n: c for n, each in seen.items() if (c := corners_in_space(each, cameras)) is not None}
         if not corners:
-            raise CaptureError(
-                f"{capture.path}: {_nothing_found(len(seen), found if dictionary == 'auto' else dictionary)}"
-            )
+            raise CaptureError(f"{capture.path}: {_nothing_found(len(seen), found)}")
         scale = scale_of_markers(corners, side)
         if scale.relative_deviation > MAX_RELATIVE_DEVIATION:
             warnings.warn(
@@ -110,6 +108,6 @@ def _nothing_found(seen: int, dictionary: str | None) -> str:
         )
     tried = f"of {dictionary}" if dictionary else f"of any known dictionary ({', '.join(DICTIONARIES)})"
     return (
-        f"no marker {tried} is seen in two photographs; its square needs about 40 pixels and a white border, and the "
+        f"no marker {tried} is seen in two photographs; its sides need 25 pixels or more and a white border, and the "
         "photographs need their background"
     )

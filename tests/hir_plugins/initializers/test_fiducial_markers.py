@@ -174,3 +174,8 @@ def test_an_automatic_chain_contains_them_where_their_side_is_given(on_sheet: Ca
     given = load_config(plugins, assignments=["initializer.fiducial_markers.side=0.02"])
     assert "fiducial_markers" not in resolve_initializers(on_sheet, without, plugins)
     assert resolve_initializers(on_sheet, given, plugins) == ("colmap", "fiducial_markers", "visual_hull")
+    ignored = load_config(
+        plugins, assignments=["initializer.fiducial_markers.side=0.02", 'initializers=["visual_hull"]']
+    )
+    with pytest.raises(ConfigError, match="fiducial_markers has no effect"):
+        resolve_initializers(on_sheet, ignored, plugins)
