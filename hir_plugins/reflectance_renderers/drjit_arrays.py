@@ -5,6 +5,7 @@ from __future__ import annotations
 from types import ModuleType
 from typing import Any
 
+import drjit as dr
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -47,6 +48,7 @@ def to_torch(array: DrJitArray, shape: tuple[int, ...], device: torch.device) ->
 
 def to_color(array: DrJitArray, device: torch.device) -> Tensor:
     """(N, 3) of a `mi.Color3f`."""
+    dr.eval(array)  # together: each channel that is read alone would run its kernel again
     channels = [to_torch(array[i], (-1,), device) for i in range(3)]
     return torch.stack(torch.broadcast_tensors(*channels), dim=1)
 

@@ -177,12 +177,15 @@ def _decide(
 ) -> tuple[Contestant[FitT], Errors]:
     """The simplest of the finalists that tie with the best one, and the errors of those on the views of all folds.
 
-    Near ties are fitted on the other folds, too.
+    Near ties are fitted on the other folds, too; but not where the simplest hypothesis is a special case of all that
+    tie with it: it is selected in any case, and the others are questioned again with the same refinements.
     """
     errors: Errors = {each.spec: each.last.errors for each in finalists}
     tied = _tied(finalists, errors)
+    simplest = min(tied, key=lambda each: complexity(each.spec))
     pooled: Errors = {}
-    if len(tied) > 1 and len(fits.further):
+    rivals = [each for each in tied if each is not simplest and not contains(each.spec, simplest.spec)]
+    if rivals and len(fits.further):
         fits.expect(2 * sum(halving.cost(each.spec) for each in tied))
         for each in tied:
             fit = None

@@ -301,3 +301,43 @@ def takes_maps_at_vertices(subject: Subject) -> None:
             abs(analytic - difference) <= 1e-4 * max(abs(difference), abs(analytic)) + 10 * rounding,
             f"with maps at vertices the gradient by {name} says {analytic:.8g}, differences {difference:.8g}",
         )
+
+
+@contract("regularizer", traits={"lagged"})
+def near_has_value_and_gradient_of_the_term(subject: Subject) -> None:
+    """Where `prepare` returns an object with `near`, `near(scene)` has the value (to 1e-6) and the gradient (to 1e-4)
+    of the term at that scene, in float64, and both are finite elsewhere.
+    """
+    import torch
+
+    from hir_core.optimization.term_gradients import parts_of, value_and_gradients
+    from hir_core.testing.scenes import bumpy_scene
+
+    start = bumpy_scene(torch.float64)
+    energy = subject.create().prepare(start)
+    if not hasattr(energy, "near"):
+        return
+    at = _moved(start)
+    seeded(0)
+    approximation = energy.near(at)
+    seeded(0)
+    value, gradients = value_and_gradients(energy, at)
+    near_value, near_gradients = value_and_gradients(approximation, at)
+    require(
+        torch.isfinite(near_value) and abs(near_value - value) <= 1e-6 * abs(value),
+        f"the term is {float(value):.8g}, its `near` at the same scene {float(near_value):.8g}",
+    )
+    for name, part in parts_of(at).items():
+        exact = gradients.get(name, torch.zeros_like(part))
+        error = (near_gradients.get(name, torch.zeros_like(part)) - exact).norm()
+        share = float(error / exact.norm().clamp_min(1e-30))
+        require(
+            error <= 1e-4 * exact.norm(),
+            f"the gradient of `near` by {name} differs from the term's by {share:.3g} of its length at the scene for "
+            "which it was made; a part of `near` is detached, or linear around other values",
+        )
+    moved_value, moved_gradients = value_and_gradients(approximation, _moved(at, 2))
+    require(
+        torch.isfinite(moved_value) and all(bool(torch.isfinite(g).all()) for g in moved_gradients.values()),
+        "`near` is not finite a little beside the scene for which it was made",
+    )

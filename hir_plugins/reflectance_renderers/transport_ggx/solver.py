@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import final
@@ -48,6 +49,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import (
 from hir_plugins.reflectance_renderers.transport_ggx.fit.smoothness import SmoothnessWeights
 from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_light import pixel_irradiance
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
+from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
 from hir_plugins.reflectance_renderers.transport_ggx.operator.shading_normals import offset_normals
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.shading import TransportShading
@@ -69,6 +71,8 @@ SAMPLE_PIXELS = 4_096
 SAMPLE_DIRECTIONS_FACTOR = 2
 """Multiple of the directions of a lobe there: the noise of few directions grows with the width and favours narrow
 lobes."""
+SAMPLE_NUMBER = -1
+"""Their key among the batches."""
 TRIAL_EFFORT = 0.25
 TRIAL_PIXEL_SHARE = 0.4
 """Effort (at most half of the fit's) and share of the pixels of the short fits that choose initial values."""
@@ -111,6 +115,8 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         self._edges = Topology(transport.surface.faces).edges
         self._shading = TransportShading(transport, capture, downsample, options)
         self._observed_pixels: dict[int, ObservedPixels] = {}
+        self._recent: OrderedDict[tuple[tuple[int, ...], float], ObservedPixels] = OrderedDict()
+        self._max_recent_pixels = options.resident_pixels // 2
         self._images = ImageCache(capture, downsample)
         self._first_fits: dict[tuple[ModelSpec, tuple[int, ...], float, float], Parameters] = {}
         self._lit_surface: tuple[Parameters, ModelSpec, tuple[int, ...], LitSurface] | None = None
@@ -173,7 +179,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
             if from_nothing:
                 self._first_fits[first] = fitted
             return Fit(spec, fitted, tuple(views))
-        photographs = self._subsampled(self._photographs(views), pixel_share)
+        photographs = self._recent_pixels(views, pixel_share)
         if not len(photographs):
             raise StageError(
                 f"no pixel of {len(views)} photographs shows the surface from more than {MIN_VIEW_DEGREES:.0f} degrees"
@@ -221,7 +227,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         With the albedo of the gradient steps: a closed-form albedo compensates a wrong light (on the chair the light on
         the camera would win).
         """
-        photographs = self._photographs(views)
+        photographs = self._recent_pixels(views)
         count = len(self._capture.views)
         total, seen = np.zeros(count), np.zeros(count)
         for pixels, radiance in self._predicted(fit, photographs):
@@ -327,6 +333,17 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
                 )
         return concatenate([self._observed_pixels[v] for v in views])
 
+    def _recent_pixels(self, views: Sequence[int], share: float = 1.0) -> ObservedPixels:
+        """The pixels of a fit or of a comparison; the last ones stay in memory with their irradiance matrices."""
+        key = tuple(views), share
+        found = self._recent.pop(key, None)
+        if found is None:
+            found = self._subsampled(self._photographs(views), share)
+        self._recent[key] = found
+        while len(self._recent) > 1 and sum(map(len, self._recent.values())) > self._max_recent_pixels:
+            self._recent.popitem(last=False)
+        return found
+
     def _subsampled(self, photographs: ObservedPixels, share: float) -> ObservedPixels:
         """A share of the pixels, drawn at random."""
         if share >= 1.0:
@@ -341,17 +358,39 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
 
         def make(state: Parameters, number: int) -> PixelBatch:
             seed = number + (self._options.seed << 32)
-            return self._pixel_batch(photographs.take(order[number::count]), spec, state, seed, self._options.samples)
+            part = photographs.take(order[number::count])
+            irradiance = self._irradiance(photographs, number, part, spec, seed)
+            return self._pixel_batch(part, spec, state, seed, self._options.samples, irradiance)
 
         def sample(state: Parameters) -> PixelBatch:
-            directions = SAMPLE_DIRECTIONS_FACTOR * self._options.samples
+            directions, seed = SAMPLE_DIRECTIONS_FACTOR * self._options.samples, self._options.seed
             few = photographs.take(order[:SAMPLE_PIXELS])
-            return self._pixel_batch(few, spec, state, self._options.seed, directions)
+            irradiance = self._irradiance(photographs, SAMPLE_NUMBER, few, spec, seed)
+            return self._pixel_batch(few, spec, state, seed, directions, irradiance)
 
         return MiniBatches(make, sample, count, max(1, self._options.resident_pixels // block))
 
+    def _irradiance(
+        self, photographs: ObservedPixels, number: int, part: ObservedPixels, spec: ModelSpec, seed: int
+    ) -> LinearMap | None:
+        """The irradiance matrix of a batch; None where the irradiance cache has it."""
+        if spec.light_frame != "camera":
+            return None
+        found = photographs.irradiance.get(number)
+        if found is None:
+            found = pixel_irradiance(self._transport, part.points, self._options.diffuse_samples, self._rotation, seed)
+            if len(photographs) <= self._max_recent_pixels:
+                photographs.irradiance[number] = found
+        return found
+
     def _pixel_batch(
-        self, part: ObservedPixels, spec: ModelSpec, parameters: Parameters, seed: int, directions: int
+        self,
+        part: ObservedPixels,
+        spec: ModelSpec,
+        parameters: Parameters,
+        seed: int,
+        directions: int,
+        irradiance: LinearMap | None,
     ) -> PixelBatch:
         vertices, cells = self._transport.interpolation(part.points)
         points = part.points
@@ -360,9 +399,6 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
                 offset_normals(points.normal, vertices.matrix @ parameters.normal_offset.detach())
             )
         rotation = self._rotation if spec.light_frame == "camera" else None
-        direct = None
-        if rotation is not None:
-            direct = pixel_irradiance(self._transport, part.points, self._options.diffuse_samples, rotation, seed)
         lobes = None
         if spec.brdf != "diffuse":
             alpha = parameters.alpha.detach()
@@ -374,8 +410,8 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
             part.points.view,
             lobes,
             vertices,
-            None if direct else cells,
-            direct,
+            cells if irradiance is None else None,
+            irradiance,
             part.points.normal,
         )
 

@@ -10,6 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from hir_core.errors import StageError
 from hir_core.plugins import Component
 from hir_core.plugins.interfaces import Regularizer
 from hir_core.scene import Scene
@@ -137,6 +138,50 @@ class OnlyTextures(Dispersion):
         return value + 0.5 * (albedo + albedo.detach()).square().mean()
 
 
+class HalfGlossy(Dispersion):
+    """Draws roughness to a half; its `near` gets half of the gradient."""
+
+    def prepare(self, scene: Scene) -> Callable[[Scene], Tensor]:
+        return NearEnergy(share=0.5)
+
+
+class NearEnergy:
+    """Squared distance of vertices from their mean and of roughness from a half."""
+
+    def __init__(self, share: float) -> None:
+        self.share = share
+
+    def __call__(self, scene: Scene) -> Tensor:
+        if scene.material is None:
+            raise StageError("this term needs a material; run it after the initial guess")
+        offsets = scene.mesh.positions - scene.mesh.positions.mean(dim=0)
+        return offsets.square().sum() + (scene.material.roughness - 0.5).square().mean()
+
+    def near(self, scene: Scene) -> Callable[[Scene], Tensor]:
+        assert scene.material is not None
+        value, slope = self(scene).detach(), 2 * (scene.material.roughness - 0.5).detach()
+        before = scene.material.roughness.detach()
+
+        def linear(other: Scene) -> Tensor:
+            assert other.material is not None
+            return value + self.share * (slope * (other.material.roughness - before)).mean()
+
+        return linear
+
+
+class Glossy(HalfGlossy):
+    """The sound one."""
+
+    def prepare(self, scene: Scene) -> Callable[[Scene], Tensor]:
+        return NearEnergy(share=1.0)
+
+
+def half_glossy(scene: Scene) -> Scene:
+    assert scene.material is not None
+    material = replace(scene.material, roughness=torch.full_like(scene.material.roughness, 0.5))
+    return replace(in_one_place(scene), material=material)
+
+
 class AboutTheOrigin(Dispersion):
     def energy(self, scene: Scene) -> Tensor:
         return scene.mesh.positions.square().sum()
@@ -175,6 +220,12 @@ def made(implementation: type = Dispersion, **changes: Any) -> Component:
 
 SOUND = made(traits=frozenset({"differentiable", "rigid_invariant"}))
 
+OF_ROUGHNESS: dict[str, Any] = {
+    "traits": frozenset({"differentiable", "lagged", "material"}),
+    "testing": f"{HERE}:half_glossy",
+}
+SOUND_LAGGED = made(Glossy, **OF_ROUGHNESS)
+
 BROKEN: dict[str, Component] = {
     "implements_its_interface": made(NoSubclass),
     "default_options_construct": made(config=Thawed),
@@ -191,6 +242,7 @@ BROKEN: dict[str, Component] = {
     "term_is_a_finite_scalar": made(Vector),
     "gradient_is_that_of_the_value": made(HalfGradient),
     "takes_maps_at_vertices": made(OnlyTextures, traits=frozenset({"differentiable", "vertex_maps"})),
+    "near_has_value_and_gradient_of_the_term": made(HalfGlossy, **OF_ROUGHNESS),
     "linear_in_weight": made(config=Weighted),
     "rigid_motion_changes_nothing": made(AboutTheOrigin, traits=frozenset({"differentiable", "rigid_invariant"})),
     "scale_changes_nothing": made(traits=frozenset({"differentiable", "scale_invariant"})),

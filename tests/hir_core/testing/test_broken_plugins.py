@@ -36,6 +36,7 @@ SLOW: dict[str, Mapping[str, Component]] = {
 FROM_FILES = ("imports_light", "imports_quickly", "requirements_declared", "missing_extra_is_named")
 SOUND = [
     ("regularizer", broken_regularizers.SOUND),
+    ("regularizer", broken_regularizers.SOUND_LAGGED),
     ("geometry_renderer", broken_renderers.geometry()),
     ("capture_reader", broken_inputs.reader()),
     ("mask_source", broken_inputs.mask_source()),

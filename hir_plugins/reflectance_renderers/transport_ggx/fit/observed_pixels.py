@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
@@ -12,6 +12,7 @@ from torch import Tensor
 
 from hir_core.capture import Capture
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
+from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
 from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import SurfacePoints, visible_points
 
 MIN_MASK_COVERAGE = 0.99
@@ -32,6 +33,8 @@ class ObservedPixels:
     """Channels that the sensor clipped: a yellow may be clipped in red only."""
     pixel: Int[Tensor, "P 3"]
     """View, x and y."""
+    irradiance: dict[int, LinearMap] = field(default_factory=dict)
+    """Irradiance under a light that moves with the camera, by number of the batch: material hypotheses share it."""
 
     def __len__(self) -> int:
         return len(self.points)

@@ -49,20 +49,25 @@ def smoothness_energy(
     if weights.albedo and len(edges):
         # albedo is nearly piecewise constant: a gradient that shading explains too is shading
         albedo = torch.nn.functional.logsigmoid(parameters.diffuse)
-        change = (albedo[edges[:, 0]] - albedo[edges[:, 1]]).square().sum(dim=1)
+        change = _differences(albedo, edges).square().sum(dim=1)
         if parameters.metalness is not None and len(parameters.metalness) > 1:
-            metal = METALNESS_IN_LOG_ALBEDO * parameters.metal_share[:, 0]
-            change = change + (metal[edges[:, 0]] - metal[edges[:, 1]]).square()
+            metal = METALNESS_IN_LOG_ALBEDO * parameters.metal_share
+            change = change + _differences(metal, edges)[:, 0].square()
         energy = energy + weights.albedo * ((change + LOG_ALBEDO_NOISE**2).sqrt() - LOG_ALBEDO_NOISE).mean()
     for value in (parameters.specular, parameters.width):
         if value is not None and len(value) > 1:
-            energy = energy + weights.maps * (value[edges[:, 0]] - value[edges[:, 1]]).square().mean()
+            energy = energy + weights.maps * _differences(value, edges).square().mean()
     if parameters.metalness is not None and not parameters.is_metal:
         m = parameters.metal_share
         energy = energy + weights.metalness_prior * (4 * m * (1 - m)).mean()
     if parameters.normal_offset is not None:
         offset = parameters.normal_offset
-        change = (offset[edges[:, 0]] - offset[edges[:, 1]]).square().sum(dim=1)
+        change = _differences(offset, edges).square().sum(dim=1)
         energy = energy + weights.normals * change.mean()
         energy = energy + weights.normal_prior * offset.square().sum(dim=1).mean()
     return energy
+
+
+def _differences(values: Float[Tensor, "V C"], edges: Int[Tensor, "E 2"]) -> Float[Tensor, "E C"]:
+    # the gradient of `index_select` is a third faster than that of an index
+    return values.index_select(0, edges[:, 0]) - values.index_select(0, edges[:, 1])

@@ -57,12 +57,23 @@ class SpecularMatrices:
         self._g = lobes.matrix_entries(grazing)
         self._w_matrix = self._pattern.matrix(self._w)
         self._slopes = [self._pattern.matrix(lobes.matrix_entries(values)) for values in slopes]
-        self._w_transposed = self._pattern.transposed(self._w)
+        self._w_transposed: Tensor | None = None
+        self._g_transposed: Tensor | None = None
         if self._model != "paper":
             self._g_matrix = self._pattern.matrix(self._g)
-            self._g_transposed = self._pattern.transposed(self._g)
             a, b = directional_albedo_terms(lobes.cosine_of_eye(normal)[:, None], alpha)
             self._albedo_terms = (a, b)
+
+    def light_gradient(self, gradient: Float[Tensor, "P 3"], rho_s: Float[Tensor, "P C"]) -> Float[Tensor, "S 3"]:
+        """Gradient of the light sources. The transposes are made at the first one after a `refresh`."""
+        if self._w_transposed is None:
+            self._w_transposed = self._pattern.transposed(self._w)
+        light = self._w_transposed @ (rho_s * gradient)
+        if self._model == "paper":
+            return light
+        if self._g_transposed is None:
+            self._g_transposed = self._pattern.transposed(self._g)
+        return light + self._g_transposed @ ((1 - rho_s) * gradient)
 
     def diffuse_share(self, rho_s: Float[Tensor, "#P C"]) -> Float[Tensor, "P C"] | float:
         """Factor of the diffuse part: `1 − E` for `dielectric`, 1 for `paper`."""
@@ -121,9 +132,7 @@ class _Specular(torch.autograd.Function):
         rho_s, factor, *slopes = ctx.saved_tensors
         block = ctx.block
         # the light's gradient leaves out the first-order terms: they vanish at every refresh
-        light = block._w_transposed @ (rho_s * gradient)
-        if block._model != "paper":
-            light = light + block._g_transposed @ ((1 - rho_s) * gradient)
+        light = block.light_gradient(gradient, rho_s)
         rho = gradient * factor
         rho = rho.sum(dim=1, keepdim=True) if rho_s.shape[1] == 1 else rho
         drift = [(gradient * slope).sum(dim=1, keepdim=True) for slope in slopes]

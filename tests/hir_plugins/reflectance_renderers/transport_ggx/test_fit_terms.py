@@ -30,6 +30,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.joint_optimization impo
 )
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
 from hir_plugins.reflectance_renderers.transport_ggx.fit.proximal_step import proximal_step
+from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGGX
 from hir_plugins.reflectance_renderers.transport_ggx.solver import Fit, TransportSolver
@@ -150,9 +151,11 @@ def assert_same(one: Parameters, other: Parameters) -> None:
 
 
 def doubled(part: Any) -> Any:
-    """The same with all tensors of a dataclass tree in float64."""
+    """The same with all tensors and linear maps of a dataclass tree in float64."""
     if isinstance(part, Tensor):
         return part.double() if part.is_floating_point() else part
+    if isinstance(part, LinearMap):
+        return LinearMap(part.matrix.double())
     if dataclasses.is_dataclass(part) and not isinstance(part, type):
         values = {f.name: doubled(getattr(part, f.name)) for f in fields(part)}
         return replace(part, **values)

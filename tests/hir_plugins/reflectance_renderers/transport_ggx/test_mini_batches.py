@@ -89,9 +89,11 @@ def test_every_batch_is_used_and_no_more_are_in_memory_than_allowed(monkeypatch:
     most = 0
     make_batch = fit._pixel_batch
 
-    def counted(part: ObservedPixels, spec: ModelSpec, state: Parameters, number: int, directions: int) -> PixelBatch:
+    def counted(
+        part: ObservedPixels, spec: ModelSpec, state: Parameters, number: int, directions: int, irradiance: None
+    ) -> PixelBatch:
         nonlocal most
-        batch: PixelBatch = make_batch(part, spec, state, number, directions)
+        batch: PixelBatch = make_batch(part, spec, state, number, directions, irradiance)
         assert batch.lobes is not None
         alive.append(weakref.ref(batch.lobes))
         used.add(number)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -14,8 +15,11 @@ from hir_core.plugins.manager import PluginManager
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene import Material, Scene
 from hir_core.stages.atlas import unwrap_mesh
+from hir_plugins.reflectance_renderers.transport_ggx import solver as solver_module
 from hir_plugins.reflectance_renderers.transport_ggx.fit import joint_optimization
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import MAX_FITTED_F0
+from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_light import pixel_irradiance
+from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGGX
 from hir_plugins.reflectance_renderers.transport_ggx.solver import TransportSolver
@@ -35,8 +39,8 @@ def capture() -> tuple[Scene, Capture]:
     return replace(truth, material=grey), photographs(truth, around(len(VIEWS)))
 
 
-def solver_of(capture: tuple[Scene, Capture]) -> TransportSolver:
-    return TransportGGX(OPTIONS).prepare(*capture)
+def solver_of(capture: tuple[Scene, Capture], options: TransportGGXOptions = OPTIONS) -> TransportSolver:
+    return TransportGGX(options).prepare(*capture)
 
 
 def silent(share: float) -> None:
@@ -127,6 +131,45 @@ def test_the_simpler_model_of_an_initial_guess_is_fitted_once(
     assert torch.equal(after.parameters.light, alone.parameters.light)
     assert torch.equal(after.parameters.diffuse, alone.parameters.diffuse)
     assert solver.fit(simple, None, VIEWS, 1.0, silent, None, 0.25).parameters is not after.parameters
+
+
+def test_hypotheses_share_the_irradiance_of_their_pixels(
+    capture: tuple[Scene, Capture], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Under a light on the camera, rays of hemispheres are traced once; fits and errors are those of a solver alone."""
+    options, drawn = replace(OPTIONS, steps=20), list[int]()
+
+    def counted(*arguments: Any) -> LinearMap:
+        drawn.append(len(arguments[1]))
+        return pixel_irradiance(*arguments)
+
+    monkeypatch.setattr(solver_module, "pixel_irradiance", counted)
+    kinds = [ModelSpec(light_frame="camera"), ModelSpec("dielectric", "uniform", light_frame="camera")]
+    solver = solver_of(capture, options)
+    fits = [solver.fit(kind, None, VIEWS[:4], 1.0, silent, None, 0.5) for kind in kinds]
+    errors = [solver.errors(fit, VIEWS[4:]) for fit in fits]
+    batches = drawn[:]
+    assert len(batches) == 3, "the pixels of the fit, the sample of its widths, the views left out"
+    solver.fit(kinds[1], fits[1], VIEWS[:4], 1.0, silent, None, 0.5)
+    assert drawn == batches
+    for kind, fit, error in zip(kinds, fits, errors, strict=True):
+        alone = solver_of(capture, options)
+        again = alone.fit(kind, None, VIEWS[:4], 1.0, silent, None, 0.5)
+        assert torch.equal(again.parameters.light, fit.parameters.light)
+        assert (alone.errors(again, VIEWS[4:]) == error).all()
+
+
+def test_only_the_last_pixels_stay_in_memory(capture: tuple[Scene, Capture]) -> None:
+    solver = solver_of(capture)
+    whole = solver._recent_pixels(VIEWS)
+    assert solver._recent_pixels(VIEWS) is whole
+    solver._max_recent_pixels = len(whole)
+    half = solver._recent_pixels(VIEWS, 0.5)
+    assert solver._recent_pixels(VIEWS, 0.5) is half and list(solver._recent) == [(tuple(VIEWS), 0.5)]
+    solver._max_recent_pixels = 1
+    camera = ModelSpec(light_frame="camera")
+    solver.fit(camera, None, VIEWS, 0.1, silent)
+    assert all(not pixels.irradiance for pixels in solver._recent.values()), "too many to keep their matrices"
 
 
 def test_a_share_of_the_pixels_is_a_part_of_them(capture: tuple[Scene, Capture]) -> None:
