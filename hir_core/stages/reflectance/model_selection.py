@@ -29,7 +29,12 @@ from hir_core.stages.reflectance.held_out_comparison import (
     paired_gain,
 )
 from hir_core.stages.reflectance.hypotheses import complexity, contains, hypotheses
-from hir_core.stages.reflectance.refinement_selection import Comparison, RefinementSelection, expected_cost
+from hir_core.stages.reflectance.refinement_selection import (
+    Comparison,
+    RefinementSelection,
+    expected_cost,
+    question_cost,
+)
 from hir_core.stages.reflectance.requested_model import default_spec, forced_spec
 from hir_core.stages.reflectance.successive_halving import (
     ROUNDS,
@@ -120,11 +125,11 @@ def select_model(
     halving = SuccessiveHalving(folded, specs, later_cost=expected_cost(specs[-1]), fitted=fitted)
     finalists = halving.run()
     chosen, pooled = _decide(folded, halving, finalists)
-    folded.expect(expected_cost(chosen.spec))
+    rivals = [each for each in finalists if each is not chosen and can_catch_up(each, 1)][:MAX_QUESTIONED]
+    folded.expect(expected_cost(chosen.spec) + sum(question_cost(each.spec) for each in rivals))
     refinement = RefinementSelection(folded, chosen.last, fitted, observer.compared)
     refinement.refine_vertices()
     winner, finals = chosen, {chosen.spec: refinement.fit.errors}
-    rivals = [each for each in finalists if each is not chosen and can_catch_up(each, 1)][:MAX_QUESTIONED]
     for rival in rivals:
         if refinement.fit.held_out_db >= SUFFICIENT_DB:
             break

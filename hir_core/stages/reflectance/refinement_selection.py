@@ -208,3 +208,8 @@ def expected_cost(spec: ModelSpec) -> float:
         if spec.kind != "diffuse" and not spec.mapped:
             cost += 2 * fit_cost(spec, effort)
     return cost
+
+
+def question_cost(spec: ModelSpec) -> float:
+    """Of a rival that is questioned after a selection that accepts one refinement."""
+    return fit_cost(spec, 2 * COMPARISON.effort, COMPARISON.pixel_share)

@@ -32,8 +32,9 @@ DROP_STANDARD_ERRORS = 2.0
 """Of the paired difference: what noise may have taken from a hypothesis that is dropped."""
 MIN_GROWTH_DB = 1.0
 """Least bound on the gain of one round: a curve may stand still once before it rises."""
-MAX_FIRST_GROWTH_DB = 12.0
-"""Bound on what a hypothesis gains on the best one after the first round, where there is no curve yet."""
+MAX_FIRST_GROWTH_DB = 6.0
+"""Bound on what a hypothesis gains on the best one after the first round, where there is no curve yet. More than twice
+the largest gap that was made up on the tuning half of the materials benchmark (docs/studies/model_selection.md)."""
 
 
 @dataclass(eq=False)
@@ -121,12 +122,9 @@ class SuccessiveHalving(Generic[FitT, RefinementT]):
         return [contestant for contestant in alive if not contestant.dropped]
 
     def _cost(self, alive: Sequence[Contestant[FitT]], first_round: int) -> float:
-        """Of the rounds from `first_round` on, with half of the hypotheses left after each."""
-        total, share = 0.0, 1.0
-        for number in range(first_round, len(self._rounds)):
-            total += share * sum(self._round_cost(each.spec, number) for each in alive)
-            share /= 2
-        return total
+        """Of the rounds from `first_round` on, with as many hypotheses as now."""
+        numbers = range(first_round, len(self._rounds))
+        return sum(self._round_cost(each.spec, number) for each in alive for number in numbers)
 
 
 def can_catch_up(contestant: Contestant[FitT], rounds_left: int) -> bool:

@@ -64,6 +64,9 @@ UPRIGHT = torch.diag(torch.tensor([1.0, -1.0, -1.0]))
 """Rotation from a camera's axes to those of a light that moves with it: y up and z backwards, so that the light's image
 is upright."""
 MIN_VIEW_DEGREES = math.degrees(math.asin(MIN_VIEW_COSINE))
+COMPARED_PIXELS = 2_048
+"""Pixels of each held-out view whose error is compared, at most: all models are compared on the same ones, and views
+differ more than pixels do."""
 MAX_COMPARED_POINTS = 12_000
 """Surface points of held-out views at which per-texel values are solved to compare them."""
 SAMPLE_PIXELS = 4_096
@@ -227,7 +230,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         With the albedo of the gradient steps: a closed-form albedo compensates a wrong light (on the chair the light on
         the camera would win).
         """
-        photographs = self._recent_pixels(views)
+        photographs = self._compared_pixels(views)
         count = len(self._capture.views)
         total, seen = np.zeros(count), np.zeros(count)
         for pixels, radiance in self._predicted(fit, photographs):
@@ -333,12 +336,25 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
                 )
         return concatenate([self._observed_pixels[v] for v in views])
 
-    def _recent_pixels(self, views: Sequence[int], share: float = 1.0) -> ObservedPixels:
-        """The pixels of a fit or of a comparison; the last ones stay in memory with their irradiance matrices."""
-        key = tuple(views), share
+    def _compared_pixels(self, views: Sequence[int]) -> ObservedPixels:
+        """At most `COMPARED_PIXELS` of each view."""
+
+        def thinned() -> ObservedPixels:
+            parts = [self._photographs([view]) for view in views]
+            rows = [torch.arange(0, len(part), max(1, math.ceil(len(part) / COMPARED_PIXELS))) for part in parts]
+            return concatenate([part.take(chosen) for part, chosen in zip(parts, rows, strict=True)])
+
+        return self._recently((tuple(views), 0.0), thinned)
+
+    def _recent_pixels(self, views: Sequence[int], share: float) -> ObservedPixels:
+        """The pixels of a fit."""
+        return self._recently((tuple(views), share), lambda: self._subsampled(self._photographs(views), share))
+
+    def _recently(self, key: tuple[tuple[int, ...], float], make: Callable[[], ObservedPixels]) -> ObservedPixels:
+        """The last pixels of fits and comparisons stay in memory with their irradiance matrices."""
         found = self._recent.pop(key, None)
         if found is None:
-            found = self._subsampled(self._photographs(views), share)
+            found = make()
         self._recent[key] = found
         while len(self._recent) > 1 and sum(map(len, self._recent.values())) > self._max_recent_pixels:
             self._recent.popitem(last=False)

@@ -159,10 +159,25 @@ def test_hypotheses_share_the_irradiance_of_their_pixels(
         assert (alone.errors(again, VIEWS[4:]) == error).all()
 
 
+def test_views_are_compared_on_few_pixels_of_each(
+    capture: tuple[Scene, Capture], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    solver = solver_of(capture)
+    all_pixels = solver._photographs(VIEWS).points.view.bincount()
+    monkeypatch.setattr(solver_module, "COMPARED_PIXELS", 100)
+    few = solver._compared_pixels(VIEWS)
+    counts = few.points.view.bincount()
+    assert (
+        len(counts) == len(VIEWS) and all(50 <= int(count) <= 100 for count in counts) and int(all_pixels.min()) > 100
+    )
+    fit = solver.fit(DIRECT, None, VIEWS[:4], 1.0, silent)
+    assert len(solver.errors(fit, VIEWS[4:])) == 2
+
+
 def test_only_the_last_pixels_stay_in_memory(capture: tuple[Scene, Capture]) -> None:
     solver = solver_of(capture)
-    whole = solver._recent_pixels(VIEWS)
-    assert solver._recent_pixels(VIEWS) is whole
+    whole = solver._recent_pixels(VIEWS, 1.0)
+    assert solver._recent_pixels(VIEWS, 1.0) is whole
     solver._max_recent_pixels = len(whole)
     half = solver._recent_pixels(VIEWS, 0.5)
     assert solver._recent_pixels(VIEWS, 0.5) is half and list(solver._recent) == [(tuple(VIEWS), 0.5)]
