@@ -12,7 +12,7 @@ from urllib.parse import quote
 
 from hir_exporters.asset import Asset, AssetEnvironment, validate_asset
 from hir_exporters.budgets import BUDGETS, apply_budget, budget_images, fit_mesh
-from hir_exporters.engines.engine_light import engine_light
+from hir_exporters.engines.engine_light_cache import cached_engine_light
 from hir_exporters.exporter import Edit, Exporter, ExportReport, companion_file
 from hir_exporters.files.atomic import write_bytes_atomic
 from hir_exporters.format_options import GltfConfig
@@ -62,12 +62,13 @@ def _write(asset: Asset, destination: Path, config: GltfConfig, edit: Edit | Non
     start = time.perf_counter()
     validate_asset(asset)
     encoding = image_encoding(config)
+    light = None
+    if config.profile == "engine" and asset.environment is not None:
+        light = cached_engine_light(asset, config.lights)
     asset, warnings = apply_budget(asset, config.budget)
     warnings += texture_size_warnings(asset.material, config.max_texture_size)
     asset = replace(asset, material=limit_texture_sizes(asset.material, config.max_texture_size))
-    light = None
-    if config.profile == "engine" and asset.environment is not None:
-        light = engine_light(asset, config.lights)
+    if light is not None:
         asset = replace(asset, environment=AssetEnvironment(light.split.residual))
         warnings += (light.sentence(), *light.warnings)
     gathered = gather_asset(asset, config, light)

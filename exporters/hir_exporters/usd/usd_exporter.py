@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final, final
 
 from hir_exporters.asset import Asset, validate_asset
 from hir_exporters.budgets import BUDGETS, apply_budget, budget_images, fit_mesh
-from hir_exporters.engines.engine_light import engine_light
+from hir_exporters.engines.engine_light_cache import cached_engine_light
 from hir_exporters.errors import ExportError
 from hir_exporters.exporter import Edit, Exporter, ExportReport, companion_file
 from hir_exporters.files.atomic import write_bytes_atomic, write_text_atomic
@@ -49,6 +49,7 @@ class UsdExporter(Exporter):
         config = self._config
         if config.materialx and config.workflow == "specular":
             raise ExportError("materialx: OpenPBR is written from the metallic workflow; set workflow=metallic or auto")
+        whole = asset
         asset, surface, images, warnings = _gather(asset, config)
         paths = {name: f"./{companion_file(destination, image.name).name}" for name, image in images.items()}
         stage = build_stage(asset, surface, paths, config.meters_per_unit, config.subsets)
@@ -66,7 +67,7 @@ class UsdExporter(Exporter):
             files.append(companion_file(destination, "openpbr.usda"))
             over = openpbr_layer(surface, prim_name(asset.name), destination.name, paths, config.meters_per_unit)
             write_bytes_atomic(files[-1], layer_bytes(over, ".usda"))
-        light_files, light_warnings = _write_light(asset, destination, config)
+        light_files, light_warnings = _write_light(whole, destination, config)
         return _report(files + light_files, warnings + light_warnings, surface, start)
 
 
@@ -82,6 +83,7 @@ class UsdzExporter(Exporter):
         if destination.suffix != ".usdz":
             raise ExportError(f"{destination} is not a file name of a USD package; it must end with .usdz")
         _check_name(destination)
+        whole = asset
         asset, surface, images, warnings = _gather(asset, self._config)
         if self._config.materialx:
             raise ExportError("materialx: AR Quick Look does not read MaterialX; export usda or usdc instead")
@@ -104,7 +106,7 @@ class UsdzExporter(Exporter):
                 "on phones",
             )
         write_bytes_atomic(destination, package)
-        light_files, light_warnings = _write_light(asset, destination, self._config)
+        light_files, light_warnings = _write_light(whole, destination, self._config)
         return _report([destination, *light_files], warnings + light_warnings, surface, start)
 
 
@@ -158,7 +160,7 @@ def _write_light(asset: Asset, destination: Path, config: UsdConfig) -> tuple[li
         return [], ()
     layer = companion_file(destination, "lit.usda")
     if config.profile == "engine":
-        light = engine_light(asset, config.lights)
+        light = cached_engine_light(asset, config.lights)
         image, radiance, warnings = companion_file(destination, "residual.hdr"), light.split.residual, light.warnings
         warnings += (light.sentence(),)
     else:
