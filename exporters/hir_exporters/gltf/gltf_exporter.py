@@ -31,6 +31,7 @@ from hir_exporters.materials.texture_packing import limit_texture_sizes, texture
 from hir_exporters.mesh.convex_decomposition import convex_hulls
 from hir_exporters.textures.image_encoding import EncodedImage
 from hir_exporters.textures.image_files import write_hdr
+from hir_exporters.thumbnail.thumbnail import thumbnail_file, thumbnail_png
 
 if TYPE_CHECKING:
     from pygltflib import GLTF2
@@ -59,7 +60,7 @@ class GltfExporter(Exporter):
 
 
 def _write(asset: Asset, destination: Path, config: GltfConfig, edit: Edit | None, embed: bool) -> ExportReport:
-    start = time.perf_counter()
+    start, whole = time.perf_counter(), asset
     validate_asset(asset)
     encoding = image_encoding(config)
     light = None
@@ -99,6 +100,9 @@ def _write(asset: Asset, destination: Path, config: GltfConfig, edit: Edit | Non
         files.append(destination.with_suffix(".hdr") if light is None else residual)
         write_hdr(files[-1], radiance)
         warnings += light_warnings
+    if config.thumbnail:
+        files.append(thumbnail_file(destination))
+        write_bytes_atomic(files[-1], thumbnail_png(whole))
     return ExportReport(tuple(files), warnings, gathered.residuals, time.perf_counter() - start)
 
 

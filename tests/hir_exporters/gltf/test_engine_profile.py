@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hir_exporters.asset import Asset, AssetEnvironment, AssetMaterial
+from hir_exporters.content_cache import ContentCache
 from hir_exporters.conventions import latlong_directions, latlong_solid_angles
 from hir_exporters.engines import engine_light_cache
 from hir_exporters.engines.engine_light import EngineLight, engine_light
-from hir_exporters.engines.engine_light_cache import EngineLightCache
+from hir_exporters.engines.engine_light_cache import cached_engine_light
 from hir_exporters.format_options import (
     CubemapConfig,
     EnvironmentConfig,
@@ -207,7 +208,7 @@ def test_all_formats_divide_the_light_once_and_alike(
         return engine_light(asset, max_lights)
 
     monkeypatch.setattr(engine_light_cache, "engine_light", counted)
-    monkeypatch.setattr(engine_light_cache, "_CACHE", EngineLightCache(2))
+    monkeypatch.setattr(engine_light_cache, "_CACHE", ContentCache(2))
     rough = np.linspace(0.2, 0.4, 64, dtype=np.float32).reshape(8, 8)
     asset = dataclasses.replace(metal, material=AssetMaterial.metallic([0.9, 0.7, 0.4], 1.0, rough))
     for suffix, config in (
@@ -224,12 +225,11 @@ def test_all_formats_divide_the_light_once_and_alike(
 
 
 def test_a_changed_asset_is_divided_anew(metal: Asset) -> None:
-    cache = EngineLightCache(2)
-    first = cache.light(metal, 8)
-    assert cache.light(dataclasses.replace(metal, name="other"), 8) is first
-    assert cache.light(metal, 4) is not first
+    first = cached_engine_light(metal, 8)
+    assert cached_engine_light(dataclasses.replace(metal, name="other"), 8) is first
+    assert cached_engine_light(metal, 4) is not first
     mirror = dataclasses.replace(metal, material=AssetMaterial.metallic([0.9] * 3, 1.0, 0.001))
-    assert cache.light(mirror, 8).threshold is None and first.threshold is not None
+    assert cached_engine_light(mirror, 8).threshold is None and first.threshold is not None
     assert metal.environment is not None
     metal.environment.radiance[:] = 0.5  # in place
-    assert cache.light(metal, 8).threshold is None
+    assert cached_engine_light(metal, 8).threshold is None
