@@ -14,7 +14,8 @@ from typing import Any
 from hir_exporters.errors import InputError
 from hir_exporters.files.subprocess_call import Arrays, SubprocessCrashError, run_in_subprocess
 from hir_exporters.materials.surfaces import MetallicSurface, SpecularSurface
-from hir_exporters.reading.readback import ReadBack, read_usd
+from hir_exporters.reading.readback import ReadBack
+from hir_exporters.reading.usd_readback import read_usd
 
 
 def read_untrusted_usd(path: Path) -> ReadBack:
