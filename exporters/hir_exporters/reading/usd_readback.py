@@ -13,6 +13,7 @@ from hir_exporters.materials.surfaces import MetallicSurface, SpecularSurface
 from hir_exporters.reading.readback import ReadBack, index_of_refraction
 from hir_exporters.reading.texture_decoding import decoded_pixels, linear_color, unit_values
 from hir_exporters.reading.usd_containment import check_inside, check_layers
+from hir_exporters.usd_library import require_usd
 
 if TYPE_CHECKING:
     from pxr import UsdShade
@@ -25,6 +26,7 @@ def read_usd(path: Path) -> ReadBack:
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path} does not exist")
+    require_usd(path, InputError)
     try:
         check_layers(path)
         stage = Usd.Stage.Open(str(path))

@@ -28,6 +28,7 @@ from hir_exporters.usd.preview_surface import UsdSurface, usd_surface
 from hir_exporters.usd.thumbnail_info import PACKAGED_THUMBNAIL, add_thumbnail_info
 from hir_exporters.usd.usd_stage import build_stage, prim_name
 from hir_exporters.usd.usdz_package import PackageSizeError, usdz_bytes
+from hir_exporters.usd_library import require_usd
 
 if TYPE_CHECKING:
     from pxr import Sdf, Usd
@@ -48,6 +49,7 @@ class UsdExporter(Exporter):
         if destination.suffix not in (".usda", ".usdc", ".usd"):
             raise ExportError(f"{destination} is not a file name of a USD layer; it must end with .usda or .usdc")
         _check_name(destination)
+        require_usd(destination, ExportError)
         config = self._config
         if config.materialx and config.workflow == "specular":
             raise ExportError("materialx: OpenPBR is written from the metallic workflow; set workflow=metallic or auto")
@@ -86,6 +88,7 @@ class UsdzExporter(Exporter):
         if destination.suffix != ".usdz":
             raise ExportError(f"{destination} is not a file name of a USD package; it must end with .usdz")
         _check_name(destination)
+        require_usd(destination, ExportError)
         if self._config.materialx:
             raise ExportError("materialx: AR Quick Look does not read MaterialX; export usda or usdc instead")
         validate_asset(asset)
