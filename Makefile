@@ -62,7 +62,7 @@ parity: setup-test
 
 readers: setup-test
 	@npm --prefix tools/readers ci --silent --no-fund --no-audit || true # a reader that is missing is written as not run
-	@$(PYTHON) -m pip install --quiet --disable-pip-version-check assimp-py coacd || true
+	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --constraint requirements/ci.txt assimp-py coacd || true
 	@[ -n "$$HIR_BLENDER_PYTHON" ] || [ -x .venv-blender/bin/python ] || tools/setup.sh blender || true
 	@PYTHONPATH=tools $(PYTHON) -m readers
 
