@@ -3,7 +3,7 @@ PYTHON := .venv/bin/python
 HIR := .venv/bin/hir
 DEMO := demo
 
-.PHONY: demo test test-all lint docs stability kill-test fuzz coverage mutation lower-bounds supply-chain bench materials paper-table ablations scaling clean setup setup-test help
+.PHONY: demo test test-all lint docs stability kill-test fuzz coverage mutation lower-bounds supply-chain readers bench materials paper-table ablations scaling clean setup setup-test help
 
 help:
 	@echo "make demo      reconstruct and export the sample capture"
@@ -12,6 +12,7 @@ help:
 	@echo "make lint      ruff check, ruff format --check, mypy"
 	@echo "make docs      build the documentation site in build/docs"
 	@echo "make parity    render exports in three.js, Babylon.js, Filament, Blender and Godot; write docs/engines/parity.md"
+	@echo "make readers   open exports in assimp, trimesh, glTF-Transform, gltfpack and Blender; write docs/engines/readers.md"
 	@echo "make stability  write the table of numerical edge cases, docs/stability.md"
 	@echo "make kill-test  kill a small run at 50 random moments, resume it, compare all files"
 	@echo "make fuzz      run every reader on mutated files for 10 minutes"
@@ -58,6 +59,12 @@ parity: setup-test
 	@npm --prefix tools/parity ci --silent --no-fund --no-audit
 	@[ -n "$$HIR_BLENDER_PYTHON" ] || [ -x .venv-blender/bin/python ] || tools/setup.sh blender || true
 	@PYTHONPATH=tools $(PYTHON) -m parity
+
+readers: setup-test
+	@npm --prefix tools/readers ci --silent --no-fund --no-audit || true # a reader that is missing is written as not run
+	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --constraint requirements/ci.txt assimp-py coacd || true
+	@[ -n "$$HIR_BLENDER_PYTHON" ] || [ -x .venv-blender/bin/python ] || tools/setup.sh blender || true
+	@PYTHONPATH=tools $(PYTHON) -m readers
 
 coverage: setup-test
 	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --constraint requirements/ci.txt coverage

@@ -84,6 +84,8 @@ def reconstruct(
     check_settings_take_effect(config, plugins)
     resolved_device = resolve_device(config.device)
     find_reader(Path(capture), plugins, config.reader)  # before a folder is made for a capture that nobody can read
+    for name in config.export if last_stage == LAST_STAGE else ():
+        plugins.require_installed("exporter", name)  # before hours of work
     with claimed_run(run, resume) as directory, determinism(config.deterministic):
 
         def say(sentence: str) -> None:

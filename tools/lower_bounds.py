@@ -1,9 +1,9 @@
-"""Installs hir with the oldest versions that pyproject.toml allows, and runs the tests that need no other packages.
+"""Installs hir[usd] with the oldest versions that pyproject.toml allows, and runs the tests that need nothing else.
 
     python tools/lower_bounds.py [FOLDER]
 
-FOLDER gets the virtual environment (by default a temporary one). The base install is tested: reading and writing
-assets, `hir export`, `hir check`, plugins. Exit code 1 where a test fails.
+FOLDER gets the virtual environment (by default a temporary one). The base install with USD is tested: reading and
+writing assets, `hir export`, `hir check`, plugins. Exit code 1 where a test fails.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ def main() -> int:
 
 
 def lowest() -> list[str]:
-    """`name==version` of each dependency of the base install, in the oldest allowed version."""
+    """`name==version` of each dependency of hir[usd], in the oldest allowed version."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     bounds = []
-    for line in project["dependencies"]:
+    for line in [*project["dependencies"], *project["optional-dependencies"]["usd"]]:
         requirement = Requirement(line)
         [version] = [s.version for s in requirement.specifier if s.operator == ">="]
         bounds.append(f"{requirement.name}=={version}")
@@ -56,7 +56,7 @@ def tested(folder: Path) -> int:
     constraints = folder / "lowest.txt"
     constraints.write_text("\n".join(lowest()) + "\n")
     arguments = ["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--constraint", str(constraints)]
-    subprocess.run([python, *arguments, str(ROOT), *TOOLS], check=True)
+    subprocess.run([python, *arguments, f"{ROOT}[usd]", *TOOLS], check=True)
     print("\n".join(lowest()), flush=True)
     # old releases warn of what newer Pythons will take away: no fault of theirs or ours
     arguments = ["-m", "pytest", "-q", "-p", "no:cacheprovider", "-W", "default", *TESTS]

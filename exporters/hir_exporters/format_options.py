@@ -120,6 +120,8 @@ class GltfConfig(CheckedOptions):
     image_based_light: bool = False
     """EXT_lights_image_based: also write the prefiltered environment into the file, for Babylon.js."""
 
+    thumbnail: bool = False
+    """Write NAME_thumbnail.png beside the file: the whole asset in its own light, 512 pixels a side (1 to 2 s)."""
     xmp: bool = False
     """KHR_xmp_json_ld: also write title, program, capture and what is known of the material as XMP."""
     collision: Literal["none", "unreal", "godot"] = "none"
@@ -164,6 +166,9 @@ class UsdConfig(CheckedOptions):
     subsets: bool = True
     """Write the face subsets `observed` and `unobserved`, where the asset says which texels a view observed."""
 
+    thumbnail: bool = False
+    """Add a picture of the whole asset in its own light, 512 pixels a side, and name it in the asset's information
+    (AssetPreviewsAPI); as NAME_thumbnail.png beside the file, in .usdz inside of it (1 to 2 s)."""
     collision: bool = False
     """Add convex hulls as collision shapes of UsdPhysics (library coacd in `hir[collision]`; up to minutes)."""
     collision_hulls: int = _number(DEFAULT_HULLS, 1, 256)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin, get_type_hints
 
@@ -41,6 +42,7 @@ PIVOTS = ("source", "base", "centre")
     "--budget", type=click.Choice(BUDGETS), help="Limits of a target platform on triangles, texture size and bytes."
 )
 @click.option("--lod", metavar="N,N,…", help="glTF levels of detail as triangle counts, such as 100k,20k,5k.")
+@click.option("--thumbnail", is_flag=True, help="Write a picture of the asset beside the file, in .usdz inside of it.")
 @click.option("--height", type=float, metavar="METRES", help="Scale the asset to this height.")
 @click.option("--scale", type=float, metavar="FACTOR", help="Scale the asset by this factor.")
 @click.option(
@@ -75,6 +77,7 @@ def export_command(
     profile: str | None,
     budget: str | None,
     lod: str | None,
+    thumbnail: bool,
     height: float | None,
     scale: float | None,
     pivot: Literal["source", "base", "centre"],
@@ -103,7 +106,13 @@ def export_command(
     maps = {"base_color": base_color, "roughness": roughness, "metallic": metallic, "normal": normal}
     plugins = PluginManager.discover(plugin_files)
     chosen = list(dict.fromkeys(formats))
-    options = _options(plugins, assignments, chosen, profile, budget, lod)
+    shortcuts = {
+        "profile": profile,
+        "budget": budget,
+        "lods": None if lod is None else parse_lods(lod),
+        "thumbnail": thumbnail or None,
+    }
+    options = _options(plugins, assignments, chosen, shortcuts)
     # not while another thread imports pxr: two extension modules that load at once can wait for each other for ever
     asset = _asset(source, {n: text for n, text in maps.items() if text is not None}, light)
     matrix = placement(asset, scale, height, pivot)
@@ -137,11 +146,9 @@ def _options(
     plugins: PluginManager,
     assignments: tuple[str, ...],
     formats: list[str],
-    profile: str | None,
-    budget: str | None,
-    lod: str | None,
+    shortcuts: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """Options by format: those of `--set`, then --profile, --budget and --lod for the formats that have them."""
+    """Options by format: those of `--set`, then `shortcuts` that are not None for the formats that have them."""
     from hir_core.config import assign
 
     options: dict[str, Any] = {}
@@ -153,7 +160,6 @@ def _options(
                 f"--set {name}={table}: name the format and its option, such as --set glb.max_texture_size=1024"
             )
         plugins.find("exporter", name)
-    shortcuts = {"profile": profile, "budget": budget, "lods": None if lod is None else parse_lods(lod)}
     for key, value in shortcuts.items():
         if value is None:
             continue

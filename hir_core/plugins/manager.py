@@ -201,14 +201,19 @@ class PluginManager:
         kind_of_options = registered.component.config
         values = with_seed_of_run(kind_of_options, options or {}, seed)
         config: Any = build_options(kind_of_options, values, f"{kind} {name!r}")
+        self.require_installed(kind, name)
+        return class_of(registered.component.target, f"{kind.replace('_', ' ')} {name!r} of {registered.distribution}")(
+            config
+        )
+
+    def require_installed(self, kind: str, name: str) -> None:
+        """Raises `MissingExtraError`, which names the command that installs them, where a component lacks packages."""
+        registered = self.find(kind, name)
         if registered.missing:
             raise MissingExtraError(
                 f"{kind.replace('_', ' ')} {name!r} (from {registered.distribution}) needs "
                 f"{', '.join(registered.missing)}; install it with: {registered.install_command}"
             )
-        return class_of(registered.component.target, f"{kind.replace('_', ' ')} {name!r} of {registered.distribution}")(
-            config
-        )
 
     def presets(self) -> dict[str, Path]:
         """Preset names and their TOML files."""

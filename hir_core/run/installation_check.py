@@ -23,6 +23,7 @@ assert numpy.isfinite(numpy.array(image)).all()
 """
 
 MODULES: Final = {
+    "usd": {"pxr": "usd-core"},
     "reconstruct": {
         "torch": "torch",
         "jaxtyping": "jaxtyping",

@@ -15,6 +15,9 @@ TRAITS = {
 
 REQUIRES = {"gltf": ("pygltflib",), "usd": ("pxr",)}
 
+EXTRAS = {"usd": "usd"}
+"""Extra of this distribution that installs what formats with a trait require; others are in the base install."""
+
 
 def exporter_component(name: str) -> Component:
     """The descriptor of a format's exporter."""
@@ -25,6 +28,7 @@ def exporter_component(name: str) -> Component:
         config=FORMATS[name].config,
         summary=FORMATS[name].summary,
         requires=REQUIRES.get(trait, ()),
+        extra=EXTRAS.get(trait, ""),
         traits=frozenset({trait} - {""}),
     )
 

@@ -16,7 +16,9 @@ import numpy as np
 import pytest
 from hir_exporters.scene_format import load_scene
 
+from hir_core.errors import MissingExtraError
 from hir_core.pipeline import Run
+from hir_core.plugins import manager
 from hir_core.run.run_directory import STAGE_NAMES, RunDirectory
 from tests.fixtures.runs import QUICK
 
@@ -132,6 +134,17 @@ def test_until_leaves_a_run_that_goes_on(tiny_capture: Path, quick: Reconstruct,
     rest = quick(tiny_capture, tmp_path / "run", resume=True, deterministic=True)
     assert rest.reused == ("initializer", "geometry", "atlas")
     assert files(rest.directory.scene) == files(finished.directory.scene), "stored scenes lose no bit"
+
+
+def test_a_format_without_its_library_is_refused_before_the_first_stage(
+    tiny_capture: Path, quick: Reconstruct, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(manager, "is_installed", lambda name: name != "pxr")
+    with pytest.raises(MissingExtraError, match=r"exporter 'usdz' \(from hir\) needs pxr; .* 'hir\[usd\]'$"):
+        quick(tiny_capture, tmp_path / "run", 'export=["glb", "usdz"]')
+    assert not (tmp_path / "run").exists()
+    run = quick(tiny_capture, tmp_path / "run", 'export=["glb", "usdz"]', until="initializer")
+    assert run.path.is_dir(), "a run that stops before needs no exporter"
 
 
 def test_evaluate_says_what_it_compared(finished: Run, tiny_capture: Path, tmp_path: Path) -> None:

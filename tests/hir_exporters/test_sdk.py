@@ -27,7 +27,7 @@ def test_the_readme_builds_an_asset_in_ten_lines(tmp_path: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": str(PACKAGE.parent)}
     subprocess.run([sys.executable, "-c", block], check=True, cwd=tmp_path, env=environment)
     names = sorted(path.name for path in tmp_path.iterdir())
-    assert names == ["tile.glb", "tile.hdr", "tile.usdz", "tile_usdz_lit.usda"]
+    assert names == ["tile.glb", "tile.hdr", "tile.mtl", "tile.obj", "tile_obj_base_color.png"]
 
 
 def residual_rows() -> list[str]:

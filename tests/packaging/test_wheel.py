@@ -16,7 +16,7 @@ from hir_exporters.asset import Asset, AssetEnvironment, AssetMaterial, AssetMes
 from hir_exporters.scene_format import load_scene, save_scene
 
 ROOT = Path(__file__).resolve().parents[2]
-HEAVY = ("torch", "mitsuba", "drjit", "open3d", "pycolmap")
+HEAVY = ("torch", "mitsuba", "drjit", "open3d", "pycolmap", "pxr")
 
 
 def message(*arguments: object, folder: Path) -> str:
@@ -28,15 +28,46 @@ def message(*arguments: object, folder: Path) -> str:
 
 
 @pytest.fixture(scope="module")
-def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The bin folder of an environment with the wheel and its base dependencies."""
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The built wheel."""
     folder = tmp_path_factory.mktemp("wheel")
     message(sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", folder, ROOT, folder=folder)
-    (wheel,) = folder.glob("hir-*.whl")
+    (built,) = folder.glob("hir-*.whl")
+    return built
+
+
+def installed(wheel: Path, extra: str, folder: Path) -> Path:
+    """The bin folder of a new environment with the wheel, its base dependencies and those of an extra."""
     venv.create(folder / "venv", with_pip=True)
     found = folder / "venv" / ("Scripts" if os.name == "nt" else "bin")
-    message(found / "python", "-m", "pip", "install", "--quiet", wheel, folder=folder)
+    message(found / "python", "-m", "pip", "install", "--quiet", f"{wheel}{extra}", folder=folder)
     return found
+
+
+@pytest.fixture(scope="module")
+def programs(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The bin folder of an environment with the base dependencies."""
+    return installed(wheel, "", tmp_path_factory.mktemp("base"))
+
+
+@pytest.fixture(scope="module")
+def programs_with_usd(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The bin folder of an environment with `hir[usd]`."""
+    return installed(wheel, "[usd]", tmp_path_factory.mktemp("usd"))
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    """The folder of a saved scene of one triangle."""
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32)
+    toward = np.tile(np.array([0, 0, 1], np.float32), (3, 1))
+    mesh = AssetMesh(corners, toward, corners[:, :2].copy(), np.array([[0, 1, 2]], np.int32))
+    third = np.full(3, 0.3, np.float32)
+    material = AssetMaterial("dielectric", third, third / 8, np.array(0.4, np.float32))
+    light = AssetEnvironment(np.ones((4, 8, 3), np.float32))
+    save_scene(Asset(mesh, material, light, name="flag"), tmp_path / "scene")
+    np.testing.assert_array_equal(load_scene(tmp_path / "scene").mesh.positions, corners)
+    return tmp_path / "scene"
 
 
 def test_the_heavy_half_is_not_installed(programs: Path, tmp_path: Path) -> None:
@@ -49,7 +80,9 @@ def test_light_commands_work(programs: Path, tmp_path: Path) -> None:
     listed = json.loads(message(programs / "hir", "plugins", "--json", folder=tmp_path))
     assert listed["problems"] == [], "no plugin is broken for want of a package"
     rows = {(row["kind"], row["name"]): row for row in listed["components"]}
-    assert rows["exporter", "usdz"]["missing"] == []
+    assert rows["exporter", "glb"]["missing"] == []
+    assert rows["exporter", "usdz"]["missing"] == ["pxr"]
+    assert rows["exporter", "usdz"]["install"] == "pip install 'hir[usd]'"
     assert "torch" in rows["geometry_renderer", "contour"]["missing"]
     assert set(listed["presets"]) >= {"fast", "paper"}
     assert "hir" in message(programs / "hir", "plugins", folder=tmp_path)
@@ -61,30 +94,34 @@ def test_the_sdk_comes_from_the_wheel(programs: Path, tmp_path: Path) -> None:
     assert place.is_relative_to(programs.parent) and (place.parent / "scene.schema.json").is_file()
 
 
-def test_a_saved_scene_is_exported(programs: Path, tmp_path: Path) -> None:
-    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32)
-    toward = np.tile(np.array([0, 0, 1], np.float32), (3, 1))
-    mesh = AssetMesh(corners, toward, corners[:, :2].copy(), np.array([[0, 1, 2]], np.int32))
-    third = np.full(3, 0.3, np.float32)
-    material = AssetMaterial("dielectric", third, third / 8, np.array(0.4, np.float32))
-    light = AssetEnvironment(np.ones((4, 8, 3), np.float32))
-    save_scene(Asset(mesh, material, light, name="flag"), tmp_path / "scene")
-    np.testing.assert_array_equal(load_scene(tmp_path / "scene").mesh.positions, corners)
-    formats = [word for name in ("glb", "usdz", "obj", "hdr") for word in ("-f", name)]
-    message(programs / "hir", "export", tmp_path / "scene", *formats, "-o", tmp_path / "out", folder=tmp_path)
-    assert {file.suffix for file in (tmp_path / "out").iterdir()} >= {".glb", ".usdz", ".obj", ".hdr"}
+def test_a_saved_scene_is_exported(programs: Path, scene: Path, tmp_path: Path) -> None:
+    formats = [word for name in ("glb", "obj", "hdr") for word in ("-f", name)]
+    message(programs / "hir", "export", scene, *formats, "-o", tmp_path / "out", folder=tmp_path)
+    assert {file.suffix for file in (tmp_path / "out").iterdir()} >= {".glb", ".obj", ".hdr"}
     assert (tmp_path / "out" / "flag.glb").read_bytes()[:4] == b"glTF"
+
+
+def test_usd_without_its_library_is_one_sentence_before_any_file(programs: Path, scene: Path, tmp_path: Path) -> None:
+    (tmp_path / "other.usda").write_text("#usda 1.0\n")
+    for source in (scene, tmp_path / "other.usda"):
+        formats = ["-f", "glb", "-f", "usdz"] if source == scene else ["-f", "glb"]
+        done = subprocess.run(
+            [programs / "hir", "export", source, *formats, "-o", tmp_path / "out"],
+            capture_output=True,
+            text=True,
+            cwd=tmp_path,
+            env={name: value for name, value in os.environ.items() if not name.startswith("PYTHON")},
+        )
+        assert done.returncode == 2 and "pip install 'hir[usd]'" in done.stderr, done.stderr
+        assert len(done.stderr.strip().splitlines()) == 1 and not (tmp_path / "out").exists()
+
+
+def test_usd_with_its_extra(programs_with_usd: Path, scene: Path, tmp_path: Path) -> None:
+    hir = programs_with_usd / "hir"
+    message(hir, "export", scene, "-f", "usdz", "--thumbnail", "-o", tmp_path / "out", folder=tmp_path)
+    assert (tmp_path / "out" / "flag.usdz").stat().st_size > 1000
     # as somebody's USD file: by a process of its own, which finds the package where this one does
-    message(
-        programs / "hir",
-        "export",
-        tmp_path / "out" / "flag.usdz",
-        "-f",
-        "glb",
-        "-o",
-        tmp_path / "again",
-        folder=tmp_path,
-    )
+    message(hir, "export", tmp_path / "out" / "flag.usdz", "-f", "glb", "-o", tmp_path / "again", folder=tmp_path)
     assert (tmp_path / "again" / "flag.glb").read_bytes()[:4] == b"glTF"
 
 
@@ -93,11 +130,7 @@ def test_the_ten_lines_of_the_readme(programs: Path, tmp_path: Path) -> None:
     text = (ROOT / "exporters" / "README.md").read_text(encoding="utf-8")
     [block] = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     message(programs / "python", "-c", block, folder=tmp_path)
-    assert sorted(path.name for path in tmp_path.iterdir()) == [
-        "tile.glb",
-        "tile.hdr",
-        "tile.usdz",
-        "tile_usdz_lit.usda",
-    ]
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == ["tile.glb", "tile.hdr", "tile.mtl", "tile.obj", "tile_obj_base_color.png"]
     code = "import sys, hir_exporters.gltf.gltf_exporter, hir_exporters.usd.usd_exporter; print('torch' in sys.modules)"
     assert message(programs / "python", "-c", code, folder=tmp_path) == "False\n"

@@ -264,7 +264,7 @@ def _usd(name: str) -> Callable[[Path], object]:
 
     def read(folder: Path) -> object:
         from hir_exporters.reading import mesh_import
-        from hir_exporters.reading.readback import read_usd
+        from hir_exporters.reading.usd_readback import read_usd
         from pxr import Usd, UsdGeom, UsdShade  # noqa: F401 # once, not in each fork
 
         with warnings.catch_warnings():

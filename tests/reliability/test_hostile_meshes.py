@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 from hir_exporters.errors import HirError
+from hir_exporters.reading.gltf_readback import read_gltf
 from hir_exporters.reading.mesh_import import load_mesh_asset
-from hir_exporters.reading.readback import read_gltf
 
 from tests.reliability.test_hostile_files import triangle_gltf
 

@@ -13,11 +13,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hir_exporters.asset import Asset, AssetMesh
+from hir_exporters.asset import Asset
 from hir_exporters.conventions import ALPHA_MIN, direction_to_latlong_uv
 from hir_exporters.light.environment_map import latlong_pyramid, resample_latlong, sample_latlong, world_radiance
 from hir_exporters.materials import brdf_numpy
 from hir_exporters.materials.brdf_slice import BrdfSlice
+from hir_exporters.mesh.normal_mapping import mapped_normals, unit
 from hir_exporters.mesh.tangent_frames import tangent_frames
 from hir_exporters.textures.texture_maps import sample_texels
 
@@ -113,31 +114,17 @@ def _points_of_view(asset: Asset, view: Array) -> tuple[Array, Array, Array]:
     p, q = np.sqrt((number * _GOLDEN_RATIO) % 1), (number * _GOLDEN_RATIO**2) % 1
     corners = np.stack([1 - p, p * (1 - q), p * q], axis=-1)[..., None]
     chosen = mesh.faces[faces]
-    normals = _unit((mesh.normals[chosen] * corners).sum(1))
+    normals = unit((mesh.normals[chosen] * corners).sum(1))
     uvs = (mesh.uvs[chosen].astype(np.float64) * corners).sum(1) % 1.0
     if asset.material.normal is not None:
-        normals = _normal_mapped(asset, mesh, chosen, normals, uvs)
+        normals = mapped_normals(mesh, asset.material.normal, chosen, normals, uvs)
     visible = normals @ view > 0.02
     return normals[visible], np.broadcast_to(view, (int(visible.sum()), 3)), np.minimum(uvs[visible], 1 - 1e-9)
 
 
-def _normal_mapped(asset: Asset, mesh: AssetMesh, chosen: NDArray[np.int32], normals: Array, uvs: Array) -> Array:
-    """Normals with the normal map applied in each face's own tangent frame."""
-    assert asset.material.normal is not None
-    local = sample_texels(asset.material.normal, True, np.minimum(uvs, 1 - 1e-9))
-    p, uv = mesh.positions[chosen].astype(np.float64), mesh.uvs[chosen].astype(np.float64)
-    e1, e2, d1, d2 = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0], uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
-    area = d1[:, 0] * d2[:, 1] - d2[:, 0] * d1[:, 1]
-    tangent = _unit((e1 * d2[:, 1:] - e2 * d1[:, 1:]) * np.sign(area)[:, None])
-    tangent = _unit(tangent - normals * (tangent * normals).sum(-1, keepdims=True))
-    up = np.cross(normals, tangent) * -np.sign(area)[:, None]  # v increases downwards
-    mapped = _unit(local[:, :1] * tangent + local[:, 1:2] * up + local[:, 2:] * normals)
-    return np.where((area == 0)[:, None], normals, mapped)
-
-
 def _with_incident_light(normals: Array, views: Array, uvs: Array, alpha: Array, light: Array) -> SurfacePoints:
     cos_o = (normals * views).sum(-1)
-    tangent = _unit(views - normals * cos_o[:, None])
+    tangent = unit(views - normals * cos_o[:, None])
     tangent = np.where(np.linalg.norm(tangent, axis=-1, keepdims=True) > 0.5, tangent, tangent_frames(normals)[..., 0])
     frame = np.stack([tangent, np.cross(normals, tangent), normals], axis=-1)
     o, a = cos_o[:, None], alpha[:, None]
@@ -176,7 +163,7 @@ def _lobe_directions(cos_o: Array, alpha: Array, height: Array, azimuth: Array) 
     x, z = alpha * sin_o / length, cos_o / length
     cap_z = (1 - height) * (1 + z) - z
     cap_r = np.sqrt(np.maximum(1 - cap_z * cap_z, 0))
-    half = _unit(np.stack([alpha * (cap_r * np.cos(azimuth) + x), alpha * cap_r * np.sin(azimuth), cap_z + z], -1))
+    half = unit(np.stack([alpha * (cap_r * np.cos(azimuth) + x), alpha * cap_r * np.sin(azimuth), cap_z + z], -1))
     view = np.stack([sin_o, np.zeros_like(sin_o), cos_o], axis=-1)
     return np.asarray(2 * (half * view).sum(-1, keepdims=True) * half - view)
 
@@ -199,8 +186,3 @@ def _lookup(pyramid: list[Array], directions: Array, solid_angle: Array) -> Arra
         fine, coarse = (sample_latlong(pyramid[k], uv[chosen]) for k in (index, index + 1))
         result[chosen] = (1 - weight) * fine + weight * coarse
     return result
-
-
-def _unit(vectors: NDArray[np.floating]) -> Array:
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.asarray(np.where(length > 1e-12, vectors / np.maximum(length, 1e-12), 0.0), np.float64)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hir_exporters.asset import Asset, validate_asset
-from hir_exporters.engines.engine_light import engine_light
+from hir_exporters.engines.engine_light_cache import cached_engine_light
 from hir_exporters.environment_files.ktx1_container import ktx1_bytes
 from hir_exporters.errors import ExportError
 from hir_exporters.exporter import Edit, Exporter, ExportReport
@@ -104,7 +104,7 @@ def _radiance(asset: Asset, config: HarmonicsConfig, height: int = 0) -> tuple[N
     """The light in world axes, or what remains of it beside the lights of profile engine."""
     if config.profile == "unaltered":
         return world_radiance(asset, height)
-    light = engine_light(asset, config.lights)
+    light = cached_engine_light(asset, config.lights)
     residual = light.split.residual
     if height:
         residual = resample_latlong(residual, height, 2 * height).astype(np.float32)

@@ -12,7 +12,7 @@ from urllib.parse import quote
 
 from hir_exporters.asset import Asset, AssetEnvironment, validate_asset
 from hir_exporters.budgets import BUDGETS, apply_budget, budget_images, fit_mesh
-from hir_exporters.engines.engine_light import engine_light
+from hir_exporters.engines.engine_light_cache import cached_engine_light
 from hir_exporters.exporter import Edit, Exporter, ExportReport, companion_file
 from hir_exporters.files.atomic import write_bytes_atomic
 from hir_exporters.format_options import GltfConfig
@@ -31,6 +31,7 @@ from hir_exporters.materials.texture_packing import limit_texture_sizes, texture
 from hir_exporters.mesh.convex_decomposition import convex_hulls
 from hir_exporters.textures.image_encoding import EncodedImage
 from hir_exporters.textures.image_files import write_hdr
+from hir_exporters.thumbnail.thumbnail import thumbnail_file, thumbnail_png
 
 if TYPE_CHECKING:
     from pygltflib import GLTF2
@@ -59,15 +60,16 @@ class GltfExporter(Exporter):
 
 
 def _write(asset: Asset, destination: Path, config: GltfConfig, edit: Edit | None, embed: bool) -> ExportReport:
-    start = time.perf_counter()
+    start, whole = time.perf_counter(), asset
     validate_asset(asset)
     encoding = image_encoding(config)
+    light = None
+    if config.profile == "engine" and asset.environment is not None:
+        light = cached_engine_light(asset, config.lights)
     asset, warnings = apply_budget(asset, config.budget)
     warnings += texture_size_warnings(asset.material, config.max_texture_size)
     asset = replace(asset, material=limit_texture_sizes(asset.material, config.max_texture_size))
-    light = None
-    if config.profile == "engine" and asset.environment is not None:
-        light = engine_light(asset, config.lights)
+    if light is not None:
         asset = replace(asset, environment=AssetEnvironment(light.split.residual))
         warnings += (light.sentence(), *light.warnings)
     gathered = gather_asset(asset, config, light)
@@ -98,6 +100,9 @@ def _write(asset: Asset, destination: Path, config: GltfConfig, edit: Edit | Non
         files.append(destination.with_suffix(".hdr") if light is None else residual)
         write_hdr(files[-1], radiance)
         warnings += light_warnings
+    if config.thumbnail:
+        files.append(thumbnail_file(destination))
+        write_bytes_atomic(files[-1], thumbnail_png(whole))
     return ExportReport(tuple(files), warnings, gathered.residuals, time.perf_counter() - start)
 
 

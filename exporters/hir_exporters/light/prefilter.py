@@ -6,6 +6,7 @@ n = v = r, weighted by n.l: the first factor of the split-sum approximation (Kar
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -73,24 +74,33 @@ def prefiltered_cubemap(radiance: NDArray[np.floating], roughness: list[float], 
     """
     pyramid = latlong_pyramid(np.asarray(radiance, np.float64))
     return [
-        _filtered(pyramid, face_directions(side), rough**2)
+        _filtered(pyramid, face_directions(side), rough**2, 4 * np.pi / (6 * side**2))
         for side, rough in zip(level_sizes(size), roughness, strict=True)
     ]
 
 
-def _filtered(pyramid: list[Array], directions: Array, alpha: float) -> Array:
-    texel = 4 * np.pi / (6 * directions.shape[1] ** 2)
+def prefiltered_latlong(radiance: NDArray[np.floating], levels: Sequence[tuple[float, int]]) -> list[Array]:
+    """Images (rows, 2 rows, 3) of a lat-long image (H, 2H, 3) in world axes, for pairs (perceptual roughness, rows)."""
+    pyramid = latlong_pyramid(np.asarray(radiance, np.float64))
+    return [
+        _filtered(pyramid, latlong_directions(rows, 2 * rows), rough**2, (np.pi / rows) ** 2) for rough, rows in levels
+    ]
+
+
+def _filtered(pyramid: list[Array], directions: Array, alpha: float, texel: float) -> Array:
+    """The light around `directions`, which are `texel` steradians apart."""
     if alpha < 1e-3:
         return _lookup(pyramid, directions, texel)
     for largest_alpha, samples, step in _FIBONACCI_LATTICES:
         if alpha <= largest_alpha:
-            return _importance_sampled(pyramid, directions, alpha, samples, step)
+            return _importance_sampled(pyramid, directions, alpha, texel, samples, step)
     return _integrated(next(level for level in pyramid if level.shape[0] <= _WIDE_LOBE_ROWS), directions, alpha)
 
 
-def _importance_sampled(pyramid: list[Array], directions: Array, alpha: float, samples: int, step: int) -> Array:
+def _importance_sampled(
+    pyramid: list[Array], directions: Array, alpha: float, texel: float, samples: int, step: int
+) -> Array:
     """A lattice of half vectors with the density D (n.h); each lookup averages over the solid angle of its sample."""
-    texel = 4 * np.pi / (6 * directions.shape[1] ** 2)
     u = (np.arange(samples) + 0.5) / samples
     phi = 2 * np.pi * (np.arange(samples) * step / samples % 1.0)
     cos_h = np.sqrt((1 - u) / (1 + (alpha * alpha - 1) * u))

@@ -1,6 +1,6 @@
 """Decodes a file that was read back into an asset: its mesh, and its material in the closest BRDF model.
 
-The file is read by libraries that share no code with the exporters (`hir_exporters.reading.readback`).
+The file is read by libraries that share no code with the exporters (`gltf_readback`, `usd_readback`).
 """
 
 from __future__ import annotations

@@ -15,8 +15,10 @@ from hir_exporters.materials.conversion_residuals import metallic_residual, spec
 from hir_exporters.materials.material_conversion import to_gltf
 from hir_exporters.materials.surfaces import SpecularSurface
 from hir_exporters.materials.texture_packing import pack_normal
-from hir_exporters.reading.readback import ReadBack, read_gltf, read_usd
+from hir_exporters.reading.gltf_readback import read_gltf
+from hir_exporters.reading.readback import ReadBack
 from hir_exporters.reading.usd_import import read_untrusted_usd
+from hir_exporters.reading.usd_readback import read_usd
 
 READERS: Final[Mapping[str, Callable[[Path], ReadBack]]] = {
     ".glb": read_gltf,

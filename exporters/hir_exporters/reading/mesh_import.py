@@ -21,10 +21,10 @@ from hir_exporters.materials.material_conversion import collapse_uniform_texture
 from hir_exporters.materials.surfaces import MetallicSurface
 from hir_exporters.reading.asset_decoding import decode_asset, decode_surface
 from hir_exporters.reading.environment_import import read_environment
+from hir_exporters.reading.gltf_readback import gltf_scene, read_gltf_surface
 from hir_exporters.reading.material_overrides import MaterialOverrides, load_color, load_normal_map, load_scalar
 from hir_exporters.reading.mesh_references import check_references, load_mesh_scene
 from hir_exporters.reading.mtl_import import read_mtl
-from hir_exporters.reading.readback import gltf_scene, read_gltf_surface
 from hir_exporters.reading.usd_import import read_untrusted_usd
 
 Array = NDArray[np.floating]

@@ -14,7 +14,9 @@ from typing import Any
 from hir_exporters.errors import InputError
 from hir_exporters.files.subprocess_call import Arrays, SubprocessCrashError, run_in_subprocess
 from hir_exporters.materials.surfaces import MetallicSurface, SpecularSurface
-from hir_exporters.reading.readback import ReadBack, read_usd
+from hir_exporters.reading.readback import ReadBack
+from hir_exporters.reading.usd_readback import read_usd
+from hir_exporters.usd_library import require_usd
 
 
 def read_untrusted_usd(path: Path) -> ReadBack:
@@ -22,6 +24,7 @@ def read_untrusted_usd(path: Path) -> ReadBack:
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path} does not exist")
+    require_usd(path, InputError)
     try:
         arrays = run_in_subprocess("hir_exporters.reading.usd_import:read_usd_arrays", {"path": os.fspath(path)})
     except SubprocessCrashError as error:

@@ -1,4 +1,4 @@
-"""Rasterises triangles in texture space: which triangle covers which texel, and where in it.
+"""Rasterises triangles in texture or image space: which triangle covers which texel, and where in it.
 
 The one rasteriser of the project, in numpy; `hir_core.mesh.texel_rasterization` wraps it for tensors.
 """
@@ -53,7 +53,7 @@ def rasterize_uvs(uvs: NDArray[np.floating], faces: NDArray[np.integer], size: i
 
 
 def rasterize_triangles(
-    corners: Array, height: int, width: int, single: bool = False
+    corners: Array, height: int, width: int, single: bool = False, depths: Array | None = None
 ) -> tuple[Indices, NDArray[np.floating], int]:
     """The triangle (H, W) that covers each texel (−1: none), the barycentric weights (H, W, 3) of the texel's centre in
     it (not negative, sum 1), and the number of texels that lie inside more than one triangle.
@@ -61,10 +61,12 @@ def rasterize_triangles(
     `corners` (F, 3, 2) are columns and rows in texels; centres of texels lie at .5. A texel is covered where its centre
     lies in the closed triangle, so that no texel is lost at a shared edge; of several triangles the last one is taken.
     Triangles without area and parts outside of the texture cover nothing. `single` stores the weights in float32.
+    With `depths` (F, 3) of the corners, linear in the image, the triangle of least depth at the texel is taken.
     """
     owner = np.full(height * width, -1, dtype=np.int64)
     weights = np.zeros((height * width, 3), dtype=np.float32 if single else np.float64)
     claims = np.zeros(height * width, dtype=np.uint8)
+    nearest = None if depths is None else np.full(height * width, np.inf)
     boxes = _boxes(corners, height, width)
     planes = _barycentric_planes(corners)
     counts = boxes[:, 2] * boxes[:, 3]
@@ -77,12 +79,18 @@ def rasterize_triangles(
         stop = max(int(np.searchsorted(ends, before + _CANDIDATES_PER_PASS, side="right")), start + 1)
         faces = order[start:stop]
         face, texel, inside = _inside(faces, counts[faces], boxes, planes, width)
-        owner[texel] = face
-        weights[texel] = inside
         # a centre on a shared edge lies in two triangles of one chart, which is no overlap
         strict = texel[(inside[:, 0] > _STRICT) & (inside[:, 1] > _STRICT) & (inside[:, 2] > _STRICT)]
         twice, times = np.unique(strict, return_counts=True)
         claims[twice] = np.minimum(claims[twice] + np.minimum(times, 2), 2)
+        if depths is not None and nearest is not None:
+            depth = (inside * depths[face]).sum(axis=1)
+            chosen = np.argsort(-depth, kind="stable")  # the nearest is written last
+            chosen = chosen[depth[chosen] < nearest[texel[chosen]]]
+            face, texel, inside = face[chosen], texel[chosen], inside[chosen]
+            nearest[texel] = depth[chosen]
+        owner[texel] = face
+        weights[texel] = inside
         start = stop
     return owner.reshape(height, width), weights.reshape(height, width, 3), int((claims > 1).sum())
 

@@ -13,7 +13,7 @@ import pytest
 from hir_exporters.asset import Asset, AssetEnvironment, AssetMaterial, AssetMesh
 from hir_exporters.errors import ExportError
 from hir_exporters.formats import create_exporter
-from hir_exporters.reading.readback import read_gltf
+from hir_exporters.reading.gltf_readback import read_gltf
 from hir_exporters.scene_format import save_scene
 from hir_exporters.textures.image_files import write_png
 

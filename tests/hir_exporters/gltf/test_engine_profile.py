@@ -6,8 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hir_exporters.asset import Asset, AssetEnvironment, AssetMaterial
+from hir_exporters.content_cache import ContentCache
 from hir_exporters.conventions import latlong_directions, latlong_solid_angles
-from hir_exporters.engines.engine_light import engine_light
+from hir_exporters.engines import engine_light_cache
+from hir_exporters.engines.engine_light import EngineLight, engine_light
+from hir_exporters.engines.engine_light_cache import cached_engine_light
 from hir_exporters.format_options import (
     CubemapConfig,
     EnvironmentConfig,
@@ -25,6 +28,8 @@ from pygltflib import GLTF2
 from scipy.spatial.transform import Rotation
 
 HEIGHT = 32
+
+RESIDUALS = ("x_glb_residual.hdr", "x_gltf_residual.hdr", "x_usda_residual.hdr", "x_usdz_residual.hdr")
 
 
 @pytest.fixture
@@ -190,3 +195,41 @@ def test_levels_of_detail_have_the_lights_too(metal: Asset, tmp_path: Path) -> N
     create_exporter("glb", config).write(metal, tmp_path / "x.glb")
     for name in ("x.glb", "x_lod1.glb"):
         assert len(gltf_lights(tmp_path / name)[0]) >= 2, name
+
+
+def test_all_formats_divide_the_light_once_and_alike(
+    metal: Asset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where a format reduces the mesh or the textures."""
+    divided: list[int] = []
+
+    def counted(asset: Asset, max_lights: int) -> EngineLight:
+        divided.append(max_lights)
+        return engine_light(asset, max_lights)
+
+    monkeypatch.setattr(engine_light_cache, "engine_light", counted)
+    monkeypatch.setattr(engine_light_cache, "_CACHE", ContentCache(2))
+    rough = np.linspace(0.2, 0.4, 64, dtype=np.float32).reshape(8, 8)
+    asset = dataclasses.replace(metal, material=AssetMaterial.metallic([0.9, 0.7, 0.4], 1.0, rough))
+    for suffix, config in (
+        ("glb", GltfConfig(profile="engine", budget="web")),
+        ("gltf", GltfConfig(profile="engine", max_texture_size=4)),
+        ("usda", UsdConfig(profile="engine", max_texture_size=4)),
+        ("usdz", UsdzConfig(profile="engine")),
+        ("hdr", EnvironmentConfig(profile="engine")),
+    ):
+        create_exporter(suffix, config).write(asset, tmp_path / f"x.{suffix}")
+    assert divided == [8]
+    residuals = {name: (tmp_path / name).read_bytes() for name in ("x.hdr", *RESIDUALS)}
+    assert len(set(residuals.values())) == 1, sorted(residuals)
+
+
+def test_a_changed_asset_is_divided_anew(metal: Asset) -> None:
+    first = cached_engine_light(metal, 8)
+    assert cached_engine_light(dataclasses.replace(metal, name="other"), 8) is first
+    assert cached_engine_light(metal, 4) is not first
+    mirror = dataclasses.replace(metal, material=AssetMaterial.metallic([0.9] * 3, 1.0, 0.001))
+    assert cached_engine_light(mirror, 8).threshold is None and first.threshold is not None
+    assert metal.environment is not None
+    metal.environment.radiance[:] = 0.5  # in place
+    assert cached_engine_light(metal, 8).threshold is None

@@ -14,7 +14,7 @@ from hir_exporters.format_options import GltfConfig
 from hir_exporters.formats import create_exporter
 from hir_exporters.materials import material_conversion
 from hir_exporters.reading.file_verification import verify_file
-from hir_exporters.reading.readback import read_gltf
+from hir_exporters.reading.gltf_readback import read_gltf
 from hir_exporters.reading.validators import validate_gltf
 from pygltflib import GLTF2
 

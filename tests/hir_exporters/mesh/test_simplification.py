@@ -11,7 +11,7 @@ from hir_exporters.formats import create_exporter
 from hir_exporters.mesh.simplification import simplify
 from hir_exporters.mesh.tangents import with_tangents
 from hir_exporters.mesh.vertex_welding import weld
-from hir_exporters.reading.readback import read_gltf
+from hir_exporters.reading.gltf_readback import read_gltf
 from hir_exporters.textures.uv_rasterization import rasterize_uvs
 
 Sphere = Callable[..., AssetMesh]

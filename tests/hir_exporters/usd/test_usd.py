@@ -6,11 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hir_exporters import usd_library
 from hir_exporters.asset import Asset, AssetMesh
-from hir_exporters.errors import ExportError
+from hir_exporters.errors import ExportError, InputError
 from hir_exporters.format_options import UsdConfig, UsdzConfig
 from hir_exporters.formats import create_exporter
 from hir_exporters.reading.file_verification import verify_file
+from hir_exporters.reading.usd_import import read_untrusted_usd
+from hir_exporters.reading.usd_readback import read_usd
 from hir_exporters.reading.validators import validate_omniverse, validate_usd
 from hir_exporters.usd.usdz_package import usdz_bytes
 from pxr import Usd, UsdGeom
@@ -258,3 +261,19 @@ def test_points_with_two_normals_stay_two(constant_asset: Asset, tmp_path: Path)
     path = create_exporter("usda").write(dataclasses.replace(constant_asset, mesh=mesh), tmp_path / "x.usda").files[0]
     stage = Usd.Stage.Open(str(path))
     assert len(UsdGeom.Mesh(stage.GetDefaultPrim().GetChild("Geometry")).GetPointsAttr().Get()) == 6
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_without_its_library_the_extra_is_named(
+    textured_asset: Asset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str
+) -> None:
+    path = tmp_path / f"x.{suffix}"
+    create_exporter(suffix).write(textured_asset, path)
+    before = path.read_bytes()
+    monkeypatch.setattr(usd_library, "find_spec", lambda name: None)
+    with pytest.raises(ExportError, match=rf"x\.{suffix}: USD files need usd-core; .* 'hir\[usd\]'$"):
+        create_exporter(suffix).write(textured_asset, path)
+    assert path.read_bytes() == before
+    for read in (read_usd, read_untrusted_usd):
+        with pytest.raises(InputError, match=r"pip install 'hir\[usd\]'$"):
+            read(path)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 from hir_exporters import create_exporter
-from hir_exporters.reading.readback import read_gltf
+from hir_exporters.reading.gltf_readback import read_gltf
 
 from hir_core.capture import Capture
 from hir_core.plugins.interfaces import CheckpointLocation

@@ -1,0 +1,1 @@
+"""A small picture of the asset, for file browsers and asset libraries."""
