@@ -52,12 +52,14 @@ class BilateralEnergy:
             total, deviations = self._smoothing.absolute_deviation(guide, values)
             by_guide, by_values = torch.autograd.grad(total, (guide, values))
         guide, values = guide.detach(), values.detach()
-        means, by_means = values - deviations, by_values - deviations.sign()
+        by_means = by_values - deviations.sign()
 
         def energy(scene: Scene) -> Float[Tensor, ""]:
             other_guide, other = self._shown(scene)
-            linear = (by_means * (other - values)).sum() + (by_guide * (other_guide - guide)).sum()
-            return (other - means).abs().sum() + linear
+            change = other - values
+            linear = (by_means * change).sum() + (by_guide * (other_guide - guide)).sum()
+            # not `other - means`: where a value is nearly its mean, rounding would decide on the sign of the gradient
+            return (deviations + change).abs().sum() + linear
 
         return energy
 

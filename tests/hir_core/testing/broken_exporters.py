@@ -86,11 +86,19 @@ class Invalid(Usd):
 
 
 def obj(implementation: type = Obj) -> Component:
-    return Component("obj", f"{HERE}:{implementation.__name__}", ObjConfig, "OBJ, wrapped.")
+    return made("obj", implementation, ObjConfig, "OBJ, wrapped.")
 
 
 def usda(implementation: type = Usd) -> Component:
-    return Component("usda", f"{HERE}:{implementation.__name__}", UsdConfig, "USD, wrapped.", traits=frozenset({"usd"}))
+    return made("usda", implementation, UsdConfig, "USD, wrapped.", frozenset({"usd"}))
+
+
+def made(
+    name: str, implementation: type, config: type, summary: str, traits: frozenset[str] = frozenset()
+) -> Component:
+    """Both kinds are in this file, which imports USD."""
+    target = f"{HERE}:{implementation.__name__}"
+    return Component(name, target, config, summary, traits=traits, requires=("pxr",), extra="usd")
 
 
 BROKEN_EXPORTERS: dict[str, Component] = {
