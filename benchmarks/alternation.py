@@ -69,11 +69,11 @@ def _ignore_progress(share: float) -> None:
 
 def alternate(solver: TransportSolver, views: Sequence[int], rounds: int) -> Parameters:
     """Solves light, then albedos, `rounds` times, from the initial guess of the gradient steps."""
-    photographs = solver._photographs(views)
+    photographs = solver._pixels.of(views)
     parameters = solver._initial_parameters(
         FITTED_MODEL, Fit(ModelSpec(), solver._initial_parameters(ModelSpec(), None, photographs)), photographs
     )
-    stream = solver._mini_batches(photographs, FITTED_MODEL)
+    stream = solver._pixels.batches(photographs, FITTED_MODEL)
     blocks = [stream.make(parameters, number) for number in range(stream.count)]
     specular = specular_matrices(blocks, FITTED_MODEL.brdf)
     refresh_matrices(blocks, specular, parameters)

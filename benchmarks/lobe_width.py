@@ -45,7 +45,7 @@ def main() -> None:
 def print_profile(solver: TransportSolver, fit: Fit, views: list[int]) -> None:
     """The loss around the fitted width: weights of directions that were drawn there, and directions drawn anew."""
     settings = FitSettings(1, fit.spec.brdf, fit.spec.bounces)
-    batches = solver._mini_batches(solver._photographs(views), fit.spec)
+    batches = solver._pixels.batches(solver._pixels.of(views), fit.spec)
     drawn = batches.sample(fit.parameters)
     alpha = float(fit.parameters.alpha)
     print("\n| α / fitted α | fixed directions | drawn anew |\n|---|---|---|")

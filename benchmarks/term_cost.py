@@ -45,7 +45,7 @@ def study(path: Path, effort: float, seed: int, triangles: int, options: Mapping
     assert isinstance(solver, TransportSolver)
     views, held_out = model_selection_folds(len(task.train.views))[0]
     start = solver.fit(START, None, views, effort / 4, lambda share: None)
-    pixels = len(solver._photographs(views)) / len(views)
+    pixels = len(solver._pixels.of(views)) / len(views)
     paper = PIXELS_OF_A_WEIGHT / pixels / PAPER_SHARE
     terms: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
         "no term": {},
@@ -59,7 +59,7 @@ def study(path: Path, effort: float, seed: int, triangles: int, options: Mapping
         seconds: dict[str, float] = {}
         created = solver_terms(tables, task.plugins, seed, seconds)
         chosen = solver.with_terms(created) if created else solver
-        chosen._photographs(views)  # decoded before the time is taken
+        chosen._pixels.of(views)  # decoded before the time is taken
         began = time.process_time()
         fit = chosen.fit(FITTED, start, views, effort, lambda share: None)
         spent = time.process_time() - began

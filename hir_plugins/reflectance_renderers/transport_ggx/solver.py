@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import final
@@ -20,11 +19,11 @@ from hir_core.errors import StageError
 from hir_core.plugins.interfaces import CheckpointLocation, PreparedReflectance, ReflectanceSolver, Solved, WeightedTerm
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene import EnvironmentMap, Material, Scene, Topology
-from hir_core.scene.srgb import linear_to_srgb, srgb_to_linear
+from hir_core.scene.srgb import srgb_to_linear
 from hir_plugins.reflectance_renderers.transport_ggx.fit import joint_optimization
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_checkpoints import FitCheckpoint
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_terms import FitTerms
-from hir_plugins.reflectance_renderers.transport_ggx.fit.initial_guess import (
+from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.initial_guess import (
     extended_to,
     initial_albedo,
     initial_candidates,
@@ -32,25 +31,19 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.initial_guess import (
     without_indirect,
 )
 from hir_plugins.reflectance_renderers.transport_ggx.fit.joint_optimization import FitSettings
-from hir_plugins.reflectance_renderers.transport_ggx.fit.mini_batches import MiniBatches
 from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import (
     MIN_VIEW_COSINE,
     ObservedPixels,
-    concatenate,
-    observe_pixels,
 )
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import MAX_RADIANCE, Parameters
+from hir_plugins.reflectance_renderers.transport_ggx.fit.photograph_pixels import PhotographPixels
 from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import (
-    PixelBatch,
     PixelColors,
     predict,
     srgb_residual,
 )
 from hir_plugins.reflectance_renderers.transport_ggx.fit.smoothness import SmoothnessWeights
-from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_light import pixel_irradiance
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
-from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
-from hir_plugins.reflectance_renderers.transport_ggx.operator.shading_normals import offset_normals
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.shading import TransportShading
 from hir_plugins.reflectance_renderers.transport_ggx.textures.albedo_refinement import AlbedoRefinement
@@ -64,18 +57,8 @@ UPRIGHT = torch.diag(torch.tensor([1.0, -1.0, -1.0]))
 """Rotation from a camera's axes to those of a light that moves with it: y up and z backwards, so that the light's image
 is upright."""
 MIN_VIEW_DEGREES = math.degrees(math.asin(MIN_VIEW_COSINE))
-COMPARED_PIXELS = 2_048
-"""Pixels of each held-out view whose error is compared, at most: all models are compared on the same ones, and views
-differ more than pixels do."""
 MAX_COMPARED_POINTS = 12_000
 """Surface points of held-out views at which per-texel values are solved to compare them."""
-SAMPLE_PIXELS = 4_096
-"""Pixels of all views together on which widths of a lobe are compared."""
-SAMPLE_DIRECTIONS_FACTOR = 2
-"""Multiple of the directions of a lobe there: the noise of few directions grows with the width and favours narrow
-lobes."""
-SAMPLE_NUMBER = -1
-"""Their key among the batches."""
 TRIAL_EFFORT = 0.25
 TRIAL_PIXEL_SHARE = 0.4
 """Effort (at most half of the fit's) and share of the pixels of the short fits that choose initial values."""
@@ -117,13 +100,11 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         self._terms = tuple(terms)
         self._edges = Topology(transport.surface.faces).edges
         self._shading = TransportShading(transport, capture, downsample, options)
-        self._observed_pixels: dict[int, ObservedPixels] = {}
-        self._recent: OrderedDict[tuple[tuple[int, ...], float], ObservedPixels] = OrderedDict()
-        self._max_recent_pixels = options.resident_pixels // 2
         self._images = ImageCache(capture, downsample)
         self._first_fits: dict[tuple[ModelSpec, tuple[int, ...], float, float], Parameters] = {}
         self._lit_surface: tuple[Parameters, ModelSpec, tuple[int, ...], LitSurface] | None = None
         self._rotation = _camera_rotations(capture, transport.surface.positions.device)
+        self._pixels = PhotographPixels(transport, capture, downsample, options, self._rotation)
 
     def with_terms(self, terms: Sequence[WeightedTerm]) -> TransportSolver:
         """The same solver, whose fits at vertices and whose albedo textures minimise the terms too."""
@@ -182,7 +163,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
             if from_nothing:
                 self._first_fits[first] = fitted
             return Fit(spec, fitted, tuple(views))
-        photographs = self._recent_pixels(views, pixel_share)
+        photographs = self._pixels.recent(views, pixel_share)
         if not len(photographs):
             raise StageError(
                 f"no pixel of {len(views)} photographs shows the surface from more than {MIN_VIEW_DEGREES:.0f} degrees"
@@ -210,7 +191,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
             parameters = self._best_candidate(photographs, candidates, settings, spec, effort)
         fitted = joint_optimization.fit(
             self._transport,
-            self._mini_batches(photographs, spec),
+            self._pixels.batches(photographs, spec),
             parameters,
             settings,
             self._edges,
@@ -230,7 +211,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         With the albedo of the gradient steps: a closed-form albedo compensates a wrong light (on the chair the light on
         the camera would win).
         """
-        photographs = self._compared_pixels(views)
+        photographs = self._pixels.compared(views)
         count = len(self._capture.views)
         total, seen = np.zeros(count), np.zeros(count)
         for pixels, radiance in self._predicted(fit, photographs):
@@ -251,7 +232,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
                 few = photographs.take(torch.arange(0, len(photographs), interval))
                 yield PixelColors.of(few), predict_pixels(self._lit(fit), few, fit.spec.per_texel == "brdf")
                 return
-            for block, specular in self._mini_batches(photographs, fit.spec).each(fit.parameters, fit.spec.brdf):
+            for block, specular in self._pixels.batches(photographs, fit.spec).each(fit.parameters, fit.spec.brdf):
                 yield block, predict(self._transport, block, specular, fit.parameters, fit.spec.bounces)
 
     def _lit(self, fit: Fit) -> LitSurface:
@@ -282,7 +263,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
             material, parameters, equations, figures = solve_per_texel_maps(
                 lit,
                 self._scene,
-                self._photographs(views),
+                self._pixels.of(views),
                 self._downsample,
                 self._options,
                 report,
@@ -327,110 +308,6 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
             _, direct = self._transport.sources(values.radiance, values.base_color, 0)
         return Indirect(irradiance - direct, sources[texels:])
 
-    def _photographs(self, views: Sequence[int]) -> ObservedPixels:
-        most = max(64, self._options.pixels // max(len(self._capture.views), 1))
-        for view in views:
-            if view not in self._observed_pixels:
-                self._observed_pixels[view] = observe_pixels(
-                    self._transport, self._capture, view, most, self._downsample, self._options.seed
-                )
-        return concatenate([self._observed_pixels[v] for v in views])
-
-    def _compared_pixels(self, views: Sequence[int]) -> ObservedPixels:
-        """At most `COMPARED_PIXELS` of each view."""
-
-        def thinned() -> ObservedPixels:
-            parts = [self._photographs([view]) for view in views]
-            rows = [torch.arange(0, len(part), max(1, math.ceil(len(part) / COMPARED_PIXELS))) for part in parts]
-            return concatenate([part.take(chosen) for part, chosen in zip(parts, rows, strict=True)])
-
-        return self._recently((tuple(views), 0.0), thinned)
-
-    def _recent_pixels(self, views: Sequence[int], share: float) -> ObservedPixels:
-        """The pixels of a fit."""
-        return self._recently((tuple(views), share), lambda: self._subsampled(self._photographs(views), share))
-
-    def _recently(self, key: tuple[tuple[int, ...], float], make: Callable[[], ObservedPixels]) -> ObservedPixels:
-        """The last pixels of fits and comparisons stay in memory with their irradiance matrices."""
-        found = self._recent.pop(key, None)
-        if found is None:
-            found = make()
-        self._recent[key] = found
-        while len(self._recent) > 1 and sum(map(len, self._recent.values())) > self._max_recent_pixels:
-            self._recent.popitem(last=False)
-        return found
-
-    def _subsampled(self, photographs: ObservedPixels, share: float) -> ObservedPixels:
-        """A share of the pixels, drawn at random."""
-        if share >= 1.0:
-            return photographs
-        generator = torch.Generator().manual_seed(self._options.seed)
-        return photographs.take((torch.rand(len(photographs), generator=generator) < share).nonzero()[:, 0])
-
-    def _mini_batches(self, photographs: ObservedPixels, spec: ModelSpec) -> MiniBatches:
-        block = self._options.block_pixels
-        count = max(1, math.ceil(len(photographs) / block))
-        order = torch.randperm(len(photographs), generator=torch.Generator().manual_seed(self._options.seed))
-
-        def make(state: Parameters, number: int) -> PixelBatch:
-            seed = number + (self._options.seed << 32)
-            part = photographs.take(order[number::count])
-            irradiance = self._irradiance(photographs, number, part, spec, seed)
-            return self._pixel_batch(part, spec, state, seed, self._options.samples, irradiance)
-
-        def sample(state: Parameters) -> PixelBatch:
-            directions, seed = SAMPLE_DIRECTIONS_FACTOR * self._options.samples, self._options.seed
-            few = photographs.take(order[:SAMPLE_PIXELS])
-            irradiance = self._irradiance(photographs, SAMPLE_NUMBER, few, spec, seed)
-            return self._pixel_batch(few, spec, state, seed, directions, irradiance)
-
-        return MiniBatches(make, sample, count, max(1, self._options.resident_pixels // block))
-
-    def _irradiance(
-        self, photographs: ObservedPixels, number: int, part: ObservedPixels, spec: ModelSpec, seed: int
-    ) -> LinearMap | None:
-        """The irradiance matrix of a batch; None where the irradiance cache has it."""
-        if spec.light_frame != "camera":
-            return None
-        found = photographs.irradiance.get(number)
-        if found is None:
-            found = pixel_irradiance(self._transport, part.points, self._options.diffuse_samples, self._rotation, seed)
-            if len(photographs) <= self._max_recent_pixels:
-                photographs.irradiance[number] = found
-        return found
-
-    def _pixel_batch(
-        self,
-        part: ObservedPixels,
-        spec: ModelSpec,
-        parameters: Parameters,
-        seed: int,
-        directions: int,
-        irradiance: LinearMap | None,
-    ) -> PixelBatch:
-        vertices, cells = self._transport.interpolation(part.points)
-        points = part.points
-        if parameters.normal_offset is not None:
-            points = points.with_normals(
-                offset_normals(points.normal, vertices.matrix @ parameters.normal_offset.detach())
-            )
-        rotation = self._rotation if spec.light_frame == "camera" else None
-        lobes = None
-        if spec.brdf != "diffuse":
-            alpha = parameters.alpha.detach()
-            alpha = alpha if len(alpha) == 1 else vertices.matrix @ alpha
-            lobes = self._transport.lobes(points, alpha, directions, rotation, seed)
-        return PixelBatch(
-            linear_to_srgb(part.color),
-            part.saturated,
-            part.points.view,
-            lobes,
-            vertices,
-            cells if irradiance is None else None,
-            irradiance,
-            part.points.normal,
-        )
-
     def _fit_terms(self, spec: ModelSpec) -> FitTerms | None:
         """The regularizers, and the scene whose material and light a fit changes; None without any."""
         light = self._scene.environment
@@ -470,7 +347,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         effort: float,
     ) -> Parameters:
         """The candidate from which a short fit reaches the lowest loss."""
-        part = self._subsampled(photographs, TRIAL_PIXEL_SHARE)
+        part = self._pixels.subsampled(photographs, TRIAL_PIXEL_SHARE)
         steps = max(1, round(min(TRIAL_EFFORT, effort / 2) * self._options.steps))
         short = replace(settings, steps=steps, solve_albedo=False)
         losses = [self._short_fit(part, spec, candidate, short) for candidate in candidates]
@@ -481,7 +358,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         losses: list[float] = []
         joint_optimization.fit(
             self._transport,
-            self._mini_batches(part, spec),
+            self._pixels.batches(part, spec),
             initial,
             settings,
             self._edges,

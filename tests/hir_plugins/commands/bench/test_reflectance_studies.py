@@ -21,9 +21,9 @@ from tests.hir_plugins.reflectance_renderers.transport_ggx.test_light_and_albedo
 def light_problem(spec: ModelSpec) -> tuple[Any, Parameters, LightProblem]:
     """A sphere with the initial parameters of its fit, in several mini-batches."""
     solver, _ = solver_of(block_pixels=400)
-    photographs = solver._photographs(range(6))
+    photographs = solver._pixels.of(range(6))
     parameters = solver._initial_parameters(spec, None, photographs)
-    batches = solver._mini_batches(photographs, spec)
+    batches = solver._pixels.batches(photographs, spec)
     blocks = [batches.make(parameters, number) for number in range(batches.count)]
     specular = specular_matrices(blocks, spec.brdf)
     refresh_matrices(blocks, specular, parameters)

@@ -24,14 +24,14 @@ SETTINGS = FitSettings(24, "dielectric", 0, refresh_interval=5, alpha_frozen_sha
 def run(resident: int, checkpoint: FitCheckpoint | None = None, stop: int = -1, spec: ModelSpec = SPEC) -> Parameters:
     """A fit of 24 steps with some batches in memory, interrupted after the step `stop`."""
     solver, _ = solver_of(block_pixels=200, resident_pixels=resident)
-    observed = solver._photographs(range(6))
+    observed = solver._pixels.of(range(6))
 
     def interrupt(step: int, _: float) -> None:
         if step == stop:
             raise KeyboardInterrupt
 
     start = solver._initial_parameters(spec, None, observed)
-    batches = solver._mini_batches(observed, spec)
+    batches = solver._pixels.batches(observed, spec)
     settings = replace(SETTINGS, model=spec.brdf)
     return joint_optimization.fit(solver._transport, batches, start, settings, solver._edges, interrupt, checkpoint)
 
@@ -66,8 +66,8 @@ def test_an_interrupted_metallic_fit_ends_with_the_same_bits(tmp_path: Path, met
 def fit_with_broken_view(steps: int) -> Parameters:
     """A fit whose pixels of view 3 are not finite."""
     solver, _ = solver_of()
-    observed = solver._photographs(range(6))
-    batches = solver._mini_batches(observed, SPEC)
+    observed = solver._pixels.of(range(6))
+    batches = solver._pixels.batches(observed, SPEC)
 
     def make(parameters: Parameters, number: int) -> PixelBatch:
         batch = batches.make(parameters, number)

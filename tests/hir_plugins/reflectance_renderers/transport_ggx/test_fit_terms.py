@@ -168,7 +168,7 @@ def test_the_gradient_of_the_objective_with_terms_matches_finite_differences(
 ) -> None:
     """In float64, along random directions of all parameters: pixels, smoothness and terms in both views together."""
     spec = ModelSpec(bounces=1) if brdf == "diffuse" else GLOSSY
-    observed = solver._photographs(VIEWS)
+    observed = solver._pixels.of(VIEWS)
     start = doubled(solver._initial_parameters(spec, None, observed))
     generator = torch.Generator().manual_seed(1)
     changed = {
@@ -181,7 +181,7 @@ def test_the_gradient_of_the_objective_with_terms_matches_finite_differences(
     shown = FitTerms(terms, doubled(solver._scene), doubled(solver._transport.surface))
     settings = FitSettings(1, spec.brdf, spec.bounces)  # type: ignore[arg-type]
     prepared = shown.prepared(start, spec.brdf, settings.huber_srgb)
-    batch = doubled(solver._mini_batches(observed, ModelSpec(bounces=1)).make(start.to("cpu"), 0))
+    batch = doubled(solver._pixels.batches(observed, ModelSpec(bounces=1)).make(start.to("cpu"), 0))
     transport = doubled(solver._transport)
 
     def value(*tensors: Tensor) -> Tensor:
@@ -213,7 +213,7 @@ def test_an_interrupted_fit_with_terms_ends_with_the_same_bits(
 ) -> None:
     terms = terms_of(plugins, {name: {"weight": 1e4} for name in NAMES})
     settings = FitSettings(20, "dielectric", 0, refresh_interval=5, alpha_frozen_share=0.1)
-    observed = solver._photographs(VIEWS)
+    observed = solver._pixels.of(VIEWS)
     start = solver._initial_parameters(GLOSSY, None, observed)
     shown = FitTerms(terms, solver._scene, solver._transport.surface)
 
@@ -222,7 +222,7 @@ def test_an_interrupted_fit_with_terms_ends_with_the_same_bits(
             if step == stop:
                 raise KeyboardInterrupt
 
-        batches = solver._mini_batches(observed, GLOSSY)
+        batches = solver._pixels.batches(observed, GLOSSY)
         return fit(solver._transport, batches, start, settings, solver._edges, interrupt, checkpoint, shown)
 
     checkpoint = FitCheckpoint(tmp_path / "fit", -1.0)
@@ -289,7 +289,7 @@ def test_the_search_of_a_width_evaluates_only_terms_of_it(
     traits = frozenset({"material", "vertex_maps"} | ({"lagged"} if lagged else set()))
     term = WeightedTerm("counted", 2.0, traits, lambda scene: energy)
     uniform = ModelSpec("dielectric", "uniform")
-    start = solver._initial_parameters(uniform, None, solver._photographs(VIEWS))
+    start = solver._initial_parameters(uniform, None, solver._pixels.of(VIEWS))
     prepared = FitTerms((term,), solver._scene, solver._transport.surface).prepared(start, "dielectric", 0.1)
     assert start.width is not None
     wider = replace(start, width=start.width + 1)
@@ -311,7 +311,7 @@ def test_the_gradients_of_a_lagged_term_add_up_to_those_of_every_step(solver: Tr
         assert scene.material is not None
         return scene.material.diffuse_albedo.square().sum()
 
-    start = solver._initial_parameters(ModelSpec("dielectric", "uniform"), None, solver._photographs(VIEWS))
+    start = solver._initial_parameters(ModelSpec("dielectric", "uniform"), None, solver._pixels.of(VIEWS))
     gradients, values = [], []
     for traits in ({"material", "vertex_maps"}, {"material", "vertex_maps", "lagged"}):
         term = WeightedTerm("square", 2.0, frozenset(traits), lambda scene: energy)
@@ -339,17 +339,17 @@ def test_a_lagged_term_is_evaluated_every_fifth_step(solver: TransportSolver) ->
 
     term = WeightedTerm("counted", 2.0, frozenset({"material", "vertex_maps", "lagged"}), lambda scene: energy)
     uniform = ModelSpec("dielectric", "uniform")
-    observed = solver._photographs(VIEWS)
+    observed = solver._pixels.of(VIEWS)
     settings = FitSettings(60, "dielectric", 0, refresh_interval=15)
     shown = FitTerms((term,), solver._scene, solver._transport.surface)
     start = solver._initial_parameters(uniform, None, observed)
-    batches = solver._mini_batches(observed, uniform)
+    batches = solver._pixels.batches(observed, uniform)
     fit(solver._transport, batches, start, settings, solver._edges, lambda step, loss: None, None, shown)
     assert len(evaluated) == 60 / 5 + 6
 
 
 def test_one_value_for_the_whole_surface_stays_a_constant(solver: TransportSolver) -> None:
-    observed = solver._photographs(VIEWS)
+    observed = solver._pixels.of(VIEWS)
     parameters = solver._initial_parameters(ModelSpec("paper", "uniform"), None, observed)
     material = material_at_vertices(parameters, "paper")
     assert material.specular_albedo.shape == (3,) and material.roughness.shape == (1,)

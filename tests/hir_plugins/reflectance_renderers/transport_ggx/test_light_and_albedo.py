@@ -38,7 +38,7 @@ def test_the_initial_albedo_is_uniform_unless_set_otherwise_or_the_light_is_know
 ) -> None:
     solver, middle = solver_of(**options)
     deviation = log_albedo_deviation(
-        solver._initial_parameters(ModelSpec(light_is_known=known), None, solver._photographs(range(6))), middle
+        solver._initial_parameters(ModelSpec(light_is_known=known), None, solver._pixels.of(range(6))), middle
     )
     assert deviation < 1e-6 if uniform else deviation > 0.1
 

@@ -19,7 +19,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.closed_form_albedo impo
     solve_albedo,
 )
 from hir_plugins.reflectance_renderers.transport_ggx.fit.final_albedo import solve_final_albedo
-from hir_plugins.reflectance_renderers.transport_ggx.fit.initial_metalness import metallic_of_albedos
+from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.initial_metalness import metallic_of_albedos
 from hir_plugins.reflectance_renderers.transport_ggx.fit.mini_batches import MiniBatches
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters, logit_of_alpha
 from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import (
@@ -78,8 +78,8 @@ def solver_of(truth: Scene, capture: Capture) -> TransportSolver:
 
 def batch_of(solver: TransportSolver, parameters: Parameters) -> tuple[Transport, PixelBatch]:
     """The transport and one batch of a few pixels."""
-    pixels = solver._photographs([0, 1]).take(torch.arange(0, 300, 6))
-    return solver._transport, solver._pixel_batch(pixels, MIXED, parameters, 0, 16, None)
+    pixels = solver._pixels.of([0, 1]).take(torch.arange(0, 300, 6))
+    return solver._transport, solver._pixels.batch(pixels, MIXED, parameters, 0, 16, None)
 
 
 def parameters_of(solver: TransportSolver, m: Tensor, f0: float = 0.04) -> Parameters:
@@ -115,14 +115,14 @@ def test_the_slope_in_a_map_of_widths_is_that_of_newly_drawn_lobes(half_gold: tu
     count = len(solver._transport.surface.positions)
     widths = torch.linspace(0.15, 0.4, count)[:, None]
     parameters = replace(parameters_of(solver, torch.ones(count, 1)), width=logit_of_alpha(widths))
-    pixels = solver._photographs([0, 1]).take(torch.arange(0, 300, 6))
+    pixels = solver._pixels.of([0, 1]).take(torch.arange(0, 300, 6))
 
     def picture(state: Parameters, directions: int) -> Tensor:
-        batch = solver._pixel_batch(pixels, MIXED, state, 0, directions, None)
+        batch = solver._pixels.batch(pixels, MIXED, state, 0, directions, None)
         return predict(solver._transport, batch, matrices_of(batch, state), state, 0)
 
     def make(state: Parameters, number: int) -> PixelBatch:
-        return solver._pixel_batch(pixels, MIXED, state, number, 1024, None)
+        return solver._pixels.batch(pixels, MIXED, state, number, 1024, None)
 
     source = MiniBatches(make, lambda state: make(state, 0), 1, 1)
     resident = ResidentBatches(
@@ -220,8 +220,8 @@ def test_closed_form_finds_the_base_colour_that_was_rendered(half_gold: tuple[Sc
     count = len(solver._transport.surface.positions)
     for m in (torch.zeros(count, 1), torch.ones(1, 1), torch.full((count, 1), 0.5)):
         truth = parameters_of(solver, m)
-        pixels = solver._photographs(range(10))
-        transport, batch = solver._transport, solver._pixel_batch(pixels, MIXED, truth, 0, 16, None)
+        pixels = solver._pixels.of(range(10))
+        transport, batch = solver._transport, solver._pixels.batch(pixels, MIXED, truth, 0, 16, None)
         shown = predict(transport, batch, matrices_of(batch, truth), truth, 0)
         from hir_core.scene.srgb import linear_to_srgb
 

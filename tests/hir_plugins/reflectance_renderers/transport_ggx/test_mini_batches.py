@@ -26,7 +26,7 @@ from tests.hir_plugins.reflectance_renderers.transport_ggx.test_light_and_albedo
 
 def test_irradiance_of_many_points_is_that_of_their_matrix(monkeypatch: pytest.MonkeyPatch) -> None:
     fit, _ = solver_of()
-    points = fit._photographs(range(2)).points
+    points = fit._pixels.of(range(2)).points
     sources = torch.rand(fit._transport.pyramid.texels + len(fit._transport.irradiance_cache), 3)
     monkeypatch.setattr(camera_light, "PIXELS_PER_CHUNK", len(points) // 3)
     arguments = (fit._transport, points, 4, fit._rotation)
@@ -49,7 +49,7 @@ class LargestTensor(TorchDispatchMode):
 def test_the_initial_guess_under_a_moving_light_needs_no_matrix_of_all_pixels(monkeypatch: pytest.MonkeyPatch) -> None:
     """For 300 views of 512² the matrix takes 2 GB, and only the mean of three numbers is needed."""
     fit, _ = solver_of()
-    photographs = fit._photographs(range(6))
+    photographs = fit._pixels.of(range(6))
     with LargestTensor() as matrix:
         pixel_irradiance(fit._transport, photographs.points, fit._options.diffuse_samples, fit._rotation)
     assert matrix.elements >= len(photographs) * fit._options.diffuse_samples, "the matrix is recorded"
@@ -62,11 +62,11 @@ def test_the_initial_guess_under_a_moving_light_needs_no_matrix_of_all_pixels(mo
 
 def test_lobes_are_freed_before_new_ones_are_sampled(monkeypatch: pytest.MonkeyPatch) -> None:
     fit, _ = solver_of()
-    spec, photographs = ModelSpec("dielectric", "uniform"), fit._photographs(range(6))
+    spec, photographs = ModelSpec("dielectric", "uniform"), fit._pixels.of(range(6))
     earlier: list[weakref.ref[Lobes]] = []
     monkeypatch.setattr(ResidentBatches, "_have_drifted", lambda _: True)
 
-    batches = fit._mini_batches(photographs, spec)
+    batches = fit._pixels.batches(photographs, spec)
 
     def make(state: Parameters, number: int) -> PixelBatch:
         assert all(lobes() is None for lobes in earlier), "lobes of two widths at once"
@@ -83,11 +83,11 @@ def test_lobes_are_freed_before_new_ones_are_sampled(monkeypatch: pytest.MonkeyP
 
 def test_every_batch_is_used_and_no_more_are_in_memory_than_allowed(monkeypatch: pytest.MonkeyPatch) -> None:
     fit, _ = solver_of(block_pixels=200, resident_pixels=400)
-    photographs = fit._photographs(range(6))
+    photographs = fit._pixels.of(range(6))
     alive: list[weakref.ref[Lobes]] = []
     used: set[int] = set()
     most = 0
-    make_batch = fit._pixel_batch
+    make_batch = fit._pixels.batch
 
     def counted(
         part: ObservedPixels, spec: ModelSpec, state: Parameters, number: int, directions: int, irradiance: None
@@ -100,9 +100,9 @@ def test_every_batch_is_used_and_no_more_are_in_memory_than_allowed(monkeypatch:
         most = max(most, sum(lobes() is not None for lobes in alive))
         return batch
 
-    monkeypatch.setattr(fit, "_pixel_batch", counted)
+    monkeypatch.setattr(fit._pixels, "batch", counted)
     spec = ModelSpec("dielectric", "uniform")
-    batches = fit._mini_batches(photographs, spec)
+    batches = fit._pixels.batches(photographs, spec)
     settings = FitSettings(15 * batches.shards, "dielectric", 0)
     joint_optimization.fit(
         fit._transport, batches, fit._initial_parameters(spec, None, photographs), settings, fit._edges, lambda *_: None

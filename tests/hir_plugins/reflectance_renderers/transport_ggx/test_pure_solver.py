@@ -15,8 +15,7 @@ from hir_core.plugins.manager import PluginManager
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene import Material, Scene
 from hir_core.stages.atlas import unwrap_mesh
-from hir_plugins.reflectance_renderers.transport_ggx import solver as solver_module
-from hir_plugins.reflectance_renderers.transport_ggx.fit import joint_optimization
+from hir_plugins.reflectance_renderers.transport_ggx.fit import joint_optimization, photograph_pixels
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import MAX_FITTED_F0
 from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_light import pixel_irradiance
 from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
@@ -143,7 +142,7 @@ def test_hypotheses_share_the_irradiance_of_their_pixels(
         drawn.append(len(arguments[1]))
         return pixel_irradiance(*arguments)
 
-    monkeypatch.setattr(solver_module, "pixel_irradiance", counted)
+    monkeypatch.setattr(photograph_pixels, "pixel_irradiance", counted)
     kinds = [ModelSpec(light_frame="camera"), ModelSpec("dielectric", "uniform", light_frame="camera")]
     solver = solver_of(capture, options)
     fits = [solver.fit(kind, None, VIEWS[:4], 1.0, silent, None, 0.5) for kind in kinds]
@@ -163,9 +162,9 @@ def test_views_are_compared_on_few_pixels_of_each(
     capture: tuple[Scene, Capture], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     solver = solver_of(capture)
-    all_pixels = solver._photographs(VIEWS).points.view.bincount()
-    monkeypatch.setattr(solver_module, "COMPARED_PIXELS", 100)
-    few = solver._compared_pixels(VIEWS)
+    all_pixels = solver._pixels.of(VIEWS).points.view.bincount()
+    monkeypatch.setattr(photograph_pixels, "COMPARED_PIXELS", 100)
+    few = solver._pixels.compared(VIEWS)
     counts = few.points.view.bincount()
     assert (
         len(counts) == len(VIEWS) and all(50 <= int(count) <= 100 for count in counts) and int(all_pixels.min()) > 100
@@ -176,25 +175,25 @@ def test_views_are_compared_on_few_pixels_of_each(
 
 def test_only_the_last_pixels_stay_in_memory(capture: tuple[Scene, Capture]) -> None:
     solver = solver_of(capture)
-    whole = solver._recent_pixels(VIEWS, 1.0)
-    assert solver._recent_pixels(VIEWS, 1.0) is whole
-    solver._max_recent_pixels = len(whole)
-    half = solver._recent_pixels(VIEWS, 0.5)
-    assert solver._recent_pixels(VIEWS, 0.5) is half and list(solver._recent) == [(tuple(VIEWS), 0.5)]
-    solver._max_recent_pixels = 1
+    whole = solver._pixels.recent(VIEWS, 1.0)
+    assert solver._pixels.recent(VIEWS, 1.0) is whole
+    solver._pixels._max_recent_pixels = len(whole)
+    half = solver._pixels.recent(VIEWS, 0.5)
+    assert solver._pixels.recent(VIEWS, 0.5) is half and list(solver._pixels._recent) == [(tuple(VIEWS), 0.5)]
+    solver._pixels._max_recent_pixels = 1
     camera = ModelSpec(light_frame="camera")
     solver.fit(camera, None, VIEWS, 0.1, silent)
-    assert all(not pixels.irradiance for pixels in solver._recent.values()), "too many to keep their matrices"
+    assert all(not pixels.irradiance for pixels in solver._pixels._recent.values()), "too many to keep their matrices"
 
 
 def test_a_share_of_the_pixels_is_a_part_of_them(capture: tuple[Scene, Capture]) -> None:
     solver = solver_of(capture)
-    photographs = solver._photographs(VIEWS)
-    few, half = (solver._subsampled(photographs, share) for share in (0.1, 0.5))
+    photographs = solver._pixels.of(VIEWS)
+    few, half = (solver._pixels.subsampled(photographs, share) for share in (0.1, 0.5))
     rows = {tuple(pixel) for pixel in half.pixel.tolist()}
     assert all(tuple(pixel) in rows for pixel in few.pixel.tolist()), "a larger budget keeps the pixels it had"
     assert len(few) == pytest.approx(0.1 * len(photographs), rel=0.3)
-    assert solver._subsampled(photographs, 1.0) is photographs
+    assert solver._pixels.subsampled(photographs, 1.0) is photographs
 
 
 def test_a_dielectric_reflects_no_more_than_a_gem(monkeypatch: pytest.MonkeyPatch) -> None:

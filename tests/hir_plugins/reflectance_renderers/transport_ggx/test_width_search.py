@@ -80,7 +80,7 @@ def test_one_search_moves_no_farther_than_it_says_and_stays_within_the_limits() 
 def test_a_white_light_is_reflected_alike_at_every_width(ratio: float) -> None:
     """Directions are drawn at one width. Another one has other weights, whose sum is the lobe's albedo again."""
     solver, _ = solver_of()
-    points = solver._photographs(range(2)).points
+    points = solver._pixels.of(range(2)).points
     drawn, asked = torch.tensor([[0.2]]), torch.tensor([[0.2 * ratio]])
     lobes = solver._transport.lobes(points, drawn, 16)
     weight, grazing = lobes.weights(asked)
