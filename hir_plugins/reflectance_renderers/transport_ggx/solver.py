@@ -27,6 +27,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.initial_guess i
     extended_to,
     initial_albedo,
     initial_candidates,
+    initial_metal,
     simpler_model,
     without_indirect,
 )
@@ -59,6 +60,9 @@ is upright."""
 MIN_VIEW_DEGREES = math.degrees(math.asin(MIN_VIEW_COSINE))
 MAX_COMPARED_POINTS = 12_000
 """Surface points of held-out views at which per-texel values are solved to compare them."""
+METAL_COLOR_FROZEN_SHARE = 0.5
+"""Of the first fit of a metal: the light is fitted to its reflections before its base colour varies
+(docs/studies/initial_guess.md)."""
 TRIAL_EFFORT = 0.25
 TRIAL_PIXEL_SHARE = 0.4
 """Effort (at most half of the fit's) and share of the pixels of the short fits that choose initial values."""
@@ -134,7 +138,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
 
         Without one, a simpler model is fitted first. That is the diffuse one, light and albedo before the lobes that
         depend on both. But for metal and dielectric it is metal: a diffuse model explains reflections by the albedo and
-        by a wrong light. A metal is fitted from the photographs' mean colours.
+        by a wrong light. A metal starts with one base colour for all vertices.
         """
         if spec.per_texel != "none":
             # per-texel values are solved when they are used
@@ -185,6 +189,8 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         )
         if initial is not None and initial.parameters.width is not None:
             settings = replace(settings, alpha_frozen_share=0.0)
+        if initial is None and parameters.is_metal and not spec.light_is_known:
+            settings = replace(settings, color_frozen_share=METAL_COLOR_FROZEN_SHARE)
         resumes = file is not None and file.has_state()
         candidates = initial_candidates(parameters, None if initial is None else initial.parameters)
         if len(candidates) > 1 and not resumes:
@@ -322,7 +328,11 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         assert self._scene.material is not None and self._scene.environment is not None
         if initial is None:
             light = self._scene.environment.radiance.clamp(1e-6, MAX_RADIANCE).log()
-            diffuse = self._initial_albedo(photographs, spec, light.exp())
+            if spec.brdf == "metallic" and self._starts_uniform(spec):
+                radiance, diffuse = self._initial_metal(photographs, spec, light.exp())
+                light = radiance.clamp(1e-6, MAX_RADIANCE).log()
+            else:
+                diffuse = self._initial_albedo(photographs, spec, light.exp())
             gain = light.new_zeros(len(self._capture.views)) if self._options.view_gain else None
             base = Parameters(light, torch.logit(diffuse), None, None, gain)
         else:
@@ -331,12 +341,17 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
                 base = replace(base, diffuse=without_indirect(self._transport, base, spec.bounces))
         return extended_to(spec, base, self._scene.material)
 
+    def _starts_uniform(self, spec: ModelSpec) -> bool:
+        return self._options.initial_albedo == "uniform" and not spec.light_is_known
+
     def _initial_albedo(self, photographs: ObservedPixels, spec: ModelSpec, light: Tensor) -> Float[Tensor, "V 3"]:
         rotation = self._rotation if spec.light_frame == "camera" else None
-        # the mean colour of a metal's vertex over the views is its base colour, if the light comes from everywhere
-        uniform = self._options.initial_albedo == "uniform" and not spec.light_is_known and spec.brdf != "metallic"
-        samples = self._options.diffuse_samples
+        uniform, samples = self._starts_uniform(spec), self._options.diffuse_samples
         return initial_albedo(self._transport, photographs, light, uniform, rotation, samples)
+
+    def _initial_metal(self, photographs: ObservedPixels, spec: ModelSpec, light: Tensor) -> tuple[Tensor, Tensor]:
+        rotation = self._rotation if spec.light_frame == "camera" else None
+        return initial_metal(self._transport, photographs, light, rotation, self._options.diffuse_samples)
 
     def _best_candidate(
         self,

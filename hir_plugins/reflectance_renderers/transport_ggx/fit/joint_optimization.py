@@ -61,6 +61,9 @@ class FitSettings:
     alpha_frozen_share: float = 0.2
     """Share of the steps before α changes where lobes are new: under a light that is still uniform it has no meaning.
     Where a fit with lobes goes on it is 0."""
+    color_frozen_share: float = 0.0
+    """Share of the steps before the base colour changes. A metal shows its reflections alone: while the light is still
+    uniform, base colours of its vertices would explain them."""
     f0_frozen_share: float = 0.7
     """Share of the steps before F0 of the dielectric part changes: while metalness is undecided, metal imitates it."""
     refresh_interval: int = 15
@@ -134,6 +137,8 @@ def fit(
     def freeze(step: int) -> None:
         if parameters.width is not None and (searches_width or step < settings.alpha_frozen_share * settings.steps):
             parameters.width.grad = None  # a uniform width is searched, for the terms, too
+        if step < settings.color_frozen_share * settings.steps:
+            parameters.diffuse.grad = None
         if parameters.metalness is not None and step < settings.f0_frozen_share * settings.steps:
             assert parameters.specular is not None
             parameters.specular.grad = None

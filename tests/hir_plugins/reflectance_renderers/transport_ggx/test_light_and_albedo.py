@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,8 @@ import pytest
 import torch
 
 from hir_core.plugins.model_spec import ModelSpec
+from hir_plugins.reflectance_renderers.transport_ggx import solver as solver_module
+from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.initial_guess import METAL_REFLECTANCE
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGGX
@@ -41,6 +44,36 @@ def test_the_initial_albedo_is_uniform_unless_set_otherwise_or_the_light_is_know
         solver._initial_parameters(ModelSpec(light_is_known=known), None, solver._pixels.of(range(6))), middle
     )
     assert deviation < 1e-6 if uniform else deviation > 0.1
+
+
+METAL = ModelSpec("metallic", "uniform", metalness="metal")
+
+
+def test_a_metal_starts_with_one_bright_base_colour_and_what_the_photographs_show() -> None:
+    """Light times base colour is what a diffuse fit starts from; only the base colour of a metal is known to be bright."""
+    solver, middle = solver_of()
+    pixels = solver._pixels.of(range(6))
+    diffuse, metal = (solver._initial_parameters(spec, None, pixels) for spec in (ModelSpec(), METAL))
+    assert float(metal.base_color.std(dim=0).max()) < 1e-6
+    assert float(metal.base_color.max()) == pytest.approx(METAL_REFLECTANCE, abs=1e-5)
+    shown = [(each.radiance.mean((0, 1)) * each.base_color[0]) for each in (diffuse, metal)]
+    torch.testing.assert_close(shown[1], shown[0], rtol=1e-3, atol=1e-5)
+    known = solver._initial_parameters(replace(METAL, light_is_known=True), None, pixels)
+    assert torch.equal(known.light, diffuse.light), "a known light stays"
+    assert float(known.base_color[middle].log().std(dim=0).mean()) > 0.1
+
+
+@pytest.mark.parametrize(("share", "moves"), [(1.0, False), (0.5, True)])
+def test_the_base_colour_of_a_metal_moves_after_its_light(
+    share: float, moves: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(solver_module, "METAL_COLOR_FROZEN_SHARE", share)
+    solver, _ = solver_of()
+    fit = solver.fit(METAL, None, range(6), 0.2, lambda _: None)
+    assert (float(fit.parameters.base_color.std(dim=0).max()) > 1e-3) is moves
+    assert float(fit.parameters.light.std()) > 1e-3
+    further = solver.fit(METAL, fit, range(6), 0.05, lambda _: None)
+    assert not torch.equal(further.parameters.diffuse, fit.parameters.diffuse), "a fit that goes on moves all"
 
 
 def test_a_piecewise_constant_albedo_is_preferred() -> None:

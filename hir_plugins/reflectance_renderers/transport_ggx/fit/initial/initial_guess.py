@@ -22,6 +22,9 @@ from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_light impor
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
 
 MIN_INITIAL_ALBEDO, MAX_INITIAL_ALBEDO = 0.02, 0.95
+METAL_REFLECTANCE = 0.9
+"""Of a metal in its brightest channel at first. Iron and chrome have 0.56, aluminium 0.92, silver, copper and gold 0.95
+to 1 (Lagarde 2011)."""
 MEAN_WEIGHT = 0.05
 """Weight of the mean albedo at a vertex, as a fraction of the mean weight of a vertex's pixels."""
 INDIRECT_ITERATIONS = 4
@@ -48,19 +51,56 @@ def initial_albedo(
     count = len(transport.surface.positions)
     if len(observed) == 0:
         return torch.full((count, 3), 0.5, device=light.device)
-    vertices, cells = transport.interpolation(observed.points)
-    sources, irradiance = transport.sources(light, torch.zeros(count, 3, device=light.device), 0)
-    arriving = cells @ irradiance
-    if rotation is not None:
-        arriving = irradiance_of(transport, observed.points, samples, rotation, sources)
-    mean = observed.color.mean(dim=0) / (arriving / torch.pi).mean(dim=0).clamp_min(1e-6)
+    arriving = _arriving(transport, observed, light, rotation, samples)
+    mean = _mean_albedo(observed, arriving)
     if uniform:
         return mean.clamp(MIN_INITIAL_ALBEDO, MAX_INITIAL_ALBEDO).expand(count, 3).contiguous()
+    vertices = transport.interpolation(observed.points)[0]
     color = vertices.transposed @ observed.color
     white = vertices.transposed @ (arriving / torch.pi)
     weight = MEAN_WEIGHT * white.mean()
     albedo = (color + weight * mean) / (white + weight).clamp_min(1e-9)
     return albedo.clamp(MIN_INITIAL_ALBEDO, MAX_INITIAL_ALBEDO)
+
+
+def initial_metal(
+    transport: Transport,
+    observed: ObservedPixels,
+    light: Float[Tensor, "H W 3"],
+    rotation: Float[Tensor, "N 3 3"] | None,
+    samples: int,
+) -> tuple[Float[Tensor, "H W 3"], Float[Tensor, "V 3"]]:
+    """Light and one base colour of a metal, with the mean colour of the photographs and the brightness of metals.
+
+    The product of both is what photographs show. The base colour is the one that is known to be bright, and what metal
+    reflects in metal depends on it.
+    """
+    count = len(transport.surface.positions)
+    if len(observed) == 0:
+        return light, torch.full((count, 3), METAL_REFLECTANCE, device=light.device)
+    mean = _mean_albedo(observed, _arriving(transport, observed, light, rotation, samples))
+    gain = (mean.max() / METAL_REFLECTANCE).clamp_min(1e-6)
+    base = (mean / gain).clamp(MIN_INITIAL_ALBEDO, MAX_INITIAL_ALBEDO)
+    return light * gain, base.expand(count, 3).contiguous()
+
+
+def _arriving(
+    transport: Transport,
+    observed: ObservedPixels,
+    light: Float[Tensor, "H W 3"],
+    rotation: Float[Tensor, "N 3 3"] | None,
+    samples: int,
+) -> Float[Tensor, "P 3"]:
+    """Irradiance of pixels, without indirect light."""
+    black = torch.zeros(len(transport.surface.positions), 3, device=light.device)
+    sources, irradiance = transport.sources(light, black, 0)
+    if rotation is not None:
+        return irradiance_of(transport, observed.points, samples, rotation, sources)
+    return transport.interpolation(observed.points)[1] @ irradiance
+
+
+def _mean_albedo(observed: ObservedPixels, arriving: Float[Tensor, "P 3"]) -> Float[Tensor, " 3"]:
+    return observed.color.mean(dim=0) / (arriving / torch.pi).mean(dim=0).clamp_min(1e-6)
 
 
 def without_indirect(transport: Transport, base: Parameters, bounces: int) -> Float[Tensor, "V 3"]:
