@@ -45,18 +45,22 @@ class DefaultValue:
     """`package:NAME`, where it is no setting."""
     mesh: Literal["reconstructed", "truth"] = "truth"
     """`reconstructed` for what acts before the material is fitted."""
+    fixed: tuple[str, ...] = ()
+    """Settings of all runs, where the value acts in one model alone."""
 
     def command(self, value: Value) -> list[str]:
         """The Python command of `hir bench materials` with this value."""
+        fixed = [argument for setting in self.fixed for argument in ("--set", setting)]
         if value == self.value:
-            return ["hir_core.cli", "bench", "materials"]
+            return ["hir_core.cli", "bench", "materials", *fixed]
         if self.setting:
-            return ["hir_core.cli", "bench", "materials", "--set", f"{self.setting}={value}"]
-        return ["benchmarks.changed_constant", f"{self.constant}={value}", "bench", "materials"]
+            return ["hir_core.cli", "bench", "materials", *fixed, "--set", f"{self.setting}={value}"]
+        return ["benchmarks.changed_constant", f"{self.constant}={value}", "bench", "materials", *fixed]
 
 
 SELECTION = "hir_core.stages.reflectance"
 PHOTOGRAPHS = "hir_core.stages.geometry"
+FITS = "hir_plugins.reflectance_renderers.transport_ggx.fit"
 TEXTURES = "hir_plugins.reflectance_renderers.transport_ggx.textures"
 DEFAULT_VALUES = {
     "required_standard_errors": DefaultValue(1.0, (0.5, 2.0), constant=f"{SELECTION}:REQUIRED_STANDARD_ERRORS"),
@@ -70,6 +74,14 @@ DEFAULT_VALUES = {
     "least_fine_gain": DefaultValue(0.03, (0.01, 0.1), constant=f"{PHOTOGRAPHS}:LEAST_FINE_GAIN", mesh="reconstructed"),
     "texel_prior_weight": DefaultValue(0.01, (0.003, 0.05), constant=f"{TEXTURES}:TEXEL_PRIOR_WEIGHT"),
     "light_whiteness": DefaultValue(1e-3, (0.0, 1e-2), "reflectance_renderer.transport_ggx.light_whiteness"),
+    "max_fitted_f0": DefaultValue(0.08, (0.05, 0.2), constant=f"{FITS}:MAX_FITTED_F0"),
+    "metal_reflectance": DefaultValue(0.9, (0.6, 0.8), constant=f"{FITS}.initial:METAL_REFLECTANCE"),
+    "bilateral_specular": DefaultValue(
+        0.0,
+        (131.0,),  # the paper's, at 5,000 pixels a view (benchmarks/term_cost.py)
+        "reflectance.regularizers.bilateral_specular.weight",
+        fixed=("reflectance.brdf=dielectric", "reflectance.model=specular_map", "reflectance.light_frame=world"),
+    ),
     "texture_size": DefaultValue(0, (128, 512), "atlas.texture_size"),
     "stereo": DefaultValue("auto", ('["visual_hull", "stereo"]',), "initializers", mesh="reconstructed"),
 }

@@ -32,7 +32,11 @@ def test_the_studied_values_are_those_of_the_code(name: str) -> None:
     else:
         config: object = load_config(PLUGINS)
         for value in default.candidates:
-            assert load_config(PLUGINS, assignments=(f"{default.setting}={value}",)) != config
+            assert load_config(PLUGINS, assignments=(*default.fixed, f"{default.setting}={value}")) != config
+            assert default.command(value)[3:] == [
+                *(argument for setting in default.fixed for argument in ("--set", setting)),
+                *("--set", f"{default.setting}={value}"),
+            ]
         if default.setting in ("initializers", "atlas.texture_size"):
             for part in default.setting.split("."):
                 config = getattr(config, part)
