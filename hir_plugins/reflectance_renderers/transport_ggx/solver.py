@@ -328,7 +328,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         assert self._scene.material is not None and self._scene.environment is not None
         if initial is None:
             light = self._scene.environment.radiance.clamp(1e-6, MAX_RADIANCE).log()
-            if spec.brdf == "metallic" and self._starts_uniform(spec):
+            if spec.brdf == "metallic" and self._has_uniform_guess(spec):
                 radiance, diffuse = self._initial_metal(photographs, spec, light.exp())
                 light = radiance.clamp(1e-6, MAX_RADIANCE).log()
             else:
@@ -341,12 +341,12 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
                 base = replace(base, diffuse=without_indirect(self._transport, base, spec.bounces))
         return extended_to(spec, base, self._scene.material)
 
-    def _starts_uniform(self, spec: ModelSpec) -> bool:
+    def _has_uniform_guess(self, spec: ModelSpec) -> bool:
         return self._options.initial_albedo == "uniform" and not spec.light_is_known
 
     def _initial_albedo(self, photographs: ObservedPixels, spec: ModelSpec, light: Tensor) -> Float[Tensor, "V 3"]:
         rotation = self._rotation if spec.light_frame == "camera" else None
-        uniform, samples = self._starts_uniform(spec), self._options.diffuse_samples
+        uniform, samples = self._has_uniform_guess(spec), self._options.diffuse_samples
         return initial_albedo(self._transport, photographs, light, uniform, rotation, samples)
 
     def _initial_metal(self, photographs: ObservedPixels, spec: ModelSpec, light: Tensor) -> tuple[Tensor, Tensor]:

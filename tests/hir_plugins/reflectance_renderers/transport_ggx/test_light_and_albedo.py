@@ -50,7 +50,7 @@ METAL = ModelSpec("metallic", "uniform", metalness="metal")
 
 
 def test_a_metal_starts_with_one_bright_base_colour_and_what_the_photographs_show() -> None:
-    """Light times base colour is what a diffuse fit starts from; only the base colour of a metal is known to be bright."""
+    """Base colour times light is what a diffuse fit starts from; only the first is known to be bright."""
     solver, middle = solver_of()
     pixels = solver._pixels.of(range(6))
     diffuse, metal = (solver._initial_parameters(spec, None, pixels) for spec in (ModelSpec(), METAL))
