@@ -124,7 +124,7 @@ def _from_table(source: Path, finder: PhotoFinder) -> list[PosedPhoto]:
 
 def _rotation(heading: float, pitch: float, roll: float) -> Array:
     """Camera (axes as OpenGL's) to world (+Z up), from degrees: heading about −z, pitch about x, roll about y."""
-    (cz, cx, cy), (sz, sx, sy) = (turn(np.radians([-heading, pitch, roll])) for turn in (np.cos, np.sin))
+    (cz, cx, cy), (sz, sx, sy) = (of(np.radians([-heading, pitch, roll])) for of in (np.cos, np.sin))
     about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
     about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
     about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
