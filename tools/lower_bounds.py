@@ -27,7 +27,7 @@ TESTS = [
 ]
 """Hostile files too: what an old library opens, a new one may refuse."""
 
-TOOLS = ["pytest", "hypothesis", "mpmath", "jsonschema"]
+TOOLS = ["pytest", "hypothesis", "mpmath", "jsonschema", "scipy"]
 
 
 def main() -> int:

@@ -26,7 +26,8 @@ def main(asset: str, light: str, shots_file: str, folder: str, samples: str = "6
     # the USD importer turns a dome light into the scene's world only where there is one, as a new file has
     bpy.context.scene.world = bpy.data.worlds.new("light")
     if asset.endswith((".glb", ".gltf")):
-        bpy.ops.import_scene.gltf(filepath=asset)
+        # RAW: lights of the file keep their values; by default lux are divided by 683 lm/W
+        bpy.ops.import_scene.gltf(filepath=asset, export_import_convert_lighting_mode="RAW")
     else:
         bpy.ops.wm.usd_import(filepath=asset, create_world_material=light == "-")
     scene = bpy.context.scene

@@ -113,6 +113,8 @@ def hir_register_capture_readers() -> list[Component]:
             name="record3d",
             target="hir_plugin_record3d:Record3D",
             summary="Reads an unpacked capture of the app Record3D.",
+            requires=("scipy",),
+            extra="reconstruct",
             testing="hir_plugin_record3d:write_sample",
         )
     ]

@@ -75,7 +75,7 @@ def hir_register_regularizers() -> list[Component]:
             config=Options,
             summary="Keeps the shape near its mirror image.",
             traits=frozenset({"differentiable", "scale_invariant"}),
-            requires=("torch", "jaxtyping"),
+            requires=("torch", "jaxtyping", "scipy"),
             testing="hir_plugin_symmetry:flat",
         )
     ]

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from hir_core.terminal.command_options import FOLDER, plugin_option, verbosity_options
+from hir_core.terminal.required_packages import require_reconstruction_packages
 
 
 @click.command("edit")
@@ -54,6 +55,7 @@ def edit_command(
 
     The run itself is not changed.
     """
+    require_reconstruction_packages("hir edit")
     from hir_core.plugins.manager import PluginManager
     from hir_core.rendering.asset_edit import AssetEdit, edit_run
 

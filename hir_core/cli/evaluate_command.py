@@ -10,6 +10,7 @@ import click
 
 from hir_core.errors import InputError
 from hir_core.terminal.command_options import FOLDER, plugin_option, verbosity_options
+from hir_core.terminal.required_packages import require_reconstruction_packages
 
 
 @click.command("evaluate")
@@ -63,6 +64,7 @@ def evaluate_command(
     A RUN is a folder with run.json. CAPTURE, the last argument, defaults to the capture of each run. Where the split
     has another light than the train split, the run is rendered under that light.
     """
+    require_reconstruction_packages("hir evaluate")
     from hir_core.config import assign
     from hir_core.plugins.manager import PluginManager
     from hir_core.terminal.progress_bar import ProgressBar

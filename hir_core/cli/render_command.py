@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from hir_core.terminal.command_options import FOLDER, plugin_option, verbosity_options
+from hir_core.terminal.required_packages import require_reconstruction_packages
 
 
 @click.command("render")
@@ -66,6 +67,7 @@ def render_command(
     verbose: bool,
 ) -> None:
     """Renders RUN from the cameras of its photographs or from an orbit. PNG files are sRGB with alpha."""
+    require_reconstruction_packages("hir render")
     from hir_core.config import assign
     from hir_core.errors import ConfigError
     from hir_core.plugins.manager import PluginManager

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from hir_core.terminal.command_options import FOLDER, plugin_option, verbosity_options
+from hir_core.terminal.required_packages import require_reconstruction_packages
 
 
 @click.command("report")
@@ -15,6 +16,7 @@ from hir_core.terminal.command_options import FOLDER, plugin_option, verbosity_o
 @verbosity_options
 def report_command(run: Path, plugin_files: tuple[str, ...], quiet: bool, verbose: bool) -> None:
     """Renders the pictures of RUN again and writes its report.html."""
+    require_reconstruction_packages("hir report")
     from hir_core.plugins.manager import PluginManager
     from hir_core.run.run_directory import open_run
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 from hir_exporters.files.atomic import write_text_atomic
 
-from hir_core.capture import Array, Camera
+from hir_core.capture import Camera
+from hir_core.capture.rotations import quaternion_from_rotation
 from hir_core.errors import ConfigError
 from hir_core.files.json_documents import write_json
 
@@ -80,14 +81,6 @@ def _colmap_lines(cameras: Mapping[str, Camera], files: Mapping[str, str]) -> tu
             parameters += padded[: 4 if model == "OPENCV" else 8]
         numbers = " ".join(repr(float(p)) for p in parameters)
         lines.append(f"{number} {model} {camera.width} {camera.height} {numbers}")
-        pose = [*_quaternion(camera.world_to_camera[:3, :3]), *camera.world_to_camera[:3, 3]]
+        pose = [*quaternion_from_rotation(camera.world_to_camera[:3, :3]), *camera.world_to_camera[:3, 3]]
         pictures.append(f"{number} {' '.join(repr(float(p)) for p in pose)} {number} {files[name]}")
     return lines, pictures
-
-
-def _quaternion(rotation: Array) -> Sequence[float]:
-    """(w, x, y, z) of a rotation matrix."""
-    from scipy.spatial.transform import Rotation
-
-    x, y, z, w = Rotation.from_matrix(rotation).as_quat()
-    return float(w), float(x), float(y), float(z)

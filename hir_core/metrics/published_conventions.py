@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from hir_exporters.conventions import linear_to_srgb
 from numpy.typing import NDArray
-from scipy.ndimage import correlate1d, minimum_filter
 
 from hir_core.metrics.image_metrics import Image, Perceptual
 
@@ -66,6 +65,8 @@ def stanford_orb_albedo(fit_linear: Image, true_linear: Image, true_coverage: Im
 
 def eroded(coverage: Image) -> NDArray[np.bool_]:
     """Pixels (H, W) whose 5×5 neighbours inside the frame are all covered by more than a half."""
+    from scipy.ndimage import minimum_filter
+
     # pixels outside the frame count as covered, as in the erosion of OpenCV
     return np.asarray(
         minimum_filter(np.asarray(coverage > 0.5, dtype=np.uint8), size=5, mode="constant", cval=1), dtype=bool
@@ -92,6 +93,8 @@ def frame_psnr(fit: Array, truth: Array, mask: NDArray[np.bool_]) -> float:
 
 def small_window_ssim(fit: Array, truth: Array) -> Array:
     """SSIM of the 3×3 pixels about each pixel (H, W, C), by Gaussian weights of σ 1.5; borders are mirrored."""
+    from scipy.ndimage import correlate1d
+
     kernel = np.exp(-0.5 * (np.arange(-1, 2) / 1.5) ** 2)
     kernel /= kernel.sum()
 

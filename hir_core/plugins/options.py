@@ -155,7 +155,8 @@ def _sentence(error: Any, kind: type) -> str:
             not key and problem["type"] == "value_error"
         ):  # raised by the class itself about several or all of its options
             parts.append(str(problem["ctx"]["error"]))
-        elif problem["type"] == "unexpected_keyword_argument":
+            continue
+        if problem["type"] == "unexpected_keyword_argument":
             known = _fields_at(kind, problem["loc"][:-1])
             near = get_close_matches(str(problem["loc"][-1]), known, 1)
             advice = f"did you mean {near[0]!r}? " if near else ""

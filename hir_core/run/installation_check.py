@@ -27,6 +27,7 @@ MODULES: Final = {
     "reconstruct": {
         "torch": "torch",
         "jaxtyping": "jaxtyping",
+        "scipy": "scipy",
         "mitsuba": "mitsuba",
         "drjit": "drjit",
         "pycolmap": "pycolmap",

@@ -46,7 +46,7 @@ KIND_TEMPLATES: Final[Mapping[str, KindTemplate]] = {
     "initializer": KindTemplate(
         "Makes the convex hull of the capture's points the first mesh.",
         'min_points: Annotated[int, Interval(ge=4)] = 10\n    """Minimum number of points for a hull."""',
-        ("torch", "jaxtyping"),
+        ("torch", "jaxtyping", "scipy"),
         ("makes_surface",),
         use='hir reconstruct PHOTOS -o RUN --set \'initializers=["colmap", "$name"]\'',
     ),

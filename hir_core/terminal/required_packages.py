@@ -9,7 +9,7 @@ def require_reconstruction_packages(command: str) -> None:
 
     from hir_core.errors import MissingExtraError
 
-    missing = [name for name in ("torch", "jaxtyping") if find_spec(name) is None]
+    missing = [name for name in ("torch", "jaxtyping", "scipy") if find_spec(name) is None]
     if missing:
         raise MissingExtraError(
             f"{command} needs {', '.join(missing)}; install it with: "

@@ -33,6 +33,8 @@ COLOR_KEY = Component(
     target="hir_plugins.masks.color_key:ColorKey",
     config=ColorKeyOptions,
     summary="Chroma keying, for a background of one colour: black, white, green or blue.",
+    requires=("scipy",),
+    extra="reconstruct",
 )
 
 GRABCUT = Component(
@@ -40,7 +42,7 @@ GRABCUT = Component(
     target="hir_plugins.masks.grabcut:GrabCut",
     config=GrabCutOptions,
     summary="GrabCut: segmentation by colour, initialised by the reconstructed points.",
-    requires=("cv2",),
+    requires=("cv2", "scipy"),
     extra="reconstruct",
     traits=frozenset({"automatic", "needs_cameras"}),
 )

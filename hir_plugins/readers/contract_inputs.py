@@ -14,6 +14,7 @@ from hir_exporters.conventions import linear_to_srgb
 from hir_exporters.textures.image_files import write_png
 
 from hir_core.capture import Array, Camera, Capture
+from hir_core.capture.rotations import quaternion_from_rotation
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 """Conversion between OpenCV's camera axes and OpenGL's; its own inverse."""
@@ -33,16 +34,13 @@ def transforms_json(capture: Capture, folder: Path) -> Path:
 
 def colmap_model(capture: Capture, folder: Path) -> Path:
     """COLMAP's text files, with one camera for each image."""
-    from scipy.spatial.transform import Rotation
-
     _pictures(capture, folder / "images")
     cameras, images = [], []
     for i, (view, camera) in enumerate(zip(capture.views, capture.cameras, strict=True), 1):
         k = camera.intrinsics
         cameras.append(f"{i} PINHOLE {camera.width} {camera.height} {_row([k[0, 0], k[1, 1], k[0, 2], k[1, 2]])}")
-        x, y, z, w = Rotation.from_matrix(camera.world_to_camera[:3, :3]).as_quat()
-        translation = camera.world_to_camera[:3, 3]
-        images.append(f"{i} {_row([w, x, y, z, *translation])} {i} {view.name}.png\n")
+        pose = [*quaternion_from_rotation(camera.world_to_camera[:3, :3]), *camera.world_to_camera[:3, 3]]
+        images.append(f"{i} {_row(pose)} {i} {view.name}.png\n")
     points = np.zeros((0, 3)) if capture.points is None else capture.points.positions[:50]
     model = folder / "sparse" / "0"
     model.mkdir(parents=True)

@@ -13,7 +13,6 @@ from typing import Final, final
 from xml.etree.ElementTree import Element
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from hir_core.capture import Array
 from hir_core.errors import CaptureError
@@ -125,7 +124,11 @@ def _from_table(source: Path, finder: PhotoFinder) -> list[PosedPhoto]:
 
 def _rotation(heading: float, pitch: float, roll: float) -> Array:
     """Camera (axes as OpenGL's) to world (+Z up), from degrees: heading about −z, pitch about x, roll about y."""
-    return np.asarray(Rotation.from_euler("ZXY", [-heading, pitch, roll], degrees=True).as_matrix())
+    (cz, cx, cy), (sz, sx, sy) = (of(np.radians([-heading, pitch, roll])) for of in (np.cos, np.sin))
+    about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
+    about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
+    about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+    return np.asarray(about_z @ about_x @ about_y)
 
 
 def _lens(

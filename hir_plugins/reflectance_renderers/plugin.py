@@ -11,7 +11,7 @@ TRANSPORT_GGX = Component(
     target="hir_plugins.reflectance_renderers.transport_ggx.renderer:TransportGGX",
     config=TransportGGXOptions,
     summary="Cached light transport for frozen geometry: rays are traced once, steps are linear algebra.",
-    requires=("torch", "jaxtyping", "mitsuba"),
+    requires=("torch", "jaxtyping", "mitsuba", "scipy"),
     extra="reconstruct",
     traits=frozenset({"material", "environment", "solver", "regularizers"}),
 )

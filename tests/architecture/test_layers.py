@@ -18,7 +18,11 @@ LAYERS = {
     "hir_plugins": ROOT / "hir_plugins",
 }
 MAY_IMPORT = {"hir_exporters": set(), "hir_core": {"hir_exporters"}, "hir_plugins": {"hir_exporters", "hir_core"}}
-HEAVY = ("torch", "mitsuba", "drjit", "open3d", "pycolmap", "xatlas")
+HEAVY = ("torch", "mitsuba", "drjit", "open3d", "pycolmap", "xatlas", "scipy")
+EXTRAS = (*HEAVY, "jaxtyping", "pxr", "cv2", "skimage", "cholespy", "fast_simplification", "matplotlib")
+"""Packages of the extras `reconstruct` and `usd`."""
+
+SAMPLE = ROOT / "examples" / "sample_capture"
 
 
 def imported_packages(path: Path) -> set[str]:
@@ -97,6 +101,67 @@ def run_hir(*arguments: str) -> str:
 )
 def test_starts_light(code: str) -> None:
     assert modules_after(code).isdisjoint(HEAVY)
+
+
+def without_extras(code: str) -> subprocess.CompletedProcess[str]:
+    """The result of `code` in a new process in which no package of `EXTRAS` can be imported."""
+    lines = (
+        "import sys",
+        "from importlib.machinery import PathFinder",
+        "class Installed(PathFinder):",
+        "    @classmethod",
+        "    def find_spec(cls, name, path=None, target=None):",
+        f"        absent = name.partition('.')[0] in {EXTRAS!r}",
+        "        return None if absent else PathFinder.find_spec(name, path, target)",
+        "sys.meta_path = [Installed if finder is PathFinder else finder for finder in sys.meta_path]",
+        code,
+    )
+    return subprocess.run([sys.executable, "-c", "\n".join(lines)], capture_output=True, text=True, check=False)
+
+
+def test_packages_of_extras_are_blocked() -> None:
+    """Otherwise the tests below prove nothing."""
+    for name in EXTRAS:
+        assert f"No module named '{name}'" in without_extras(f"import {name}").stderr
+
+
+@pytest.mark.parametrize("package", ["hir_exporters", "hir_plugins.readers", "hir_core.intake", "hir_core.cli"])
+def test_every_module_of_the_base_install_loads_without_extras(package: str) -> None:
+    code = (
+        "import importlib, pkgutil\n"
+        f"package = importlib.import_module({package!r})\n"
+        f"names = [m.name for m in pkgutil.walk_packages(package.__path__, {package + '.'!r})]\n"
+        "assert len(names) > 5\n"
+        "for name in names:\n"
+        "    name.endswith('__main__') or importlib.import_module(name)"
+    )
+    done = without_extras(code)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("check", str(SAMPLE), "-q"),
+        ("plugins",),
+        ("check-plugin", "colmap_model"),
+        ("check-plugin", "reality_capture"),
+        ("new-plugin", "glow", "--kind", "capture-reader", "-o", "{tmp}"),
+        ("export", "{tmp}/ball.obj", "-f", "glb", "-f", "gltf", "-f", "obj", "--lod", "200,100", "-o", "{tmp}/out"),
+    ],
+    ids=lambda arguments: " ".join(arguments[:2]).replace("/", "_") if arguments[0] != "check" else "check",
+)
+def test_commands_of_the_base_install_work_without_extras(arguments: tuple[str, ...], tmp_path: Path) -> None:
+    import trimesh
+
+    ball = trimesh.creation.icosphere(subdivisions=3)  # 1,280 triangles
+    ball.visual = trimesh.visual.TextureVisuals(uv=ball.vertices[:, :2] / 2 + 0.5)
+    ball.export(tmp_path / "ball.obj")
+    done = without_extras(run_hir(*(word.format(tmp=tmp_path) for word in arguments)))
+    assert done.returncode == 0 and "Traceback" not in done.stderr, done.stdout + done.stderr
+    if arguments[0] == "export":
+        written = {file.name for file in (tmp_path / "out").iterdir()}
+        assert written >= {"ball.glb", "ball_lod1.glb", "ball_lod2.gltf", "ball.obj"}
 
 
 def test_hir_plugins_takes_a_second_or_less() -> None:

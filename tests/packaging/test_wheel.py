@@ -16,7 +16,7 @@ from hir_exporters.asset import Asset, AssetEnvironment, AssetMaterial, AssetMes
 from hir_exporters.scene_format import load_scene, save_scene
 
 ROOT = Path(__file__).resolve().parents[2]
-HEAVY = ("torch", "mitsuba", "drjit", "open3d", "pycolmap", "pxr")
+HEAVY = ("torch", "mitsuba", "drjit", "open3d", "pycolmap", "pxr", "scipy")
 
 
 def message(*arguments: object, folder: Path) -> str:
@@ -81,6 +81,7 @@ def test_light_commands_work(programs: Path, tmp_path: Path) -> None:
     assert listed["problems"] == [], "no plugin is broken for want of a package"
     rows = {(row["kind"], row["name"]): row for row in listed["components"]}
     assert rows["exporter", "glb"]["missing"] == []
+    assert rows["mask_source", "color_key"]["missing"] == ["scipy"]
     assert rows["exporter", "usdz"]["missing"] == ["pxr"]
     assert rows["exporter", "usdz"]["install"] == "pip install 'hir[usd]'"
     assert "torch" in rows["geometry_renderer", "contour"]["missing"]

@@ -6,10 +6,10 @@ import numpy as np
 
 from hir_core.capture import Camera, similarity_scale
 from hir_core.capture.lens import Lens
+from hir_core.capture.rotations import rotation_from_quaternion
 from hir_core.testing.captures import similarity_between
 from hir_plugins.initializers.existing_mesh.mesh_alignment import _unit_from_points
 from hir_plugins.readers.parsing.camera_axes import rigid_inverse, rigid_transform
-from hir_plugins.readers.parsing.colmap_files import quaternion_rotation
 from hir_plugins.readers.parsing.pose_files import decompose_projection
 from hir_plugins.readers.parsing.upright import upright_rotation
 from tests.stability.case import Case
@@ -56,17 +56,17 @@ def _rotations() -> list[Case]:
         cases.append(
             Case(
                 "initialization",
-                "hir_plugins.readers.parsing.colmap_files.quaternion_rotation",
+                "hir_core.capture.rotations.rotation_from_quaternion",
                 f"a quaternion of length {np.linalg.norm(q):.3g}",
                 "a rotation: RᵀR = 1",
-                lambda q=q: np.abs((r := quaternion_rotation(np.array(q))).T @ r - np.eye(3)).max(),
+                lambda q=q: np.abs((r := rotation_from_quaternion(np.array(q))).T @ r - np.eye(3)).max(),
                 lambda q=q: np.abs((r := _plain_quaternion(*q)).T @ r - np.eye(3)).max(),
                 0.0,
                 tolerance=1e-12,
                 formula="1 − 2(y² + z²), … of the numbers as they are",
             )
         )
-    turn = quaternion_rotation(np.array([0.9, 0.1, -0.4, 0.2]))
+    turn = rotation_from_quaternion(np.array([0.9, 0.1, -0.4, 0.2]))
     for scale in (1e-3, 1.0001, 50.0):
         matrix = np.eye(4)
         matrix[:3, :3] = (turn * scale).astype(np.float32)

@@ -14,7 +14,7 @@ from hir_exporters.metallic_parameters import base_color_of, effective_albedos
 
 from hir_core.capture import Pixels
 from hir_core.capture.lens import Lens, undistort
-from hir_core.intake.camera_export import _quaternion
+from hir_core.capture.rotations import quaternion_from_rotation
 from hir_core.mesh.ray_casting import MeshQueries
 from hir_core.mesh.remeshing import surface_area
 from hir_core.metrics.light_metrics import angular_error_deg, scale_invariant_error
@@ -151,10 +151,10 @@ def _rotations() -> list[Case]:
         cases.append(
             Case(
                 "initialization",
-                "hir_core.intake.camera_export._quaternion",
+                "hir_core.capture.rotations.quaternion_from_rotation",
                 f"a rotation by {name}",
                 "its axis, up to sign",
-                lambda r=rotation: np.abs(_quaternion(r)[1:]),
+                lambda r=rotation: np.abs(quaternion_from_rotation(r)[1:]),
                 lambda r=rotation: np.abs(_from_trace(r)),
                 lambda a=axis: a,
                 tolerance=1e-12,

@@ -73,7 +73,7 @@ def _subject(name: str, shared: Path, work: Path, make_runs: bool) -> Subject:
     if (run / "scene" / "scene.json").is_file():
         return finished_run(name, run)
     if not make_runs:
-        return model(name, shared / "models" / MODELS[name], studio)
+        return model(f"{name}_model", shared / "models" / MODELS[name], studio)
     from hir_core import reconstruct
 
     print(f"{name}: reconstructing into {run}", flush=True)

@@ -53,13 +53,18 @@ def engine_runs(blender_samples: int) -> list[EngineRun]:
         missing = no_browser or ("" if here else f"npm package {package}: npm --prefix tools/parity ci")
         return EngineRun(title, file, lambda f, hdr, cameras: render_in_browser(page, f, hdr, cameras), missing, light)
 
-    def cycles(file: str, light_in_file: bool = False) -> EngineRun:
+    def cycles(file: str, light: str = "khr.hdr", light_in_file: bool = False) -> EngineRun:
         return EngineRun(
             "Blender 5.0.1 Cycles",
             file,
-            lambda f, light, cameras: render_in_blender(f, None if light_in_file else light, cameras, blender_samples),
+            lambda f, hdr, cameras: render_in_blender(f, None if light_in_file else hdr, cameras, blender_samples),
             blender,
+            light,
         )
+
+    def godot(file: str, light: str = "khr.hdr") -> EngineRun:
+        title = f"Godot {godot_version()}" if not godot_missing() else "Godot 3"
+        return EngineRun(title, file, render_in_godot, godot_missing(), light)
 
     return [
         web("three.js", "three", "three.html"),
@@ -69,14 +74,11 @@ def engine_runs(blender_samples: int) -> list[EngineRun]:
         web("Babylon.js", "babylonjs", "babylon.html", "lit.glb"),
         web("Filament", "filament", "filament.html"),
         web("Filament", "filament", "filament.html", "engine_points.glb", "engine_points_glb_residual.hdr"),
-        EngineRun(
-            f"Godot {godot_version()}" if not godot_missing() else "Godot 3",
-            "metalrough.glb",
-            render_in_godot,
-            godot_missing(),
-        ),
+        godot("metalrough.glb"),
+        godot("engine.glb", "engine_glb_residual.hdr"),
         cycles("blender.glb"),
         cycles("khr.glb"),
+        cycles("engine.glb", "engine_glb_residual.hdr"),
         cycles("usda_lit.usda", light_in_file=True),
     ]
 

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import json
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from datetime import date
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 _TEXT = Path(__file__).with_name("parity.template.md")
-_ORDER = ("spot", "avocado", "metal", "mixed")
+_ORDER = ("spot", "avocado", "spot_model", "avocado_model", "metal", "mixed")
 _OTHER_PIXELS = (
     "Some figures over the object are of an earlier run (`pixels` in parity.json is not `covered`): they count all "
     "pixels that are not black, a few of the outline more."
@@ -62,6 +63,7 @@ def write_page(folder: Path, rows: list[Row], size: int, samples: int) -> None:
         ]
         table.append(f"| {engine} | `{file}` | " + " | ".join(cells) + " |")
     notes = ["- " + _OTHER_PIXELS] if any(entry["pixels"] != "covered" for entry in stored) else []
+    notes.append("- " + _dates(stored))
     notes += [f"- {r.engine}, `{r.file}`, {r.subject}: {r.note}" for r in rows if r.note]
     (folder / "images").mkdir(parents=True, exist_ok=True)
     pictures = []
@@ -74,7 +76,10 @@ def write_page(folder: Path, rows: list[Row], size: int, samples: int) -> None:
         engines = ", ".join(f"{row.engine} {row.file}".strip() for row in rendered)
         pictures.append(f"![{subject}: {engines}](images/parity_{subject}.jpg)")
     sources = {str(entry["subject"]): str(entry["origin"]) for entry in stored}
-    arguments = {"a run": "a whole run of `hir reconstruct`", "a model": "the model that its capture was rendered from"}
+    arguments = {
+        "a run": "a whole run of `hir reconstruct`",
+        "a model": "the model that the capture was rendered from, under a studio light",
+    }
     origins = "; ".join(f"{name} is {arguments[how]}" for name, how in sources.items() if how in arguments)
     fields = {
         "origins": origins or "no captured object was selected",
@@ -105,10 +110,24 @@ def _merged(file: Path, rows: list[Row]) -> list[dict[str, str | float]]:
                 "inside": round(row.inside, 4),
                 "origin": origins[row.subject],
                 "pixels": "covered",
+                "date": date.today().isoformat(),
             }
     entries = [found[key] for key in sorted(found)]
     file.write_text(json.dumps(entries, indent=1) + "\n", encoding="utf-8")
     return entries
+
+
+def _dates(stored: Sequence[Mapping[str, str | float]]) -> str:
+    """When the figures were measured, for each object and engine."""
+    days: dict[str, dict[str, list[str]]] = {}
+    for entry in stored:
+        engine = f"{str(entry['engine']).split()[0]} `{entry['file']}`"
+        days.setdefault(str(entry["date"]), {}).setdefault(str(entry["subject"]), []).append(engine)
+    said = [
+        f"{day}: " + "; ".join(f"{subject} in {', '.join(engines)}" for subject, engines in subjects.items())
+        for day, subjects in sorted(days.items())
+    ]
+    return "Measured on " + ". On ".join(said) + "."
 
 
 def _position(subject: str) -> tuple[int, str]:

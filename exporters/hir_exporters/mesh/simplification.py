@@ -9,16 +9,12 @@ triangle may flip, in space or in the texture. Why not a library: docs/adr/own_i
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hir_exporters.asset import AssetMesh
 from hir_exporters.mesh.vertex_welding import weld
-
-if TYPE_CHECKING:
-    from scipy.sparse import csr_array
 
 Indices = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -79,7 +75,7 @@ def simplify(mesh: AssetMesh, triangles: int) -> AssetMesh:
 
 def _collapse_round(state: _State, surplus: int, fraction: float) -> tuple[Indices, Indices, Indices, Indices]:
     """The collapses of a round: source and target points, then replaced vertices and their replacements."""
-    pairs, counts, copies = _candidates(state)
+    pairs, counts, copies, neighbors = _candidates(state)
     source, target = pairs.T
     cost = _error(state.quadrics[source] + state.quadrics[target], state.positions[target])
     # Shorter edges first where errors are equal: flat regions are simplified evenly.
@@ -87,7 +83,7 @@ def _collapse_round(state: _State, surplus: int, fraction: float) -> tuple[Indic
     order = np.lexsort([target, cost, source])
     best = order[np.unique(source[order], return_index=True)[1]]
     best = best[np.argsort(cost[best], kind="stable")][: max(1, int(fraction * len(best)))]
-    best = best[_keeps_topology(state, source[best], target[best], counts[best])]
+    best = best[_keeps_topology(state, neighbors, source[best], target[best], counts[best])]
     best = best[_keeps_orientation(state, pairs[best], copies)]
     if fraction == 1:
         best = best[:1]  # these collapses may have a large error: one at a time
@@ -99,8 +95,9 @@ def _collapse_round(state: _State, surplus: int, fraction: float) -> tuple[Indic
     return source[best], target[best], copies[chosen, 2], copies[chosen, 3]
 
 
-def _candidates(state: _State) -> tuple[Indices, Indices, Indices]:
-    """Possible collapses (N, 2), the number of faces at their edges (N,), and vertex replacements (v, w, old, new).
+def _candidates(state: _State) -> tuple[Indices, Indices, Indices, Indices]:
+    """Possible collapses (N, 2), the number of faces at their edges (N,), vertex replacements (v, w, old, new), and
+    all pairs of neighbouring points (E, 2) in both directions, sorted.
 
     A collapse is possible where each vertex of the removed point has exactly one replacement across the edge, and where
     a border point stays on the border. This keeps seams closed: at a seam edge, both sides have a replacement.
@@ -127,14 +124,22 @@ def _candidates(state: _State) -> tuple[Indices, Indices, Indices]:
     crowded[source[faces_at > 2]] = True
     possible = (replacements == distinct) & (distinct == vertices_at[source]) & ~crowded[source]
     possible &= ~border[source] | (faces_at == 1)
-    return np.stack([source, target], -1)[possible], faces_at[possible], half[new_row]
+    neighbors = np.stack([source, target], -1)
+    return neighbors[possible], faces_at[possible], half[new_row], neighbors
 
 
-def _keeps_topology(state: _State, source: Indices, target: Indices, faces_at: Indices) -> NDArray[np.bool_]:
+def _keeps_topology(
+    state: _State, neighbors: Indices, source: Indices, target: Indices, faces_at: Indices
+) -> NDArray[np.bool_]:
     """Link condition: the only common neighbours of the two points are the opposite corners of the edge's faces."""
-    around = _adjacency(state)
-    shared = around[source].multiply(around[target]).sum(axis=1)
-    return np.asarray(shared).ravel() == faces_at
+    start = np.searchsorted(neighbors[:, 0], source)
+    count = np.searchsorted(neighbors[:, 0], source, side="right") - start
+    collapse = np.repeat(np.arange(len(source)), count)
+    place = np.arange(count.sum()) + np.repeat(start - (np.cumsum(count) - count), count)
+    keys = _pair_keys(state, neighbors[:, 0], neighbors[:, 1])
+    wanted = _pair_keys(state, target[collapse], neighbors[place, 1])
+    found = keys[np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)] == wanted
+    return np.bincount(collapse[found], minlength=len(source)) == faces_at
 
 
 def _keeps_orientation(state: _State, moves: Indices, copies: Indices) -> NDArray[np.bool_]:
@@ -227,18 +232,6 @@ def _error(quadrics: Floats, position: Floats) -> Floats:
     rows, columns = np.triu_indices(4)
     twice = np.where(rows == columns, 1.0, 2.0)
     return np.maximum((quadrics * point[:, rows] * point[:, columns] * twice).sum(-1), 0.0)
-
-
-def _adjacency(state: _State) -> csr_array:
-    from scipy.sparse import coo_array
-
-    edges = np.concatenate([state.points[:, [0, 1]], state.points[:, [1, 2]], state.points[:, [2, 0]]])
-    both = np.concatenate([edges, edges[:, ::-1]])
-    matrix = coo_array(
-        (np.ones(len(both), np.int32), (both[:, 0], both[:, 1])), shape=(len(state.positions),) * 2
-    ).tocsr()
-    matrix.data[:] = 1
-    return matrix
 
 
 def _pair_keys(state: _State, source: Indices, target: Indices) -> Indices:

@@ -104,8 +104,13 @@ def _trimesh_mesh(path: Path) -> AssetMesh:
 
 
 def _unit_normals(part: Any) -> Array:
-    """Vertex normals of the file, else area-weighted; +Y for vertices without adjacent area."""
-    normals = np.array(part.vertex_normals, np.float64)
+    """Vertex normals of the file, else weighted by the angles of the triangles; +Y for vertices without any."""
+    if "vertex_normals" in part._cache:
+        normals = np.array(part.vertex_normals, np.float64)
+    else:  # trimesh would need scipy for this
+        at_corners = (part.face_angles[..., None] * part.face_normals[:, None]).reshape(-1, 3)
+        corners = np.asarray(part.faces).ravel()
+        normals = np.stack([np.bincount(corners, axis, len(part.vertices)) for axis in at_corners.T], axis=1)
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     return np.where(length > 1e-12, normals / np.maximum(length, 1e-12), [0.0, 1.0, 0.0])
 

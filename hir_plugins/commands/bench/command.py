@@ -10,6 +10,7 @@ import click
 
 from hir_core.errors import ConfigError
 from hir_core.terminal.command_options import FOLDER, plugin_option, verbosity_options
+from hir_core.terminal.required_packages import require_reconstruction_packages
 
 if TYPE_CHECKING:
     from hir_plugins.commands.bench.bench_options import BenchOptions
@@ -127,6 +128,7 @@ def bench_command(
 
         click.echo(comparison_table(*(Result.read(path) for path in compare)))
         return
+    require_reconstruction_packages("hir bench")
     import tempfile
 
     from hir_core.plugins.manager import PluginManager

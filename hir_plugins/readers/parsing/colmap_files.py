@@ -17,6 +17,7 @@ from hir_exporters.conventions import srgb_to_linear
 from hir_exporters.files.regular_files import refuse_special_file
 
 from hir_core.capture import Array, OrientedPoints
+from hir_core.capture.rotations import rotation_from_quaternion
 from hir_core.errors import CaptureError
 from hir_plugins.readers.parsing.capture_paths import MAX_TEXT_BYTES
 from hir_plugins.readers.parsing.colmap_lenses import _MODELS, lens_camera
@@ -111,25 +112,13 @@ def read_points(folder: Path) -> OrientedPoints | None:
     return OrientedPoints(positions=table[:, :3], colors=colors) if len(table) else None
 
 
-def quaternion_rotation(quaternion: Array) -> Array:
-    """3×3 rotation of a quaternion (w, x, y, z) of any length but zero."""
-    w, x, y, z = quaternion / np.linalg.norm(quaternion)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-
-
 def _pose(values: list[float] | tuple[float, ...], owner: str) -> Array:
     """4×4 from a quaternion (w, x, y, z) and a translation."""
     numbers = np.array(values, dtype=np.float64)
     if not np.isfinite(numbers).all() or not np.linalg.norm(numbers[:4]) > 1e-9:
         raise CaptureError(f"{owner}: the pose of an image is NaN, infinite or has no rotation; export the model again")
     pose = np.eye(4)
-    pose[:3, :3] = quaternion_rotation(numbers[:4])
+    pose[:3, :3] = rotation_from_quaternion(numbers[:4])
     pose[:3, 3] = numbers[4:]
     return pose
 

@@ -87,12 +87,25 @@ def test_a_bug_is_called_one_and_exits_1(capsys: pytest.CaptureFixture[str]) -> 
     assert "this is a bug: ZeroDivisionError" in printed and "Traceback" not in printed
 
 
+@pytest.mark.parametrize("module", ["torch", "scipy"])
+@pytest.mark.parametrize("name", ["reconstruct", "evaluate", "render", "report", "edit", "bench", "delight"])
 def test_missing_extra_names_the_command(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    name: str, module: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setitem(sys.modules, "torch", None)  # as where it is not installed
-    assert hir("reconstruct", SAMPLE, "-o", tmp_path / "run") == 2
-    assert "hir reconstruct needs torch; install it with: pip install 'hir[reconstruct]'" in capsys.readouterr().err
+    monkeypatch.setitem(sys.modules, module, None)  # as where it is not installed
+    (tmp_path / "scan.obj").touch()
+    arguments = {
+        "reconstruct": (SAMPLE, "-o", tmp_path / "run"),
+        "evaluate": (tmp_path,),
+        "render": (tmp_path, "--orbit", 1, "-o", tmp_path / "pictures"),
+        "report": (tmp_path,),
+        "edit": (tmp_path, "-o", tmp_path / "edited"),
+        "bench": ("export",),
+        "delight": (tmp_path / "scan.obj", SAMPLE, "-o", tmp_path / "run"),
+    }
+    assert hir(name, *arguments[name]) == 2
+    wanted = f"hir {name} needs {module}; install it with: pip install 'hir[reconstruct]'"
+    assert wanted in capsys.readouterr().err and not (tmp_path / "run").exists()
 
 
 def test_plugins_json_lists_every_kind(capsys: pytest.CaptureFixture[str]) -> None:

@@ -383,3 +383,8 @@ def test_every_seed_of_a_built_in_component_is_by_default_that_of_the_run() -> N
                 assert with_seed_of_run(kind, {}, 7) == {"seed": 7}, registered.component.name
                 found.add(registered.component.name)
     assert found == {"colmap", "grabcut", "mesh_file", "poisson", "stereo", "transport_ggx", "visual_hull"}
+
+
+def test_a_check_of_the_options_class_is_said_once() -> None:
+    with pytest.raises(ConfigError, match=r"max_texture_size is 0; it must be from 1 to 65536$"):
+        PluginManager.discover().create("exporter", "glb", {"max_texture_size": 0})
