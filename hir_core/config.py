@@ -185,7 +185,6 @@ class RunConfig:
     masks: tuple[str, ...] | Literal["auto"] = "auto"
     """Mask sources, in the order in which they are used."""
     reader: str = "auto"
-    """Reader of the capture; `auto` takes the one that recognises the folder (docs/captures.md)."""
     initializer: Tables = field(default_factory=dict)
     """Options of each initializer."""
     mask_source: Tables = field(default_factory=dict)

@@ -32,7 +32,6 @@ FAULTS: Final[Mapping[str, str]] = {
     "global_seed": "process_stays_as_it_is",
     "slow_import": "imports_quickly",
     "torch_at_load": "imports_light",
-    "registers_nothing": "is_loaded",
     "name_conflict": "names_are_free",
     "wrong_interface": "is_made_for_this_interface",
     "missing_extra": "missing_extra_is_named",

@@ -72,7 +72,7 @@ class EnvironmentSource:
 
 @dataclass(frozen=True)
 class Capture:
-    """Views of one split of a capture, in a right-handed world with +Y up (docs/conventions.md)."""
+    """Views of one split of a capture, in the world of DESIGN section 6 (right-handed, +Y up)."""
 
     path: Path
     views: tuple[View, ...]

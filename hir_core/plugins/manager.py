@@ -153,13 +153,6 @@ class PluginManager:
             self._report(loaded, "is_loaded", f"{name}: not loaded: {_hook_advice(error)}")
             return
         loaded.plugin = plugin
-        if not self._pluggy.get_hookcallers(plugin):
-            self._report(
-                loaded,
-                "is_loaded",
-                f"{name}: it registers nothing; write @hookimpl above a function with the name of a hook, such as "
-                "hir_register_exporters (docs/writing_plugins/index.md lists the hooks)",
-            )
         # hookspecs list deprecated arguments (`warn_on_impl_args`); pluggy warns about plugins that use them
         self.notices += [f"{name}: {warning.message}" for warning in caught]
         for kind, hook in KINDS.items():

@@ -126,8 +126,6 @@ def _fields_at(kind: type, place: tuple[Any, ...]) -> list[str]:
     return list(getattr(kind, "__dataclass_fields__", {}))
 
 
-SEQUENCE_ERRORS = ("tuple_type", "list_type")
-"""Types of pydantic's errors where a list is expected."""
 RANGE_ERRORS = ("greater_than", "greater_than_equal", "less_than", "less_than_equal")
 """Types of pydantic's errors for a number outside of its range."""
 
@@ -168,8 +166,6 @@ def _sentence(error: Any, kind: type) -> str:
         else:
             needed = f"; it is a number {allowed}" if allowed else ""
             said = f"{problem['msg'][0].lower()}{problem['msg'][1:]}"
-            if problem["type"] in SEQUENCE_ERRORS:
-                said = 'input should be a list such as ["a", "b"]'
             parts.append(f"option {key!r}: {said} (got {problem['input']!r}){needed}")
     parts += [f"option {key!r} must be {' or '.join(dict.fromkeys(kinds))}" for key, kinds in unions.items()]
     return "; ".join(parts)

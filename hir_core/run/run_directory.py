@@ -52,7 +52,7 @@ class StageRecord:
 
 @dataclass(frozen=True)
 class RunDirectory:
-    """The folder of one run."""
+    """The folder of one run (DESIGN section 5)."""
 
     path: Path
 

@@ -33,8 +33,8 @@ def _require_no_problem(subject: PluginSubject, fault: Fault) -> None:
 
 @contract(PLUGIN, first=True)
 def is_loaded(subject: PluginSubject) -> None:
-    """Its module can be imported and has a hook; each of its hooks is one that `hir` calls; hooks that register return
-    descriptors and raise nothing.
+    """Its module can be imported; each of its hooks is one that `hir` calls; hooks that register return descriptors
+    and raise nothing.
     """
     _require_no_problem(subject, "is_loaded")
 
