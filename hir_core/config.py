@@ -185,6 +185,7 @@ class RunConfig:
     masks: tuple[str, ...] | Literal["auto"] = "auto"
     """Mask sources, in the order in which they are used."""
     reader: str = "auto"
+    """The capture reader; `auto` takes the first that recognises the capture."""
     initializer: Tables = field(default_factory=dict)
     """Options of each initializer."""
     mask_source: Tables = field(default_factory=dict)

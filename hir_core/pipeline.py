@@ -1,4 +1,4 @@
-"""A run, from a folder of photographs to an asset and its files (DESIGN section 5): a loop over the stages."""
+"""A run, from a folder of photographs to an asset and its files: a loop over the stages."""
 
 from __future__ import annotations
 

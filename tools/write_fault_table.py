@@ -45,6 +45,7 @@ FAULTS: Final[Mapping[str, str]] = {
     "renderer_by_device": "devices_agree",
     "observer_raises": "observer_raises_nothing",
     "command_shadows": "names_are_free",
+    "registers_nothing": "registers_something",
 }
 """File of each broken plugin, and the contract that names its fault."""
 NEEDS_CUDA: Final = ("renderer_by_device",)

@@ -72,7 +72,7 @@ class EnvironmentSource:
 
 @dataclass(frozen=True)
 class Capture:
-    """Views of one split of a capture, in the world of DESIGN section 6 (right-handed, +Y up)."""
+    """Views of one split of a capture, in the world of docs/conventions.md (right-handed, +Y up)."""
 
     path: Path
     views: tuple[View, ...]

@@ -24,7 +24,12 @@ OUTCOME_LABELS = {
 
 @click.command("check-plugin")
 @click.argument("name")
-@click.option("--only", multiple=True, metavar="CHECK", help="Run this check only; repeatable. Default: all checks.")
+@click.option(
+    "--only",
+    multiple=True,
+    metavar="CHECK",
+    help="Run this check only, after those that it depends on; repeatable. Default: all checks.",
+)
 @click.option(
     "--set",
     "assignments",
@@ -68,14 +73,18 @@ def check_plugin_command(
         raise PluginError(f"{name!r} has no check {unknown[0]!r}; its checks are: {', '.join(sorted(known))}")
     results: list[Result] = []
 
+    def is_absent(result: Result) -> bool:
+        # what a plugin does not have, such as observers, would be a line for each of its contracts
+        return result.kind == PLUGIN and result.outcome == "skipped"
+
     def show(title: str, found: list[Result]) -> None:
+        # a check that runs because another depends on it is reported where it fails
+        found = [result for result in found if not only or result.check in only or not result.is_ok]
         results.extend(found)
         if not (as_json or quiet):
             click.echo(title)
         for result in found:
-            # what a plugin does not have, such as observers, would be a line for each of its contracts
-            absent = result.kind == PLUGIN and result.outcome == "skipped"
-            if not as_json and not (quiet and result.is_ok) and not absent:
+            if not as_json and not (quiet and result.is_ok) and not is_absent(result):
                 _print_result(result)
 
     problems = [problem for problem in plugins.problems if whole is None and name in problem]
@@ -102,8 +111,10 @@ def check_plugin_command(
         for notice in plugins.notices:
             click.echo(f"hir: plugin notice: {notice}", err=True)
         passed = sum(result.outcome == "passed" for result in results)
-        skipped = sum(result.outcome == "skipped" for result in results)
-        click.echo(f"{passed} checks passed, {len(failed)} failed, {skipped} skipped")
+        absent = sum(is_absent(result) for result in results)
+        skipped = sum(result.outcome == "skipped" for result in results) - absent
+        rest = f", {absent} {'does' if absent == 1 else 'do'} not concern it" if absent else ""
+        click.echo(f"{passed} checks passed, {len(failed)} failed, {skipped} skipped{rest}")
     if failed or problems:
         raise click.exceptions.Exit(2)
 

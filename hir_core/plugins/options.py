@@ -6,6 +6,7 @@ share: `Annotated[float, Interval(ge=0, le=1), Unit("m")]`. The schema, `hir plu
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import field, is_dataclass
@@ -130,6 +131,23 @@ RANGE_ERRORS = ("greater_than", "greater_than_equal", "less_than", "less_than_eq
 """Types of pydantic's errors for a number outside of its range."""
 
 
+LIST_ERRORS = ("tuple_type", "list_type")
+"""Types of pydantic's errors for a value that is no list."""
+
+
+def _list_needed(entry: Mapping[str, Any], given: Any) -> str:
+    """What an option that is a list may be, with an example; of text, the example holds the names that were given."""
+    items = entry.get("prefixItems") or [entry.get("items", {})]
+    kinds = {item.get("type") for item in items}
+    length = f"{len(items)} " if "prefixItems" in entry else ""
+    if kinds == {"string"}:
+        names = [name.strip(" []'\"") for name in given.split(",")] if isinstance(given, str) else []
+        return f"a list of {length}text such as {json.dumps([name for name in names if name] or ['name'])}"
+    if kinds <= {"number", "integer"}:
+        return f"a list of {length}numbers such as {list(range(1, len(items) + 1)) if length else [1, 2]}"
+    return "a list"
+
+
 def _entry_at(kind: type, place: tuple[Any, ...]) -> Mapping[str, Any]:
     """The schema of the option at `place` inside a configuration; empty where there is none."""
     schema = options_schema(kind)
@@ -159,6 +177,10 @@ def _sentence(error: Any, kind: type) -> str:
             near = get_close_matches(str(problem["loc"][-1]), known, 1)
             advice = f"did you mean {near[0]!r}? " if near else ""
             parts.append(f"unknown option {key!r}; {advice}the options are: {', '.join(known) or 'none'}")
+            continue
+        if problem["type"] in LIST_ERRORS:
+            list_needed = _list_needed(_entry_at(kind, problem["loc"]), problem["input"])
+            parts.append(f"option {key!r} must be {list_needed} (got {problem['input']!r})")
             continue
         allowed = range_and_unit(_entry_at(kind, problem["loc"]))
         if problem["type"] in RANGE_ERRORS and allowed:

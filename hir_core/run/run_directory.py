@@ -52,7 +52,7 @@ class StageRecord:
 
 @dataclass(frozen=True)
 class RunDirectory:
-    """The folder of one run (DESIGN section 5)."""
+    """The folder of one run."""
 
     path: Path
 

@@ -32,7 +32,7 @@ class RunRecords:
             "seed": settings["seed"],
             "versions": versions(),
             "plugins": [
-                f"{r.kind} {r.component.name} ({r.distribution} {r.version})".strip()
+                f"{r.kind} {r.component.name} ({f'{r.distribution} {r.version}'.strip()})"
                 for r in self._plugins.components()
             ],
             "plugin_problems": list(self._plugins.problems),

@@ -48,7 +48,7 @@ class InitializationReport:
 def initialize(
     capture: Capture, config: RunConfig, context: StageContext
 ) -> tuple[Capture, Scene, CoordinateFrames, InitializationReport]:
-    """Runs the resolved chain of initializers with mask sources between them (DESIGN section 5).
+    """Runs the resolved chain of initializers with mask sources between them.
 
     Capture and scene are returned in the working frame. The asset's frame is the one that the initializers ended in.
     """

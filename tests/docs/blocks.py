@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -69,6 +70,9 @@ class Reader:
             return
         if words[:3] == ["pip", "install", "-e"]:
             self._install(self.folder / words[3].partition("[")[0])
+        elif words[0] == "cp":
+            source, destination = words[1:]
+            shutil.copy(self.folder / source, self.folder / destination)
         elif words[0] == "pytest":
             self._run([sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider"])
         else:

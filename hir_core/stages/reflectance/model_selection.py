@@ -1,4 +1,4 @@
-"""Model selection by complete hypotheses (DESIGN section 7): material and light together, then refinements.
+"""Model selection by complete hypotheses: material and light together, then refinements.
 
 1. Each hypothesis starts from its own initial guess; successive halving drops those that cannot catch up.
 2. Of those that tie on held-out views the simplest is selected, after a second fold of held-out views.

@@ -1,4 +1,4 @@
-"""Path-traced refinement after a fast fit, accepted only where held-out views gain (DESIGN section 7).
+"""Path-traced refinement after a fast fit, accepted only where held-out views gain.
 
 Either the diffuse albedo is solved in closed form under path-traced radiance, or gradient steps run through the path
 tracer.

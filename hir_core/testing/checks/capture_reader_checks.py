@@ -112,7 +112,11 @@ def cameras_are_where_they_were(subject: Subject) -> None:
         "after the best similarity; a mirrored or wrongly converted axis leaves much",
     )
     up = world[:3, :3] @ [0.0, 1.0, 0.0] / size
-    require(up[1] > np.cos(np.radians(30)), f"what was up is now {np.round(up, 2).tolist()}; +Y must be up")
+    require(
+        up[1] > np.cos(np.radians(30)),
+        f"what was up is now {np.round(up, 2).tolist()}; +Y must be up: return capture.transformed(similarity), with "
+        "the 4×4 similarity that turns the up of the format into +Y",
+    )
     points = surface_points(60).positions
     moved = points @ world[:3, :3].T + world[:3, 3]
     for (view, _), (camera, known) in zip(pairs, cameras, strict=True):

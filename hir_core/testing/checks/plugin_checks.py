@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from hir_core.errors import HirError
+from hir_core.plugins import hookspecs
 from hir_core.plugins.manager import Fault, LoadedPlugin
 from hir_core.plugins.progress import Progress
 from hir_core.testing.checks.every_kind import (
@@ -23,6 +24,9 @@ from hir_core.testing.contract import PLUGIN, NotApplicable, PluginSubject, cont
 from hir_core.testing.exercise import digest
 
 STAGES: Final = ("initializer", "geometry", "atlas", "reflectance", "bake", "export")
+REGISTERING: Final = "hir_register_"
+HOOKS: Final = tuple(name for name in vars(hookspecs) if name.startswith("hir_"))
+TUTORIALS: Final = "docs/writing_plugins/index.md"
 OBSERVING: Final = ("hir_run_started", "hir_progress", "hir_stage_finished")
 
 
@@ -51,6 +55,29 @@ def names_are_free(subject: PluginSubject) -> None:
     is kept, and the commands of `hir` cannot be replaced.
     """
     _require_no_problem(subject, "names_are_free")
+
+
+@contract(PLUGIN)
+def registers_something(subject: PluginSubject) -> None:
+    """Each entry point, file or module of it has a hook of `hir`, marked by `@hookimpl`; one whose hooks only register
+    registers at least one component, observer, preset or command.
+    """
+    judged = [loaded for loaded in subject.loaded if not loaded.problems]
+    if not judged:
+        raise NotApplicable("it has a problem that another contract names")
+    for loaded in judged:
+        unmarked = sorted(name for name in dir(loaded.plugin) if name in HOOKS)
+        where = f"above {', '.join(unmarked)}" if unmarked else f"above a function whose name begins with {REGISTERING}"
+        require(
+            subject.plugins.implements(loaded, *HOOKS),
+            f"{loaded.module} registers nothing; write @hookimpl {where} ({TUTORIALS})",
+        )
+        own = [r for r in subject.components if r.module == loaded.module]
+        acts = subject.plugins.implements(loaded, *(hook for hook in HOOKS if not hook.startswith(REGISTERING)))
+        require(
+            own or loaded.observers or loaded.presets or loaded.commands or acts,
+            f"{loaded.module} registers nothing: {', '.join(unmarked)} must return, or add, at least one ({TUTORIALS})",
+        )
 
 
 @contract(PLUGIN)

@@ -154,8 +154,18 @@ def white_furnace(subject: Subject) -> None:
         found = float(shown.mean())
         require(
             low - slack <= found <= high + slack,
-            f"under a light of 1, {name} shows {found:.4f}; it must lie in {low:g} … {high:g}",
+            f"under a light of 1, {name} shows {found:.4f}; it must lie in {low:g} … {high:g}"
+            + _factor(found, low, high),
         )
+
+
+def _factor(found: float, low: float, high: float) -> str:
+    """Advice for a value that is a factor away from its range; empty for one that is near it."""
+    if found > 1.5 * high:
+        return f"; it is {found / high:.1f} times too bright: look for a missing division or a factor π"
+    if 0 < 1.5 * found < low:
+        return f"; it is {low / found:.1f} times too dark: look for a division too many or a missing factor π"
+    return ""
 
 
 @contract("reflectance_renderer", unless={"lambertian"}, slow=True)

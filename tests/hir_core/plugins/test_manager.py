@@ -16,7 +16,7 @@ from annotated_types import Interval, Unit
 from hir_core.errors import ConfigError, MissingExtraError, PluginError
 from hir_core.plugins import Component, hookimpl
 from hir_core.plugins.manager import KINDS, PluginManager
-from hir_core.plugins.options import options_schema, seed_of_run, with_seed_of_run
+from hir_core.plugins.options import build_options, options_schema, seed_of_run, with_seed_of_run
 
 
 @dataclass(frozen=True)
@@ -256,6 +256,31 @@ def test_a_number_outside_of_its_range_is_named_with_range_and_unit() -> None:
     ):
         manager.create("regularizer", "thing", {"reach": "far"})
     assert options_schema(Ranged)["properties"]["reach"]["unit"] == "m"
+
+
+@dataclass(frozen=True)
+class Listed:
+    """Options that are lists."""
+
+    formats: tuple[str, ...] = ()
+    """Names."""
+    up: tuple[float, float, float] = (0.0, 1.0, 0.0)
+    """A direction."""
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"formats": "glb"}, """option 'formats' must be a list of text such as ["glb"] (got 'glb')"""),
+        ({"formats": "glb, usdz"}, """such as ["glb", "usdz"] (got 'glb, usdz')"""),
+        ({"formats": 3}, """option 'formats' must be a list of text such as ["name"] (got 3)"""),
+        ({"up": 1.0}, "option 'up' must be a list of 3 numbers such as [1, 2, 3] (got 1.0)"),
+    ],
+)
+def test_a_value_that_is_no_list_is_answered_with_one(values: dict[str, object], message: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        build_options(Listed, values, "settings")
+    assert message in str(caught.value) and "tuple" not in str(caught.value)
 
 
 def test_a_deprecated_argument_is_a_notice_and_still_arrives(monkeypatch: pytest.MonkeyPatch) -> None:

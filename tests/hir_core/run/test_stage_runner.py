@@ -11,7 +11,8 @@ import pytest
 
 from hir_core.config import RunConfig
 from hir_core.errors import StageError
-from hir_core.plugins.manager import PluginManager
+from hir_core.plugins import Component
+from hir_core.plugins.manager import PluginManager, Registered
 from hir_core.plugins.progress import Progress
 from hir_core.run.progress_listener import ProgressListener, read_curves
 from hir_core.run.run_directory import RunDirectory
@@ -28,6 +29,17 @@ class WordReport:
     """Report of a stage that appends a letter."""
 
     length: int
+
+
+def test_run_json_names_a_plugin_file_without_a_version(tmp_path: Path) -> None:
+    plugins = PluginManager()
+    for name, version in (("tint", ""), ("glow", "1.0")):
+        owner = f"{name}.py" if not version else f"hir-{name}"
+        registered = Registered("regularizer", Component(name, "m:T", config=None, summary="A term."), owner, version)
+        plugins = plugins.with_component(registered)
+    directory = RunDirectory(tmp_path)
+    RunRecords(directory, plugins, print).start({"path": "p", "name": "n"}, asdict(RunConfig()), {}, "cpu")
+    assert directory.read_run()["plugins"] == ["regularizer glow (hir-glow 1.0)", "regularizer tint (tint.py)"]
 
 
 class Chain:

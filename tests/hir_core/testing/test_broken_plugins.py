@@ -8,8 +8,10 @@ from pathlib import Path
 import pytest
 
 from hir_core.plugins import Component
+from hir_core.plugins.loading import module_from_file
 from hir_core.plugins.manager import PluginManager, Registered
 from hir_core.testing import ContractError, all_checks, check_component, check_whole_plugin, whole_plugin
+from hir_core.testing.checks.reflectance_renderer_checks import _factor
 from hir_core.testing.running import Result, as_registered, plugin_checks
 from tests.hir_core.testing import (
     broken_exporters,
@@ -147,12 +149,14 @@ def test_file_breaks_its_contract_and_no_other(
     assert failed(results) == [check], [r.detail for r in results if r.outcome == "failed"]
 
 
+QUIET_OBSERVER = "@hookimpl\ndef hir_progress(progress):\n    pass\n"
 BROKEN_PLUGINS = {
     "is_loaded": "@hookimpl\ndef hir_register_regularizer():\n    return []\n",
     "is_made_for_this_interface": "hir_api = 0\n",
     "names_are_free": "@hookimpl\ndef hir_register_presets():\n    return {'fast': 'fast.toml'}\n",
-    "plugin_imports_light": "import torch\n",
-    "plugin_imports_quickly": "import time; time.sleep(2.5)\n",
+    "registers_something": "def hir_register_regularizers():\n    return []\n",
+    "plugin_imports_light": f"import torch\n{QUIET_OBSERVER}",
+    "plugin_imports_quickly": f"import time; time.sleep(2.5)\n{QUIET_OBSERVER}",
     "presets_are_settings": (
         "from pathlib import Path\nPRESET = Path(__file__).with_suffix('.toml')\nPRESET.write_text('exports = []')\n"
         "@hookimpl\ndef hir_register_presets():\n    return {'quick': PRESET}\n"
@@ -186,12 +190,52 @@ def test_plugin_breaks_its_contract_and_no_other(check: str, tmp_path: Path) -> 
     assert failed(results) == [check], [r.detail for r in results if r.outcome == "failed"]
 
 
+@pytest.mark.parametrize(
+    ("code", "advice"),
+    [
+        ("", "write @hookimpl above a function whose name begins with hir_register_"),
+        ("def hir_register_commands(cli):\n    pass\n", "write @hookimpl above hir_register_commands"),
+        ("@hookimpl\ndef hir_register_commands(cli):\n    pass\n", "hir_register_commands must return, or add"),
+        ("@hookimpl\ndef hir_register_exporters():\n    return []\n", "hir_register_exporters must return, or add"),
+    ],
+    ids=["no hook", "not marked", "adds nothing", "returns nothing"],
+)
+@pytest.mark.parametrize("is_installed", [False, True], ids=["file", "installed"])
+def test_a_plugin_that_registers_nothing_fails(code: str, advice: str, is_installed: bool, tmp_path: Path) -> None:
+    path = tmp_path / "idle.py"
+    path.write_text(f"from hir_core.plugins import hookimpl\n{code}")
+    if is_installed:
+        plugins, name = PluginManager(), "hir-idle"
+        plugins.register(module_from_file(path), distribution=name, version="1.0")
+    else:
+        plugins, name = PluginManager.discover((str(path),), strict=False), str(path)
+    subject = whole_plugin(name, plugins)
+    assert subject is not None
+    results = check_whole_plugin(subject, raises=False)
+    assert failed(results) == ["registers_something"]
+    (message,) = [r.detail for r in results if r.outcome == "failed"]
+    assert "registers nothing" in message and advice in message and "docs/writing_plugins/index.md" in message
+
+
 @pytest.mark.slow
 def test_the_built_in_plugins_break_none(plugins: PluginManager) -> None:
     subject = whole_plugin("hir", plugins)
     assert subject is not None
     skipped = [r.check for r in check_whole_plugin(subject) if r.outcome == "skipped"]
     assert skipped == []
+
+
+@pytest.mark.parametrize(
+    ("found", "advice"),
+    [
+        (2.0014, "2.0 times too bright: look for a missing division or a factor π"),
+        (0.318, "3.1 times too dark: look for a division too many or a missing factor π"),
+        (1.02, ""),
+        (0.0, ""),
+    ],
+)
+def test_a_wrong_factor_of_a_renderer_is_named(found: float, advice: str) -> None:
+    assert _factor(found, 0.99, 1.01) == (f"; it is {advice}" if advice else "")
 
 
 def test_an_extra_that_is_none_is_found(plugins: PluginManager) -> None:

@@ -42,8 +42,18 @@ def test_results_are_printed_check_by_check(capsys: pytest.CaptureFixture[str]) 
     assert hir(*arguments, "--json") == 0
     results = json.loads(capsys.readouterr().out)["results"]
     assert {r["outcome"] for r in results} == {"passed"} and {r["component"] for r in results} == {"edge_length"}
+    lines = output.splitlines()
+    assert lines[-1] == "2 checks passed, 0 failed, 0 skipped" and len(lines) == 4, "prerequisites are not counted"
     assert hir(*arguments, "-q") == 0
     assert len(capsys.readouterr().out.splitlines()) == 1, "the sum alone"
+
+
+def test_the_sum_agrees_with_the_lines(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "watcher.py"
+    file.write_text("from hir_core.plugins import hookimpl\n\n\n@hookimpl\ndef hir_progress(progress):\n    pass\n")
+    assert hir("check-plugin", file) == 0
+    *lines, last = capsys.readouterr().out.splitlines()
+    assert last == f"{sum(' ok ' in line for line in lines)} checks passed, 0 failed, 0 skipped, 4 do not concern it"
 
 
 def test_a_broken_plugin_file_is_reported_with_its_contract(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -16,6 +17,7 @@ from hir_core.errors import ConfigError
 from hir_core.plugins.manager import KINDS, PluginManager
 from hir_core.scaffold import write_one_file, write_plugin
 from hir_core.testing import check_component, check_whole_plugin, whole_plugin
+from hir_core.testing.captures import tiny_capture
 
 
 def plugged(folder: Path, package: str, monkeypatch: pytest.MonkeyPatch) -> PluginManager:
@@ -69,6 +71,17 @@ def test_scaffold_without_a_component_passes_the_checks_as_it_is_written(
         (tmp_path / "run.json").write_text('{"stages": {"geometry": {}}}')
         done = CliRunner().invoke(manager.commands()["m-command"], [str(tmp_path)], catch_exceptions=False)
         assert done.output == "geometry\n"
+
+
+def test_the_reader_of_the_scaffold_has_a_test_split(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_plugin("two splits", "capture_reader", tmp_path)
+    reader = plugged(tmp_path / "hir-two-splits", "hir_two_splits", monkeypatch).create("capture_reader", "two_splits")
+    folder = tmp_path / "capture"
+    folder.mkdir()
+    import_module("hir_two_splits.implementation").write_sample(tiny_capture(tmp_path / "truth").capture, folder)
+    assert reader.splits(folder) == ["train"]
+    shutil.copy(folder / "cameras.hir_two_splits.json", folder / "cameras_test.hir_two_splits.json")
+    assert reader.splits(folder) == ["train", "test"] and reader.read(folder, "test").split == "test"
 
 
 def test_one_file_passes_and_is_used_by_its_path(tmp_path: Path) -> None:
