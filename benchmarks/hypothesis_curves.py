@@ -73,9 +73,7 @@ def table(files: Sequence[Path]) -> None:
     print("|---|---|" + "---|" * (len(files) + 1))
     for (capture, name), columns in sorted(found.items()):
         values = [columns.get(number, []) for number in range(len(files))]
-        cells = [
-            f"{np.mean(v):.2f} ± {np.std(v, ddof=1):.2f}" if len(v) > 1 else f"{np.mean(v):.2f}" for v in values if v
-        ]
+        cells = [_mean_and_deviation(each) if each else "–" for each in values]
         gain = f"{np.mean(values[-1]) - np.mean(values[0]):+.2f}" if values[0] and values[-1] else "–"
         print(f"| {capture} | {name} | " + " | ".join(cells) + f" | {gain} |")
 

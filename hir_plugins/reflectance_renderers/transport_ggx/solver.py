@@ -189,7 +189,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         )
         if initial is not None and initial.parameters.width is not None:
             settings = replace(settings, alpha_frozen_share=0.0)
-        if initial is None and parameters.is_metal and not spec.light_is_known:
+        if initial is None and parameters.is_metal and self._has_uniform_guess(spec):
             settings = replace(settings, color_frozen_share=METAL_COLOR_FROZEN_SHARE)
         resumes = file is not None and file.has_state()
         candidates = initial_candidates(parameters, None if initial is None else initial.parameters)
