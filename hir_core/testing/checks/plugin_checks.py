@@ -59,24 +59,27 @@ def names_are_free(subject: PluginSubject) -> None:
 
 @contract(PLUGIN)
 def registers_something(subject: PluginSubject) -> None:
-    """Each entry point, file or module of it has a hook of `hir`, marked by `@hookimpl`; one whose hooks only register
-    registers at least one component, observer, preset or command.
+    """Each entry point, file or module of it has a hook of `hir`, and each function with the name of a hook is marked
+    by `@hookimpl`; one whose hooks only register registers at least one component, observer, preset or command.
     """
     judged = [loaded for loaded in subject.loaded if not loaded.problems]
     if not judged:
         raise NotApplicable("it has a problem that another contract names")
     for loaded in judged:
-        unmarked = sorted(name for name in dir(loaded.plugin) if name in HOOKS)
-        where = f"above {', '.join(unmarked)}" if unmarked else f"above a function whose name begins with {REGISTERING}"
+        named = sorted(name for name in dir(loaded.plugin) if name in HOOKS)
+        unmarked = [name for name in named if not subject.plugins.implements(loaded, name)]
+        which = ", ".join(unmarked)
+        require(not unmarked, f"{loaded.module}: hir does not call {which}; write @hookimpl above it ({TUTORIALS})")
         require(
-            subject.plugins.implements(loaded, *HOOKS),
-            f"{loaded.module} registers nothing; write @hookimpl {where} ({TUTORIALS})",
+            named,
+            f"{loaded.module} registers nothing; write @hookimpl above a function whose name begins with {REGISTERING} "
+            f"({TUTORIALS})",
         )
         own = [r for r in subject.components if r.module == loaded.module]
         acts = subject.plugins.implements(loaded, *(hook for hook in HOOKS if not hook.startswith(REGISTERING)))
         require(
             own or loaded.observers or loaded.presets or loaded.commands or acts,
-            f"{loaded.module} registers nothing: {', '.join(unmarked)} must return, or add, at least one ({TUTORIALS})",
+            f"{loaded.module} registers nothing: {', '.join(named)} must return, or add, at least one ({TUTORIALS})",
         )
 
 
