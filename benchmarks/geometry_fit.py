@@ -131,7 +131,7 @@ def main() -> None:
             scene = start_mesh(options.start, train, plugins, Path(folder))
             context = StageContext(plugins, Path(folder), warn=lambda sentence: print(f"> {sentence}"))
             clock = time.process_time()
-            fitted, _ = fit_geometry(scene, train, settings, context)
+            fitted = fit_geometry(scene, train, settings, context)[0].scene
             seconds = time.process_time() - clock
         before, after = figures(scene.mesh, test, true), figures(fitted.mesh, test, true)
         state = inspect_mesh(fitted.mesh.positions.double().numpy(), fitted.mesh.faces.numpy())

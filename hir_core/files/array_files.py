@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from hir_exporters.files.atomic import atomic_path
 from hir_exporters.files.regular_files import refuse_special_file
 from numpy.typing import NDArray
 
@@ -22,3 +24,9 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     except Exception as error:  # zipfile, zlib and numpy's header parser raise many types
         reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{path} cannot be read ({reason}); run without --resume") from error
+
+
+def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Writes an archive of named arrays; the file is complete or as it was before."""
+    with atomic_path(path) as temporary:
+        np.savez(temporary, **arrays)  # type: ignore[arg-type]

@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from hir_exporters.files.atomic import atomic_path
 
 from hir_core.errors import InputError
-from hir_core.files.array_files import read_arrays
+from hir_core.files.array_files import read_arrays, write_arrays
 from hir_core.plugins.progress import Progress, Throttle
 from hir_core.run.interrupt import raise_lost_interrupt
 
@@ -98,8 +97,7 @@ class ProgressListener:
             return
         arrays = {name: np.concatenate(blocks) for name, blocks in self._curves.items()}
         arrays |= {f"{name}@step": np.concatenate(blocks) for name, blocks in self._steps.items()}
-        with atomic_path(path) as temporary:
-            np.savez(temporary, **arrays)  # type: ignore[arg-type]
+        write_arrays(path, arrays)
 
     def _send(self) -> None:
         if self._last is None:

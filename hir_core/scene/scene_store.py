@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from hir_exporters.files.atomic import atomic_directory, atomic_path
+from hir_exporters.files.atomic import atomic_directory
 from hir_exporters.textures.image_files import read_exr, write_exr
 
 from hir_core.errors import InputError
-from hir_core.files.array_files import read_arrays
+from hir_core.files.array_files import read_arrays, write_arrays
 from hir_core.files.json_documents import read_json, write_json
 from hir_core.scene.scene import EnvironmentMap, Material, Mesh, Scene, Topology
 
@@ -48,8 +48,7 @@ def save_stage_scene(scene: Scene, folder: Path) -> None:
                 write_exr(new_folder / f"{name}.exr", array)
             else:
                 arrays_to_store[name] = array
-        with atomic_path(new_folder / "arrays.npz") as temporary:
-            np.savez(temporary, **arrays_to_store)  # type: ignore[arg-type]
+        write_arrays(new_folder / "arrays.npz", arrays_to_store)
         write_json(new_folder / "scene.json", document)
 
 

@@ -14,6 +14,7 @@ from hir_core.run.run_directory import RunDirectory
 
 if TYPE_CHECKING:
     from hir_exporters.asset import Asset
+    from torch import Tensor
 
     from hir_core.scene import Scene
 
@@ -48,6 +49,8 @@ class RunState:
     """From the initializer stage."""
     scene: Scene | None = None
     """The latest scene, in the working frame."""
+    silhouette_positions: Tensor | None = None
+    """From the geometry stage: the vertices (V, 3) before photo-consistency moved them; None where it did not."""
     bounces: int | None = None
     """From the reflectance stage: reflections between parts of the object in the chosen model; None: not modelled."""
     asset: Asset | None = None

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from hir_exporters.asset import Asset
 
     from hir_core.scene import Scene
+    from hir_core.stages.geometry.geometry_fit import FittedGeometry
 
 
 @dataclass(frozen=True)
@@ -86,13 +87,33 @@ def _geometry_settings(state: RunState) -> Any:
     return [asdict(settings), state.config.geometry_renderer.get(settings.renderer, {})]
 
 
-def _fit_geometry(state: RunState, context: StageContext) -> StageResult[Scene]:
-    scene = _scene(state)
-    if not state.config.geometry.enabled:
-        return StageResult(scene, SkippedStageReport())
-    from hir_core.stages.geometry.geometry_fit import fit_geometry
+def _fit_geometry(state: RunState, context: StageContext) -> StageResult[FittedGeometry]:
+    from hir_core.stages.geometry.geometry_fit import FittedGeometry, fit_geometry
 
-    return StageResult(*fit_geometry(scene, state.capture, state.config.geometry, context))
+    if not state.config.geometry.enabled:
+        return StageResult(FittedGeometry(_scene(state)), SkippedStageReport())
+    return StageResult(*fit_geometry(_scene(state), state.capture, state.config.geometry, context))
+
+
+def _save_geometry(state: RunState, value: FittedGeometry, folder: Path) -> None:
+    from hir_core.files.array_files import write_arrays
+
+    _save_scene(state, value.scene, folder)
+    if value.silhouette_positions is not None:
+        write_arrays(folder / SILHOUETTES, {"positions": value.silhouette_positions.cpu().numpy()})
+
+
+def _load_geometry(state: RunState, folder: Path) -> FittedGeometry:
+    import torch
+
+    from hir_core.files.array_files import read_arrays
+    from hir_core.stages.geometry.geometry_fit import FittedGeometry
+
+    scene, path = _load_scene(state, folder), folder / SILHOUETTES
+    if not path.exists():
+        return FittedGeometry(scene)
+    positions = torch.from_numpy(read_arrays(path)["positions"]).to(scene.mesh.positions)
+    return FittedGeometry(scene, positions)
 
 
 def _unwrap(state: RunState, context: StageContext) -> StageResult[Scene]:
@@ -115,7 +136,9 @@ def _fit_reflectance(state: RunState, context: StageContext) -> StageResult[Fitt
         return StageResult(FittedScene(scene, None), SkippedStageReport())
     from hir_core.stages.reflectance.reflectance_fit import fit_reflectance
 
-    fitted, report = fit_reflectance(scene, state.capture, state.config.reflectance, context)
+    fitted, report = fit_reflectance(
+        scene, state.capture, state.config.reflectance, context, state.silhouette_positions
+    )
     return StageResult(FittedScene(fitted, report.bounces), report)
 
 
@@ -177,6 +200,9 @@ def _extend_scene(state: RunState, scene: Scene) -> RunState:
 SWITCHED_OFF = "switched off"
 """The cache key of a stage that the settings switch off."""
 
+SILHOUETTES = "silhouettes.npz"
+"""Vertices of the geometry stage before photo-consistency moved them."""
+
 INITIALIZER: Stage[RunState, InitializedCapture] = Stage(
     name="initializer",
     settings=_initializer_settings,
@@ -186,13 +212,13 @@ INITIALIZER: Stage[RunState, InitializedCapture] = Stage(
     extend=_extend_initialized,
     scene=_scene,
 )
-GEOMETRY: Stage[RunState, Scene] = Stage(
+GEOMETRY: Stage[RunState, FittedGeometry] = Stage(
     name="geometry",
     settings=_geometry_settings,
     compute=_fit_geometry,
-    save=_save_scene,
-    load=_load_scene,
-    extend=_extend_scene,
+    save=_save_geometry,
+    load=_load_geometry,
+    extend=lambda state, value: replace(state, scene=value.scene, silhouette_positions=value.silhouette_positions),
     scene=_scene,
 )
 ATLAS: Stage[RunState, Scene] = Stage(

@@ -73,7 +73,7 @@ def test_a_value_of_one_view_is_named(
     level = report.levels[0]
     assert 5 <= level.skipped_steps["silhouette"] <= 10, "one step in four draws that view"
     assert any(f"view {bad.name}" in w and "silhouette is not finite" in w for w in context[1])
-    assert bool(torch.isfinite(fitted.mesh.positions).all())
+    assert bool(torch.isfinite(fitted.scene.mesh.positions).all())
 
 
 def test_a_gradient_at_some_vertices_is_named(
@@ -96,7 +96,7 @@ def test_a_gradient_at_some_vertices_is_named(
     fitted, report = fit_geometry(Scene(sphere(radius=1.3)), capture, replace(SETTINGS, views_per_step=2), context[0])
     assert report.levels[0].skipped_steps["silhouette"] >= 1
     assert any("vertices 3, 7" in w for w in context[1]), context[1]
-    assert bool(torch.isfinite(fitted.mesh.positions).all())
+    assert bool(torch.isfinite(fitted.scene.mesh.positions).all())
 
 
 def test_a_regularizer_is_named(

@@ -61,8 +61,8 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Capture:
 
 def fitted(mesh: Mesh, capture: Capture, folder: Path) -> np.ndarray:
     """Vertices after the geometry stage."""
-    scene, _ = fit_geometry(Scene(mesh), capture, SETTINGS, StageContext(PluginManager.discover(), folder))
-    return scene.mesh.positions.numpy().astype(np.float64)
+    geometry, _ = fit_geometry(Scene(mesh), capture, SETTINGS, StageContext(PluginManager.discover(), folder))
+    return geometry.scene.mesh.positions.numpy().astype(np.float64)
 
 
 def moved(mesh: Mesh, transform: np.ndarray) -> Mesh:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from jaxtyping import Float
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -44,9 +45,19 @@ from hir_core.stages.geometry.silhouette_residual import silhouette_residual
 from hir_core.stages.held_out_views import held_out_for_geometry
 
 
+@dataclass(frozen=True, eq=False)
+class FittedGeometry:
+    """Value of the geometry stage."""
+
+    scene: Scene
+    """With the fitted mesh."""
+    silhouette_positions: Float[Tensor, "V 3"] | None = None
+    """Vertices before photo-consistency moved them; None where it did not."""
+
+
 def fit_geometry(
     scene: Scene, capture: Capture, settings: GeometrySettings, context: StageContext
-) -> tuple[Scene, GeometryReport]:
+) -> tuple[FittedGeometry, GeometryReport]:
     """The scene with its mesh fitted to the masks of the capture's views, and the stage's report.
 
     While the stage runs, the world is moved in float64 so that the initial mesh is centred and of radius 1 (or
@@ -69,7 +80,10 @@ def fit_geometry(
     photo_consistency = PhotoConsistencySkipped("left out by the settings")
     if settings.photo_consistency == "auto":
         mesh, photo_consistency = refine_by_photo_consistency(mesh, capture, fit.iou, fit.held_out, settings, context)
-    mesh, after = _repair(mesh, before.self_intersecting, silhouette_mesh if photo_consistency.accepted else None)
+    earlier = silhouette_mesh if photo_consistency.accepted else None
+    mesh, after = _repair(mesh, before.self_intersecting, earlier)
+    if earlier is not None:
+        earlier, _ = _repair(earlier, before.self_intersecting, None)
     errors = fit.errors(mesh, everything)
     down_weighted = fit.view_weights.down_weighted()
     residual = silhouette_residual(fit.renderer, mesh, fit.targets, [i for i in fit.train if i not in down_weighted])
@@ -93,8 +107,10 @@ def fit_geometry(
         photo_consistency=photo_consistency,
         curves=CurvesReport(curve),
     )
-    moved_back = replace(mesh, positions=_transformed(mesh.positions.detach(), np.linalg.inv(frame)))
-    return replace(scene, mesh=moved_back), report
+    inverse = np.linalg.inv(frame)
+    moved_back = replace(mesh, positions=_transformed(mesh.positions, inverse))
+    silhouette_positions = None if earlier is None else _transformed(earlier.positions, inverse)
+    return FittedGeometry(replace(scene, mesh=moved_back), silhouette_positions), report
 
 
 def _prepare(mesh: Mesh, capture: Capture, settings: GeometrySettings, context: StageContext) -> SilhouetteFit:

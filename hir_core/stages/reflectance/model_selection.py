@@ -2,7 +2,8 @@
 
 1. Each hypothesis starts from its own initial guess; successive halving drops those that cannot catch up.
 2. Of those that tie on held-out views the simplest is selected, after a second fold of held-out views.
-3. Refinements are compared within it. Hypotheses that were near are then questioned again with the same refinements.
+3. The shape from silhouettes alone replaces the refined one where the selected hypothesis fits held-out views better.
+4. Refinements are compared within it. Hypotheses that were near are then questioned again with the same refinements.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ from hir_core.stages.reflectance.refinement_selection import (
     question_cost,
 )
 from hir_core.stages.reflectance.requested_model import default_spec, forced_spec
+from hir_core.stages.reflectance.shape_selection import OtherShape, ShapeComparison, compare_shapes
 from hir_core.stages.reflectance.successive_halving import (
     ROUNDS,
     Contestant,
@@ -85,6 +87,8 @@ class Selection(Generic[FitT]):
     margins: tuple[Margin, ...] = ()
     """Of all other hypotheses, the runner-up first: those that took part in most rounds, then the nearest."""
     comparisons: tuple[Comparison, ...] = ()
+    shape: ShapeComparison[FitT] | None = None
+    """None where there was one shape."""
 
     @property
     def runner_up(self) -> Margin | None:
@@ -105,11 +109,16 @@ class Selection(Generic[FitT]):
 
 
 def select_model(
-    fits: FitSequence[FitT, RefinementT], settings: ReflectanceSettings, views: int, observer: SelectionObserver
+    fits: FitSequence[FitT, RefinementT],
+    settings: ReflectanceSettings,
+    views: int,
+    observer: SelectionObserver,
+    other_shape: OtherShape[FitT, RefinementT] | None = None,
 ) -> Selection[FitT]:
     """Fits training views and decides on held-out views.
 
-    A model that the settings name is fitted without a comparison.
+    A model that the settings name is fitted without a comparison. Where `other_shape` is selected its solver replaces
+    that of `fits`.
     """
     folds = model_selection_folds(views)
     forced = forced_spec(settings)
@@ -126,8 +135,14 @@ def select_model(
     finalists = halving.run()
     chosen, pooled = _decide(folded, halving, finalists)
     rivals = [each for each in finalists if each is not chosen and can_catch_up(each, 1)][:MAX_QUESTIONED]
-    folded.expect(expected_cost(chosen.spec) + sum(question_cost(each.spec) for each in rivals))
-    refinement = RefinementSelection(folded, chosen.last, fitted, observer.compared)
+    later_cost = expected_cost(chosen.spec) + sum(question_cost(each.spec) for each in rivals)
+    shape = None
+    if other_shape is not None and chosen.last.held_out_db < SUFFICIENT_DB:
+        folded.expect(halving.cost(chosen.spec) + later_cost)
+        shape = compare_shapes(fits, halving, chosen, other_shape)
+    folded.expect(later_cost)
+    first = shape.fit if shape is not None and shape.accepted else chosen.last
+    refinement = RefinementSelection(folded, first, fitted, observer.compared)
     refinement.refine_vertices()
     winner, finals = chosen, {chosen.spec: refinement.fit.errors}
     for rival in rivals:
@@ -152,6 +167,7 @@ def select_model(
         tuple(halving.contestants),
         tuple(margin for _, margin in margins),
         tuple(refinement.comparisons),
+        shape,
     )
 
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Literal
 
 import numpy as np
+from jaxtyping import Float
+from torch import Tensor
 
 from hir_core.capture import Capture
 from hir_core.config import ReflectanceSettings
@@ -29,6 +32,7 @@ from hir_core.stages.reflectance.reflectance_report import (
     explanation_report,
     hypothesis_reports,
     near_tie_warning,
+    shape_report,
     significant,
 )
 from hir_core.stages.reflectance.requested_model import default_spec, forced_spec
@@ -36,9 +40,17 @@ from hir_core.stages.reflectance.stage_progress import StageProgress
 
 
 def fit_reflectance(
-    scene: Scene, capture: Capture, settings: ReflectanceSettings, context: StageContext
+    scene: Scene,
+    capture: Capture,
+    settings: ReflectanceSettings,
+    context: StageContext,
+    silhouette_positions: Float[Tensor, "V 3"] | None = None,
 ) -> tuple[Scene, ReflectanceReport]:
-    """The scene with material and light fitted to the photographs, and how the model was selected."""
+    """The scene with material and light fitted to the photographs, and how the model was selected.
+
+    With `silhouette_positions`, the vertices before photo-consistency moved them, held-out views decide which of both
+    shapes the scene has.
+    """
     if not settings.renderer:
         raise ConfigError("reflectance.renderer is not set; choose a preset that sets it, or set it yourself")
     options = context.options.get("reflectance_renderer", {}).get(settings.renderer, {})
@@ -56,10 +68,17 @@ def fit_reflectance(
     )
     initial = initial_scene(scene, capture, settings, by_solver)
     prepared = renderer.prepare(initial, capture, settings.downsample)
+
+    def on_silhouettes() -> PreparedReflectance:
+        assert silhouette_positions is not None
+        moved = replace(initial, mesh=initial.mesh.with_positions(silhouette_positions))
+        return renderer.prepare(moved, capture, settings.downsample)
+
     with forward_warnings(context):
         if by_solver and isinstance(prepared, ReflectanceSolver):
             takes_terms = "regularizers" in traits
-            fitted, report = _fit_by_solver(initial, prepared, takes_terms, capture, settings, context)
+            other_shape = None if silhouette_positions is None else on_silhouettes
+            fitted, report = _fit_by_solver(initial, prepared, other_shape, takes_terms, capture, settings, context)
         else:
             fitted, report = _fit_by_gradient(initial, prepared, capture, settings, context)
     if settings.conserve_energy and fitted.material is not None:
@@ -72,6 +91,7 @@ def fit_reflectance(
 def _fit_by_solver(
     scene: Scene,
     solver: ReflectanceSolver[FitT, RefinementT],
+    other_shape: Callable[[], PreparedReflectance] | None,
     takes_terms: bool,
     capture: Capture,
     settings: ReflectanceSettings,
@@ -82,9 +102,16 @@ def _fit_by_solver(
     terms = solver_terms(settings.regularizers, context.plugins, context.seed, context.part_seconds)
     if terms and takes_terms:
         solver = solver.with_terms(terms)
+
+    def other_solver() -> ReflectanceSolver[FitT, RefinementT]:
+        assert other_shape is not None
+        other: ReflectanceSolver[FitT, RefinementT] = other_shape()  # type: ignore[assignment]
+        return other.with_terms(terms) if terms and takes_terms else other
+
     progress = StageProgress(context)
     fits = FitSequence(solver, progress.selecting, context.checkpoints, context.checkpoint_seconds)
-    selection = select_model(fits, settings, len(views), progress)
+    selection = select_model(fits, settings, len(views), progress, other_solver if other_shape is not None else None)
+    solver = fits.solver
     fit, spec = selection.fit, selection.spec
     if not selection.compared and forced_spec(settings) is None:
         context.warn(
@@ -134,6 +161,7 @@ def _fit_by_solver(
         explanation=explanation_report(selection),
         hypotheses=hypothesis_reports(selection),
         comparisons=comparison_reports(selection),
+        shape=shape_report(selection),
         regularizers=_reported(energies, fitted, "solver" if takes_terms else "gradient steps", context),
         solver=solved.report,
         gradient=gradient,

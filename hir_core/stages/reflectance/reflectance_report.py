@@ -60,6 +60,20 @@ class ComparisonReport:
 
 
 @dataclass(frozen=True)
+class ShapeReport:
+    """The selected hypothesis on the mesh of the silhouettes, against the same fits on the refined mesh; in dB."""
+
+    silhouettes_selected: bool
+    """Whether the mesh is that of the silhouettes: what photo-consistency changed is undone."""
+    held_out_db: tuple[float, ...]
+    """Mean PSNR on held-out views after each round, on the mesh of the silhouettes."""
+    gain_db: float
+    """Of the mesh of the silhouettes."""
+    standard_error_db: float
+    held_out_views: int
+
+
+@dataclass(frozen=True)
 class RefinementReport:
     """A step after the fit that is accepted only where held-out views gain: mean PSNR on them before and after."""
 
@@ -135,6 +149,8 @@ class ReflectanceReport:
     """What kind of material under what kind of light explains the photographs; None where none were compared."""
     hypotheses: tuple[HypothesisReport, ...] = ()
     comparisons: tuple[ComparisonReport, ...] = ()
+    shape: ShapeReport | None = None
+    """Which shape the material was fitted on; None where nothing was compared."""
     solver: Mapping[str, Any] | None = None
     """Figures of the solver's own."""
     gradient: GradientReport | None = None
@@ -217,6 +233,20 @@ def comparison_reports(selection: Selection[FitT]) -> tuple[ComparisonReport, ..
             c.accepted,
         )
         for c in selection.comparisons
+    )
+
+
+def shape_report(selection: Selection[FitT]) -> ShapeReport | None:
+    """The comparison of both shapes for run.json; None where there was one shape."""
+    shape = selection.shape
+    if shape is None:
+        return None
+    return ShapeReport(
+        shape.accepted,
+        tuple(round(value, 3) for value in shape.curve_db),
+        round(shape.gain_db, 3),
+        round(shape.standard_error_db, 3),
+        len(shape.fit.errors),
     )
 
 

@@ -153,7 +153,7 @@ def _with_geometry(scene: Scene, before: Timing, capture: Capture, options: Benc
     own = stopwatch.timing()
     memory = max(before.memory_bytes or 0, own.memory_bytes or 0) or None
     seconds = before.median + own.median
-    return replace(scene, mesh=fitted.mesh), Timing(seconds, seconds, seconds, 1, before.cpu + own.cpu, memory)
+    return replace(scene, mesh=fitted.scene.mesh), Timing(seconds, seconds, seconds, 1, before.cpu + own.cpu, memory)
 
 
 def _stored_rows(file: Path) -> Mapping[str, Row]:

@@ -65,7 +65,7 @@ def _fit(
     seed: int = 0,
 ) -> tuple[Mesh, GeometryReport]:
     fitted, report = fit_geometry(scene, capture, settings, _context(tmp_path, warnings, seed))
-    return fitted.mesh, report
+    return fitted.scene.mesh, report
 
 
 def _unseen_offset(mesh: Mesh, shape: tuple[np.ndarray, np.ndarray]) -> tuple[float, float]:

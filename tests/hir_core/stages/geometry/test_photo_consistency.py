@@ -125,11 +125,13 @@ def test_photographs_find_the_floor_of_a_bowl(hollow: tuple[Positions, Faces], c
     outlines, _ = fit_geometry(start, capture, replace(SETTINGS, photo_consistency="off"), _context(tmp_path / "a"))
     both, report = fit_geometry(start, capture, SETTINGS, _context(tmp_path / "b"))
     truth = _floor_height(mesh_of(*hollow))
-    missed, found = _floor_height(outlines.mesh) - truth, _floor_height(both.mesh) - truth
+    missed, found = _floor_height(outlines.scene.mesh) - truth, _floor_height(both.scene.mesh) - truth
     assert missed > 0.05, "silhouettes alone must not find the bowl, or this test shows nothing"
     assert abs(found) < missed / 5
     assert report.photo_consistency.accepted
     assert (report.iou_held_out.after or 0) > 0.985
+    assert both.silhouette_positions is not None and outlines.silhouette_positions is None
+    assert torch.equal(both.silhouette_positions, outlines.scene.mesh.positions)
 
 
 @pytest.mark.slow
@@ -167,7 +169,8 @@ def test_without_detail_the_mesh_stays_as_the_silhouette_fit_left_it(hollow: tup
     outlines, _ = fit_geometry(start, plain, replace(settings, photo_consistency="off"), _context(tmp_path / "a"))
     both, report = fit_geometry(start, plain, settings, _context(tmp_path / "b"))
     assert not report.photo_consistency.accepted
-    assert torch.equal(both.mesh.positions, outlines.mesh.positions)
+    assert torch.equal(both.scene.mesh.positions, outlines.scene.mesh.positions)
+    assert both.silhouette_positions is None
 
 
 def test_photographs_agree_best_about_the_true_surface(hollow: tuple[Positions, Faces], capture: Capture) -> None:

@@ -1,0 +1,65 @@
+"""Whether the mesh keeps what photo-consistency changed: decided by held-out views of the selected hypothesis.
+
+Photo-consistency assumes that a point of the surface looks alike from neighbouring views. On a polished object
+reflections move over the surface like another surface, and the views that judge photo-consistency see the same
+reflections. A fit of material and light explains them, and its held-out error shows which shape they belong to
+(docs/studies/photo_consistency.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, TypeAlias
+
+from hir_core.plugins.interfaces import FitT, RefinementT, ReflectanceSolver
+from hir_core.stages.reflectance.fit_sequence import FitSequence
+from hir_core.stages.reflectance.folded_fits import FoldedFit
+from hir_core.stages.reflectance.held_out_comparison import is_significant, paired_gain
+from hir_core.stages.reflectance.successive_halving import ROUNDS, Contestant, SuccessiveHalving
+
+REQUIRED_STANDARD_ERRORS_OF_SHAPE = 2.0
+"""What the other shape must gain: the photographs confirmed the refined one before."""
+
+OtherShape: TypeAlias = Callable[[], ReflectanceSolver[FitT, RefinementT]]
+"""Prepares the same scene with the vertices of another shape; the triangles are the same, so fits can continue."""
+
+
+@dataclass(frozen=True, eq=False)
+class ShapeComparison(Generic[FitT]):
+    """The selected hypothesis fitted on the other shape, against the same fits on the refined one."""
+
+    fit: FoldedFit[FitT]
+    """The last fit on the other shape."""
+    curve_db: tuple[float, ...]
+    """Held-out PSNR on the other shape after each round; it ends where it is behind."""
+    gain_db: float
+    """Mean over held-out views of the last round that both have."""
+    standard_error_db: float
+    accepted: bool
+    """Whether the other shape was selected."""
+
+
+def compare_shapes(
+    fits: FitSequence[FitT, RefinementT],
+    halving: SuccessiveHalving[FitT, RefinementT],
+    chosen: Contestant[FitT],
+    other_shape: OtherShape[FitT, RefinementT],
+) -> ShapeComparison[FitT]:
+    """Gives the selected hypothesis on the other shape the rounds that it had, as long as it is ahead.
+
+    Where held-out views gain significantly `fits` continues with the solver of the other shape.
+    """
+    refined, fits.solver = fits.solver, other_shape()
+    fit, curve, gain, standard_error = None, [], 0.0, 0.0
+    for before, budget in zip(chosen.rounds, ROUNDS, strict=True):
+        fit = halving.fit_round(chosen.spec, fit, budget)
+        curve.append(fit.held_out_db)
+        gain, standard_error = paired_gain(before.errors, fit.errors)
+        if gain <= 0:
+            break
+    assert fit is not None
+    accepted = is_significant(gain, standard_error, len(fit.errors), REQUIRED_STANDARD_ERRORS_OF_SHAPE)
+    if not accepted:
+        fits.solver = refined
+    return ShapeComparison(fit, tuple(curve), gain, standard_error, accepted)

@@ -1,0 +1,109 @@
+"""The mesh of the silhouettes or the refined one: decided by held-out views of the selected hypothesis."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from hir_core.config import ReflectanceSettings
+from hir_core.plugins.model_spec import ModelSpec
+from hir_core.report.model_selection_table import model_selection
+from hir_core.scene import Scene
+from hir_core.stages.reflectance.fit_sequence import FitSequence
+from hir_core.stages.reflectance.model_selection import Selection, select_model
+from hir_core.stages.reflectance.reflectance_report import shape_report
+from hir_core.stages.reflectance.successive_halving import ROUNDS
+from tests.fixtures.made_captures import around, ball, lamps, make_material, painted, photographs
+from tests.hir_core.stages.reflectance.scripted_solver import Fit, Recorder, Scripted, level
+
+
+def metal_is_better(base_db: float, noise: float = 0.0, seed: int = 0) -> Scripted:
+    """A solver for which metals are 3 dB better than other materials."""
+
+    def error(spec: ModelSpec, effort: float) -> float:
+        return level(base_db + 2 * min(effort, 1.0) + 3 * (spec.kind == "metal"))
+
+    return Scripted(error, noise, seed)
+
+
+def selected(
+    refined: Scripted, silhouettes: Scripted, views: int = 48
+) -> tuple[Selection[Fit], FitSequence[Fit, None]]:
+    recorder = Recorder()
+    fits = FitSequence(refined, recorder.progress)
+    selection = select_model(fits, ReflectanceSettings(), views, recorder, lambda: silhouettes)
+    assert recorder.shares == sorted(recorder.shares) and recorder.shares[-1] <= 1
+    return selection, fits
+
+
+def test_the_silhouettes_are_selected_where_held_out_views_gain() -> None:
+    refined, silhouettes = metal_is_better(20, 0.05), metal_is_better(22, 0.05, seed=1)
+    selection, fits = selected(refined, silhouettes)
+    shape = selection.shape
+    assert shape is not None and shape.accepted
+    assert shape.gain_db == pytest.approx(2, abs=0.2)
+    assert len(shape.curve_db) == len(ROUNDS)
+    assert selection.hypothesis.kind == "metal"
+    assert fits.solver is silhouettes
+    assert {spec.kind for spec, _ in silhouettes.fitted[: len(ROUNDS)]} == {"metal"}
+    assert len(silhouettes.fitted) > len(ROUNDS), "refinements continue on the selected shape"
+    fitted_there = len(refined.fitted)
+    assert all(spec.normals == "mesh" for spec, _ in refined.fitted), f"no refinement among {fitted_there} fits"
+
+
+@pytest.mark.parametrize("seed", range(1, 6))
+def test_a_gain_within_noise_changes_nothing(seed: int) -> None:
+    refined, silhouettes = metal_is_better(20, 0.3), metal_is_better(20.05, 0.3, seed)
+    selection, fits = selected(refined, silhouettes)
+    assert selection.shape is not None and not selection.shape.accepted
+    assert fits.solver is refined
+
+
+def test_a_shape_that_is_behind_gets_no_further_round() -> None:
+    refined, silhouettes = metal_is_better(22), metal_is_better(20)
+    selection, fits = selected(refined, silhouettes)
+    shape = selection.shape
+    assert shape is not None and not shape.accepted and shape.gain_db == pytest.approx(-2)
+    assert len(shape.curve_db) == 1 and {effort for _, effort, _ in silhouettes.budgets} == {ROUNDS[0].effort}
+    assert fits.solver is refined
+
+
+def test_without_held_out_views_nothing_is_compared() -> None:
+    silhouettes = metal_is_better(30)
+    selection, _ = selected(metal_is_better(20), silhouettes, views=4)
+    assert selection.shape is None and not silhouettes.fitted
+    assert shape_report(selection) is None
+
+
+@pytest.mark.parametrize(
+    ("silhouettes_db", "words"),
+    [(23.0, "was undone: without it held-out views of the selected hypothesis gain 3"),
+     (18.0, "was kept: without it held-out views of the selected hypothesis lose 2")],
+)  # fmt: skip
+def test_the_report_says_which_shape_was_selected_and_why(silhouettes_db: float, words: str) -> None:
+    selection, _ = selected(metal_is_better(20), metal_is_better(silhouettes_db))
+    report = shape_report(selection)
+    assert report is not None
+    document = {"stages": {"reflectance": {"report": {"shape": vars(report), "model": "metal"}}}}
+    page = str(model_selection(document, ()))
+    assert words in page and "6 held-out views" in page
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("silhouettes_are_true", [True, False], ids=["rough refinement", "rough silhouettes"])
+def test_the_stage_fits_the_shape_that_explains_the_reflections(silhouettes_are_true: bool, tmp_path: Path) -> None:
+    """A glossy ball and the same ball with bumps of one hundredth of its radius, which no outline of 32 pixels has."""
+    mesh = ball()
+    color = painted(mesh, lambda p: 0.3 + 0.2 * torch.sin(4 * p))[0]
+    truth = Scene(mesh, make_material(color, 0.04, 0.15, "dielectric"), lamps())
+    capture = photographs(truth, around(24))
+    bumps = 1 + 0.01 * np.random.default_rng(0).normal(size=(len(mesh.positions), 1)).astype(np.float32)
+    rough = mesh.positions * torch.from_numpy(bumps)
+    refined, silhouettes = (rough, mesh.positions) if silhouettes_are_true else (mesh.positions, rough)
+    scene, report = fitted(mesh.with_positions(refined), capture, tmp_path, silhouette_positions=silhouettes)
+    assert report.shape is not None
+    assert report.shape.silhouettes_selected == silhouettes_are_true, report.shape
+    assert torch.equal(scene.mesh.positions, mesh.positions)
