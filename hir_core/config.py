@@ -65,7 +65,7 @@ class GeometrySettings:
     """Give views a lower weight where their masks contradict the others, and name them (robust view weights)."""
     photo_consistency: Literal["auto", "off"] = "auto"
     """After the silhouettes, move vertices to make the photographs consistent, as far as views that take no part in the
-    fit become more consistent, too."""
+    fit become more consistent, too. The reflectance stage undoes it where its held-out views are better without it."""
     photo_consistency_iterations: int = 100
     """Optimisation steps of photo-consistency at each image resolution; the second, finer attempt takes as many at each
     but the coarsest, and a last pass takes half as many."""

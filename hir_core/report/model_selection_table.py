@@ -34,7 +34,7 @@ def model_selection(document: Document, seconds: Sequence[float]) -> Markup:
     if hypotheses:
         parts.append(_hypotheses(hypotheses))
     if shape := report.get("shape"):
-        parts.append(notice(_shape_sentence(shape)))
+        parts.append(notice(f"Shape from {shape['sentence']} ({shape['held_out_views']} held-out views)."))
     if comparisons:
         parts.append(_candidates(comparisons, seconds))
     if not comparisons and not hypotheses and report.get("model"):
@@ -79,16 +79,6 @@ def _candidates(comparisons: Sequence[Document], seconds: Sequence[float]) -> Ma
         )
         rows.append(Row(str(entry["model"]), cells, decision))
     return table("model_selection", ("", "held-out views", "", "gain, dB", "time", ""), rows)
-
-
-def _shape_sentence(shape: Document) -> str:
-    gain, error = shape["gain_db"], shape["standard_error_db"]
-    decision = "was undone" if shape["silhouettes_selected"] else "was kept"
-    return (
-        f"The change of shape by photo-consistency {decision}: without it held-out views of the selected hypothesis "
-        f"{'gain' if gain >= 0 else 'lose'} {number(abs(gain), 2)} ± {number(error, 2)} dB "
-        f"({shape['held_out_views']} held-out views)."
-    )
 
 
 def _refinement_sentence(text: str, refinement: Document) -> str:

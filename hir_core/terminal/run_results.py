@@ -11,16 +11,19 @@ if TYPE_CHECKING:
     from hir_core.run.run_directory import RunDirectory
 
 
-def explanation_sentence(document: Mapping[str, Any]) -> str:
-    """The selected material and light beside the runner-up, from run.json; empty where none were compared."""
+def decisions(document: Mapping[str, Any]) -> dict[str, str]:
+    """What held-out views decided, from run.json: the selected material and light (`model`) and the shape, each beside
+    the runner-up. Empty where nothing was compared.
+    """
     report = document.get("stages", {}).get("reflectance", {}).get("report") or {}
-    return str((report.get("explanation") or {}).get("sentence", ""))
+    found = {"model": report.get("explanation"), "shape": report.get("shape")}
+    return {name: str(part["sentence"]) for name, part in found.items() if part and part.get("sentence")}
 
 
 def show_summary(directory: RunDirectory) -> None:
     """Prints where the results are."""
-    if sentence := explanation_sentence(directory.read_run()):
-        click.echo(f"{'model':>8}  {sentence}")
+    for name, sentence in decisions(directory.read_run()).items():
+        click.echo(f"{name:>8}  {sentence}")
     lines = [("asset", directory.scene), ("files", directory.exports), ("report", directory.path / "report.html")]
     for name, path in lines:
         if path.exists():

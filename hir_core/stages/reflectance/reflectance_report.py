@@ -71,6 +71,8 @@ class ShapeReport:
     """Of the mesh of the silhouettes."""
     standard_error_db: float
     held_out_views: int
+    sentence: str
+    """All of it in words."""
 
 
 @dataclass(frozen=True)
@@ -241,12 +243,16 @@ def shape_report(selection: Selection[FitT]) -> ShapeReport | None:
     shape = selection.shape
     if shape is None:
         return None
+    selected = "silhouettes alone" if shape.accepted else "silhouettes and photo-consistency"
+    side = "worse" if (shape.gain_db >= 0) == shape.accepted else "better, within noise"
+    other = "with photo-consistency" if shape.accepted else "silhouettes alone"
     return ShapeReport(
         shape.accepted,
         tuple(round(value, 3) for value in shape.curve_db),
         round(shape.gain_db, 3),
         round(shape.standard_error_db, 3),
         len(shape.fit.errors),
+        f"{selected}; {other}: {abs(shape.gain_db):.1f} ± {shape.standard_error_db:.1f} dB {side}",
     )
 
 

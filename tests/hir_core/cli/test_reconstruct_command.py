@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from hir_core.pipeline import Run
-from hir_core.terminal.run_results import explanation_sentence
+from hir_core.terminal.run_results import decisions
 from tests.fixtures.command_line import hir
 from tests.fixtures.runs import QUICK
 
@@ -47,9 +47,9 @@ def test_a_finished_run_is_reused_and_its_files_are_printed(
 def test_the_explanation_is_printed_where_hypotheses_were_compared() -> None:
     sentence = "metal, light in the world; next: dielectric, 3.1 ± 0.4 dB worse"
     document = {"stages": {"reflectance": {"report": {"explanation": {"sentence": sentence}}}}}
-    assert explanation_sentence(document) == sentence
-    assert explanation_sentence({"stages": {"reflectance": {"report": None}}}) == ""
-    assert explanation_sentence({"stages": {}}) == ""
+    assert decisions(document)["model"] == sentence
+    assert decisions({"stages": {"reflectance": {"report": None}}}) == {}
+    assert decisions({"stages": {}}) == {}
 
 
 def test_pictures_around_a_run(finished: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

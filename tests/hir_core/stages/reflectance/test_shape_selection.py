@@ -16,6 +16,7 @@ from hir_core.stages.reflectance.fit_sequence import FitSequence
 from hir_core.stages.reflectance.model_selection import Selection, select_model
 from hir_core.stages.reflectance.reflectance_report import shape_report
 from hir_core.stages.reflectance.successive_halving import ROUNDS
+from hir_core.terminal.run_results import decisions
 from tests.fixtures.made_captures import around, ball, lamps, make_material, painted, photographs
 from tests.hir_core.stages.reflectance.scripted_solver import Fit, Recorder, Scripted, level
 
@@ -79,17 +80,20 @@ def test_without_held_out_views_nothing_is_compared() -> None:
 
 
 @pytest.mark.parametrize(
-    ("silhouettes_db", "words"),
-    [(23.0, "was undone: without it held-out views of the selected hypothesis gain 3"),
-     (18.0, "was kept: without it held-out views of the selected hypothesis lose 2")],
-)  # fmt: skip
-def test_the_report_says_which_shape_was_selected_and_why(silhouettes_db: float, words: str) -> None:
+    ("silhouettes_db", "sentence"),
+    [
+        (23.0, "silhouettes alone; with photo-consistency: 3.0 ± 0.0 dB worse"),
+        (20.05, "silhouettes and photo-consistency; silhouettes alone: 0.1 ± 0.0 dB better, within noise"),
+        (18.0, "silhouettes and photo-consistency; silhouettes alone: 2.0 ± 0.0 dB worse"),
+    ],
+)
+def test_terminal_and_report_say_which_shape_was_selected_and_why(silhouettes_db: float, sentence: str) -> None:
     selection, _ = selected(metal_is_better(20), metal_is_better(silhouettes_db))
     report = shape_report(selection)
     assert report is not None
     document = {"stages": {"reflectance": {"report": {"shape": vars(report), "model": "metal"}}}}
-    page = str(model_selection(document, ()))
-    assert words in page and "6 held-out views" in page
+    assert decisions(document) == {"shape": sentence}
+    assert f"Shape from {sentence} (6 held-out views)." in str(model_selection(document, ()))
 
 
 @pytest.mark.slow
