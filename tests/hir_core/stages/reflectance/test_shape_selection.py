@@ -11,13 +11,13 @@ import torch
 from hir_core.config import ReflectanceSettings
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.report.model_selection_table import model_selection
-from hir_core.scene import Scene
+from hir_core.scene import Material, Scene
 from hir_core.stages.reflectance.fit_sequence import FitSequence
 from hir_core.stages.reflectance.model_selection import Selection, select_model
 from hir_core.stages.reflectance.reflectance_report import shape_report
 from hir_core.stages.reflectance.successive_halving import ROUNDS
 from hir_core.terminal.run_results import decisions
-from tests.fixtures.made_captures import around, ball, lamps, make_material, painted, photographs
+from tests.fixtures.made_captures import around, ball, fitted, lamps, photographs
 from tests.hir_core.stages.reflectance.scripted_solver import Fit, Recorder, Scripted, level
 
 
@@ -99,10 +99,10 @@ def test_terminal_and_report_say_which_shape_was_selected_and_why(silhouettes_db
 @pytest.mark.slow
 @pytest.mark.parametrize("silhouettes_are_true", [True, False], ids=["rough refinement", "rough silhouettes"])
 def test_the_stage_fits_the_shape_that_explains_the_reflections(silhouettes_are_true: bool, tmp_path: Path) -> None:
-    """A glossy ball and the same ball with bumps of one hundredth of its radius, which no outline of 32 pixels has."""
+    """A golden ball and the same ball with bumps of one hundredth of its radius, which no outline of 32 pixels has."""
     mesh = ball()
-    color = painted(mesh, lambda p: 0.3 + 0.2 * torch.sin(4 * p))[0]
-    truth = Scene(mesh, make_material(color, 0.04, 0.15, "dielectric"), lamps())
+    gold = Material.metallic(torch.tensor((0.9, 0.6, 0.25)), torch.ones(1), torch.full((1,), 0.15))
+    truth = Scene(mesh, gold, lamps())
     capture = photographs(truth, around(24))
     bumps = 1 + 0.01 * np.random.default_rng(0).normal(size=(len(mesh.positions), 1)).astype(np.float32)
     rough = mesh.positions * torch.from_numpy(bumps)
