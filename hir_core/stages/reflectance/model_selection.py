@@ -37,7 +37,7 @@ from hir_core.stages.reflectance.refinement_selection import (
     question_cost,
 )
 from hir_core.stages.reflectance.requested_model import default_spec, forced_spec
-from hir_core.stages.reflectance.shape_selection import OtherShape, ShapeComparison, compare_shapes
+from hir_core.stages.reflectance.shape_selection import OtherShape, ShapeComparison, compare_shapes, shape_cost
 from hir_core.stages.reflectance.successive_halving import (
     ROUNDS,
     Contestant,
@@ -131,14 +131,16 @@ def select_model(
         observer.evaluated(fit.held_out_db)
 
     specs = _supported(fits, hypotheses(settings))
-    halving = SuccessiveHalving(folded, specs, later_cost=expected_cost(specs[-1]), fitted=fitted)
+    costliest = specs[-1]
+    later_cost = expected_cost(costliest) + (shape_cost(costliest) if other_shape is not None else 0.0)
+    halving = SuccessiveHalving(folded, specs, later_cost=later_cost, fitted=fitted)
     finalists = halving.run()
     chosen, pooled = _decide(folded, halving, finalists)
     rivals = [each for each in finalists if each is not chosen and can_catch_up(each, 1)][:MAX_QUESTIONED]
     later_cost = expected_cost(chosen.spec) + sum(question_cost(each.spec) for each in rivals)
     shape = None
     if other_shape is not None and chosen.last.held_out_db < SUFFICIENT_DB:
-        folded.expect(halving.cost(chosen.spec) + later_cost)
+        folded.expect(shape_cost(chosen.spec) + later_cost)
         shape = compare_shapes(fits, halving, chosen, other_shape)
     folded.expect(later_cost)
     first = shape.fit if shape is not None and shape.accepted else chosen.last

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 from typing import Generic, TypeAlias
 
 from hir_core.plugins.interfaces import FitT, RefinementT, ReflectanceSolver
-from hir_core.stages.reflectance.fit_sequence import FitSequence
+from hir_core.plugins.model_spec import ModelSpec
+from hir_core.stages.reflectance.fit_sequence import FitSequence, fit_cost
 from hir_core.stages.reflectance.folded_fits import FoldedFit
 from hir_core.stages.reflectance.held_out_comparison import is_significant, paired_gain
 from hir_core.stages.reflectance.successive_halving import ROUNDS, Contestant, SuccessiveHalving
@@ -63,3 +64,8 @@ def compare_shapes(
     if not accepted:
         fits.solver = refined
     return ShapeComparison(fit, tuple(curve), gain, standard_error, accepted)
+
+
+def shape_cost(spec: ModelSpec) -> float:
+    """Of the rounds of one hypothesis on the other shape, for the progress."""
+    return sum(fit_cost(spec, budget.effort, budget.pixel_share) for budget in ROUNDS)
