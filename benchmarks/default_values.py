@@ -58,7 +58,7 @@ class DefaultValue:
         return ["benchmarks.changed_constant", f"{self.constant}={value}", "bench", "materials", *fixed]
 
 
-SELECTION = "hir_core.stages.reflectance"
+SELECTION = "hir_core.stages.reflectance.selection"
 PHOTOGRAPHS = "hir_core.stages.geometry"
 FITS = "hir_plugins.reflectance_renderers.transport_ggx.fit"
 TEXTURES = "hir_plugins.reflectance_renderers.transport_ggx.textures"

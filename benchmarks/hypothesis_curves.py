@@ -21,10 +21,10 @@ from benchmarks.reflectance_task import task_of
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.run.machine import source_commit
 from hir_core.stages.held_out_views import model_selection_folds
-from hir_core.stages.reflectance.fit_sequence import FitSequence
-from hir_core.stages.reflectance.folded_fits import FoldedFits
-from hir_core.stages.reflectance.hypotheses import FRAMES, KINDS, hypothesis
-from hir_core.stages.reflectance.successive_halving import ROUNDS, SuccessiveHalving
+from hir_core.stages.reflectance.selection.fit_sequence import FitSequence
+from hir_core.stages.reflectance.selection.folded_fits import FoldedFits
+from hir_core.stages.reflectance.selection.hypotheses import FRAMES, KINDS, hypothesis
+from hir_core.stages.reflectance.selection.successive_halving import ROUNDS, SuccessiveHalving
 from hir_plugins.reflectance_renderers.transport_ggx.solver import Fit
 
 

@@ -46,7 +46,7 @@ STEPS = (
         "", "photo-consistency of the surface", "hir_core/stages/geometry/photo_refinement.py", "Scene with fitted mesh"
     ),
     Step("atlas", "texture coordinates", "hir_core/stages/atlas.py", "Scene with texture coordinates"),
-    Step("reflectance", "select the reflectance model", "hir_core/stages/reflectance/model_selection.py"),
+    Step("reflectance", "select the reflectance model", "hir_core/stages/reflectance/selection/model_selection.py"),
     Step("", "trace rays once, store matrices", f"{TRANSPORT}/operator/light_transport.py", plugin=True),
     Step("", "fit light and material at vertices", f"{TRANSPORT}/fit/joint_optimization.py", plugin=True),
     Step("", "solve textures", f"{TRANSPORT}/textures/texture_solve.py", plugin=True),

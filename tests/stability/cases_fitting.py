@@ -15,7 +15,7 @@ from hir_core.scene import Mesh, Topology
 from hir_core.scene.frames import unit_similarity
 from hir_core.stages.geometry.detail_images import detail_image
 from hir_core.stages.geometry.photo_evaluation import confirmed_share
-from hir_core.stages.reflectance.held_out_comparison import decibels, paired_gain
+from hir_core.stages.reflectance.selection.held_out_comparison import decibels, paired_gain
 from hir_plugins.regularizers.total_variation import environment_variation
 from tests.stability.case import Case
 
@@ -30,7 +30,7 @@ def _comparisons() -> list[Case]:
     return [
         Case(
             "reflectance",
-            "hir_core.stages.reflectance.held_out_comparison.decibels",
+            "hir_core.stages.reflectance.selection.held_out_comparison.decibels",
             "an error of 0",
             "120 dB",
             lambda: decibels(zero),
@@ -40,7 +40,7 @@ def _comparisons() -> list[Case]:
         ),
         Case(
             "reflectance",
-            "hir_core.stages.reflectance.held_out_comparison.paired_gain",
+            "hir_core.stages.reflectance.selection.held_out_comparison.paired_gain",
             "one held-out view",
             "a gain, and no NaN for its noise",
             lambda: float(np.isnan(paired_gain(one, one / 2)[1])),

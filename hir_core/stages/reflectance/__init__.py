@@ -1,1 +1,1 @@
-"""The reflectance stage: model selection, gradient fit, path-traced refinement."""
+"""The reflectance stage: its order, gradient fit, path-traced refinement, report."""

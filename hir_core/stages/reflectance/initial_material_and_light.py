@@ -16,7 +16,7 @@ from hir_core.config import ReflectanceSettings
 from hir_core.errors import ConfigError, InputError, StageError
 from hir_core.files.light_setting import parse_light_file
 from hir_core.scene import EnvironmentMap, Material, Scene
-from hir_core.stages.reflectance.requested_model import default_spec, forced_spec
+from hir_core.stages.reflectance.selection.requested_model import default_spec, forced_spec
 
 INITIAL_METALNESS = 0.5
 """Of gradient steps; neither metal nor dielectric."""

@@ -26,13 +26,13 @@ from hir_core.scene import Scene
 from hir_core.scene.srgb import linear_to_srgb
 from hir_core.stages.held_out_views import held_out_for_model_selection
 from hir_core.stages.reflectance.gradient_fit import ObjectPixels, fit_by_gradient, object_pixels
-from hir_core.stages.reflectance.held_out_comparison import (
+from hir_core.stages.reflectance.reflectance_report import RefinementReport
+from hir_core.stages.reflectance.selection.held_out_comparison import (
     REQUIRED_STANDARD_ERRORS,
     critical_value,
     mean_decibels,
     paired_gain,
 )
-from hir_core.stages.reflectance.reflectance_report import RefinementReport
 
 if TYPE_CHECKING:
     from hir_core.plugins.interfaces import PreparedReflectance, ReflectanceRenderer, ReflectanceSolver

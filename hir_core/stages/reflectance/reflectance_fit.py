@@ -19,10 +19,8 @@ from hir_core.plugins.interfaces import FitT, PreparedReflectance, RefinementT, 
 from hir_core.run.stage_context import StageContext, forward_warnings
 from hir_core.scene import Scene
 from hir_core.scene.energy_conservation import with_conserved_energy
-from hir_core.stages.reflectance.fit_sequence import FitSequence
 from hir_core.stages.reflectance.gradient_fit import fit_by_gradient, gradient_steps, object_pixels
 from hir_core.stages.reflectance.initial_material_and_light import initial_scene
-from hir_core.stages.reflectance.model_selection import select_model
 from hir_core.stages.reflectance.path_traced_refinement import refine_albedo, refine_by_path_tracing
 from hir_core.stages.reflectance.reflectance_report import (
     LightAndMaterial,
@@ -35,7 +33,9 @@ from hir_core.stages.reflectance.reflectance_report import (
     shape_report,
     significant,
 )
-from hir_core.stages.reflectance.requested_model import default_spec, forced_spec
+from hir_core.stages.reflectance.selection.fit_sequence import FitSequence
+from hir_core.stages.reflectance.selection.model_selection import select_model
+from hir_core.stages.reflectance.selection.requested_model import default_spec, forced_spec
 from hir_core.stages.reflectance.stage_progress import StageProgress
 
 

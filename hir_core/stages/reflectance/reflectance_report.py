@@ -9,8 +9,8 @@ from typing import Any, Literal
 from hir_core.plugins.interfaces import FitT
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene import Scene
-from hir_core.stages.reflectance.hypotheses import described, forcing_settings
-from hir_core.stages.reflectance.model_selection import Selection
+from hir_core.stages.reflectance.selection.hypotheses import described, forcing_settings
+from hir_core.stages.reflectance.selection.model_selection import Selection
 
 
 @dataclass(frozen=True)

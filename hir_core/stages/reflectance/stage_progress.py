@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from hir_core.plugins.progress import MODEL_FITTED, MODELS_COMPARED, Progress
-from hir_core.stages.reflectance.model_selection import SelectionObserver
-from hir_core.stages.reflectance.refinement_selection import Comparison
+from hir_core.stages.reflectance.selection.model_selection import SelectionObserver
+from hir_core.stages.reflectance.selection.refinement_selection import Comparison
 
 if TYPE_CHECKING:
     from hir_core.run.stage_context import StageContext

@@ -10,7 +10,7 @@ import torch
 
 from hir_core.scene import Material, Mesh, Scene
 from hir_core.stages.atlas import unwrap_mesh
-from hir_core.stages.reflectance.hypotheses import INTERREFLECTIONS
+from hir_core.stages.reflectance.selection.hypotheses import INTERREFLECTIONS
 from tests.fixtures.made_captures import (
     BROWN,
     above,

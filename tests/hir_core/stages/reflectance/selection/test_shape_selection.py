@@ -12,13 +12,13 @@ from hir_core.config import ReflectanceSettings
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.report.model_selection_table import model_selection
 from hir_core.scene import Material, Scene
-from hir_core.stages.reflectance.fit_sequence import FitSequence
-from hir_core.stages.reflectance.model_selection import Selection, select_model
 from hir_core.stages.reflectance.reflectance_report import shape_report
-from hir_core.stages.reflectance.successive_halving import ROUNDS
+from hir_core.stages.reflectance.selection.fit_sequence import FitSequence
+from hir_core.stages.reflectance.selection.model_selection import Selection, select_model
+from hir_core.stages.reflectance.selection.successive_halving import ROUNDS
 from hir_core.terminal.run_results import decisions
 from tests.fixtures.made_captures import around, ball, fitted, lamps, photographs
-from tests.hir_core.stages.reflectance.scripted_solver import Fit, Recorder, Scripted, level
+from tests.hir_core.stages.reflectance.selection.scripted_solver import Fit, Recorder, Scripted, level
 
 
 def metal_is_better(base_db: float, noise: float = 0.0, seed: int = 0) -> Scripted:

@@ -8,16 +8,16 @@ from typing import Generic, final
 
 from hir_core.plugins.interfaces import FitT, RefinementT
 from hir_core.plugins.model_spec import ModelSpec
-from hir_core.stages.reflectance.fit_sequence import fit_cost
-from hir_core.stages.reflectance.folded_fits import FoldedFit, FoldedFits
-from hir_core.stages.reflectance.held_out_comparison import (
+from hir_core.stages.reflectance.selection.fit_sequence import fit_cost
+from hir_core.stages.reflectance.selection.folded_fits import FoldedFit, FoldedFits
+from hir_core.stages.reflectance.selection.held_out_comparison import (
     REQUIRED_STANDARD_ERRORS,
     SUFFICIENT_DB,
     differs,
     is_significant,
     paired_gain,
 )
-from hir_core.stages.reflectance.successive_halving import Budget
+from hir_core.stages.reflectance.selection.successive_halving import Budget
 
 REQUIRED_STANDARD_ERRORS_OF_NORMALS = 2.0
 """Two more values for each vertex can imitate much: on three views of a smooth ball under a sun, normals gained

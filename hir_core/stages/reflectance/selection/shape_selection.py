@@ -14,10 +14,10 @@ from typing import Generic, TypeAlias
 
 from hir_core.plugins.interfaces import FitT, RefinementT, ReflectanceSolver
 from hir_core.plugins.model_spec import ModelSpec
-from hir_core.stages.reflectance.fit_sequence import FitSequence, fit_cost
-from hir_core.stages.reflectance.folded_fits import FoldedFit
-from hir_core.stages.reflectance.held_out_comparison import is_significant, paired_gain
-from hir_core.stages.reflectance.successive_halving import ROUNDS, Contestant, SuccessiveHalving
+from hir_core.stages.reflectance.selection.fit_sequence import FitSequence, fit_cost
+from hir_core.stages.reflectance.selection.folded_fits import FoldedFit
+from hir_core.stages.reflectance.selection.held_out_comparison import is_significant, paired_gain
+from hir_core.stages.reflectance.selection.successive_halving import ROUNDS, Contestant, SuccessiveHalving
 
 REQUIRED_STANDARD_ERRORS_OF_SHAPE = 2.0
 """What the other shape must gain: the photographs confirmed the refined one before."""

@@ -13,9 +13,9 @@ from typing import Generic, final
 
 from hir_core.plugins.interfaces import FitT, RefinementT
 from hir_core.plugins.model_spec import ModelSpec
-from hir_core.stages.reflectance.fit_sequence import fit_cost
-from hir_core.stages.reflectance.folded_fits import FoldedFit, FoldedFits
-from hir_core.stages.reflectance.held_out_comparison import SUFFICIENT_DB, critical_value, paired_gain
+from hir_core.stages.reflectance.selection.fit_sequence import fit_cost
+from hir_core.stages.reflectance.selection.folded_fits import FoldedFit, FoldedFits
+from hir_core.stages.reflectance.selection.held_out_comparison import SUFFICIENT_DB, critical_value, paired_gain
 
 
 @dataclass(frozen=True)

@@ -20,25 +20,30 @@ from hir_core.errors import ConfigError
 from hir_core.plugins.interfaces import FitT, RefinementT
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.stages.held_out_views import model_selection_folds
-from hir_core.stages.reflectance.fit_sequence import FitSequence, fit_cost
-from hir_core.stages.reflectance.folded_fits import FoldedFit, FoldedFits
-from hir_core.stages.reflectance.held_out_comparison import (
+from hir_core.stages.reflectance.selection.fit_sequence import FitSequence, fit_cost
+from hir_core.stages.reflectance.selection.folded_fits import FoldedFit, FoldedFits
+from hir_core.stages.reflectance.selection.held_out_comparison import (
     SUFFICIENT_DB,
     differs,
     is_near_tie,
     mean_decibels,
     paired_gain,
 )
-from hir_core.stages.reflectance.hypotheses import complexity, contains, hypotheses
-from hir_core.stages.reflectance.refinement_selection import (
+from hir_core.stages.reflectance.selection.hypotheses import complexity, contains, hypotheses
+from hir_core.stages.reflectance.selection.refinement_selection import (
     Comparison,
     RefinementSelection,
     expected_cost,
     question_cost,
 )
-from hir_core.stages.reflectance.requested_model import default_spec, forced_spec
-from hir_core.stages.reflectance.shape_selection import OtherShape, ShapeComparison, compare_shapes, shape_cost
-from hir_core.stages.reflectance.successive_halving import (
+from hir_core.stages.reflectance.selection.requested_model import default_spec, forced_spec
+from hir_core.stages.reflectance.selection.shape_selection import (
+    OtherShape,
+    ShapeComparison,
+    compare_shapes,
+    shape_cost,
+)
+from hir_core.stages.reflectance.selection.successive_halving import (
     ROUNDS,
     Contestant,
     SuccessiveHalving,

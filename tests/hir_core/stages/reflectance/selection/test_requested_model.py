@@ -9,7 +9,7 @@ import pytest
 from hir_core.config import ReflectanceSettings
 from hir_core.errors import ConfigError
 from hir_core.plugins.model_spec import ModelSpec
-from hir_core.stages.reflectance.requested_model import default_spec, forced_spec
+from hir_core.stages.reflectance.selection.requested_model import default_spec, forced_spec
 
 METAL = ModelSpec("metallic", "uniform", metalness="metal")
 METALLIC = ReflectanceSettings(brdf="metallic")

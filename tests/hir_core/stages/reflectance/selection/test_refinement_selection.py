@@ -17,13 +17,13 @@ from hir_core.plugins.progress import MODEL_FITTED, MODELS_COMPARED
 from hir_core.report.convergence import milestones
 from hir_core.run.progress_listener import ProgressListener
 from hir_core.run.stage_context import StageContext
-from hir_core.stages.reflectance.fit_sequence import FitSequence
-from hir_core.stages.reflectance.hypotheses import INTERREFLECTIONS
-from hir_core.stages.reflectance.model_selection import select_model
-from hir_core.stages.reflectance.requested_model import forced_spec
+from hir_core.stages.reflectance.selection.fit_sequence import FitSequence
+from hir_core.stages.reflectance.selection.hypotheses import INTERREFLECTIONS
+from hir_core.stages.reflectance.selection.model_selection import select_model
+from hir_core.stages.reflectance.selection.requested_model import forced_spec
+from hir_core.stages.reflectance.selection.successive_halving import ROUNDS
 from hir_core.stages.reflectance.stage_progress import StageProgress
-from hir_core.stages.reflectance.successive_halving import ROUNDS
-from tests.hir_core.stages.reflectance.scripted_solver import Recorder, Scripted, chosen, level, select
+from tests.hir_core.stages.reflectance.selection.scripted_solver import Recorder, Scripted, chosen, level, select
 
 
 def test_more_steps_alone_are_no_gain() -> None:

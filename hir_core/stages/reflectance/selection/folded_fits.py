@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from hir_core.plugins.interfaces import FitT, RefinementT
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.stages.held_out_views import MIN_HELD_OUT_VIEWS, Fold
-from hir_core.stages.reflectance.fit_sequence import FitSequence
-from hir_core.stages.reflectance.held_out_comparison import mean_decibels
+from hir_core.stages.reflectance.selection.fit_sequence import FitSequence
+from hir_core.stages.reflectance.selection.held_out_comparison import mean_decibels
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,10 +10,10 @@ import numpy as np
 from hir_core.config import ReflectanceSettings
 from hir_core.plugins.interfaces import CheckpointLocation, ReflectanceSolver
 from hir_core.plugins.model_spec import ModelSpec
-from hir_core.stages.reflectance.fit_sequence import FitSequence
-from hir_core.stages.reflectance.model_selection import Selection, select_model
-from hir_core.stages.reflectance.refinement_selection import Comparison
-from hir_core.stages.reflectance.successive_halving import ROUNDS
+from hir_core.stages.reflectance.selection.fit_sequence import FitSequence
+from hir_core.stages.reflectance.selection.model_selection import Selection, select_model
+from hir_core.stages.reflectance.selection.refinement_selection import Comparison
+from hir_core.stages.reflectance.selection.successive_halving import ROUNDS
 
 TOTAL = sum(budget.effort for budget in ROUNDS)
 

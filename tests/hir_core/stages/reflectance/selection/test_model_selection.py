@@ -14,16 +14,16 @@ from hir_core.errors import ConfigError
 from hir_core.plugins.interfaces import CheckpointLocation
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.stages.held_out_views import held_out_for_model_selection, model_selection_folds
-from hir_core.stages.reflectance.fit_sequence import FitSequence
-from hir_core.stages.reflectance.held_out_comparison import critical_value, decibels, paired_gain
-from hir_core.stages.reflectance.hypotheses import INTERREFLECTIONS, forcing_settings, hypotheses, hypothesis
-from hir_core.stages.reflectance.model_selection import Selection, select_model
 from hir_core.stages.reflectance.reflectance_report import (
     explanation_report,
     near_tie_warning,
 )
-from hir_core.stages.reflectance.requested_model import forced_spec
-from tests.hir_core.stages.reflectance.scripted_solver import Fit, Recorder, Scripted, chosen, level, select
+from hir_core.stages.reflectance.selection.fit_sequence import FitSequence
+from hir_core.stages.reflectance.selection.held_out_comparison import critical_value, decibels, paired_gain
+from hir_core.stages.reflectance.selection.hypotheses import INTERREFLECTIONS, forcing_settings, hypotheses, hypothesis
+from hir_core.stages.reflectance.selection.model_selection import Selection, select_model
+from hir_core.stages.reflectance.selection.requested_model import forced_spec
+from tests.hir_core.stages.reflectance.selection.scripted_solver import Fit, Recorder, Scripted, chosen, level, select
 
 
 def test_held_out_views_are_never_fitted() -> None:

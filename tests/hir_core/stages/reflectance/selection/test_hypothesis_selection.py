@@ -12,14 +12,14 @@ import pytest
 from hir_core.config import ReflectanceSettings
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.stages.held_out_views import model_selection_folds
-from hir_core.stages.reflectance.hypotheses import contains, hypotheses, hypothesis
 from hir_core.stages.reflectance.reflectance_report import (
     explanation_report,
     hypothesis_reports,
     near_tie_warning,
 )
-from hir_core.stages.reflectance.successive_halving import ROUNDS
-from tests.hir_core.stages.reflectance.scripted_solver import TOTAL, Scripted, level, select
+from hir_core.stages.reflectance.selection.hypotheses import contains, hypotheses, hypothesis
+from hir_core.stages.reflectance.selection.successive_halving import ROUNDS
+from tests.hir_core.stages.reflectance.selection.scripted_solver import TOTAL, Scripted, level, select
 
 
 @pytest.mark.parametrize("kind", ["diffuse", "dielectric", "metal", "mixed"])

@@ -8,7 +8,7 @@ from typing import Literal
 from hir_core.config import ReflectanceSettings
 from hir_core.errors import ConfigError
 from hir_core.plugins.model_spec import MaterialKind, ModelSpec
-from hir_core.stages.reflectance.hypotheses import hypothesis, kinds_of
+from hir_core.stages.reflectance.selection.hypotheses import hypothesis, kinds_of
 
 
 def forced_spec(settings: ReflectanceSettings) -> ModelSpec | None:

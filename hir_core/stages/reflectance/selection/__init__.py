@@ -1,0 +1,1 @@
+"""Model selection of the reflectance stage: hypotheses, refinements and shape, decided by held-out views."""
