@@ -118,9 +118,10 @@ def test_the_geometry_stage_follows_where_a_method_says_so(
 ) -> None:
     """Its mesh is the one that is compared, and its seconds are added."""
     from hir_core.scene import Scene
+    from hir_core.stages.geometry.geometry_fit import FittedGeometry
 
-    def shrunk(scene: Scene, capture: object, settings: object, context: object) -> tuple[Scene, None]:
-        return Scene(scene.mesh.with_positions(0.5 * scene.mesh.positions)), None
+    def shrunk(scene: Scene, capture: object, settings: object, context: object) -> tuple[FittedGeometry, None]:
+        return FittedGeometry(Scene(scene.mesh.with_positions(0.5 * scene.mesh.positions))), None
 
     monkeypatch.setattr(shape_suite, "fit_geometry", shrunk)
     plain, fitted = shape_suite.shape_rows(bench_options)
