@@ -26,12 +26,13 @@ DERIVED = "holds the light blurred for a renderer, not the light: tests/exporter
 EXPECTED_FAILURES = {
     **{name: {"reads_back": DERIVED} for name in ("ktx", "sh.json")},
     "transport_ggx": {
-        "reciprocity": "16 directions stand for a lobe, each reads a blurred light: a spot of 5° is 15 % off",
-        "gradient_by_roughness": "16 directions are re-weighted when α moves: 3.3 % off; with 256, below",
+        "reciprocity": "directions that stand for a lobe read a blurred light: with 16, a spot of 5° is 15 % off",
     },
 }
-OPTIONS = {"colmap": {"threads": 1}}
-"""With several threads bundle adjustment adds in their order: cameras move by 0.2 %, or not at all."""
+OPTIONS = {"colmap": {"threads": 1}, "transport_ggx": {"samples": 256}}
+"""With several threads bundle adjustment adds in their order: cameras move by 0.2 %, or not at all. With the 16
+directions of a fit the gradient by α differs from central differences by 2 to 11 %, depending on the seed; with 256 by
+less than 1 %."""
 PLUGINS = PluginManager.discover()
 OURS = [r for r in PLUGINS.components() if r.distribution == "hir"]
 SLOW = [r.component.name for r in OURS if r.kind != "regularizer" and r.component.name not in QUICK]
@@ -57,7 +58,7 @@ def test_every_kind_is_covered_by_checks_of_its_own() -> None:
 
 
 @pytest.mark.slow
-def test_with_more_directions_the_gradient_by_roughness_holds() -> None:
-    only, options = ["gradient_by_roughness"], {"samples": 256}
-    (*_, result) = check_component("transport_ggx", only=only, options=options, plugins=PLUGINS)
-    assert (result.check, result.outcome) == ("gradient_by_roughness", "passed")
+@pytest.mark.parametrize("check", ["agrees_with_the_reference", "white_furnace", "linear_in_light"])
+def test_transport_keeps_these_contracts_with_the_directions_of_a_fit(check: str) -> None:
+    (*_, result) = check_component("transport_ggx", only=[check], plugins=PLUGINS)
+    assert (result.check, result.outcome) == (check, "passed")
