@@ -165,6 +165,9 @@ class ReflectanceSettings:
     """ρs."""
     light_frame: Literal["auto", "world", "camera"] = "auto"
     """Whether the light is fixed in the world or moves with the camera (turntable, flash)."""
+    exposures: Literal["auto", "equal", "recorded", "fitted"] = "auto"
+    """Whether all photographs have one exposure, those that their EXIF data record, or a brightness and white balance
+    of their own that are fitted; `auto` compares them on held-out views."""
     conserve_energy: bool = True
     """No texel reflects more light than it receives: ρd + ρs ≤ 1 in the `paper` model, each ≤ 1 in `dielectric`."""
     known_environment: str = ""

@@ -30,11 +30,21 @@ class View:
     """OpenCV order k1 k2 p1 p2 [k3 …], of the photograph that `read` returns. `pixels` removes the distortion, so that
     `camera` is a pinhole with the same intrinsics."""
     exposure: float = 1.0
-    """The linear values of this photograph are radiance × exposure."""
+    """The linear values of this photograph are radiance × exposure × white balance."""
+    white_balance: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    """Factor of each channel."""
+    recorded_exposure: float | None = None
+    """From EXIF: exposure time × ISO / f-number²; None where it is not recorded. A fit uses it where it explains the
+    photographs better than equal exposures."""
     path: Path | None = None
     """The photograph's file; a run is computed again when its bytes change."""
     mask_path: Path | None = None
     """The file that `read` takes the mask from, where it is not the photograph itself; checked like `path`."""
+
+    @property
+    def gain(self) -> NDArray[np.float32]:
+        """(3,): the linear values of this photograph are radiance × gain."""
+        return np.asarray(self.white_balance, dtype=np.float32) * np.float32(self.exposure)
 
     def pixels(self, downsample: int = 1) -> Pixels:
         """Linear colour, mask and saturation at 1/`downsample` of the resolution, without lens distortion."""

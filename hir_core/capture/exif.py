@@ -1,4 +1,4 @@
-"""EXIF metadata of a photograph: camera model, focal length, flash and GPS position."""
+"""EXIF metadata of a photograph: camera model, focal length, exposure, flash and GPS position."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from hir_exporters.textures.pillow_images import open_image
 _FOCAL_LENGTH, _FOCAL_35MM = 0x920A, 0xA405
 _PIXELS_ACROSS, _PLANE_RESOLUTION, _PLANE_UNIT = 0xA002, 0xA20E, 0xA210
 _MODEL, _EXIF, _FLASH = 0x0110, 0x8769, 0x9209
+_EXPOSURE_TIME, _F_NUMBER, _ISO = 0x829A, 0x829D, 0x8827
 _GPS = 0x8825
 _UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
 
@@ -25,6 +26,8 @@ class CameraRecord:
     """Focal length divided by the width of the image (its longer side)."""
     flash: bool | None = None
     """Whether the flash fired."""
+    exposure: float = 0.0
+    """Exposure time in seconds × ISO / f-number², to which the linear values of a photograph are proportional."""
 
 
 def camera_record(path: Path) -> CameraRecord:
@@ -36,7 +39,8 @@ def camera_record(path: Path) -> CameraRecord:
     except Exception:  # decoders raise many types on broken records; without a record only the guess is lost
         return CameraRecord()
     flash = table.get(_FLASH)
-    return CameraRecord(model, _focal_over_width(table), bool(flash & 1) if isinstance(flash, int) else None)
+    fired = bool(flash & 1) if isinstance(flash, int) else None
+    return CameraRecord(model, _focal_over_width(table), fired, _exposure(table))
 
 
 def gps_position(path: Path) -> tuple[float, float, float] | None:
@@ -52,6 +56,19 @@ def gps_position(path: Path) -> tuple[float, float, float] | None:
     latitude, longitude = (-degrees[0] if south else degrees[0]), (-degrees[1] if west else degrees[1])
     known = all(map(math.isfinite, (latitude, longitude, height))) and (latitude, longitude) != (0.0, 0.0)
     return (latitude, longitude, height) if known and abs(latitude) <= 90 and abs(longitude) <= 180 else None
+
+
+def _exposure(table: Mapping[int, object]) -> float:
+    iso = table.get(_ISO)
+    time, aperture, sensitivity = (
+        _number(value) for value in (table.get(_EXPOSURE_TIME), table.get(_F_NUMBER), _first(iso))
+    )
+    return time * sensitivity / aperture**2 if time and aperture and sensitivity else 0.0
+
+
+def _first(value: object) -> object:
+    """Some cameras record several sensitivities."""
+    return value[0] if isinstance(value, tuple) and value else value
 
 
 def _focal_over_width(table: Mapping[int, object]) -> float:

@@ -20,6 +20,8 @@ def print_table(results: Sequence[Mapping[str, Any]]) -> None:
         if any(key in r for r in results):
             console.print()
             console.print(table_of([r for r in results if key in r], columns))
+    if any(r.get("exposures") for r in results):
+        console.print("Each view is compared at the exposure and white balance that suit it best.", markup=False)
     for sentence in dict.fromkeys(r["lpips_missing"] for r in results if r["lpips_missing"]):
         console.print(sentence, markup=False)
 

@@ -52,6 +52,7 @@ RECORDED_KEYS = (
     "iou",
     "stanford_orb",
     "light",
+    "exposures",
     "renderer",
     "surface",
     "albedo",
@@ -101,6 +102,7 @@ def evaluate_run(
     metrics = PerceptualMetrics.load(request.download)
     folder = directory.evaluation(request.label)
     is_relit = not light["fitted"]
+    at_own = run.exposures.kind == "fitted" and capture.split != "train" and not is_relit
 
     scale = ChannelScale()
     names = _file_names(capture.views)
@@ -108,14 +110,16 @@ def evaluate_run(
     for i, (view, name) in enumerate(zip(capture.views, names, strict=True)):
         started = time.perf_counter()
         fit = render_view(renderer, scene, capture.cameras[i], view.name)
-        fit[..., :3] *= view.exposure
         seconds = time.perf_counter() - started
         photograph = masked_photograph(view)
         inside = (photograph.mask > OBJECT_COVERAGE) & ~photograph.saturated
+        factors = _own_exposure(fit, photograph, inside) if at_own else view.gain
+        fit[..., :3] *= factors
         scale.add(unassociate(fit)[0][inside], photograph.color_linear[inside])
         write_exr(folder / f"{name}.exr", fit)
         figures = _figures(fit, photograph, metrics, is_relit)
-        views.append({"name": view.name, "file": f"{name}.exr", "seconds": round(seconds, 3)} | figures)
+        shown = {"exposure": [round(float(factor), 4) for factor in factors]} if run.exposures.kind != "equal" else {}
+        views.append({"name": view.name, "file": f"{name}.exr", "seconds": round(seconds, 3)} | shown | figures)
         _write_pictures(folder, name, fit, photograph)
         if on_view is not None:
             on_view(i + 1, len(names), f"{views[-1]['psnr']['object']:.2f} dB")
@@ -129,6 +133,7 @@ def evaluate_run(
         "split": request.split,
         "light": light,
         "renderer": renderer_name,
+        "exposures": "fitted to each view" if at_own else None,
         **_means(views),
         "scale": scale.value.tolist(),
         "lpips_missing": " ".join(metrics.missing) or None,
@@ -140,6 +145,13 @@ def evaluate_run(
     if path.resolve() == run.capture_path.resolve():
         _record(directory, request.label, result)
     return result
+
+
+def _own_exposure(fit: Image, photograph: MaskedPhotograph, inside: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Brightness and white balance that bring a render nearest to its photograph, where exposures were fitted."""
+    scale = ChannelScale()
+    scale.add(unassociate(fit)[0][inside], photograph.color_linear[inside])
+    return scale.value
 
 
 def _file_names(views: Sequence[View]) -> list[str]:

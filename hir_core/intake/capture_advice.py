@@ -52,7 +52,10 @@ def advice_for(check: CaptureCheck) -> list[str]:
         )
     brightness = np.array([v.brightness for v in views if v.brightness > 0])
     if len(brightness) and brightness.max() > 4 * np.median(brightness):
-        advice.append("the photographs' brightness differs by more than a factor of 4: fix the exposure")
+        advice.append(
+            "the photographs' brightness differs by more than a factor of 4: hir reconstruct fits their exposures, "
+            "and one fixed exposure would be more accurate"
+        )
     cut = [v.name for v in views if v.touches_border]
     if cut:
         advice.append(

@@ -141,6 +141,8 @@ class Solved(Generic[RefinementT]):
     """What `ReflectanceSolver.refine` needs; opaque to the core."""
     report: Mapping[str, Any]
     """JSON-compatible figures for run.json, where they stand under `solver`."""
+    exposures: Float[Tensor, "views 3"] | None = None
+    """Factors of brightness and white balance of each photograph that the fit used, beside `View.gain`; None for 1."""
 
 
 class ReflectanceSolver(PreparedReflectance, Generic[FitT, RefinementT]):
@@ -186,15 +188,20 @@ class ReflectanceSolver(PreparedReflectance, Generic[FitT, RefinementT]):
     ) -> FitT:
         """Fits light and material of a model to some views, from an earlier fit or from its own initial guess.
 
-        `effort` 1 is a full fit, of its steps; 0 (for models with `per_texel` values) leaves the parameters at vertices
-        as they are. `pixel_share` is the share of the pixels of a full fit, 0…1, that are used.
-        `report` receives the share that is done, 0…1. With a `checkpoint` a finished fit is read again instead of
-        computed, and an interrupted one continues from its last state. The result does not depend on other views.
+        `effort` 1 is a full fit, of its steps; 0 (for models with `per_texel` values, and to compare a fit at fitted
+        exposures) leaves the parameters at vertices as they are. `pixel_share` is the share of the pixels of a full
+        fit, 0…1, that are used. `report` receives the share that is done, 0…1. With a `checkpoint` a finished fit is
+        read again instead of computed, and an interrupted one continues from its last state. The result does not depend
+        on other views.
         """
 
     @abstractmethod
     def errors(self, fit: FitT, views: Sequence[int]) -> NDArray[np.float64]:
-        """Mean squared sRGB error over object pixels of each view."""
+        """Mean squared sRGB error over object pixels of each view.
+
+        Where the exposures of the model are fitted a view that the fit did not use has none: it is compared at those
+        that suit it best.
+        """
 
     @abstractmethod
     def scene(self, fit: FitT, views: Sequence[int], report: Callable[[float], None]) -> Solved[RefinementT]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
+from hir_core.capture.photograph_exposures import Exposures
+
 MaterialKind: TypeAlias = Literal["diffuse", "paper", "dielectric", "metal", "mixed"]
 """What a model says the surface is made of; `mixed` is metal in one place and dielectric in another."""
 
@@ -32,6 +34,8 @@ class ModelSpec:
     per_texel: Literal["none", "albedo", "brdf"] = "none"
     """What is solved for each texel, from the pixels that observe it, after the fit at vertices: nothing, its albedo
     alone, or its albedo, specular lobe and normal."""
+    exposures: Exposures = "equal"
+    """How bright the photographs are beside each other; see `Exposures`."""
     metalness: Literal["none", "metal", "map"] = "none"
     """Of the `metallic` BRDF: `metal` is 1 everywhere, `map` varies over the surface. `none` for every other BRDF."""
 
@@ -72,6 +76,8 @@ class ModelSpec:
             parts.append("light on camera")
         if self.bounces:
             parts.append(f"{self.bounces} bounce" + "s" * (self.bounces > 1))
+        if self.exposures != "equal":
+            parts.append(f"{self.exposures} exposures")
         if self.per_texel != "none":
             parts.append("per-texel BRDF" if self.per_texel == "brdf" else "per-texel albedo")
         return ", ".join(parts)

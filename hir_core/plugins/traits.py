@@ -34,6 +34,7 @@ TRAITS: Mapping[str, Mapping[str, str]] = {
         "stochastic": "values are noisy; the noise follows torch's random generator",
         "lambertian": "shades diffuse reflection alone: specular albedo and roughness have no effect",
         "solver": "`prepare` returns a `ReflectanceSolver`",
+        "exposures": "the solver fits models with recorded and with fitted exposures (`ModelSpec.exposures`)",
         "regularizers": "the solver minimises regularizers in its own fit (`ReflectanceSolver.with_terms`)",
         "reference": "unbiased; other renderers are compared with it",
     },

@@ -35,6 +35,8 @@ def model_selection(document: Document, seconds: Sequence[float]) -> Markup:
         parts.append(_hypotheses(hypotheses))
     if shape := report.get("shape"):
         parts.append(notice(f"Shape from {shape['sentence']} ({shape['held_out_views']} held-out views)."))
+    if exposures := report.get("exposures"):
+        parts.append(notice(f"Exposures are {exposures['sentence']}."))
     if comparisons:
         parts.append(_candidates(comparisons, seconds))
     if not comparisons and not hypotheses and report.get("model"):

@@ -110,7 +110,7 @@ class _PathTracer:
 
     def _rendered(self, renderer: ReflectanceRenderer, camera: Camera, view: View, label: str) -> Image:
         fit = render_view(renderer, self._scene, camera, view.name + label)
-        fit[..., :3] *= view.exposure
+        fit[..., :3] *= view.gain
         return fit
 
 

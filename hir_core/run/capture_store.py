@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from hir_core.capture.camera import Camera
 from hir_core.capture.capture import Capture, OrientedPoints, View
+from hir_core.capture.photograph_exposures import EQUAL_EXPOSURES, PhotographExposures
 from hir_core.errors import InputError
 from hir_core.files.array_files import read_arrays
 from hir_core.files.file_checksums import file_hash
@@ -29,7 +30,7 @@ def fingerprint(capture: Capture) -> str:
     digest.update(repr((capture.split, capture.light_frame, capture.reader)).encode())
     digest.update(np.ascontiguousarray(capture.world_from_source, dtype=np.float64).tobytes())
     for view in capture.views:
-        digest.update(repr((view.name, view.exposure, view.distortion, camera_document(view.camera))).encode())
+        digest.update(repr((view.name, view.gain.tolist(), view.distortion, camera_document(view.camera))).encode())
         for path in (view.path, view.mask_path):
             # one that is missing counts too: a photograph's bytes must not pass for its mask's
             digest.update(b"-" if path is None else file_hash(path).encode())
@@ -70,7 +71,13 @@ def camera_from_document(document: Mapping[str, Any], source: str) -> Camera:
 def save_capture(capture: Capture, folder: Path) -> None:
     """Writes what `restore_capture` needs: everything but the photographs."""
     views = [
-        {"name": v.name, "camera": camera_document(v.camera), "distortion": list(v.distortion), "exposure": v.exposure}
+        {
+            "name": v.name,
+            "camera": camera_document(v.camera),
+            "distortion": list(v.distortion),
+            "exposure": v.exposure,
+            "white_balance": list(v.white_balance),
+        }
         for v in capture.views
     ]
     arrays = {f"mask_{i}": v.mask for i, v in enumerate(capture.views) if v.mask is not None}
@@ -120,8 +127,15 @@ def _restored(known: Mapping[str, View], entry: Mapping[str, Any], mask: NDArray
     camera = None if entry["camera"] is None else camera_from_document(entry["camera"], source)
     if mask is not None and (mask.dtype.kind not in "fiub" or mask.ndim != 2):
         raise ValueError(f"the mask of {entry['name']} is no picture")
-    distortion, exposure = tuple(float(k) for k in entry["distortion"]), float(entry["exposure"])
-    return replace(known[entry["name"]], camera=camera, mask=mask, distortion=distortion, exposure=exposure)
+    red, green, blue = (float(factor) for factor in entry.get("white_balance", (1, 1, 1)))  # older runs have none
+    return replace(
+        known[entry["name"]],
+        camera=camera,
+        mask=mask,
+        distortion=tuple(float(k) for k in entry["distortion"]),
+        exposure=float(entry["exposure"]),
+        white_balance=(red, green, blue),
+    )
 
 
 def _points(arrays: Mapping[str, NDArray[Any]]) -> OrientedPoints | None:
@@ -132,6 +146,20 @@ def _points(arrays: Mapping[str, NDArray[Any]]) -> OrientedPoints | None:
     if any(a.shape != shape or a.dtype.kind not in "fiu" for a in named.values()):
         raise ValueError("its points are not three numbers each")
     return OrientedPoints(**named)
+
+
+def read_exposures(path: Path) -> PhotographExposures:
+    """The exposures in the model.json of a reflectance stage, equal ones where it has none; `InputError` where they are
+    damaged.
+    """
+    document = read_json(path).get("exposures")
+    if document is None:
+        return EQUAL_EXPOSURES
+    try:
+        return PhotographExposures.from_document(document)
+    except (AttributeError, TypeError, ValueError, OverflowError) as error:
+        reason = f"{type(error).__name__}: {error}"
+        raise InputError(f"{path} holds damaged exposures ({reason}); run without --resume") from error
 
 
 def write_cameras(path: Path, capture: Capture, all_names: Sequence[str]) -> None:

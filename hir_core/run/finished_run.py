@@ -12,9 +12,10 @@ from hir_exporters.scene_format import load_scene
 
 from hir_core.capture import Camera, Capture
 from hir_core.capture.coordinate_frames import CoordinateFrames
+from hir_core.capture.photograph_exposures import EQUAL_EXPOSURES, PhotographExposures
 from hir_core.errors import CaptureError, InputError
 from hir_core.intake.reader_lookup import find_reader, read_capture
-from hir_core.run.capture_store import read_cameras, restore_capture
+from hir_core.run.capture_store import read_cameras, read_exposures, restore_capture
 from hir_core.run.run_directory import RunDirectory
 from hir_core.scene import EnvironmentMap, Scene
 from hir_core.scene.asset_conversion import scene_from_asset
@@ -46,6 +47,12 @@ class FinishedRun:
         """The folder of photographs that the run was made from."""
         return Path(self.document["capture"]["path"])
 
+    @property
+    def exposures(self) -> PhotographExposures:
+        """The exposures of the photographs that the fit used."""
+        path = self.directory.stage("reflectance") / "model.json"
+        return read_exposures(path) if path.exists() else EQUAL_EXPOSURES
+
     def cameras(self) -> dict[str, Camera]:
         """The run's own cameras by view name, in the working frame."""
         cameras = read_cameras(self.directory.cameras)
@@ -60,6 +67,8 @@ class FinishedRun:
     def views_of_split(self, path: Path, split: str, plugins: PluginManager) -> Capture:
         """As `read_split`; the train split of the run's own capture has the cameras and masks that the run computed.
 
+        All views of that capture have the exposures that the fit used, where they have any.
+
         `CaptureError` where the split has no views.
         """
         if split != "train" or path.resolve() != self.capture_path.resolve():
@@ -69,7 +78,7 @@ class FinishedRun:
             capture = restore_capture(reader.read(path, split), self.directory.stage("initializer"))
         if not capture.views:
             raise CaptureError(f"{path}: split {split!r} has no views")
-        return capture
+        return self.exposures.applied_to(capture) if path.resolve() == self.capture_path.resolve() else capture
 
     def with_light(self, light: EnvironmentMap) -> Scene:
         """The scene under another light, which is in the working frame."""

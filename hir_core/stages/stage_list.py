@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hir_core.capture import Capture, CoordinateFrames
+from hir_core.capture.photograph_exposures import EQUAL_EXPOSURES, PhotographExposures
 from hir_core.files.file_checksums import file_hash
 from hir_core.files.json_documents import read_json, write_json
 from hir_core.files.light_setting import parse_light_file
-from hir_core.run.capture_store import restore_capture, save_capture, write_cameras
+from hir_core.run.capture_store import read_exposures, restore_capture, save_capture, write_cameras
 from hir_core.run.stage import SkippedStageReport, Stage, StageResult
 from hir_core.run.stage_context import StageContext
 from hir_core.stages.run_state import RunState
@@ -36,6 +37,7 @@ class FittedScene:
     """Value of the reflectance stage."""
 
     scene: Scene
+    exposures: PhotographExposures
     bounces: int | None
 
 
@@ -133,23 +135,25 @@ def _reflectance_settings(state: RunState) -> Any:
 def _fit_reflectance(state: RunState, context: StageContext) -> StageResult[FittedScene]:
     scene = _scene(state)
     if not state.config.reflectance.enabled:
-        return StageResult(FittedScene(scene, None), SkippedStageReport())
+        return StageResult(FittedScene(scene, EQUAL_EXPOSURES, None), SkippedStageReport())
     from hir_core.stages.reflectance.reflectance_fit import fit_reflectance
 
-    fitted, report = fit_reflectance(
+    fitted, exposures, report = fit_reflectance(
         scene, state.capture, state.config.reflectance, context, state.silhouette_positions
     )
-    return StageResult(FittedScene(fitted, report.bounces), report)
+    return StageResult(FittedScene(fitted, exposures, report.bounces), report)
 
 
 def _save_fitted(state: RunState, value: FittedScene, folder: Path) -> None:
     _save_scene(state, value.scene, folder)
-    write_json(folder / "model.json", {"bounces": value.bounces})
+    write_json(folder / "model.json", {"bounces": value.bounces, "exposures": value.exposures.as_document()})
 
 
 def _load_fitted(state: RunState, folder: Path) -> FittedScene:
-    bounces = read_json(folder / "model.json").get("bounces")
-    return FittedScene(_load_scene(state, folder), bounces if isinstance(bounces, int) else None)
+    path = folder / "model.json"
+    bounces = read_json(path).get("bounces")
+    exposures = read_exposures(path)
+    return FittedScene(_load_scene(state, folder), exposures, bounces if isinstance(bounces, int) else None)
 
 
 def _bake(state: RunState, context: StageContext) -> StageResult[Asset]:

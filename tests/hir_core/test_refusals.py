@@ -208,6 +208,7 @@ WHOLE = {"views": [VIEW], "light_frame": "world", "world_from_source": np.eye(4)
     [
         ({"views": [VIEW | {"name": "b"}]}, {}, "names 'b', which the capture lacks"),
         ({"views": [VIEW | {"exposure": "x"}]}, {}, "ValueError"),
+        ({"views": [VIEW | {"white_balance": [1, 2]}]}, {}, "ValueError"),
         ({"views": 3}, {}, "TypeError"),
         ({"light_frame": "moon"}, {}, "KeyError: 'moon'"),
         ({"world_from_source": [1, 2]}, {}, "ValueError"),

@@ -78,7 +78,7 @@ def object_pixels(capture: Capture, views: Sequence[int], downsample: int, devic
         rows, columns = np.nonzero(mask >= MIN_OBJECT_COVERAGE)
         index.append(np.stack([np.full(len(rows), view), columns, rows], axis=1))
         _check(pixels.color_linear[rows, columns], capture.views[view].name)
-        color.append(pixels.color_linear[rows, columns] / capture.views[view].exposure)
+        color.append(pixels.color_linear[rows, columns] / capture.views[view].gain)
         saturated.append(pixels.saturated[rows, columns])
         first.append(first[-1] + len(rows))
     if first[-1] == 0:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -11,6 +11,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from hir_core.capture import Capture
+from hir_core.capture.photograph_exposures import (
+    EQUAL_EXPOSURES,
+    Exposures,
+    PhotographExposures,
+    with_recorded_exposures,
+)
 from hir_core.config import ReflectanceSettings
 from hir_core.errors import CaptureError, ConfigError
 from hir_core.optimization.term_gradients import value_and_gradients
@@ -28,11 +34,13 @@ from hir_core.stages.reflectance.reflectance_report import (
     TermReport,
     comparison_reports,
     explanation_report,
+    exposure_report,
     hypothesis_reports,
     near_tie_warning,
     shape_report,
     significant,
 )
+from hir_core.stages.reflectance.selection.exposure_selection import exposures_to_compare
 from hir_core.stages.reflectance.selection.fit_sequence import FitSequence
 from hir_core.stages.reflectance.selection.model_selection import select_model
 from hir_core.stages.reflectance.selection.requested_model import default_spec, forced_spec
@@ -45,8 +53,8 @@ def fit_reflectance(
     settings: ReflectanceSettings,
     context: StageContext,
     silhouette_positions: Float[Tensor, "V 3"] | None = None,
-) -> tuple[Scene, ReflectanceReport]:
-    """The scene with material and light fitted to the photographs, and how the model was selected.
+) -> tuple[Scene, PhotographExposures, ReflectanceReport]:
+    """The scene with material and light fitted to the photographs, their exposures, and how the model was selected.
 
     With `silhouette_positions`, the vertices before photo-consistency moved them, held-out views decide which of both
     shapes the scene has.
@@ -63,6 +71,8 @@ def fit_reflectance(
         )
     _check_exposure(capture, settings.downsample)
     by_solver = offers_solver and settings.method != "gradient"
+    capture = with_recorded_exposures(capture)
+    exposures = exposures_to_compare(capture, settings, settings.renderer, by_solver and "exposures" in traits)
     renderer: ReflectanceRenderer = context.plugins.create(
         "reflectance_renderer", settings.renderer, options, context.seed
     )
@@ -78,14 +88,17 @@ def fit_reflectance(
         if by_solver and isinstance(prepared, ReflectanceSolver):
             takes_terms = "regularizers" in traits
             other_shape = None if silhouette_positions is None else on_silhouettes
-            fitted, report = _fit_by_solver(initial, prepared, other_shape, takes_terms, capture, settings, context)
+            fitted, used, report = _fit_by_solver(
+                initial, prepared, other_shape, takes_terms, exposures, capture, settings, context
+            )
         else:
             fitted, report = _fit_by_gradient(initial, prepared, capture, settings, context)
+            used = EQUAL_EXPOSURES
     if settings.conserve_energy and fitted.material is not None:
         material, clamped = with_conserved_energy(fitted.material)
         fitted = replace(fitted, material=material)
         report = replace(report, clamped_share=round(clamped, 5))
-    return fitted, report
+    return fitted, used, report
 
 
 def _fit_by_solver(
@@ -93,10 +106,11 @@ def _fit_by_solver(
     solver: ReflectanceSolver[FitT, RefinementT],
     other_shape: Callable[[], PreparedReflectance] | None,
     takes_terms: bool,
+    exposures: Sequence[Exposures],
     capture: Capture,
     settings: ReflectanceSettings,
     context: StageContext,
-) -> tuple[Scene, ReflectanceReport]:
+) -> tuple[Scene, PhotographExposures, ReflectanceReport]:
     """`takes_terms`: the solver minimises the regularizers itself; otherwise gradient steps with them follow it."""
     views = list(range(len(capture.views)))
     terms = solver_terms(settings.regularizers, context.plugins, context.seed, context.part_seconds)
@@ -110,7 +124,9 @@ def _fit_by_solver(
 
     progress = StageProgress(context)
     fits = FitSequence(solver, progress.selecting, context.checkpoints, context.checkpoint_seconds)
-    selection = select_model(fits, settings, len(views), progress, other_solver if other_shape is not None else None)
+    selection = select_model(
+        fits, settings, len(views), progress, other_solver if other_shape is not None else None, exposures
+    )
     solver = fits.solver
     fit, spec = selection.fit, selection.spec
     if not selection.compared and forced_spec(settings) is None:
@@ -124,6 +140,10 @@ def _fit_by_solver(
         report_share = progress.phase("all views", f"{spec.name}, all views")
         fit = solver.fit(spec, fit, views, 1.0, report_share, fits.checkpoint(spec, views, 1.0))
     solved = solver.scene(fit, views, progress.phase("textures"))
+    used = PhotographExposures.of(
+        spec.exposures, capture, None if solved.exposures is None else solved.exposures.cpu().numpy()
+    )
+    capture = used.applied_to(capture)
     refinement = None
     if settings.path_tracing.refine_albedo:  # before gradient steps, whose effect it would undo
         report_share = progress.phase("path tracing")
@@ -152,21 +172,26 @@ def _fit_by_solver(
         )
     if settings.path_tracing.iterations:
         fitted, path_tracing = refine_by_path_tracing(fitted, capture, settings, energies, context)
-    return fitted, ReflectanceReport(
-        method="solver",
-        model=spec.name,
-        light_frame=spec.light_frame,
-        fitted=LightAndMaterial.of(fitted),
-        bounces=spec.bounces,
-        explanation=explanation_report(selection),
-        hypotheses=hypothesis_reports(selection),
-        comparisons=comparison_reports(selection),
-        shape=shape_report(selection),
-        regularizers=_reported(energies, fitted, "solver" if takes_terms else "gradient steps", context),
-        solver=solved.report,
-        gradient=gradient,
-        albedo_refinement=refinement,
-        path_tracing=path_tracing,
+    return (
+        fitted,
+        used,
+        ReflectanceReport(
+            method="solver",
+            model=spec.name,
+            light_frame=spec.light_frame,
+            fitted=LightAndMaterial.of(fitted),
+            bounces=spec.bounces,
+            explanation=explanation_report(selection),
+            hypotheses=hypothesis_reports(selection),
+            comparisons=comparison_reports(selection),
+            shape=shape_report(selection),
+            exposures=exposure_report(selection.exposures, used),
+            regularizers=_reported(energies, fitted, "solver" if takes_terms else "gradient steps", context),
+            solver=solved.report,
+            gradient=gradient,
+            albedo_refinement=refinement,
+            path_tracing=path_tracing,
+        ),
     )
 
 

@@ -6,9 +6,13 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
+import numpy as np
+
+from hir_core.capture.photograph_exposures import Exposures, PhotographExposures
 from hir_core.plugins.interfaces import FitT
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene import Scene
+from hir_core.stages.reflectance.selection.exposure_selection import ExposureSelection
 from hir_core.stages.reflectance.selection.hypotheses import described, forcing_settings
 from hir_core.stages.reflectance.selection.model_selection import Selection
 
@@ -71,6 +75,25 @@ class ShapeReport:
     """Of the mesh of the silhouettes."""
     standard_error_db: float
     held_out_views: int
+    sentence: str
+    """All of it in words."""
+
+
+@dataclass(frozen=True)
+class ExposureReport:
+    """Which exposures the photographs have, and how they differ; in dB and stops (factors of two)."""
+
+    selected: Exposures
+    brightness_stops: float
+    """From the darkest to the brightest photograph."""
+    white_balance_stops: float
+    """Largest range of the red or blue factor beside the green one."""
+    factors: Mapping[str, tuple[float, float, float]]
+    """Of red, green and blue by name of the photograph; rounded to 0.0001."""
+    compared_with: Exposures
+    gain_db: float | None
+    """Over `compared_with` on held-out views, with the simplest model; None where the settings name the exposures."""
+    standard_error_db: float | None
     sentence: str
     """All of it in words."""
 
@@ -153,6 +176,8 @@ class ReflectanceReport:
     comparisons: tuple[ComparisonReport, ...] = ()
     shape: ShapeReport | None = None
     """Which shape the material was fitted on; None where nothing was compared."""
+    exposures: ExposureReport | None = None
+    """None where all photographs have the same."""
     solver: Mapping[str, Any] | None = None
     """Figures of the solver's own."""
     gradient: GradientReport | None = None
@@ -253,6 +278,29 @@ def shape_report(selection: Selection[FitT]) -> ShapeReport | None:
         round(shape.standard_error_db, 3),
         len(shape.fit.errors),
         f"{selected}; {other}: {abs(shape.gain_db):.1f} ± {shape.standard_error_db:.1f} dB {side}",
+    )
+
+
+def exposure_report(selection: ExposureSelection, used: PhotographExposures) -> ExposureReport | None:
+    """How the exposures of photographs differ; None where they are equal."""
+    if used.kind == "equal":
+        return None
+    stops = np.log2(np.array(list(used.factors.values())))
+    brightness, balance = float(np.ptp(stops[:, 1])), float(np.ptp(stops[:, [0, 2]] - stops[:, 1:2], axis=0).max())
+    words = {"recorded": "as EXIF data record them", "fitted": "fitted for each photograph"}[used.kind]
+    sentence = f"{words}: brightness differs by {brightness:.2f} stops, white balance by {balance:.2f}"
+    gain, error = selection.gain_db, selection.standard_error_db
+    if gain is not None and error is not None:
+        sentence += f"; with {selection.before} exposures: {gain:.1f} ± {error:.1f} dB worse"
+    return ExposureReport(
+        used.kind,
+        round(brightness, 3),
+        round(balance, 3),
+        {name: (round(r, 4), round(g, 4), round(b, 4)) for name, (r, g, b) in used.factors.items()},
+        selection.before,
+        None if gain is None else round(gain, 3),
+        None if error is None else round(error, 3),
+        sentence,
     )
 
 

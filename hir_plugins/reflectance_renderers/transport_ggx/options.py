@@ -42,8 +42,6 @@ class TransportGGXOptions:
     metalness_prior: float = takes_effect_with(1e-3, "solver")
     """Weight of 4·m·(1 − m), averaged over vertices, in the fit of metal and dielectric: it draws metalness m to 0 or
     to 1. The photographs' term is a mean of half squared sRGB errors."""
-    view_gain: bool = takes_effect_with(False, "solver")
-    """Fit a brightness factor for each photograph, where exposures drifted or a cloud passed."""
     block_pixels: int = takes_effect_with(65_536, "solver")
     """Pixels of a gradient step."""
     resident_pixels: int = takes_effect_with(262_144, "solver")

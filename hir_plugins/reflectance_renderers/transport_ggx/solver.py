@@ -19,10 +19,11 @@ from hir_core.errors import StageError
 from hir_core.plugins.interfaces import CheckpointLocation, PreparedReflectance, ReflectanceSolver, Solved, WeightedTerm
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene import EnvironmentMap, Material, Scene, Topology
-from hir_core.scene.srgb import srgb_to_linear
 from hir_plugins.reflectance_renderers.transport_ggx.fit import joint_optimization
+from hir_plugins.reflectance_renderers.transport_ggx.fit.exposures import median_exposures, own_exposures
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_checkpoints import FitCheckpoint
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_terms import FitTerms
+from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.initial_exposures import initial_exposures
 from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.initial_guess import (
     extended_to,
     initial_albedo,
@@ -63,6 +64,9 @@ MAX_COMPARED_POINTS = 12_000
 METAL_COLOR_FROZEN_SHARE = 0.5
 """Of the first fit of a metal: the light is fitted to its reflections before its base colour varies
 (docs/studies/initial_guess.md)."""
+EXPOSURE_EFFORT = 1.0
+"""Least effort of a fit that changes exposures which an earlier one had: in shorter ones, of a material that may be
+wrong, they would absorb its errors (docs/studies/exposures.md)."""
 TRIAL_EFFORT = 0.25
 TRIAL_PIXEL_SHARE = 0.4
 """Effort (at most half of the fit's) and share of the pixels of the short fits that choose initial values."""
@@ -140,6 +144,12 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         depend on both. But for metal and dielectric it is metal: a diffuse model explains reflections by the albedo and
         by a wrong light. A metal starts with one base colour for all vertices.
         """
+        if spec.per_texel == "none" and effort == 0 and initial is not None:
+            report(1.0)
+            assert self._scene.material is not None
+            parameters = extended_to(spec, initial.parameters, self._scene.material)
+            exposure = None if spec.exposures == "equal" else initial.parameters.log_exposure
+            return Fit(spec, replace(parameters, log_exposure=exposure), tuple(views))
         if spec.per_texel != "none":
             # per-texel values are solved when they are used
             base = initial
@@ -180,6 +190,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
             spec.brdf,
             spec.bounces,
             known_light=spec.light_is_known,
+            fits_exposures=spec.exposures == "fitted",
             smoothness=SmoothnessWeights(
                 light=self._options.light_smoothness,
                 light_chroma=self._options.light_whiteness,
@@ -191,6 +202,8 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
             settings = replace(settings, alpha_frozen_share=0.0)
         if initial is None and parameters.is_metal and self._has_uniform_guess(spec):
             settings = replace(settings, color_frozen_share=METAL_COLOR_FROZEN_SHARE)
+        if initial is None or (effort < EXPOSURE_EFFORT and initial.parameters.log_exposure is not None):
+            settings = replace(settings, exposure_frozen_share=1.0)
         resumes = file is not None and file.has_state()
         candidates = initial_candidates(parameters, None if initial is None else initial.parameters)
         if len(candidates) > 1 and not resumes:
@@ -221,8 +234,10 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         count = len(self._capture.views)
         total, seen = np.zeros(count), np.zeros(count)
         for pixels, radiance in self._predicted(fit, photographs):
-            if fit.parameters.log_exposure is not None:
-                radiance = radiance * _exposures(pixels, radiance, count)[pixels.view][:, None]
+            if fit.spec.exposures == "fitted":
+                radiance = radiance * own_exposures(pixels, radiance, count)[pixels.view]
+            elif (exposure := fit.parameters.exposure) is not None:
+                radiance = radiance * exposure[pixels.view]
             error = srgb_residual(pixels, radiance.clamp(0, 1)).square().mean(dim=1)
             view = pixels.view.cpu().numpy()
             total += np.bincount(view, error.cpu().double().numpy(), count)
@@ -294,7 +309,9 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         scene = replace(self._scene, material=material, environment=light)
         indirect = self._indirect_light(parameters, fit.spec.bounces) if fit.spec.bounces else None
         refinement = AlbedoRefinement(equations, self._options.seed, self._fit_terms(fit.spec))
-        return Solved(scene, replace(self._shading, indirect=indirect), refinement, figures)
+        return Solved(
+            scene, replace(self._shading, indirect=indirect), refinement, figures, exposures=parameters.exposure
+        )
 
     def refine(
         self,
@@ -333,13 +350,46 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
                 light = radiance.clamp(1e-6, MAX_RADIANCE).log()
             else:
                 diffuse = self._initial_albedo(photographs, spec, light.exp())
-            gain = light.new_zeros(len(self._capture.views)) if self._options.view_gain else None
-            base = Parameters(light, torch.logit(diffuse), None, None, gain)
+            base = Parameters(light, torch.logit(diffuse), None, None)
         else:
             base = initial.parameters
             if spec.bounces and not initial.spec.bounces:
                 base = replace(base, diffuse=without_indirect(self._transport, base, spec.bounces))
-        return extended_to(spec, base, self._scene.material)
+        return self._with_exposures(spec, extended_to(spec, base, self._scene.material), photographs, initial)
+
+    def _with_exposures(
+        self, spec: ModelSpec, parameters: Parameters, photographs: ObservedPixels, initial: Fit | None
+    ) -> Parameters:
+        """With exposures as the model has them.
+
+        Fitted ones start from colours of the same places; from the earlier fit, if there is one; and for views that it
+        did not have, from the photographs beside its prediction.
+        """
+        if spec.exposures == "equal":
+            return replace(parameters, log_exposure=None)
+        if spec.exposures == "recorded":
+            recorded = [view.recorded_exposure for view in self._capture.views]
+            if None in recorded:
+                raise StageError("the photographs record no exposures; use reflectance.exposures=fitted or equal")
+            log_exposure = torch.tensor(recorded).to(parameters.light).log()[:, None].repeat(1, 3)
+            return replace(parameters, log_exposure=log_exposure)
+        if initial is None:
+            eyes = np.stack([camera.center for camera in self._capture.cameras]).astype(np.float64)
+            found = initial_exposures(self._transport.surface, photographs, eyes)
+            return replace(parameters, log_exposure=found)
+        found = parameters.light.new_zeros(len(self._capture.views), 3)
+        known = initial.views if initial.parameters.log_exposure is not None else ()
+        if initial.parameters.exposure is not None:
+            found[list(known)] = initial.parameters.exposure[list(known)].log()
+        if missing := [view for view in photographs.points.view.unique().tolist() if view not in known]:
+            found[missing] = self._exposures_of(initial, missing)[missing]
+        # the mean belongs to the light
+        return replace(parameters, log_exposure=found, light=parameters.light + found.mean(dim=0))
+
+    def _exposures_of(self, fit: Fit, views: Sequence[int]) -> Float[Tensor, "views 3"]:
+        """Logarithms of the photographs' brightness beside the radiance that a fit predicts."""
+        predicted = self._predicted(fit, self._pixels.compared(views))
+        return median_exposures(predicted, len(self._capture.views)).to(fit.parameters.light)
 
     def _has_uniform_guess(self, spec: ModelSpec) -> bool:
         return self._options.initial_albedo == "uniform" and not spec.light_is_known
@@ -388,14 +438,3 @@ def _camera_rotations(capture: Capture, device: torch.device) -> Float[Tensor, "
     """Rotations from the world to the axes of a light that moves with each view's camera."""
     rotations = np.stack([c.world_to_camera[:3, :3] for c in capture.cameras])
     return UPRIGHT.to(device) @ torch.from_numpy(rotations.astype(np.float32)).to(device)
-
-
-def _exposures(pixels: PixelColors, radiance: Tensor, views: int) -> Float[Tensor, " views"]:
-    """The factor that brings each view's radiance closest to its photograph; a held-out view has no fitted one."""
-    known = ~pixels.saturated.any(dim=1)
-    photograph = srgb_to_linear(pixels.color_srgb)
-    above, below = (
-        torch.zeros(views, device=radiance.device).index_add(0, pixels.view[known], (radiance * o).sum(dim=1)[known])
-        for o in (photograph, radiance)
-    )
-    return torch.where(below > 0, above / below.clamp_min(1e-12), torch.ones_like(below))

@@ -11,12 +11,15 @@ from torch import Tensor
 from hir_core.capture import Camera, Capture, View
 from hir_core.plugins import Component, NoOptions
 from hir_core.plugins.interfaces import GeometryRenderer, PreparedReflectance, ReflectanceRenderer
+from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene import EnvironmentMap, Material, Mesh, Scene
 from hir_core.scene.silhouette_targets import SilhouetteTargets
 from hir_plugins.geometry_renderers.contour import Contour
 from hir_plugins.geometry_renderers.options import ContourOptions
 from hir_plugins.reflectance_renderers.mitsuba_ggx.options import MitsubaGGXOptions
 from hir_plugins.reflectance_renderers.mitsuba_ggx.renderer import MitsubaGGX
+from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
+from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGGX
 
 HERE = __name__
 
@@ -188,6 +191,37 @@ def reflectance(implementation: type = Traced) -> Component:
     )
 
 
+class EquallyExposed(ReflectanceRenderer):
+    """The fast renderer, whose solver declares the trait `exposures` and fits equal ones."""
+
+    def __init__(self, config: NoOptions) -> None:
+        self.inner = TransportGGX(TransportGGXOptions(vertices=0, cache_cells=800, steps=60))
+
+    def prepare(self, scene: Scene, capture: Capture, downsample: int = 1) -> PreparedReflectance:
+        solver = self.inner.prepare(scene, capture, downsample)
+        fit = solver.fit
+
+        def fit_equal(spec: ModelSpec, *rest: Any) -> Any:
+            return fit(replace(spec, exposures="equal"), *rest)
+
+        solver.fit = fit_equal  # type: ignore[method-assign]
+        return solver
+
+    def render(self, scene: Scene, camera: Camera) -> Tensor:
+        return self.inner.render(scene, camera)
+
+
+class Exposed(EquallyExposed):
+    """The sound one."""
+
+    def prepare(self, scene: Scene, capture: Capture, downsample: int = 1) -> PreparedReflectance:
+        return self.inner.prepare(scene, capture, downsample)
+
+
+def solving(implementation: type) -> Component:
+    return replace(reflectance(implementation), name="solving", traits=frozenset({"solver", "exposures", "lambertian"}))
+
+
 BROKEN_REFLECTANCE: dict[str, Component] = {
     "radiance_is_finite_and_in_place": reflectance(Transparent),
     "white_furnace": reflectance(Glowing),
@@ -196,4 +230,5 @@ BROKEN_REFLECTANCE: dict[str, Component] = {
     **{f"gradient_by_{name}": reflectance(half) for name, half in HALVES.items()},
     "gradient_by_light": reflectance(HalfLight),
     "agrees_with_the_reference": reflectance(Biased),
+    "exposures_are_fitted": solving(EquallyExposed),
 }

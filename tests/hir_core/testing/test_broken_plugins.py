@@ -94,8 +94,12 @@ def test_sound_ones_break_none(kind: str, component: Component, plugins: PluginM
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "component"),
-    [("reflectance_renderer", broken_renderers.reflectance()), ("initializer", broken_initializers.cameras())],
-    ids=["reflectance_renderer", "cameras"],
+    [
+        ("reflectance_renderer", broken_renderers.reflectance()),
+        ("reflectance_renderer", broken_renderers.solving(broken_renderers.Exposed)),
+        ("initializer", broken_initializers.cameras()),
+    ],
+    ids=["reflectance_renderer", "solver", "cameras"],
 )
 def test_slow_sound_ones_break_none(kind: str, component: Component, plugins: PluginManager) -> None:
     check_component(as_registered(kind, component), plugins=plugins)

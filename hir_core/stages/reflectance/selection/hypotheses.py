@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Literal
 
 from hir_core.config import ReflectanceSettings
@@ -37,6 +38,11 @@ def hypothesis(
         light_frame=frame,
         light_is_known=light_is_known,
     )
+
+
+def simplest_of(spec: ModelSpec) -> ModelSpec:
+    """The diffuse model under the light of another one."""
+    return replace(hypothesis("diffuse", spec.light_frame, spec.light_is_known), bounces=spec.bounces)
 
 
 def hypotheses(settings: ReflectanceSettings) -> list[ModelSpec]:

@@ -1,9 +1,10 @@
 """Model selection by complete hypotheses: material and light together, then refinements.
 
-1. Each hypothesis starts from its own initial guess; successive halving drops those that cannot catch up.
-2. Of those that tie on held-out views the simplest is selected, after a second fold of held-out views.
-3. The shape from silhouettes alone replaces the refined one where the selected hypothesis fits held-out views better.
-4. Refinements are compared within it. Hypotheses that were near are then questioned again with the same refinements.
+1. The simplest hypotheses decide which exposures the photographs have.
+2. Each hypothesis starts from its own initial guess; successive halving drops those that cannot catch up.
+3. Of those that tie on held-out views the simplest is selected, after a second fold of held-out views.
+4. The shape from silhouettes alone replaces the refined one where the selected hypothesis fits held-out views better.
+5. Refinements are compared within it. Hypotheses that were near are then questioned again with the same refinements.
 """
 
 from __future__ import annotations
@@ -15,11 +16,13 @@ from typing import Generic, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from hir_core.capture.photograph_exposures import Exposures
 from hir_core.config import ReflectanceSettings
 from hir_core.errors import ConfigError
 from hir_core.plugins.interfaces import FitT, RefinementT
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.stages.held_out_views import model_selection_folds
+from hir_core.stages.reflectance.selection.exposure_selection import ExposureSelection, select_exposures
 from hir_core.stages.reflectance.selection.fit_sequence import FitSequence, fit_cost
 from hir_core.stages.reflectance.selection.folded_fits import FoldedFit, FoldedFits
 from hir_core.stages.reflectance.selection.held_out_comparison import (
@@ -29,7 +32,7 @@ from hir_core.stages.reflectance.selection.held_out_comparison import (
     mean_decibels,
     paired_gain,
 )
-from hir_core.stages.reflectance.selection.hypotheses import complexity, contains, hypotheses
+from hir_core.stages.reflectance.selection.hypotheses import complexity, contains, hypotheses, simplest_of
 from hir_core.stages.reflectance.selection.refinement_selection import (
     Comparison,
     RefinementSelection,
@@ -52,6 +55,9 @@ from hir_core.stages.reflectance.selection.successive_halving import (
 
 MAX_QUESTIONED = 2
 """Hypotheses that are questioned again at the end, the nearest first."""
+
+
+EQUAL = ExposureSelection("equal")
 
 
 class SelectionObserver(Protocol):
@@ -94,6 +100,7 @@ class Selection(Generic[FitT]):
     comparisons: tuple[Comparison, ...] = ()
     shape: ShapeComparison[FitT] | None = None
     """None where there was one shape."""
+    exposures: ExposureSelection = EQUAL
 
     @property
     def runner_up(self) -> Margin | None:
@@ -119,23 +126,31 @@ def select_model(
     views: int,
     observer: SelectionObserver,
     other_shape: OtherShape[FitT, RefinementT] | None = None,
+    exposures: Sequence[Exposures] = ("equal",),
 ) -> Selection[FitT]:
     """Fits training views and decides on held-out views.
 
     A model that the settings name is fitted without a comparison. Where `other_shape` is selected its solver replaces
-    that of `fits`.
+    that of `fits`. Of several `exposures`, the simplest first, those are selected that held-out views ask for; without
+    held-out views the first.
     """
     folds = model_selection_folds(views)
     forced = forced_spec(settings)
-    if forced is not None or not folds:
+    folded = FoldedFits(fits, folds) if folds else None
+    shown = ExposureSelection(exposures[0])
+    if folded is not None and len(exposures) > 1:
+        compared = _supported(fits, hypotheses(settings) if forced is None else [simplest_of(forced)])
+        later_cost = _hypotheses_cost(compared) if forced is None else fit_cost(forced, 1.0)
+        shown = select_exposures(folded, compared, "recorded" in exposures, later_cost)
+    if forced is not None or folded is None:
         spec = _supported(fits, [forced])[0] if forced is not None else _default(fits, settings)
-        return Selection(spec, _fit_single_model(fits, spec, list(range(views))), spec)
-    folded = FoldedFits(fits, folds)
+        spec = replace(spec, exposures=shown.exposures)
+        return Selection(spec, _fit_single_model(fits, spec, list(range(views))), spec, exposures=shown)
 
     def fitted(fit: FoldedFit[FitT]) -> None:
         observer.evaluated(fit.held_out_db)
 
-    specs = _supported(fits, hypotheses(settings))
+    specs = [replace(each, exposures=shown.exposures) for each in _supported(fits, hypotheses(settings))]
     costliest = specs[-1]
     later_cost = expected_cost(costliest) + (shape_cost(costliest) if other_shape is not None else 0.0)
     halving = SuccessiveHalving(folded, specs, later_cost=later_cost, fitted=fitted)
@@ -150,6 +165,9 @@ def select_model(
     folded.expect(later_cost)
     first = shape.fit if shape is not None and shape.accepted else chosen.last
     refinement = RefinementSelection(folded, first, fitted, observer.compared)
+    if len(exposures) > 1:
+        fitted_before = shown.exposures == "fitted"
+        shown = refinement.question_exposures(shown) if fitted_before else refinement.compare_exposures(shown)
     refinement.refine_vertices()
     winner, finals = chosen, {chosen.spec: refinement.fit.errors}
     for rival in rivals:
@@ -175,7 +193,14 @@ def select_model(
         tuple(margin for _, margin in margins),
         tuple(refinement.comparisons),
         shape,
+        shown,
     )
+
+
+def _hypotheses_cost(specs: Sequence[ModelSpec]) -> float:
+    """About that of all rounds of the hypotheses and of what follows."""
+    rounds = sum(fit_cost(spec, budget.effort, budget.pixel_share) for spec in specs for budget in ROUNDS)
+    return rounds + expected_cost(specs[-1])
 
 
 def _supported(fits: FitSequence[FitT, RefinementT], specs: Sequence[ModelSpec]) -> list[ModelSpec]:

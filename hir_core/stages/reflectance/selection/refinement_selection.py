@@ -8,6 +8,12 @@ from typing import Generic, final
 
 from hir_core.plugins.interfaces import FitT, RefinementT
 from hir_core.plugins.model_spec import ModelSpec
+from hir_core.stages.reflectance.selection.exposure_selection import (
+    ExposureSelection,
+    at_own_exposures,
+    exposures_may_differ,
+    gains_by_exposures,
+)
 from hir_core.stages.reflectance.selection.fit_sequence import fit_cost
 from hir_core.stages.reflectance.selection.folded_fits import FoldedFit, FoldedFits
 from hir_core.stages.reflectance.selection.held_out_comparison import (
@@ -65,6 +71,35 @@ class RefinementSelection(Generic[FitT, RefinementT]):
     def spec(self) -> ModelSpec:
         """The selected model."""
         return self.fit.spec
+
+    def question_exposures(self, selection: ExposureSelection) -> ExposureSelection:
+        """Selects simpler exposures unless fitted ones gain, with every held-out view at an exposure of its own."""
+        candidate, _, _ = self._against_control(replace(self.spec, exposures=selection.before))
+        own = at_own_exposures(self._fits, candidate)
+        gain, standard_error = paired_gain(own.errors, self.fit.errors)
+        needed = gains_by_exposures(own, self.fit)
+        self._record(replace(own, spec=candidate.spec), -gain, standard_error, accepted=not needed)
+        if not needed:
+            self.fit, self._has_control = candidate, False
+        return ExposureSelection(self.spec.exposures, selection.before, gain, standard_error)
+
+    def compare_exposures(self, selection: ExposureSelection) -> ExposureSelection:
+        """Selects fitted exposures where held-out views gain, all at exposures of their own.
+
+        Nothing is fitted where held-out views are as near at the exposures of the model.
+        """
+        if not self._is_worth_comparing(replace(self.spec, exposures="fitted")):
+            return selection
+        if not exposures_may_differ(self.fit, at_own_exposures(self._fits, self.fit)):
+            return selection
+        candidate, _, _ = self._against_control(replace(self.spec, exposures="fitted"))
+        control = at_own_exposures(self._fits, self.fit)
+        accepted = gains_by_exposures(control, candidate)
+        gain = paired_gain(control.errors, candidate.errors)
+        if accepted:
+            self.fit, self._has_control = candidate, False
+        self._record(candidate, *gain, accepted=accepted)
+        return ExposureSelection(self.spec.exposures, selection.exposures, *gain)
 
     def refine_vertices(self) -> None:
         """Compares everything that is fitted at vertices."""
@@ -190,6 +225,7 @@ def with_refinements(spec: ModelSpec, of: ModelSpec) -> ModelSpec:
     maps_specular = spec.kind in ("paper", "dielectric") and (of.specular == "map" or of.kind == "mixed")
     return replace(
         spec,
+        exposures=of.exposures,
         bounces=of.bounces if spec.light_frame == "world" and of.light_frame == "world" else spec.bounces,
         specular="map" if maps_specular else spec.specular,
         colored=of.colored and spec.kind == "paper",

@@ -150,7 +150,7 @@ class FitBenchmark:
             limited = replace(settings, gradient=gradient)
 
             def run(limited: ReflectanceSettings = limited) -> tuple[Scene, str]:
-                scene, _ = fit_reflectance(self.scene, self.train, limited, context)
+                scene, _, _ = fit_reflectance(self.scene, self.train, limited, context)
                 return scene, f"at 1/{limited.downsample} of the size"
 
             yield self._row(name, f"{steps} steps", run)

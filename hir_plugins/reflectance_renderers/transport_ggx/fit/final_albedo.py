@@ -59,9 +59,9 @@ def _equations(
     transport: Transport, batch: PixelBatch, specular: SpecularMatrices | None, parameters: Parameters, bounces: int
 ) -> AlbedoEquations:
     color = srgb_to_linear(batch.color_srgb)
-    importance = srgb_slope(color.clamp(SRGB_SLOPE_FLOOR_LINEAR, 1)).square()
     exposure = parameters.exposure
-    observed = color if exposure is None else color / exposure[batch.view][:, None]
+    observed = color if exposure is None else color / exposure[batch.view]
+    importance = srgb_slope(observed.clamp(SRGB_SLOPE_FLOOR_LINEAR, 1)).square()
     gain, lobe = diffuse_and_specular(transport, batch, specular, parameters, bounces)
     if parameters.metalness is None or specular is None:
         target = observed if lobe is None else observed - lobe

@@ -55,7 +55,7 @@ class FitSettings:
     diffuse_rate: float = 0.06
     specular_rate: float = 0.05
     width_rate: float = 0.08
-    exposure_rate: float = 0.02
+    exposure_rate: float = 0.05
     normal_rate: float = 0.03
     metalness_rate: float = 0.15
     alpha_frozen_share: float = 0.2
@@ -64,6 +64,8 @@ class FitSettings:
     color_frozen_share: float = 0.0
     """Share of the steps before the base colour changes. A metal shows its reflections alone: while the light is still
     uniform, base colours of its vertices would explain them."""
+    exposure_frozen_share: float = 0.0
+    """Share of the steps before exposures change: while light and albedo are wrong, they would absorb their errors."""
     f0_frozen_share: float = 0.7
     """Share of the steps before F0 of the dielectric part changes: while metalness is undecided, metal imitates it."""
     refresh_interval: int = 15
@@ -72,6 +74,8 @@ class FitSettings:
     huber_srgb: float = 0.1
     """Residual in sRGB from which the loss is linear."""
     known_light: bool = False
+    fits_exposures: bool = False
+    """Exposures are fitted, not recorded; without any in the parameters all are equal."""
     solve_albedo: bool = True
     """End with the albedos in closed form."""
 
@@ -137,6 +141,8 @@ def fit(
     def freeze(step: int) -> None:
         if parameters.width is not None and (searches_width or step < settings.alpha_frozen_share * settings.steps):
             parameters.width.grad = None  # a uniform width is searched, for the terms, too
+        if parameters.log_exposure is not None and step < settings.exposure_frozen_share * settings.steps:
+            parameters.log_exposure.grad = None
         if step < settings.color_frozen_share * settings.steps:
             parameters.diffuse.grad = None
         if parameters.metalness is not None and step < settings.f0_frozen_share * settings.steps:
@@ -221,11 +227,12 @@ def _leaves(parameters: Parameters, settings: FitSettings) -> Parameters:
         parameters.diffuse,
         parameters.specular,
         parameters.width,
-        parameters.log_exposure,
         parameters.normal_offset,
     ):
         if value is not None:
             value.requires_grad_()
+    if parameters.log_exposure is not None:
+        parameters.log_exposure.requires_grad_(settings.fits_exposures)
     if parameters.metalness is not None and not parameters.is_metal:
         parameters.metalness.requires_grad_()
     parameters.light.requires_grad_(not settings.known_light)

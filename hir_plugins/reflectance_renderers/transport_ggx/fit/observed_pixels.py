@@ -66,7 +66,7 @@ def observe_pixels(
     visible &= (points.normal * points.to_eye).sum(1) > MIN_VIEW_COSINE
     rows_kept = visible.nonzero()[:, 0]
     color = torch.from_numpy(pixels.color_linear[rows, columns]).to(device)
-    color = color.clamp_min(0) / capture.views[view].exposure
+    color = color.clamp_min(0) / torch.from_numpy(capture.views[view].gain).to(device)
     clipped = pixels.saturated[rows, columns][:, None] & (pixels.color_linear[rows, columns] >= CLIPPED_LINEAR_LEVEL)
     saturated = torch.from_numpy(clipped).to(device)
     return ObservedPixels(points.take(rows_kept), color[rows_kept], saturated[rows_kept], index.to(device)[rows_kept])

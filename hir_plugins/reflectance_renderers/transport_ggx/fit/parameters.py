@@ -35,8 +35,8 @@ class Parameters:
     specular: Float[Tensor, "#V C"] | None
     """Of ρs; of one F0 where there is a metalness."""
     width: Float[Tensor, "#V 1"] | None
-    log_exposure: Float[Tensor, " views"] | None = None
-    """Logarithm of the exposure of each photograph; None if all have the same."""
+    log_exposure: Float[Tensor, "views 3"] | None = None
+    """Logarithm of the exposure of each photograph and channel; None if all have the same."""
 
     closed_form_diffuse: Float[Tensor, "V 3"] | None = None
     """As `diffuse`, in closed form for the other parameters, set when a fit ends. A later fit starts from `diffuse`: a
@@ -54,11 +54,14 @@ class Parameters:
         return replace(self, diffuse=self.closed_form_diffuse, closed_form_diffuse=None)
 
     @property
-    def exposure(self) -> Float[Tensor, " views"] | None:
-        """Factor of each photograph; their geometric mean is 1, because a common factor belongs to the light."""
+    def exposure(self) -> Float[Tensor, "views 3"] | None:
+        """Factor of each photograph and channel: brightness and white balance.
+
+        The geometric mean over photographs is 1, because a common factor belongs to the light.
+        """
         if self.log_exposure is None:
             return None
-        centered = self.log_exposure - self.log_exposure.mean()
+        centered = self.log_exposure - self.log_exposure.mean(dim=0)
         return centered.clamp(-MAX_LOG_EXPOSURE, MAX_LOG_EXPOSURE).exp()
 
     @property

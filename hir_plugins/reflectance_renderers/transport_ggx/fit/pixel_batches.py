@@ -97,7 +97,7 @@ def arriving_light(
 def with_exposure(batch: PixelBatch, radiance: Float[Tensor, "P 3"], parameters: Parameters) -> Float[Tensor, "P 3"]:
     """The radiance times the exposure of each photograph, if exposures are fitted."""
     exposure = parameters.exposure
-    return radiance if exposure is None else radiance * exposure[batch.view][:, None]
+    return radiance if exposure is None else radiance * exposure[batch.view]
 
 
 def at_pixels(batch: PixelBatch, values: Float[Tensor, "#V C"]) -> Float[Tensor, "#P C"]:

@@ -67,7 +67,7 @@ def normal_equations(fit: FitArrays, x: BrdfState, initial: BrdfState) -> Normal
             shown, steep = linear_to_srgb_and_slope(value)
             color = dr.gather(mi.Vector3f, fit.color, row)
             off = shown - color
-            clipped = color >= mi.Vector3f(dr.gather(mi.Float, fit.ceiling, view))
+            clipped = color >= dr.gather(mi.Vector3f, fit.ceiling, view)
             off = without_clipped_excess(off, clipped)
             size = dr.abs(off)
             part = dr.select(size < huber, 0.5 * off * off, huber * (size - 0.5 * huber))

@@ -60,7 +60,7 @@ def refit_light(
         received = lobe_maps[0] @ sources, lobe_maps[1] @ sources
         gain, lobe = gain_and_lobe(lit.model, values.specular, alpha, arriving, lobes, received)
         fit = values.albedo * gain + lobe
-        difference = srgb_residual(colors, fit if exposure is None else fit * exposure[colors.view][:, None])
+        difference = srgb_residual(colors, fit if exposure is None else fit * exposure[colors.view])
         zero = torch.zeros_like(difference)
         return {
             "pixels": torch.nn.functional.huber_loss(difference, zero, delta=LIGHT_HUBER_SRGB),

@@ -32,7 +32,7 @@ class Observations:
     """Cosine between normal and view, to which the number of pixels is proportional; 0 where the point is not seen."""
     eyes: Float[Tensor, "T 3"]
     """Camera centres."""
-    ceiling: Float[Tensor, " T"]
+    ceiling: Float[Tensor, "T 3"]
     """Value from which a channel of a photograph is clipped; infinite if none is."""
 
     @property
@@ -45,22 +45,24 @@ def observe(
     transport: Transport,
     images: ImageCache,
     views: Sequence[int],
-    exposure: Tensor | None,
+    exposure: Float[Tensor, "views 3"] | None,
     position: Float[Tensor, "P 3"],
     face_normal: Float[Tensor, "P 3"],
 ) -> Observations:
     """Bilinear lookups of points in the photographs where they are not occluded.
 
-    `face_normal` are the normals of the points' faces, `exposure` is a factor for each view or None.
+    `face_normal` are the normals of the points' faces, `exposure` holds factors of each view and channel.
     """
     capture = images.capture
     color = position.new_zeros(len(views), len(position), 3)
     weight = position.new_zeros(len(views), len(position))
     eyes = torch.from_numpy(np.stack([capture.cameras[v].center for v in views]).astype(np.float32)).to(position)
-    ceiling = position.new_full((len(views),), torch.inf)
+    ceiling = position.new_full((len(views), 3), torch.inf)
     for number, view in enumerate(views):
         image = images[view]
-        factor = capture.views[view].exposure * (1.0 if exposure is None else float(exposure[view]))
+        factor = torch.from_numpy(capture.views[view].gain).to(position)
+        if exposure is not None:
+            factor = factor * exposure[view].to(position)
         ceiling[number] = image.ceiling / factor
         toward = normalize(eyes[number] - position, dim=1, eps=1e-12)
         cosine = (face_normal * toward).sum(dim=1)

@@ -101,8 +101,6 @@ def solve_per_texel_maps(
         "observations": int(count.sum()),
         "observed": round(int(maps.observed.sum()) / max(int(texels.covered.sum()), 1), 4),
     }
-    if lit.parameters.exposure is not None:
-        report_values["view_gain"] = [round(float(e), 4) for e in lit.parameters.exposure]
     return material, lit.parameters, equations, report_values
 
 

@@ -144,8 +144,6 @@ def solve_scene(
         "texture_equations": sum(len(e.gain) for e in equations),
         "observed": round(share, 4),
     }
-    if parameters.exposure is not None:
-        report_values["view_gain"] = [round(float(e), 4) for e in parameters.exposure]
     return material, equations, report_values
 
 
@@ -195,13 +193,13 @@ def texel_equations(
     part: ObservedPixels,
     gain: Float[Tensor, "P 3"],
     lobe: Float[Tensor, "P 3"],
-    exposure: Float[Tensor, " views"] | None,
+    exposure: Float[Tensor, "views 3"] | None,
     size: tuple[int, int],
 ) -> TexelEquations:
     """The equations of a texture of height and width `size`, from pixels with known gain and lobe."""
     index, bilinear = texture_texels(part.points.uvs(transport.surface), *size)
-    importance = srgb_slope(part.color.clamp(SRGB_SLOPE_FLOOR_LINEAR, 1)).square()
-    color = part.color if exposure is None else part.color / exposure[part.points.view][:, None]
+    color = part.color if exposure is None else part.color / exposure[part.points.view]
+    importance = srgb_slope(color.clamp(SRGB_SLOPE_FLOOR_LINEAR, 1)).square()
     return TexelEquations(index, bilinear, gain, color, lobe, importance, part.saturated, part.pixel)
 
 

@@ -71,9 +71,9 @@ def fitted(tmp_path: Path, scene: Scene, capture: Capture, **settings: Any) -> t
         "environment_width": 16,
         "path_tracing": {"renderer": "lambert_sh", "refine_albedo": False},
     }
-    return fit_reflectance(
-        start_of(scene), capture, load_config(PLUGINS, "fast", reflectance=given | settings).reflectance, context
-    )
+    chosen = load_config(PLUGINS, "fast", reflectance=given | settings).reflectance
+    fitted, _, report = fit_reflectance(start_of(scene), capture, chosen, context)
+    return fitted, report
 
 
 @pytest.mark.parametrize("frame", ["world", "camera"])

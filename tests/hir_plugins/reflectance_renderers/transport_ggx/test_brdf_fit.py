@@ -143,7 +143,7 @@ def photographs(
         toward = normalize(eye - at.position, dim=1)
         color[row] = reference(at, double(values), toward.double(), light, model).float()
         weight[row] = (at.normal * toward).sum(1).clamp_min(0) * ((at.normal * toward).sum(1) > 0.15)
-    return Observations(color, weight, stand, torch.full((VIEWS,), torch.inf))
+    return Observations(color, weight, stand, torch.full((VIEWS, 3), torch.inf))
 
 
 def grey() -> PointBrdfs:

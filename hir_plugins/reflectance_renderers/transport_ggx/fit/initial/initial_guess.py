@@ -132,11 +132,18 @@ def simpler_model(spec: ModelSpec) -> ModelSpec | None:
             bounces=spec.bounces,
             light_frame=spec.light_frame,
             light_is_known=spec.light_is_known,
+            exposures=spec.exposures,
             metalness="metal",
         )
     if spec.brdf in ("diffuse", "metallic"):
         return None
-    return ModelSpec("diffuse", bounces=spec.bounces, light_frame=spec.light_frame, light_is_known=spec.light_is_known)
+    return ModelSpec(
+        "diffuse",
+        bounces=spec.bounces,
+        light_frame=spec.light_frame,
+        light_is_known=spec.light_is_known,
+        exposures=spec.exposures,
+    )
 
 
 def extended_to(spec: ModelSpec, base: Parameters, material: Material) -> Parameters:

@@ -1,0 +1,141 @@
+"""Whether photographs have one exposure, the recorded ones, or fitted ones: decided on held-out views before materials.
+
+Small differences show only beside the selected material; they are a refinement of it. A held-out photograph has no
+fitted exposure. So that fits with fitted exposures have no advantage, fits without are compared with them at exposures
+that suit each held-out photograph best, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Generic
+
+from hir_core.capture import Capture
+from hir_core.capture.photograph_exposures import Exposures
+from hir_core.config import ReflectanceSettings
+from hir_core.errors import CaptureError, ConfigError
+from hir_core.plugins.interfaces import FitT, RefinementT
+from hir_core.plugins.model_spec import ModelSpec
+from hir_core.stages.reflectance.selection.fit_sequence import fit_cost
+from hir_core.stages.reflectance.selection.folded_fits import FoldedFit, FoldedFits
+from hir_core.stages.reflectance.selection.held_out_comparison import MIN_GAIN_DB, is_significant, paired_gain
+from hir_core.stages.reflectance.selection.successive_halving import ROUNDS
+
+REQUIRED_STANDARD_ERRORS_OF_EXPOSURES = 2.0
+"""Three more numbers for each photograph can imitate much, such as reflections that a simple model lacks."""
+BUDGET = ROUNDS[0]
+"""What each fit gets; those with equal exposures are the first fits of the rounds."""
+
+
+@dataclass(frozen=True)
+class ExposureSelection:
+    """The exposures that were selected, and the comparison with the simpler ones."""
+
+    exposures: Exposures
+    before: Exposures = "equal"
+    """What they were compared with."""
+    gain_db: float | None = None
+    """Mean over held-out views; None where nothing was compared."""
+    standard_error_db: float | None = None
+
+
+def select_exposures(
+    fits: FoldedFits[FitT, RefinementT], hypotheses: Sequence[ModelSpec], recorded: bool, later_cost: float = 0.0
+) -> ExposureSelection:
+    """Compares exposures with the simplest hypothesis under each light; `recorded`: whether photographs record any.
+
+    Exposures are fitted only where held-out views are nearer at exposures of their own. `later_cost`: expected cost of
+    what follows, for the progress.
+    """
+    specs = _simplest(hypotheses)
+    fits.expect(2 * len(specs) * fit_cost(specs[0], BUDGET.effort, BUDGET.pixel_share) + later_cost)
+    comparison = _ExposureComparison(fits, specs)
+    if recorded:
+        comparison.compare_recorded()
+    comparison.compare_fitted()
+    return comparison.selected
+
+
+class _ExposureComparison(Generic[FitT, RefinementT]):
+    """The best fit so far, with the exposures that were selected."""
+
+    def __init__(self, fits: FoldedFits[FitT, RefinementT], specs: Sequence[ModelSpec]) -> None:
+        self._fits, self._specs = fits, specs
+        self.selected = ExposureSelection("equal")
+        self._best = self._best_with("equal")
+
+    def compare_recorded(self) -> None:
+        """Selects the recorded exposures where held-out views gain."""
+        self._decide("recorded", self._best)
+
+    def compare_fitted(self) -> None:
+        """Selects fitted exposures where held-out views gain, all at exposures of their own."""
+        control = at_own_exposures(self._fits, self._best)
+        # the gain differs from view to view by nature, so its standard error says little
+        if paired_gain(self._best.errors, control.errors)[0] >= MIN_GAIN_DB:
+            self._decide("fitted", control)
+
+    def _decide(self, exposures: Exposures, control: FoldedFit[FitT]) -> None:
+        candidate = self._best_with(exposures)
+        before, gain = self.selected.exposures, paired_gain(control.errors, candidate.errors)
+        accepted = gains_by_exposures(control, candidate)
+        self.selected = ExposureSelection(exposures if accepted else before, before, *gain)
+        if accepted:
+            self._best = candidate
+
+    def _best_with(self, exposures: Exposures) -> FoldedFit[FitT]:
+        found = [
+            self._fits.fit(replace(spec, exposures=exposures), None, BUDGET.effort, BUDGET.pixel_share)
+            for spec in self._specs
+        ]
+        return max(found, key=lambda fit: fit.held_out_db)
+
+
+def exposures_to_compare(
+    capture: Capture, settings: ReflectanceSettings, renderer: str, is_supported: bool
+) -> Sequence[Exposures]:
+    """The exposures that the settings admit, the simplest first; one where nothing is to be compared.
+
+    `is_supported`: whether the solver of the renderer fits exposures. `capture` has the recorded ones.
+    """
+    recorded = all(view.recorded_exposure is not None for view in capture.views)
+    if settings.exposures == "auto":
+        if not is_supported:
+            return ("equal",)
+        return ("equal", "recorded", "fitted") if recorded else ("equal", "fitted")
+    if settings.exposures != "equal" and not is_supported:
+        raise ConfigError(
+            f"reflectance.exposures is {settings.exposures!r}, which the fit of {renderer!r} does not support; choose "
+            "another reflectance.renderer, reflectance.method=auto or reflectance.exposures=equal"
+        )
+    if settings.exposures == "recorded" and not recorded:
+        raise CaptureError(
+            f"{capture.path}: the photographs record no different exposures in their EXIF data; use "
+            "--set reflectance.exposures=fitted or auto"
+        )
+    return (settings.exposures,)
+
+
+def at_own_exposures(fits: FoldedFits[FitT, RefinementT], fit: FoldedFit[FitT]) -> FoldedFit[FitT]:
+    """The same fit, each held-out view compared at the exposure and white balance that suit it best."""
+    return fits.fit(replace(fit.spec, exposures="fitted"), fit, 0.0)
+
+
+def exposures_may_differ(fit: FoldedFit[FitT], own: FoldedFit[FitT]) -> bool:
+    """Whether held-out views are nearer at exposures of their own, by one standard error; else no fit is worth it."""
+    return is_significant(*paired_gain(fit.errors, own.errors), len(own.errors))
+
+
+def gains_by_exposures(before: FoldedFit[FitT], after: FoldedFit[FitT]) -> bool:
+    """Whether held-out views gain so much that exposures explain it."""
+    gain, standard_error = paired_gain(before.errors, after.errors)
+    return is_significant(gain, standard_error, len(after.errors), REQUIRED_STANDARD_ERRORS_OF_EXPOSURES)
+
+
+def _simplest(hypotheses: Sequence[ModelSpec]) -> list[ModelSpec]:
+    """The first hypothesis under each light."""
+    found: dict[str, ModelSpec] = {}
+    for spec in hypotheses:
+        found.setdefault(spec.light_frame, spec)
+    return list(found.values())
