@@ -209,4 +209,6 @@ def test_the_exposures_of_photographs_of_a_shiny_ball_are_recovered(changes: boo
     assert report.exposures is not None and report.exposures.selected == "fitted"
     found = np.array([report.exposures.factors[view.name] for view in capture.views])
     expected = FACTORS / np.exp(np.log(FACTORS).mean(axis=0))
-    assert np.abs(found / expected - 1).max() < 0.05
+    stops = np.log2(found / expected)
+    # of 1.2 stops between photographs; what a short fit does not know of the highlights stays in the exposures
+    assert np.sqrt(np.square(stops).mean()) < 1 / 16 and np.abs(stops).max() < 1 / 6
