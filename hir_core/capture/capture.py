@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from hir_core.capture.camera import Array, Camera, similarity_scale
 from hir_core.capture.lens import camera_lens, undistort
+from hir_core.capture.measured_irradiance import MeasuredIrradiance
 from hir_core.capture.pixels import Pixels
 from hir_core.errors import CaptureError
 
@@ -93,6 +94,8 @@ class Capture:
     """4×4 similarity from the axes of the files to those of `views`; `transformed` composes it."""
     environment: EnvironmentSource | None = None
     """The true light where the files contain it: for evaluation only, never used by a fit."""
+    irradiance: MeasuredIrradiance | None = None
+    """What a card of known reflectance beside the object shows of the light; set by an initializer, used by fits."""
     reader: str = ""
 
     def transformed(self, new_from_old: Array) -> Capture:
@@ -106,7 +109,13 @@ class Capture:
         views = tuple(
             v if v.camera is None else replace(v, camera=v.camera.transformed(new_from_old)) for v in self.views
         )
-        return replace(self, views=views, points=points, world_from_source=new_from_old @ self.world_from_source)
+        return replace(
+            self,
+            views=views,
+            points=points,
+            world_from_source=new_from_old @ self.world_from_source,
+            irradiance=None if self.irradiance is None else self.irradiance.rotated(rotation),
+        )
 
     @property
     def cameras(self) -> list[Camera]:

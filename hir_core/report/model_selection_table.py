@@ -37,6 +37,8 @@ def model_selection(document: Document, seconds: Sequence[float]) -> Markup:
         parts.append(notice(f"Shape from {shape['sentence']} ({shape['held_out_views']} held-out views)."))
     if exposures := report.get("exposures"):
         parts.append(notice(f"Exposures are {exposures['sentence']}."))
+    if scale := report.get("light_scale"):
+        parts.append(notice(f"The scale between albedo and light is {scale['sentence']}."))
     if comparisons:
         parts.append(_candidates(comparisons, seconds))
     if not comparisons and not hypotheses and report.get("model"):

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from hir_core.capture.camera import Camera
 from hir_core.capture.capture import Capture, OrientedPoints, View
+from hir_core.capture.measured_irradiance import MeasuredIrradiance
 from hir_core.capture.photograph_exposures import EQUAL_EXPOSURES, PhotographExposures
 from hir_core.errors import InputError
 from hir_core.files.array_files import read_arrays
@@ -29,6 +30,8 @@ def fingerprint(capture: Capture) -> str:
     digest = hashlib.blake2b(digest_size=16)
     digest.update(repr((capture.split, capture.light_frame, capture.reader)).encode())
     digest.update(np.ascontiguousarray(capture.world_from_source, dtype=np.float64).tobytes())
+    if capture.irradiance is not None:
+        digest.update(repr(capture.irradiance).encode())
     for view in capture.views:
         digest.update(repr((view.name, view.gain.tolist(), view.distortion, camera_document(view.camera))).encode())
         for path in (view.path, view.mask_path):
@@ -96,6 +99,7 @@ def save_capture(capture: Capture, folder: Path) -> None:
             "views": views,
             "world_from_source": capture.world_from_source,
             "light_frame": capture.light_frame,
+            "irradiance": None if capture.irradiance is None else capture.irradiance.as_document(),
         },
     )
 
@@ -109,12 +113,14 @@ def restore_capture(capture: Capture, folder: Path) -> Capture:
             _restored(known, entry, arrays.get(f"mask_{i}"), str(folder / "capture.json"))
             for i, entry in enumerate(document["views"])
         )
+        irradiance = document.get("irradiance")  # older runs have none
         return replace(
             capture,
             views=views,
             points=_points(arrays),
             light_frame={"world": "world", "camera": "camera"}[document["light_frame"]],  # type: ignore[arg-type]
             world_from_source=np.array(document["world_from_source"], dtype=np.float64).reshape(4, 4),
+            irradiance=None if irradiance is None else MeasuredIrradiance.from_document(irradiance),
         )
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         reason = f"{type(error).__name__}: {error}"

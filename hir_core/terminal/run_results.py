@@ -13,10 +13,17 @@ if TYPE_CHECKING:
 
 def decisions(document: Mapping[str, Any]) -> dict[str, str]:
     """What held-out views decided, from run.json: the selected material and light (`model`) and the shape, each beside
-    the runner-up, and exposures that differ. Empty where nothing was compared.
+    the runner-up, exposures that differ, and where the scale between albedo and light was measured. Empty where nothing
+    was compared.
     """
     report = document.get("stages", {}).get("reflectance", {}).get("report") or {}
-    found = {"model": report.get("explanation"), "shape": report.get("shape"), "exposure": report.get("exposures")}
+    scale = report.get("light_scale") or {}
+    found = {
+        "model": report.get("explanation"),
+        "shape": report.get("shape"),
+        "exposure": report.get("exposures"),
+        "scale": scale if scale.get("source") == "card" else None,
+    }
     return {name: str(part["sentence"]) for name, part in found.items() if part and part.get("sentence")}
 
 

@@ -9,14 +9,15 @@ import click
 from hir_core.plugins import hookimpl
 from hir_plugins.commands.batch.command import batch_command
 from hir_plugins.commands.bench.command import bench_command
+from hir_plugins.commands.card.command import card_command
 from hir_plugins.commands.delight.command import delight_command
 from hir_plugins.commands.viewer.command import view_command
 
 
 @hookimpl
 def hir_register_commands(cli: click.Group) -> None:
-    """Adds `hir batch`, `hir bench`, `hir delight` and `hir view`."""
-    for command in (batch_command, bench_command, delight_command, view_command):
+    """Adds `hir batch`, `hir bench`, `hir card`, `hir delight` and `hir view`."""
+    for command in (batch_command, bench_command, card_command, delight_command, view_command):
         cli.add_command(command)
 
 

@@ -124,6 +124,9 @@ class FiducialMarkersOptions:
     level: bool = True
     """Turn the world so that the table on which the markers lie is horizontal. Not done where they do not lie in one
     plane, or where that is more than 45 degrees from the horizontal."""
+    paper_reflectance: float = 0.85
+    """Of the bare paper of a card from `hir card`, 0.02 to 1: it gives the scale between albedo and light, and their
+    colour. 0 takes no brightness from the card. Office paper has 0.8 to 0.9."""
 
 
 @dataclass(frozen=True)

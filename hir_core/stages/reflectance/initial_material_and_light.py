@@ -23,7 +23,7 @@ INITIAL_METALNESS = 0.5
 
 
 def initial_scene(scene: Scene, capture: Capture, settings: ReflectanceSettings, by_solver: bool = True) -> Scene:
-    """The scene with a constant lobe and a constant light, or the known light.
+    """The scene with a constant lobe and a constant light, as bright as a card measured it, or the known light.
 
     The diffuse albedo is the texture of the atlas stage, or constant where `reflectance.method` is `gradient`. Gradient
     steps get maps where the model has them; a solver makes its own.
@@ -56,6 +56,9 @@ def initial_scene(scene: Scene, capture: Capture, settings: ReflectanceSettings,
         environment = known_light(settings.known_environment, capture, rows, str(device))
     else:
         radiance = torch.full((*rows, 3), settings.initial_radiance, device=device)
+        if capture.irradiance is not None:
+            # constant radiance L brings π·L to a card
+            radiance = torch.tensor(capture.irradiance.mean, device=device).div(np.pi).expand(*rows, 3).contiguous()
         frame: Literal["world", "camera"] = "camera" if settings.light_frame == "camera" else "world"
         environment = EnvironmentMap(radiance, None, frame)
     return replace(scene, material=material, environment=environment)

@@ -27,6 +27,7 @@ from hir_core.scene import Scene
 from hir_core.scene.energy_conservation import with_conserved_energy
 from hir_core.stages.reflectance.gradient_fit import fit_by_gradient, gradient_steps, object_pixels
 from hir_core.stages.reflectance.initial_material_and_light import initial_scene
+from hir_core.stages.reflectance.light_scale import disagreement_warning, light_scale_report
 from hir_core.stages.reflectance.path_traced_refinement import refine_albedo, refine_by_path_tracing
 from hir_core.stages.reflectance.reflectance_report import (
     LightAndMaterial,
@@ -98,7 +99,10 @@ def fit_reflectance(
         material, clamped = with_conserved_energy(fitted.material)
         fitted = replace(fitted, material=material)
         report = replace(report, clamped_share=round(clamped, 5))
-    return fitted, used, report
+    light_scale = light_scale_report(fitted, capture, bool(settings.known_environment))
+    if warning := disagreement_warning(light_scale):
+        context.warn(warning)
+    return fitted, used, replace(report, light_scale=light_scale)
 
 
 def _fit_by_solver(

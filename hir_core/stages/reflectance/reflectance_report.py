@@ -12,6 +12,7 @@ from hir_core.capture.photograph_exposures import Exposures, PhotographExposures
 from hir_core.plugins.interfaces import FitT
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene import Scene
+from hir_core.stages.reflectance.light_scale import ASSUMED, LightScaleReport
 from hir_core.stages.reflectance.selection.exposure_selection import ExposureSelection
 from hir_core.stages.reflectance.selection.hypotheses import described, forcing_settings
 from hir_core.stages.reflectance.selection.model_selection import Selection
@@ -178,6 +179,8 @@ class ReflectanceReport:
     """Which shape the material was fitted on; None where nothing was compared."""
     exposures: ExposureReport | None = None
     """None where all photographs have the same."""
+    light_scale: LightScaleReport = ASSUMED
+    """Where the scale between albedo and light comes from."""
     solver: Mapping[str, Any] | None = None
     """Figures of the solver's own."""
     gradient: GradientReport | None = None

@@ -1,9 +1,10 @@
-"""Initializer: metres and the horizontal from printed markers that lie beside the object."""
+"""Initializer: metres, the horizontal and irradiance from printed markers that lie beside the object."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import final
 
@@ -14,6 +15,7 @@ from hir_core.errors import CaptureError, ConfigError
 from hir_core.plugins.interfaces import Initializer
 from hir_core.scene import Scene
 from hir_core.scene.frames import move_scene
+from hir_plugins.initializers.markers.card_photographs import card_irradiance
 from hir_plugins.initializers.markers.marker_detection import DICTIONARIES, find_dictionary, seen_markers
 from hir_plugins.initializers.markers.marker_geometry import (
     MAX_DEGREES_FROM_VERTICAL,
@@ -35,7 +37,8 @@ class FiducialMarkers(Initializer):
     """Scales the world to metres and levels it, by markers of known size that the photographs show.
 
     Corners are found to a fraction of a pixel, intersected over all photographs, and photographs that disagree are left
-    out. Needs cameras; the order is structure from motion, markers, surface.
+    out. Needs cameras; the order is structure from motion, markers, surface. The markers of a card from `hir card` also
+    give the irradiance on it (`Capture.irradiance`).
     """
 
     def __init__(self, config: FiducialMarkersOptions) -> None:
@@ -43,7 +46,7 @@ class FiducialMarkers(Initializer):
         self._report: dict[str, object] = {}
 
     def initialize(self, capture: Capture, scene: Scene | None, workspace: Path) -> tuple[Capture, Scene | None]:
-        """The capture (and the scene) in metres and upright.
+        """The capture (and the scene) in metres and upright, with what a card shows of the light.
 
         Without a marker in two photographs: `CaptureError`. Without the side of the markers: `ConfigError`.
         """
@@ -53,6 +56,11 @@ class FiducialMarkers(Initializer):
             raise ConfigError(
                 f"{SETTING}.side is {side:g}; measure the side of a marker's black square and set it in metres, "
                 f"such as: --set {SETTING}.side=0.04"
+            )
+        if not (self._config.paper_reflectance == 0 or 0.02 <= self._config.paper_reflectance <= 1):
+            raise ConfigError(
+                f"{SETTING}.paper_reflectance is {self._config.paper_reflectance:g}; give 0.02 to 1, such as 0.85 for "
+                "office paper, or 0 for no brightness from the card"
             )
         cameras = capture.cameras
         dictionary = self._config.dictionary
@@ -73,18 +81,28 @@ class FiducialMarkers(Initializer):
                 "sheet, lay it flat, and take sharp photographs in which they are larger",
                 stacklevel=2,
             )
+        paper = self._config.paper_reflectance
+        irradiance = card_irradiance(capture, corners, paper) if paper > 0 else None
         turn, level = self._level(corners)
         self._report = {
             "scale_from": f"{scale.markers} markers ({found}) of {side:g} m",
             "relative_deviation_of_sides": round(scale.relative_deviation, 5),
             "level": level,
         }
+        if irradiance is not None:
+            self._report["card"] = {
+                "photographs": len(irradiance.values),
+                "irradiance": [round(value, 5) for value in irradiance.mean],
+                "relative_deviation": round(irradiance.relative_deviation, 5),
+                "paper_reflectance": paper,
+            }
+            capture = replace(capture, irradiance=irradiance)
         metres = scale.metres_per_unit
         transform = np.diag([metres, metres, metres, 1.0]) @ turn
         return capture.transformed(transform), None if scene is None else move_scene(scene, transform)
 
     def report(self) -> Mapping[str, object]:
-        """The source of the scale, its spread, and what was levelled."""
+        """The source of the scale, its spread, what was levelled, and what a card showed."""
         return self._report
 
     def _level(self, corners: Mapping[int, Corners]) -> tuple[Array, str]:

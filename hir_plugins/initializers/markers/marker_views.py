@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -11,7 +12,6 @@ from numpy.typing import NDArray
 
 from hir_core.capture import Array, Camera, Capture, View
 from hir_core.testing.captures import StoredPixels
-from hir_plugins.initializers.markers.marker_sheet import MarkerSheet
 
 SUPERSAMPLES = 4
 PIXELS_PER_SIDE = 96
@@ -20,8 +20,26 @@ PAPER, INK, TABLE = 0.8, 0.01, 0.1
 """Linear values of white paper, black ink and what surrounds the sheet."""
 
 
+class Sheet(Protocol):
+    """What is printed: a `MarkerSheet` or a `GreyCard`."""
+
+    @property
+    def side(self) -> float:
+        """Of a marker's black square, in metres."""
+        ...
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Width and height in metres."""
+        ...
+
+    def picture(self, pixels_per_metre: float) -> NDArray[np.uint8]:
+        """The sheet (H, W), 255 is paper."""
+        ...
+
+
 def marker_capture(
-    folder: Path, cameras: Sequence[Camera], sheet: MarkerSheet, height: float = 0.0, turn: Array | None = None
+    folder: Path, cameras: Sequence[Camera], sheet: Sheet, height: float = 0.0, turn: Array | None = None
 ) -> Capture:
     """Photographs of a sheet of markers on a table, without an object.
 
@@ -33,7 +51,7 @@ def marker_capture(
     return Capture(folder, tuple(views))
 
 
-def _world_from_sheet(sheet: MarkerSheet, height: float, turn: Array) -> Array:
+def _world_from_sheet(sheet: Sheet, height: float, turn: Array) -> Array:
     """3×3: (x, y, 1) in metres from the sheet's upper left corner, to the world."""
     width, depth = sheet.size
     axes = np.array([[1.0, 0.0, -width / 2], [0.0, 0.0, 0.0], [0.0, 1.0, -depth / 2]])
@@ -42,9 +60,7 @@ def _world_from_sheet(sheet: MarkerSheet, height: float, turn: Array) -> Array:
     return placed
 
 
-def _photograph(
-    name: str, camera: Camera, printed: NDArray[np.uint8], sheet: MarkerSheet, world_from_sheet: Array
-) -> View:
+def _photograph(name: str, camera: Camera, printed: NDArray[np.uint8], sheet: Sheet, world_from_sheet: Array) -> View:
     shown: Array = np.full((camera.height, camera.width), TABLE)
     normal = np.cross(world_from_sheet[:, 1], world_from_sheet[:, 0])
     if normal @ (camera.center - world_from_sheet[:, 2]) > 0:  # the camera sees the printed side
@@ -53,7 +69,7 @@ def _photograph(
     return View(name, camera, StoredPixels(color, None))
 
 
-def _warped(printed: NDArray[np.uint8], sheet: MarkerSheet, camera: Camera, world_from_sheet: Array) -> Array:
+def _warped(printed: NDArray[np.uint8], sheet: Sheet, camera: Camera, world_from_sheet: Array) -> Array:
     """The sheet as the camera sees it (H, W), linear."""
     width, height = SUPERSAMPLES * camera.width, SUPERSAMPLES * camera.height
     pose = camera.world_to_camera

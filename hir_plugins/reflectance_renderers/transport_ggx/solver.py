@@ -32,6 +32,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.initial_guess i
     simpler_model,
     without_indirect,
 )
+from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.measured_scale import at_measured_scale
 from hir_plugins.reflectance_renderers.transport_ggx.fit.joint_optimization import FitSettings
 from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import (
     MIN_VIEW_COSINE,
@@ -270,6 +271,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
     def scene(self, fit: Fit, views: Sequence[int], report: Callable[[float], None]) -> Solved[AlbedoRefinement]:
         """Textures solved from all pixels, light as fitted."""
         on_camera = fit.spec.light_frame == "camera"
+        fit = replace(fit, parameters=self._at_measured_scale(fit))
         parameters = fit.scene_parameters
         if fit.spec.per_texel == "brdf":
             if self._terms:
@@ -352,10 +354,17 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
                 diffuse = self._initial_albedo(photographs, spec, light.exp())
             base = Parameters(light, torch.logit(diffuse), None, None)
         else:
-            base = initial.parameters
+            base = self._at_measured_scale(initial)
             if spec.bounces and not initial.spec.bounces:
                 base = replace(base, diffuse=without_indirect(self._transport, base, spec.bounces))
         return self._with_exposures(spec, extended_to(spec, base, self._scene.material), photographs, initial)
+
+    def _at_measured_scale(self, fit: Fit) -> Parameters:
+        """The parameters of a fit, as bright as a card measured the light."""
+        if fit.spec.light_is_known:
+            return fit.parameters
+        rotation = UPRIGHT if fit.spec.light_frame == "camera" else None
+        return at_measured_scale(fit.parameters, fit.spec.light_frame, rotation, self._capture)
 
     def _with_exposures(
         self, spec: ModelSpec, parameters: Parameters, photographs: ObservedPixels, initial: Fit | None
@@ -401,7 +410,8 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
 
     def _initial_metal(self, photographs: ObservedPixels, spec: ModelSpec, light: Tensor) -> tuple[Tensor, Tensor]:
         rotation = self._rotation if spec.light_frame == "camera" else None
-        return initial_metal(self._transport, photographs, light, rotation, self._options.diffuse_samples)
+        is_measured, samples = self._capture.irradiance is not None, self._options.diffuse_samples
+        return initial_metal(self._transport, photographs, light, rotation, samples, is_measured)
 
     def _best_candidate(
         self,

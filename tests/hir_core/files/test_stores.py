@@ -11,6 +11,7 @@ import pytest
 import torch
 
 from hir_core.capture import Camera, Capture, OrientedPoints, Pixels, View
+from hir_core.capture.measured_irradiance import MeasuredIrradiance
 from hir_core.capture.pixel_cache import PixelCache
 from hir_core.errors import InputError, StageError
 from hir_core.run.capture_store import (
@@ -25,6 +26,8 @@ from hir_core.run.capture_store import (
 from hir_core.scene import EnvironmentMap, Material, Mesh, Scene, Topology
 from hir_core.scene.frames import move_scene, unit_similarity
 from hir_core.scene.scene_store import load_stage_scene, save_stage_scene
+
+CARD = MeasuredIrradiance((0.0, 1.0, 0.0), {"v0": (1.0, 2.0, 3.0), "v2": (4.0, 2.0, 3.0)})
 
 
 def a_camera(x: float = 0.1) -> Camera:
@@ -108,7 +111,7 @@ def test_capture_comes_back_with_what_initializers_found(tmp_path: Path) -> None
         points=OrientedPoints(np.arange(6.0).reshape(2, 3)),
         light_frame="camera",
     )
-    found = replace(found, views=(replace(found.views[0], mask=mask, exposure=1.5), found.views[2]))
+    found = replace(found, views=(replace(found.views[0], mask=mask, exposure=1.5), found.views[2]), irradiance=CARD)
     save_capture(found, tmp_path)
     back = restore_capture(capture, tmp_path)
     assert [v.name for v in back.views] == ["v0", "v2"] and back.light_frame == "camera"
@@ -117,7 +120,35 @@ def test_capture_comes_back_with_what_initializers_found(tmp_path: Path) -> None
     np.testing.assert_array_equal(back.views[0].mask, mask)
     np.testing.assert_array_equal(back.points.positions, np.arange(6.0).reshape(2, 3))
     np.testing.assert_array_equal(back.world_from_source, moved)
-    assert back.views[0].exposure == 1.5
+    assert back.views[0].exposure == 1.5 and back.irradiance == CARD
+
+
+def test_the_card_turns_with_the_world(tmp_path: Path) -> None:
+    turn = np.array([[0, -2.0, 0, 1], [2, 0, 0, 5], [0, 0, 2, 0], [0, 0, 0, 1]])
+    moved = replace(a_capture(tmp_path), irradiance=CARD).transformed(turn)
+    assert moved.irradiance is not None and moved.irradiance.values == CARD.values
+    np.testing.assert_allclose(moved.irradiance.normal, [-1, 0, 0], atol=1e-12)
+    assert fingerprint(moved) != fingerprint(replace(moved, irradiance=None))
+
+
+@pytest.mark.parametrize(
+    ("normal", "values"),
+    [
+        ((0.0, 2.0, 0.0), {"a": (1.0, 1.0, 1.0)}),
+        ((0.0, 1.0, 0.0), {}),
+        ((0.0, 1.0, 0.0), {"a": (1.0, 0.0, 1.0)}),
+        ((0.0, 1.0, 0.0), {"a": (1.0, float("nan"), 1.0)}),
+    ],
+)
+def test_an_impossible_card_is_refused(
+    normal: tuple[float, float, float], values: dict[str, tuple[float, float, float]]
+) -> None:
+    with pytest.raises(ValueError, match="card"):
+        MeasuredIrradiance(normal, values)
+
+
+def test_the_mean_of_the_card_is_geometric() -> None:
+    assert CARD.mean == pytest.approx((2, 2, 3)) and CARD.relative_deviation == pytest.approx(np.log(2))
 
 
 def test_fingerprint_sees_what_a_fit_sees_and_nothing_else(tmp_path: Path) -> None:

@@ -31,6 +31,7 @@ from hir_core.report import (
 from hir_core.report.curve_svg import block_means, curve_svg
 from hir_core.report.rendered_pictures import light_picture
 from hir_core.run.run_directory import STAGE_NAMES, RunDirectory
+from hir_core.terminal.run_results import decisions
 from hir_core.testing.assets import textured_asset
 
 SHOOT = Path(__file__).resolve().parents[3] / "tools" / "shoot_report.py"
@@ -185,6 +186,16 @@ def test_model_selection_shows_times_and_refinements() -> None:
     untimed = section([], comparisons=entries)
     assert untimed.count('<td class="number">–</td>') == 3 and "solved again" not in untimed
     assert "1.50 ± 0.10 dB" in section([], comparisons=[], model="diffuse", albedo_refinement=REFINEMENT)
+
+
+def test_where_the_scale_comes_from_is_said() -> None:
+    report = {"light_scale": {"source": "card", "sentence": "from the card; the light agrees"}}
+    document = {"stages": {"reflectance": {"report": report}}}
+    page = model_selection_table.model_selection(document, [])
+    assert "The scale between albedo and light is from the card; the light agrees." in page
+    assert decisions(document) == {"scale": "from the card; the light agrees"}
+    report["light_scale"]["source"] = "assumed"
+    assert decisions(document) == {}
 
 
 HYPOTHESES = [

@@ -69,17 +69,18 @@ def initial_metal(
     light: Float[Tensor, "H W 3"],
     rotation: Float[Tensor, "N 3 3"] | None,
     samples: int,
+    is_measured: bool = False,
 ) -> tuple[Float[Tensor, "H W 3"], Float[Tensor, "V 3"]]:
     """Light and one base colour of a metal, with the mean colour of the photographs and the brightness of metals.
 
     The product of both is what photographs show. The base colour is the one that is known to be bright, and what metal
-    reflects in metal depends on it.
+    reflects in metal depends on it. If the brightness of the light `is_measured` the base colour is as bright as it is.
     """
     count = len(transport.surface.positions)
     if len(observed) == 0:
         return light, torch.full((count, 3), METAL_REFLECTANCE, device=light.device)
     mean = _mean_albedo(observed, _arriving(transport, observed, light, rotation, samples))
-    gain = (mean.max() / METAL_REFLECTANCE).clamp_min(1e-6)
+    gain = torch.ones_like(mean.max()) if is_measured else (mean.max() / METAL_REFLECTANCE).clamp_min(1e-6)
     base = (mean / gain).clamp(MIN_INITIAL_ALBEDO, MAX_INITIAL_ALBEDO)
     return light * gain, base.expand(count, 3).contiguous()
 
