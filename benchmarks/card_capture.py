@@ -78,11 +78,11 @@ def main() -> None:
     strength = json.loads((given.output / "transforms_test.json").read_text())["environment"]["strength"]
     own = recipe.exposure / bright_value([np.concatenate(pair, axis=2) for pair in zip(renders, masks, strict=True)])
     print(f"strength {strength:.3f}; the card's photographs alone would have {own:.3f}")
-    for folder in ("train", "masks"):
+    for folder in ("train", "train_mask"):
         (given.output / folder).mkdir()
     for i, (image, mask) in enumerate(zip(renders, masks, strict=True)):
         write_png(given.output / "train" / f"{i:03d}.png", linear_to_srgb((image * strength).clip(0, 1)))
-        write_png(given.output / "masks" / f"{i:03d}.png", np.repeat(mask, 3, axis=2).astype(np.float32))
+        write_png(given.output / "train_mask" / f"{i:03d}.png", np.repeat(mask, 3, axis=2).astype(np.float32))
     frames = [{"file_path": f"./train/{i:03d}.png", "transform_matrix": p.tolist()} for i, p in enumerate(poses)]
     (given.output / "transforms_train.json").write_text(
         json.dumps({"camera_angle_x": FIELD_OF_VIEW, "frames": frames}, indent=1)

@@ -40,6 +40,12 @@ VALUES = {
     "normal": "Normals",
 }
 
+RELIT = {
+    "relit_texture": "The photographs' colours as a texture",
+    "relit_material": "The fitted material",
+}
+"""Pictures of the asset under another light, by the name of the file."""
+
 EMBEDDED_SIDE = 1024
 """Longest side of a picture inside report.html; those in report/ may be larger."""
 
@@ -96,6 +102,18 @@ def textures(directory: RunDirectory, baked: Mapping[str, Any]) -> Markup:
         elif path.exists():
             regular_file_within(directory.path, path)
             tiles.append({"name": name, "value": None, "picture": picture_uri(path), "caption": caption})
+    return render("textures.html", tiles=tiles)
+
+
+def relit(directory: RunDirectory) -> Markup:
+    """The asset under another light, beside a texture from photographs; empty where a run has no such pictures."""
+    tiles: list[dict[str, str | None]] = []
+    for name, caption in RELIT.items():
+        path = directory.report / f"{name}.png"
+        if not path.exists():
+            return Markup()
+        regular_file_within(directory.path, path)
+        tiles.append({"name": name, "value": None, "picture": picture_uri(path), "caption": caption})
     return render("textures.html", tiles=tiles)
 
 

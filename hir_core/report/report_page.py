@@ -46,6 +46,7 @@ def _page(directory: RunDirectory, plugins: PluginManager) -> str:
         model=embedded_viewer.viewer(directory, plugins),
         comparison=embedded_pictures.comparison(directory),
         textures=embedded_pictures.textures(directory, report_of(document, "bake")),
+        relit=embedded_pictures.relit(directory),
         history=history_chart.history_chart(convergence.history(directory, document, timings)),
         model_selection=model_selection_table.model_selection(
             document, convergence.milestones(timings, MODELS_COMPARED)

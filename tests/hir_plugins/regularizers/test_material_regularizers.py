@@ -258,7 +258,9 @@ def test_a_term_of_the_settings_acts(name: str, renderer: str, method: str, tmp_
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["bilateral_specular", "joint_bilateral"])
 def test_the_solver_smooths_the_specular_map(name: str, tmp_path: Path) -> None:
-    """Checks of ρs .02 and .42 under a known light: the term falls far below its value without it, the map is flat."""
+    """Checks of ρs .02 and .42 under a known light: the map is flat, and the part of the term that belongs to it falls
+    far below its value without the term. The diffuse albedo then shows the checks, as the photographs do.
+    """
     mesh = ball()
     truth = Scene(mesh, make_material((0.3, 0.2, 0.1), checked(mesh, 0.02, 0.42).expand(-1, -1, 3), 0.2), lamps())
     capture = photographs(truth, around(8))
@@ -275,7 +277,8 @@ def test_the_solver_smooths_the_specular_map(name: str, tmp_path: Path) -> None:
         )[0]
         for weight in (1e-9, 1e4)
     )
-    term = PLUGINS.create("regularizer", name, {}).prepare(plain)
+    of_specular = {"diffuse_albedo": 0.0} if name == "joint_bilateral" else {}
+    term = PLUGINS.create("regularizer", name, of_specular).prepare(plain)
     assert float(term(smooth)) < 0.6 * float(term(plain))
     before, after = (observed_specular(scene).std() for scene in (plain, smooth))
     assert after < 0.6 * before
