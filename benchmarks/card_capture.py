@@ -56,12 +56,12 @@ def main() -> None:
     surface = MATERIALS[recipe.material].draw(
         shape.positions.astype(np.float64), shape.parts, np.random.default_rng(recipe.seed)
     )
-    mesh = mitsuba_mesh(mi, shape, surface)
+    mesh, floor = mitsuba_mesh(mi, shape, surface), float(shape.positions[:, 2].min())
     scene: dict[str, Any] = {
         "type": "scene",
         "integrator": {"type": "path", "max_depth": DEPTH},
         "object": mesh,
-        "card": _card(mi, float(shape.positions[:, 2].min())),
+        "card": _card(mi, floor),
         "light": {
             "type": "envmap",
             "bitmap": mi.Bitmap(read_hdr(given.output / "env_train.hdr")),
@@ -72,7 +72,9 @@ def main() -> None:
     renders, masks = [], []
     for i, pose in enumerate(poses):
         sensor = _sensor(mi, pose, given.side)
-        renders.append(_render(mi, scene | {"sensor": sensor}, given.samples, i)[..., :3])
+        # a camera below the card's plane would see its back in front of the object
+        shown = {name: part for name, part in scene.items() if name != "card" or pose[2, 3] > floor}
+        renders.append(_render(mi, shown | {"sensor": sensor}, given.samples, i)[..., :3])
         alone = {"type": "scene", "integrator": {"type": "direct"}, "object": mesh, "sensor": sensor}
         masks.append(_render(mi, alone, 32, i)[..., 3:].clip(0, 1))
     strength = json.loads((given.output / "transforms_test.json").read_text())["environment"]["strength"]

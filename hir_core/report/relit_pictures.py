@@ -44,8 +44,8 @@ def relit_pictures(run: FinishedRun, camera: Camera, plugins: PluginManager) -> 
     if record is None or not record.finished or run.scene.environment is None:
         return {}
     texture = load_stage_scene(run.directory.stage("atlas") / "scene", "cpu")
-    if texture.material is None or texture.mesh.uvs is None:
-        return {}
+    if texture.material is None or texture.mesh.uvs is None or texture.mesh.vertex_colors is None:
+        return {}  # without colours at the vertices the atlas is grey
     plain = Material(
         "dielectric",
         texture.material.diffuse_albedo.clamp(0, 1),
