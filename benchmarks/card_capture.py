@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from benchmarks.materials.lights import LIGHTS
 from benchmarks.materials.materials import MATERIALS
 from benchmarks.materials.recipes import recipes
-from benchmarks.materials.render import DEPTH, LATLONG_TO_WORLD, bright_value, mitsuba_mesh, spiral_camera
+from benchmarks.materials.render import DEPTH, LATLONG_TO_WORLD, bright_value, mitsuba_mesh, sensor, spiral_camera
 from benchmarks.materials.shapes import make_shape
 from hir_plugins.initializers.markers.grey_card import HEIGHT, WIDTH, GreyCard
 
@@ -71,11 +71,11 @@ def main() -> None:
     poses = [spiral_camera(i, VIEWS, "train") for i in range(VIEWS)]
     renders, masks = [], []
     for i, pose in enumerate(poses):
-        sensor = _sensor(mi, pose, given.side)
+        camera = sensor(mi, pose, given.side, given.samples, FIELD_OF_VIEW)
         # a camera below the card's plane would see its back in front of the object
         shown = {name: part for name, part in scene.items() if name != "card" or pose[2, 3] > floor}
-        renders.append(_render(mi, shown | {"sensor": sensor}, given.samples, i)[..., :3])
-        alone = {"type": "scene", "integrator": {"type": "direct"}, "object": mesh, "sensor": sensor}
+        renders.append(_render(mi, shown | {"sensor": camera}, given.samples, i)[..., :3])
+        alone = {"type": "scene", "integrator": {"type": "direct"}, "object": mesh, "sensor": camera}
         masks.append(_render(mi, alone, 32, i)[..., 3:].clip(0, 1))
     strength = json.loads((given.output / "transforms_test.json").read_text())["environment"]["strength"]
     own = recipe.exposure / bright_value([np.concatenate(pair, axis=2) for pair in zip(renders, masks, strict=True)])
@@ -110,25 +110,6 @@ def _card(mi: Any, floor: float) -> dict[str, Any]:
         "type": "rectangle",
         "to_world": to_world,
         "bsdf": {"type": "twosided", "nested": {"type": "diffuse", "reflectance": texture}},
-    }
-
-
-def _sensor(mi: Any, pose: NDArray[np.float64], side: int) -> dict[str, Any]:
-    eye, back, up = pose[:3, 3], pose[:3, 2], pose[:3, 1]
-    film = {
-        "type": "hdrfilm",
-        "width": side,
-        "height": side,
-        "pixel_format": "rgba",
-        "component_format": "float32",
-        "rfilter": {"type": "box"},
-    }
-    return {
-        "type": "perspective",
-        "fov": float(np.degrees(FIELD_OF_VIEW)),
-        "to_world": mi.ScalarTransform4f().look_at(origin=eye.tolist(), target=(eye - back).tolist(), up=up.tolist()),
-        "film": film,
-        "sampler": {"type": "independent"},
     }
 
 

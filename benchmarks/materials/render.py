@@ -156,7 +156,7 @@ def render_view(
             "bitmap": mi.Bitmap(image),
             "to_world": mi.ScalarTransform4f(to_world),
         },
-        "sensor": _sensor(mi, pose, side, samples),
+        "sensor": sensor(mi, pose, side, samples),
     }
     if lamp:
         place = pose[:3, 3] + 0.12 * pose[:3, 1] + 0.05 * pose[:3, 0]
@@ -169,7 +169,10 @@ def render_view(
     return np.nan_to_num(rendered.astype(np.float32))
 
 
-def _sensor(mi: Any, pose: NDArray[np.float64], side: int, samples: int) -> dict[str, Any]:
+def sensor(
+    mi: Any, pose: NDArray[np.float64], side: int, samples: int, field_of_view: float = FIELD_OF_VIEW
+) -> dict[str, Any]:
+    """A camera with square photographs of `side` pixels; `field_of_view` in radians, both ways."""
     eye, back, up = pose[:3, 3], pose[:3, 2], pose[:3, 1]
     camera_to_world = mi.ScalarTransform4f().look_at(origin=eye.tolist(), target=(eye - back).tolist(), up=up.tolist())
     film = {
@@ -182,7 +185,7 @@ def _sensor(mi: Any, pose: NDArray[np.float64], side: int, samples: int) -> dict
     }
     return {
         "type": "perspective",
-        "fov": float(np.degrees(FIELD_OF_VIEW)),
+        "fov": float(np.degrees(field_of_view)),
         "to_world": camera_to_world,
         "film": film,
         "sampler": {"type": "independent", "sample_count": samples},
@@ -208,7 +211,7 @@ def _write_truth(
     """Base colour (sRGB), metalness and roughness (linear) at the pixel centres of each test view, with coverage."""
     folder.mkdir(exist_ok=True)
     for i, pose in enumerate(cameras):
-        scene = mi.load_dict({"type": "scene", "object": mesh, "sensor": _sensor(mi, pose, side, 1)})
+        scene = mi.load_dict({"type": "scene", "object": mesh, "sensor": sensor(mi, pose, side, 1)})
         grid = (np.arange(side) + 0.5) / side
         y, x = np.meshgrid(grid, grid, indexing="ij")
         ray, _ = scene.sensors()[0].sample_ray(0.0, 0.5, mi.Point2f(x.ravel(), y.ravel()), mi.Point2f(0.5))
