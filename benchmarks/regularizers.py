@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import resource
 import subprocess
 import sys
 import time
@@ -26,6 +25,7 @@ import torch
 import trimesh
 from torch import Tensor
 
+from hir_core.run.machine import peak_memory_bytes
 from hir_core.scene import Mesh, Topology
 from hir_core.scene.scene_store import load_stage_scene
 from hir_core.scene.srgb import srgb_to_linear
@@ -65,10 +65,10 @@ def measured(method: str, run: Path, samples: int, white: bool) -> dict[str, flo
     """Seconds of preparation and of value with gradients, memory above the inputs, and the results' digests."""
     _evaluated(method, *(t[:500].clone() for t in inputs(run, samples, white)))  # warm-up: loads libraries
     given = inputs(run, samples, white)
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    before = peak_memory_bytes()
     prepared, stepped = _evaluated(method, *given)
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return {"samples": len(given[0]), "prepare": prepared, "step": stepped, "memory": (peak - before) / 1024}
+    peak = peak_memory_bytes()
+    return {"samples": len(given[0]), "prepare": prepared, "step": stepped, "memory": (peak - before) / 2**20}
 
 
 def _evaluated(method: str, positions: Tensor, diffuse: Tensor, specular: Tensor) -> tuple[float, float]:

@@ -117,9 +117,26 @@ def processor_seconds() -> float:
 
 def peak_memory_bytes() -> int:
     """Peak resident size of this process, without its children; 0 if unknown."""
+    high_water = high_water_bytes()
+    if high_water is not None:
+        return high_water
     try:
         import resource
     except ImportError:
         return 0
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return int(peak if sys.platform == "darwin" else peak * 1024)
+
+
+def high_water_bytes() -> int | None:
+    """Peak resident size from Linux's /proc; None on other systems.
+
+    `getrusage` is no substitute there: a new process inherits the peak of the one that started it.
+    """
+    try:
+        for line in Path("/proc/self/status").read_text(encoding="ascii", errors="replace").splitlines():
+            if line.startswith("VmHWM:"):
+                return int(line.split()[1]) * 1024
+    except OSError:
+        pass
+    return None

@@ -25,9 +25,6 @@ BASE_PROCESS_BYTES = 1000 << 20
 DECODED_PIXEL_BYTES = 12 + 4 + 1
 """Bytes of a decoded pixel: float32 colour, float32 mask, saturation."""
 
-HULL_BYTES = 2 * 4 * 256**3
-"""Distances at the voxels of the visual hull at its default resolution, float32, and a copy while it is extracted."""
-
 MIN_CACHE_BYTES = 64 << 20
 MAX_DOWNSAMPLE = 8
 MAX_REDUCTIONS = 16
@@ -154,13 +151,9 @@ def _estimated(
     cached = min(cache, size.pixels * DECODED_PIXEL_BYTES)
     common = {"program": BASE_PROCESS_BYTES, "photographs": cached}
     stages: dict[str, dict[str, int]] = {
-        # a distance field and a mask for each view, one picture in work, and the surface
+        # a distance field and a mask for each view, and one picture in work
         "initializer": common
-        | {
-            "fields": size.pixels * 5,
-            "picture": 8 * size.width * size.height * DECODED_PIXEL_BYTES,
-            "surface": HULL_BYTES,
-        },
+        | {"fields": size.pixels * 5, "picture": 8 * size.width * size.height * DECODED_PIXEL_BYTES},
         "atlas": dict(common),
         "bake": dict(common),
         "export": dict(common),

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
+from hir_core.run.machine import high_water_bytes
 from hir_plugins.commands.bench.results.bench_result import Timing
 
 REPEATS: Final = 5
@@ -60,7 +61,7 @@ class Stopwatch:
 
 def added_memory(before: int | None) -> int | None:
     """Bytes by which the peak exceeds an earlier size; None if the system does not report them."""
-    peak = None if before is None else peak_bytes()
+    peak = None if before is None else high_water_bytes()
     return None if before is None or peak is None else max(0, peak - before)
 
 
@@ -75,15 +76,4 @@ def reset_peak() -> int | None:
         Path("/proc/self/clear_refs").write_text("5")
     except OSError:
         return None
-    return peak_bytes()
-
-
-def peak_bytes() -> int | None:
-    """The largest resident size since `reset_peak`; None if the system does not report it."""
-    try:
-        for line in Path("/proc/self/status").read_text().splitlines():
-            if line.startswith("VmHWM:"):
-                return int(line.split()[1]) * 1024
-    except OSError:
-        pass
-    return None
+    return high_water_bytes()

@@ -15,12 +15,13 @@ from hir_core.cli import main
 from hir_core.errors import InputError
 from hir_core.mesh.ray_casting import MeshQueries
 from hir_core.plugins.manager import PluginManager
+from hir_core.run.machine import high_water_bytes
 from hir_core.testing.scenes import looking_at
 from hir_plugins.commands.bench.bench_options import BenchOptions
 from hir_plugins.commands.bench.command import SUITE_NAMES
 from hir_plugins.commands.bench.inputs import bench_captures, bench_shapes, exact_silhouettes, image_resampling
 from hir_plugins.commands.bench.inputs.bench_shapes import bowl
-from hir_plugins.commands.bench.measurement import measure, peak_bytes
+from hir_plugins.commands.bench.measurement import measure
 from hir_plugins.commands.bench.results import comparison, markdown_tables
 from hir_plugins.commands.bench.results.bench_result import Result, Row, Timing
 from hir_plugins.commands.bench.results.plot import plot_svg
@@ -59,7 +60,7 @@ class TestMeasuring:
         assert measure(lambda: time.sleep(0.02), repeats=50, warm_up=False, max_repeat_s=0.05).repeats < 10
 
     def test_memory_is_that_of_the_call(self) -> None:
-        if peak_bytes() is None:
+        if high_water_bytes() is None:
             pytest.skip("this system does not report the peak memory of a process")
         small = measure(lambda: np.ones(1000), repeats=1)
         large = measure(lambda: np.ones(50 << 17), repeats=1)  # 50 MiB of float64
