@@ -31,7 +31,8 @@ from hir_plugins.initializers.markers.grey_card import HEIGHT, WIDTH, GreyCard
 MARKER_SIDE = 0.4
 """In the capture's unit, about the object's radius."""
 FIELD_OF_VIEW = 1.15
-VIEWS = 32
+SPIRAL_VIEWS = 40
+"""Of the spiral of the materials benchmark; photographs from below the card, which would hide the object, are left out."""
 PAPER, INK = 0.85, 0.03
 CENTER = (1.75, 0.0)
 """Of the card; the object stands at the origin."""
@@ -68,13 +69,12 @@ def main() -> None:
             "to_world": mi.ScalarTransform4f(np.array(LATLONG_TO_WORLD, dtype=np.float64)),
         },
     }
-    poses = [spiral_camera(i, VIEWS, "train") for i in range(VIEWS)]
+    spiral = [spiral_camera(i, SPIRAL_VIEWS, "train") for i in range(SPIRAL_VIEWS)]
+    poses = [pose for pose in spiral if pose[2, 3] > floor]
     renders, masks = [], []
     for i, pose in enumerate(poses):
         camera = sensor(mi, pose, given.side, given.samples, FIELD_OF_VIEW)
-        # a camera below the card's plane would see its back in front of the object
-        shown = {name: part for name, part in scene.items() if name != "card" or pose[2, 3] > floor}
-        renders.append(_render(mi, shown | {"sensor": camera}, given.samples, i)[..., :3])
+        renders.append(_render(mi, scene | {"sensor": camera}, given.samples, i)[..., :3])
         alone = {"type": "scene", "integrator": {"type": "direct"}, "object": mesh, "sensor": camera}
         masks.append(_render(mi, alone, 32, i)[..., 3:].clip(0, 1))
     strength = json.loads((given.output / "transforms_test.json").read_text())["environment"]["strength"]
