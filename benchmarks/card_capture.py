@@ -32,7 +32,7 @@ MARKER_SIDE = 0.4
 """In the capture's unit, about the object's radius."""
 FIELD_OF_VIEW = 1.15
 SPIRAL_VIEWS = 40
-"""Of the spiral of the materials benchmark; photographs from below the card, which would hide the object, are left out."""
+"""Of the spiral of the materials benchmark. Those from below the card are left out, which would hide the object."""
 PAPER, INK = 0.85, 0.03
 CENTER = (1.75, 0.0)
 """Of the card; the object stands at the origin."""
