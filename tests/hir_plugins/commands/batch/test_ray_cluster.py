@@ -135,11 +135,13 @@ def foreign_listeners(parent: int) -> list[str]:
     return found
 
 
-def test_tasks_on_a_gpu_have_processes_of_their_own(tmp_path: Path) -> None:
+def test_tasks_on_a_gpu_have_processes_of_their_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Through Ray's client, on a node that declares a GPU: CUDA keeps the device that a process used first."""
     pytest.importorskip("ray", reason="ray is not installed: pip install -e '.[batch]'")
     from ray.cluster_utils import Cluster
 
+    # the client's server starts a process for each client; gRPC's handlers of fork() end or block it
+    monkeypatch.setenv("GRPC_ENABLE_FORK_SUPPORT", "0")
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     make_small_captures(tmp_path / "captures", 2)
