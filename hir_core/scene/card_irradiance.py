@@ -20,9 +20,9 @@ def card_irradiance(light: EnvironmentMap, capture: Capture) -> Float[Tensor, "N
     """
     assert capture.irradiance is not None
     normal = np.array(capture.irradiance.normal)
-    normals: Array = np.repeat(normal[None], len(_measuring(capture)), axis=0)
+    normals: Array = np.repeat(normal[None], len(measuring_views(capture)), axis=0)
     if light.frame == "camera":
-        normals = np.stack([capture.cameras[i].world_to_camera[:3, :3] @ normal for i in _measuring(capture)])
+        normals = np.stack([capture.cameras[i].world_to_camera[:3, :3] @ normal for i in measuring_views(capture)])
     if light.to_world is not None:
         normals = normals @ light.to_world.detach().cpu().double().numpy()
     height, width, _ = light.radiance.shape
@@ -35,19 +35,22 @@ def card_irradiance(light: EnvironmentMap, capture: Capture) -> Float[Tensor, "N
     return found[torch.from_numpy(row.reshape(-1)).to(found.device)]
 
 
-def measured_over_found(light: EnvironmentMap, capture: Capture) -> Float[Tensor, 3]:
+def measured_over_found(light: EnvironmentMap, capture: Capture) -> Float[Tensor, " 3"]:
     """By which factor of each channel the light must change for the card: geometric mean over the views; 1 for a light
-    that brings it nothing.
+    that brings it nothing, and where no view of `capture` shows the card.
     """
     assert capture.irradiance is not None
-    values = [capture.irradiance.values[capture.views[i].name] for i in _measuring(capture)]
+    if not measuring_views(capture):
+        return torch.ones(3).to(light.radiance)
+    values = [capture.irradiance.values[capture.views[i].name] for i in measuring_views(capture)]
     found = card_irradiance(light, capture).double()
     ratio = torch.tensor(np.array(values)).to(found) / found.clamp_min(1e-12)
     ratio = torch.where(found > 0, ratio, torch.ones_like(ratio))
     return ratio.log().mean(dim=0).exp().to(light.radiance)
 
 
-def _measuring(capture: Capture) -> list[int]:
-    """Views that show the card."""
-    assert capture.irradiance is not None
+def measuring_views(capture: Capture) -> list[int]:
+    """Views that show the card; empty without one."""
+    if capture.irradiance is None:
+        return []
     return [i for i, view in enumerate(capture.views) if view.name in capture.irradiance.values]

@@ -16,6 +16,7 @@ from hir_core.config import ReflectanceSettings
 from hir_core.errors import ConfigError, InputError, StageError
 from hir_core.files.light_setting import parse_light_file
 from hir_core.scene import EnvironmentMap, Material, Scene
+from hir_core.scene.card_irradiance import measuring_views
 from hir_core.stages.reflectance.selection.requested_model import default_spec, forced_spec
 
 INITIAL_METALNESS = 0.5
@@ -56,7 +57,7 @@ def initial_scene(scene: Scene, capture: Capture, settings: ReflectanceSettings,
         environment = known_light(settings.known_environment, capture, rows, str(device))
     else:
         radiance = torch.full((*rows, 3), settings.initial_radiance, device=device)
-        if capture.irradiance is not None:
+        if capture.irradiance is not None and measuring_views(capture):
             # constant radiance L brings π·L to a card
             radiance = torch.tensor(capture.irradiance.mean, device=device).div(np.pi).expand(*rows, 3).contiguous()
         frame: Literal["world", "camera"] = "camera" if settings.light_frame == "camera" else "world"

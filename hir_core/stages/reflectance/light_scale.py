@@ -8,7 +8,7 @@ from typing import Literal
 
 from hir_core.capture import Capture
 from hir_core.scene import Scene
-from hir_core.scene.card_irradiance import measured_over_found
+from hir_core.scene.card_irradiance import measured_over_found, measuring_views
 
 MAX_DISAGREEMENT = 0.15
 """Of the fitted light and the card, as a fraction, above which a warning says so."""
@@ -35,16 +35,17 @@ ASSUMED = LightScaleReport("assumed", "assumed, because photographs of the objec
 def light_scale_report(fitted: Scene, capture: Capture, light_is_known: bool) -> LightScaleReport:
     """The source of the scale, and the fitted light beside the card if there is one."""
     source: Literal["card", "known light"] = "known light" if light_is_known else "card"
-    if capture.irradiance is None or fitted.environment is None:
+    shown = len(measuring_views(capture))
+    if capture.irradiance is None or not shown or fitted.environment is None:
         return LightScaleReport(source, "from the known light") if light_is_known else ASSUMED
     red, green, blue = (round(1 / float(each), 4) for each in measured_over_found(fitted.environment, capture))
-    views, deviation = len(capture.irradiance.values), capture.irradiance.relative_deviation
+    deviation = capture.irradiance.relative_deviation
     worst = max(abs(each - 1) for each in (red, green, blue))
     sentence = (
-        f"from the {source}; the light agrees to {worst:.1%} with the card in {views} photographs, which differ by "
+        f"from the {source}; the light agrees to {worst:.1%} with the card in {shown} photographs, which differ by "
         f"{deviation:.1%}"
     )
-    return LightScaleReport(source, sentence, views, round(deviation, 4), (red, green, blue))
+    return LightScaleReport(source, sentence, shown, round(deviation, 4), (red, green, blue))
 
 
 def disagreement_warning(report: LightScaleReport) -> str | None:

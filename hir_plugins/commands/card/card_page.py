@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 from hir_exporters.files.atomic import write_bytes_atomic
 
-from hir_core.errors import InputError, MissingExtraError
+from hir_core.errors import InputError
 
 PAPERS_MM = {"a4": (297.0, 210.0), "letter": (279.4, 215.9)}
 """Width and height, landscape."""
 MARGIN_MM = 8.0
 """What printers leave blank."""
 PIXELS_PER_SIDE = 600
-"""Of a marker: a whole multiple of its ten cells, about 300 dots per inch."""
+"""Of a marker: a whole multiple of its eight cells, about 300 dots per inch."""
 CAPTION = (
     "hir card. Print without scaling; the side of a black square is then {side:g} mm. Lay it flat beside the object."
 )
@@ -38,14 +38,8 @@ def write_card(path: Path, paper: str) -> None:
         raise InputError(f"{path} must end in .pdf or .png; give another name with -o")
     if not path.parent.is_dir():
         raise InputError(f"the folder {path.parent} does not exist; create it or give another name with -o")
-    try:
-        import cv2
-        from PIL import Image, ImageDraw, ImageFont
-    except ImportError as error:
-        raise MissingExtraError(
-            f"hir card needs {error.name}; install it with: pip install 'hir[reconstruct]'"
-        ) from None
-    del cv2  # draws the markers
+    from PIL import Image, ImageDraw, ImageFont
+
     from hir_plugins.initializers.markers.grey_card import GreyCard
 
     side = side_of_markers(paper)

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from hir_core.terminal.command_options import FOLDER, verbosity_options
+from hir_core.terminal.required_packages import require_reconstruction_packages
 
 
 @click.command("card")
@@ -21,6 +22,7 @@ def card_command(output: Path, paper: str, quiet: bool, verbose: bool) -> None:
 
     hir reconstruct PHOTOS -o RUN --set initializer.fiducial_markers.side=0.05
     """
+    require_reconstruction_packages("hir card")
     from hir_plugins.commands.card.card_page import side_of_markers, write_card
 
     write_card(output, paper)

@@ -39,7 +39,7 @@ DARKEST = 1e-4
 """Linear colours below are noise."""
 
 
-def card_irradiance(
+def measured_irradiance(
     capture: Capture, corners: Mapping[int, Corners], paper_reflectance: float
 ) -> MeasuredIrradiance | None:
     """What arrives at the card whose markers have these corners in the world; None where it is not seen well enough.

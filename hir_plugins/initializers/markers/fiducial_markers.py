@@ -15,7 +15,7 @@ from hir_core.errors import CaptureError, ConfigError
 from hir_core.plugins.interfaces import Initializer
 from hir_core.scene import Scene
 from hir_core.scene.frames import move_scene
-from hir_plugins.initializers.markers.card_photographs import card_irradiance
+from hir_plugins.initializers.markers.card_photographs import measured_irradiance
 from hir_plugins.initializers.markers.marker_detection import DICTIONARIES, find_dictionary, seen_markers
 from hir_plugins.initializers.markers.marker_geometry import (
     MAX_DEGREES_FROM_VERTICAL,
@@ -82,7 +82,7 @@ class FiducialMarkers(Initializer):
                 stacklevel=2,
             )
         paper = self._config.paper_reflectance
-        irradiance = card_irradiance(capture, corners, paper) if paper > 0 else None
+        irradiance = measured_irradiance(capture, corners, paper) if paper > 0 else None
         turn, level = self._level(corners)
         self._report = {
             "scale_from": f"{scale.markers} markers ({found}) of {side:g} m",

@@ -19,6 +19,7 @@ from hir_core.errors import StageError
 from hir_core.plugins.interfaces import CheckpointLocation, PreparedReflectance, ReflectanceSolver, Solved, WeightedTerm
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene import EnvironmentMap, Material, Scene, Topology
+from hir_core.scene.card_irradiance import measuring_views
 from hir_plugins.reflectance_renderers.transport_ggx.fit import joint_optimization
 from hir_plugins.reflectance_renderers.transport_ggx.fit.exposures import median_exposures, own_exposures
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_checkpoints import FitCheckpoint
@@ -410,7 +411,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
 
     def _initial_metal(self, photographs: ObservedPixels, spec: ModelSpec, light: Tensor) -> tuple[Tensor, Tensor]:
         rotation = self._rotation if spec.light_frame == "camera" else None
-        is_measured, samples = self._capture.irradiance is not None, self._options.diffuse_samples
+        is_measured, samples = bool(measuring_views(self._capture)), self._options.diffuse_samples
         return initial_metal(self._transport, photographs, light, rotation, samples, is_measured)
 
     def _best_candidate(

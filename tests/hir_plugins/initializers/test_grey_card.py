@@ -137,10 +137,10 @@ def test_settings_of_the_paper(plain: Capture, tmp_path: Path) -> None:
 
 def test_a_curved_card_gives_no_irradiance(plain: Capture) -> None:
     """Markers of another layout with the numbers of the card."""
-    from hir_plugins.initializers.markers.card_photographs import card_irradiance
+    from hir_plugins.initializers.markers.card_photographs import measured_irradiance
     from hir_plugins.initializers.markers.grey_card import MARKERS, corners_on_card
 
     flat = {n: np.column_stack([corners_on_card(n) * SIDE, np.zeros(4)]) for n in MARKERS}
     curved = {n: c + np.array([0, 0, 0.3 * SIDE * (i == 0)]) for i, (n, c) in enumerate(flat.items())}
-    assert card_irradiance(plain, curved, PAPER) is None
-    assert card_irradiance(plain, {n: flat[n] for n in MARKERS[:2]}, PAPER) is None
+    assert measured_irradiance(plain, curved, PAPER) is None
+    assert measured_irradiance(plain, {n: flat[n] for n in MARKERS[:2]}, PAPER) is None

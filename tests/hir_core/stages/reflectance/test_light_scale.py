@@ -14,7 +14,7 @@ from hir_exporters.light.environment_map import harmonic_basis, irradiance_harmo
 from hir_core.capture.measured_irradiance import MeasuredIrradiance
 from hir_core.scene import EnvironmentMap, Material, Scene
 from hir_core.scene.card_irradiance import card_irradiance, measured_over_found
-from hir_core.stages.reflectance.light_scale import ASSUMED, LightScaleReport, disagreement_warning
+from hir_core.stages.reflectance.light_scale import ASSUMED, LightScaleReport, disagreement_warning, light_scale_report
 from tests.fixtures.made_captures import BROWN, around, ball, fitted, lamps, make_material, photographs
 
 UP = (0.0, 1.0, 0.0)
@@ -76,6 +76,16 @@ def test_a_light_that_brings_the_card_nothing_has_finite_factors(frame: Any) -> 
     capture = measured_capture(Scene(ball(), make_material(BROWN), lamps()), 2)
     found = measured_over_found(EnvironmentMap(torch.zeros(4, 8, 3), None, frame), capture)
     assert found.tolist() == [1, 1, 1]
+
+
+def test_a_card_in_photographs_that_are_not_used_counts_as_none() -> None:
+    truth = Scene(ball(), make_material(BROWN), lamps())
+    capture = measured_capture(truth, 3)
+    assert capture.irradiance is not None
+    values = {"elsewhere": (1.0, 1.0, 1.0)}
+    capture = replace(capture, irradiance=replace(capture.irradiance, values=values))
+    assert measured_over_found(lamps(), capture).tolist() == [1, 1, 1]
+    assert light_scale_report(truth, capture, light_is_known=False) == ASSUMED
 
 
 def test_light_that_contradicts_the_card_is_said() -> None:

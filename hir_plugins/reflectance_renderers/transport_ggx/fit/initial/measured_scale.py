@@ -16,7 +16,7 @@ from torch import Tensor
 
 from hir_core.capture import Capture
 from hir_core.scene import EnvironmentMap
-from hir_core.scene.card_irradiance import measured_over_found
+from hir_core.scene.card_irradiance import measured_over_found, measuring_views
 from hir_plugins.reflectance_renderers.transport_ggx.fit.final_albedo import ALBEDO_HIGH, ALBEDO_LOW
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
 
@@ -28,7 +28,7 @@ def at_measured_scale(
 
     F0 of a dielectric stays: it does not depend on the light. Unchanged without a card.
     """
-    if capture.irradiance is None:
+    if not measuring_views(capture):
         return parameters
     with torch.no_grad():
         gain = measured_over_found(EnvironmentMap(parameters.radiance, to_world, frame), capture)
@@ -41,5 +41,5 @@ def at_measured_scale(
         )
 
 
-def _divided(logit: Float[Tensor, "V 3"], gain: Float[Tensor, 3]) -> Float[Tensor, "V 3"]:
+def _divided(logit: Float[Tensor, "V 3"], gain: Float[Tensor, " 3"]) -> Float[Tensor, "V 3"]:
     return torch.logit((torch.sigmoid(logit) / gain).clamp(ALBEDO_LOW, ALBEDO_HIGH))
