@@ -41,7 +41,7 @@ VALUES = {
 }
 
 RELIT = {
-    "relit_texture": "The photographs' colours as a texture",
+    "relit_texture": "The photographs' colours at the vertices",
     "relit_material": "The fitted material",
 }
 """Pictures of the asset under another light, by the name of the file."""
