@@ -46,6 +46,20 @@ FAULTS: Final[Mapping[str, str]] = {
     "observer_raises": "observer_raises_nothing",
     "command_shadows": "names_are_free",
     "registers_nothing": "registers_something",
+    "in_place_write": "inputs_stay_as_they_are",
+    "unnamed_trait": "traits_name_what_it_reads",
+    "ideal_not_least": "smallest_on_its_ideal",
+    "root_of_difference": "hard_scenes_stay_finite",
+    "reader_parent_folder": "stays_in_its_folder",
+    "reader_unchecked_number": "malformed_files_are_refused",
+    "double_precision_mesh": "returns_capture_and_scene",
+    "scene_alone": "returns_capture_and_scene",
+    "gray_radiance": "radiance_is_finite_and_in_place",
+    "nan_beside_the_object": "radiance_is_finite_and_in_place",
+    "light_turned_back": "light_has_its_frame",
+    "light_fixed_to_the_world": "light_has_its_frame",
+    "exporter_needs_its_folder": "writes_below_its_destination",
+    "command_raises": "commands_refuse_what_is_missing",
 }
 """File of each broken plugin, and the contract that names its fault."""
 NEEDS_CUDA: Final = ("renderer_by_device",)

@@ -141,6 +141,7 @@ def hard_scenes() -> Iterator[tuple[str, Scene]]:
     for name, value in (("black textures", 0.0), ("white textures", 1.0)):
         flat = {field: torch.full_like(getattr(plain.material, field), value) for field in TEXTURES[:2]}
         yield name, replace(plain, material=replace(plain.material, **flat))  # type: ignore[arg-type]
+    yield "constant textures", replace(plain, material=_constant_textures(plain.material))
     one = {field: getattr(plain.material, field)[:1, :1].contiguous() for field in TEXTURES}
     yield "textures of one texel", replace(plain, material=replace(plain.material, **one))  # type: ignore[arg-type]
     yield "constants in place of textures", replace(plain, material=constant_material("paper", 0.5, 0.1, 0.3))
@@ -148,6 +149,30 @@ def hard_scenes() -> Iterator[tuple[str, Scene]]:
     sun = plain.environment.radiance.clone()
     sun[2, 3] = 1e5
     yield "a sun in one texel", replace(plain, environment=EnvironmentMap(sun))
+
+
+def _constant_textures(material: Material) -> Material:
+    """Textures of the same size, each of one value."""
+    values = zip(TEXTURES, (0.5, 0.1, 0.3), strict=True)
+    flat = {field: torch.full_like(getattr(material, field), value) for field, value in values}
+    return replace(material, **flat)  # type: ignore[arg-type]
+
+
+def constants_at_vertices() -> Scene:
+    """A sphere whose maps (V, C) have the same value at every vertex."""
+    mesh = smooth_sphere(2)
+    count = len(mesh.positions)
+    diffuse, specular = torch.full((count, 3), 0.5), torch.full((count, 3), 0.1)
+    material = Material("dielectric", diffuse, specular, torch.full((count, 1), 0.3))
+    return Scene(mesh, material, uneven_light(LIGHT_ROWS))
+
+
+def metallic(scene: Scene) -> Scene:
+    """The scene with a metallic material, whose metalness varies between 0.2 and 0.8."""
+    assert scene.material is not None
+    base, roughness = scene.material.diffuse_albedo, scene.material.roughness
+    metalness = 0.2 + 0.6 * (roughness - roughness.min()) / (roughness.max() - roughness.min())
+    return replace(scene, material=Material.metallic(base, metalness, roughness))
 
 
 TEXTURES = ("diffuse_albedo", "specular_albedo", "roughness")

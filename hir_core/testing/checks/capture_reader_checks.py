@@ -21,6 +21,11 @@ from hir_core.testing.contract import Subject, contract, require
 from hir_core.testing.exercise import Exercise
 from hir_core.testing.opened_paths import opened_paths
 
+FOLDERS_OF_PICTURES = 3
+"""A format may name pictures relative to its file, or to a folder below, or to one below that."""
+NUMBERS = 40
+"""At most so many numbers of a file are damaged, one at a time."""
+NUMBER = re.compile(r"(?<![\w.-])-?\d+(\.\d*)?([eE][+-]?\d+)?(?![\w.])")
 IMAGES = (".png", ".jpg", ".jpeg", ".exr", ".hdr", ".tif", ".tiff")
 
 
@@ -188,10 +193,15 @@ def stays_in_its_folder(subject: Subject) -> None:
     _require_inside(opened, outer, "")
     pictures = [f for f in sorted((outer / "capture").rglob("*")) if f.suffix.lower() in IMAGES]
     for file in sorted((outer / "capture").rglob("*")):
-        if file.is_file() and file not in pictures and _names_outside(file, pictures, outer):
-            with opened_paths() as opened, contextlib.suppress(HirError):
-                _all_pixels(subject.create(), path)
-            _require_inside(opened, outer, f" because {file.name} names it by ../")
+        if not file.is_file() or file in pictures:
+            continue
+        before = file.read_bytes()
+        for deeper in range(FOLDERS_OF_PICTURES):
+            if _names_outside(file, pictures, outer, deeper):
+                with opened_paths() as opened, contextlib.suppress(HirError):
+                    _all_pixels(subject.create(), path)
+                _require_inside(opened, outer, f" because {file.name} names it by ../")
+                file.write_bytes(before)
 
 
 def _all_pixels(reader: CaptureReader, path: Path) -> None:
@@ -199,8 +209,10 @@ def _all_pixels(reader: CaptureReader, path: Path) -> None:
         view.pixels()
 
 
-def _names_outside(file: Path, pictures: Sequence[Path], outer: Path) -> bool:
-    """Changes names of pictures in a file to copies outside of the capture; False where it is no text or has none."""
+def _names_outside(file: Path, pictures: Sequence[Path], outer: Path, deeper: int) -> bool:
+    """Changes names of pictures in a file to copies outside of the capture; False where it is no text or has none. The
+    names lead out of a folder that lies so many levels `deeper` than the file.
+    """
     try:
         text = file.read_text(encoding="utf-8")
     except UnicodeDecodeError:
@@ -208,7 +220,7 @@ def _names_outside(file: Path, pictures: Sequence[Path], outer: Path) -> bool:
     changed = text
     for picture in pictures:
         shutil.copy(picture, outer / picture.name)
-        up = "../" * len(file.parent.relative_to(outer).parts)
+        up = "../" * (len(file.parent.relative_to(outer).parts) + deeper)
         for name in (Path(os.path.relpath(picture, file.parent)).as_posix(), picture.name):
             pattern = rf"(?<![\w./-])(\./)?{re.escape(name)}(?![\w.-])"
             changed, count = re.subn(pattern, f"{up}{picture.name}", changed)
@@ -231,8 +243,9 @@ def _require_inside(opened: Sequence[Path], outer: Path, why: str) -> None:
 
 @contract("capture_reader")
 def malformed_files_are_refused(subject: Subject) -> None:
-    """Each file of a capture in turn cut short, emptied, filled with garbage, its numbers turned into NaN, or removed:
-    reading gives a capture or a `HirError` with a sentence, never another error and never numbers that are not finite.
+    """Each file of a capture in turn cut short, emptied, filled with garbage, its numbers turned into NaN, all at once
+    or one at a time, or removed: reading gives a capture or a `HirError` with a sentence, never another error and never
+    numbers that are not finite.
     """
     require(subject.testing is not None, "testing names no function that writes a capture in the format")
     assert subject.testing is not None
@@ -247,6 +260,27 @@ def malformed_files_are_refused(subject: Subject) -> None:
             path = Path(subject.testing(truth.capture, folder))
             _break(folder / file, how)
             _reads_or_refuses(subject.create(), path, f"{file.as_posix()} {how}")
+    for file in described:
+        _damage_one_number_at_a_time(subject, truth.capture, file)
+
+
+def _damage_one_number_at_a_time(subject: Subject, capture: Capture, file: Path) -> None:
+    """Numbers from all over a text become NaN or infinite: a reader that checks some of them alone lets one through."""
+    assert subject.testing is not None
+    folder = subject.folder()
+    path = Path(subject.testing(capture, folder))
+    try:
+        text = (folder / file).read_text(encoding="utf-8")
+    except (UnicodeDecodeError, FileNotFoundError):
+        return
+    numbers = list(NUMBER.finditer(text))
+    for i in sorted({int(i) for i in np.linspace(0, len(numbers) - 1, min(len(numbers), NUMBERS))}):
+        start, end = numbers[i].span()
+        for damage in ("NaN", "1e999"):
+            (folder / file).write_text(text[:start] + damage + text[end:], encoding="utf-8")
+            line = text.count("\n", 0, start) + 1
+            what = f"{damage} in the place of {text[start:end]} in line {line} of {file.as_posix()}"
+            _reads_or_refuses(subject.create(), path, what)
 
 
 def _written_files(subject: Subject, capture: Capture, folder: Path) -> list[Path]:
@@ -277,10 +311,9 @@ def _reads_or_refuses(reader: CaptureReader, path: Path, what: str) -> None:
         if not reader.matches(path):
             return
         capture = reader.read(path)
-        numbers = [v.camera.world_to_camera for v in capture.views if v.camera is not None]
-        numbers += [v.camera.intrinsics for v in capture.views if v.camera is not None]
-        for view in capture.views:
-            numbers.append(view.pixels().color_linear)
+        numbers = [_numbers_of(view) for view in capture.views]
+        if capture.points is not None:
+            numbers += [a for a in (capture.points.positions, capture.points.normals) if a is not None]
     except HirError as error:
         require(
             len(str(error)) > 15, f"with {what} it raises {type(error).__name__}({str(error)!r}), which says nothing"
@@ -289,7 +322,18 @@ def _reads_or_refuses(reader: CaptureReader, path: Path, what: str) -> None:
     except Exception as error:
         require(False, f"with {what} it raises {type(error).__name__}: {error}")
         return
-    require(all(np.isfinite(n).all() for n in numbers), f"with {what} it reads numbers that are not finite")
+    require(
+        all(np.isfinite(n).all() for n in numbers),
+        f"with {what} it reads numbers that are not finite; check them by np.isfinite and raise CaptureError",
+    )
+
+
+def _numbers_of(view: View) -> np.ndarray:
+    camera = view.camera
+    numbers = [view.pixels().color_linear.ravel(), np.array([view.exposure, *view.white_balance, *view.distortion])]
+    if camera is not None:
+        numbers += [camera.world_to_camera.ravel(), camera.intrinsics.ravel(), np.array(camera.distortion)]
+    return np.concatenate(numbers)
 
 
 def _raises(call: Callable[[], object], what: str) -> None:

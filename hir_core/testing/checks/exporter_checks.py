@@ -14,7 +14,7 @@ from hir_exporters.errors import ExportError, HirError, InputError
 from hir_exporters.exporter import ExportReport
 
 from hir_core.testing.assets import constant_asset, textured_asset
-from hir_core.testing.contract import NotApplicable, Subject, contract, require
+from hir_core.testing.contract import BrokenContract, NotApplicable, Subject, contract, require
 from hir_core.testing.exercise import digest
 
 SURFACES = (".obj", ".ply", ".stl", ".off")
@@ -37,14 +37,22 @@ def _bytes(folder: Path) -> dict[str, bytes]:
 
 @contract("exporter")
 def writes_below_its_destination(subject: Subject) -> None:
-    """All files lie beside the destination or below its folder, all of them are in the report, the destination first;
-    nothing temporary stays, and the asset is not changed.
+    """The folder of the destination is made where it is missing. All files lie beside the destination or below its
+    folder, all of them are in the report, the destination first; nothing temporary stays, and the asset is not changed.
     """
     for asset in _assets(subject):
         root = subject.folder()
         (root / "neighbour.txt").write_text("mine", encoding="utf-8")
         before = digest(asset)
-        report = _write(subject, asset, root / "out")
+        try:
+            report = _write(subject, asset, root / "out")
+        except (FileNotFoundError, ExportError) as error:
+            (root / "out").mkdir(exist_ok=True)
+            _write(subject, asset, root / "out")  # another error than that of the folder is raised here
+            raise BrokenContract(
+                f"it raises {type(error).__name__} where the folder of its destination is not there yet; "
+                "make it: destination.parent.mkdir(parents=True, exist_ok=True)"
+            ) from error
         subject.memory.setdefault("written", (time.time(), _bytes(root / "out")))
         require(digest(asset) == before, "the asset that was passed in is not what it was before")
         there = set(_bytes(root)) - {"neighbour.txt"}

@@ -64,6 +64,58 @@ def exercise(subject: Subject, device: str) -> Exercise:
     return Exercise({"capture": input_capture}, run)
 
 
+@contract("initializer", first=True, slow=True)
+def returns_capture_and_scene(subject: Subject) -> None:
+    """`initialize` returns a pair: the capture, and a `Scene` or None. The mesh of the scene has vertices (V, 3) as
+    tensors of float32 and triangles (F, 3) of int64.
+    """
+    import torch
+
+    from hir_core.capture import Capture
+    from hir_core.scene import Scene
+
+    _, input_capture, initializer = _case(subject)
+    if "initialized" not in subject.memory:
+        seeded(0)
+        subject.memory["initialized"] = initializer.initialize(input_capture, None, subject.folder())
+    returned = subject.memory["initialized"]
+    require(
+        isinstance(returned, tuple) and len(returned) == 2,
+        f"initialize returns {_named(returned)}; return the capture and the scene: return capture, scene",
+    )
+    capture, scene = returned
+    require(isinstance(capture, Capture), f"the first value is {_named(capture)}, not a Capture")
+    require(
+        scene is None or isinstance(scene, Scene),
+        f"the second value is {_named(scene)}, not a Scene or None; write Scene(Mesh(positions, Topology(faces)))",
+    )
+    if scene is None:
+        return
+    for name, tensor, wanted in (
+        ("positions", scene.mesh.positions, torch.float32),
+        ("faces", scene.mesh.faces, torch.int64),
+    ):
+        require(
+            isinstance(tensor, torch.Tensor),
+            f"the mesh's {name} are {_named(tensor)}, not a tensor; write torch.from_numpy(array)",
+        )
+        require(
+            tensor.ndim == 2 and tensor.shape[1] == 3,
+            f"the mesh's {name} have the shape {tuple(tensor.shape)}, not (N, 3)",
+        )
+        require(
+            tensor.dtype == wanted,
+            f"the mesh's {name} are {tensor.dtype}, not {wanted}; write {name}.to({wanted}), because all that follows "
+            "computes with these types",
+        )
+
+
+def _named(value: object) -> str:
+    kind = type(value)
+    inside = f" of {len(value)} values" if isinstance(value, tuple | list) else ""
+    return f"{kind.__module__.partition('.')[0]}.{kind.__qualname__}{inside}".removeprefix("builtins.")
+
+
 @contract("initializer", traits={"makes_surface"}, slow=True)
 def surface_is_the_true_one(subject: Subject) -> None:
     """The mesh lies on the true surface: half of its vertices within 3 % of the object's radius, 95 % within 12 %;

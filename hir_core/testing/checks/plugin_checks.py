@@ -27,6 +27,7 @@ STAGES: Final = ("initializer", "geometry", "atlas", "reflectance", "bake", "exp
 REGISTERING: Final = "hir_register_"
 HOOKS: Final = tuple(name for name in vars(hookspecs) if name.startswith("hir_"))
 TUTORIALS: Final = "docs/writing_plugins/index.md"
+MISSING_PATH: Final = "no_such_folder"
 OBSERVING: Final = ("hir_run_started", "hir_progress", "hir_stage_finished")
 
 
@@ -279,3 +280,54 @@ def commands_have_help(subject: PluginSubject) -> None:
         )
         done = CliRunner().invoke(command, ["--help"], prog_name=f"hir {name}")
         require(done.exit_code == 0, f"`hir {name} --help` ends with {done.exception!r}")
+
+
+@contract(PLUGIN)
+def commands_refuse_what_is_missing(subject: PluginSubject) -> None:
+    """A command that is given the name of a folder that does not exist, for each argument that it needs, ends with a
+    sentence and an exit status that is not 0: it raises a `HirError` or an exception of click, and no other.
+    """
+    import click
+    from click.testing import CliRunner
+
+    commands = [
+        (name, leaf)
+        for loaded in subject.loaded
+        for top, command in loaded.commands.items()
+        for name, leaf in _leaves(top, command)
+        if any(isinstance(p, click.Argument) and p.required for p in leaf.params)
+    ]
+    if not commands:
+        raise NotApplicable("none of its commands needs an argument")
+    for name, command in commands:
+        arguments = [MISSING_PATH for p in command.params if isinstance(p, click.Argument) and p.required]
+        given = [p for p in command.params if isinstance(p, click.Argument) and p.required]
+        runner = CliRunner()
+        with runner.isolated_filesystem(subject.folder()):
+            done = runner.invoke(command, arguments, prog_name=f"hir {name}")
+            left = sorted(p.name for p in Path.cwd().iterdir())
+        line = f"`hir {name} {' '.join(arguments)}`"
+        raised = done.exception
+        known = raised is None or isinstance(raised, SystemExit | HirError | click.ClickException)
+        require(
+            known,
+            f"{line} raises {type(raised).__name__}: {raised}; raise a HirError with a sentence, or let click check "
+            "the argument: type=click.Path(exists=True)",
+        )
+        reads_paths = any(isinstance(p.type, click.Path | click.File) for p in given)
+        require(
+            done.exit_code != 0 or not reads_paths,
+            f"{line} ends with exit status 0, though nothing of that name is there; raise a HirError that says so",
+        )
+        require(done.exit_code == 0 or not left, f"{line} fails and leaves {', '.join(left)}")
+
+
+def _leaves(name: str, command: Any) -> Iterator[tuple[str, Any]]:
+    """A command, or those of a group, with their names."""
+    import click
+
+    if isinstance(command, click.Group):
+        for below, found in command.commands.items():
+            yield from _leaves(f"{name} {below}", found)
+    elif isinstance(command, click.Command):
+        yield name, command

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -89,7 +89,7 @@ def exercise(subject: Subject, device: str) -> Exercise:
     return Exercise({"scene": scene, "cameras": capture.cameras}, run)
 
 
-@contract("reflectance_renderer", slow=True)
+@contract("reflectance_renderer", first=True, slow=True)
 def radiance_is_finite_and_in_place(subject: Subject) -> None:
     """`radiance` gives (pixels, 3), finite, not negative, 0 where a pixel misses; `render` gives (height, width, 4)
     with premultiplied colour and coverage in 0…1; both show the same.
@@ -104,9 +104,19 @@ def radiance_is_finite_and_in_place(subject: Subject) -> None:
     pixels = _grid()
     prepared = _prepared(subject, scene, camera)
     shown, _ = _mean(subject, lambda: prepared.radiance(material, light, pixels))
-    require(tuple(shown.shape) == (len(pixels), 3), f"{len(pixels)} pixels give the shape {tuple(shown.shape)}")
     require(
-        torch.isfinite(shown).all() and float(shown.min()) >= 0,
+        tuple(shown.shape) == (len(pixels), 3),
+        f"radiance of {len(pixels)} pixels has the shape {tuple(shown.shape)}; ({len(pixels)}, 3) is needed",
+    )
+    beside = ~torch.isfinite(shown).all(1) & ~_shows_the_ball(pixels, camera)
+    require(
+        not beside.any(),
+        f"radiance is not finite in {int(beside.sum())} pixels that show no object; give 0 there, by torch.where after "
+        "what divides by 0 was clamped: a NaN of the other branch would stay in the gradient",
+    )
+    require(torch.isfinite(shown).all(), f"{int((~torch.isfinite(shown)).sum())} values of radiance are not finite")
+    require(
+        float(shown.min()) >= 0,
         f"radiance goes from {float(shown.min()):.4g} to {float(shown.max()):.4g}",
     )
     image = shown.reshape(SIZE, SIZE, 3)
@@ -124,6 +134,26 @@ def radiance_is_finite_and_in_place(subject: Subject) -> None:
     inside = coverage > 0.99
     difference = float((picture[..., :3][inside].double() - image[inside].double()).abs().mean() / image[inside].mean())
     require(difference < 0.06, f"inside the object render and radiance differ by {100 * difference:.1f} % on average")
+
+
+def _shows_the_ball(pixels: Tensor, camera: Camera) -> Tensor:
+    """Whether the middle of each pixel (B, 3) of one camera shows a sphere of radius 1 at the origin."""
+    import torch
+
+    return torch.from_numpy(np.isfinite(_ball_normals(pixels, [camera])).all(axis=1))
+
+
+def _ball_normals(pixels: Tensor, cameras: Sequence[Camera]) -> np.ndarray:
+    """Normals (B, 3) of a sphere of radius 1 at the origin in pixels (B, 3): view, x, y; NaN beside the sphere."""
+    normals = np.full((len(pixels), 3), np.nan)
+    for i, camera in enumerate(cameras):
+        chosen = (pixels[:, 0] == i).numpy()
+        origin, direction = camera.rays(pixels[chosen, 1:].numpy() + 0.5)
+        half = (origin * direction).sum(axis=1)
+        root = half**2 - (origin**2).sum(axis=1) + 1
+        reach = -half - np.sqrt(np.where(root > 0, root, np.nan))
+        normals[chosen] = origin + reach[:, None] * direction
+    return normals
 
 
 @contract("reflectance_renderer", slow=True)
@@ -211,13 +241,99 @@ def _elevated(azimuth: float, polar_degrees: float) -> np.ndarray:
     return np.array([np.sin(polar) * np.sin(azimuth), np.cos(polar), np.sin(polar) * np.cos(azimuth)])
 
 
-def _spot(direction: np.ndarray, rows: int) -> Tensor:
-    """A light of some degrees around a direction."""
+def _spot(direction: np.ndarray, rows: int, sharpness: float = 150.0) -> Tensor:
+    """A lobe of light around a direction: 5° wide (standard deviation), or 13° with a sharpness of 20."""
     import torch
     from hir_exporters.conventions import latlong_directions
 
     cosine = latlong_directions(rows, 2 * rows) @ direction
-    return torch.from_numpy(np.exp(150 * (cosine - 1)))[..., None].expand(-1, -1, 3).float().contiguous()
+    return torch.from_numpy(np.exp(sharpness * (cosine - 1)))[..., None].expand(-1, -1, 3).float().contiguous()
+
+
+@contract("reflectance_renderer", slow=True)
+def light_has_its_frame(subject: Subject) -> None:
+    """A diffuse sphere is brightest where it faces the light: in each of two views, for a light of the world, for one
+    with `EnvironmentMap.to_world`, which rotates the axes of the map to those of the world, and for one with the frame
+    `camera`, whose axes are those of each camera. The radiance correlates with max(0, n·ω) by 0.95 or more.
+    """
+    import torch
+
+    from hir_core.scene import EnvironmentMap
+    from hir_core.testing.scenes import constant_material, looking_at, smooth_sphere
+
+    cameras = [looking_at((1.5, 2.0, -4.0), SIZE), looking_at((-3.5, 1.0, 2.5), SIZE)]
+    material = constant_material("paper", 0.7, 0.0, 0.5)
+    pixels = torch.cat([_grid() + torch.tensor([i, 0, 0]) for i in range(len(cameras))])
+    normals = _ball_normals(pixels, cameras)
+    inside = np.isfinite(normals).all(axis=1)
+    pixels, normals = pixels[torch.from_numpy(inside)], normals[inside]
+    view = pixels[:, 0].numpy()
+    in_camera = np.stack([camera.world_to_camera[:3, :3] for camera in cameras])[view]
+    turn = np.linalg.qr(np.array([[0.2, -0.7, 0.5], [0.9, 0.3, 0.1], [-0.1, 0.6, 0.8]]))[0]
+    turn *= np.sign(np.linalg.det(turn))
+    for of_world in (True, False):
+        for turned in (False, True):
+            # both of these, taken for directions of the world, light what one of the cameras sees
+            target = np.array([-0.3, 0.75, 0.59]) if of_world else np.array([0.45, -0.5, -0.74])
+            in_map = turn.T @ target if turned else target
+            light = EnvironmentMap(
+                _spot(in_map / np.linalg.norm(in_map), 32, 20.0),
+                torch.from_numpy(turn).float() if turned else None,
+                "world" if of_world else "camera",
+            )
+            scene = _scene(material, light, smooth_sphere(3))
+            prepared = subject.create().prepare(scene, _capture(cameras))
+            shown, _ = _mean(subject, partial(prepared.radiance, material, light, pixels))
+            seen = shown.double().cpu().numpy().mean(axis=1)
+            right = _in_world(turn @ in_map if turned else in_map, None if of_world else in_camera)
+            found = _correlation(seen, normals, right)
+            if found > 0.95:
+                continue
+            advice = "check the convention of lat-long images in docs/conventions.md"
+            for mistake, directions in _mistaken_directions(in_map, turn if turned else None, in_camera, of_world):
+                if _correlation(seen, normals, directions) > 0.95:
+                    advice = f"the light acts as if {mistake}"
+            frame = "world" if of_world else "camera"
+            require(
+                False,
+                f"with the frame {frame!r} and {'a' if turned else 'no'} `to_world` the brightness of a diffuse sphere "
+                f"correlates with max(0, n·ω) by {found:.2f}; {advice}",
+            )
+
+
+def _in_world(direction: np.ndarray, in_camera: np.ndarray | None) -> np.ndarray:
+    """A direction as directions (N, 3) of the world; of a camera's axes where `in_camera` is the rotation (N, 3, 3) to
+    them, else of the world's (1, 3).
+    """
+    return direction[None] if in_camera is None else np.swapaxes(in_camera, 1, 2) @ direction
+
+
+def _mistaken_directions(
+    in_map: np.ndarray, turn: np.ndarray | None, in_camera: np.ndarray, of_world: bool
+) -> Iterator[tuple[str, np.ndarray]]:
+    """What a renderer may take for the direction of the light, each with a sentence."""
+    turned = in_map if turn is None else turn @ in_map
+    frame = None if of_world else in_camera
+    if turn is not None:
+        yield "`to_world` were replaced by its inverse", _in_world(turn.T @ in_map, frame)
+        yield "`to_world` were not there", _in_world(in_map, frame)
+    if of_world:
+        yield "the frame were 'camera'", _in_world(turned, in_camera)
+    else:
+        yield "the frame were 'world'", _in_world(turned, None)
+        yield "the rotation of the camera were replaced by its inverse", in_camera @ turned
+        yield "each camera were the first one", _in_world(turned, in_camera[:1])
+    for axis, name in enumerate("xyz"):
+        mirrored = in_map * np.where(np.arange(3) == axis, -1, 1)
+        yield f"the map were mirrored along {name}", _in_world(mirrored if turn is None else turn @ mirrored, frame)
+
+
+def _correlation(seen: np.ndarray, normals: np.ndarray, directions: np.ndarray) -> float:
+    """Of brightness with max(0, n·ω); 0 where one of them does not vary."""
+    expected = np.clip((normals * directions).sum(axis=1), 0, None)
+    a, b = seen - seen.mean(), expected - expected.mean()
+    size = float(np.linalg.norm(a) * np.linalg.norm(b))
+    return float((a * b).sum()) / size if size > 0 else 0.0
 
 
 @contract("reflectance_renderer", slow=True)

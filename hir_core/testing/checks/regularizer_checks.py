@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,15 +24,20 @@ STEP = 1e-6
 
 def exercise(subject: Subject, device: str) -> Exercise:
     """Value and gradients on a scene of noise."""
+    import torch
+
     from hir_core.testing.scenes import bumpy_scene
 
     scene = bumpy_scene().to(device)
+    at = _moved(scene)
 
     def run() -> dict[str, np.ndarray]:
-        value, gradients = _value_and_gradients(subject, scene, _moved(scene))
+        with torch.no_grad():  # autograd refuses operations that write into a leaf; here they show in `at`
+            subject.create().prepare(scene)(at)
+        value, gradients = _value_and_gradients(subject, scene, at)
         return {"the value": value.cpu().numpy(), **{n: g.cpu().numpy() for n, g in gradients.items()}}
 
-    return Exercise({"scene": scene}, run)
+    return Exercise({"scene": scene, "the scene of a call": at}, run)
 
 
 def _moved(scene: Scene, seed: int = 1) -> Scene:
@@ -131,6 +136,49 @@ def gradient_is_that_of_the_value(subject: Subject) -> None:
 
 
 @contract("regularizer")
+def traits_name_what_it_reads(subject: Subject) -> None:
+    """A term that depends on a map of the material has the trait `material`, and one that depends on the light the
+    trait `environment`: a solver shows a term only what its traits name. With its default options, a term that has one
+    of these traits depends on material or light.
+    """
+    from hir_core.optimization.term_gradients import MAPS
+
+    read = {"material": _read_parts(subject, MAPS), "environment": _read_parts(subject, ("radiance",))}
+    for trait, parts in read.items():
+        require(
+            subject.has(trait) or not parts,
+            f"it depends on {' and '.join(parts)} and lacks the trait {trait!r}, so that a solver would never show it "
+            f"a change; add {trait!r} to traits",
+        )
+    declared = [trait for trait in read if subject.has(trait)]
+    require(
+        not declared or any(read.values()),
+        f"it has the trait {' and '.join(map(repr, declared))}, and changes with neither material nor light; remove "
+        "the trait",
+    )
+
+
+def _read_parts(subject: Subject, names: Sequence[str]) -> list[str]:
+    """Those parts of a scene, of a dielectric or a metallic material, that change the value of the term."""
+    import torch
+
+    from hir_core.optimization.term_gradients import parts_of, with_parts
+    from hir_core.testing.scenes import bumpy_scene, metallic
+
+    found = []
+    for start in (bumpy_scene(torch.float64), metallic(bumpy_scene(torch.float64))):
+        energy = subject.create().prepare(start)
+        at, elsewhere = _moved(start), _moved(start, 2)
+        seeded(0)
+        value = float(energy(at))
+        for name, part in parts_of(elsewhere).items():
+            seeded(0)
+            if name in names and float(energy(with_parts(at, {name: part}))) != value:
+                found.append(name)
+    return sorted(set(found))
+
+
+@contract("regularizer")
 def linear_in_weight(subject: Subject) -> None:
     """The core multiplies the term by `weight`: three times the weight is three times the term, at each call. The
     options have no `weight` of their own, which would never arrive.
@@ -203,7 +251,7 @@ def smallest_on_its_ideal(subject: Subject) -> None:
     """
     import torch
 
-    from hir_core.testing.scenes import bumpy_scene, leaves, with_leaves
+    from hir_core.testing.scenes import bumpy_scene
 
     require(
         subject.testing is not None,
@@ -216,19 +264,15 @@ def smallest_on_its_ideal(subject: Subject) -> None:
     seeded(0)
     least = float(energy(ideal))
     require(np.isfinite(least), f"on its ideal the term is {least}")
-    generator = torch.Generator().manual_seed(2)
     above = []
-    for size in (1e-3, 1e-2, 1e-1):
-        values = {}
-        for name, leaf in leaves(ideal).items():
-            noise = torch.randn(leaf.shape, generator=generator, dtype=torch.float64).to(leaf)
-            values[name] = leaf + size * noise if name == "positions" else (leaf + size * noise).clamp(1e-3, 1.0)
+    for change, near in _near(subject, ideal, energy):
         seeded(0)
-        near = float(energy(with_leaves(ideal, values)))
-        above.append(near > least)
+        value = float(energy(near))
+        above.append(value > least)
         require(
-            near >= least - 1e-9 * (1 + abs(least)),
-            f"on its ideal the term is {least:.8g}, {size:g} away from it only {near:.8g}",
+            value >= least - 1e-9 * (1 + abs(least)),
+            f"on its ideal the term is {least:.8g}, and {value:.8g} with {change}; let testing return the scene of "
+            "the least value, or mend the term",
         )
     require(
         any(above),
@@ -238,17 +282,55 @@ def smallest_on_its_ideal(subject: Subject) -> None:
     )
 
 
+def _near(subject: Subject, ideal: Scene, energy: Callable[[Scene], Tensor]) -> Iterator[tuple[str, Scene]]:
+    """Scenes near the ideal, each with what was changed: noise in all, one part larger or smaller everywhere, and one
+    part moved down its gradient.
+    """
+    import torch
+
+    from hir_core.testing.scenes import leaves, with_leaves
+
+    generator = torch.Generator().manual_seed(2)
+    start = leaves(ideal)
+
+    def allowed(name: str, value: Tensor) -> Tensor:
+        return value if name == "positions" else value.clamp(min=1e-3, max=None if name == "radiance" else 1.0)
+
+    slopes: dict[str, Tensor] = {}
+    if subject.has("differentiable") and not subject.has("stop_gradient"):
+        slopes = _value_and_gradients(subject, ideal, ideal)[1]
+    for size in (1e-3, 1e-2, 1e-1):
+        noisy = {}
+        for name, leaf in start.items():
+            noise = torch.randn(leaf.shape, generator=generator, dtype=torch.float64).to(leaf)
+            noisy[name] = allowed(name, leaf + size * noise)
+        yield f"noise of {size:g} in all parts", with_leaves(ideal, noisy)
+        for name, leaf in start.items():
+            for sign in (1, -1):
+                moved = allowed(name, leaf + sign * size)
+                yield f"{name} changed by {sign * size:+g} everywhere", with_leaves(ideal, {**start, name: moved})
+        for name, slope in slopes.items():
+            longest = slope.abs().max()
+            if torch.isfinite(longest) and longest > 0:
+                moved = allowed(name, start[name] - size * slope / longest)
+                yield f"{name} moved down its gradient by {size:g}", with_leaves(ideal, {**start, name: moved})
+
+
 @contract("regularizer")
 def hard_scenes_stay_finite(subject: Subject) -> None:
-    """On degenerate meshes, extreme scales, textures of one texel, black materials and suns, value and gradients are
-    finite. What a term cannot work on at all is a `StageError` that says what it needs.
+    """On degenerate meshes, extreme scales, textures of one texel, constant maps (at vertices too, with the trait
+    `vertex_maps`), black materials and suns, value and gradients are finite. What a term cannot work on at all is a
+    `StageError` that says what it needs.
     """
     import torch
 
     from hir_core.scene import Scene
-    from hir_core.testing.scenes import hard_scenes, sphere
+    from hir_core.testing.scenes import constants_at_vertices, hard_scenes, sphere
 
-    for name, scene in [*hard_scenes(), ("a mesh without material", Scene(sphere()))]:
+    scenes = [*hard_scenes(), ("a mesh without material", Scene(sphere()))]
+    if subject.has("vertex_maps"):
+        scenes.append(("constant maps at vertices", constants_at_vertices()))
+    for name, scene in scenes:
         try:
             value, gradients = _value_and_gradients(subject, scene, scene)
         except StageError as error:
@@ -260,7 +342,11 @@ def hard_scenes_stay_finite(subject: Subject) -> None:
         require(torch.isfinite(value).all(), f"on {name} the term is {float(value)}")
         for leaf, gradient in gradients.items():
             bad = int((~torch.isfinite(gradient)).sum())
-            require(bad == 0, f"on {name} {bad} values of the gradient by {leaf} are not finite")
+            require(
+                bad == 0,
+                f"on {name} {bad} values of the gradient by {leaf} are not finite; a root, a norm or a division at 0 "
+                "gives this: add a small number inside of the root, or clamp",
+            )
 
 
 @contract("regularizer", traits={"vertex_maps"})

@@ -59,6 +59,11 @@ class ForgetsOne(FromFile):
         return replace(capture, views=capture.views[1:] + capture.views[:1]), scene
 
 
+class SceneAlone(FromFile):
+    def initialize(self, capture: Capture, scene: Scene | None, workspace: Path) -> Any:
+        return super().initialize(capture, scene, workspace)[1]
+
+
 class NeedsAView(FromFile):
     def initialize(self, capture: Capture, scene: Scene | None, workspace: Path) -> tuple[Capture, Scene | None]:
         capture.views[0].pixels()
@@ -126,6 +131,7 @@ def cameras(implementation: type = CamerasFromFile) -> Component:
 
 
 BROKEN_INITIALIZERS: dict[str, Component] = {
+    "returns_capture_and_scene": surface(SceneAlone),
     "surface_is_the_true_one": surface(Flipped),
     "cameras_are_the_true_ones": cameras(InAMirror),
     "views_are_kept": surface(ForgetsOne),

@@ -243,6 +243,7 @@ BROKEN: dict[str, Component] = {
     "gradient_is_that_of_the_value": made(HalfGradient),
     "takes_maps_at_vertices": made(OnlyTextures, traits=frozenset({"differentiable", "vertex_maps"})),
     "near_has_value_and_gradient_of_the_term": made(HalfGlossy, **OF_ROUGHNESS),
+    "traits_name_what_it_reads": made(Glossy, testing=f"{HERE}:half_glossy"),
     "linear_in_weight": made(config=Weighted),
     "rigid_motion_changes_nothing": made(AboutTheOrigin, traits=frozenset({"differentiable", "rigid_invariant"})),
     "scale_changes_nothing": made(traits=frozenset({"differentiable", "scale_invariant"})),

@@ -169,6 +169,18 @@ HALVES = {name: half_gradient(name) for name in ("diffuse_albedo", "specular_alb
 globals().update({half.__name__: half for half in HALVES.values()})
 
 
+class Unturned(Traced):
+    """Leaves the rotation of the light out."""
+
+    def prepare(self, scene: Scene, capture: Capture, downsample: int = 1) -> PreparedReflectance:
+        return PreparedUnturned(self, self.inner.prepare(scene, capture, downsample), capture)
+
+
+class PreparedUnturned(Prepared):
+    def radiance(self, material: Material, environment: EnvironmentMap, pixels: Tensor) -> Tensor:
+        return super().radiance(material, replace(environment, to_world=None), pixels)
+
+
 class HalfLight(Traced):
     def prepare(self, scene: Scene, capture: Capture, downsample: int = 1) -> PreparedReflectance:
         return HalfLit(self, self.inner.prepare(scene, capture, downsample), capture)
@@ -226,6 +238,7 @@ BROKEN_REFLECTANCE: dict[str, Component] = {
     "radiance_is_finite_and_in_place": reflectance(Transparent),
     "white_furnace": reflectance(Glowing),
     "reciprocity": reflectance(OneWay),
+    "light_has_its_frame": reflectance(Unturned),
     "linear_in_light": reflectance(Tired),
     **{f"gradient_by_{name}": reflectance(half) for name, half in HALVES.items()},
     "gradient_by_light": reflectance(HalfLight),

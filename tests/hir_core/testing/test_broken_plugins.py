@@ -180,6 +180,11 @@ BROKEN_PLUGINS = {
         "import click\n@hookimpl\ndef hir_register_commands(cli):\n"
         "    cli.add_command(click.Command('silent', callback=print))\n"
     ),
+    "commands_refuse_what_is_missing": (
+        "import click\n@click.command('sizes')\n@click.argument('folder', type=click.Path())\ndef sizes(folder):\n"
+        "    'Lists the sizes of files.'\n    import os\n    print(os.listdir(folder))\n"
+        "@hookimpl\ndef hir_register_commands(cli):\n    cli.add_command(sizes)\n"
+    ),
 }
 """Code of a plugin that breaks the contract of plugins as a whole, and no other."""
 

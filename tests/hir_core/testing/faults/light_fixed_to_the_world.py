@@ -1,0 +1,19 @@
+"""Takes a light that is fixed to the camera for one of the world."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from hir_core.plugins import Component, hookimpl
+from tests.hir_core.testing.faults.sound_renderer import Traced, descriptor
+
+
+class Renderer(Traced):
+    def light(self, environment: Any) -> Any:
+        return replace(environment, frame="world")
+
+
+@hookimpl
+def hir_register_reflectance_renderers() -> list[Component]:
+    return [descriptor(f"{__name__}:Renderer")]
