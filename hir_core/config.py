@@ -7,7 +7,9 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
+
+from annotated_types import Interval
 
 from hir_core.errors import ConfigError
 from hir_core.plugins.options import build_options
@@ -25,6 +27,14 @@ MAX_SETTINGS_DEPTH = 32
 
 DEFAULT_PRESET = "default_preset"
 """Key of a preset's file: `true` in the preset that is used where none is named."""
+
+
+@dataclass(frozen=True)
+class TermWeight:
+    """What the table of a regularizer holds beside the term's own options."""
+
+    weight: Annotated[float, Interval(ge=0)] = 1.0
+    """Factor of the term in the loss; 0 leaves the term out."""
 
 
 @dataclass(frozen=True)
@@ -346,18 +356,31 @@ def _check_components(config: RunConfig, plugins: PluginManager) -> None:
             raise ConfigError(f"there is no observer {name!r}; installed: {', '.join(observers) or 'none'}")
         if options is not False:
             build_options(observers[name], options, f"observer {name!r}")
-    for stage in (config.geometry, config.reflectance):
-        for name, options in stage.regularizers.items():
-            found = plugins.find("regularizer", name)
-            if options is not False:
-                build_options(
-                    found.component.config, {k: v for k, v in options.items() if k != "weight"}, f"regularizer {name!r}"
-                )
+    _check_regularizers(config, plugins)
     _check_renderers(config, plugins)
     chains = (("initializer", config.initializers), ("mask_source", config.masks), ("exporter", config.export))
     for kind, names in chains:
         for name in () if names == "auto" else names:
             plugins.find(kind, name)
+
+
+def _check_regularizers(config: RunConfig, plugins: PluginManager) -> None:
+    """The terms of both stages exist, have valid options, and do not depend on what their stage does not have."""
+    for stage, tables in (("geometry", config.geometry.regularizers), ("reflectance", config.reflectance.regularizers)):
+        for name, options in tables.items():
+            term = plugins.find("regularizer", name).component
+            if options is False:
+                continue
+            owner, own = f"{stage}.regularizers.{name}", dict(options)
+            weight = {key: own.pop(key) for key in ("weight",) if key in own}
+            build_options(TermWeight, weight, owner)
+            build_options(term.config, own, owner, beside=("weight",))
+            needs = sorted({"material", "environment"} & term.traits)
+            if stage == "geometry" and needs:
+                raise ConfigError(
+                    f"geometry.regularizers.{name}: the term depends on {' and '.join(needs)}, which the geometry "
+                    f"stage does not fit; move it to reflectance.regularizers.{name}"
+                )
 
 
 def _check_renderers(config: RunConfig, plugins: PluginManager) -> None:

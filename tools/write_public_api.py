@@ -25,6 +25,7 @@ TYPES = {
         "ReflectanceRenderer",
         "Regularizer",
     ),
+    "hir_core.stages.reflectance.gradient_solver": ("GradientSolver",),
     "hir_exporters.exporter": ("Exporter", "ExportReport"),
     "hir_core.capture": ("Camera", "Pixels", "View", "OrientedPoints", "EnvironmentSource", "Capture"),
     "hir_core.scene": ("Topology", "Mesh", "Material", "EnvironmentMap", "Scene"),
@@ -93,6 +94,8 @@ def _type(module: str, kind: type) -> Iterator[str]:
         for field in fields(kind):
             required = field.default is field.default_factory  # both are MISSING
             yield f"  field {field.name}: {field.type}{' required' if required else ''}"
+    elif inspect.isfunction(kind.__init__) and "__init__" in vars(kind):
+        yield f"  constructor {_signature(kind.__init__)}"
     for name, member in vars(kind).items():
         if name.startswith("_"):
             continue

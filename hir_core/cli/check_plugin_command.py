@@ -48,7 +48,8 @@ def check_plugin_command(
     quiet: bool,
     plugin_files: tuple[str, ...],
 ) -> None:
-    """Runs the contract tests of NAME: a component, KIND:COMPONENT, a distribution, or the .py file of a plugin.
+    """Runs the contract tests of NAME: a component, KIND:COMPONENT, an observer, a command, a distribution, or the .py
+    file of a plugin.
 
     The exit code is 2 if a check fails. Each failure names the contract, the observed value and the page of the docs.
     """

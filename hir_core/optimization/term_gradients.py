@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from collections.abc import Set as AbstractSet
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -43,6 +44,29 @@ def value_and_gradients(energy: Energy, scene: Scene) -> tuple[Float[Tensor, ""]
             return value, {}
         found = torch.autograd.grad(value, list(leaves.values()), allow_unused=True)
     return value.detach(), {name: g for name, g in zip(leaves, found, strict=True) if g is not None}
+
+
+def why_without_effect(scene: Scene, gradients: Mapping[str, Tensor], traits: AbstractSet[str] | None) -> str:
+    """Why a term with these gradients at the fitted `scene` had no effect, and what to do; empty where it had one.
+
+    `traits`: what the solver knew of the term; None after gradient steps, which use no traits.
+    """
+    if not gradients:
+        return "depends on neither material nor light: it has no effect here; remove it"
+    maps = sorted(set(gradients) - {"radiance"})
+    if maps and traits is not None and "material" not in traits:
+        return (
+            f"depends on {' and '.join(maps)}, but lacks the trait 'material': the solver fitted the material without "
+            "it; add the trait to its descriptor"
+        )
+    parts = parts_of(scene)
+    constant = [name for name in maps if parts[name].ndim == 1]
+    if constant and not any(bool(gradient.any()) for gradient in gradients.values()):
+        return (
+            f"has no effect on the model of this run, whose {' and '.join(constant)} is one value for the whole "
+            "surface; remove it, or choose a model with maps by reflectance.model"
+        )
+    return ""
 
 
 def with_known_gradient(energy: Energy, scene: Scene) -> Float[Tensor, ""]:

@@ -50,8 +50,11 @@ def with_seed_of_run(kind: type, values: Mapping[str, Any], seed: int) -> Mappin
     return {**seeds, **values} if seed else values
 
 
-def build_options(kind: type[Options], values: Mapping[str, Any], owner: str) -> Options:
-    """Builds `kind` from `values`; unknown keys, wrong types and non-finite numbers raise `ConfigError`."""
+def build_options(kind: type[Options], values: Mapping[str, Any], owner: str, beside: tuple[str, ...] = ()) -> Options:
+    """Builds `kind` from `values`; unknown keys, wrong types and non-finite numbers raise `ConfigError`.
+
+    `beside` names what else the table of these options may hold: errors list it, too.
+    """
     if not values:
         with suppress(TypeError, ValueError):  # pydantic says below which option has no default
             return kind()
@@ -60,7 +63,7 @@ def build_options(kind: type[Options], values: Mapping[str, Any], owner: str) ->
     try:
         checked = _validator(kind)(**values)  # type: ignore[arg-type] # classes are hashable
     except ValidationError as error:
-        raise ConfigError(f"{owner}: {_sentence(error, kind)}") from None
+        raise ConfigError(f"{owner}: {_sentence(error, kind, beside)}") from None
     except TypeError as error:
         raise ConfigError(f"{owner}: {error}") from None
     # the checked object belongs to a subclass made by pydantic: components get the plain dataclass they declared
@@ -159,7 +162,7 @@ def _entry_at(kind: type, place: tuple[Any, ...]) -> Mapping[str, Any]:
     return entry
 
 
-def _sentence(error: Any, kind: type) -> str:
+def _sentence(error: Any, kind: type, beside: tuple[str, ...] = ()) -> str:
     parts = []
     unions: dict[str, list[str]] = {}
     for problem in error.errors():
@@ -173,7 +176,8 @@ def _sentence(error: Any, kind: type) -> str:
             parts.append(str(problem["ctx"]["error"]))
             continue
         if problem["type"] == "unexpected_keyword_argument":
-            known = _fields_at(kind, problem["loc"][:-1])
+            inside = problem["loc"][:-1]
+            known = [*(() if inside else beside), *_fields_at(kind, inside)]
             near = get_close_matches(str(problem["loc"][-1]), known, 1)
             advice = f"did you mean {near[0]!r}? " if near else ""
             parts.append(f"unknown option {key!r}; {advice}the options are: {', '.join(known) or 'none'}")

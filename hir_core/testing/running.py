@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from hir_core.errors import PluginError
 from hir_core.plugins import Component
-from hir_core.plugins.manager import PluginManager, Registered
+from hir_core.plugins.manager import LoadedPlugin, PluginManager, Registered
 from hir_core.testing.contract import (
     CHECKS,
     INTERFACES,
@@ -182,14 +182,16 @@ def subject_of(
 
 
 def whole_plugin(name: str, plugins: PluginManager) -> PluginSubject | None:
-    """The plugin that is a distribution, a file or a module of this name; None where `name` is none, or a component's.
+    """The plugin that is a distribution, a file or a module of this name, or has an observer or a command of this name.
 
-    Its commands are collected, so that those which take a name of ours are known.
+    None where `name` is none of these, or a component's. The plugins' commands are collected, so that those which take
+    a name of ours are known.
     """
     plugins.commands()
     if any(r.component.name == name for r in plugins.components()):
         return None
     found = [loaded for loaded in plugins.loaded if _normal(loaded.distribution) == _normal(name)]
+    found = found or _of_hooks(name, plugins)
     return PluginSubject(name, found, plugins) if found else None
 
 
@@ -201,14 +203,20 @@ def named(name: str, plugins: PluginManager) -> list[Registered]:
     every = plugins.components()
     found = [r for r in every if r.component.name == name]
     found = found or [r for r in every if _normal(r.distribution) == _normal(name)]
-    if not found and all(_normal(loaded.distribution) != _normal(name) for loaded in plugins.loaded):
-        distributions = ", ".join(sorted({r.distribution for r in every}))
+    known = {loaded.distribution for loaded in plugins.loaded} | {r.distribution for r in every}
+    if not found and not _of_hooks(name, plugins) and all(_normal(each) != _normal(name) for each in known):
+        distributions = ", ".join(sorted(known))
         problems = "".join(f"; {problem}" for problem in plugins.problems)
         raise PluginError(
-            f"no component or distribution has the name {name!r}; `hir plugins` lists the components, "
+            f"no component, observer, command or distribution has the name {name!r}; `hir plugins` lists them, "
             f"the distributions are: {distributions}{problems}"
         )
     return found
+
+
+def _of_hooks(name: str, plugins: PluginManager) -> list[LoadedPlugin]:
+    """The plugins with an observer or a command of this name; commands must have been collected."""
+    return [loaded for loaded in plugins.loaded if name in loaded.observers or name in loaded.commands]
 
 
 @contextlib.contextmanager

@@ -63,6 +63,16 @@ def test_run_json_holds_settings_and_timings_json_the_clock(finished: Run) -> No
     assert all(timings["stages"][name]["seconds"] >= 0 for name in STAGE_NAMES)
 
 
+def test_every_entry_is_documented(finished: Run) -> None:
+    """docs/run_folder.md names each file of a run, and each key of run.json and timings.json."""
+    page = (Path(__file__).parents[2] / "docs" / "run_folder.md").read_text()
+    document, timings = finished.directory.read_run(), finished.directory.read_timings()
+    names = {f"{entry.name}{'/' * entry.is_dir()}" for entry in finished.path.iterdir()} - {".lock", "capture/"}
+    names |= set(document) | set(timings) | set(timings["machine"])
+    names = names.union(*timings["stages"].values(), *document["stages"].values())
+    assert {name for name in names if f"`{name}`" not in page} == set()
+
+
 def test_cameras_and_asset_share_the_world(finished: Run, tiny_capture: Path) -> None:
     """The asset, projected by cameras.json, covers the photographs' masks."""
     from hir_exporters.textures.image_files import read_ldr

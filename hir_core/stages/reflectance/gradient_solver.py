@@ -81,9 +81,15 @@ class GradientSolver(ReflectanceSolver[GradientFit, GradientFit]):
         batch_pixels: int = 4096,
         seed: int = 0,
     ) -> None:
-        """`kinds` and `frames` are what the renderer can show; `prepared` must be differentiable in material and light.
+        """`scene`, `capture` and `downsample` are the arguments of `ReflectanceRenderer.prepare`.
 
-        `steps`, `learning_rate` and `batch_pixels` are those of a full fit.
+        `prepared`: the renderer's pixels, differentiable in material and light.
+        `kinds`: the materials that the renderer shows, of `diffuse`, `paper` and `dielectric`; others are left out.
+        `frames`: the frames in which it can place a light.
+        `steps`: of Adam in a full fit; the model selection asks for a share of them first.
+        `learning_rate`: of Adam, for all maps and the light; it falls to a tenth (cosine).
+        `batch_pixels`: pixels of a step, drawn from all views.
+        `seed`: of these pixels; give it that of `seed_of_run`.
         """
         self._prepared, self._scene, self._capture, self._downsample = prepared, scene, capture, downsample
         self._kinds = [kind for kind in kinds if kind in ("diffuse", "paper", "dielectric")]

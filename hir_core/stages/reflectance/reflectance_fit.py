@@ -19,7 +19,7 @@ from hir_core.capture.photograph_exposures import (
 )
 from hir_core.config import ReflectanceSettings
 from hir_core.errors import CaptureError, ConfigError
-from hir_core.optimization.term_gradients import value_and_gradients
+from hir_core.optimization.term_gradients import value_and_gradients, why_without_effect
 from hir_core.optimization.weighted_energies import Energies, prepare_energies, solver_terms
 from hir_core.plugins.interfaces import FitT, PreparedReflectance, RefinementT, ReflectanceRenderer, ReflectanceSolver
 from hir_core.run.stage_context import StageContext, forward_warnings
@@ -231,12 +231,13 @@ def _fit_by_gradient(
 def _reported(
     energies: Energies, fitted: Scene, acted_in: Literal["solver", "gradient steps"], context: StageContext
 ) -> dict[str, TermReport] | None:
-    """Weight and value of each term; warns of those that depend on neither material nor light."""
+    """Weight and value of each term; warns of those that had no effect."""
     reports: dict[str, TermReport] = {}
     for name, (weight, energy) in energies.terms.items():
         value, gradients = value_and_gradients(energy, fitted)
-        if not gradients:
-            context.warn(f"regularizer {name} depends on neither material nor light: it has no effect here; remove it")
+        traits = context.plugins.find("regularizer", name).component.traits
+        if why := why_without_effect(fitted, gradients, traits if acted_in == "solver" else None):
+            context.warn(f"regularizer {name} {why}")
         reports[name] = TermReport(weight, significant(float(value)), acted_in)
     return reports or None
 

@@ -225,7 +225,9 @@ def explanation_report(selection: Selection[FitT]) -> ExplanationReport | None:
     chosen = described(selection.hypothesis)
     runner_up = selection.runner_up
     if runner_up is None:
-        return ExplanationReport(chosen, sentence=f"{chosen}; the settings left no other hypothesis")
+        return ExplanationReport(
+            chosen, sentence=f"{chosen}; the settings allow no other hypothesis, so none was compared"
+        )
     name = described(runner_up.spec, beside=selection.hypothesis)
     side = "worse" if runner_up.margin_db >= 0 else "better, but less simple"
     return ExplanationReport(

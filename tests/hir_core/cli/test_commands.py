@@ -45,6 +45,19 @@ SAMPLE = ROOT / "examples" / "sample_capture"
             ["reconstruct", SAMPLE, "-o", "{tmp}/run", "--set", "geometry.renderer=contuor"],
             "named 'contuor'; installed: contour",
         ),
+        *(
+            (["reconstruct", SAMPLE, "-o", "{tmp}/run", "--set", setting], message)
+            for setting, message in (
+                ("geometry.regularizers.laplacian.wieght=1", "did you mean 'weight'? the options are: weight, "),
+                ("geometry.regularizers.laplacian.weight=-1", "option 'weight' is -1; it must be ≥ 0"),
+                ("geometry.regularizers.laplacian.weight=much", "option 'weight': input should be a valid number"),
+                (
+                    "geometry.regularizers.bilateral_specular.weight=1",
+                    "the term depends on material, which the geometry stage does not fit; move it to "
+                    "reflectance.regularizers.bilateral_specular",
+                ),
+            )
+        ),
         (["reconstruct", SAMPLE, "-o", "{tmp}/run", "--config", "{tmp}/none.toml"], "none.toml: cannot be read"),
         (["reconstruct", SAMPLE, "-o", "{tmp}/run", "--plugin", "{tmp}/none.py"], "none.py"),
         (["reconstruct", SAMPLE, "-o", "{tmp}/file"], "is a file; give a folder"),

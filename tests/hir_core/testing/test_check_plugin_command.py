@@ -48,6 +48,16 @@ def test_results_are_printed_check_by_check(capsys: pytest.CaptureFixture[str]) 
     assert len(capsys.readouterr().out.splitlines()) == 1, "the sum alone"
 
 
+@pytest.mark.parametrize(
+    ("name", "check"), [("tensorboard", "observer_raises_nothing"), ("card", "commands_have_help")]
+)
+def test_the_name_of_an_observer_or_command_means_its_plugin(
+    name: str, check: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert hir("check-plugin", name, "--only", check) == 0
+    assert f"plugin {name}" in (output := capsys.readouterr().out) and f" ok  {check}" in output
+
+
 def test_the_sum_agrees_with_the_lines(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "watcher.py"
     file.write_text("from hir_core.plugins import hookimpl\n\n\n@hookimpl\ndef hir_progress(progress):\n    pass\n")
@@ -66,7 +76,7 @@ def test_a_broken_plugin_file_is_reported_with_its_contract(tmp_path: Path, caps
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("nobody",), "no component or distribution has the name 'nobody'"),
+        (("nobody",), "no component, observer, command or distribution has the name 'nobody'"),
         (("edge_length", "--only", "is_pretty"), "has no check 'is_pretty'; its checks are: "),
         (("edge_length", "--set", "weigth=2"), "weigth"),
     ],
