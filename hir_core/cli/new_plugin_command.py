@@ -19,24 +19,21 @@ from hir_core.terminal.command_options import FOLDER
     help="Kind of the plugin.",
 )
 @click.option(
-    "--one-file", is_flag=True, help="Write one .py file for --plugin in place of a package; regularizers only."
+    "--one-file", is_flag=True, help="Write one .py file for --plugin in place of a package; no observer or command."
 )
 @click.option("-o", "--output", type=FOLDER, default=Path(), metavar="DIR", help="Parent folder.")
 def new_plugin_command(name: str, kind: str, one_file: bool, output: Path) -> None:
     """Writes an installable plugin NAME of one kind that passes the contract tests."""
     from hir_core.errors import ConfigError
-    from hir_core.scaffold import write_one_file, write_plugin
+    from hir_core.scaffold import HOOK_TEMPLATES, write_one_file, write_plugin
 
     if one_file:
-        if kind != "regularizer":
-            raise ConfigError(f"--one-file writes a regularizer only; remove it for a {kind}")
-        path = write_one_file(name, output)
+        if kind in HOOK_TEMPLATES:
+            raise ConfigError(f"--one-file does not write the kind {kind}; remove --one-file")
+        path, use = write_one_file(name, kind.replace("-", "_"), output)
         click.echo(path)
         click.echo(f"check it with:  hir check-plugin {path}")
-        click.echo(
-            f"use it with:    hir reconstruct PHOTOS -o RUN --plugin {path} "
-            f"--set reflectance.regularizers.{path.stem}.weight=1"
-        )
+        click.echo(f"use it with:    {use}")
         return
     written = write_plugin(name, kind.replace("-", "_"), output)
     folder = next(file.parent for file in written if file.name == "pyproject.toml")

@@ -15,6 +15,7 @@ from hir_exporters.files.atomic import atomic_directory, write_text_atomic
 from hir_core.errors import ConfigError
 from hir_core.plugins import API_VERSION
 from hir_core.plugins.manager import KINDS
+from hir_core.scaffold.one_file import joined
 
 
 @dataclass(frozen=True)
@@ -96,8 +97,6 @@ TEMPLATES: Final = {**KIND_TEMPLATES, **HOOK_TEMPLATES}
 def write_plugin(name: str, kind: str, folder: Path) -> list[Path]:
     """Writes an installable plugin into the new folder `folder/<distribution>`; returns its files."""
     values = _template_values(name, kind)
-    template = TEMPLATES[kind]
-    values["use"] = Template(template.use).substitute(values)
     destination = folder / values["distribution"]
     if destination.exists():
         raise ConfigError(f"{destination} exists; choose another name, or remove it")
@@ -117,32 +116,38 @@ def write_plugin(name: str, kind: str, folder: Path) -> list[Path]:
     with atomic_directory(destination) as temporary:
         for file, source in layout.items():
             write_text_atomic(temporary / file, _filled(source, values))
-        write_text_atomic(temporary / package / "__init__.py", f'"""{template.summary}"""\n')
+        write_text_atomic(temporary / package / "__init__.py", f'"""{values["summary"]}"""\n')
     return sorted(file for file in destination.rglob("*") if file.is_file())
 
 
-def write_one_file(name: str, folder: Path) -> Path:
-    """Writes a regularizer as one .py file for `--plugin`; returns its path."""
-    values = _template_values(name, "regularizer")
+def write_one_file(name: str, kind: str, folder: Path) -> tuple[Path, str]:
+    """Writes a component as one .py file for `--plugin`; returns its path, and the command that uses it."""
+    values = _template_values(name, kind, one_file=True)
     path = folder / f"{values['name']}.py"
     if path.exists():
         raise ConfigError(f"{path} exists; choose another name, or remove it")
-    write_text_atomic(path, _filled("one_file", values))
-    return path
+    implementation, options, descriptor = (_filled(part, values) for part in (kind, "options", "plugin"))
+    own = re.compile(rf"^from {values['package']}\.options import Options\n", re.MULTILINE)
+    text = joined(own.sub("", implementation), options, own.sub("", descriptor), values["summary"])
+    write_text_atomic(path, text)
+    return path, f"{values['use']} --plugin {path}"
 
 
-def _template_values(name: str, kind: str) -> dict[str, str]:
+def _template_values(name: str, kind: str, one_file: bool = False) -> dict[str, str]:
     """The values of the templates, derived from the name and kind. `ConfigError` for an invalid name."""
     plain = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_").removeprefix("hir_")
     if not re.fullmatch(r"[a-z][a-z0-9_]*", plain):
         raise ConfigError(f"the name {name!r} does not begin with a letter; an example is albedo-chroma-prior")
     template = TEMPLATES[kind]
-    package, module = f"hir_{plain}", "implementation"
+    # a file given to --plugin is loaded under this name
+    package, module = (f"hir_plugin_{plain}", "") if one_file else (f"hir_{plain}", "implementation")
+    target = f"{package}.{module}".rstrip(".")
     class_name = "".join(part.capitalize() for part in plain.split("_"))
-    return {
+    values = {
         "name": plain,
         "package": package,
         "module": module,
+        "target": target,
         "distribution": package.replace("_", "-"),
         "Class": class_name,
         "kind": kind,
@@ -163,8 +168,9 @@ def _template_values(name: str, kind: str) -> dict[str, str]:
         "requires": _tuple(template.requires),
         "extra": "reconstruct" if template.requires else "",
         "traits": "{" + ", ".join(f'"{trait}"' for trait in template.traits) + "}" if template.traits else "",
-        "testing": f"{package}.implementation:{template.testing}" if template.testing else "",
+        "testing": f"{target}:{template.testing}" if template.testing else "",
     }
+    return values | {"use": Template(template.use).substitute(values)}
 
 
 def _annotations(option: str) -> str:

@@ -84,10 +84,27 @@ def test_the_reader_of_the_scaffold_has_a_test_split(tmp_path: Path, monkeypatch
     assert reader.splits(folder) == ["train", "test"] and reader.read(folder, "test").split == "test"
 
 
-def test_one_file_passes_and_is_used_by_its_path(tmp_path: Path) -> None:
-    path = write_one_file("grey-albedo", tmp_path)
-    assert path.name == "grey_albedo.py"
-    check_component("grey_albedo", plugins=PluginManager.discover((str(path),)))
+@pytest.mark.parametrize(
+    "kind",
+    [pytest.param(k, marks=[] if k in ("capture_reader", "mask_source") else [pytest.mark.slow]) for k in KINDS],
+)
+def test_one_file_passes_and_is_used_by_its_path(kind: str, tmp_path: Path) -> None:
+    path, use = write_one_file(f"grey {kind}", kind, tmp_path)
+    assert path.name == f"grey_{kind}.py" and use.endswith(f"--plugin {path}")
+    results = check_component(f"{kind}:grey_{kind}", plugins=PluginManager.discover((str(path),)))
+    assert sum(result.outcome == "passed" for result in results) >= 12
+    ruff = [sys.executable, "-m", "ruff", "check", "--isolated", "--line-length", "120", "--select", "E,F,I,B,UP"]
+    done = subprocess.run([*ruff, path], capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == 0, done.stdout
+    with pytest.raises(ConfigError, match="exists; choose another name"):
+        write_one_file(f"grey {kind}", kind, tmp_path)
+
+
+@pytest.mark.parametrize("kind", ["observer", "command"])
+def test_one_file_of_another_kind_is_refused(kind: str, tmp_path: Path) -> None:
+    done = CliRunner().invoke(cli, ["new-plugin", "it", "--kind", kind, "--one-file", "-o", str(tmp_path)])
+    assert done.exit_code and list(tmp_path.iterdir()) == []
+    assert isinstance(done.exception, ConfigError) and f"does not write the kind {kind}" in str(done.exception)
 
 
 def test_invalid_names_and_existing_folders_are_refused(tmp_path: Path) -> None:
