@@ -80,7 +80,7 @@ def test_the_reader_of_the_scaffold_has_a_test_split(tmp_path: Path, monkeypatch
     folder.mkdir()
     import_module("hir_two_splits.implementation").write_sample(tiny_capture(tmp_path / "truth").capture, folder)
     assert reader.splits(folder) == ["train"]
-    shutil.copy(folder / "cameras.hir_two_splits.json", folder / "cameras_test.hir_two_splits.json")
+    shutil.copy(folder / "cameras.two_splits.json", folder / "cameras_test.two_splits.json")
     assert reader.splits(folder) == ["train", "test"] and reader.read(folder, "test").split == "test"
 
 
