@@ -161,13 +161,14 @@ def between(text: str, begin: str, end: str, block: str) -> str:
 
 
 def shading_table() -> str:
-    """Mean error and bias of `transport_ggx` by scene, light and GGX width, from benchmarks/results/shading.json."""
+    """Errors of `transport_ggx` by scene, light and GGX width, from benchmarks/results/shading.json."""
     result = Result.read(RESULTS / "shading.json")
-    lines = ["| scene | light | α | mean error | bias |", "|---|---|---|---|---|"]
+    lines = ["| scene | light | α | mean error | bias | outline error |", "|---|---|---|---|---|---|"]
     for row in result.rows:
         if row.method == "transport_ggx":
             cells = [str(value) for value in row.case.values()]
             cells += [f"{100 * row.errors['mean error']:.1f} %", f"{100 * row.errors['bias']:+.1f} %".replace("-", "−")]
+            cells.append(f"{100 * row.errors['outline error']:.1f} %")
             lines.append("| " + " | ".join(cells) + " |")
     return "\n".join([*lines, "", f"(`hir bench shading`; {machine_line(result)})"])
 
