@@ -64,7 +64,7 @@ class GeometrySettings:
     """Go from coarse to fine with isotropic remeshing between levels."""
     levels: int = 0
     """Number of resolutions with `remesh`; 3 fits meshes with a sixteenth, a quarter and all of the triangles. 0
-    chooses 2 where the start's silhouettes are near the masks, else 3."""
+    chooses 1 where the start's silhouettes are near the masks, else 3."""
     triangles: int = 0
     """Target number of triangles; 0 derives it from the images' resolution."""
     held_out: float = 0.08

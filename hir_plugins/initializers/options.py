@@ -138,6 +138,9 @@ class StereoOptions:
     `auto` prefers `patch_match`. run.json records which was used."""
     max_image_size: int = 400
     """Photographs are reduced by a whole factor until their longer side is at most this, in pixels."""
+    max_photographs: int = 48
+    """At most this many photographs are used, those whose directions cover the others' best: time grows with them, and
+    more than one in about 15 degrees gain little."""
     levels: int = 2
     """Number of coarse-to-fine levels. Each doubles the resolution and starts from the surface of the previous one."""
     neighbours: int = 6
@@ -149,7 +152,8 @@ class StereoOptions:
     min_views: int = 2
     """Number of neighbours that must confirm a depth."""
     verify_carving: bool = True
-    """Undo the carving where the photographs do not match better along the carved surface."""
+    """Undo the carving where the photographs do not match better along the carved surface, and where its brightness
+    changes with the direction, as on metal: reflections look like a surface behind the real one."""
     surface: Literal["auto", "hull", "poisson", "tsdf"] = "auto"
     """`hull` carves the measured depths out of the surface of an earlier initializer, or out of the visual hull.
     `poisson` fits a closed surface to the points, `tsdf` an open one to the depths. `auto`: `hull` if there are masks

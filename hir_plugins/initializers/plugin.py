@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from hir_core.capture.capture_size import size_of
 from hir_core.plugins import Component, hookimpl
 from hir_plugins.initializers.options import (
     ColmapOptions,
@@ -16,6 +17,14 @@ from hir_plugins.initializers.options import (
 
 if TYPE_CHECKING:
     from hir_core.capture import Capture
+
+MIN_MATCHED_VIEWS = 16
+"""Photographs from which stereo is suggested: on the upper hemisphere they are then about 35 degrees apart, the most at
+which windows still match."""
+
+MIN_MATCHED_SIDE = 128
+"""Shorter side of a photograph, in pixels, from which stereo is suggested: the first level has half of them, and its
+windows are 7 pixels wide."""
 
 VISUAL_HULL = Component(
     name="visual_hull",
@@ -63,7 +72,7 @@ STEREO = Component(
     name="stereo",
     target="hir_plugins.initializers.stereo.stereo:Stereo",
     config=StereoOptions,
-    summary="Multi-view stereo that carves the visual hull; the default geometry stage is as accurate without it.",
+    summary="Multi-view stereo: carves hollows that no silhouette shows into the visual hull.",
     requires=("torch", "jaxtyping", "open3d", "cv2", "skimage", "pycolmap"),
     extra="reconstruct",
     traits=frozenset({"needs_cameras", "makes_surface", "measures_points"}),
@@ -88,16 +97,20 @@ def hir_register_initializers() -> list[Component]:
 
 @hookimpl
 def hir_suggest_initializers(capture: Capture) -> list[str] | None:
-    """The visual hull; structure from motion before it if cameras, or both masks and points, are missing.
+    """The visual hull and stereo, which carves it; structure from motion before them if cameras, or both masks and
+    points, are missing.
 
-    `stereo` is not suggested. The geometry stage refines the hull by photo-consistency, and stereo before it does not
-    improve held-out views (chair: 26.5 dB with it, 26.9 dB without). It costs 40 s and adds 72 handles and 200
-    self-intersecting triangles.
+    Without `stereo` where photographs are too few or too small to be matched.
     """
     if not capture.views:
         return None
-    surface = ["visual_hull"]
+    surface = ["visual_hull", "stereo"] if _can_be_matched(capture) else ["visual_hull"]
     posed = all(view.camera is not None for view in capture.views)
     first = capture.views[0]
     masked = first.mask is not None or first.pixels().mask is not None
     return surface if posed and (masked or capture.points is not None) else ["colmap", *surface]
+
+
+def _can_be_matched(capture: Capture) -> bool:
+    size = size_of(capture)
+    return size.views >= MIN_MATCHED_VIEWS and min(size.width, size.height) >= MIN_MATCHED_SIDE

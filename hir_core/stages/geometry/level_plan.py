@@ -10,15 +10,16 @@ from hir_core.mesh.remeshing import surface_area
 from hir_core.scene import Mesh
 from hir_core.scene.silhouette_targets import SilhouetteTargets
 
-FINAL_EDGE_PIXELS = 4.0
-"""Edge length of the final mesh: a circle with a radius of 50 pixels is then off by 0.04 pixels."""
+FINAL_EDGE_PIXELS = 3.0
+"""Edge length of the final mesh: a circle with a radius of 50 pixels is then off by 0.02 pixels. Longer edges lose thin
+parts (docs/studies/levels_and_edges.md)."""
 
 TRIANGLES_MIN, TRIANGLES_MAX = 8_000, 400_000
 """Many small photographs resolve more than one of them: 80 views of 128² of a cow lost its ears and horns at 1,800
 triangles (IoU of held-out views 0.952; 0.970 at 6,000, 0.971 at 20,000)."""
 
 CLOSE_INITIAL_ERROR = 0.1
-"""Below this median 1 − IoU the initial mesh is close: a very coarse level would only lose its detail."""
+"""Below this median 1 − IoU the initial mesh is close: a coarser level would only lose its detail."""
 
 MIN_TRIANGLES = 500
 """Of the coarsest level."""
@@ -28,7 +29,7 @@ def level_count(settings: GeometrySettings, initial_error: float) -> int:
     """How many meshes are fitted, coarse to fine; `initial_error` is the median 1 − IoU of the initial mesh."""
     if not settings.remesh:
         return 1
-    return settings.levels if settings.levels > 0 else 2 if initial_error < CLOSE_INITIAL_ERROR else 3
+    return settings.levels if settings.levels > 0 else 1 if initial_error < CLOSE_INITIAL_ERROR else 3
 
 
 def triangles_of_level(

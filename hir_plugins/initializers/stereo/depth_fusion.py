@@ -116,6 +116,11 @@ class VerifiedCarving:
     gain: float
     """Median gain in correlation over the carved part."""
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether nothing of the volume is carved away."""
+        return self.removed * self.confirmed == 0
+
 
 def verify_carving(
     whole: Volume,
@@ -124,13 +129,14 @@ def verify_carving(
     neighbours: Sequence[Sequence[int]],
     window: int,
     steps: Sequence[float],
+    allowed: NDArray[np.float32] | None = None,
 ) -> VerifiedCarving:
     """The carving where the photographs match better along the carved surface than along that of the whole volume.
 
     `views` contain the carved surface (`inverse`) and the whole one (`bound`). The difference of correlations at a
     pixel is accumulated in all cells between the two surfaces and smoothed over a few voxels, or over more where there
     is no data. A highlight, which matches at the depth of its mirror image behind the surface, is thus outweighed by
-    photographs that show the same point without it.
+    photographs that show the same point without it. `allowed` (X, Y, Z) limits the share of the carving that is kept.
     """
     size = tuple(-(-n // 2) for n in whole.values.shape)
     gain, weight = np.zeros(int(np.prod(size))), np.zeros(int(np.prod(size)))
@@ -152,6 +158,8 @@ def verify_carving(
     fine = zoom(smoothed, 2, order=1, grid_mode=True, mode="nearest")[tuple(slice(n) for n in whole.values.shape)]
     # a smooth transition avoids steps in the surface
     switch = np.clip(0.5 + (fine - _MIN_CORRELATION_GAIN) / _MIN_CORRELATION_GAIN, 0, 1).astype(np.float32)
+    if allowed is not None:
+        switch *= allowed
     values = whole.values + switch * (carving.values - whole.values)
     removed = (whole.values > 0) & (carving.values <= 0)
     return VerifiedCarving(

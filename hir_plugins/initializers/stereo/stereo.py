@@ -29,9 +29,15 @@ from hir_plugins.initializers.stereo.depth_fusion import (
     verify_carving,
 )
 from hir_plugins.initializers.stereo.patch_match import patch_match, patch_match_available
-from hir_plugins.initializers.stereo.stereo_photographs import SweptSurface, choose_neighbours, crop_to_object
+from hir_plugins.initializers.stereo.stereo_photographs import (
+    SweptSurface,
+    choose_neighbours,
+    crop_to_object,
+    spread_views,
+)
 from hir_plugins.initializers.stereo.surface_sweep import SweepSettings, SweptView, inverse_depth_step, sweep
 from hir_plugins.initializers.stereo.tsdf import tsdf_surface
+from hir_plugins.initializers.stereo.view_independence import ViewIndependence, view_independence
 from hir_plugins.initializers.surface.initial_scene import make_scene
 from hir_plugins.initializers.surface.isosurface import extract_surface, keep_large_components
 from hir_plugins.initializers.surface.mesh_cleaning import clean_mesh, edge_length, pixel_size
@@ -59,6 +65,7 @@ class StereoMeasurement:
     mesh: Mesh | None
     """The carved surface; None without a volume to carve."""
     carving: VerifiedCarving | None
+    independence: ViewIndependence | None
 
 
 @final
@@ -116,6 +123,11 @@ class Stereo(Initializer):
                 "confirmed_share": round(measured.carving.confirmed, 4),
                 "correlation_gain": round(measured.carving.gain, 4),
             }
+        if measured.independence is not None and measured.independence.explained is not None:
+            self._report["explained_share"] = round(measured.independence.explained, 4)
+        if scene is not None and measured.carving is not None and measured.carving.is_empty:
+            self._report["surface"] = "unchanged: no carving is confirmed"
+            return solved, scene
         spacing = 0.0 if volume is None else volume.spacing
         return solved, self._finished(*measured.mesh, capture, "hull and depths", spacing)
 
@@ -147,14 +159,16 @@ def measure_depths(
         front = _sphere_mesh(center, 1.05 * radius)
     side = max(max(c.width, c.height) for c in capture.cameras)
     shrink = -(-side // options.max_image_size)
+    used = spread_views(capture.cameras, center, options.max_photographs)
     photographs = [
         cut
-        for view in capture.views
+        for view in (capture.views[i] for i in used)
         if (cut := crop_to_object(view, shrink, 2 ** (options.levels - 1), center, radius)) is not None
     ]
     near = choose_neighbours([p.camera for p in photographs], center, options.neighbours)
     bound = SweptSurface(*front)
     current, carving, mesh = bound, None, front if volume is not None else None
+    independence: ViewIndependence | None = None
     dense: list[Tensor] = []
     maps: list[DepthMap] = []
     with torch.inference_mode():
@@ -180,12 +194,15 @@ def measure_depths(
                 more = choose_neighbours(
                     [p.camera for p in photographs], center, options.neighbours + _VERIFICATION_NEIGHBOURS
                 )
-                carving = verify_carving(volume, result, seen, more, options.window, _steps(seen, more, center))
+                steps = _steps(seen, more, center)
+                if independence is None:
+                    independence = view_independence(volume, result, seen, steps, center)
+                carving = verify_carving(volume, result, seen, more, options.window, steps, allowed=independence.share)
                 mesh = _carved_mesh(volume, carving.volume)
                 current = SweptSurface(*mesh)
     point_spacing = 1.5 * pixel_size([p.camera for p in photographs], center)
     points = oriented_points(maps, [p.color_linear for p in photographs], point_spacing)
-    return StereoMeasurement(maps, points, mesh, carving)
+    return StereoMeasurement(maps, points, mesh, carving, independence)
 
 
 def _carved_mesh(whole: Volume, carving: Volume) -> Mesh:

@@ -109,8 +109,7 @@ class SweptSurface:
 
 def choose_neighbours(cameras: Sequence[Camera], center: Array, count: int) -> list[list[int]]:
     """For each camera at most `count` others whose directions to the object differ by about 10°, the best first."""
-    toward = np.array([c.center - center for c in cameras])
-    toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+    toward = directions_from(cameras, center)
     angle = np.degrees(np.arccos(np.clip(toward @ toward.T, -1, 1)))
     # a small baseline is inaccurate, a large one changes the appearance: a ratio of 2 either way costs the same
     cost = np.abs(np.log(np.maximum(angle, 0.5) / 10.0))
@@ -118,6 +117,27 @@ def choose_neighbours(cameras: Sequence[Camera], center: Array, count: int) -> l
     cost[angle > 50] = np.inf
     np.fill_diagonal(cost, np.inf)
     return [[int(j) for j in np.argsort(row, kind="stable")[:count] if np.isfinite(row[j])] for row in cost]
+
+
+def directions_from(cameras: Sequence[Camera], center: Array) -> Array:
+    """Unit vectors (N, 3) from `center` to the cameras."""
+    toward = np.array([camera.center - center for camera in cameras])
+    return np.asarray(toward / np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-30))
+
+
+def spread_views(cameras: Sequence[Camera], center: Array, count: int) -> list[int]:
+    """At most `count` cameras, in their order, whose directions cover the others': each one added is the farthest from
+    those before it.
+    """
+    if len(cameras) <= count:
+        return list(range(len(cameras)))
+    toward = directions_from(cameras, center)
+    chosen, nearest = [0], toward @ toward[0]
+    while len(chosen) < count:
+        farthest = int(nearest.argmin())
+        chosen.append(farthest)
+        nearest = np.maximum(nearest, toward @ toward[farthest])
+    return sorted(chosen)
 
 
 def _sphere_mask(camera: Camera, center: Array, radius: float) -> NDArray[np.float32]:
