@@ -12,7 +12,7 @@ from hir_core.scene.silhouette_targets import SilhouetteTargets
 
 FINAL_EDGE_PIXELS = 3.0
 """Edge length of the final mesh: a circle with a radius of 50 pixels is then off by 0.02 pixels. Longer edges lose thin
-parts (docs/studies/levels_and_edges.md)."""
+parts (docs/studies/carving_hollows.md)."""
 
 TRIANGLES_MIN, TRIANGLES_MAX = 8_000, 400_000
 """Many small photographs resolve more than one of them: 80 views of 128² of a cow lost its ears and horns at 1,800

@@ -33,7 +33,7 @@ from hir_plugins.initializers.stereo.stereo_photographs import (
     SweptSurface,
     choose_neighbours,
     crop_to_object,
-    spread_views,
+    evenly_distributed_views,
 )
 from hir_plugins.initializers.stereo.surface_sweep import SweepSettings, SweptView, inverse_depth_step, sweep
 from hir_plugins.initializers.stereo.tsdf import tsdf_surface
@@ -159,7 +159,7 @@ def measure_depths(
         front = _sphere_mesh(center, 1.05 * radius)
     side = max(max(c.width, c.height) for c in capture.cameras)
     shrink = -(-side // options.max_image_size)
-    used = spread_views(capture.cameras, center, options.max_photographs)
+    used = evenly_distributed_views(capture.cameras, center, options.max_photographs)
     photographs = [
         cut
         for view in (capture.views[i] for i in used)

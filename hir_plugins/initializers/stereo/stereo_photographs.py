@@ -125,7 +125,7 @@ def directions_from(cameras: Sequence[Camera], center: Array) -> Array:
     return np.asarray(toward / np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-30))
 
 
-def spread_views(cameras: Sequence[Camera], center: Array, count: int) -> list[int]:
+def evenly_distributed_views(cameras: Sequence[Camera], center: Array, count: int) -> list[int]:
     """At most `count` cameras, in their order, whose directions cover the others': each one added is the farthest from
     those before it.
     """

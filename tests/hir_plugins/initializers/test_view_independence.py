@@ -14,7 +14,7 @@ from hir_plugins.initializers.options import StereoOptions, VisualHullOptions
 from hir_plugins.initializers.plugin import hir_suggest_initializers
 from hir_plugins.initializers.stereo import stereo as stereo_module
 from hir_plugins.initializers.stereo.stereo import Stereo
-from hir_plugins.initializers.stereo.stereo_photographs import SweptSurface, directions_from, spread_views
+from hir_plugins.initializers.stereo.stereo_photographs import SweptSurface, directions_from, evenly_distributed_views
 from hir_plugins.initializers.stereo.view_independence import ViewIndependence
 from tests.fixtures.silhouette_captures import dome, make_view
 from tests.hir_plugins.initializers.test_stereo import rays_of
@@ -82,15 +82,15 @@ def test_a_painted_ball_stays_a_ball() -> None:
     assert scene is not None and farthest_from(hull, scene) < 0.016  # a pixel is 3 / 200 = 0.015
 
 
-def test_spread_views_cover_all_directions() -> None:
+def test_evenly_distributed_views_cover_all_directions() -> None:
     cameras = dome(200, 3.0, np.zeros(3), 200.0, SIDE)
-    chosen = spread_views(cameras, np.zeros(3), 48)
+    chosen = evenly_distributed_views(cameras, np.zeros(3), 48)
     assert len(chosen) == 48 and chosen == sorted(set(chosen))
     toward = directions_from(cameras, np.zeros(3))
     nearest = (toward @ toward[chosen].T).max(axis=1)
     # 48 caps of 20° would have 1.45 times the area of the sphere; the sets that are added greedily need 25°
     assert np.degrees(np.arccos(nearest.min())) < 25
-    assert spread_views(cameras[:30], np.zeros(3), 48) == list(range(30))
+    assert evenly_distributed_views(cameras[:30], np.zeros(3), 48) == list(range(30))
 
 
 def test_stereo_is_suggested_where_photographs_can_be_matched() -> None:
