@@ -32,6 +32,12 @@ def advice_for(check: CaptureCheck) -> list[str]:
             f"the masks of {len(empty)} photographs are empty, such as {empty[0]}: correct them, or remove these "
             "photographs"
         )
+    full = [v.name for v in views if v.mask_share == 1]
+    if full:
+        advice.append(
+            f"the masks of {len(full)} photographs show only object, such as {full[0]}: check the alpha channel or the "
+            "masks"
+        )
     sizes = {(v.width, v.height) for v in views}
     if len(sizes) > 1:
         advice.append(f"the photographs have {len(sizes)} sizes")
@@ -56,7 +62,7 @@ def advice_for(check: CaptureCheck) -> list[str]:
             "the photographs' brightness differs by more than a factor of 4: hir reconstruct fits their exposures, "
             "and one fixed exposure would be more accurate"
         )
-    cut = [v.name for v in views if v.touches_border]
+    cut = [v.name for v in views if v.touches_border and v.mask_share != 1]
     if cut:
         advice.append(
             f"the object reaches the border of {len(cut)} photographs, such as {cut[0]}: keep it inside the frame"

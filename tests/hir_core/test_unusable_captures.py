@@ -60,6 +60,15 @@ def test_two_photographs_are_fitted_with_a_warning(tmp_path: Path, quick: Callab
     assert any("only 2 photographs" in warning and "no models are compared" in warning for warning in warnings)
 
 
+def test_one_photograph_is_refused_whatever_its_mask(tmp_path: Path, quick: Callable[..., Run]) -> None:
+    capture = make_tiny(tmp_path / "capture")
+    path = capture / "transforms_train.json"
+    document = json.loads(path.read_text())
+    path.write_text(json.dumps(document | {"frames": document["frames"][:1]}))
+    with pytest.raises(CaptureError, match=r"needs cameras of at least two photographs, there are 1; add photographs"):
+        quick(capture, tmp_path / "run", until="initializer")
+
+
 def test_an_object_that_is_clipped_everywhere_is_refused_and_one_pixel_suffices(
     tmp_path: Path, quick: Callable[..., Run]
 ) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import shutil
 import time
 from pathlib import Path
@@ -56,6 +57,66 @@ def test_a_flipped_byte_in_any_file_of_a_run_is_noticed(finished: Run, tmp_path:
             (run / name).write_bytes(content)
             tried += 1
     assert tried > 150 and not noticed(run)
+
+
+def flip_random_bit(path: Path, draw: random.Random) -> str:
+    """Changes one bit; returns what was changed."""
+    content = bytearray(path.read_bytes())
+    offset, bit = draw.randrange(len(content)), draw.randrange(8)
+    content[offset] ^= 1 << bit
+    path.write_bytes(content)
+    return f"bit {bit} of byte {offset} of {path}"
+
+
+RANDOM_FLIPS = 256
+
+
+@pytest.mark.slow
+def test_random_bits_of_a_run_are_noticed(finished: Run, tmp_path: Path) -> None:
+    """Files are drawn alike, large or small; the files that every call writes anew have a test of their own."""
+    run, draw = tmp_path / "run", random.Random(0)
+    shutil.copytree(finished.path, run)
+    whole = {name: content for name, content in files_of(run).items() if name not in WRITTEN_ANEW}
+    flipped = set()
+    for _ in range(RANDOM_FLIPS):
+        name = draw.choice(sorted(whole))
+        changed = flip_random_bit(run / name, draw)
+        assert noticed(run), changed
+        (run / name).write_bytes(whole[name])
+        flipped.add(name)
+    folders = {Path(name).parts[0] for name in flipped}
+    assert {"stages", "scene", "exports", "report"} <= folders and len(flipped) > 0.9 * len(whole)
+
+
+@pytest.mark.slow
+def test_random_bits_of_files_that_every_call_writes_change_nothing(
+    tiny_capture: Path,
+    quick,  # type: ignore[no-untyped-def]
+    finished: Run,
+    tmp_path: Path,
+) -> None:
+    run, whole, draw = tmp_path / "run", files_of(finished.path), random.Random(0)
+    shutil.copytree(finished.path, run)
+    for _ in range(6):
+        for name in (*sorted(WRITTEN_ANEW), "timings.json", "log.txt"):
+            changed = flip_random_bit(run / name, draw)
+            again = quick(tiny_capture, run, deterministic=True, resume=True)
+            assert again.reused == STAGE_NAMES and files_of(run) == whole, changed
+
+
+@pytest.mark.slow
+def test_a_run_with_a_damaged_bit_in_every_file_has_the_bytes_of_the_first_again(
+    tiny_capture: Path,
+    quick,  # type: ignore[no-untyped-def]
+    finished: Run,
+    tmp_path: Path,
+) -> None:
+    run, whole, draw = tmp_path / "run", files_of(finished.path), random.Random(0)
+    shutil.copytree(finished.path, run)
+    for name in whole:
+        flip_random_bit(run / name, draw)
+    again = quick(tiny_capture, run, deterministic=True, resume=True)
+    assert again.reused == () and files_of(run) == whole
 
 
 @pytest.mark.slow

@@ -230,18 +230,24 @@ class Trap:
 
 
 def test_pickles_in_data_are_not_opened(tmp_path: Path) -> None:
-    from hir_core.optimization.checkpoints import read_arrays
-
     Trap.place = str(tmp_path / "sprung")
     trap = np.array([Trap()], dtype=object)
     np.savez(tmp_path / "cameras.npz", world_mat_0=trap)
     np.save(tmp_path / "poses_bounds.npy", trap)
     (tmp_path / "raw.npy").write_bytes(pickle.dumps(Trap()))
-    assert read_arrays(tmp_path / "cameras.npz") == {}
     for name in ("cameras.npz", "poses_bounds.npy", "raw.npy"):
         with pytest.raises(HirError):
             load_arrays(tmp_path / name)
     assert not (tmp_path / "sprung").exists()
+
+
+def test_a_pickle_in_a_checkpoint_is_not_opened(tmp_path: Path) -> None:
+    pytest.importorskip("torch")
+    from hir_core.optimization.checkpoints import read_arrays
+
+    Trap.place = str(tmp_path / "sprung")
+    np.savez(tmp_path / "state.npz", world_mat_0=np.array([Trap()], dtype=object))
+    assert read_arrays(tmp_path / "state.npz") == {} and not (tmp_path / "sprung").exists()
 
 
 def test_settings_name_what_exists_and_import_nothing_by_themselves(tmp_path: Path) -> None:

@@ -49,9 +49,14 @@ def hull_volume(capture: Capture, options: VisualHullOptions) -> Volume:
                 f"{full} show only object and {len(masks) - len(fields) - full} only background; check the alpha "
                 "channel or the masks, or name a mask source, such as: --set 'masks=[\"grabcut\"]'"
             )
+        if len(posed) < 2:
+            raise CaptureError(
+                f"{capture.path}: a visual hull needs cameras of at least two photographs, there are {len(posed)}; "
+                'add photographs, or have the cameras solved: --set \'initializers=["colmap", "visual_hull"]\''
+            )
         raise CaptureError(
-            f"{capture.path}: a visual hull needs masks and cameras of at least two photographs, there are "
-            f"{len(fields)}; add an alpha channel or a folder of masks, or name a mask source, such as: "
+            f"{capture.path}: a visual hull needs masks of at least two photographs, there are "
+            f"{len(masks)}; add an alpha channel or a folder of masks, or name a mask source, such as: "
             "--set 'masks=[\"grabcut\"]'"
         )
     field = HullField(fields, options.tolerated_views, options.min_views)

@@ -34,6 +34,8 @@ def test_a_good_capture_needs_no_advice() -> None:
         (with_view(saturated=0.2), "1 photographs have more than 5 % clipped pixels, such as 02"),
         (with_view(brightness=1.5), "differs by more than a factor of 4"),
         (with_view(touches_border=True), "reaches the border of 1 photographs, such as 02"),
+        (with_view(mask_share=0), "the masks of 1 photographs are empty, such as 02"),
+        (with_view(mask_share=1, touches_border=True), "the masks of 1 photographs show only object, such as 02"),
         (replace(GOOD, duplicates=(("03", "04"),)), "photographs that repeat another one: 1, such as 03 and 04"),
         (replace(GOOD, directions_covered=0.1), "cover few directions"),
         (replace(GOOD, flashes=13), "the flash fired in 13 photographs"),
