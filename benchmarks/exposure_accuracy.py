@@ -15,6 +15,7 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from numpy.typing import NDArray
 from benchmarks.reflectance_task import task_of
 from hir_core.capture import Capture, Pixels, View
 from hir_core.config import ReflectanceSettings
-from hir_core.run.machine import source_commit
+from hir_core.run.machine import describe_machine, source_commit
 from hir_core.stages.held_out_views import model_selection_folds
 from hir_core.stages.reflectance.selection.exposure_selection import select_exposures
 from hir_core.stages.reflectance.selection.fit_sequence import FitSequence
@@ -74,6 +75,8 @@ def measured(path: Path, stops: float, white_balance: float, seed: int) -> dict[
         "standard_error_db": None if selection.standard_error_db is None else round(selection.standard_error_db, 3),
         "decision_seconds": round(time.process_time() - began, 1),
         "commit": source_commit(),
+        "date": datetime.now(UTC).date().isoformat(),
+        "machine": describe_machine("cpu"),
     }
 
 

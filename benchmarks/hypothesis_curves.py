@@ -11,6 +11,7 @@ import json
 import time
 from collections import defaultdict
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ import torch
 
 from benchmarks.reflectance_task import task_of
 from hir_core.plugins.model_spec import ModelSpec
-from hir_core.run.machine import source_commit
+from hir_core.run.machine import describe_machine, source_commit
 from hir_core.stages.held_out_views import model_selection_folds
 from hir_core.stages.reflectance.selection.fit_sequence import FitSequence
 from hir_core.stages.reflectance.selection.folded_fits import FoldedFits
@@ -58,6 +59,8 @@ def curves(path: Path, specs: Sequence[ModelSpec], seed: int) -> dict[str, Any]:
         "hypotheses": hypotheses,
         "processor_seconds": round(time.process_time() - began),
         "commit": source_commit(),
+        "date": datetime.now(UTC).date().isoformat(),
+        "machine": describe_machine("cpu"),
     }
 
 

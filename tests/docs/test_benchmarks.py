@@ -2,6 +2,13 @@
 
 from __future__ import annotations
 
+import json
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import pytest
+
 from tests.docs.checkout import ROOT, tool
 
 TOOL = tool("write_benchmarks")
@@ -31,3 +38,16 @@ def test_each_suite_has_one_plot() -> None:
     measured = [suite for suite in TOOL.SUITES if (TOOL.RESULTS / f"{suite}.json").is_file()]
     assert measured and all(TOOL.plot(suite).is_file() for suite in measured)
     assert {path.name for path in TOOL.IMAGES.glob("bench_*.svg")} == {TOOL.plot(suite).name for suite in measured}
+
+
+def stored_results() -> list[Path]:
+    return sorted(TOOL.RESULTS.rglob("*.json"))
+
+
+@pytest.mark.parametrize("path", stored_results(), ids=lambda path: path.stem)
+def test_a_stored_result_says_when_where_and_by_which_code_it_was_measured(path: Path) -> None:
+    document: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    assert document.get("commit") or document.get("stored_with")
+    for measured in document.get("runs", [document]) if path.stem == "whole_runs" else [document]:
+        date.fromisoformat(measured["date"])
+        assert measured.get("processor") or measured["machine"]["processor"]
