@@ -89,7 +89,8 @@ class Result:
         if document.get("format") != FORMAT or document.get("version") != VERSION:
             raise InputError(f"{path} is not a result of hir bench, or of an unsupported version")
         try:
-            rows = [row | {name: dict(row.get(name, ())) for name in PAIRS} for row in document["rows"]]
+            stored = TypeAdapter(list[dict[str, Any]]).validate_python(document["rows"])
+            rows = [row | {name: dict(row.get(name, ())) for name in PAIRS} for row in stored]
             names = ("suite", "machine", "versions", "date", "settings")
             fields = {name: document[name] for name in names} | {"rows": rows, "commit": document.get("commit", "")}
             return TypeAdapter(cls).validate_python(fields)

@@ -99,7 +99,10 @@ class TestFiles:
         queries, down = MeshQueries(closed.vertices, closed.faces), np.array([[0.0, -0.9, 0.0]]) - eye
         assert queries.first_distances(np.array([eye]), down) == pytest.approx([1.0], abs=1e-3)
 
-    @pytest.mark.parametrize("document", [{}, {"format": "hir-bench", "version": 1, "rows": [{"case": {}}]}])
+    @pytest.mark.parametrize(
+        "document",
+        [{}, *({"format": "hir-bench", "version": 1, "rows": rows} for rows in ([{"case": {}}], [0.5], {"case": {}}))],
+    )
     def test_other_files_are_refused(self, document: dict[str, object], tmp_path: Path) -> None:
         (tmp_path / "b.json").write_text(json.dumps(document))
         with pytest.raises(InputError, match=r"b\.json"):
