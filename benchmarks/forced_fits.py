@@ -170,16 +170,17 @@ def main() -> None:
                             found[name][value][error].setdefault(capture.name, []).append(figures.errors[error])
                         dB = ", ".join(f"{figures.errors[error]:.2f}" for error in MEASURES)
                         print(f"{capture.name} seed {seed} {name}={value}: {dB}", flush=True)
-        for name, runs in found.items():
-            about = origin(options.half, seeds)
-            if not names:
-                [today] = runs.values()
-                write_json(RESULTS / f"today_{options.half}.json", {"runs": today, **about})
-                continue
-            default = DEFAULT_VALUES[name]
-            write_json(
-                RESULTS / f"{name}.json", {"name": name, "default": asdict(default), **summary(default, runs), **about}
-            )
+    # written last: a changed result would mark the code of the next run as changed
+    about = origin(options.half, seeds)
+    for name, runs in found.items():
+        if not names:
+            [today] = runs.values()
+            write_json(RESULTS / f"today_{options.half}.json", {"runs": today, **about})
+            continue
+        default = DEFAULT_VALUES[name]
+        write_json(
+            RESULTS / f"{name}.json", {"name": name, "default": asdict(default), **summary(default, runs), **about}
+        )
 
 
 if __name__ == "__main__":
