@@ -18,6 +18,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
+from scipy.special import stdtrit
+
 from hir_core.files.json_documents import write_json
 from hir_core.run.machine import describe_machine, source_commit
 from hir_plugins.commands.bench.results.bench_result import Result
@@ -27,6 +29,8 @@ RESULTS = Path(__file__).resolve().parent / "results" / "default_values"
 MEASURES = (UNSEEN, RELIT)
 REQUIRED_STANDARD_ERRORS = 2.0
 """Of the mean gain over captures; a smaller difference is not called one."""
+CONFIDENCE = 0.975
+"""Of Student's t, one-sided: with few captures the standard error itself is uncertain, so more of them are required."""
 
 Value = float | int | str
 Decibels = Mapping[str, Sequence[float]]
@@ -96,11 +100,17 @@ class Gain:
     """Over captures; infinite for one."""
     seeds_deviation: float | None
     """Root mean square over captures of the standard deviation over seeds; None for one seed."""
+    captures: int
+
+    @property
+    def required_standard_errors(self) -> float:
+        """Two, or Student's t of the number of captures where that is more (3.2 for four, 2.6 for six)."""
+        return max(REQUIRED_STANDARD_ERRORS, float(stdtrit(max(self.captures - 1, 1), CONFIDENCE)))
 
     @property
     def verdict(self) -> str:
         """`better`, `worse` or `no difference`."""
-        if abs(self.mean) <= REQUIRED_STANDARD_ERRORS * self.standard_error:
+        if abs(self.mean) <= self.required_standard_errors * self.standard_error:
             return "no difference"
         return "better" if self.mean > 0 else "worse"
 
@@ -111,7 +121,8 @@ def gain_of(today: Decibels, candidate: Decibels) -> Gain:
     means = [statistics.mean(found) for found in differences.values()]
     error = statistics.stdev(means) / len(means) ** 0.5 if len(means) > 1 else float("inf")
     variances = [statistics.variance(found) for found in differences.values() if len(found) > 1]
-    return Gain(statistics.mean(means), error, statistics.mean(variances) ** 0.5 if variances else None)
+    deviation = statistics.mean(variances) ** 0.5 if variances else None
+    return Gain(statistics.mean(means), error, deviation, len(means))
 
 
 def measure(default: DefaultValue, value: Value, folder: Path, arguments: Sequence[str]) -> dict[str, Decibels]:

@@ -12,7 +12,7 @@ import pytest
 
 from benchmarks import default_values, seeds_and_threads
 from benchmarks.changed_constant import find_constant, install
-from benchmarks.default_values import DEFAULT_VALUES, gain_of, study
+from benchmarks.default_values import DEFAULT_VALUES, Gain, gain_of, study
 from hir_core.config import load_config
 from hir_core.errors import ConfigError
 from hir_core.plugins.manager import PluginManager
@@ -73,6 +73,9 @@ def test_a_difference_needs_two_standard_errors_over_captures() -> None:
     noisy = gain_of(today, {"a": [34.0, 34.0], "b": [20.0, 20.0], "c": [24.5, 24.5]})
     assert noisy.mean > 1 and noisy.verdict == "no difference"
     assert gain_of(today, {name: [v - 1 for v in found] for name, found in today.items()}).verdict == "worse"
+    few, many = Gain(2.1, 1.0, None, 4), Gain(2.1, 1.0, None, 60)
+    assert few.verdict == "no difference" and few.required_standard_errors == pytest.approx(3.182, abs=1e-3)
+    assert many.verdict == "better" and many.required_standard_errors == pytest.approx(2.0, abs=0.01)
     single = gain_of({"a": [30.0]}, {"a": [40.0]})
     assert single.verdict == "no difference" and single.seeds_deviation is None, "one capture decides nothing"
 
