@@ -87,7 +87,7 @@ DEFAULT_VALUES = {
         fixed=("reflectance.brdf=dielectric", "reflectance.model=specular_map", "reflectance.light_frame=world"),
     ),
     "texture_size": DefaultValue(0, (128, 512), "atlas.texture_size"),
-    "stereo": DefaultValue("auto", ('["visual_hull", "stereo"]',), "initializers", mesh="reconstructed"),
+    "stereo": DefaultValue("auto", ('["visual_hull"]',), "initializers", mesh="reconstructed"),
 }
 
 
