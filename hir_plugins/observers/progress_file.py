@@ -39,7 +39,7 @@ class ProgressFileObserver:
         table = config.observers.get(NAME, False)
         self._path = None if table is False else run_folder / FILE
         self._stage = ""
-        if self._path is not None:
+        if self._path is not None and table is not False:
             options = build_options(ProgressFileOptions, table, f"observer {NAME!r}")
             self._throttle = Throttle(options.interval_seconds, first_at_once=True)
             self._path.unlink(missing_ok=True)  # that of an earlier call

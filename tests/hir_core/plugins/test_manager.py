@@ -328,7 +328,9 @@ def test_observers_have_checked_options(tmp_path: Path) -> None:
     assert config.observers == {"watcher": {"every": 3}}
     with pytest.raises(ConfigError, match="unknown option 'evry'; did you mean 'every'"):
         load_config(manager, assignments=[*named, "observers.watcher.evry=3"])
-    with pytest.raises(ConfigError, match="no observer 'wacher'; installed: previews, tensorboard, watcher"):
+    with pytest.raises(
+        ConfigError, match="no observer 'wacher'; installed: previews, progress_file, tensorboard, watcher"
+    ):
         load_config(manager, assignments=[*named, "observers.wacher={}"])
 
 
