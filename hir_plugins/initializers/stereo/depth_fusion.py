@@ -60,13 +60,22 @@ def signed_distance_volume(surface: SweptSurface, positions: Array, spacing: flo
     return Volume(np.clip(values, -4 * spacing, 4 * spacing), low, spacing)
 
 
-def carve_depths(volume: Volume, maps: Sequence[DepthMap], min_weight: float) -> Volume:
+def carve_depths(
+    volume: Volume,
+    maps: Sequence[DepthMap],
+    min_weight: float,
+    noise: float = 0.0,
+    behind: float = _MAX_DEPTH_BEHIND_VOXELS,
+) -> Volume:
     """The volume carved by depth maps (Curless & Levoy 1996); no value increases.
 
     Voxels keep their value where the total weight of the depths that pass in front of them or end near them is below
-    `min_weight`.
+    `min_weight`. `noise` is the standard deviation of depths in world units; where it is larger than a voxel, distances
+    are truncated in multiples of it, because errors on one side alone would move the surface. `behind` is the distance
+    behind a depth, in voxels or standard deviations, up to which it is evidence of the inside.
     """
     spacing, size = volume.spacing, volume.values.shape
+    unit = max(spacing, noise)
     device = maps[0].inverse.device if maps else torch.device("cpu")
     values = torch.from_numpy(volume.values).reshape(-1).to(device)
     near = torch.nonzero(values > -2 * spacing)[:, 0]
@@ -84,9 +93,9 @@ def carve_depths(volume: Volume, maps: Sequence[DepthMap], min_weight: float) ->
         inverse, confidence = depth_map.inverse[at], depth_map.weight[at]
         # positive behind the measured surface: inside the object
         signed = z[visible] - 1 / inverse.clamp_min(1e-12)
-        counted = (inverse > 0) & (signed < _MAX_DEPTH_BEHIND_VOXELS * spacing)
+        counted = (inverse > 0) & (signed < behind * unit)
         visible, signed, confidence = visible[counted], signed[counted], confidence[counted]
-        total[visible] += signed.clamp(-_TRUNCATION_VOXELS * spacing, _TRUNCATION_VOXELS * spacing) * confidence
+        total[visible] += signed.clamp(-_TRUNCATION_VOXELS * unit, _TRUNCATION_VOXELS * unit) * confidence
         weight[visible] += confidence
     known = weight >= min_weight
     values = values.clone()

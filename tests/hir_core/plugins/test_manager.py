@@ -409,7 +409,16 @@ def test_every_seed_of_a_built_in_component_is_by_default_that_of_the_run() -> N
             if "seed" in name:
                 assert with_seed_of_run(kind, {}, 7) == {"seed": 7}, registered.component.name
                 found.add(registered.component.name)
-    assert found == {"colmap", "grabcut", "mesh_file", "poisson", "stereo", "transport_ggx", "visual_hull"}
+    assert found == {
+        "colmap",
+        "grabcut",
+        "mesh_file",
+        "poisson",
+        "sensor_depth",
+        "stereo",
+        "transport_ggx",
+        "visual_hull",
+    }
 
 
 def test_a_check_of_the_options_class_is_said_once() -> None:
