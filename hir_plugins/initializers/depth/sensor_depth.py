@@ -41,8 +41,10 @@ class SensorDepth(Initializer):
         del scene, workspace
         options = self._config
         capture.cameras  # noqa: B018 - an error names the view without one
-        measured = [depth for view in capture.views if (depth := view.measured_depth()) is not None]
-        if not measured:
+        # maps are read twice, because all of them at once may not fit into memory
+        found = (view.measured_depth() for view in capture.views)
+        noises = [depth_noise(depth[1], options.min_confidence) for depth in found if depth is not None]
+        if not noises:
             raise CaptureError(
                 f"{capture.path}: no photograph has a depth map; leave sensor_depth out of 'initializers', or name the "
                 "depth maps in the file of the cameras (docs/captures.md)"
@@ -51,12 +53,13 @@ class SensorDepth(Initializer):
             capture,
             VisualHullOptions(pixels_per_voxel=options.pixels_per_voxel, max_resolution=options.max_resolution),
         )
-        noise = float(np.median([depth_noise(pixels, options.min_confidence) for _, pixels in measured]))
-        maps = [m for v in capture.views if (m := sensor_map(v, noise, options.min_confidence)) is not None]
+        noise = float(np.median(noises))
+        usable = (sensor_map(view, noise, options.min_confidence) for view in capture.views)
+        maps = (depth_map for depth_map in usable if depth_map is not None)
         volume = smoothed_carving(hull, carve_depths(hull, maps, options.min_weight, noise, _MAX_DEPTH_BEHIND))
         removed = (hull.values > 0) & (volume.values <= 0)
         self._report = {
-            "depth_maps": len(maps),
+            "depth_maps": len(noises),
             "depth_noise_voxels": round(noise / hull.spacing, 3),
             "carved_share": round(float(removed.sum() / max((hull.values > 0).sum(), 1)), 5),
         }

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 import torch
@@ -62,12 +63,12 @@ def signed_distance_volume(surface: SweptSurface, positions: Array, spacing: flo
 
 def carve_depths(
     volume: Volume,
-    maps: Sequence[DepthMap],
+    maps: Iterable[DepthMap],
     min_weight: float,
     noise: float = 0.0,
     behind: float = _MAX_DEPTH_BEHIND_VOXELS,
 ) -> Volume:
-    """The volume carved by depth maps (Curless & Levoy 1996); no value increases.
+    """The volume carved by depth maps (Curless & Levoy 1996), of which one at a time is needed; no value increases.
 
     Voxels keep their value where the total weight of the depths that pass in front of them or end near them is below
     `min_weight`. `noise` is the standard deviation of depths in world units; where it is larger than a voxel, distances
@@ -76,12 +77,16 @@ def carve_depths(
     """
     spacing, size = volume.spacing, volume.values.shape
     unit = max(spacing, noise)
-    device = maps[0].inverse.device if maps else torch.device("cpu")
+    remaining = iter(maps)
+    first = next(remaining, None)
+    if first is None:
+        return volume
+    device = first.inverse.device
     values = torch.from_numpy(volume.values).reshape(-1).to(device)
     near = torch.nonzero(values > -2 * spacing)[:, 0]
     index = torch.stack([near // (size[1] * size[2]), near // size[2] % size[1], near % size[2]], dim=1).float()
     total, weight = torch.zeros(len(near), device=device), torch.zeros(len(near), device=device)
-    for depth_map in maps:
+    for depth_map in chain([first], remaining):
         projection = depth_map.camera.intrinsics @ depth_map.camera.world_to_camera[:3]
         rotation = torch.from_numpy(projection[:, :3] * spacing).float().to(device)
         translation = torch.from_numpy(projection[:, :3] @ volume.origin + projection[:, 3]).float().to(device)
