@@ -3,6 +3,7 @@
 from hir_core.capture.camera import Array, Camera, similarity_scale
 from hir_core.capture.capture import Capture, EnvironmentSource, OrientedPoints, View
 from hir_core.capture.coordinate_frames import CoordinateFrames
+from hir_core.capture.measured_depth import DepthPixels, MeasuredDepth
 from hir_core.capture.pixels import Pixels, block_mean
 
 __all__ = [
@@ -10,7 +11,9 @@ __all__ = [
     "Camera",
     "Capture",
     "CoordinateFrames",
+    "DepthPixels",
     "EnvironmentSource",
+    "MeasuredDepth",
     "OrientedPoints",
     "Pixels",
     "View",

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from hir_core.capture.camera import Array, Camera, similarity_scale
 from hir_core.capture.lens import camera_lens, undistort
+from hir_core.capture.measured_depth import DepthPixels, MeasuredDepth
 from hir_core.capture.measured_irradiance import MeasuredIrradiance
 from hir_core.capture.pixels import Pixels
 from hir_core.errors import CaptureError
@@ -41,11 +42,19 @@ class View:
     """The photograph's file; a run is computed again when its bytes change."""
     mask_path: Path | None = None
     """The file that `read` takes the mask from, where it is not the photograph itself; checked like `path`."""
+    depth: MeasuredDepth | None = None
+    """What a depth sensor measured beside the photograph."""
 
     @property
     def gain(self) -> NDArray[np.float32]:
         """(3,): the linear values of this photograph are radiance × gain."""
         return np.asarray(self.white_balance, dtype=np.float32) * np.float32(self.exposure)
+
+    def measured_depth(self) -> tuple[Camera, DepthPixels] | None:
+        """The measured depths in world units without lens distortion, and their camera; None without any of both."""
+        if self.depth is None or self.camera is None:
+            return None
+        return self.depth.undistorted(self.camera, self.distortion, self.name)
 
     def pixels(self, downsample: int = 1) -> Pixels:
         """Linear colour, mask and saturation at 1/`downsample` of the resolution, without lens distortion."""
@@ -100,14 +109,20 @@ class Capture:
 
     def transformed(self, new_from_old: Array) -> Capture:
         """Moves the whole capture (cameras, points, record) by a similarity 4×4."""
-        rotation = new_from_old[:3, :3] / similarity_scale(new_from_old)
+        scale = similarity_scale(new_from_old)
+        rotation = new_from_old[:3, :3] / scale
         points = self.points
         if points is not None:
             moved = points.positions @ new_from_old[:3, :3].T + new_from_old[:3, 3]
             normals = None if points.normals is None else points.normals @ rotation.T
             points = replace(points, positions=moved, normals=normals)
         views = tuple(
-            v if v.camera is None else replace(v, camera=v.camera.transformed(new_from_old)) for v in self.views
+            replace(
+                v,
+                camera=None if v.camera is None else v.camera.transformed(new_from_old),
+                depth=None if v.depth is None else v.depth.scaled(scale),
+            )
+            for v in self.views
         )
         return replace(
             self,

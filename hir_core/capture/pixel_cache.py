@@ -7,6 +7,7 @@ from dataclasses import replace
 from threading import Lock
 
 from hir_core.capture.capture import Capture
+from hir_core.capture.lens import camera_lens
 from hir_core.capture.pixels import Pixels
 
 DEFAULT_BYTES = 1 << 30
@@ -38,7 +39,11 @@ class PixelCache:
             if view.camera is not None and any(view.distortion):
                 self._forget(view.name)
                 without_mask = replace(view, mask=None)
-                view = replace(view, read=self._reader(f"{view.name} undistorted", without_mask.pixels), distortion=())
+                depth = view.depth
+                if depth is not None:
+                    depth = replace(depth, lens=camera_lens(view.camera, view.distortion))
+                read = self._reader(f"{view.name} undistorted", without_mask.pixels)
+                view = replace(view, read=read, distortion=(), depth=depth)
             views.append(view)
         return replace(capture, views=tuple(views))
 

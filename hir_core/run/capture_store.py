@@ -37,6 +37,10 @@ def fingerprint(capture: Capture) -> str:
         for path in (view.path, view.mask_path):
             # one that is missing counts too: a photograph's bytes must not pass for its mask's
             digest.update(b"-" if path is None else file_hash(path).encode())
+        if view.depth is not None:
+            digest.update(repr(view.depth.world_per_unit).encode())
+            for path in view.depth.paths:
+                digest.update(file_hash(path).encode())
     if capture.points is not None:
         for array in (capture.points.positions, capture.points.normals, capture.points.colors):
             digest.update(b"-" if array is None else np.ascontiguousarray(array, dtype=np.float64).tobytes())
@@ -80,6 +84,7 @@ def save_capture(capture: Capture, folder: Path) -> None:
             "distortion": list(v.distortion),
             "exposure": v.exposure,
             "white_balance": list(v.white_balance),
+            "depth_world_per_unit": None if v.depth is None else v.depth.world_per_unit,
         }
         for v in capture.views
     ]
@@ -134,8 +139,12 @@ def _restored(known: Mapping[str, View], entry: Mapping[str, Any], mask: NDArray
     if mask is not None and (mask.dtype.kind not in "fiub" or mask.ndim != 2):
         raise ValueError(f"the mask of {entry['name']} is no picture")
     red, green, blue = (float(factor) for factor in entry.get("white_balance", (1, 1, 1)))  # older runs have none
+    view, scale = known[entry["name"]], entry.get("depth_world_per_unit")
+    # without a scale an initializer gave up the depth: its cameras are others
+    depth = None if view.depth is None or scale is None else replace(view.depth, world_per_unit=float(scale))
     return replace(
-        known[entry["name"]],
+        view,
+        depth=depth,
         camera=camera,
         mask=mask,
         distortion=tuple(float(k) for k in entry["distortion"]),

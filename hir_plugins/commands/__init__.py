@@ -1,1 +1,1 @@
-"""Built-in commands: `hir batch`, `hir bench`, `hir view`."""
+"""Built-in commands: `hir batch`, `hir bench`, `hir card`, `hir delight`, `hir ui`, `hir view`."""

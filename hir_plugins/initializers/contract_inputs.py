@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hir_core.capture import Camera, Capture
+from hir_core.capture import Camera, Capture, DepthPixels, MeasuredDepth
 
 if TYPE_CHECKING:
     from hir_core.testing.captures import TinyCapture
@@ -35,6 +35,42 @@ def without_masks(truth: TinyCapture, capture: Capture, folder: Path) -> tuple[C
     """Photographs, cameras and oriented points without masks."""
     del capture, folder
     return truth.without_masks(), {}
+
+
+def with_depth_maps(truth: TinyCapture, capture: Capture, folder: Path) -> tuple[Capture, dict[str, object]]:
+    """The capture with the true depths of its object, at half its resolution."""
+    del truth, folder
+    views = [replace(view, depth=MeasuredDepth(_ball_depth(view.camera.downsampled(2)))) for view in capture.views]  # type: ignore[union-attr]
+    return replace(capture, views=tuple(views)), {}
+
+
+@dataclass(frozen=True)
+class _StoredDepth:
+    """Depths in memory; picklable."""
+
+    pixels: DepthPixels
+
+    def __call__(self) -> DepthPixels:
+        return self.pixels
+
+
+def _ball_depth(camera: Camera) -> _StoredDepth:
+    """Depth along the optical axis of the true surface, 0 beside it."""
+    from hir_core.testing.captures import BALLS
+
+    x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
+    origin, direction = camera.rays(np.stack([x.ravel(), y.ravel()], axis=1))
+    reach = np.full(len(origin), np.inf)
+    for centre, radius in BALLS:
+        offset = origin - centre
+        half = (offset * direction).sum(axis=1)
+        root = half**2 - (offset**2).sum(axis=1) + radius**2
+        hit = root > 0
+        reach[hit] = np.minimum(reach[hit], -half[hit] - np.sqrt(root[hit]))
+    seen = np.isfinite(reach)
+    depth = np.where(seen, np.where(seen, reach, 0) * (direction @ camera.world_to_camera[2, :3]), 0)
+    shape = (camera.height, camera.width)
+    return _StoredDepth(DepthPixels(depth.reshape(shape).astype(np.float32), seen.reshape(shape).astype(np.float32)))
 
 
 def with_markers(truth: TinyCapture, capture: Capture, folder: Path) -> tuple[Capture, dict[str, object]]:

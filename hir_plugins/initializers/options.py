@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
+
+from annotated_types import Interval, Unit
 
 from hir_core.plugins.options import seed_of_run
 
@@ -26,6 +28,27 @@ class VisualHullOptions:
     min_component: float = 0.02
     """Connected components with less than this share of the largest component's area are removed."""
     edge_pixels: float = 2.5
+    """Edge length of the mesh, in pixels at the object's distance; 0 keeps the extracted triangles."""
+    vertex_colors: bool = True
+    """Colour the vertices from the photographs in which they are visible."""
+    seed: int = seed_of_run()
+    """Seed of the order in which remeshing collapses short edges; the run's, unless it is set."""
+
+
+@dataclass(frozen=True)
+class SensorDepthOptions:
+    """Options of the visual hull that is carved by measured depths."""
+
+    min_confidence: Annotated[float, Interval(ge=0, le=1)] = 0.25
+    """Depths of a lower confidence are ignored; the low level of ARKit is 0, its medium level 0.5."""
+    min_weight: Annotated[float, Interval(gt=0)] = 0.9
+    """A point keeps the distance of the hull where the confidences of the depths that concern it sum up to less: one
+    depth of full confidence carves, of medium confidence two."""
+    pixels_per_voxel: Annotated[float, Interval(gt=0), Unit("pixels")] = 2.0
+    """Side of a voxel, in pixels of the photographs at the object's distance."""
+    max_resolution: Annotated[int, Interval(ge=16, le=1024), Unit("voxels")] = 256
+    """Maximum number of voxels along the longest side of the object's box."""
+    edge_pixels: Annotated[float, Interval(ge=0), Unit("pixels")] = 2.5
     """Edge length of the mesh, in pixels at the object's distance; 0 keeps the extracted triangles."""
     vertex_colors: bool = True
     """Colour the vertices from the photographs in which they are visible."""

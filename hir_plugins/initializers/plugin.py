@@ -11,6 +11,7 @@ from hir_plugins.initializers.options import (
     FiducialMarkersOptions,
     MeshFileOptions,
     PoissonOptions,
+    SensorDepthOptions,
     StereoOptions,
     VisualHullOptions,
 )
@@ -34,6 +35,17 @@ VISUAL_HULL = Component(
     requires=("torch", "jaxtyping", "open3d", "cv2", "skimage"),
     extra="reconstruct",
     traits=frozenset({"needs_cameras", "needs_masks", "makes_surface"}),
+)
+
+SENSOR_DEPTH = Component(
+    name="sensor_depth",
+    target="hir_plugins.initializers.depth.sensor_depth:SensorDepth",
+    config=SensorDepthOptions,
+    summary="The visual hull, carved by the depth maps of the capture; needs cameras, masks and depth maps.",
+    requires=("torch", "jaxtyping", "open3d", "cv2", "skimage", "scipy"),
+    extra="reconstruct",
+    traits=frozenset({"needs_cameras", "needs_masks", "makes_surface"}),
+    testing="hir_plugins.initializers.contract_inputs:with_depth_maps",
 )
 
 MESH_FILE = Component(
@@ -92,20 +104,23 @@ POISSON = Component(
 
 @hookimpl
 def hir_register_initializers() -> list[Component]:
-    return [VISUAL_HULL, MESH_FILE, COLMAP, FIDUCIAL_MARKERS, STEREO, POISSON]
+    return [VISUAL_HULL, SENSOR_DEPTH, MESH_FILE, COLMAP, FIDUCIAL_MARKERS, STEREO, POISSON]
 
 
 @hookimpl
 def hir_suggest_initializers(capture: Capture) -> list[str] | None:
     """The visual hull and stereo, which carves it; structure from motion before them if cameras, or both masks and
-    points, are missing.
+    points, are missing. A capture with cameras and depth maps gets `sensor_depth` in place of the hull.
 
     Without `stereo` where photographs are too few or too small to be matched.
     """
     if not capture.views:
         return None
-    surface = ["visual_hull", "stereo"] if _can_be_matched(capture) else ["visual_hull"]
     posed = all(view.camera is not None for view in capture.views)
+    measured = posed and any(view.depth is not None for view in capture.views)
+    surface = ["sensor_depth" if measured else "visual_hull"]
+    if _can_be_matched(capture):
+        surface.append("stereo")
     first = capture.views[0]
     masked = first.mask is not None or first.pixels().mask is not None
     return surface if posed and (masked or capture.points is not None) else ["colmap", *surface]

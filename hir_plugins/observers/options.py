@@ -24,3 +24,11 @@ class PreviewsOptions:
     """Side of each image."""
     sides: Annotated[int, Interval(ge=1)] = 4
     """Number of images around the object."""
+
+
+@dataclass(frozen=True)
+class ProgressFileOptions:
+    """Options of RUN/progress.json, which holds the current step of the current stage."""
+
+    interval_seconds: Annotated[float, Interval(ge=0), Unit("s")] = 1.0
+    """Shortest time between two writes within a stage."""

@@ -12,7 +12,7 @@ from hir_core.errors import CaptureError
 from hir_core.plugins import NoOptions
 from hir_core.plugins.interfaces import CaptureReader
 from hir_plugins.readers.parsing.capture_paths import find_photo, unique_names
-from hir_plugins.readers.parsing.colmap_files import read_cameras, read_images, read_points
+from hir_plugins.readers.parsing.colmap_format.colmap_files import read_cameras, read_images, read_points
 from hir_plugins.readers.parsing.lens_camera import make_view
 from hir_plugins.readers.parsing.mask_files import find_mask, warn_of_matches_by_number
 from hir_plugins.readers.parsing.upright import upright_rotation

@@ -1,7 +1,8 @@
 """Polycam: the raw data export, `keyframes/corrected_cameras` with `keyframes/corrected_images`.
 
 Each JSON file has the pose `t_00 … t_23` (camera to world, ARKit: +Y up, cameras look along −z, metres) and the
-intrinsics.
+intrinsics. `keyframes/depth` has millimetres as 16-bit PNG, `keyframes/confidence` 0, 127 and 255 (the README of
+github.com/PolyCam/polyform).
 """
 
 from __future__ import annotations
@@ -11,8 +12,11 @@ from typing import Final, final
 
 import numpy as np
 
+from hir_core.capture import MeasuredDepth
 from hir_core.errors import CaptureError
 from hir_plugins.readers.parsing.camera_axes import OPENCV_FROM_OPENGL, rigid_inverse, rigid_transform
+from hir_plugins.readers.parsing.capture_paths import contained_path
+from hir_plugins.readers.parsing.depth_file import MILLIMETRE, depth_map
 from hir_plugins.readers.parsing.json_fields import number_field, read_json
 from hir_plugins.readers.parsing.lens_camera import LensCamera
 from hir_plugins.readers.parsing.posed_photos import PhotoFinder, PosedPhoto, PosedPhotosReader
@@ -39,7 +43,6 @@ class PolycamReader(PosedPhotosReader[tuple[Path, str]]):
 
     def cameras(self, source: tuple[Path, str], finder: PhotoFinder) -> list[PosedPhoto]:
         """In the order of the time stamps."""
-        del finder
         cameras_folder, images = source
         cameras = []
         for file in sorted(cameras_folder.glob("*.json"), key=lambda f: (len(f.stem), f.stem)):
@@ -59,5 +62,14 @@ class PolycamReader(PosedPhotosReader[tuple[Path, str]]):
             fx, fy, cx, cy, width, height = (known[key] for key in _INTRINSICS)
             lens = LensCamera(fx, fy, cx, cy, width, height)
             name = f"keyframes/{images}/{file.stem}"
-            cameras.append(PosedPhoto(name, owner, lens, OPENCV_FROM_OPENGL @ rigid_inverse(pose)))
+            depth = depth_beside(finder.capture, file.stem)
+            cameras.append(PosedPhoto(name, owner, lens, OPENCV_FROM_OPENGL @ rigid_inverse(pose), depth))
         return cameras
+
+
+def depth_beside(capture: Path, keyframe: str) -> MeasuredDepth | None:
+    """The depth map of a keyframe; None where the device has no sensor."""
+    depth, confidence = (
+        contained_path(capture, f"keyframes/{kind}/{keyframe}.png", capture) for kind in ("depth", "confidence")
+    )
+    return depth_map(depth, confidence if confidence.is_file() else None, MILLIMETRE) if depth.is_file() else None

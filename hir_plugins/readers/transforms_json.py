@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import Final, final
 
-from hir_core.capture import Capture, EnvironmentSource, View
+from hir_core.capture import Capture, EnvironmentSource, MeasuredDepth, View
 from hir_core.errors import CaptureError
 from hir_core.plugins import NoOptions
 from hir_core.plugins.interfaces import CaptureReader
@@ -18,6 +18,7 @@ from hir_plugins.readers.parsing.camera_axes import (
     rigid_transform,
 )
 from hir_plugins.readers.parsing.capture_paths import contained_path, find_photo, unique_names
+from hir_plugins.readers.parsing.depth_file import MILLIMETRE, depth_map
 from hir_plugins.readers.parsing.json_fields import number_field, read_json
 from hir_plugins.readers.parsing.lens_camera import LensCamera, make_view
 from hir_plugins.readers.parsing.mask_files import find_mask
@@ -126,7 +127,23 @@ def _view(
     world_from_camera = WORLD_FROM_Z_UP @ camera_to_source @ OPENCV_FROM_OPENGL
     mask_name = frame.get("mask_path")
     mask = find_photo(source.parent, str(mask_name), source) if mask_name else find_mask(photo, source.parent)
-    return make_view(name, photo, _lens(merged, owner, photo), rigid_inverse(world_from_camera), owner, mask)
+    depth = _depth(merged, source, owner)
+    return make_view(name, photo, _lens(merged, owner, photo), rigid_inverse(world_from_camera), owner, mask, depth)
+
+
+def _depth(frame: dict[str, object], source: Path, owner: str) -> MeasuredDepth | None:
+    """nerfstudio's `depth_file_path`, in millimetres unless `depth_unit_scale_factor` says otherwise."""
+    name, confidence = frame.get("depth_file_path"), frame.get("confidence_file_path")
+    if not name:
+        return None
+    unit = number_field(frame, "depth_unit_scale_factor", owner, MILLIMETRE)
+    if unit is None or unit <= 0:
+        raise CaptureError(f"{owner}: depth_unit_scale_factor is {unit}; give the metres of one unit of the depth maps")
+    return depth_map(
+        find_photo(source.parent, str(name), source),
+        find_photo(source.parent, str(confidence), source) if confidence else None,
+        unit,
+    )
 
 
 def _lens(table: dict[str, object], owner: str, photo: Path) -> LensCamera:

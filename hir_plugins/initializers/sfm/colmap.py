@@ -24,7 +24,7 @@ from hir_plugins.initializers.sfm.sfm_images import SfmImage, write_images
 from hir_plugins.initializers.sfm.structure_from_motion import largest_reconstruction
 from hir_plugins.initializers.sfm.triangulation import triangulate
 from hir_plugins.initializers.surface.object_bounds import object_bounding_sphere
-from hir_plugins.readers.parsing.colmap_lenses import lens_camera
+from hir_plugins.readers.parsing.colmap_format.colmap_lenses import lens_camera
 from hir_plugins.readers.parsing.upright import upright_rotation
 
 _MIN_CONTRAST = 2.0 / 255
@@ -63,6 +63,12 @@ class Colmap(Initializer):
                 "and with large overlap: a few degrees between neighbours"
             )
         solved = solved_capture(capture, images, model)
+        if any(view.depth is not None for view in capture.views):
+            warnings.warn(
+                "the depth maps are not used, because their unit is that of the capture's own cameras, which have been "
+                "estimated again",
+                stacklevel=2,
+            )
         unregistered = [view.name for view in solved.views if view.camera is None]
         if unregistered:
             warnings.warn(
@@ -148,7 +154,8 @@ def _solved_view(view: View, image: SfmImage, registered_image: pycolmap.Image, 
     if mask is not None and distortion:
         # the mask belongs to the photograph as taken; from here on photographs are undistorted
         mask = resample(mask, camera_lens(camera, distortion))
-    return replace(view, camera=camera, distortion=distortion, mask=mask)
+    # a measured depth is in the unit of other cameras
+    return replace(view, camera=camera, distortion=distortion, mask=mask, depth=None)
 
 
 def _check_photographs(capture: Capture) -> None:

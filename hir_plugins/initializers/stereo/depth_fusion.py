@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 import torch
@@ -60,19 +61,32 @@ def signed_distance_volume(surface: SweptSurface, positions: Array, spacing: flo
     return Volume(np.clip(values, -4 * spacing, 4 * spacing), low, spacing)
 
 
-def carve_depths(volume: Volume, maps: Sequence[DepthMap], min_weight: float) -> Volume:
-    """The volume carved by depth maps (Curless & Levoy 1996); no value increases.
+def carve_depths(
+    volume: Volume,
+    maps: Iterable[DepthMap],
+    min_weight: float,
+    noise: float = 0.0,
+    behind: float = _MAX_DEPTH_BEHIND_VOXELS,
+) -> Volume:
+    """The volume carved by depth maps (Curless & Levoy 1996), of which one at a time is needed; no value increases.
 
     Voxels keep their value where the total weight of the depths that pass in front of them or end near them is below
-    `min_weight`.
+    `min_weight`. `noise` is the standard deviation of depths in world units; where it is larger than a voxel, distances
+    are truncated in multiples of it, because errors on one side alone would move the surface. `behind` is the distance
+    behind a depth, in voxels or standard deviations, up to which it is evidence of the inside.
     """
     spacing, size = volume.spacing, volume.values.shape
-    device = maps[0].inverse.device if maps else torch.device("cpu")
+    unit = max(spacing, noise)
+    remaining = iter(maps)
+    first = next(remaining, None)
+    if first is None:
+        return volume
+    device = first.inverse.device
     values = torch.from_numpy(volume.values).reshape(-1).to(device)
     near = torch.nonzero(values > -2 * spacing)[:, 0]
     index = torch.stack([near // (size[1] * size[2]), near // size[2] % size[1], near % size[2]], dim=1).float()
     total, weight = torch.zeros(len(near), device=device), torch.zeros(len(near), device=device)
-    for depth_map in maps:
+    for depth_map in chain([first], remaining):
         projection = depth_map.camera.intrinsics @ depth_map.camera.world_to_camera[:3]
         rotation = torch.from_numpy(projection[:, :3] * spacing).float().to(device)
         translation = torch.from_numpy(projection[:, :3] @ volume.origin + projection[:, 3]).float().to(device)
@@ -84,9 +98,9 @@ def carve_depths(volume: Volume, maps: Sequence[DepthMap], min_weight: float) ->
         inverse, confidence = depth_map.inverse[at], depth_map.weight[at]
         # positive behind the measured surface: inside the object
         signed = z[visible] - 1 / inverse.clamp_min(1e-12)
-        counted = (inverse > 0) & (signed < _MAX_DEPTH_BEHIND_VOXELS * spacing)
+        counted = (inverse > 0) & (signed < behind * unit)
         visible, signed, confidence = visible[counted], signed[counted], confidence[counted]
-        total[visible] += signed.clamp(-_TRUNCATION_VOXELS * spacing, _TRUNCATION_VOXELS * spacing) * confidence
+        total[visible] += signed.clamp(-_TRUNCATION_VOXELS * unit, _TRUNCATION_VOXELS * unit) * confidence
         weight[visible] += confidence
     known = weight >= min_weight
     values = values.clone()

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from hir_core.capture import Array, Camera, View
+from hir_core.capture import Array, Camera, MeasuredDepth, View
 from hir_core.capture.lens import camera_lens, fisheye_lens
 from hir_core.errors import CaptureError
 from hir_plugins.readers.parsing.camera_axes import MAX_DISTANCE, camera_matrix
@@ -31,7 +31,13 @@ class LensCamera:
 
 
 def make_view(
-    name: str, photo: Path, lens: LensCamera, world_to_camera: Array, owner: str, mask: Path | None = None
+    name: str,
+    photo: Path,
+    lens: LensCamera,
+    world_to_camera: Array,
+    owner: str,
+    mask: Path | None = None,
+    depth: MeasuredDepth | None = None,
 ) -> View:
     """The view of `photo`; intrinsics are scaled if the file is for a larger or smaller image.
 
@@ -72,4 +78,9 @@ def make_view(
     except CaptureError as error:
         raise CaptureError(f"{owner}: {error}") from None
     read = PhotoFile(photo, mask, orient=orient, lens=fisheye, width=width, height=height)
-    return View(name=name, camera=camera, read=read, distortion=distortion, path=photo, mask_path=mask)
+    if depth is not None and orient:
+        raise CaptureError(
+            f"{owner}: a photograph that its EXIF data rotates has no depth map; rotate both in their files"
+        )
+    depth = None if depth is None else replace(depth, lens=fisheye)
+    return View(name, camera, read, distortion=distortion, path=photo, mask_path=mask, depth=depth)

@@ -12,7 +12,7 @@ from typing import ClassVar, Generic, TypeVar, final
 
 import numpy as np
 
-from hir_core.capture import Array, Capture
+from hir_core.capture import Array, Capture, MeasuredDepth
 from hir_core.errors import CaptureError
 from hir_core.plugins import NoOptions
 from hir_core.plugins.interfaces import CaptureReader
@@ -42,6 +42,7 @@ class PosedPhoto:
     lens: LensCamera
     world_to_camera: Array
     """4×4, OpenCV axes."""
+    depth: MeasuredDepth | None = None
 
 
 class PhotoFinder:
@@ -119,7 +120,11 @@ class PosedPhotosReader(CaptureReader, Generic[Source]):
             )
         photos = [finder.find(camera.name, camera.owner) for camera in cameras]
         views = [
-            make_view(name, photo, camera.lens, camera.world_to_camera, camera.owner, find_mask(photo, path))
+            make_view(
+                *(name, photo, camera.lens, camera.world_to_camera, camera.owner),
+                mask=find_mask(photo, path),
+                depth=camera.depth,
+            )
             for camera, photo, name in zip(cameras, photos, unique_names(photos, path), strict=True)
         ]
         warn_of_matches_by_number(views)

@@ -328,7 +328,9 @@ def test_observers_have_checked_options(tmp_path: Path) -> None:
     assert config.observers == {"watcher": {"every": 3}}
     with pytest.raises(ConfigError, match="unknown option 'evry'; did you mean 'every'"):
         load_config(manager, assignments=[*named, "observers.watcher.evry=3"])
-    with pytest.raises(ConfigError, match="no observer 'wacher'; installed: previews, tensorboard, watcher"):
+    with pytest.raises(
+        ConfigError, match="no observer 'wacher'; installed: previews, progress_file, tensorboard, watcher"
+    ):
         load_config(manager, assignments=[*named, "observers.wacher={}"])
 
 
@@ -407,7 +409,16 @@ def test_every_seed_of_a_built_in_component_is_by_default_that_of_the_run() -> N
             if "seed" in name:
                 assert with_seed_of_run(kind, {}, 7) == {"seed": 7}, registered.component.name
                 found.add(registered.component.name)
-    assert found == {"colmap", "grabcut", "mesh_file", "poisson", "stereo", "transport_ggx", "visual_hull"}
+    assert found == {
+        "colmap",
+        "grabcut",
+        "mesh_file",
+        "poisson",
+        "sensor_depth",
+        "stereo",
+        "transport_ggx",
+        "visual_hull",
+    }
 
 
 def test_a_check_of_the_options_class_is_said_once() -> None:

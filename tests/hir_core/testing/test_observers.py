@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -71,6 +72,28 @@ def test_a_preview_shows_the_object_in_its_colours(kind: str, tmp_path: Path) ->
     middle, corner = picture[24, 24, :3], picture[1, 1, :3]
     assert middle[0] > 3 * middle[1] and middle[0] > 0.4
     assert corner.min() > 0.99, "nothing but white beside the object"
+
+
+def test_progress_is_a_file_for_other_programs(tmp_path: Path) -> None:
+    """The first and the last step of each stage are always written; those between them once in an interval."""
+    manager = manager_with({"progress_file": {"interval_seconds": 3600}}, tmp_path)
+    written = tmp_path / "progress.json"
+
+    def report(stage: str, step: int, scalars: dict[str, np.ndarray], **more: object) -> dict[str, object]:
+        manager.notify("hir_progress", progress=Progress(stage, step, 8, 2.0, scalars, **more))  # type: ignore[arg-type]
+        return dict(json.loads(written.read_text()))
+
+    first = report("geometry", 2, {"iou": np.array([0.5, 0.75])}, message="level 1")
+    assert first == {
+        **{"stage": "geometry", "step": 2, "steps": 8, "seconds": 2.0, "seconds_left": 6.0},
+        **{"error": "iou 0.75", "message": "level 1"},
+    }
+    assert report("geometry", 4, {"iou": np.array([0.8])}) == first
+    last = report("geometry", 8, {})
+    assert (last["step"], last["seconds_left"], last["error"]) == (8, 0.0, "iou 0.8"), "the latest known error"
+    assert report("atlas", 1, {})["error"] == "", "that of another stage"
+    manager.notify("hir_run_started", config=RunConfig(observers={"progress_file": {}}), run_folder=tmp_path)
+    assert manager.problems == [] and not written.exists()
 
 
 def test_observers_use_nothing_private() -> None:

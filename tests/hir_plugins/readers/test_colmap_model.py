@@ -14,8 +14,8 @@ from PIL import Image
 from hir_core.errors import CaptureError
 from hir_core.plugins import NoOptions
 from hir_plugins.readers.colmap_model import ColmapModelReader
-from hir_plugins.readers.parsing.colmap_files import read_points
-from hir_plugins.readers.parsing.colmap_lenses import lens_camera
+from hir_plugins.readers.parsing.colmap_format.colmap_files import read_points
+from hir_plugins.readers.parsing.colmap_format.colmap_lenses import lens_camera
 from hir_plugins.readers.parsing.upright import upright_rotation
 from tests.fixtures.silhouette_captures import dome, look_at
 

@@ -10,8 +10,9 @@ from collections.abc import Iterator
 
 import pytest
 
+from hir_plugins.commands.loopback_server import MAX_CONNECTIONS
 from hir_plugins.commands.viewer import page_server
-from hir_plugins.commands.viewer.page_server import MAX_CONNECTIONS, PageServer
+from hir_plugins.commands.viewer.page_server import PageServer
 
 PAGE = "<p>ä</p>"
 

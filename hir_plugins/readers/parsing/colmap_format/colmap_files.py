@@ -20,7 +20,7 @@ from hir_core.capture import Array, OrientedPoints
 from hir_core.capture.rotations import rotation_from_quaternion
 from hir_core.errors import CaptureError
 from hir_plugins.readers.parsing.capture_paths import MAX_TEXT_BYTES
-from hir_plugins.readers.parsing.colmap_lenses import _MODELS, lens_camera
+from hir_plugins.readers.parsing.colmap_format.colmap_lenses import _MODELS, lens_camera
 from hir_plugins.readers.parsing.lens_camera import LensCamera
 
 _MAX_BINARY_BYTES = 8 << 30

@@ -1,0 +1,1 @@
+"""`hir ui`: a local page that checks and reconstructs captures."""

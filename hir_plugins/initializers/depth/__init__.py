@@ -1,0 +1,1 @@
+"""A first mesh from depths that a sensor measured."""

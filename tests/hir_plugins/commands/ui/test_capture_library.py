@@ -1,0 +1,184 @@
+"""The folder of `hir ui`: what it holds, who uses it, what another session finds in it."""
+
+from __future__ import annotations
+
+import io
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from hir_core.errors import InputError
+from hir_plugins.commands.ui.capture_entry import CaptureEntry
+from hir_plugins.commands.ui.capture_library import MAX_UPLOADS, CaptureLibrary
+from hir_plugins.commands.ui.hir_process import KEPT_LINES, HirProcess
+
+
+@pytest.fixture
+def library(tmp_path: Path) -> Iterator[CaptureLibrary]:
+    with closing(CaptureLibrary(tmp_path / "library")) as opened:
+        yield opened
+
+
+def wait(entry: CaptureEntry, seconds: float = 60) -> str:
+    """The state when nothing runs any more."""
+    deadline = time.monotonic() + seconds
+    while entry.is_busy and time.monotonic() < deadline:
+        time.sleep(0.05)
+    return entry.state
+
+
+def send(library: CaptureLibrary, name: str, files: dict[str, bytes]) -> CaptureEntry:
+    listed = [{"path": path, "size": len(content)} for path, content in files.items()]
+    upload = library.begin_upload({"name": name, "files": listed})
+    arriving = library.upload(upload)
+    assert arriving is not None
+    for index, content in enumerate(files.values()):
+        arriving.receive(index, io.BytesIO(content), len(content))
+    return library.finish_upload(upload)
+
+
+def test_a_path_is_checked_where_it_is_and_found_by_the_next_session(tiny_capture: Path, tmp_path: Path) -> None:
+    before = sorted(tiny_capture.rglob("*"))
+    with closing(CaptureLibrary(tmp_path / "library")) as library:
+        entry = library.add_path(f" {tiny_capture} ")
+        assert (entry.id, entry.source) == ("tiny", tiny_capture) and entry.state == "checking"
+        assert wait(entry) == "checked"
+        assert library.add_path(str(tiny_capture)) is entry, "one capture is one entry"
+        assert wait(entry) == "checked"
+    with closing(CaptureLibrary(tmp_path / "library")) as library:
+        [entry] = library.entries
+        assert (entry.name, entry.source, entry.state) == ("tiny", tiny_capture, "checked")
+    assert sorted(tiny_capture.rglob("*")) == before, "nothing is written into the capture"
+
+
+def test_what_is_uploaded_is_checked_and_its_failure_has_a_sentence(library: CaptureLibrary) -> None:
+    first, second = (send(library, "../My photographs!", {"notes.txt": b"no pictures"}) for _ in range(2))
+    assert (first.id, second.id) == ("My-photographs", "My-photographs-2")
+    assert first.source == library.folder / "My-photographs" / "photographs" / "My-photographs"
+    assert (first.source / "notes.txt").read_bytes() == b"no pictures"
+    assert wait(first) == wait(second) == "check_failed"
+    sentence = first.document()["sentence"]
+    assert "is no capture that an installed reader knows" in sentence and not sentence.startswith("hir:")
+
+
+@pytest.mark.parametrize("path", ["", "  ", "relative/folder", "/does/not/exist", "~nobody-of-this-name/x", "/a\0b"])
+def test_a_path_that_is_none_is_refused(path: str, library: CaptureLibrary) -> None:
+    with pytest.raises(InputError):
+        library.add_path(path)
+    assert library.entries == []
+
+
+def test_the_folder_itself_is_no_capture(library: CaptureLibrary) -> None:
+    for path in (library.folder, library.folder.parent):
+        with pytest.raises(InputError, match="holds the captures of this page"):
+            library.add_path(str(path))
+
+
+def test_one_session_at_a_time(library: CaptureLibrary, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="another hir ui uses"):
+        CaptureLibrary(library.folder)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="is a file"):
+        CaptureLibrary(tmp_path / "file")
+
+
+def test_unfinished_uploads_are_limited_and_removed(tmp_path: Path) -> None:
+    listed = {"name": "a", "files": [{"path": "a.png", "size": 1}]}
+    library = CaptureLibrary(tmp_path)
+    names = [library.begin_upload(listed) for _ in range(MAX_UPLOADS)]
+    with pytest.raises(InputError, match="are being copied"):
+        library.begin_upload(listed)
+    library.cancel_upload(names[0])
+    library.begin_upload(listed)
+    with pytest.raises(InputError, match="has ended"):
+        library.finish_upload(names[0])
+    with pytest.raises(InputError, match="not arrived"):
+        library.finish_upload(names[1])
+    library.close()
+    assert [p.name for p in tmp_path.iterdir() if p.name != ".lock"] == []
+    (tmp_path / ".upload-left").mkdir()
+    (tmp_path / "a stranger's").mkdir()
+    with closing(CaptureLibrary(tmp_path)) as library:
+        assert library.entries == [] and not (tmp_path / ".upload-left").exists()
+    assert (tmp_path / "a stranger's").is_dir()
+
+
+def test_a_link_is_no_entry(library: CaptureLibrary, tmp_path: Path, tiny_capture: Path) -> None:
+    wait(library.add_path(str(tiny_capture)))
+    folder = library.folder
+    library.close()
+    os.rename(folder / "tiny", tmp_path / "elsewhere")
+    (folder / "tiny").symlink_to(tmp_path / "elsewhere")
+    with closing(CaptureLibrary(folder)) as again:
+        assert again.entries == []
+
+
+def test_a_run_that_cannot_start_says_why_and_another_may_follow(library: CaptureLibrary, tiny_capture: Path) -> None:
+    entry = library.add_path(str(tiny_capture))
+    with pytest.raises(InputError, match="is being computed"):
+        entry.start_run("fast", [])
+    wait(entry)
+    library.start_run(entry, "fast", ["geometry.iteration=3"])
+    assert wait(entry) == "failed" and "geometry" in entry.document()["sentence"]
+    assert (entry.preset, entry.settings) == ("fast", ("geometry.iteration=3",))
+    entry.start_check()
+    assert wait(entry) == "checked"
+
+
+def test_a_stopped_check_and_the_end_of_a_session(library: CaptureLibrary, tiny_capture: Path) -> None:
+    entry = library.add_path(str(tiny_capture))
+    entry.stop()
+    assert wait(entry) == "new", "stopped before it could finish"
+    entry.start_check()
+    process = entry.check
+    assert process is not None
+    library.close()
+    assert not process.is_running
+
+
+def test_output_of_a_command_is_kept_in_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    program = tmp_path / "python"
+    program.write_text(
+        f"#!{sys.executable}\nimport sys\nsys.stderr.write('x' * 100_000 + '\\n')\n"
+        "for i in range(1000): print('line', i, file=sys.stderr)\nsys.exit(3)\n"
+    )
+    program.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(program))
+    process = HirProcess([], tmp_path / "out.txt")
+    process._process.wait(20)
+    assert process.sentence == "line 999" and len(process._lines) == KEPT_LINES
+
+
+def test_a_process_that_is_ended_by_the_system_is_named(tmp_path: Path) -> None:
+    process = HirProcess(["check", str(tmp_path)], tmp_path / "out.txt")
+    process._process.kill()
+    process._process.wait()
+    assert process.has_failed and "ended by the system (SIGKILL)" in process.sentence
+
+
+def test_nothing_is_imported_from_the_current_folder(
+    tiny_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "numpy.py").write_text("raise SystemExit('imported from the current folder')")
+    monkeypatch.chdir(tmp_path)
+    process = HirProcess(["--version"], tmp_path / "out.txt")
+    process._process.wait(60)
+    assert not process.has_failed and "hir" in (tmp_path / "out.txt").read_text()
+
+
+def test_sigterm_ends_the_command_and_its_processes(tiny_capture: Path, tmp_path: Path) -> None:
+    words = [sys.executable, "-m", "hir_core.cli", "ui", str(tmp_path / "library"), "--no-browser"]
+    server = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+    assert server.stdout is not None
+    assert server.stdout.readline().startswith("http://127.0.0.1:")
+    server.terminate()
+    assert server.wait(20) in (0, 130)
+    server.stdout.close()
+    with closing(CaptureLibrary(tmp_path / "library")) as library:
+        assert library.entries == []
