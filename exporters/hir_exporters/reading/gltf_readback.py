@@ -1,4 +1,4 @@
-"""Reads an exported .glb or .gltf with pygltflib; compressed meshes with trimesh."""
+"""Reads an exported .glb or .gltf with pygltflib; Draco with trimesh."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import trimesh
     from pygltflib import GLTF2
 
-_COMPRESSION: Final = DECODED_EXTENSIONS | {"KHR_draco_mesh_compression"}
+_DRACO: Final = "KHR_draco_mesh_compression"
 
 
 def read_gltf(path: Path) -> ReadBack:
@@ -36,10 +36,14 @@ def read_gltf(path: Path) -> ReadBack:
     try:
         check_references(path)
         document = GLTF2().load(str(path))
-        if _COMPRESSION.isdisjoint(document.extensionsRequired or []):
+        required = document.extensionsRequired or []
+        if _DRACO in required:
+            mesh = _draco_corner_mesh(path, document)
+        elif DECODED_EXTENSIONS.isdisjoint(required):
             mesh = corner_mesh(document, path, lambda i: _gltf_buffer(document, i, path))
         else:
-            mesh = _compressed_corner_mesh(path, document)
+            plain = GLTF2().load_from_bytes(decompressed_glb(document, lambda i: _gltf_buffer(document, i, path)))
+            mesh = corner_mesh(plain, path, lambda i: _gltf_buffer(plain, i, path))
         surface, specular_surface, normal = _gltf_material(document, path)
         return ReadBack(*mesh, surface, specular_surface, normal)
     except HirError:
@@ -48,7 +52,7 @@ def read_gltf(path: Path) -> ReadBack:
         raise InputError(f"{path} cannot be read back as glTF ({type(error).__name__}: {error})") from error
 
 
-def _compressed_corner_mesh(path: Path, document: GLTF2) -> CornerMesh:
+def _draco_corner_mesh(path: Path, document: GLTF2) -> CornerMesh:
     scene = gltf_scene(path, document)
     # meshes of coarser levels (MSFT_lod) belong to nodes outside of the scene
     placed = [scene.graph[node] for node in scene.graph.nodes_geometry]
