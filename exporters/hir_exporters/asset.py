@@ -343,8 +343,8 @@ def _check_range(name: str, value: NDArray[Any], low: float, high: float) -> Non
 def _extremes(value: NDArray[Any]) -> tuple[Any, Any]:
     """Smallest and largest value of a contiguous array, NaN where one is NaN; each part is read once from memory."""
     parts = value.reshape(-1)
-    starts = range(0, len(parts), _VECTORS_PER_CHUNK)
-    both = [(part.min(), part.max()) for part in (parts[first : first + _VECTORS_PER_CHUNK] for first in starts)]
+    chunks = (parts[first : first + _VECTORS_PER_CHUNK] for first in range(0, len(parts), _VECTORS_PER_CHUNK))
+    both = [(chunk.min(), chunk.max()) for chunk in chunks]
     least, most = np.array(both, value.dtype).T
     return least.min(), most.max()
 

@@ -112,7 +112,7 @@ def image_encoding(config: GltfConfig) -> ImageEncoding:
     if config.image_format == "ktx2":
         raise ExportError(
             "image_format 'ktx2': no licensed Python package encodes KTX2; export png, then convert the file with "
-            "`gltf-transform uastc` or Khronos' toktx"
+            "`gltf-transform uastc` (Khronos' toktx) or the transform of the npm package ktx2-encoder"
         )
     return ImageEncoding(config.image_format, config.jpeg_quality)
 

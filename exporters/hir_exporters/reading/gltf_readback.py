@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from hir_exporters.collision_names import is_collision_name
 from hir_exporters.errors import HirError, InputError
 from hir_exporters.materials.surfaces import MetallicSurface, SpecularSurface
-from hir_exporters.reading.gltf_decompression import DECODED_EXTENSIONS, decompressed_glb
-from hir_exporters.reading.gltf_mesh import CornerMesh, corner_mesh
+from hir_exporters.reading.gltf_geometry.gltf_decompression import DECODED_EXTENSIONS, decompressed_glb
+from hir_exporters.reading.gltf_geometry.gltf_mesh import CornerMesh, corner_mesh
 from hir_exporters.reading.mesh_references import check_references, contained_file, load_mesh_scene
 from hir_exporters.reading.readback import ReadBack, index_of_refraction
 from hir_exporters.reading.texture_decoding import Pixels, decoded_pixels, times, times_color, unit_vectors
