@@ -71,5 +71,5 @@ def _opened(source: Path | bytes) -> Image:
 def _opened_as(source: Path | bytes, registered: set[str]) -> Image:
     import PIL.Image
 
-    known = [kind for kind in FORMATS if kind in registered]
+    known: list[str] = [kind for kind in FORMATS if kind in registered]
     return PIL.Image.open(io.BytesIO(source) if isinstance(source, bytes) else source, formats=known)

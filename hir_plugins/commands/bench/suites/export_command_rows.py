@@ -48,7 +48,7 @@ def export_command_rows(repeats: int) -> Iterator[Row]:
                 for wanted, arguments in _COMMANDS:
                     if wanted != side:
                         continue
-                    timing, size = _run(Path(folder) / "scene", Path(folder) / "files", arguments, repeats)
+                    timing, size = measured_command(Path(folder) / "scene", Path(folder) / "files", arguments, repeats)
                     yield Row(
                         {"triangles": len(asset.mesh.faces), "texture": side},
                         f"hir export {' '.join(arguments)}, {kind}",
@@ -58,7 +58,7 @@ def export_command_rows(repeats: int) -> Iterator[Row]:
                     )
 
 
-def _run(scene: Path, output: Path, arguments: tuple[str, ...], repeats: int) -> tuple[Timing, int]:
+def measured_command(scene: Path, output: Path, arguments: tuple[str, ...], repeats: int) -> tuple[Timing, int]:
     """Time of the fastest of several calls, and the bytes of all files."""
     command = [sys.executable, "-m", "hir_core.cli", "export", str(scene), *arguments, "-q", "-o", str(output)]
     wall, cpu = [], []
