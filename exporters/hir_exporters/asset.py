@@ -33,7 +33,6 @@ _UNIT_LENGTH_TOLERANCE = 1e-2
 _METALLIC_TOLERANCE = 1e-5
 """Largest difference between the albedos of a `metallic` material and those of its parameters: rounding of float32."""
 _VECTORS_PER_CHUNK = 1 << 16  # temporary arrays of a chunk fit into a processor's cache
-_ROWS_PER_CHUNK = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,10 +286,11 @@ def _metallic_ranges(material: AssetMaterial) -> tuple[float, float, float]:
     assert material.metalness is not None
     metalness = material.metalness[..., None]
     values = (material.diffuse_albedo, material.specular_albedo, metalness)
-    height = max(value.shape[0] if value.ndim == 3 else 1 for value in values)
+    height, width = max(value.shape[:2] if value.ndim == 3 else (1, 1) for value in values)
+    rows = max(1, _VECTORS_PER_CHUNK // width)
     off, low, high = [], [], []
-    for start in range(0, height, _ROWS_PER_CHUNK):
-        diffuse, specular, m = (v[start : start + _ROWS_PER_CHUNK] if v.ndim == 3 else v for v in values)
+    for start in range(0, height, rows):
+        diffuse, specular, m = (v[start : start + rows] if v.ndim == 3 else v for v in values)
         raw = base_color_of(diffuse, specular, m[..., 0], material.dielectric_f0)
         off.append(np.abs((np.float32(1) - m) * raw - diffuse).max())
         low.append(raw.min())
@@ -324,7 +324,7 @@ def _check_shape(name: str, value: NDArray[Any], shape: tuple[int | None, ...], 
 
 
 def _check_finite(name: str, value: NDArray[Any]) -> None:
-    if value.size and np.isfinite(value.min()) and np.isfinite(value.max()):  # numpy's min and max propagate NaN
+    if value.size and np.isfinite(_extremes(value)).all():
         return
     bad = value.size - int(np.isfinite(value).sum())
     if bad:
@@ -332,12 +332,21 @@ def _check_finite(name: str, value: NDArray[Any]) -> None:
 
 
 def _check_range(name: str, value: NDArray[Any], low: float, high: float) -> None:
-    least, most = value.min(), value.max()
+    least, most = _extremes(value)
     if not (np.isfinite(least) and np.isfinite(most)):
         _check_finite(name, value)
     slack = 1e-6  # allows for the float32 rounding of a value at the limit
     if least < low * (1 - slack) - slack * (low == 0) or most > high * (1 + slack):
         raise InputError(f"{name} ranges from {least:.6g} to {most:.6g}; it must be from {low:.4g} to {high:.4g}")
+
+
+def _extremes(value: NDArray[Any]) -> tuple[Any, Any]:
+    """Smallest and largest value of a contiguous array, NaN where one is NaN; each part is read once from memory."""
+    parts = value.reshape(-1)
+    chunks = (parts[first : first + _VECTORS_PER_CHUNK] for first in range(0, len(parts), _VECTORS_PER_CHUNK))
+    both = [(chunk.min(), chunk.max()) for chunk in chunks]
+    least, most = np.array(both, value.dtype).T
+    return least.min(), most.max()
 
 
 def _check_unit(name: str, vectors: NDArray[np.float32]) -> None:

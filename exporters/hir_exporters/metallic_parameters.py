@@ -29,11 +29,13 @@ def effective_albedos(base_color: Array, metalness: Array, dielectric_f0: float)
     """
     m = metalness[..., None]
     share = np.float32(1) - m
-    diffuse, specular = share * base_color, share * np.float32(dielectric_f0) + m * base_color
+    diffuse, specular = share * base_color, m * base_color
+    specular += share * np.float32(dielectric_f0)
     return diffuse.astype(np.float32, copy=False), specular.astype(np.float32, copy=False)
 
 
 def base_color_of(diffuse: Array, specular: Array, metalness: Array, dielectric_f0: float) -> Array:
     """The base colour (H, W, 3) or (3,) of `effective_albedos`; not clipped."""
-    share = np.float32(1) - metalness[..., None]
-    return (diffuse + (specular - share * np.float32(dielectric_f0))).astype(np.float32, copy=False)
+    base = specular - (np.float32(1) - metalness[..., None]) * np.float32(dielectric_f0)
+    base = np.add(diffuse, base, out=base if base.ndim >= diffuse.ndim else None)
+    return base.astype(np.float32, copy=False)

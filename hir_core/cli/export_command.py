@@ -127,15 +127,18 @@ def export_command(
 
     reports = export_asset(asset, chosen, output, plugins, options, print_files)
     if verify:
+        from hir_exporters.engines.engine_shaders import EngineComparison
+
         from hir_core.stages.export.export_verification import rerender_of_run, verify_export
 
         rerender, why_not = rerender_of_run(source, asset, plugins, matrix)
+        engines = EngineComparison(asset)
         if not quiet:
             from hir_exporters.asset_health import asset_health
 
             click.echo(f"asset: {asset_health(asset).sentence()}")
         for name, report in reports.items():
-            verification = verify_export(report, asset, options.get(name), rerender, why_not)
+            verification = verify_export(report, asset, options.get(name), rerender, why_not, engines)
             for warning in verification.warnings:
                 click.echo(f"hir: {name}: {warning}", err=True)
             if not quiet:

@@ -22,7 +22,13 @@ from numpy.typing import NDArray
 
 HERE = Path(__file__).resolve().parent
 MODULES = (HERE.parent / "node_modules", HERE / "node_modules")
-TYPES = {".js": "text/javascript", ".json": "application/json", ".html": "text/html", ".wasm": "application/wasm"}
+TYPES = {
+    ".js": "text/javascript",
+    ".mjs": "text/javascript",
+    ".json": "application/json",
+    ".html": "text/html",
+    ".wasm": "application/wasm",
+}
 
 
 def chromium_command() -> list[str] | None:

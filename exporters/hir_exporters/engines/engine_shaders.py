@@ -16,6 +16,7 @@ Shadows and interreflections are in neither. `docs/engines/parity.md` has pictur
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -42,6 +43,7 @@ class MaterialSamples:
             texels = sample_texels(np.asarray(value), color, points.uvs)
             return texels if color else texels[:, None]
 
+        self._points = points
         self.base, self.metallic = at(surface.base_color, True), at(surface.metallic, False)
         self.weight, self.color = at(surface.specular_weight, False), at(surface.specular_color, True)
         self.roughness, self.ior = at(surface.roughness, False), surface.ior
@@ -54,28 +56,54 @@ class MaterialSamples:
                 at(specular_surface.roughness, False),
             )
 
+    @cached_property
+    def by_gltf(self) -> Array:
+        """Radiance (N, 3) by the formula of glTF 2.0, integrated over the light; several engines use it."""
+        values = models.gltf_brdf(
+            self._points.slices, self.base, self.metallic[:, 0], self.weight[:, 0], self.color, self.ior
+        )
+        return self._points.shade(values)
+
+
+class EngineComparison:
+    """Compares files with an asset; the asset's own points, light and radiance are computed once, when needed."""
+
+    def __init__(self, asset: Asset) -> None:
+        self._asset = asset
+
+    @cached_property
+    def _points(self) -> SurfacePoints:
+        return surface_points(self._asset)
+
+    @cached_property
+    def _reference(self) -> Array:
+        return encoded(model_radiance(self._asset, self._points))
+
+    def psnr(
+        self, surface: MetallicSurface, specular_surface: SpecularSurface | None, *, usd: bool = False
+    ) -> dict[str, float]:
+        """PSNR in dB by engine: a material as read back from a glTF file (or USD file) against the asset's own.
+
+        Computed in clipped sRGB over surface points in four views (`hir_exporters.engines.surface_points`). Only
+        engines that read this kind of file are included.
+        """
+        if not len(self._points.uvs):
+            return {}
+        samples = MaterialSamples(self._points, surface, specular_surface)
+        engines = USD_ENGINES if usd else GLTF_ENGINES
+        return {name: psnr_db(encoded(f(self._points, samples)), self._reference) for name, f in engines.items()}
+
 
 def engine_psnr(
     asset: Asset, surface: MetallicSurface, specular_surface: SpecularSurface | None, *, usd: bool = False
 ) -> dict[str, float]:
-    """PSNR in dB by engine: a material as read back from a glTF file (or USD file) against the asset's own.
-
-    Computed in clipped sRGB over surface points in four views (`hir_exporters.engines.surface_points`). Only engines
-    that read this kind of file are included.
-    """
-    points = surface_points(asset)
-    if not len(points.uvs):
-        return {}
-    reference = encoded(model_radiance(asset, points))
-    samples = MaterialSamples(points, surface, specular_surface)
-    engines = USD_ENGINES if usd else GLTF_ENGINES
-    return {name: psnr_db(encoded(shade(points, samples)), reference) for name, shade in engines.items()}
+    """`EngineComparison.psnr` of one file."""
+    return EngineComparison(asset).psnr(surface, specular_surface, usd=usd)
 
 
 def gltf(points: SurfacePoints, t: MaterialSamples) -> Array:
     """The formula of glTF 2.0, integrated over the light."""
-    values = models.gltf_brdf(points.slices, t.base, t.metallic[:, 0], t.weight[:, 0], t.color, t.ior)
-    return points.shade(values)
+    return t.by_gltf
 
 
 def blender(points: SurfacePoints, t: MaterialSamples) -> Array:

@@ -137,7 +137,7 @@ class BinaryWriter:
 def glb_bytes(json_text: bytes, binary: bytes) -> bytes:
     """The .glb container (glTF 2.0, section 4.4) of a document and its buffer."""
     json_chunk = json_text + b" " * (-len(json_text) % 4)
-    binary_chunk = binary + b"\0" * (-len(binary) % 4)
-    chunks = struct.pack("<I4s", len(json_chunk), b"JSON") + json_chunk
-    chunks += struct.pack("<I4s", len(binary_chunk), b"BIN\0") + binary_chunk
-    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+    padding = b"\0" * (-len(binary) % 4)
+    size = len(binary) + len(padding)
+    head = struct.pack("<4sIII4s", b"glTF", 2, 28 + len(json_chunk) + size, len(json_chunk), b"JSON")
+    return b"".join([head, json_chunk, struct.pack("<I4s", size, b"BIN\0"), binary, padding])

@@ -24,7 +24,7 @@ from hir_exporters.gltf.quantization import add_quantized_primitive
 from hir_exporters.light.environment_map import world_radiance
 from hir_exporters.materials.material_conversion import to_gltf
 from hir_exporters.materials.surfaces import MetallicSurface, SpecularSurface
-from hir_exporters.materials.texture_packing import PackedSurface, pack_normal, pack_surface
+from hir_exporters.materials.texture_packing import PackedSurface, is_flat, pack_surface
 from hir_exporters.mesh.convex_decomposition import ConvexHull
 from hir_exporters.mesh.tangents import with_tangents
 from hir_exporters.textures.image_encoding import EncodedImage, Image8, ImageEncoding
@@ -63,7 +63,7 @@ def gather_asset(asset: Asset, config: GltfConfig, engine_light: EngineLight | N
 
     With `engine_light` the asset's environment is its residual.
     """
-    if pack_normal(asset.material.normal) is None:
+    if asset.material.normal is not None and is_flat(asset.material.normal):
         asset = replace(asset, material=replace(asset.material, normal=None))
     needs_tangents = config.tangents == "always" or (config.tangents == "auto" and asset.material.normal is not None)
     with ThreadPoolExecutor(max_workers=1) as pool:
@@ -112,7 +112,7 @@ def image_encoding(config: GltfConfig) -> ImageEncoding:
     if config.image_format == "ktx2":
         raise ExportError(
             "image_format 'ktx2': no licensed Python package encodes KTX2; export png, then convert the file with "
-            "`gltf-transform uastc` or Khronos' toktx"
+            "`gltf-transform uastc` (Khronos' toktx) or the transform of the npm package ktx2-encoder"
         )
     return ImageEncoding(config.image_format, config.jpeg_quality)
 

@@ -81,9 +81,9 @@ def _write(asset: Asset, destination: Path, config: GltfConfig, edit: Edit | Non
     warnings += gathered.warnings
     if config.collision != "none":
         gathered = replace(gathered, collision=convex_hulls(asset.mesh, config.collision_hulls))
-    levels, finer = [gathered], asset
+    levels, finer, finest = [gathered], asset, replace(asset, mesh=gathered.mesh)
     for level, triangles in enumerate(config.lods, start=1):
-        finer, lod_warnings = level_of_detail(asset, finer, level, triangles, config)
+        finer, lod_warnings = level_of_detail(finest, finer, level, triangles, config)
         warnings += lod_warnings
         levels.append(gather_asset(finer, config, light))
     paths = [destination.with_name(f"{destination.stem}_lod{k}{destination.suffix}") for k in range(1, len(levels))]

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from hir_exporters.asset import AssetMaterial
 from hir_exporters.materials import brdf_slice, target_brdfs
 from hir_exporters.materials.surfaces import MetallicSurface, SpecularSurface
+from hir_exporters.metallic_parameters import base_color_of
 from hir_exporters.textures.texture_maps import sample_texels
 
 Array = NDArray[np.floating]
@@ -36,8 +37,7 @@ def metallic_residual(
     elif material.metalness is not None:
         reference = target_brdfs.gltf_brdf(
             directions,
-            sample_texels(material.base_color, True, uvs),
-            sample_texels(material.metalness, False, uvs),
+            *_sampled_metallic(material, material.metalness, uvs),
             np.ones(len(uvs)),
             np.ones((len(uvs), 3)),
             target_brdfs.f0_to_ior(material.dielectric_f0),
@@ -48,6 +48,19 @@ def metallic_residual(
     else:
         converted = _gltf_values(surface, uvs, directions)
     return brdf_slice.relative_error(directions, converted, reference)
+
+
+def _sampled_metallic(
+    material: AssetMaterial, metalness: Array, uvs: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Base colour (T, 3) and metalness (T,) at texels; the colour of the other texels is not computed."""
+    diffuse, specular = (
+        sample_texels(value, True, uvs).astype(np.float32)
+        for value in (material.diffuse_albedo, material.specular_albedo)
+    )
+    m = sample_texels(metalness, False, uvs)
+    base = base_color_of(diffuse, specular, m.astype(np.float32), material.dielectric_f0)
+    return np.clip(base, 0, 1).astype(np.float64), m
 
 
 def _gltf_values(

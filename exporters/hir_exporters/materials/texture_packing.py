@@ -46,6 +46,8 @@ class PackedSurface:
 
 def limit_texture_sizes(material: AssetMaterial, largest: int) -> AssetMaterial:
     """The material with textures reduced to at most `largest` pixels a side; normals are normalised again."""
+    if _largest_side(material) <= largest:
+        return material
 
     def reduced(value: NDArray[np.float32], ends: int) -> NDArray[np.float32]:
         return value if value.ndim - ends != 2 else limit_size(value, largest).astype(np.float32, copy=False)
@@ -74,9 +76,13 @@ def limit_texture_sizes(material: AssetMaterial, largest: int) -> AssetMaterial:
     )
 
 
+def _largest_side(material: AssetMaterial) -> int:
+    return max((max(value.shape[:2]) for _, value in textures(material)), default=0)
+
+
 def texture_size_warnings(material: AssetMaterial, largest: int) -> tuple[str, ...]:
     """A warning where `limited` will reduce a texture of the material."""
-    found = max((max(value.shape[:2]) for _, value in textures(material)), default=0)
+    found = _largest_side(material)
     if found <= largest:
         return ()
     return (f"textures were reduced from {found} to {largest} pixels; max_texture_size sets the limit",)
@@ -115,9 +121,13 @@ def pack_surface(surface: MetallicSurface, normal: NDArray[np.float32] | None) -
 
 
 def pack_normal(normal: NDArray[np.float32] | None) -> Image8 | None:
-    """The normal map's codes; None where it is flat: equal to the mesh's own normals everywhere."""
-    codes = None if normal is None else normal_to_unorm8(normal)
-    return None if codes is None or (codes == FLAT_NORMAL_CODES).all() else codes
+    """The normal map's codes; None where it is flat."""
+    return normal_to_unorm8(normal) if normal is not None and not is_flat(normal) else None
+
+
+def is_flat(normal: NDArray[np.float32]) -> bool:
+    """Whether the codes of a normal map equal the mesh's own normals everywhere."""
+    return all((normal_to_unorm8(part) == FLAT_NORMAL_CODES).all() for part in (normal[::64], normal))
 
 
 def pack_color(value: NDArray[np.floating]) -> tuple[tuple[float, float, float], Image8 | None]:
@@ -130,7 +140,7 @@ def _color(value: NDArray[np.floating], normalise: bool) -> tuple[tuple[float, f
         return (float(value[0]), float(value[1]), float(value[2])), None
     # Dividing by the largest value uses all 8 bits, also for small reflectances.
     largest = float(value.max()) if normalise and value.max() > 0 else 1.0
-    codes = srgb8(value / np.float32(largest) if largest != 1.0 else value)
+    codes = srgb8(value, largest)
     if _is_uniform(codes):
         red, green, blue = srgb_to_linear(codes[0, 0] / np.float32(255)) * largest
         return (float(red), float(green), float(blue)), None
@@ -141,7 +151,7 @@ def _scalar(value: NDArray[np.floating]) -> tuple[float, Image8 | None]:
     if value.ndim == 0:
         return float(value), None
     largest = float(value.max()) or 1.0
-    codes = unorm8(value / np.float32(largest))
+    codes = unorm8(value, largest)
     if _is_uniform(codes):
         return float(codes[0, 0]) / 255 * largest, None
     return largest, codes

@@ -14,7 +14,7 @@ from hir_exporters.errors import ExportError
 from hir_exporters.materials.conversion_residuals import metallic_residual, specular_residual
 from hir_exporters.materials.material_conversion import to_gltf
 from hir_exporters.materials.surfaces import SpecularSurface
-from hir_exporters.materials.texture_packing import pack_normal
+from hir_exporters.materials.texture_packing import is_flat
 from hir_exporters.reading.gltf_readback import read_gltf
 from hir_exporters.reading.readback import ReadBack
 from hir_exporters.reading.usd_import import read_untrusted_usd
@@ -98,7 +98,8 @@ def compare_with_asset(path: Path, asset: Asset, back: ReadBack, profile: str = 
         problems.append(f"{path.name}: texture coordinates differ by {uvs:.2g}")
     if normals > 2:
         problems.append(f"{path.name}: normals differ by {normals:.2g} degrees")
-    if (back.normal is None) is not (pack_normal(asset.material.normal) is None):  # flat maps are not written
+    normal = asset.material.normal
+    if (back.normal is None) is not (normal is None or is_flat(normal)):  # flat maps are not written
         problems.append(
             f"{path.name}: the normal map is missing"
             if back.normal is None

@@ -1,11 +1,11 @@
-"""Reads an exported .glb or .gltf with trimesh (mesh) and pygltflib (material)."""
+"""Reads an exported .glb or .gltf with pygltflib; Draco with trimesh."""
 
 from __future__ import annotations
 
 import base64
 import io
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,14 +13,17 @@ from numpy.typing import NDArray
 from hir_exporters.collision_names import is_collision_name
 from hir_exporters.errors import HirError, InputError
 from hir_exporters.materials.surfaces import MetallicSurface, SpecularSurface
-from hir_exporters.reading.gltf_decompression import DECODED_EXTENSIONS, decompressed_glb
+from hir_exporters.reading.gltf_geometry.gltf_decompression import DECODED_EXTENSIONS, decompressed_glb
+from hir_exporters.reading.gltf_geometry.gltf_mesh import CornerMesh, corner_mesh
 from hir_exporters.reading.mesh_references import check_references, contained_file, load_mesh_scene
 from hir_exporters.reading.readback import ReadBack, index_of_refraction
-from hir_exporters.reading.texture_decoding import Pixels, decoded_pixels, times, times_color, unit_values
+from hir_exporters.reading.texture_decoding import Pixels, decoded_pixels, times, times_color, unit_vectors
 
 if TYPE_CHECKING:
     import trimesh
     from pygltflib import GLTF2
+
+_DRACO: Final = "KHR_draco_mesh_compression"
 
 
 def read_gltf(path: Path) -> ReadBack:
@@ -33,23 +36,35 @@ def read_gltf(path: Path) -> ReadBack:
     try:
         check_references(path)
         document = GLTF2().load(str(path))
-        scene = gltf_scene(path, document)
-        # meshes of coarser levels (MSFT_lod) belong to nodes outside of the scene
-        placed = [scene.graph[node] for node in scene.graph.nodes_geometry]
-        if len(placed) != 1:
-            raise InputError(f"{path} contains {len(placed)} meshes; an exported file has one")
-        to_world, geometry = placed[0]
-        mesh = scene.geometry[geometry]
-        faces = np.asarray(mesh.faces)
-        positions = mesh.vertices[faces] @ to_world[:3, :3].T + to_world[:3, 3]
-        normals = mesh.vertex_normals[faces] @ np.linalg.inv(to_world[:3, :3])
-        uvs = np.asarray(mesh.visual.uv) * [1, -1] + [0, 1]  # trimesh flips v
+        required = document.extensionsRequired or []
+        if _DRACO in required:
+            mesh = _draco_corner_mesh(path, document)
+        elif DECODED_EXTENSIONS.isdisjoint(required):
+            mesh = corner_mesh(document, path, lambda i: _gltf_buffer(document, i, path))
+        else:
+            plain = GLTF2().load_from_bytes(decompressed_glb(document, lambda i: _gltf_buffer(document, i, path)))
+            mesh = corner_mesh(plain, path, lambda i: _gltf_buffer(plain, i, path))
         surface, specular_surface, normal = _gltf_material(document, path)
-        return ReadBack(positions, normals, uvs[faces], surface, specular_surface, normal)
+        return ReadBack(*mesh, surface, specular_surface, normal)
     except HirError:
         raise
     except Exception as error:  # both libraries raise many types of errors for broken files
         raise InputError(f"{path} cannot be read back as glTF ({type(error).__name__}: {error})") from error
+
+
+def _draco_corner_mesh(path: Path, document: GLTF2) -> CornerMesh:
+    scene = gltf_scene(path, document)
+    # meshes of coarser levels (MSFT_lod) belong to nodes outside of the scene
+    placed = [scene.graph[node] for node in scene.graph.nodes_geometry]
+    if len(placed) != 1:
+        raise InputError(f"{path} contains {len(placed)} meshes; an exported file has one")
+    to_world, geometry = placed[0]
+    mesh = scene.geometry[geometry]
+    faces = np.asarray(mesh.faces)
+    positions = mesh.vertices[faces] @ to_world[:3, :3].T + to_world[:3, 3]
+    normals = mesh.vertex_normals[faces] @ np.linalg.inv(to_world[:3, :3])
+    uvs = np.asarray(mesh.visual.uv) * [1, -1] + [0, 1]  # trimesh flips v
+    return CornerMesh(positions, normals, uvs[faces])
 
 
 def gltf_scene(path: Path, document: GLTF2) -> trimesh.Scene:
@@ -118,7 +133,7 @@ def _gltf_material(
             residual=0.0,
         )
     normal = pixels(material.normalTexture)
-    return surface, specular_surface, None if normal is None else unit_values(normal[..., :3]) * 2 - 1
+    return surface, specular_surface, None if normal is None else unit_vectors(normal)
 
 
 def _gltf_image(document: GLTF2, source: int, path: Path) -> bytes:

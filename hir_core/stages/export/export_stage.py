@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from hir_exporters.asset_health import asset_health
+from hir_exporters.engines.engine_shaders import EngineComparison
 from hir_exporters.files.atomic import atomic_directory
 
 from hir_core.run.capture_store import read_cameras
@@ -55,9 +56,9 @@ def export_stage(state: RunState, context: StageContext) -> ExportStageReport:
     health = asset_health(asset).as_document()
     with atomic_directory(state.directory.exports) as folder:
         reports = export_asset(asset, formats, folder, plugins, config.exporter) if formats else {}
-        rerender = _rerender(state)
+        rerender, engines = _rerender(state), EngineComparison(asset)
         for name, report in reports.items():
-            verified[name] = verify_export(report, asset, config.exporter.get(name), rerender, "no light")
+            verified[name] = verify_export(report, asset, config.exporter.get(name), rerender, "no light", engines)
     for name, report in reports.items():
         for warning in (*report.warnings, *verified[name].warnings):
             context.warn(f"{name}: {warning}")

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from hir_exporters.asset import Asset
-from hir_exporters.engines.engine_shaders import engine_psnr
+from hir_exporters.engines.engine_shaders import EngineComparison
 from hir_exporters.errors import HirError
 from hir_exporters.exporter import ExportReport
 from hir_exporters.light.environment_map import mean_radiance
@@ -70,10 +70,12 @@ def verify_export(
     options: Mapping[str, Any] | None = None,
     rerender: Rerender | None = None,
     why_not: str = "",
+    engines: EngineComparison | None = None,
 ) -> ExportVerification:
     """Reads the first file of an export back, compares it with the asset, and renders it with `rerender`.
 
-    `options` are those that the format was written with; `why_not` is the reason where nothing is rendered.
+    `options` are those that the format was written with; `why_not` is the reason where nothing is rendered. `engines`
+    is the comparison with this asset that several formats share; without it a new one is made.
     """
     path = written.files[0]
     try:
@@ -81,7 +83,8 @@ def verify_export(
             return _light(path, asset)
         if path.suffix not in READERS:
             return ExportVerification({"not_read": f"no independent reader reads {path.suffix} files"}, ())
-        return _surface(written, path, asset, dict(options or {}), rerender, why_not)
+        comparison = EngineComparison(asset) if engines is None else engines
+        return _surface(written, path, asset, dict(options or {}), rerender, why_not, comparison)
     except HirError as error:
         return ExportVerification({"not_read": str(error)}, (f"the written file cannot be read back: {error}",))
 
@@ -97,7 +100,13 @@ def _light(path: Path, asset: Asset) -> ExportVerification:
 
 
 def _surface(
-    export: ExportReport, path: Path, asset: Asset, options: dict[str, Any], rerender: Rerender | None, why_not: str
+    export: ExportReport,
+    path: Path,
+    asset: Asset,
+    options: dict[str, Any],
+    rerender: Rerender | None,
+    why_not: str,
+    engines: EngineComparison,
 ) -> ExportVerification:
     profile = str(options.get("profile", "khr"))
     back = read_back(path)
@@ -114,10 +123,10 @@ def _surface(
             "normals_degrees": compared.normals_degrees,
             "brdf": round(compared.brdf, 4),
         }
-    report["engines"] = engine_psnr(asset, back.surface, back.specular_surface, usd=path.suffix.startswith(".usd"))
     if profile == "engine":
         rerender, why_not = None, "profile engine changes material and light for the shading of engines"
-        del report["engines"]  # their formulas have no lights
+    else:  # the formulas of engines have no lights
+        report["engines"] = engines.psnr(back.surface, back.specular_surface, usd=path.suffix.startswith(".usd"))
     if rerender is None:
         return ExportVerification(report | ({"not_rendered": why_not} if why_not else {}), tuple(problems))
     light = next((f for f in export.files[1:] if f.suffix in LIGHT_SUFFIXES), None)
@@ -143,8 +152,6 @@ def rerender_of_run(
 
     `placement` is the matrix (4, 4) by which the asset was scaled and moved after it was read from the run.
     """
-    from hir_core.run.run_directory import RunDirectory
-
     if not (run / "run.json").is_file():
         return None, "a scene folder has no cameras; only a run has"
     if asset.environment is None:
@@ -155,6 +162,7 @@ def rerender_of_run(
         return None, f"needs {', '.join(missing)}; install them with: pip install 'hir[reconstruct]'"
     from hir_core.run.capture_store import read_cameras
     from hir_core.run.finished_run import open_finished_run
+    from hir_core.run.run_directory import RunDirectory
     from hir_core.stages.export.export_rerendering import Rerender
 
     opened = open_finished_run(RunDirectory(run))

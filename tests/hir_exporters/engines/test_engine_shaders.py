@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hir_exporters.asset import Asset, AssetEnvironment, AssetMaterial
 from hir_exporters.conventions import latlong_directions
-from hir_exporters.engines.engine_shaders import GLTF_ENGINES, MaterialSamples, engine_psnr
+from hir_exporters.engines.engine_shaders import GLTF_ENGINES, EngineComparison, MaterialSamples, engine_psnr
 from hir_exporters.engines.surface_points import surface_points
 from hir_exporters.materials.brdf_numpy import albedo_terms
 from hir_exporters.materials.material_conversion import to_gltf, to_specular_workflow, to_usd_metallic
@@ -82,3 +82,10 @@ def test_points_measure_the_light_and_see_the_front(textured_asset: Asset) -> No
 def test_the_same_numbers_every_time(textured_asset: Asset) -> None:
     surface, _ = converted(textured_asset.material, "khr")
     assert engine_psnr(textured_asset, surface, None) == engine_psnr(textured_asset, surface, None)
+
+
+def test_files_that_share_a_comparison_get_the_same_figures(textured_asset: Asset) -> None:
+    comparison = EngineComparison(textured_asset)
+    for profile, usd in (("khr", False), ("metalrough", True), ("khr", False)):
+        surfaces = converted(textured_asset.material, profile)
+        assert comparison.psnr(*surfaces, usd=usd) == engine_psnr(textured_asset, *surfaces, usd=usd)

@@ -19,13 +19,14 @@ from hir_core.testing.assets import ball, textured_asset, waves
 from hir_plugins.commands.bench.bench_options import BenchOptions
 from hir_plugins.commands.bench.measurement import measure
 from hir_plugins.commands.bench.results.bench_result import Case, Row, Timing
+from hir_plugins.commands.bench.suites.export_command_rows import export_command_rows
 
 SIZES: Final = ((36, 256), (72, 512), (144, 1024))
 """Rings of the sphere (5k, 20k and 82k triangles) and side of its textures in texels."""
 
 
 def exporter_rows(options: BenchOptions) -> Iterator[Row]:
-    """Rows for each size and each installed format."""
+    """Rows for each size and each installed format, then those of the whole command."""
     names = [r.component.name for r in options.plugins.components("exporter") if not r.missing]
     timings: dict[str, Timing] = {}
     for rings, side in SIZES[:1] if options.quick else SIZES:
@@ -47,6 +48,8 @@ def exporter_rows(options: BenchOptions) -> Iterator[Row]:
                     except HirError as error:
                         note = f"not read back: {error}"
                 yield Row(case, name, "ours", timings[name], errors, note)
+    if not options.quick:
+        yield from export_command_rows(min(options.repeats, 3))
 
 
 def textured_sphere(rings: int, side: int) -> Asset:

@@ -1,0 +1,1 @@
+"""Accessors and nodes of glTF files, compressed and not, as arrays."""
