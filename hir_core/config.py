@@ -45,29 +45,29 @@ class GeometrySettings:
     """Geometry renderer; presets set it."""
     regularizers: dict[str, dict[str, Any] | Literal[False]] = field(default_factory=dict)
     """Weight and options of each term, `false` to leave one out."""
-    downsample: int = 1
+    downsample: Annotated[int, Interval(ge=1, le=64)] = 1
     """The masks are used at 1/`downsample` of their resolution."""
-    iterations: int = 400
+    iterations: Annotated[int, Interval(ge=0)] = 400
     """Optimisation steps at each level."""
-    iterations_per_view: int = 0
+    iterations_per_view: Annotated[int, Interval(ge=0)] = 0
     """When set, replaces `iterations` by this many for each view (the paper: 200)."""
-    views_per_step: int = 8
-    learning_rate: float = 0.03
+    views_per_step: Annotated[int, Interval(ge=1)] = 8
+    learning_rate: Annotated[float, Interval(gt=0)] = 0.03
     """Step size as a fraction of the object's radius."""
-    learning_rate_end: float = 0.02
+    learning_rate_end: Annotated[float, Interval(ge=0, le=1)] = 0.02
     """Factor by which the rate has fallen at the end of each level (cosine)."""
     parameterization: Literal["vertices", "large_steps"] = "large_steps"
     """What Adam moves: vertex positions, or their LargeSteps preconditioning (Nicolet et al. 2021)."""
-    smoothness: float = 19.0
+    smoothness: Annotated[float, Interval(ge=0)] = 19.0
     """LargeSteps: λ of (I + λL)."""
     remesh: bool = True
     """Go from coarse to fine with isotropic remeshing between levels."""
-    levels: int = 0
+    levels: Annotated[int, Interval(ge=0, le=8)] = 0
     """Number of resolutions with `remesh`; 3 fits meshes with a sixteenth, a quarter and all of the triangles. 0
     chooses 1 where the start's silhouettes are near the masks, else 3."""
-    triangles: int = 0
+    triangles: Annotated[int, Interval(ge=0)] = 0
     """Target number of triangles; 0 derives it from the images' resolution."""
-    held_out: float = 0.08
+    held_out: Annotated[float, Interval(ge=0, le=1)] = 0.08
     """Fraction of the train views that are held out to decide when to stop; none with fewer than ten views."""
     prune: bool = True
     """Remove floating components of the start mesh that no mask needs."""
@@ -76,10 +76,10 @@ class GeometrySettings:
     photo_consistency: Literal["auto", "off"] = "auto"
     """After the silhouettes, move vertices to make the photographs consistent, as far as views that take no part in the
     fit become more consistent, too. The reflectance stage undoes it where its held-out views are better without it."""
-    photo_consistency_iterations: int = 100
+    photo_consistency_iterations: Annotated[int, Interval(ge=0)] = 100
     """Optimisation steps of photo-consistency at each image resolution; the second, finer attempt takes as many at each
     but the coarsest, and a last pass takes half as many."""
-    start_radius: float = 0.0
+    start_radius: Annotated[float, Interval(ge=0)] = 0.0
     """Scale the start mesh to this radius during the stage and back after it; 0: no scaling."""
     enabled: bool = True
 
@@ -88,9 +88,9 @@ class GeometrySettings:
 class AtlasSettings:
     """How the mesh is unwrapped."""
 
-    texture_size: int = 0
+    texture_size: Annotated[int, Interval(ge=0, le=16384)] = 0
     """Side of the square textures; 0 derives it from the pixels that see the surface."""
-    padding: int = 4
+    padding: Annotated[int, Interval(ge=0, le=64)] = 4
     """Texels between charts."""
     texture_coordinates: Literal["auto", "keep"] = "auto"
     """`auto` keeps those that the mesh has if they lie in 0…1 and do not overlap, and makes new ones otherwise. `keep`
@@ -108,23 +108,23 @@ class GradientSettings:
     """Gradient steps on textures and light: `reflectance.method = "gradient"`, or after a solver that takes no
     regularizers."""
 
-    iterations: int = 300
+    iterations: Annotated[int, Interval(ge=0)] = 300
     """Steps. After a solver they run only where `reflectance.regularizers` names a term that it does not take."""
-    iterations_per_view: int = 0
+    iterations_per_view: Annotated[int, Interval(ge=0)] = 0
     """When set, replaces `iterations` by this many for each view (the paper: 400)."""
-    learning_rate: float = 0.02
+    learning_rate: Annotated[float, Interval(gt=0)] = 0.02
     """Of Adam."""
-    learning_rate_end: float = 1.0
+    learning_rate_end: Annotated[float, Interval(ge=0, le=1)] = 1.0
     """Factor by which the rate has fallen at the end (cosine)."""
     batch: Literal["pixels", "views"] = "pixels"
     """Pixels of a step: random ones of all views, or one whole view."""
-    batch_pixels: int = 16384
+    batch_pixels: Annotated[int, Interval(ge=1)] = 16384
     """Pixels of a step, where `batch` is `pixels`."""
-    rgb_weight: float = 1.0
+    rgb_weight: Annotated[float, Interval(ge=0)] = 1.0
     """Weight of the photometric term."""
     loss_space: Literal["linear", "srgb"] = "srgb"
     """Space in which fit and photograph are compared."""
-    initial_diffuse_albedo: float = 0.5
+    initial_diffuse_albedo: Annotated[float, Interval(ge=0, le=1)] = 0.5
     """Of every texel, with `reflectance.method = "gradient"`."""
 
 
@@ -136,9 +136,9 @@ class PathTracingSettings:
     """Reflectance renderer of the refinement; presets set it."""
     refine_albedo: bool = True
     """Solve the diffuse albedo once more, in closed form, under path-traced radiance."""
-    iterations: int = 0
+    iterations: Annotated[int, Interval(ge=0)] = 0
     """Gradient steps through the path tracer; 0 for none."""
-    learning_rate: float = 0.003
+    learning_rate: Annotated[float, Interval(gt=0)] = 0.003
     """Of these steps; it falls to a tenth."""
 
 
@@ -161,17 +161,17 @@ class ReflectanceSettings:
     `auto` compares both where the model is selected, and is `map` elsewhere."""
     regularizers: dict[str, dict[str, Any] | Literal[False]] = field(default_factory=dict)
     """Weight and options of each term, `false` to leave one out."""
-    downsample: int = 1
+    downsample: Annotated[int, Interval(ge=1, le=64)] = 1
     """Photographs are used at 1/`downsample` of their resolution."""
-    environment_height: int = 64
+    environment_height: Annotated[int, Interval(ge=2, le=8192)] = 64
     """Rows of the light's lat-long image."""
-    environment_width: int = 128
+    environment_width: Annotated[int, Interval(ge=2, le=8192)] = 128
     """Columns of the light's image."""
-    initial_radiance: float = 0.5
+    initial_radiance: Annotated[float, Interval(gt=0)] = 0.5
     """Of every texel of the light."""
-    initial_roughness: float = 0.15
+    initial_roughness: Annotated[float, Interval(ge=0, le=1)] = 0.15
     """GGX width α."""
-    initial_specular_albedo: float = 0.04
+    initial_specular_albedo: Annotated[float, Interval(ge=0, le=1)] = 0.04
     """ρs."""
     light_frame: Literal["auto", "world", "camera"] = "auto"
     """Whether the light is fixed in the world or moves with the camera (turntable, flash)."""
@@ -223,7 +223,7 @@ class RunConfig:
     max_memory: str = ""
     """Memory limit, such as `4GB`. Caches and batches are reduced to keep it; a run that cannot keep it is refused
     before it starts. Empty: no limit."""
-    checkpoint_seconds: float = 30.0
+    checkpoint_seconds: Annotated[float, Interval(ge=0)] = 30.0
     """Seconds between checkpoints of a running stage; a resumed run continues from the last one."""
     observers: dict[str, dict[str, Any] | Literal[False]] = field(default_factory=dict)
     """Options of each observer; a table, even an empty one, enables its observer."""

@@ -41,6 +41,8 @@ SAMPLE = ROOT / "examples" / "sample_capture"
         (["reconstruct", SAMPLE, "-o", "{tmp}/run", "--set", "geometry.iterations"], "write it as key=value"),
         (["reconstruct", SAMPLE, "-o", "{tmp}/run", "--set", "geometry.iterations=many"], "geometry.iterations"),
         (["reconstruct", SAMPLE, "-o", "{tmp}/run", "--set", "geometry.learning_rate=nan"], "finite"),
+        (["reconstruct", SAMPLE, "-o", "{tmp}/run", "--set", "geometry.iterations=-3"], "is -3; it must be ≥ 0"),
+        (["reconstruct", SAMPLE, "-o", "{tmp}/run", "--set", "geometry.held_out=2"], "is 2; it must be 0 … 1"),
         (
             ["reconstruct", SAMPLE, "-o", "{tmp}/run", "--set", "geometry.renderer=contuor"],
             "named 'contuor'; installed: contour",
