@@ -16,13 +16,17 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import addon_utils
 import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
 MODULE = "bl_ext.user_default.hir"
 TURN = Matrix.Rotation(0.7, 4, "Z") @ Matrix.Rotation(0.4, 4, "X")
+
+
+def addons() -> Any:
+    """Blender's module for add-ons, which is found once bpy is imported."""
+    return import_module("addon_utils")
 
 
 def submodule(name: str) -> Any:
@@ -108,7 +112,7 @@ def registered() -> dict[str, Any]:
 
     enabled = names()
     category = bpy.types.HIR_PT_refit.bl_category
-    addon_utils.disable(MODULE)
+    addons().disable(MODULE)
     disabled = names()
     enable("hir")
     return {"enabled": enabled, "category": category, "disabled": disabled}
@@ -232,7 +236,7 @@ def modal(program: str, run: str) -> dict[str, Any]:
 
 
 def enable(program: str) -> None:
-    addon_utils.enable(MODULE, default_set=True)
+    addons().enable(MODULE, default_set=True)
     bpy.context.preferences.addons[MODULE].preferences.program = program
 
 

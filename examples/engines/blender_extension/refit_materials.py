@@ -113,6 +113,8 @@ class RefitMaterials(HirProcessOperator, bpy.types.Operator):
             set_world_light(context.scene, light, rotation)
         if self.standard_view:
             use_standard_view(context.scene)
+        item.select_set(True)  # the importer has selected what it imported
+        context.view_layer.objects.active = item
         self.report({"INFO"}, f"materials of {item.name!r} are from {self._run_folder}")
 
     def discard(self):
