@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from hir_core.capture.capture_size import size_of
 from hir_core.plugins import Component, hookimpl
 from hir_plugins.initializers.options import (
     ColmapOptions,
@@ -127,5 +126,7 @@ def hir_suggest_initializers(capture: Capture) -> list[str] | None:
 
 
 def _can_be_matched(capture: Capture) -> bool:
+    from hir_core.capture.capture_size import size_of
+
     size = size_of(capture)
     return size.views >= MIN_MATCHED_VIEWS and min(size.width, size.height) >= MIN_MATCHED_SIDE
