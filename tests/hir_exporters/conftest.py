@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -10,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hir_exporters.asset import Asset, AssetEnvironment, AssetMaterial, AssetMesh
-from hir_exporters.textures.ktx2 import MODULES_VARIABLE
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
@@ -107,12 +105,3 @@ def node_tools() -> Path:
     if shutil.which("node") is None or not all((tools / "node_modules" / name).is_dir() for name in programs):
         pytest.skip(f"node, {' or '.join(programs)} is not installed: run tools/setup.sh test")
     return tools
-
-
-@pytest.fixture
-def ktx2_encoder(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The npm package that encodes and decodes KTX2, in the folder that HIR_NODE_MODULES names or in tools."""
-    folder = Path(os.environ.get(MODULES_VARIABLE) or REPOSITORY / "tools" / "node_modules")
-    if shutil.which("node") is None or not (folder / "ktx2-encoder").is_dir():
-        pytest.skip("node or ktx2-encoder is not installed: run tools/setup.sh test")
-    monkeypatch.setenv(MODULES_VARIABLE, str(folder))

@@ -1,7 +1,8 @@
 """KTX2 images of Basis Universal, by the npm package ktx2-encoder in a process of node.
 
-The package is looked for in the folder that the environment variable HIR_NODE_MODULES names, else in `node_modules` of
-the working folder. Node gets the pixels through a pipe: no files, no network.
+The package is used from the folder that the environment variable HIR_NODE_MODULES names, and from nowhere else: a
+`node_modules` in the working folder may come with a stranger's file. Node gets the pixels through a pipe: no files, no
+network.
 """
 
 from __future__ import annotations
@@ -100,12 +101,13 @@ def _command() -> list[str]:
     node = shutil.which("node")
     if node is None:
         raise Ktx2Error("node is not installed (version 18 or newer), which runs the npm package ktx2-encoder")
-    folder = Path(os.environ.get(MODULES_VARIABLE) or "node_modules").absolute()
-    module = folder / _PACKAGE / "dist" / "basis" / "basis_encoder.js"
-    if not module.is_file():
+    folder = os.environ.get(MODULES_VARIABLE, "")
+    module = Path(folder).absolute() / _PACKAGE / "dist" / "basis" / "basis_encoder.js"
+    if not folder or not module.is_file():
+        where = f"{folder} has no npm package {_PACKAGE}" if folder else f"the npm package {_PACKAGE} is not there"
         raise Ktx2Error(
-            f"{folder} has no npm package {_PACKAGE} of version 0.6; run `npm install {_PACKAGE}@0.6`, here or in a "
-            f"folder whose node_modules the environment variable {MODULES_VARIABLE} names"
+            f"{where}; run `npm install {_PACKAGE}@0.6` and set the environment variable {MODULES_VARIABLE} to the "
+            "folder node_modules that this makes"
         )
     return [node, str(_SCRIPT), str(module)]
 

@@ -120,7 +120,12 @@ def test_a_missing_encoder_is_named(textured_asset: Asset, tmp_path: Path, monke
     config = GltfConfig(image_format="ktx2")
     with pytest.raises(ExportError, match=r"run `npm install ktx2-encoder@0\.6`"):
         create_exporter("glb", config).write(textured_asset, tmp_path / "x.glb")
+    monkeypatch.delenv("HIR_NODE_MODULES")
+    (tmp_path / "node_modules").mkdir()
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ExportError, match="ktx2-encoder is not there"):
+        create_exporter("glb", config).write(textured_asset, tmp_path / "x.glb")
     monkeypatch.setattr(ktx2.shutil, "which", lambda _: None)
     with pytest.raises(ExportError, match="node is not installed"):
         create_exporter("glb", config).write(textured_asset, tmp_path / "x.glb")
-    assert list(tmp_path.iterdir()) == []
+    assert [path.name for path in tmp_path.iterdir()] == ["node_modules"]
