@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import shutil
 from pathlib import Path
 
 import pytest
+from hir_exporters.textures.ktx2 import MODULES_VARIABLE
 from hypothesis import settings
 from parity.browser import chromium_command
 
@@ -33,3 +35,12 @@ def chromium() -> list[str]:
     if command is None:
         pytest.skip("no Chromium on the path: run tools/setup.sh test as root, or install chromium")
     return command
+
+
+@pytest.fixture
+def ktx2_encoder(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The npm package that encodes and decodes KTX2, in the folder that HIR_NODE_MODULES names or in tools."""
+    folder = Path(os.environ.get(MODULES_VARIABLE) or ROOT / "tools" / "node_modules")
+    if shutil.which("node") is None or not (folder / "ktx2-encoder").is_dir():
+        pytest.skip("node or ktx2-encoder is not installed: run tools/setup.sh test")
+    monkeypatch.setenv(MODULES_VARIABLE, str(folder))

@@ -90,15 +90,16 @@ class GltfConfig(CheckedOptions):
     which has one directional light at most."""
     budget: Literal["none", "quicklook", "phone", "web", "desktop"] = "none"
     """Limits of a target on triangles, texture size and bytes (phone 5 MB, web 3 MB, desktop 40 MB): meshes and
-    textures above them are reduced, images become JPEG or WebP, and the report says so."""
+    textures above them are reduced, images become JPEG, WebP or KTX2, and the report says so."""
     max_texture_size: int = _number(4096, 1, 1 << 16)
     """Larger textures are reduced to this many pixels a side."""
     image_format: Literal["png", "jpeg", "webp", "ktx2"] = "png"
     """JPEG is smaller and loses detail; normal maps and alpha stay PNG. WebP (EXT_texture_webp) is smaller still:
-    linear maps are lossless, and a fallback of at most 512 pixels is for readers without the extension. KTX2 is refused
-    with an error that names a tool for it."""
+    linear maps are lossless, and a fallback of at most 512 pixels is for readers without the extension. KTX2
+    (KHR_texture_basisu, beside the same fallback) stays compressed in the memory of a GPU: colour is ETC1S, linear maps
+    are UASTC. It needs node and the npm package ktx2-encoder; HIR_NODE_MODULES names the folder that has it."""
     jpeg_quality: int = _number(92, 1, 95)
-    """Of JPEG and WebP, 1 to 95."""
+    """Of JPEG, WebP and ETC1S in KTX2, 1 to 95."""
     tangents: Literal["auto", "always", "never"] = "auto"
     """Whether tangents are written; auto: where there is a normal map."""
     lods: tuple[int, ...] = _number((), 1, 1 << 31)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from hir_exporters.asset import Asset
 from hir_exporters.format_options import GltfConfig
 from hir_exporters.formats import create_exporter
 from parity.browser import module_folder
@@ -89,6 +91,27 @@ def test_compressed_files_give_the_same_image(name: str, library: str, chromium:
         [pictures[compression]] = render_in_browser("three.html", file, light, [orbit_cameras(6, 25.0, 256)[0]])
     assert error(pictures["none"], pictures["none"][:, ::-1]) > 0.02
     assert error(pictures["none"], pictures[name]) < 1 / 255
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("ktx2_encoder")
+def test_ktx2_gives_nearly_the_same_image(chromium: list[str], tmp_path: Path) -> None:
+    """Decoded by three.js, without a fallback in the file: the mean difference is below two codes."""
+    if module_folder("three") is None:
+        pytest.skip("three.js is not installed: run tools/setup.sh test")
+
+    def without_fallback(document: Any, _: Asset) -> None:
+        for texture in document.textures:
+            texture.source = None
+        document.extensionsRequired.append("KHR_texture_basisu")
+
+    camera = orbit_cameras(6, 25.0, 256)[0]
+    create_exporter("glb", GltfConfig()).write(asset(), tmp_path / "png.glb")
+    create_exporter("glb", GltfConfig(image_format="ktx2")).write(asset(), tmp_path / "ktx2.glb", without_fallback)
+    light = tmp_path / "png.hdr"
+    [png], [ktx2] = (render_in_browser("three.html", tmp_path / f"{n}.glb", light, [camera]) for n in ("png", "ktx2"))
+    assert error(png, png[:, ::-1]) > 0.02
+    assert error(png, ktx2) < 2 / 255
 
 
 def test_the_page_contains_the_measured_costs(shared: Path) -> None:

@@ -28,6 +28,7 @@ from hir_exporters.materials.texture_packing import PackedSurface, is_flat, pack
 from hir_exporters.mesh.convex_decomposition import ConvexHull
 from hir_exporters.mesh.tangents import with_tangents
 from hir_exporters.textures.image_encoding import EncodedImage, Image8, ImageEncoding
+from hir_exporters.textures.ktx2 import require_encoder
 
 if TYPE_CHECKING:
     from pygltflib import GLTF2, Material
@@ -108,12 +109,12 @@ def _surface(
 
 
 def image_encoding(config: GltfConfig) -> ImageEncoding:
-    """How the images of a file are encoded where no budget asks for less."""
+    """How the images of a file are encoded where no budget asks for less.
+
+    Raises `ExportError` where an encoder is missing.
+    """
     if config.image_format == "ktx2":
-        raise ExportError(
-            "image_format 'ktx2': no licensed Python package encodes KTX2; export png, then convert the file with "
-            "`gltf-transform uastc` (Khronos' toktx) or the transform of the npm package ktx2-encoder"
-        )
+        require_encoder()
     return ImageEncoding(config.image_format, config.jpeg_quality)
 
 

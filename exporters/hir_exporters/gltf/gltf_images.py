@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 from urllib.parse import quote
 
@@ -12,7 +13,8 @@ from hir_exporters.textures.image_encoding import EncodedImage
 if TYPE_CHECKING:
     from pygltflib import GLTF2
 
-WEBP: Final = "EXT_texture_webp"
+EXTENSIONS: Final = MappingProxyType({"image/webp": "EXT_texture_webp", "image/ktx2": "KHR_texture_basisu"})
+"""The extension of a texture whose image has this type."""
 
 _LINEAR, _LINEAR_MIPMAP_LINEAR, _CLAMP_TO_EDGE, _REPEAT = 9729, 9987, 33071, 10497
 
@@ -23,8 +25,8 @@ def add_textures(
     """Adds the images and returns the index of each texture by the image's key.
 
     With a writer, images go into the buffer; without one they are referenced as files with this prefix. `atlas`: all
-    UVs are in [0, 1], so that the sampler clamps instead of repeating. WebP is written as EXT_texture_webp beside its
-    fallback.
+    UVs are in [0, 1], so that the sampler clamps instead of repeating. WebP and KTX2 are written as their extension
+    beside the fallback.
     """
     from pygltflib import Sampler, Texture
 
@@ -37,9 +39,9 @@ def add_textures(
     for key, image in images.items():
         texture = Texture(sampler=0, source=_add_image(document, image.fallback or image, writer, prefix), name=key)
         if image.fallback is not None:
-            texture.extensions = {WEBP: {"source": _add_image(document, image, writer, prefix)}}
-            if WEBP not in document.extensionsUsed:
-                document.extensionsUsed.append(WEBP)
+            texture.extensions = {EXTENSIONS[image.mime]: {"source": _add_image(document, image, writer, prefix)}}
+            if EXTENSIONS[image.mime] not in document.extensionsUsed:
+                document.extensionsUsed.append(EXTENSIONS[image.mime])
         document.textures.append(texture)
         textures[key] = len(document.textures) - 1
     return textures

@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 
 _DRACO: Final = "KHR_draco_mesh_compression"
 
+_IMAGE_EXTENSIONS: Final = ("EXT_texture_webp", "KHR_texture_basisu")
+"""Extensions of a texture that name an image beside the fallback."""
+
 
 def read_gltf(path: Path) -> ReadBack:
     """A .glb or .gltf with one mesh and one material. Raises `InputError` where the file cannot be read."""
@@ -107,8 +110,9 @@ def _gltf_material(
             return None
         index = reference["index"] if isinstance(reference, dict) else reference.index
         texture = document.textures[index]
-        webp = (texture.extensions or {}).get("EXT_texture_webp", {})
-        return decoded_pixels(_gltf_image(document, webp.get("source", texture.source), path))
+        better = [(texture.extensions or {}).get(name, {}).get("source") for name in _IMAGE_EXTENSIONS]
+        source = next((source for source in better if source is not None), texture.source)
+        return decoded_pixels(_gltf_image(document, source, path))
 
     packed = pixels(core.metallicRoughnessTexture)
     weight, color = pixels(specular.get("specularTexture")), pixels(specular.get("specularColorTexture"))

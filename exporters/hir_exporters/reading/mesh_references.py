@@ -19,6 +19,7 @@ from urllib.parse import unquote
 from hir_exporters.errors import HirError, InputError
 from hir_exporters.files.regular_files import check_regular_file
 from hir_exporters.files.untrusted_json import parse_json
+from hir_exporters.textures.ktx2 import IDENTIFIER, check_ktx2
 from hir_exporters.textures.pillow_images import open_image
 
 if TYPE_CHECKING:
@@ -111,7 +112,7 @@ def _contained_resolver(path: Path) -> Any:
 
         def get(self, name: str) -> bytes:
             data = self[name]
-            open_image(data, name=f"{path}: the image {name[:80]!r}").close()
+            _check_image(data, f"{path}: the image {name[:80]!r}")
             return data
 
     return ContainedResolver(str(path))
@@ -127,12 +128,19 @@ def _check_gltf(path: Path) -> None:
         for number, image in enumerate(document.get("images", [])):
             data = _image_bytes(path, document, image, binary)
             if data is not None:
-                open_image(data, name=f"{path}: image {number}").close()
+                _check_image(data, f"{path}: image {number}")
     except HirError:
         raise
     except Exception as error:  # any structure may be missing or of another type
         reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
         raise InputError(f"{path} cannot be read as glTF ({reason}); export it again") from None
+
+
+def _check_image(data: bytes, name: str) -> None:
+    if data.startswith(IDENTIFIER):
+        check_ktx2(data, name)
+    else:
+        open_image(data, name=name).close()
 
 
 def _gltf_content(path: Path) -> tuple[dict[str, Any], bytes]:

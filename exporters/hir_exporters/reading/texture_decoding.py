@@ -1,4 +1,7 @@
-"""Decodes the textures of exported files with Pillow, and multiplies them by the factors of their material."""
+"""Decodes the textures of exported files, and multiplies them by the factors of their material.
+
+Pillow decodes them, Basis Universal KTX2.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hir_exporters.conventions import srgb_to_linear
+from hir_exporters.textures.ktx2 import IDENTIFIER, decode_ktx2
 from hir_exporters.textures.pillow_images import open_image
 
 Pixels = NDArray[Any]
@@ -44,8 +48,11 @@ class _Content:
 @lru_cache(maxsize=6)
 def _decoded(content: _Content) -> Pixels:
     assert content.data is not None
-    with open_image(content.data) as image:
-        pixels = np.asarray(image)
+    if content.data.startswith(IDENTIFIER):
+        pixels: Pixels = decode_ktx2(content.data)
+    else:
+        with open_image(content.data) as image:
+            pixels = np.asarray(image)
     content.data = None
     pixels = pixels[..., None] if pixels.ndim == 2 else pixels
     pixels = pixels if pixels.dtype == np.uint8 else pixels.astype(np.float32) / np.float32(65535)

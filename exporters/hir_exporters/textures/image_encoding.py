@@ -1,11 +1,11 @@
-"""Encodes 8-bit textures as PNG, JPEG or WebP, losslessly or within a number of bytes."""
+"""Encodes 8-bit textures as PNG, JPEG, WebP or KTX2, losslessly or within a number of bytes."""
 
 from __future__ import annotations
 
 import hashlib
 import io
 from collections import OrderedDict
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from threading import Lock
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from hir_exporters.errors import ExportError
 from hir_exporters.textures.image_files import encode_png
+from hir_exporters.textures.ktx2 import Kind, block_size, encode_ktx2
 from hir_exporters.textures.texture_maps import resize
 
 Image8 = NDArray[np.uint8]
@@ -25,7 +26,7 @@ COLOR_TEXTURES: Final = ("base_color", "specular", "specular_color", "diffuse", 
 their channels."""
 
 FALLBACK_SIZE: Final = 512
-"""Largest side in pixels of the JPEG for readers without WebP."""
+"""Largest side in pixels of the JPEG or PNG for readers without WebP or KTX2."""
 
 MIN_NORMAL_QUALITY: Final = 90
 """Lowest JPEG quality of a normal map within a budget: blocks of lower quality are visible in reflections."""
@@ -41,22 +42,22 @@ class EncodedImage:
 
     name: str
     data: bytes
-    mime: Literal["image/png", "image/jpeg", "image/webp"]
+    mime: Literal["image/png", "image/jpeg", "image/webp", "image/ktx2"]
     fallback: EncodedImage | None = None
-    """A small JPEG or PNG for readers without WebP."""
+    """A small JPEG or PNG for readers without WebP or KTX2."""
 
 
 @dataclass(frozen=True)
 class ImageEncoding:
     """How the images of one file are encoded."""
 
-    image_format: Literal["png", "jpeg", "webp"] = "png"
+    image_format: Literal["png", "jpeg", "webp", "ktx2"] = "png"
     quality: int = 92
-    """Of JPEG and WebP, 1 to 100."""
+    """Of JPEG, WebP and ETC1S in KTX2, 1 to 100."""
     size: int = 1 << 16
     """Larger images are reduced to this many pixels a side."""
     lossy_linear: bool = False
-    """Whether normal maps and other linear textures may be JPEG too."""
+    """Whether normal maps and other linear textures may be JPEG, too. In KTX2, other linear textures may be ETC1S."""
 
     def sentence(self) -> str:
         """For the report of an export."""
@@ -115,12 +116,27 @@ def _encoded(name: str, pixels: Image8, how: ImageEncoding) -> EncodedImage:
     if how.image_format == "webp" and not (linear and how.lossy_linear):
         effort = _LOSSLESS_WEBP_EFFORT if linear else how.quality
         data = _pillow_bytes(pixels, "WEBP", quality=effort, lossless=linear, method=1 if linear else 4)
-        small = _reduced(pixels, FALLBACK_SIZE)
-        fallback = _png(f"{name}_fallback", small) if alpha or linear else _jpeg(f"{name}_fallback", small, how.quality)
-        return EncodedImage(f"{name}.webp", data, "image/webp", fallback)
+        return EncodedImage(f"{name}.webp", data, "image/webp", _fallback(name, pixels, how.quality))
+    if how.image_format == "ktx2":
+        return _ktx2(name, pixels, how)
     if how.image_format != "png" and not alpha and (how.lossy_linear or not _is_normal_map(name)):
         return _jpeg(name, pixels, max(how.quality, MIN_NORMAL_QUALITY) if _is_normal_map(name) else how.quality)
     return _png(name, pixels)
+
+
+def _fallback(name: str, pixels: Image8, quality: int) -> EncodedImage:
+    """A small image that every reader of glTF opens."""
+    small, lossless = _reduced(pixels, FALLBACK_SIZE), name not in COLOR_TEXTURES or pixels.shape[2] in (2, 4)
+    return _png(f"{name}_fallback", small) if lossless else _jpeg(f"{name}_fallback", small, quality)
+
+
+def _ktx2(name: str, pixels: Image8, how: ImageEncoding) -> EncodedImage:
+    """Colour as ETC1S, linear maps as UASTC, whose channels are independent; normal maps are never ETC1S."""
+    kind: Kind = "normal" if _is_normal_map(name) else "color" if name in COLOR_TEXTURES else "linear"
+    lossy = kind == "color" or (how.lossy_linear and kind == "linear")
+    whole_blocks = resize_codes(pixels, *block_size((pixels.shape[0], pixels.shape[1])))
+    data = _CACHE.file(whole_blocks, encode_ktx2, kind, how.quality if lossy else 0)
+    return EncodedImage(f"{name}.ktx2", data, "image/ktx2", _fallback(name, pixels, how.quality))
 
 
 def _is_normal_map(name: str) -> bool:
@@ -133,7 +149,7 @@ def _jpeg(name: str, pixels: Image8, quality: int) -> EncodedImage:
 
 
 def _png(name: str, pixels: Image8) -> EncodedImage:
-    return EncodedImage(f"{name}.png", _PNG_CACHE.png(pixels), "image/png")
+    return EncodedImage(f"{name}.png", _CACHE.file(pixels, encode_png), "image/png")
 
 
 def _reduced(pixels: Image8, size: int) -> Image8:
@@ -159,20 +175,21 @@ def _pillow_bytes(pixels: Image8, kind: str, **options: object) -> bytes:
     return stream.getvalue()
 
 
-class PngCache:
-    """Encodes PNG and caches the last few files: formats exported one after the other mostly share their images."""
+class FileCache:
+    """Caches the last few encoded files: formats exported one after the other mostly share their images."""
 
     def __init__(self, capacity: int) -> None:
         self._capacity = capacity
-        self._files: OrderedDict[tuple[bytes, tuple[int, ...]], bytes] = OrderedDict()
+        self._files: OrderedDict[tuple[object, ...], bytes] = OrderedDict()
         self._lock = Lock()
 
-    def png(self, pixels: Image8) -> bytes:
-        """The file of 8-bit pixels (H, W, C); the key is their SHA-256."""
-        key = hashlib.sha256(np.ascontiguousarray(pixels).data).digest(), pixels.shape
+    def file(self, pixels: Image8, encode: Callable[..., bytes], *options: object) -> bytes:
+        """`encode(pixels, *options)` of 8-bit pixels (H, W, C); the key is their SHA-256 with function and options."""
+        digest = hashlib.sha256(np.ascontiguousarray(pixels).data).digest()
+        key = (digest, pixels.shape, encode, *options)
         with self._lock:
             cached = self._files.get(key)
-        data = encode_png(pixels) if cached is None else cached
+        data = encode(pixels, *options) if cached is None else cached
         with self._lock:
             self._files[key] = data
             self._files.move_to_end(key)
@@ -181,4 +198,4 @@ class PngCache:
         return data
 
 
-_PNG_CACHE = PngCache(8)
+_CACHE = FileCache(8)

@@ -87,7 +87,7 @@ def test_the_profile_engine_reaches_all_formats_that_have_it(
         (["{tmp}/plate.obj", "-f", "glb", "--roughness", "gone.png"], "gone.png for roughness does not exist"),
         (["{tmp}/plate.obj", "-f", "glb", "--roughness", "7"], "roughness is 7.0; it must be from 0 to 1"),
         (["{tmp}/plate.obj", "-f", "glb", "--light", "{tmp}/plate.obj"], "is a lat-long"),
-        (["{tmp}/scene", "-f", "glb", "--set", "glb.image_format=ktx2"], "no licensed Python package encodes KTX2"),
+        (["{tmp}/scene", "-f", "glb", "--set", "glb.image_format=ktx2"], "run `npm install ktx2-encoder@0.6`"),
         (["{tmp}/scene", "-f", "glb", "--set", "glb.max_texture_size=0"], "max_texture_size is 0; it must be from 1"),
         (["{tmp}/scene", "-f", "glb", "--height", "0"], "height is 0; it must be a positive number"),
         (["{tmp}/scene", "-f", "glb", "--height", "1", "--scale", "2"], "scale and height are both given"),
@@ -96,8 +96,13 @@ def test_the_profile_engine_reaches_all_formats_that_have_it(
     ],
 )
 def test_what_is_refused(
-    arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    arguments: list[str],
+    message: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setenv("HIR_NODE_MODULES", str(tmp_path))
     (tmp_path / "plate.obj").write_text(PLATE)
     save_scene(plate(), tmp_path / "scene")
     arguments = [word.replace("{tmp}", str(tmp_path)) for word in arguments]
