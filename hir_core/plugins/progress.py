@@ -5,9 +5,11 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import final
+from typing import TYPE_CHECKING, final
 
-import numpy as np
+if TYPE_CHECKING:
+    import numpy as np
+
 
 MODEL_FITTED, MODELS_COMPARED = "model_fitted", "models_compared"
 """Milestones of the reflectance stage: a model was fitted and evaluated; a candidate was accepted or rejected."""

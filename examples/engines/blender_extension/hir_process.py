@@ -99,7 +99,8 @@ class HirProcess:
         """Interrupts the command, as Ctrl-C does; finished stages stay."""
         if self.is_running:
             self._stopped = True
-            if os.name == "posix":
+            # a program that ignores SIGINT, as one in the background of a script does, has children that ignore it
+            if os.name == "posix" and signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
                 self._process.send_signal(signal.SIGINT)
             else:
                 self._process.terminate()
