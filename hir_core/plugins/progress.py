@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, final
 if TYPE_CHECKING:
     import numpy as np
 
-
 MODEL_FITTED, MODELS_COMPARED = "model_fitted", "models_compared"
 """Milestones of the reflectance stage: a model was fitted and evaluated; a candidate was accepted or rejected."""
 PROGRESS_INTERVAL_S = 0.25

@@ -162,8 +162,7 @@ class StereoOptions:
     max_image_size: int = 400
     """Photographs are reduced by a whole factor until their longer side is at most this, in pixels."""
     max_photographs: int = 48
-    """At most this many photographs are used, those whose directions cover the others' best: time grows with them, and
-    more than one in about 15 degrees gain little."""
+    """At most this many photographs are used, those whose directions cover the others' best: time grows with them."""
     levels: int = 2
     """Number of coarse-to-fine levels. Each doubles the resolution and starts from the surface of the previous one."""
     neighbours: int = 6

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from hir_core.capture import Capture
 
 MIN_MATCHED_VIEWS = 16
-"""Photographs from which stereo is suggested: on the upper hemisphere they are then about 35 degrees apart, the most at
-which windows still match."""
+"""Photographs from which stereo is suggested: on the upper hemisphere they are then about 35 degrees apart. A choice
+that was not measured (docs/studies/default_values.md)."""
 
 MIN_MATCHED_SIDE = 128
 """Shorter side of a photograph, in pixels, from which stereo is suggested: the first level has half of them, and its

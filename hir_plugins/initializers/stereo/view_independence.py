@@ -10,6 +10,7 @@ kept where it explains more than half.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -45,6 +46,12 @@ _DEPTH_TOLERANCE_STEPS = 3.0
 """Within which the other photograph sees the same point."""
 
 
+NO_DISTANT_PHOTOGRAPHS = (
+    f"stereo: no two photographs are {LEAST_ANGLE_DEG:.0f}° to {MOST_ANGLE_DEG:.0f}° apart, so reflections cannot be "
+    "told from texture; if the object is metal, leave stereo out: --set 'initializers=[\"visual_hull\"]'"
+)
+
+
 @dataclass(frozen=True)
 class ViewIndependence:
     """How far carved regions explain distant photographs."""
@@ -52,8 +59,8 @@ class ViewIndependence:
     share: NDArray[np.float32]
     """(X, Y, Z) of the volume: which share of the carving is kept, 0 to 1."""
     explained: float | None
-    """Share of the variance of brightness that all carved regions together explain; None where no pair could be
-    compared."""
+    """Share of the variance of brightness that all carved regions together explain; None where nothing was carved, or
+    no two photographs are far enough apart."""
 
 
 def view_independence(
@@ -62,14 +69,16 @@ def view_independence(
     """The share of each connected carved region that is kept, on the grid of the volume.
 
     `views` contain the carved surface (`inverse`) and the whole one (`bound`). Without photographs between 35° and 60°
-    apart nothing can be compared, and everything is kept. A region that too few pixels show follows the mean of all.
+    apart nothing can be compared: everything is kept, with a warning. A region that too few pixels show follows the
+    mean of all; where that is so of all regions nothing is kept.
     """
     removed = (whole.values > 0) & (carving.values <= 0)
     regions, count = label(binary_dilation(removed))
     pairs = _distant_pairs([view.camera for view in views], center)
-    everything = ViewIndependence(np.ones(whole.values.shape, np.float32), None)
+    if count and not pairs:
+        warnings.warn(NO_DISTANT_PHOTOGRAPHS, stacklevel=2)
     if not count or not pairs:
-        return everything
+        return ViewIndependence(np.ones(whole.values.shape, np.float32), None)
     nearest = distance_transform_edt(regions == 0, return_distances=False, return_indices=True)
     regions = regions[tuple(nearest)]
     seen, uncovered = np.zeros(count + 1), np.zeros(count + 1)
@@ -89,10 +98,8 @@ def view_independence(
                 correlation = _correlation(views[i].image[chosen], other[chosen])
                 sums[region] += pixels * max(correlation, 0.0) ** 2
                 weights[region] += pixels
-    if not weights.any():
-        return everything
     covered = seen / np.maximum(seen + uncovered, 1)
-    overall = float(sums.sum() / weights.sum()) * float(seen.sum() / max(seen.sum() + uncovered.sum(), 1))
+    overall = float(sums.sum() / max(weights.sum(), 1)) * float(seen.sum() / max(seen.sum() + uncovered.sum(), 1))
     explained = np.where(weights > 0, covered * sums / np.maximum(weights, 1), overall)
     kept = np.clip((explained - HALF_OF_VARIANCE) / (2 * TRANSITION) + 0.5, 0, 1).astype(np.float32)
     return ViewIndependence(kept[regions], overall)

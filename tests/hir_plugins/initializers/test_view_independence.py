@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from hir_core.capture import Array, Capture
 from hir_core.scene import Scene
@@ -15,7 +16,9 @@ from hir_plugins.initializers.plugin import hir_suggest_initializers
 from hir_plugins.initializers.stereo import stereo as stereo_module
 from hir_plugins.initializers.stereo.stereo import Stereo
 from hir_plugins.initializers.stereo.stereo_photographs import SweptSurface, directions_from, evenly_distributed_views
-from hir_plugins.initializers.stereo.view_independence import ViewIndependence
+from hir_plugins.initializers.stereo.surface_sweep import SweptView
+from hir_plugins.initializers.stereo.view_independence import ViewIndependence, view_independence
+from hir_plugins.initializers.surface.volume import Volume
 from tests.fixtures.silhouette_captures import dome, make_view
 from tests.hir_plugins.initializers.test_stereo import rays_of
 
@@ -45,6 +48,16 @@ def ball(mirror: bool) -> Capture:
         color = np.repeat(value.reshape(SIDE, SIDE, 1), 3, axis=2).astype(np.float32)
         views.append(make_view(f"{i}", camera, hit.reshape(SIDE, SIDE).astype(np.float32), color))
     return Capture(Path("made-in-memory"), tuple(views))
+
+
+def swept_view(capture: Capture, index: int) -> SweptView:
+    """A photograph at whose pixels both surfaces lie at a depth of 2.5."""
+    view = capture.views[index]
+    pixels = view.pixels()
+    assert view.camera is not None and pixels.mask is not None
+    inside = torch.from_numpy(pixels.mask > 0.5)
+    depth = torch.where(inside, 0.4, 0.0)
+    return SweptView(view.camera, torch.from_numpy(pixels.color_linear[..., 0]), inside, inside, depth, depth)
 
 
 def hull_of(capture: Capture) -> Scene:
@@ -98,3 +111,26 @@ def test_stereo_is_suggested_where_photographs_can_be_matched() -> None:
     assert hir_suggest_initializers(capture) == ["visual_hull", "stereo"]
     few = Capture(capture.path, capture.views[:15])
     assert hir_suggest_initializers(few) == ["visual_hull"]
+
+
+def test_photographs_that_are_near_each_other_cannot_tell_and_say_so() -> None:
+    capture = ball(mirror=True)
+    toward = directions_from(capture.cameras, np.zeros(3))
+    near = [i for i in range(len(toward)) if toward[i] @ toward[0] > np.cos(np.radians(17))]
+    values = np.full((12, 12, 12), 1.0, np.float32)
+    whole, carved = Volume(values, np.full(3, -0.6), 0.1), Volume(values.copy(), np.full(3, -0.6), 0.1)
+    carved.values[4:8] = -1
+    views = [swept_view(capture, i) for i in near]
+    with pytest.warns(UserWarning, match="35° to 60° apart"):
+        found = view_independence(whole, carved, views, [0.01] * len(views), np.zeros(3))
+    assert found.explained is None and (found.share == 1).all()
+
+
+def test_a_carving_that_no_two_photographs_show_is_not_kept() -> None:
+    capture = ball(mirror=True)
+    values = np.full((12, 12, 12), 1.0, np.float32)
+    whole, carved = Volume(values, np.full(3, -0.6), 0.1), Volume(values.copy(), np.full(3, -0.6), 0.1)
+    carved.values[4:8] = -1
+    views = [swept_view(capture, i) for i in range(len(capture.views))]  # both surfaces are the same: nothing to see
+    found = view_independence(whole, carved, views, [0.01] * len(views), np.zeros(3))
+    assert found.explained == 0 and (found.share == 0).all()
