@@ -4,33 +4,18 @@ from __future__ import annotations
 
 import json
 import shutil
-import threading
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from hir_plugins.commands.ui.capture_library import CaptureLibrary
-from hir_plugins.commands.ui.command import preset_choices
 from hir_plugins.commands.ui.ui_server import UiServer
 from tests.fixtures.browser_session import BrowserSession
 from tests.fixtures.runs import QUICK
 
 STATE = "document.documentElement.dataset.state"
 FOCUS = "document.activeElement.id"
-
-
-@pytest.fixture
-def server(tmp_path: Path) -> Iterator[UiServer]:
-    library = CaptureLibrary(tmp_path / "library")
-    with UiServer(library, preset_choices()) as running:
-        thread = threading.Thread(target=running.serve_forever, kwargs={"poll_interval": 0.02})
-        thread.start()
-        yield running
-        running.shutdown()
-        thread.join()
-    library.close()
 
 
 @pytest.fixture

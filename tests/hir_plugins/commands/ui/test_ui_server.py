@@ -6,10 +6,8 @@ import http.client
 import io
 import json
 import shutil
-import threading
 import time
 import zipfile
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,23 +15,9 @@ import pytest
 
 from hir_core.pipeline import Run
 from hir_plugins.commands.ui import ui_server
-from hir_plugins.commands.ui.capture_library import CaptureLibrary
-from hir_plugins.commands.ui.command import preset_choices
 from hir_plugins.commands.ui.ui_server import MAX_DOCUMENT_BYTES, PAGE_FILES, UiServer
 
 Answer = tuple[int, http.client.HTTPMessage, bytes]
-
-
-@pytest.fixture
-def server(tmp_path: Path) -> Iterator[UiServer]:
-    library = CaptureLibrary(tmp_path / "library")
-    with UiServer(library, preset_choices()) as running:
-        thread = threading.Thread(target=running.serve_forever, kwargs={"poll_interval": 0.02})
-        thread.start()
-        yield running
-        running.shutdown()
-        thread.join()
-    library.close()
 
 
 def ask(server: UiServer, method: str, path: str, body: bytes | None = None, **headers: str) -> Answer:
