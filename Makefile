@@ -64,7 +64,7 @@ readers: setup-test
 	@npm --prefix tools/readers ci --silent --no-fund --no-audit || true # a reader that is missing is written as not run
 	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --constraint requirements/ci.txt assimp-py coacd || true
 	@[ -n "$$HIR_BLENDER_PYTHON" ] || [ -x .venv-blender/bin/python ] || tools/setup.sh blender || true
-	@PYTHONPATH=tools $(PYTHON) -m readers
+	@HIR_NODE_MODULES=$${HIR_NODE_MODULES:-$(CURDIR)/tools/node_modules} PYTHONPATH=tools $(PYTHON) -m readers
 
 coverage: setup-test
 	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --constraint requirements/ci.txt coverage

@@ -75,6 +75,8 @@ def engine_runs(blender_samples: int) -> list[EngineRun]:
         web("Filament", "filament", "filament.html"),
         web("Filament", "filament", "filament.html", "engine_points.glb", "engine_points_glb_residual.hdr"),
         web("PlayCanvas", "playcanvas", "playcanvas.html"),
+        web("model-viewer", "@google/model-viewer", "model_viewer.html"),
+        web("model-viewer", "@google/model-viewer", "model_viewer.html", "engine.glb", "engine_glb_residual.hdr"),
         godot("metalrough.glb"),
         godot("engine.glb", "engine_glb_residual.hdr"),
         cycles("blender.glb"),

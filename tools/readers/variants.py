@@ -10,8 +10,10 @@ from typing import Any, Final
 
 import numpy as np
 from hir_exporters.asset import Asset, AssetEnvironment, AssetMaterial, AssetMesh
+from hir_exporters.errors import ExportError
 from hir_exporters.format_options import GltfConfig, ObjConfig, UsdConfig, UsdzConfig
 from hir_exporters.formats import create_exporter
+from hir_exporters.textures.ktx2 import require_encoder
 
 TEXTURE_SIDE: Final = 1024
 """Larger than the fallback beside WebP, so that its use is seen."""
@@ -42,6 +44,9 @@ def variants() -> Iterator[Variant]:
             yield Variant(f"{suffix} --profile {profile}", suffix, GltfConfig(profile=profile))
     yield Variant("glb image_format=jpeg", "glb", GltfConfig(image_format="jpeg"))
     yield Variant("glb image_format=webp", "glb", GltfConfig(image_format="webp"))
+    if _encodes_ktx2():
+        yield Variant("glb image_format=ktx2", "glb", GltfConfig(image_format="ktx2"))
+    yield Variant("glb --budget phone", "glb", GltfConfig(budget="phone"))
     yield Variant("glb quantize=true", "glb", GltfConfig(quantize=True))
     if find_spec("DracoPy"):
         yield Variant("glb compression=draco", "glb", GltfConfig(compression="draco"))
@@ -57,9 +62,19 @@ def variants() -> Iterator[Variant]:
     for suffix in ("usda", "usdc"):
         for workflow in ("metallic", "specular"):
             yield Variant(f"{suffix} workflow={workflow}", suffix, UsdConfig(workflow=workflow))
+    yield Variant("usda materialx=true", "usda", UsdConfig(materialx=True))
     yield Variant("usdz", "usdz", UsdzConfig())
     yield Variant("usdz thumbnail=true image_format=jpeg", "usdz", UsdzConfig(thumbnail=True, image_format="jpeg"))
     yield Variant("obj", "obj", ObjConfig())
+
+
+def _encodes_ktx2() -> bool:
+    """Whether node and the npm package ktx2-encoder are there."""
+    try:
+        require_encoder()
+    except ExportError:
+        return False
+    return True
 
 
 def export_variant(variant: Variant, asset: Asset, folder: Path) -> Path:
