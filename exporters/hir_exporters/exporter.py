@@ -36,6 +36,11 @@ def companion_file(destination: Path, name: str) -> Path:
     return destination.with_name(f"{destination.stem}_{destination.suffix.removeprefix('.')}_{name}")
 
 
+def shared_names(stem: str) -> tuple[str, str]:
+    """Names that all formats of one asset give to its light and its picture."""
+    return f"{stem}.hdr", f"{stem}_thumbnail.png"
+
+
 class Exporter(ABC):
     """Writes assets in one format. Constructed from the format's options, a frozen dataclass."""
 

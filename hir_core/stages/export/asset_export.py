@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hir_exporters.errors import ExportError, HirError
-from hir_exporters.exporter import Edit, Exporter, ExportReport
+from hir_exporters.exporter import Edit, Exporter, ExportReport, shared_names
 from hir_exporters.files.atomic import move_atomic, staging_folder
 
 from hir_core.errors import ConfigError
@@ -38,7 +38,8 @@ def export_asset(
 
     All formats and options are checked before the first file is written. `options` are those of each format; `on_file`
     is called after each format. `ConfigError` where no format is named. `ExportError` where two formats write different
-    content to one file name; the files of the first one stay.
+    content to one file name; the files of the first one stay. The same where the light or the picture that all formats
+    share would be replaced by another one, beside a file of an earlier call that this call does not write.
     """
     exporters: dict[str, tuple[Registered, Exporter]] = {}
     for name in formats:
@@ -47,6 +48,8 @@ def export_asset(
     if not exporters:
         known = ", ".join(r.component.name for r in plugins.components("exporter"))
         raise ConfigError(f"no format is chosen; choose one or more with -f: {known}")
+    names = [r.component.name for r in plugins.components("exporter")]
+    earlier = [folder / f"{file_stem(asset.name)}.{name}" for name in names if name not in exporters]
     reports: dict[str, ExportReport] = {}
     with staging_folder(folder) as staging:
         writers: dict[Path, str] = {}
@@ -54,7 +57,7 @@ def export_asset(
             destination = staging / name / f"{file_stem(asset.name)}.{name}"
             try:
                 report = exporter.write(asset, destination, _edit(registered, plugins))
-                reports[name] = _publish(report, name, destination.parent, folder, writers)
+                reports[name] = _publish(report, name, destination.parent, folder, writers, earlier)
             except HirError as error:
                 if str(destination.parent) not in str(error):
                     raise
@@ -64,11 +67,14 @@ def export_asset(
     return reports
 
 
-def _publish(report: ExportReport, name: str, staged: Path, folder: Path, writers: dict[Path, str]) -> ExportReport:
+def _publish(
+    report: ExportReport, name: str, staged: Path, folder: Path, writers: dict[Path, str], earlier: Sequence[Path]
+) -> ExportReport:
     """Moves the files of a format from `staged` to `folder`.
 
     `writers` has the format that wrote each file and is extended. A file that another format wrote with other content
-    raises `ExportError`, and nothing is moved.
+    raises `ExportError`, and nothing is moved. So does a shared file that differs from the one beside a file of
+    `earlier`, which this call does not write.
     """
     sources = [file for file in sorted(staged.rglob("*")) if file.is_file()]
     targets = [folder / file.relative_to(staged) for file in sources]
@@ -78,12 +84,23 @@ def _publish(report: ExportReport, name: str, staged: Path, folder: Path, writer
                 f"{target}: the formats {writers[target]} and {name} both write this file, with different content; "
                 "export them into separate folders"
             )
+        users = [file for file in earlier if file != target and file.is_file()]
+        is_shared = target.name in shared_names(report.files[0].stem)
+        if users and is_shared and target not in writers and _differs(target, source):
+            raise ExportError(
+                f"{target} would be replaced by another one, but {users[0].name} of an earlier export is beside it; "
+                "name all formats in one call, or another folder"
+            )
     for source, target in zip(sources, targets, strict=True):
         target.parent.mkdir(parents=True, exist_ok=True)
         move_atomic(source, target)
         writers[target] = name
     moved = dict(zip(sources, targets, strict=True))
     return replace(report, files=tuple(moved.get(Path(file), Path(file)) for file in report.files))
+
+
+def _differs(existing: Path, new: Path) -> bool:
+    return existing.is_file() and existing.read_bytes() != new.read_bytes()
 
 
 def _edit(registered: Registered, plugins: PluginManager) -> Edit | None:

@@ -156,6 +156,27 @@ def test_two_formats_that_write_one_file_are_refused(tmp_path: Path, capsys: pyt
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["plate.glb", "plate.hdr"]
 
 
+def test_another_light_beside_files_of_an_earlier_export_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Else plate_usda_lit.usda would show the other asset's light. The formats of the call are replaced freely."""
+    asset = plate()
+    assert asset.environment is not None
+    save_scene(asset, tmp_path / "first")
+    save_scene(replace(asset, environment=AssetEnvironment(2 * asset.environment.radiance)), tmp_path / "second")
+    out = ["-q", "--no-verify", "-o", tmp_path / "out"]
+    assert hir("export", tmp_path / "first", "-f", "usda", *out) == 0
+    before = {file.name: file.read_bytes() for file in (tmp_path / "out").iterdir()}
+    assert hir("export", tmp_path / "second", "-f", "glb", *out) == 2
+    assert f"{tmp_path / 'out' / 'plate.hdr'} would be replaced by another one, but plate.usda of an earlier" in (
+        capsys.readouterr().err
+    )
+    assert {file.name: file.read_bytes() for file in (tmp_path / "out").iterdir()} == before
+    assert hir("export", tmp_path / "first", "-f", "glb", *out) == 0, "the same light"
+    assert hir("export", tmp_path / "second", "-f", "glb", "-f", "usda", *out) == 0
+    assert (tmp_path / "out" / "plate.hdr").read_bytes() != before["plate.hdr"]
+
+
 def test_a_target_that_is_no_file_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     save_scene(plate(), tmp_path / "scene")
     (tmp_path / "out").mkdir()
