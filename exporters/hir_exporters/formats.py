@@ -66,13 +66,17 @@ FORMATS: Final[dict[str, Format]] = {
 def create_exporter(name: str, config: object = None) -> Exporter:
     """The exporter of a format. `config` is an instance of the format's options; None: its defaults.
 
-    Raises `ExportError` for an unknown format.
+    Raises `ExportError` for an unknown format, and for options that are those of another one.
     """
     if name not in FORMATS:
         raise ExportError(f"unknown format {name!r}; known formats are {', '.join(FORMATS)}")
+    options = FORMATS[name].config
+    if config is not None and not isinstance(config, options):
+        found = config.__name__ if isinstance(config, type) else type(config).__name__
+        raise ExportError(f"format {name!r} takes an instance of {options.__name__}; this is {found}")
     from hir_exporters.exporter import Exporter  # imports numpy, which listing the formats does not need
 
     module, _, attribute = FORMATS[name].target.partition(":")
-    exporter = getattr(import_module(module), attribute)(FORMATS[name].config() if config is None else config)
+    exporter = getattr(import_module(module), attribute)(options() if config is None else config)
     assert isinstance(exporter, Exporter)
     return exporter

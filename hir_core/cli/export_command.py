@@ -221,4 +221,6 @@ def scene_folder(run: Path) -> Path:
         return run / "scene"
     if not run.is_dir():
         raise InputError(f"{run}: no such file or folder; give the folder of a run or of a scene, or a mesh file")
+    if not (run / "run.json").is_file() and not (run / "stages").is_dir():
+        raise InputError(f"{run} is neither a run nor a scene; give the folder of one of them, or a mesh file")
     raise InputError(f"{run} has no finished scene; finish the run with: hir reconstruct … --resume")

@@ -11,7 +11,9 @@ import hir_exporters
 import numpy as np
 import pytest
 from hir_exporters.asset import Asset, AssetMaterial
-from hir_exporters.format_options import GltfConfig, UsdConfig
+from hir_exporters.errors import ExportError
+from hir_exporters.format_options import GltfConfig, UsdConfig, UsdzConfig
+from hir_exporters.formats import create_exporter
 from hir_exporters.materials import material_conversion
 from hir_exporters.scene_format import save_scene
 
@@ -146,6 +148,13 @@ def test_options_are_checked_when_they_are_made(options: dict[str, object], mess
     assert GltfConfig(lods=[20, 10]).lods == (20, 10)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="meters_per_unit is nan"):
         UsdConfig(meters_per_unit=float("nan"))
+
+
+def test_options_of_another_format_are_refused() -> None:
+    with pytest.raises(ExportError, match="format 'glb' takes an instance of GltfConfig; this is UsdzConfig"):
+        create_exporter("glb", UsdzConfig())
+    with pytest.raises(ExportError, match="format 'hdr' takes an instance of EnvironmentConfig; this is UsdConfig"):
+        create_exporter("hdr", UsdConfig)
 
 
 def test_importing_costs_what_is_used() -> None:

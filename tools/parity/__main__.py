@@ -9,11 +9,13 @@ captures were rendered from. Models, captures and the light come from the shared
 from __future__ import annotations
 
 import argparse
+import hashlib
 import os
 import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 from hir_exporters.asset import Asset
@@ -27,6 +29,9 @@ from parity.engines import ROOT, EngineRun, Picture, engine_runs, render_referen
 from parity.page import Row, write_page
 from parity.scenes import MODELS, Subject, finished_run, metal_egg, mixed_egg, model, with_light
 from parity.shots import cameras_around
+
+Rendered: TypeAlias = dict[tuple[str, ...], list[Picture]]
+"""Pictures by engine and hashes of the file and its light: profiles of one object can be equal files."""
 
 
 def main() -> int:
@@ -106,10 +111,11 @@ def _rows(
     print(f"{subject.name}: our renderer, {time.perf_counter() - start:.0f} s", flush=True)
     coverage, truth = [picture[..., 3] for picture in truth], [picture[..., :3] for picture in truth]
     rows = [Row(subject.name, f"hir, path traced, {subject.origin}", "", truth, None, None, "")]
+    rendered: Rendered = {}
     for engine_run in engine_runs(samples):
         if chosen and not any(word.lower() in engine_run.engine.lower() for word in chosen):
             continue
-        rows.append(_row(subject.name, engine_run, work, cameras, truth, coverage, reuse, reuse_only))
+        rows.append(_row(subject.name, engine_run, work, cameras, truth, coverage, reuse, reuse_only, rendered))
         print(f"{subject.name}: {rows[-1].sentence()}", flush=True)
     return rows
 
@@ -148,6 +154,7 @@ def _row(
     coverage: list[Picture],
     reuse: bool,
     reuse_only: bool,
+    rendered: Rendered,
 ) -> Row:
     if engine_run.missing:
         return Row(name, engine_run.engine, engine_run.file, [], None, None, f"not run: needs {engine_run.missing}")
@@ -157,7 +164,10 @@ def _row(
         light = work / "files" / f"{name}_{engine_run.light}"
         if reuse_only and not file.is_file():
             return Row(name, engine_run.engine, engine_run.file, [], None, None, "")
-        pictures = _pictures(file, reuse, lambda: engine_run.render(asset, light, cameras))
+        contents = asset.read_bytes(), light.read_bytes()
+        key = engine_run.engine, *(hashlib.sha256(content).hexdigest() for content in contents)
+        pictures = rendered.get(key) or _pictures(file, reuse, lambda: engine_run.render(asset, light, cameras))
+        rendered[key] = pictures
     except RuntimeError as error:
         return Row(name, engine_run.engine, engine_run.file, [], None, None, f"failed: {error}")
     frame = [psnr(p, t, np.ones(t.shape[:2], bool)) for p, t in zip(pictures, truth, strict=True)]

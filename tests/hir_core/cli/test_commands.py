@@ -65,7 +65,7 @@ SAMPLE = ROOT / "examples" / "sample_capture"
         (["reconstruct", SAMPLE, "-o", "{tmp}/file"], "is a file; give a folder"),
         (["reconstruct", SAMPLE], "Missing option '-o'"),
         (["reconstruct", SAMPLE, "-o", "{tmp}/run", "--until", "lunch"], "'lunch' is not one of"),
-        (["export", "{tmp}", "-f", "glb", "-o", "{tmp}/out"], "has no finished scene"),
+        (["export", "{tmp}", "-f", "glb", "-o", "{tmp}/out"], "is neither a run nor a scene; give the folder of one"),
         (["export", "{tmp}/gone", "-f", "glb", "-o", "{tmp}/out"], "no such file or folder; give the folder of a run"),
         (["evaluate", "{tmp}"], "it has no run.json"),
         (["report", "{tmp}"], "it is not a run; make one with: hir reconstruct"),
