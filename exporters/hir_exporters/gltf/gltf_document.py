@@ -27,7 +27,7 @@ from hir_exporters.materials.surfaces import MetallicSurface, SpecularSurface
 from hir_exporters.materials.texture_packing import PackedSurface, is_flat, pack_surface
 from hir_exporters.mesh.convex_decomposition import ConvexHull
 from hir_exporters.mesh.tangents import with_tangents
-from hir_exporters.textures.image_encoding import EncodedImage, Image8, ImageEncoding
+from hir_exporters.textures.image_encoding import FALLBACK_SIZE, EncodedImage, Image8, ImageEncoding, reduced
 from hir_exporters.textures.ktx2 import require_encoder
 
 if TYPE_CHECKING:
@@ -37,6 +37,9 @@ GENERATOR = "hir_exporters"
 
 RESIDUAL_SUFFIX: Final = "residual.hdr"
 """End of the name of the residual environment beside a file of profile engine."""
+
+METALLIC_TEXTURES: Final = ("base_color", "occlusion_roughness_metallic")
+"""What a reader of KHR_materials_pbrSpecularGlossiness does not use."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +107,9 @@ def _surface(
     }
     named = {name: image for name, image in pixels.items() if image is not None}
     if isinstance(converted, SpecularSurface):
-        named |= specular_glossiness.specular_glossiness_images(converted)
+        # for readers without the extension: two whole sets of textures would double the file
+        small = {name: reduced(named[name], FALLBACK_SIZE) for name in METALLIC_TEXTURES if name in named}
+        named |= small | specular_glossiness.specular_glossiness_images(converted)
     return converted, base, packed, named
 
 

@@ -26,7 +26,7 @@ COLOR_TEXTURES: Final = ("base_color", "specular", "specular_color", "diffuse", 
 their channels."""
 
 FALLBACK_SIZE: Final = 512
-"""Largest side in pixels of the JPEG or PNG for readers without WebP or KTX2."""
+"""Largest side in pixels of textures for readers without an extension that the file uses."""
 
 MIN_NORMAL_QUALITY: Final = 90
 """Lowest JPEG quality of a normal map within a budget: blocks of lower quality are visible in reflections."""
@@ -73,7 +73,7 @@ def encode_images(images: Mapping[str, Image8], encoding: ImageEncoding | None =
     how = encoding or ImageEncoding()
 
     def encode(item: tuple[str, Image8]) -> EncodedImage:
-        return _encoded(item[0], _reduced(item[1], how.size), how)
+        return _encoded(item[0], reduced(item[1], how.size), how)
 
     with ThreadPoolExecutor(max_workers=4) as pool:
         return dict(zip(images, pool.map(encode, images.items()), strict=True))
@@ -126,7 +126,7 @@ def _encoded(name: str, pixels: Image8, how: ImageEncoding) -> EncodedImage:
 
 def _fallback(name: str, pixels: Image8, quality: int) -> EncodedImage:
     """A small image that every reader of glTF opens."""
-    small, lossless = _reduced(pixels, FALLBACK_SIZE), name not in COLOR_TEXTURES or pixels.shape[2] in (2, 4)
+    small, lossless = reduced(pixels, FALLBACK_SIZE), name not in COLOR_TEXTURES or pixels.shape[2] in (2, 4)
     return _png(f"{name}_fallback", small) if lossless else _jpeg(f"{name}_fallback", small, quality)
 
 
@@ -152,7 +152,8 @@ def _png(name: str, pixels: Image8) -> EncodedImage:
     return EncodedImage(f"{name}.png", _CACHE.file(pixels, encode_png), "image/png")
 
 
-def _reduced(pixels: Image8, size: int) -> Image8:
+def reduced(pixels: Image8, size: int) -> Image8:
+    """8-bit codes with at most `size` pixels a side."""
     height, width = pixels.shape[:2]
     scale = size / max(height, width)
     if scale >= 1:

@@ -16,6 +16,7 @@ from hir_exporters.materials import material_conversion
 from hir_exporters.reading.file_verification import verify_file
 from hir_exporters.reading.gltf_readback import read_gltf
 from hir_exporters.reading.validators import validate_gltf
+from hir_exporters.textures.image_files import read_ldr
 from pygltflib import GLTF2
 
 PROFILES = ["khr", "blender", "metalrough", "unity-legacy"]
@@ -55,6 +56,24 @@ def assets(textured_asset: Asset, constant_asset: Asset, make_texture: Texture) 
         "grey_paper": material_with(textured_asset, model="paper", specular_albedo=grey),
         "color_paper": material_with(textured_asset, model="paper"),
     }
+
+
+def test_unity_legacy_has_one_whole_set_of_textures(
+    constant_asset: Asset, make_texture: Texture, tmp_path: Path
+) -> None:
+    """The metallic-roughness set, for readers without the extension, is reduced; what is read back is the whole one."""
+    whole, metallic = 640, {"base_color": 512, "occlusion_roughness_metallic": 512}
+    maps = {
+        "diffuse_albedo": make_texture(whole, 3, 0.1, 0.8),
+        "specular_albedo": make_texture(whole, 3, 0.02, 0.08, 1),
+        "roughness": make_texture(whole, 1, 0.1, 0.5, 2)[..., 0],
+    }
+    asset = material_with(constant_asset, **maps)
+    file = create_exporter("gltf", GltfConfig(profile="unity-legacy")).write(asset, tmp_path / "a.gltf").files[0]
+    sides = {image["name"]: read_ldr(tmp_path / image["uri"]).shape[0] for image in document_of(file)["images"]}
+    assert sides == {**metallic, "diffuse": whole, "specular_glossiness": whole}
+    alone = material_conversion.to_gltf(asset.material, "unity-legacy").residual
+    assert verify_file(file, asset, "unity-legacy").brdf < alone + 0.005
 
 
 def test_every_profile_of_every_material_is_clean_for_the_validator(
