@@ -162,10 +162,10 @@ def _row(
         file = work / "pictures" / f"{name}_{engine_run.engine.split()[0]}_{engine_run.file}.npy"
         asset = work / "files" / f"{name}_{engine_run.file}"
         light = work / "files" / f"{name}_{engine_run.light}"
-        if reuse_only and not file.is_file():
-            return Row(name, engine_run.engine, engine_run.file, [], None, None, "")
         contents = asset.read_bytes(), light.read_bytes()
         key = engine_run.engine, *(hashlib.sha256(content).hexdigest() for content in contents)
+        if reuse_only and key not in rendered and not file.is_file():
+            return Row(name, engine_run.engine, engine_run.file, [], None, None, "")
         pictures = rendered.get(key) or _pictures(file, reuse, lambda: engine_run.render(asset, light, cameras))
         rendered[key] = pictures
     except RuntimeError as error:

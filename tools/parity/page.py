@@ -51,6 +51,7 @@ class Row:
 
 def write_page(folder: Path, rows: list[Row], size: int, samples: int) -> None:
     """parity.md from its template, and images/parity_SUBJECT.jpg beside it."""
+    (folder / "images").mkdir(parents=True, exist_ok=True)
     stored = _merged(folder / "parity.json", rows)
     rendered_subjects = list(dict.fromkeys(row.subject for row in rows))
     subjects = sorted({str(entry["subject"]) for entry in stored} | set(rendered_subjects), key=_position)
@@ -65,7 +66,6 @@ def write_page(folder: Path, rows: list[Row], size: int, samples: int) -> None:
     notes = ["- " + _OTHER_PIXELS] if any(entry["pixels"] != "covered" for entry in stored) else []
     notes.append("- " + _dates(stored))
     notes += [f"- {r.engine}, `{r.file}`, {r.subject}: {r.note}" for r in rows if r.note]
-    (folder / "images").mkdir(parents=True, exist_ok=True)
     pictures = []
     for subject in subjects:
         if subject not in rendered_subjects:  # its sheet of an earlier call
