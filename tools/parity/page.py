@@ -68,13 +68,11 @@ def write_page(folder: Path, rows: list[Row], size: int, samples: int) -> None:
     notes += [f"- {r.engine}, `{r.file}`, {r.subject}: {r.note}" for r in rows if r.note]
     pictures = []
     for subject in subjects:
-        if subject not in rendered_subjects:  # its sheet of an earlier call
-            pictures.append(f"![{subject}](images/parity_{subject}.jpg)")
-            continue
-        rendered = [row for row in rows if row.subject == subject and row.pictures]
-        _sheet(rendered).save(folder / "images" / f"parity_{subject}.jpg", quality=88)
-        engines = ", ".join(f"{row.engine} {row.file}".strip() for row in rendered)
-        pictures.append(f"![{subject}: {engines}](images/parity_{subject}.jpg)")
+        if subject in rendered_subjects:  # else its sheet of an earlier call
+            rendered = [row for row in rows if row.subject == subject and row.pictures]
+            _sheet(rendered).save(folder / "images" / f"parity_{subject}.jpg", quality=88)
+        engines = ", ".join(f"{e['engine']} {e['file']}" for e in stored if e["subject"] == subject)
+        pictures.append(f"![{subject}: hir, {engines}](images/parity_{subject}.jpg)")
     sources = {str(entry["subject"]): str(entry["origin"]) for entry in stored}
     arguments = {
         "a run": "a whole run of `hir reconstruct`",
@@ -118,7 +116,10 @@ def _merged(file: Path, rows: list[Row]) -> list[dict[str, str | float]]:
 
 
 def _dates(stored: Sequence[Mapping[str, str | float]]) -> str:
-    """When the figures were measured, for each object and engine."""
+    """When the figures were measured, for each object and engine where days differ."""
+    first = str(stored[0]["date"])
+    if all(entry["date"] == first for entry in stored):
+        return f"All figures were measured on {first}."
     days: dict[str, dict[str, list[str]]] = {}
     for entry in stored:
         engine = f"{str(entry['engine']).split()[0]} `{entry['file']}`"
