@@ -53,9 +53,10 @@ def computed_once() -> Iterator[None]:
 
     The same mesh, views and plan give the same.
     """
-    known: dict[Any, Any] = {}
 
     def kept(function: Callable[..., Any], key: Callable[..., Any]) -> Callable[..., Any]:
+        known: dict[Any, Any] = {}
+
         def called(*arguments: Any) -> Any:
             found = key(*arguments)
             if found not in known:

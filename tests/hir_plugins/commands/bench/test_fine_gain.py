@@ -34,7 +34,12 @@ def test_the_same_fit_is_computed_once_and_another_mesh_views_or_pass_again(monk
         calls.append(fit)
         return mesh, [], []
 
+    def prepare(mesh: Any, *rest: Any) -> Any:
+        calls.append(rest)
+        return SimpleNamespace(train=[0, 1])
+
     monkeypatch.setattr(photo_refinement, "fit_pass", fit_pass)
+    monkeypatch.setattr(geometry_fit, "_prepare", prepare)
     monkeypatch.setattr(geometry_fit, "_fit_silhouettes", silhouettes)
     mesh = icosphere(1)
     moved = mesh.with_positions(mesh.positions * 2)
@@ -48,11 +53,12 @@ def test_the_same_fit_is_computed_once_and_another_mesh_views_or_pass_again(monk
         assert fitted() is found and fitted(replace(mesh)) is found and len(calls) == 1
         others = (fitted(moved), fitted(train=(0, 1, 2)), fitted(plan=last))
         assert len(calls) == 4 and all(other is not found for other in others)
-        views: Any = SimpleNamespace(train=[0, 1])
+        views: Any = geometry_fit._prepare(mesh, None, None, None)  # type: ignore[arg-type]
+        assert geometry_fit._prepare(mesh, None, None, None) is views and len(calls) == 5  # type: ignore[arg-type]
         once = geometry_fit._fit_silhouettes(mesh, views, 0.1)
-        assert geometry_fit._fit_silhouettes(mesh, views, 0.1) is once and len(calls) == 5
+        assert geometry_fit._fit_silhouettes(mesh, views, 0.1) is once and len(calls) == 6
     fitted_again = photo_refinement.fit_pass(mesh, None, None, (0, 1), None, None, None, first, 7)  # type: ignore[arg-type]
-    assert fitted_again is not found and len(calls) == 6
+    assert fitted_again is not found and len(calls) == 7
 
 
 def test_the_table_has_shares_errors_and_verdicts(tmp_path: Path) -> None:
