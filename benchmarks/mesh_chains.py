@@ -5,7 +5,7 @@
 
 `former` is the visual hull, fitted at two levels with final edges of four pixels. `default` is what `hir reconstruct`
 does: hull and stereo, then the geometry stage. Captures come from `python -m benchmarks.shape make`. Each row is stored
-with the commit and processor seconds; a row that is stored already is not measured again.
+with commit, date, machine and processor seconds; a row that is stored already is not measured again.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import json
 import tempfile
 import time
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -27,7 +28,7 @@ from hir_core.intake.reader_lookup import read_capture
 from hir_core.mesh.mesh_validity import inspect_mesh
 from hir_core.metrics.surface_metrics import compare_surfaces
 from hir_core.plugins.manager import PluginManager
-from hir_core.run.machine import source_commit
+from hir_core.run.machine import describe_machine, source_commit
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import Scene
 from hir_core.stages.geometry.geometry_fit import fit_geometry
@@ -66,6 +67,8 @@ def measured(path: Path, method: str, seed: int, plugins: PluginManager) -> dict
         "cpu_seconds": round(seconds, 1),
         "stereo": report,
         "commit": source_commit(),
+        "date": datetime.now(UTC).date().isoformat(),
+        "machine": describe_machine("cpu"),
     }
 
 
