@@ -1,6 +1,7 @@
 """`python -m benchmarks.materials make OUT`: renders the captures of the materials benchmark.
 
 `model FILE OUT` renders one larger capture of a model file, with a material and lights of the benchmark.
+`noise OUT` prints for each capture the PSNR that the noise of its photographs allows.
 """
 
 from __future__ import annotations
@@ -25,9 +26,13 @@ def main() -> None:
     commands.add_parser("list", help="print the captures, one a line")
     make = commands.add_parser("make", help="render captures; those that are complete are kept")
     make.add_argument("out", type=Path)
-    make.add_argument("--half", choices=("tuning", "validation"), help="only one half")
-    make.add_argument("--only", nargs="*", default=(), help="names or numbers of captures")
-    make.add_argument("--variant", default="llvm_ad_rgb", help="Mitsuba's variant")
+    noise = commands.add_parser("noise", help="print the PSNR that the photographs' own noise allows")
+    noise.add_argument("out", type=Path, help="the folder of `make`")
+    noise.add_argument("--views", type=int, default=4, help="test views that are rendered once more")
+    for command in (make, noise):
+        command.add_argument("--half", choices=("tuning", "validation"), help="only one half")
+        command.add_argument("--only", nargs="*", default=(), help="names or numbers of captures")
+        command.add_argument("--variant", default="llvm_ad_rgb", help="Mitsuba's variant")
     model = commands.add_parser("model", help="render one capture of a model file")
     model.add_argument("file", type=Path, help="glTF, OBJ or PLY")
     model.add_argument("out", type=Path)
@@ -51,10 +56,15 @@ def main() -> None:
         chosen = [recipe for recipe in chosen if recipe.half == options.half]
     if options.only:
         chosen = [r for r in chosen if r.name in options.only or r.name.partition("_")[0] in options.only]
-    write_index(options.out)
     import mitsuba as mi
 
     mi.set_variant(options.variant)
+    if options.command == "noise":
+        from benchmarks.materials.photograph_noise import print_noise
+
+        print_noise(options.out, chosen, options.views)
+        return
+    write_index(options.out)
     from benchmarks.materials.render import write_capture
 
     for recipe in chosen:

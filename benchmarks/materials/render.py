@@ -46,16 +46,13 @@ def write_capture(recipe: Recipe, shape: Shape, folder: Path, settings: RenderSe
 
     settings = settings or RenderSettings()
     side, samples = settings.side, settings.samples
-    rng = np.random.default_rng(recipe.seed)
     material = MATERIALS[recipe.material]
-    surface = material.draw(shape.positions.astype(np.float64), shape.parts, rng)
-    mesh = mitsuba_mesh(mi, shape, surface)
+    mesh, surface, images = scene_parts(mi, recipe, shape)
     folder.mkdir(parents=True, exist_ok=True)
     write_obj(folder / "reference.obj", shape)
-    lights = dict(zip(("train", "relight_0", "relight_1"), (recipe.light, *recipe.relights), strict=True))
-    images = {}
-    for split, name in lights.items():
-        write_hdr(folder / f"env_{split}.hdr", light_image(name, rng))
+    lights = lights_of(recipe)
+    for split, light_map in images.items():
+        write_hdr(folder / f"env_{split}.hdr", light_map)
         images[split] = read_hdr(folder / f"env_{split}.hdr")
     strengths: dict[str, float] = {}
     for split, count in settings.views.items():
@@ -126,6 +123,19 @@ def mitsuba_mesh(mi: Any, shape: Shape, surface: Surface) -> Any:
     mesh.add_attribute("vertex_metal", 1, surface.metallic.astype(np.float32).ravel())
     mesh.add_attribute("vertex_rough", 1, surface.roughness.astype(np.float32).ravel())
     return mesh
+
+
+def lights_of(recipe: Recipe) -> dict[str, str]:
+    """The name of the light of each split; the test split has the train split's."""
+    return dict(zip(("train", "relight_0", "relight_1"), (recipe.light, *recipe.relights), strict=True))
+
+
+def scene_parts(mi: Any, recipe: Recipe, shape: Shape) -> tuple[Any, Surface, dict[str, NDArray[np.float32]]]:
+    """Mitsuba's mesh, the material at its vertices, and the light of each split; random, from the recipe's seed."""
+    rng = np.random.default_rng(recipe.seed)
+    surface = MATERIALS[recipe.material].draw(shape.positions.astype(np.float64), shape.parts, rng)
+    images = {split: light_image(name, rng) for split, name in lights_of(recipe).items()}
+    return mitsuba_mesh(mi, shape, surface), surface, images
 
 
 def render_view(

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
 from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap, SparsityPattern
-from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes import r2_points, tangent_frame
+from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes import spiral_points, tangent_frame
 from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import SurfacePoints
 
 PIXELS_PER_CHUNK = 1 << 13
@@ -57,7 +57,7 @@ def _rows(
     transport: Transport, points: SurfacePoints, samples: int, rotation: Tensor, seed: int
 ) -> tuple[Tensor, Tensor]:
     count, device = len(points), points.position.device
-    square = r2_points(count, samples, seed, device)
+    square = spiral_points(count, samples, seed, device)
     radius, phi = square[..., 1].sqrt(), 2 * math.pi * square[..., 0]
     height = (1 - square[..., 1]).clamp_min(0).sqrt()
     local = torch.stack([radius * phi.cos(), radius * phi.sin(), height], dim=-1)

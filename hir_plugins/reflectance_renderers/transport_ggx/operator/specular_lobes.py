@@ -24,6 +24,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface im
 PIXELS_PER_CHUNK = 1 << 16
 SCALE_LIMITS = 0.5, 2.0
 """Of the factor that makes the weights of a lobe's directions add up to its albedo."""
+GOLDEN_RATIO = (math.sqrt(5) - 1) / 2
 MIN_EYE_COSINE = 1e-3
 """Least cosine between normal and eye: interpolated normals may face away from the camera at silhouettes."""
 
@@ -139,7 +140,7 @@ def _trace(
     local_o = torch.stack([(wo * tangent).sum(1), (wo * bitangent).sum(1), (wo * points.normal).sum(1)], dim=1)
     n_wo = local_o[:, 2].clamp_min(MIN_EYE_COSINE)
     local_o = torch.nn.functional.normalize(torch.cat([local_o[:, :2], n_wo[:, None]], dim=1), dim=1)
-    square = r2_points(count, samples, seed, device)
+    square = spiral_points(count, samples, seed, device)
     h = visible_normal(local_o[:, None, :].expand(-1, samples, -1), alpha, square)
     h_wo = (h * local_o[:, None]).sum(-1).clamp(0, 1)
     local_i = 2 * h_wo[..., None] * h - local_o[:, None]
@@ -207,10 +208,16 @@ def visible_normal(
     return torch.nn.functional.normalize(h, dim=-1)
 
 
-def r2_points(count: int, samples: int, seed: int, device: torch.device) -> Float[Tensor, "P K 2"]:
-    """The R2 sequence (Roberts 2018) in the unit square, shifted at random for each pixel to decorrelate neighbours."""
+def spiral_points(count: int, samples: int, seed: int, device: torch.device) -> Float[Tensor, "P K 2"]:
+    """Points (angle, area) in the unit square that are even on a disk: a Fibonacci spiral (Vogel 1979).
+
+    Each pixel turns it and moves it along the radius at random, which decorrelates neighbours. Every ring of area
+    1 / K has one point. Lobes have 0.5 to 2 dB less error with it than with the R2 sequence, which is even on the
+    square (docs/studies/directions_of_lobes.md).
+    """
     index = torch.arange(samples, device=device, dtype=torch.float64)
-    step = torch.tensor([0.7548776662466927, 0.5698402909980532], device=device, dtype=torch.float64)
     generator = torch.Generator().manual_seed(seed)
     shift = torch.rand(count, 1, 2, generator=generator, dtype=torch.float64).to(device)
-    return ((index[:, None] * step)[None] + shift).remainder(1).float()
+    angle = (index * GOLDEN_RATIO + shift[..., 0]).remainder(1)
+    area = (index + shift[..., 1]) / samples
+    return torch.stack([angle, area], dim=-1).float()

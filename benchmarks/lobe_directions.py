@@ -1,0 +1,132 @@
+"""Error of a specular lobe by the number of its directions, their pattern and the level of the light that they read.
+
+`python -m benchmarks.lobe_directions CAPTURE [--kind metal]` on a capture with a true mesh: fits light and material
+with 64 directions, then compares the radiance of one held-out view with 1,024 directions that read the finest level.
+Prints one line of JSON for each pattern and level: PSNR in sRGB by the number of directions.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from benchmarks.reflectance_task import Task, task_of
+from hir_core.run.machine import describe_machine, source_commit
+from hir_core.scene.srgb import linear_to_srgb
+from hir_core.stages.held_out_views import held_out_for_model_selection
+from hir_core.stages.reflectance.selection.hypotheses import KINDS, hypothesis
+from hir_core.stages.reflectance.selection.successive_halving import ROUNDS
+from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import logit_of_alpha
+from hir_plugins.reflectance_renderers.transport_ggx.operator import specular_lobes
+from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import Pyramid
+from hir_plugins.reflectance_renderers.transport_ggx.solver import Fit, TransportSolver
+
+Pattern = Callable[[int, int, int, torch.device], Tensor]
+FITTED_DIRECTIONS = 64
+REFERENCE_DIRECTIONS = 1_024
+FINEST_LEVEL = -20.0
+"""A level offset with which every direction reads the finest level."""
+
+
+def r2_points(count: int, samples: int, seed: int, device: torch.device) -> Tensor:
+    """The R2 sequence (Roberts 2018), moved at random for each pixel: the pattern of before."""
+    index = torch.arange(samples, device=device, dtype=torch.float64)
+    step = torch.tensor([0.7548776662466927, 0.5698402909980532], device=device, dtype=torch.float64)
+    return ((index[:, None] * step)[None] + _shift(count, seed, device)).remainder(1).float()
+
+
+def random_points(count: int, samples: int, seed: int, device: torch.device) -> Tensor:
+    """Independent points."""
+    return torch.rand(count, samples, 2, generator=torch.Generator().manual_seed(seed)).to(device)
+
+
+def _shift(count: int, seed: int, device: torch.device) -> Tensor:
+    generator = torch.Generator().manual_seed(seed)
+    return torch.rand(count, 1, 2, generator=generator, dtype=torch.float64).to(device)
+
+
+PATTERNS: dict[str, Pattern] = {
+    "random": random_points,
+    "R2": r2_points,
+    "spiral": specular_lobes.spiral_points,
+}
+
+
+@contextmanager
+def drawn_with(pattern: Pattern, level_offset: float) -> Iterator[None]:
+    """Lobes with another pattern of directions that read the light `level_offset` levels coarser."""
+    points, lookup = specular_lobes.spiral_points, Pyramid.lookup
+
+    def shifted(pyramid: Pyramid, directions: Tensor, solid_angle: Tensor) -> tuple[Tensor, Tensor]:
+        return lookup(pyramid, directions, solid_angle * 4.0**level_offset)
+
+    specular_lobes.spiral_points, Pyramid.lookup = pattern, shifted  # type: ignore[method-assign]
+    try:
+        yield
+    finally:
+        specular_lobes.spiral_points, Pyramid.lookup = points, lookup  # type: ignore[method-assign]
+
+
+def solver_with(task: Task, directions: int) -> TransportSolver:
+    """A solver whose lobes have this number of directions; all of them compare the same pixels."""
+    renderer = task.plugins.create("reflectance_renderer", "transport_ggx", {"samples": directions}, 0)
+    solver = renderer.prepare(task.start, task.train, 1)
+    assert isinstance(solver, TransportSolver)
+    return solver
+
+
+def predicted(task: Task, fit: Fit, view: int, directions: int) -> Tensor:
+    """sRGB colours (P, 3) of the pixels that are compared in a view."""
+    solver = solver_with(task, directions)
+    parts = [radiance for _, radiance in solver._predicted(fit, solver._pixels.compared([view]))]
+    return linear_to_srgb(torch.cat(parts).clamp(0, 1))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("capture", type=Path)
+    parser.add_argument("--kind", choices=KINDS, default="metal")
+    parser.add_argument("--alphas", default="0.09,0.3", help="widths of the lobe that are compared")
+    parser.add_argument("--levels", default="0,-0.25,-0.5,0.5")
+    parser.add_argument("--directions", default="16,24,32")
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    task = task_of(options.capture, downsample=1)
+    training, held_out = held_out_for_model_selection(len(task.train.views))
+    solver, fit = solver_with(task, FITTED_DIRECTIONS), None
+    for budget in ROUNDS:
+        spec = hypothesis(options.kind, "world")
+        fit = solver.fit(spec, fit, training, budget.effort, lambda share: None, None, budget.pixel_share)
+    assert fit is not None
+    about = {
+        "commit": source_commit(),
+        "date": datetime.now(UTC).date().isoformat(),
+        "machine": describe_machine("cpu"),
+    }
+    about = {"capture": options.capture.name, "kind": options.kind, **about}
+    for alpha in map(float, options.alphas.split(",")):
+        lobe = replace(fit, parameters=replace(fit.parameters, width=logit_of_alpha(torch.tensor([[alpha]]))))
+        with drawn_with(specular_lobes.spiral_points, FINEST_LEVEL):
+            reference = predicted(task, lobe, held_out[0], REFERENCE_DIRECTIONS)
+        for name, pattern in PATTERNS.items():
+            for level in map(float, options.levels.split(",")):
+                errors = {}
+                for directions in map(int, options.directions.split(",")):
+                    with drawn_with(pattern, level):
+                        error = predicted(task, lobe, held_out[0], directions) - reference
+                    errors[directions] = round(-10 * math.log10(float(error.square().mean())), 2)
+                row = {"alpha": alpha, "pattern": name, "level_offset": level, "dB": errors}
+                print(json.dumps(row | about), flush=True)
+
+
+if __name__ == "__main__":
+    main()
