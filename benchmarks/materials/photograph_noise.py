@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from benchmarks.materials.lights import LIGHTS
 from benchmarks.materials.recipes import Recipe
 from benchmarks.materials.render import SAMPLES, SIDE, SPLITS, encoded, render_view, scene_parts, spiral_camera
 from benchmarks.materials.shapes import Shape, make_shape
+from hir_core.run.machine import describe_machine, source_commit
 
 OTHER_SEED = 1_000_003
 """Added to the seed of a photograph for a second one of the same view."""
@@ -64,10 +66,11 @@ def print_noise(captures: Path, chosen: Sequence[Recipe], views: int) -> None:
     """One line of JSON for each capture that is rendered: its ceiling."""
     import mitsuba as mi
 
+    date = datetime.now(UTC).date().isoformat()
+    about = {"commit": source_commit(), "date": date, "machine": describe_machine("cpu")}
     for recipe in chosen:
         folder = captures / recipe.half / recipe.name
         if (folder / "truth.json").exists():
             ceiling = noise_ceiling(mi, recipe, make_shape(recipe.shape), folder, views)
-            print(
-                json.dumps({"capture": recipe.name, "half": recipe.half, "ceiling_db": round(ceiling, 2)}), flush=True
-            )
+            row = {"capture": recipe.name, "half": recipe.half, "views": views, "ceiling_db": round(ceiling, 2)}
+            print(json.dumps(row | about), flush=True)
