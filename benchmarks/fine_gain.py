@@ -12,7 +12,6 @@ measured again.
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import json
 import statistics
@@ -28,6 +27,7 @@ import numpy as np
 
 from benchmarks.default_values import DEFAULT_VALUES, gain_of
 from benchmarks.mesh_chains import CHAINS
+from benchmarks.stored_rows import add_rows, stored_rows, study_arguments
 from hir_core.capture import Capture
 from hir_core.config import load_config
 from hir_core.intake.reader_lookup import read_capture
@@ -174,28 +174,17 @@ def table(file: Path) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("captures", nargs="*", type=Path)
-    parser.add_argument("--store", type=Path, default=Path("benchmarks/results/fine_gain.jsonl"))
-    parser.add_argument("--seeds", type=int, nargs="+", default=[0])
-    parser.add_argument("--table", type=Path)
+    parser = study_arguments(__doc__, Path("benchmarks/results/fine_gain.jsonl"))
     options = parser.parse_args()
     if options.table is not None:
         print(table(options.table))
         return
     plugins = PluginManager.discover()
-    known: set[tuple[str, int]] = set()
-    if options.store.exists():
-        stored = (json.loads(line) for line in options.store.read_text(encoding="utf-8").splitlines())
-        known = {(row["capture"], row["seed"]) for row in stored}
+    known = {(row["capture"], row["seed"]) for row in stored_rows(options.store)}
     for seed in options.seeds:
         for path in options.captures:
-            if (path.name, seed) in known:
-                continue
-            rows = list(measured(path, seed, plugins))
-            with options.store.open("a", encoding="utf-8") as file:
-                file.writelines(json.dumps(row, sort_keys=True) + "\n" for row in rows)
-            print("\n".join(json.dumps(row) for row in rows), flush=True)
+            if (path.name, seed) not in known:
+                add_rows(options.store, measured(path, seed, plugins))
 
 
 if __name__ == "__main__":

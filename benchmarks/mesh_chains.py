@@ -10,7 +10,6 @@ with commit, date, machine and processor seconds; a row that is stored already i
 
 from __future__ import annotations
 
-import argparse
 import json
 import tempfile
 import time
@@ -22,6 +21,7 @@ from unittest.mock import patch
 
 import numpy as np
 
+from benchmarks.stored_rows import add_rows, stored_rows, study_arguments
 from hir_core.capture import Capture
 from hir_core.config import load_config
 from hir_core.intake.reader_lookup import read_capture
@@ -122,29 +122,18 @@ def _mean_and_deviation(values: list[float], form: str) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("captures", nargs="*", type=Path)
-    parser.add_argument("--store", type=Path, default=Path("benchmarks/results/mesh_chains.jsonl"))
-    parser.add_argument("--seeds", type=int, nargs="+", default=[0])
-    parser.add_argument("--table", type=Path)
+    parser = study_arguments(__doc__, Path("benchmarks/results/mesh_chains.jsonl"))
     options = parser.parse_args()
     if options.table is not None:
         print(table(options.table))
         return
     plugins = PluginManager.discover()
-    known = set()
-    if options.store.exists():
-        stored = (json.loads(line) for line in options.store.read_text().splitlines())
-        known = {(row["capture"], row["method"], row["seed"]) for row in stored}
+    known = {(row["capture"], row["method"], row["seed"]) for row in stored_rows(options.store)}
     for path in options.captures:
         for method in CHAINS:
             for seed in options.seeds:
-                if (path.name, method, seed) in known:
-                    continue
-                row = measured(path, method, seed, plugins)
-                with options.store.open("a") as file:
-                    file.write(json.dumps(row, sort_keys=True) + "\n")
-                print(json.dumps(row), flush=True)
+                if (path.name, method, seed) not in known:
+                    add_rows(options.store, [measured(path, method, seed, plugins)])
 
 
 if __name__ == "__main__":
