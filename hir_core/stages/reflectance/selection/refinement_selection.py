@@ -132,7 +132,8 @@ class RefinementSelection(Generic[FitT, RefinementT]):
     def compare_per_texel(self) -> None:
         """Selects the per-texel BRDF where held-out views gain over a per-texel albedo; neither continues the fit.
 
-        Where maps at vertices were accepted, vertices are fine enough for what varies.
+        It is not selected where it is behind the model that it would replace: both may share a limit of texels, such as
+        the width of the narrowest lobe. Where maps at vertices were accepted, vertices are fine enough for what varies.
         """
         if self.spec.light_frame != "world" or self.spec.kind == "diffuse" or self.spec.mapped:
             return
@@ -143,7 +144,10 @@ class RefinementSelection(Generic[FitT, RefinementT]):
             for each in ("albedo", "brdf")
         )
         gain, standard_error = paired_gain(control.errors, candidate.errors)
-        accepted = is_significant(gain, standard_error, len(control.errors), REQUIRED_STANDARD_ERRORS_OF_NORMALS)
+        views = len(control.errors)
+        loss, error_of_loss = paired_gain(candidate.errors, self.fit.errors)
+        accepted = is_significant(gain, standard_error, views, REQUIRED_STANDARD_ERRORS_OF_NORMALS)
+        accepted = accepted and not differs(loss, error_of_loss, views)
         if accepted:
             self.fit = candidate
         self._record(candidate, gain, standard_error, accepted)

@@ -152,6 +152,19 @@ def test_no_per_texel_brdf_after_maps_at_vertices() -> None:
     assert chosen(error) == ModelSpec("dielectric", "uniform", normals="map")
 
 
+def test_a_per_texel_brdf_behind_the_model_that_it_would_replace_is_rejected() -> None:
+    """As on a mirror: lobes of texels are never narrow enough, with their own albedo alone and with a BRDF."""
+
+    def error(spec: ModelSpec) -> float:
+        at_texels = {"none": 1.0, "albedo": 12.0, "brdf": 8.0}[spec.per_texel]
+        return 1e-4 * at_texels * (1 if spec.brdf == "dielectric" else 3)
+
+    selection = select(Scripted(error), ReflectanceSettings())
+    last = selection.comparisons[-1]
+    assert last.spec.per_texel == "brdf" and last.gain_db == pytest.approx(10 * np.log10(12 / 8)) and not last.accepted
+    assert selection.spec.per_texel == "none"
+
+
 def test_per_texel_brdf_is_compared_with_per_texel_albedo() -> None:
     """Points with their own albedo fit better than vertices, whatever the lobe: that is not a gain of the lobe."""
 
