@@ -13,10 +13,9 @@ measured again.
 from __future__ import annotations
 
 import hashlib
-import json
 import statistics
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
@@ -130,9 +129,8 @@ def measured(path: Path, seed: int, plugins: PluginManager) -> Iterator[dict[str
             }
 
 
-def table(file: Path) -> str:
+def table(rows: Sequence[Mapping[str, Any]]) -> str:
     """Markdown: shares and errors of each capture, and how much lower the candidates' errors are, in per cent."""
-    rows = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
     captures = sorted({row["capture"] for row in rows})
     values = [value for value in VALUES if any(row["least_fine_gain"] == value for row in rows)]
 
@@ -174,11 +172,7 @@ def table(file: Path) -> str:
 
 
 def main() -> None:
-    parser = study_arguments(__doc__, Path("benchmarks/results/fine_gain.jsonl"))
-    options = parser.parse_args()
-    if options.table is not None:
-        print(table(options.table))
-        return
+    options = study_arguments(__doc__, Path("benchmarks/results/fine_gain.jsonl"), table)
     plugins = PluginManager.discover()
     known = {(row["capture"], row["seed"]) for row in stored_rows(options.store)}
     for seed in options.seeds:

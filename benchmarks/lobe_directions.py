@@ -2,7 +2,8 @@
 
 `python -m benchmarks.lobe_directions CAPTURE [--kind metal]` on a capture with a true mesh: fits light and material
 with 64 directions, then compares the radiance of one held-out view with 1,024 directions that read the finest level.
-Prints one line of JSON for each pattern and level: PSNR in sRGB by the number of directions.
+Prints one line of JSON for each pattern and level: PSNR in sRGB by the number of directions. Then the relative error
+of the irradiance from the hemisphere's directions, which a light on the camera needs, against 8,192 of them.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -26,32 +28,32 @@ from hir_core.stages.held_out_views import held_out_for_model_selection
 from hir_core.stages.reflectance.selection.hypotheses import KINDS, hypothesis
 from hir_core.stages.reflectance.selection.successive_halving import ROUNDS
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import logit_of_alpha
-from hir_plugins.reflectance_renderers.transport_ggx.operator import specular_lobes
+from hir_plugins.reflectance_renderers.transport_ggx.operator import camera_light, specular_lobes
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import Pyramid
 from hir_plugins.reflectance_renderers.transport_ggx.solver import Fit, TransportSolver
 
 Pattern = Callable[[int, int, int, torch.device], Tensor]
 FITTED_DIRECTIONS = 64
 REFERENCE_DIRECTIONS = 1_024
+REFERENCE_OF_HEMISPHERE = 8_192
+HEMISPHERES = (48, 96, 192)
+"""Directions; 96 is the default of `diffuse_samples`."""
 FINEST_LEVEL = -20.0
 """A level offset with which every direction reads the finest level."""
 
 
 def r2_points(count: int, samples: int, seed: int, device: torch.device) -> Tensor:
-    """The R2 sequence (Roberts 2018), moved at random for each pixel: the pattern of before."""
+    """The R2 sequence (Roberts 2018), even on the unit square, moved at random for each pixel."""
+    generator = torch.Generator().manual_seed(seed)
+    shift = torch.rand(count, 1, 2, generator=generator, dtype=torch.float64).to(device)
     index = torch.arange(samples, device=device, dtype=torch.float64)
     step = torch.tensor([0.7548776662466927, 0.5698402909980532], device=device, dtype=torch.float64)
-    return ((index[:, None] * step)[None] + _shift(count, seed, device)).remainder(1).float()
+    return ((index[:, None] * step)[None] + shift).remainder(1).float()
 
 
 def random_points(count: int, samples: int, seed: int, device: torch.device) -> Tensor:
     """Independent points."""
     return torch.rand(count, samples, 2, generator=torch.Generator().manual_seed(seed)).to(device)
-
-
-def _shift(count: int, seed: int, device: torch.device) -> Tensor:
-    generator = torch.Generator().manual_seed(seed)
-    return torch.rand(count, 1, 2, generator=generator, dtype=torch.float64).to(device)
 
 
 PATTERNS: dict[str, Pattern] = {
@@ -69,11 +71,13 @@ def drawn_with(pattern: Pattern, level_offset: float) -> Iterator[None]:
     def shifted(pyramid: Pyramid, directions: Tensor, solid_angle: Tensor) -> tuple[Tensor, Tensor]:
         return lookup(pyramid, directions, solid_angle * 4.0**level_offset)
 
-    specular_lobes.spiral_points, Pyramid.lookup = pattern, shifted  # type: ignore[method-assign]
+    specular_lobes.spiral_points = camera_light.spiral_points = pattern
+    Pyramid.lookup = shifted  # type: ignore[method-assign]
     try:
         yield
     finally:
-        specular_lobes.spiral_points, Pyramid.lookup = points, lookup  # type: ignore[method-assign]
+        specular_lobes.spiral_points = camera_light.spiral_points = points
+        Pyramid.lookup = lookup  # type: ignore[method-assign]
 
 
 def solver_with(task: Task, directions: int) -> TransportSolver:
@@ -89,6 +93,25 @@ def predicted(task: Task, fit: Fit, view: int, directions: int) -> Tensor:
     solver = solver_with(task, directions)
     parts = [radiance for _, radiance in solver._predicted(fit, solver._pixels.compared([view]))]
     return linear_to_srgb(torch.cat(parts).clamp(0, 1))
+
+
+def hemisphere_errors(solver: TransportSolver, fit: Fit, view: int) -> Iterator[dict[str, Any]]:
+    """Relative root mean square error of the irradiance at the pixels of a view, under the fitted light."""
+    points, transport = solver._pixels.compared([view]).points, solver._transport
+    light = transport.pyramid.flatten(fit.parameters.radiance.detach())
+    sources = torch.cat([light, light.new_zeros(len(transport.irradiance_cache), 3)])
+
+    def irradiance(pattern: Pattern, directions: int) -> Tensor:
+        with drawn_with(pattern, 0.0):
+            return camera_light.irradiance_of(transport, points, directions, solver._rotation, sources)
+
+    reference = irradiance(specular_lobes.spiral_points, REFERENCE_OF_HEMISPHERE)
+    for name, pattern in PATTERNS.items():
+        errors = {n: irradiance(pattern, n) - reference for n in HEMISPHERES}
+        yield {
+            "pattern": name,
+            "irradiance_error": {n: round(float(e.norm() / reference.norm()), 4) for n, e in errors.items()},
+        }
 
 
 def main() -> None:
@@ -108,11 +131,12 @@ def main() -> None:
         fit = solver.fit(spec, fit, training, budget.effort, lambda share: None, None, budget.pixel_share)
     assert fit is not None
     about = {
+        "capture": options.capture.name,
+        "kind": options.kind,
         "commit": source_commit(),
         "date": datetime.now(UTC).date().isoformat(),
         "machine": describe_machine("cpu"),
     }
-    about = {"capture": options.capture.name, "kind": options.kind, **about}
     for alpha in map(float, options.alphas.split(",")):
         lobe = replace(fit, parameters=replace(fit.parameters, width=logit_of_alpha(torch.tensor([[alpha]]))))
         with drawn_with(specular_lobes.spiral_points, FINEST_LEVEL):
@@ -126,6 +150,8 @@ def main() -> None:
                     errors[directions] = round(-10 * math.log10(float(error.square().mean())), 2)
                 row = {"alpha": alpha, "pattern": name, "level_offset": level, "dB": errors}
                 print(json.dumps(row | about), flush=True)
+    for row in hemisphere_errors(solver, fit, held_out[0]):
+        print(json.dumps(row | about), flush=True)
 
 
 if __name__ == "__main__":

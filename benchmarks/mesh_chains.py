@@ -10,9 +10,9 @@ with commit, date, machine and processor seconds; a row that is stored already i
 
 from __future__ import annotations
 
-import json
 import tempfile
 import time
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -93,9 +93,8 @@ def _fitted(capture: Capture, method: str, seed: int, plugins: PluginManager) ->
     return fitted.scene, {key: report[key] for key in ("confirmed_share", "explained_share") if key in report}
 
 
-def table(file: Path) -> str:
+def table(rows: Sequence[Mapping[str, Any]]) -> str:
     """A Markdown table of stored rows, one line a capture; several seeds as mean ± standard deviation."""
-    rows = [json.loads(line) for line in file.read_text().splitlines()]
     lines = [
         "| half | capture | Chamfer, former → default | normals, ° | genus (true) | CPU s |",
         "|---|---|---|---|---|---|",
@@ -122,11 +121,7 @@ def _mean_and_deviation(values: list[float], form: str) -> str:
 
 
 def main() -> None:
-    parser = study_arguments(__doc__, Path("benchmarks/results/mesh_chains.jsonl"))
-    options = parser.parse_args()
-    if options.table is not None:
-        print(table(options.table))
-        return
+    options = study_arguments(__doc__, Path("benchmarks/results/mesh_chains.jsonl"), table)
     plugins = PluginManager.discover()
     known = {(row["capture"], row["method"], row["seed"]) for row in stored_rows(options.store)}
     for path in options.captures:

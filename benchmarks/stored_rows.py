@@ -4,19 +4,29 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 
-def study_arguments(description: str | None, store: Path) -> argparse.ArgumentParser:
-    """Captures, seeds, the file of stored lines, and `--table FILE` to print its table."""
+def study_arguments(
+    description: str | None, store: Path, table: Callable[[list[dict[str, Any]]], str]
+) -> argparse.Namespace:
+    """`captures`, `seeds` and `store`, the file of stored lines; with `--table FILE` prints its table and ends."""
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("captures", nargs="*", type=Path)
-    parser.add_argument("--store", type=Path, default=store)
+    parser.add_argument("--store", type=Path, default=store, help="file of stored lines")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
-    parser.add_argument("--table", type=Path)
-    return parser
+    parser.add_argument("--table", type=Path, metavar="FILE", help="print the table of stored lines, measure nothing")
+    options = parser.parse_args()
+    if options.table is not None:
+        if not options.table.is_file():
+            parser.error(f"{options.table} does not exist; give a file that --store wrote")
+        print(table(stored_rows(options.table)))
+        raise SystemExit(0)
+    if not options.captures:
+        parser.error("name captures, or --table")
+    return options
 
 
 def stored_rows(store: Path) -> list[dict[str, Any]]:

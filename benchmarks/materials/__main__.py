@@ -62,7 +62,8 @@ def main() -> None:
     if options.command == "noise":
         from benchmarks.materials.photograph_noise import print_noise
 
-        print_noise(options.out, chosen, options.views)
+        if not print_noise(options.out, chosen, options.views):
+            parser.error(f"{options.out} has none of these captures; render them with: make {options.out}")
         return
     write_index(options.out)
     from benchmarks.materials.render import write_capture

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 from hir_exporters.conventions import srgb_to_linear
-from hir_exporters.textures.image_files import read_ldr
+from hir_exporters.textures.image_files import read_hdr, read_ldr
 from numpy.typing import NDArray
 
 from benchmarks.materials.lights import LIGHTS
@@ -34,15 +34,13 @@ def noise_ceiling(mi: Any, recipe: Recipe, shape: Shape, folder: Path, views: in
 
     Each view is rendered once more with other random numbers.
     """
-    mesh, surface, images = scene_parts(mi, recipe, shape)
-    light = LIGHTS[recipe.light]
+    mesh, surface, _ = scene_parts(mi, recipe, shape)
+    light, light_map = LIGHTS[recipe.light], read_hdr(folder / "env_train.hdr")
     found = []
     for i in range(0, SPLITS["test"], max(1, SPLITS["test"] // views)):
         pose = spiral_camera(i, SPLITS["test"], "test")
         carried = light.frame == "camera"
-        again = render_view(
-            mi, mesh, surface, images["train"], carried, light.lamp, pose, SIDE, SAMPLES, i + OTHER_SEED
-        )
+        again = render_view(mi, mesh, surface, light_map, carried, light.lamp, pose, SIDE, SAMPLES, i + OTHER_SEED)
         found.append(_ceiling(np.asarray(read_ldr(folder / "test" / f"{i:03d}.png"), np.float32), again))
     return float(np.mean(found))
 
@@ -62,15 +60,16 @@ def _strength(photograph: NDArray[np.float32], again: NDArray[np.float32], insid
     return float(srgb_to_linear(photograph[..., :3])[unclipped].sum() / max(color[unclipped].sum(), 1e-12))
 
 
-def print_noise(captures: Path, chosen: Sequence[Recipe], views: int) -> None:
-    """One line of JSON for each capture that is rendered: its ceiling."""
+def print_noise(captures: Path, chosen: Sequence[Recipe], views: int) -> bool:
+    """One line of JSON for each capture that is rendered: its ceiling. Whether there is one."""
     import mitsuba as mi
 
     date = datetime.now(UTC).date().isoformat()
     about = {"commit": source_commit(), "date": date, "machine": describe_machine("cpu")}
-    for recipe in chosen:
+    rendered = [r for r in chosen if (captures / r.half / r.name / "truth.json").exists()]
+    for recipe in rendered:
         folder = captures / recipe.half / recipe.name
-        if (folder / "truth.json").exists():
-            ceiling = noise_ceiling(mi, recipe, make_shape(recipe.shape), folder, views)
-            row = {"capture": recipe.name, "half": recipe.half, "views": views, "ceiling_db": round(ceiling, 2)}
-            print(json.dumps(row | about), flush=True)
+        ceiling = noise_ceiling(mi, recipe, make_shape(recipe.shape), folder, views)
+        row = {"capture": recipe.name, "half": recipe.half, "views": views, "ceiling_db": round(ceiling, 2)}
+        print(json.dumps(row | about), flush=True)
+    return bool(rendered)

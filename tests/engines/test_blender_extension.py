@@ -28,6 +28,7 @@ from hir_exporters.textures.image_files import read_hdr
 from parity.engines import blender_python
 from scipy.spatial import cKDTree
 
+from hir_plugins.initializers.existing_mesh.mesh_loading import load_mesh
 from tests.docs.checkout import tool
 from tests.fixtures.octant_asset import asset
 from tests.fixtures.runs import QUICK
@@ -310,8 +311,7 @@ def test_materials_are_refitted(session: dict[str, Any], case: str, axes: str) -
 def test_the_scan_that_hir_gets(session: dict[str, Any], case: str, y_up: bool) -> None:
     """The corners of all triangles in the axes that were chosen, with the UV map that textures use."""
     found = session[case]
-    scan = trimesh.load(session["work"] / case.replace(" ", "_") / "scan.glb", force="mesh", process=False)
-    assert isinstance(scan, trimesh.Trimesh)
+    scan = load_mesh(session["work"] / case.replace(" ", "_") / "scan.glb")
     positions, uv = np.array(found["positions"]), np.array(found["uv"])
     if y_up:
         positions = positions[:, [0, 2, 1]] * [1, 1, -1]

@@ -31,7 +31,6 @@ def write_scan(context, item, file, y_up):
     """Writes the object as it is seen (modifiers applied, in world coordinates), with the UV map that textures use."""
     mesh = bpy.data.meshes.new_from_object(item.evaluated_get(context.evaluated_depsgraph_get()))
     copy = bpy.data.objects.new("hir scan", mesh)
-    plain = bpy.data.materials.new("hir scan")
     selected, active = list(context.selected_objects), context.view_layer.objects.active
     try:
         if not mesh.uv_layers or not mesh.polygons:
@@ -43,7 +42,6 @@ def write_scan(context, item, file, y_up):
         for name in [layer.name for layer in mesh.uv_layers if layer.name != kept]:
             mesh.uv_layers.remove(mesh.uv_layers[name])
         mesh.materials.clear()
-        mesh.materials.append(plain)  # trimesh, by which hir reads glTF, drops the UV map of a mesh without a material
         context.scene.collection.objects.link(copy)
         for other in selected:
             other.select_set(False)
@@ -56,14 +54,13 @@ def write_scan(context, item, file, y_up):
             use_selection=True,
             export_yup=y_up,
             export_normals=False,
-            export_image_format="NONE",
+            export_materials="NONE",
             export_animations=False,
         )
     except RuntimeError as error:
         raise HirError(f"the mesh could not be written: {str(error).strip().splitlines()[-1]}") from error
     finally:
         bpy.data.meshes.remove(mesh)  # and the copy with it
-        bpy.data.materials.remove(plain)
         for other in selected:
             other.select_set(True)
         context.view_layer.objects.active = active

@@ -82,14 +82,19 @@ def gltf_scene(path: Path, document: GLTF2) -> trimesh.Scene:
 
 def read_gltf_surface(
     path: Path,
-) -> tuple[MetallicSurface, SpecularSurface | None, NDArray[np.float32] | None]:
-    """The material of a .glb or .gltf that has only one: surface, specular workflow, decoded normal map."""
+) -> tuple[MetallicSurface, SpecularSurface | None, NDArray[np.float32] | None] | None:
+    """The material of a .glb or .gltf: surface, specular workflow, decoded normal map. None where it has none.
+
+    Raises `InputError` where the file has several or cannot be read.
+    """
     from pygltflib import GLTF2
 
     try:
         check_references(path)
         document = GLTF2().load(str(path))
-        if len(document.materials) != 1:
+        if not document.materials:
+            return None
+        if len(document.materials) > 1:
             raise InputError(f"{path} has {len(document.materials)} materials; an asset has one: merge them first")
         return _gltf_material(document, Path(path))
     except InputError:

@@ -127,11 +127,12 @@ def _checked_material(path: Path, suffix: str, maps: MaterialOverrides) -> Asset
 
 def _material(path: Path, suffix: str, maps: MaterialOverrides) -> AssetMaterial:
     surface, normal = _default_surface(), None
-    if suffix in (".glb", ".gltf") and _unset(maps):
-        material, _ = decode_surface(*read_gltf_surface(path))
+    found = read_gltf_surface(path) if suffix in (".glb", ".gltf") else None
+    if found is not None and _unset(maps):
+        material, _ = decode_surface(*found)
         return material if maps.normal is None else replace(material, normal=load_normal_map(maps.normal))
-    if suffix in (".glb", ".gltf"):
-        surface, _, normal = read_gltf_surface(path)
+    if found is not None:
+        surface, _, normal = found
     elif suffix == ".obj":
         maps = _with_defaults(maps, read_mtl(path))
     surface = replace(

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import base64
 import binascii
+import io
 import re
-import struct
 from collections.abc import Iterator
 from pathlib import Path, PureWindowsPath
 from typing import TYPE_CHECKING, Any, Final
@@ -19,6 +19,7 @@ from urllib.parse import unquote
 from hir_exporters.errors import HirError, InputError
 from hir_exporters.files.regular_files import check_regular_file
 from hir_exporters.files.untrusted_json import parse_json
+from hir_exporters.reading.gltf_geometry.default_material import split_document, with_default_material
 from hir_exporters.textures.ktx2 import IDENTIFIER, check_ktx2
 from hir_exporters.textures.pillow_images import open_image
 
@@ -56,6 +57,8 @@ def load_mesh_scene(path: Path, file: Any = None, kind: str = "", **options: Any
     check_references(path)
     source = path if file is None else file
     kind = kind or path.suffix[1:].lower()
+    if kind in ("glb", "gltf"):
+        source = io.BytesIO(with_default_material(path.read_bytes() if file is None else file.read()))
     return trimesh.load_scene(source, file_type=kind, resolver=_contained_resolver(path), **options)
 
 
@@ -145,12 +148,8 @@ def _check_image(data: bytes, name: str) -> None:
 
 def _gltf_content(path: Path) -> tuple[dict[str, Any], bytes]:
     """The JSON document of a .gltf or .glb, and the binary chunk of a .glb."""
-    data, binary = path.read_bytes(), b""
-    if data.startswith(b"glTF"):
-        (length,) = struct.unpack_from("<I", data, 12)
-        binary = data[20 + length + 8 :]
-        data = data[20 : 20 + length]
-    document = parse_json(data)
+    text, chunks = split_document(path.read_bytes())
+    document, binary = parse_json(text), chunks[8:]
     if not isinstance(document, dict):
         raise InputError(f"{path} is not a glTF document; export it again")
     return document, binary

@@ -9,7 +9,6 @@ import numpy as np
 from hir_exporters.reading.mesh_references import load_mesh_scene
 
 from hir_core.errors import CaptureError, HirError
-from hir_plugins.initializers.existing_mesh.gltf_texture_coordinates import with_materials
 
 if TYPE_CHECKING:
     import trimesh
@@ -24,9 +23,7 @@ def load_mesh(path: Path) -> trimesh.Trimesh:
     if path.stat().st_size > _MAX_BYTES:
         raise CaptureError(f"{path} is larger than {_MAX_BYTES >> 30} GB; simplify it first")
     try:
-        content = with_materials(path)
-        scene = load_mesh_scene(path, *content, process=False) if content else load_mesh_scene(path, process=False)
-        mesh = scene.to_mesh()
+        mesh = load_mesh_scene(path, process=False).to_mesh()
     except HirError as error:
         raise CaptureError(str(error)) from None
     except Exception as error:  # trimesh's loaders raise many types on broken files

@@ -14,6 +14,7 @@ from hir_exporters.reading.file_verification import verify_file
 from hir_exporters.reading.material_overrides import MaterialOverrides, parse_material_override
 from hir_exporters.reading.mesh_import import load_mesh_asset
 from hir_exporters.textures.image_files import write_png
+from pygltflib import GLTF2
 
 
 def corners(asset: Asset) -> np.ndarray:
@@ -36,6 +37,26 @@ def test_an_exported_core_material_comes_back(textured_asset: Asset, suffix: str
     np.testing.assert_allclose(back.material.specular_albedo, 0.04, atol=1e-5)
     assert back.material.normal is not None
     assert back.provenance == {"made_from": f"x.{suffix}"}
+
+
+@pytest.mark.parametrize("suffix", ["glb", "gltf"])
+def test_a_gltf_without_a_material_keeps_its_texture_coordinates(
+    constant_asset: Asset, suffix: str, tmp_path: Path
+) -> None:
+    """As sculpting programs write it; trimesh alone reads TEXCOORD_0 only beside a material."""
+    file = tmp_path / f"x.{suffix}"
+    create_exporter(suffix).write(constant_asset, file)
+    document = GLTF2().load(str(file))
+    document.materials = []
+    for primitive in document.meshes[0].primitives:
+        primitive.material = None
+    document.save(str(file))
+    back, mesh = load_mesh_asset(file), constant_asset.mesh
+    np.testing.assert_allclose(back.mesh.positions[back.mesh.faces], mesh.positions[mesh.faces], atol=1e-5)
+    np.testing.assert_allclose(back.mesh.uvs[back.mesh.faces], mesh.uvs[mesh.faces], atol=1e-5)
+    np.testing.assert_allclose(back.material.diffuse_albedo, 0.5, atol=0.03)
+    red = load_mesh_asset(file, MaterialOverrides(base_color=(0.8, 0.1, 0.1))).material.diffuse_albedo
+    assert red[..., 0].min() > 4 * red[..., 1].max()
 
 
 def test_a_quantized_mesh_has_its_size(constant_asset: Asset, tmp_path: Path) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import struct
 from dataclasses import replace
 from pathlib import Path
 
@@ -164,40 +162,3 @@ def test_another_thing_is_not_aligned(tmp_path: Path) -> None:
         load(Capture(tmp_path, (), points=OrientedPoints(noise)), "scan.ply", align="points")
     with pytest.raises(CaptureError, match="at least 100"):
         load(Capture(tmp_path, ()), "scan.ply", align="points")
-
-
-@pytest.mark.parametrize("suffix", [".glb", ".gltf"])
-def test_a_gltf_without_a_material_keeps_its_texture_coordinates(suffix: str, capture: Capture) -> None:
-    """As sculpting and remeshing programs write it: trimesh reads TEXCOORD_0 only beside a material."""
-    box = trimesh.creation.box()
-    uv = np.random.default_rng(1).random((len(box.vertices), 2))
-    box.visual = trimesh.visual.TextureVisuals(uv=uv)
-    path = capture.path / f"box{suffix}"
-    written = box.export(file_type=suffix[1:])
-    files = written if isinstance(written, dict) else {path.name: written}
-    for name, data in files.items():
-        name = path.name if name.endswith(suffix) else name
-        (capture.path / name).write_bytes(without_material(data) if name == path.name else data)
-    _, scene = MeshFile(MeshFileOptions(path=path.name)).initialize(capture, None, capture.path)
-    assert scene.mesh.uvs is not None and scene.mesh.topology.uv_faces is not None
-    corners = scene.mesh.uvs[scene.mesh.topology.uv_faces].reshape(-1, 2).numpy()
-    np.testing.assert_allclose(
-        np.unique(corners.round(5), axis=0), np.unique((uv * [1, -1] + [0, 1]).round(5), axis=0), atol=2e-5
-    )
-
-
-def without_material(data: bytes) -> bytes:
-    """A glTF document, binary or not, whose primitives name no material."""
-    is_binary = data.startswith(b"glTF")
-    end = 20 + struct.unpack_from("<I", data, 12)[0] if is_binary else len(data)
-    document = json.loads(data[20:end] if is_binary else data)
-    del document["materials"]
-    for mesh in document["meshes"]:
-        for primitive in mesh["primitives"]:
-            del primitive["material"]
-    text = json.dumps(document).encode()
-    if not is_binary:
-        return text
-    text += b" " * (-len(text) % 4)
-    rest = struct.pack("<I", len(text)) + b"JSON" + text + data[end:]
-    return b"glTF" + struct.pack("<II", 2, 12 + len(rest)) + rest

@@ -143,11 +143,12 @@ class RefinementSelection(Generic[FitT, RefinementT]):
             self._fits.fit(replace(self.spec, per_texel=each), self.fit, 0.0, cost_effort=COMPARISON.effort)  # type: ignore[arg-type]
             for each in ("albedo", "brdf")
         )
-        gain, standard_error = paired_gain(control.errors, candidate.errors)
         views = len(control.errors)
-        loss, error_of_loss = paired_gain(candidate.errors, self.fit.errors)
+        gain, standard_error = paired_gain(control.errors, candidate.errors)
         accepted = is_significant(gain, standard_error, views, REQUIRED_STANDARD_ERRORS_OF_NORMALS)
-        accepted = accepted and not differs(loss, error_of_loss, views)
+        change, error_of_change = paired_gain(self.fit.errors, candidate.errors)
+        if differs(-change, error_of_change, views):
+            gain, standard_error, accepted = change, error_of_change, False
         if accepted:
             self.fit = candidate
         self._record(candidate, gain, standard_error, accepted)

@@ -24,7 +24,8 @@ from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface im
 PIXELS_PER_CHUNK = 1 << 16
 SCALE_LIMITS = 0.5, 2.0
 """Of the factor that makes the weights of a lobe's directions add up to its albedo."""
-GOLDEN_RATIO = (math.sqrt(5) - 1) / 2
+TURN = (math.sqrt(5) - 1) / 2
+"""Of a turn, from one direction of a lobe to the next: the inverse golden ratio."""
 MIN_EYE_COSINE = 1e-3
 """Least cosine between normal and eye: interpolated normals may face away from the camera at silhouettes."""
 
@@ -212,12 +213,12 @@ def spiral_points(count: int, samples: int, seed: int, device: torch.device) -> 
     """Points (angle, area) in the unit square that are even on a disk: a Fibonacci spiral (Vogel 1979).
 
     Each pixel turns it and moves it along the radius at random, which decorrelates neighbours. Every ring of area
-    1 / K has one point. Lobes have 0.5 to 2 dB less error with it than with the R2 sequence, which is even on the
-    square (docs/studies/directions_of_lobes.md).
+    1 / K has one point. The R2 sequence is even on the square instead, and lobes have 0.5 to 2 dB more error with it
+    (docs/studies/directions_of_lobes.md).
     """
     index = torch.arange(samples, device=device, dtype=torch.float64)
     generator = torch.Generator().manual_seed(seed)
     shift = torch.rand(count, 1, 2, generator=generator, dtype=torch.float64).to(device)
-    angle = (index * GOLDEN_RATIO + shift[..., 0]).remainder(1)
+    angle = (index * TURN + shift[..., 0]).remainder(1)
     area = (index + shift[..., 1]) / samples
     return torch.stack([angle, area], dim=-1).float()

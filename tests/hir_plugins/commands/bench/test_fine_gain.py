@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -61,23 +59,14 @@ def test_the_same_fit_is_computed_once_and_another_mesh_views_or_pass_again(monk
     assert fitted_again is not found and len(calls) == 7
 
 
-def test_the_table_has_shares_errors_and_verdicts(tmp_path: Path) -> None:
-    file = tmp_path / "rows.jsonl"
-    with file.open("w", encoding="utf-8") as rows:
-        for number, capture in enumerate(("bowl", "leaf", "mug")):
-            for value in VALUES:
-                better = 0.9 if value == VALUES[1] else 1.0
-                row = {
-                    "capture": capture,
-                    "seed": 0,
-                    "least_fine_gain": value,
-                    "share": 0.5,
-                    "gain": 0.1,
-                    "noise": 0.01,
-                }
-                row |= {"chamfer": better * 0.001 * (1 + number), "normals_deg": 5.0 + number}
-                rows.write(json.dumps(row) + "\n")
-    text = table(file)
+def test_the_table_has_shares_errors_and_verdicts() -> None:
+    rows = []
+    for number, capture in enumerate(("bowl", "leaf", "mug")):
+        for value in VALUES:
+            better = 0.9 if value == VALUES[1] else 1.0
+            row = {"capture": capture, "seed": 0, "least_fine_gain": value, "share": 0.5, "gain": 0.1, "noise": 0.01}
+            rows.append(row | {"chamfer": better * 0.001 * (1 + number), "normals_deg": 5.0 + number})
+    text = table(rows)
     assert text.count("\n| bowl | 0.100 ± 0.010 | 0.50, 0.50, 0.50, 0.50 | 0.001000, 0.000900, ") == 1
     assert f"| {VALUES[1]:g} | Chamfer distance | +10.54 ± 0.00 | better |" in text
     assert f"| {VALUES[1]:g} | normals | +0.00 ± 0.00 | no difference |" in text

@@ -174,7 +174,8 @@ def test_hard_materials_stay_finite(alpha: float, diffuse: float) -> None:
 
 
 @pytest.mark.parametrize("samples", [16, 32])
-def test_directions_of_a_lobe_integrate_over_a_disk_with_a_third_of_the_error_of_random_ones(samples: int) -> None:
+def test_directions_of_a_lobe_are_even_on_a_disk(samples: int) -> None:
+    """An integral has less than a fifth of the error of random directions (a sixth with 16, a ninth with 32)."""
     square = spiral_points(4096, samples, 3, torch.device("cpu"))
     random = torch.rand(4096, samples, 2, generator=torch.Generator().manual_seed(4))
 
@@ -184,13 +185,13 @@ def test_directions_of_a_lobe_integrate_over_a_disk_with_a_third_of_the_error_of
         values = (-4 * ((x - 0.3).square() + (y + 0.2).square())).exp()  # wider than the distance of the points
         return float(values.mean(dim=1).std())
 
-    assert deviation(square) < deviation(random) / 3
+    assert deviation(square) < deviation(random) / 5
     assert square.min() >= 0 and square.max() <= 1
     # no direction is preferred: the mean over pixels is that of the disk
     angles = torch.histc(square[..., 0], 8, 0, 1) / square[..., 0].numel()
     areas = torch.histc(square[..., 1], 8, 0, 1) / square[..., 1].numel()
-    torch.testing.assert_close(angles, torch.full((8,), 0.125), atol=3e-3, rtol=0)
-    torch.testing.assert_close(areas, torch.full((8,), 0.125), atol=3e-3, rtol=0)
+    torch.testing.assert_close(angles, torch.full((8,), 0.125), atol=2e-3, rtol=0)
+    torch.testing.assert_close(areas, torch.full((8,), 0.125), atol=1e-6, rtol=0)
 
 
 def test_pyramid_keeps_energy_and_white() -> None:
