@@ -38,6 +38,8 @@ SAMPLE_DIRECTIONS_FACTOR = 2
 lobes."""
 SAMPLE_NUMBER = -1
 """Their key among the batches."""
+DRAW_SEEDS = 1 << 24
+"""Between the seeds of two draws of the same lobes."""
 
 
 @final
@@ -103,14 +105,17 @@ class PhotographPixels:
         generator = torch.Generator().manual_seed(self._options.seed)
         return photographs.take((torch.rand(len(photographs), generator=generator) < share).nonzero()[:, 0])
 
-    def batches(self, photographs: ObservedPixels, spec: ModelSpec) -> MiniBatches:
-        """Mini-batches of pixels in random order; their lobes are drawn when they are asked for."""
+    def batches(self, photographs: ObservedPixels, spec: ModelSpec, draw: int = 0) -> MiniBatches:
+        """Mini-batches of pixels in random order; their lobes are drawn when they are asked for.
+
+        Another `draw` has the same pixels and other directions.
+        """
         block = self._options.block_pixels
         count = max(1, math.ceil(len(photographs) / block))
         order = torch.randperm(len(photographs), generator=torch.Generator().manual_seed(self._options.seed))
 
         def make(state: Parameters, number: int) -> PixelBatch:
-            seed = number + (self._options.seed << 32)
+            seed = number + draw * DRAW_SEEDS + (self._options.seed << 32)
             part = photographs.take(order[number::count])
             irradiance = self._irradiance(photographs, number, part, spec, seed)
             return self.batch(part, spec, state, seed, self._options.samples, irradiance)

@@ -59,6 +59,8 @@ def predict(
 ) -> Float[Tensor, "P 3"]:
     """Linear radiance of the pixels of a batch."""
     gain, lobe = diffuse_and_specular(transport, batch, specular, parameters, bounces)
+    if lobe is not None and parameters.is_metal:
+        return lobe
     diffuse = (batch.vertices @ parameters.diffuse_albedo) * gain
     return diffuse if lobe is None else diffuse + lobe
 
@@ -66,10 +68,17 @@ def predict(
 def diffuse_and_specular(
     transport: Transport, batch: PixelBatch, specular: SpecularMatrices | None, parameters: Parameters, bounces: int
 ) -> tuple[Float[Tensor, "P 3"], Float[Tensor, "P 3"] | None]:
-    """Radiance of a diffuse albedo of 1, and the specular radiance; None for a diffuse model."""
-    sources, gain = arriving_light(transport, batch, parameters, bounces)
+    """Radiance of a diffuse albedo of 1, and the specular radiance; None for a diffuse model.
+
+    A metal has no diffuse albedo, so its gain is 0 and the irradiance of its pixels is not computed.
+    """
     if specular is None or parameters.specular is None:
-        return gain, None
+        return arriving_light(transport, batch, parameters, bounces)[1], None
+    if parameters.is_metal:
+        sources = light_sources(transport, batch, parameters, bounces)[0]
+        gain = sources.new_zeros(len(batch.color_srgb), 3)
+    else:
+        sources, gain = arriving_light(transport, batch, parameters, bounces)
     rho_s = at_pixels(batch, parameters.specular_albedo)
     alpha = at_pixels(batch, parameters.alpha)
     normal = normals_in_lobe_frame(batch, parameters.normal_offset)
@@ -80,18 +89,27 @@ def arriving_light(
     transport: Transport, batch: PixelBatch, parameters: Parameters, bounces: int
 ) -> tuple[Float[Tensor, "S 3"], Float[Tensor, "P 3"]]:
     """Radiance of all that a ray can hit, and irradiance / π at the pixels."""
+    sources, irradiance = light_sources(transport, batch, parameters, bounces)
     if batch.direct is not None:
-        sources = transport.sky_only(parameters.radiance)
         arriving = batch.direct @ sources
     else:
-        assert batch.cache_cells is not None
-        sources, irradiance = transport.sources(parameters.radiance, parameters.base_color, bounces)
+        assert batch.cache_cells is not None and irradiance is not None
         arriving = batch.cache_cells @ irradiance
         if parameters.normal_offset is not None:
             shading_normal = normals_of_batch(batch, parameters.normal_offset)
             vectors = batch.cache_cells @ transport.vector_irradiance(parameters.radiance).reshape(-1, 9)
             arriving = shading_normal_irradiance(batch.normal, shading_normal, arriving, vectors.reshape(-1, 3, 3))
     return sources, arriving / torch.pi
+
+
+def light_sources(
+    transport: Transport, batch: PixelBatch, parameters: Parameters, bounces: int
+) -> tuple[Float[Tensor, "S 3"], Float[Tensor, "C 3"] | None]:
+    """Radiance of all that a ray can hit, and irradiance of the cache cells; None where the light moves with the
+    camera."""
+    if batch.direct is not None:
+        return transport.sky_only(parameters.radiance), None
+    return transport.sources(parameters.radiance, parameters.base_color, bounces)
 
 
 def with_exposure(batch: PixelBatch, radiance: Float[Tensor, "P 3"], parameters: Parameters) -> Float[Tensor, "P 3"]:

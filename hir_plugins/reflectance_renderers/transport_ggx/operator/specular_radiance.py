@@ -1,4 +1,9 @@
-"""Specular radiance of a pixel batch: sparse, linear in light and ρs, linearised in normals and α between refreshes.
+"""Specular radiance of a pixel batch: sparse, linear in the light, linearised in ρs, normals and α between refreshes.
+
+One matrix holds the whole lobe, with Fresnel's term of a pixel's mean ρs at the last refresh. For another ρs, and for
+each colour channel, a pixel's radiance changes by the ratio of both reflectances of a white light. That is exact for a
+white light and for the ρs of the refresh, and takes half of the time of one matrix for each end of Schlick's term
+(docs/studies/one_matrix_per_lobe.md).
 
 The derivative in α comes from outside, from lobes of other widths: that of the weights of fixed directions is mostly
 noise (docs/studies/lobe_width.md).
@@ -53,27 +58,34 @@ class SpecularMatrices:
                 turned = torch.nn.functional.normalize(normal + step, dim=1, eps=1e-12)
                 slopes.append(slope(*lobes.weights(alpha, turned)) / (_NORMAL_STEP_IN_ALPHAS * alpha))
         self.alpha, self.normal, self.alpha_slope = alpha, normal, None
-        self._w = lobes.matrix_entries(weight)
-        self._g = lobes.matrix_entries(grazing)
-        self._w_matrix = self._pattern.matrix(self._w)
         self._slopes = [self._pattern.matrix(lobes.matrix_entries(values)) for values in slopes]
-        self._w_transposed: Tensor | None = None
-        self._g_transposed: Tensor | None = None
-        if self._model != "paper":
-            self._g_matrix = self._pattern.matrix(self._g)
+        self._transposed: Tensor | None = None
+        if self._model == "paper":
+            self._entries = lobes.matrix_entries(weight)
+        else:
+            self._entries = lobes.matrix_entries(mean * (weight - grazing) + grazing)
+            total = weight.sum(dim=1, keepdim=True)
+            self._grazing = (grazing.sum(dim=1, keepdim=True) / total.clamp_min(1e-9)).clamp(0, 1)
+            self._fresnel = (mean + (1 - mean) * self._grazing).clamp_min(1e-9)
             a, b = directional_albedo_terms(lobes.cosine_of_eye(normal)[:, None], alpha)
             self._albedo_terms = (a, b)
+        self._matrix = self._pattern.matrix(self._entries)
+
+    def scale(self, rho_s: Float[Tensor, "P C"]) -> Float[Tensor, "P C"]:
+        """Factor of the matrix's radiance for ρs."""
+        if self._model == "paper":
+            return rho_s
+        return (rho_s + (1 - rho_s) * self._grazing) / self._fresnel
+
+    def scale_slope(self) -> Float[Tensor, "P 1"] | float:
+        """Derivative of `scale` in ρs."""
+        return 1.0 if self._model == "paper" else (1 - self._grazing) / self._fresnel
 
     def light_gradient(self, gradient: Float[Tensor, "P 3"], rho_s: Float[Tensor, "P C"]) -> Float[Tensor, "S 3"]:
-        """Gradient of the light sources. The transposes are made at the first one after a `refresh`."""
-        if self._w_transposed is None:
-            self._w_transposed = self._pattern.transposed(self._w)
-        light = self._w_transposed @ (rho_s * gradient)
-        if self._model == "paper":
-            return light
-        if self._g_transposed is None:
-            self._g_transposed = self._pattern.transposed(self._g)
-        return light + self._g_transposed @ ((1 - rho_s) * gradient)
+        """Gradient of the light sources. The transpose is made at the first one after a `refresh`."""
+        if self._transposed is None:
+            self._transposed = self._pattern.transposed(self._entries)
+        return self._transposed @ (self.scale(rho_s) * gradient)
 
     def diffuse_share(self, rho_s: Float[Tensor, "#P C"]) -> Float[Tensor, "P C"] | float:
         """Factor of the diffuse part: `1 − E` for `dielectric`, 1 for `paper`."""
@@ -88,8 +100,7 @@ class SpecularMatrices:
 
     def albedo_gain(self, sources: Float[Tensor, "S 3"]) -> Float[Tensor, "P 3"]:
         """Change of the specular radiance with ρs, for the α and the normals of the last `refresh`."""
-        white = self._w_matrix @ sources
-        return white if self._model == "paper" else white - self._g_matrix @ sources
+        return self.scale_slope() * (self._matrix @ sources)
 
     def radiance(
         self,
@@ -113,14 +124,9 @@ class SpecularMatrices:
 class _Specular(torch.autograd.Function):
     @staticmethod
     def forward(ctx, sources, rho_s, drift, block):  # type: ignore[no-untyped-def]
-        w = block._w_matrix @ sources
+        lobe = block._matrix @ sources
         slopes = [matrix @ sources for matrix in block._slopes[: drift.shape[1]]]
-        if block._model == "paper":
-            factor, value = w, rho_s * w
-        else:
-            g = block._g_matrix @ sources
-            factor = w - g
-            value = rho_s * factor + g
+        value, factor = block.scale(rho_s) * lobe, block.scale_slope() * lobe
         ctx.block = block
         ctx.save_for_backward(rho_s, factor, *slopes)
         for i, slope in enumerate(slopes):
