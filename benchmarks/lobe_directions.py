@@ -2,8 +2,9 @@
 
 `python -m benchmarks.lobe_directions CAPTURE [--kind metal]` on a capture with a true mesh: fits light and material
 with 64 directions, then compares the radiance of one held-out view with 1,024 directions that read the finest level.
-Prints one line of JSON for each pattern and level: PSNR in sRGB by the number of directions. Then the relative error
-of the irradiance from the hemisphere's directions, which a light on the camera needs, against 8,192 of them.
+Prints one line of JSON for each pattern and level: PSNR in sRGB by the number of directions. Then the error of the one
+matrix that all colour channels share against one for each channel, and the relative error of the irradiance from the
+hemisphere's directions, which a light on the camera needs, against 8,192 of them.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from hir_core.stages.reflectance.selection.successive_halving import ROUNDS
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import logit_of_alpha
 from hir_plugins.reflectance_renderers.transport_ggx.operator import camera_light, specular_lobes
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import Pyramid
+from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_radiance import SpecularMatrices
 from hir_plugins.reflectance_renderers.transport_ggx.solver import Fit, TransportSolver
 
 Pattern = Callable[[int, int, int, torch.device], Tensor]
@@ -86,6 +88,30 @@ def solver_with(task: Task, directions: int) -> TransportSolver:
     solver = renderer.prepare(task.start, task.train, 1)
     assert isinstance(solver, TransportSolver)
     return solver
+
+
+@contextmanager
+def matrix_of_channel(channel: int) -> Iterator[None]:
+    """Matrices of lobes with Fresnel's term of one channel, for which they are exact."""
+    refresh = SpecularMatrices.refresh
+
+    def of_channel(matrices: SpecularMatrices, alpha: Tensor, rho_s: Tensor, normal: Tensor | None = None) -> None:
+        refresh(matrices, alpha, rho_s[:, min(channel, rho_s.shape[1] - 1)][:, None], normal)
+
+    SpecularMatrices.refresh = of_channel  # type: ignore[method-assign]
+    try:
+        yield
+    finally:
+        SpecularMatrices.refresh = refresh  # type: ignore[method-assign]
+
+
+def predicted_by_channel(task: Task, fit: Fit, view: int, directions: int) -> Tensor:
+    """As `predicted`, with a matrix for each channel."""
+    columns = []
+    for channel in range(3):
+        with matrix_of_channel(channel):
+            columns.append(predicted(task, fit, view, directions)[:, channel])
+    return torch.stack(columns, dim=1)
 
 
 def predicted(task: Task, fit: Fit, view: int, directions: int) -> Tensor:
@@ -150,6 +176,10 @@ def main() -> None:
                     errors[directions] = round(-10 * math.log10(float(error.square().mean())), 2)
                 row = {"alpha": alpha, "pattern": name, "level_offset": level, "dB": errors}
                 print(json.dumps(row | about), flush=True)
+        exact = predicted_by_channel(task, lobe, held_out[0], FITTED_DIRECTIONS)
+        error = predicted(task, lobe, held_out[0], FITTED_DIRECTIONS) - exact
+        one = round(-10 * math.log10(max(float(error.square().mean()), 1e-12)), 2)
+        print(json.dumps({"alpha": alpha, "one_matrix_dB": one} | about), flush=True)
     for row in hemisphere_errors(solver, fit, held_out[0]):
         print(json.dumps(row | about), flush=True)
 

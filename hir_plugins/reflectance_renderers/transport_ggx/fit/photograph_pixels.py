@@ -112,19 +112,20 @@ class PhotographPixels:
         """
         block = self._options.block_pixels
         count = max(1, math.ceil(len(photographs) / block))
+        directions = self._options.metal_samples if spec.brdf == "metallic" else self._options.samples
         order = torch.randperm(len(photographs), generator=torch.Generator().manual_seed(self._options.seed))
 
         def make(state: Parameters, number: int) -> PixelBatch:
             seed = number + draw * DRAW_SEEDS + (self._options.seed << 32)
             part = photographs.take(order[number::count])
             irradiance = self._irradiance(photographs, number, part, spec, seed)
-            return self.batch(part, spec, state, seed, self._options.samples, irradiance)
+            return self.batch(part, spec, state, seed, directions, irradiance)
 
         def sample(state: Parameters) -> PixelBatch:
-            directions, seed = SAMPLE_DIRECTIONS_FACTOR * self._options.samples, self._options.seed
+            seed = self._options.seed
             few = photographs.take(order[:SAMPLE_PIXELS])
             irradiance = self._irradiance(photographs, SAMPLE_NUMBER, few, spec, seed)
-            return self.batch(few, spec, state, seed, directions, irradiance)
+            return self.batch(few, spec, state, seed, SAMPLE_DIRECTIONS_FACTOR * directions, irradiance)
 
         return MiniBatches(make, sample, count, max(1, self._options.resident_pixels // block))
 
