@@ -3,7 +3,7 @@
 One matrix holds the whole lobe, with Fresnel's term of a pixel's mean ρs at the last refresh. For another ρs, and for
 each colour channel, a pixel's radiance changes by the ratio of both reflectances of a white light. That is exact for a
 white light and for the ρs of the refresh, and takes half of the time of one matrix for each end of Schlick's term
-(docs/studies/one_matrix_per_lobe.md).
+(docs/studies/directions_of_lobes.md).
 
 The derivative in α comes from outside, from lobes of other widths: that of the weights of fixed directions is mostly
 noise (docs/studies/lobe_width.md).
