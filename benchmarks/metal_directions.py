@@ -43,10 +43,9 @@ def solver_with(task: Task, directions: int, seed: int) -> TransportSolver:
 
 def noisy_errors(solver: TransportSolver, fit: Fit, views: list[int]) -> np.ndarray:
     """Mean squares of one draw of the lobes for each view."""
-    [*parts] = solver._residuals(fit, solver._pixels.compared(views), 0)
-    view = torch.cat([pixels.view for pixels, _ in parts])
-    square = torch.cat([residual for _, residual in parts]).square().mean(dim=1)
-    return np.array([float(square[view == v].mean()) for v in views])
+    view, residual = solver._residuals(fit, solver._pixels.compared(views), 0)
+    square = residual.square().mean(dim=1).cpu().numpy()
+    return np.array([square[view == v].mean() for v in views])
 
 
 def row(task: Task, truth: dict[str, Any], directions: int, seed: int) -> dict[str, Any]:

@@ -237,39 +237,45 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         """
         photographs = self._pixels.compared(views)
         count = len(self._capture.views)
-        total, seen = np.zeros(count), np.zeros(count)
-        # a mean square would contain the noise of the lobes: 1 to 3 dB of a metal's error, nothing of a matt surface's
-        draws = 2 if fit.spec.brdf != "diffuse" and fit.spec.per_texel == "none" else 1
-        for parts in zip(*(self._residuals(fit, photographs, draw) for draw in range(draws)), strict=True):
-            view = parts[0][0].view.cpu().numpy()
-            error = (parts[0][1] * parts[-1][1]).mean(dim=1)
-            total += np.bincount(view, error.cpu().double().numpy(), count)
-            seen += np.bincount(view, minlength=count)
+        view, residual = self._residuals(fit, photographs, 0)
+        other = residual
+        if fit.spec.brdf != "diffuse" and fit.spec.per_texel == "none":
+            # a mean square would contain the noise of the lobes: 1 to 3 dB of a metal's error, nothing of a matt one's
+            _, other = self._residuals(fit, photographs, 1)
+        total = np.bincount(view, (residual * other).mean(dim=1).cpu().double().numpy(), count)
+        seen = np.bincount(view, minlength=count)
         found = [v for v in views if seen[v] > 0]
         return np.maximum(total[found] / seen[found], 0.0)
 
-    def _residuals(self, fit: Fit, photographs: ObservedPixels, draw: int) -> Iterator[tuple[PixelColors, Tensor]]:
-        """Observed pixels, in parts, with the sRGB errors (P, 3) of a fit."""
+    def _residuals(
+        self, fit: Fit, photographs: ObservedPixels, draw: int
+    ) -> tuple[NDArray[np.int64], Float[Tensor, "P 3"]]:
+        """View and sRGB error of observed pixels."""
         count = len(self._capture.views)
+        views, residuals = [], []
         for pixels, radiance in self._predicted(fit, photographs, draw):
             if fit.spec.exposures == "fitted":
                 radiance = radiance * own_exposures(pixels, radiance, count)[pixels.view]
             elif (exposure := fit.parameters.exposure) is not None:
                 radiance = radiance * exposure[pixels.view]
-            yield pixels, srgb_residual(pixels, radiance.clamp(0, 1))
+            views.append(pixels.view.cpu().numpy())
+            residuals.append(srgb_residual(pixels, radiance.clamp(0, 1)))
+        return np.concatenate(views), torch.cat(residuals)
 
     def _predicted(self, fit: Fit, photographs: ObservedPixels, draw: int = 0) -> Iterator[tuple[PixelColors, Tensor]]:
         """Observed pixels, in parts, with the radiance that a fit predicts for them, by one draw of its lobes."""
-        with torch.no_grad():
-            if fit.spec.per_texel != "none":
-                interval = max(1, math.ceil(len(photographs) / MAX_COMPARED_POINTS))
-                few = photographs.take(torch.arange(0, len(photographs), interval))
-                yield PixelColors.of(few), predict_pixels(self._lit(fit), few, fit.spec.per_texel == "brdf")
-                return
-            for block, specular in self._pixels.batches(photographs, fit.spec, draw).each(
-                fit.parameters, fit.spec.brdf
-            ):
-                yield block, predict(self._transport, block, specular, fit.parameters, fit.spec.bounces)
+        # no `yield` inside `no_grad`: two such generators that take turns would leave gradients off
+        if fit.spec.per_texel != "none":
+            interval = max(1, math.ceil(len(photographs) / MAX_COMPARED_POINTS))
+            few = photographs.take(torch.arange(0, len(photographs), interval))
+            with torch.no_grad():
+                radiance = predict_pixels(self._lit(fit), few, fit.spec.per_texel == "brdf")
+            yield PixelColors.of(few), radiance
+            return
+        for block, specular in self._pixels.batches(photographs, fit.spec, draw).each(fit.parameters, fit.spec.brdf):
+            with torch.no_grad():
+                radiance = predict(self._transport, block, specular, fit.parameters, fit.spec.bounces)
+            yield block, radiance
 
     def _lit(self, fit: Fit) -> LitSurface:
         """The surface under the light of a fit; the last one is cached, because comparisons use it four times."""
