@@ -109,6 +109,28 @@ def test_without_metal_the_prediction_is_that_of_dielectric(half_gold: tuple[Sce
     torch.testing.assert_close(shown, same, rtol=2e-6, atol=1e-7)
 
 
+def test_errors_do_not_contain_the_noise_of_directions() -> None:
+    """Of the true metal, with few directions beside many. The next fit still has gradients."""
+    truth = Scene(ball(), Material.metallic(GOLD, torch.ones(1), torch.tensor([0.25])), lamps())
+    capture = photographs(truth, around(4))
+    views, noisy, errors = list(range(4)), {}, {}
+    for directions in (16, 1024):
+        solver = TransportGGX(replace(OPTIONS, metal_samples=directions)).prepare(truth, capture)
+        base = torch.logit(GOLD).expand(len(solver._transport.surface.positions), 3)
+        fit = Fit(
+            METAL,
+            replace(
+                parameters_of(solver, torch.ones(1, 1)), diffuse=base, width=logit_of_alpha(torch.tensor([[0.25]]))
+            ),
+        )
+        _, residual = solver._residuals(fit, solver._pixels.compared(views), 0)
+        noisy[directions], errors[directions] = float(residual.square().mean()), float(solver.errors(fit, views).mean())
+        assert torch.is_grad_enabled()
+    assert noisy[1024] == pytest.approx(errors[1024], rel=0.02)
+    excess = {"one draw": noisy[16] - errors[1024], "two draws": errors[16] - errors[1024]}
+    assert excess["two draws"] < 0.5 * excess["one draw"], excess  # the rest is blur: 16 directions read coarser levels
+
+
 def test_the_slope_in_a_map_of_widths_is_that_of_newly_drawn_lobes(half_gold: tuple[Scene, Capture]) -> None:
     """Against central differences of pictures with many directions at two narrow neighbours of each width."""
     solver = solver_of(*half_gold)
