@@ -73,7 +73,8 @@ class Record3DReader(CaptureReader):
             raise CaptureError(f"{path} has no photograph with a camera; export the recording again as .r3d")
         if len(frames) < len(metadata.poses):
             warnings.warn(f"{len(metadata.poses) - len(frames)} frames of {path.name} have no photograph", stacklevel=2)
-        return Capture(path, _views(recording, metadata, _sharpest(recording, frames)), reader="record3d")
+        views = _views(recording, metadata, _sharpest(recording, frames))
+        return Capture(path, views, reader="record3d", metres_from="ARKit")
 
 
 def _views(recording: _Recording, metadata: RecordingMetadata, frames: list[int]) -> tuple[View, ...]:
