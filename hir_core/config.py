@@ -79,6 +79,9 @@ class GeometrySettings:
     photo_consistency_iterations: Annotated[int, Interval(ge=0)] = 100
     """Optimisation steps of photo-consistency at each image resolution; the second, finer attempt takes as many at each
     but the coarsest, and a last pass takes half as many."""
+    depth_weight: Annotated[float, Interval(ge=0)] = 10.0
+    """Weight of the depths that a sensor measured, where the capture has them: they hold the surface where no outline
+    does. 0 leaves them out of this stage."""
     start_radius: Annotated[float, Interval(ge=0)] = 0.0
     """Scale the start mesh to this radius during the stage and back after it; 0: no scaling."""
     enabled: bool = True

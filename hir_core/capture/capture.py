@@ -106,6 +106,8 @@ class Capture:
     irradiance: MeasuredIrradiance | None = None
     """What a card of known reflectance beside the object shows of the light; set by an initializer, used by fits."""
     reader: str = ""
+    metres_from: str = ""
+    """What measured the metres of the files' world, such as ARKit; empty where their unit is unknown."""
 
     def transformed(self, new_from_old: Array) -> Capture:
         """Moves the whole capture (cameras, points, record) by a similarity 4×4."""

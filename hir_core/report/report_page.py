@@ -41,7 +41,7 @@ def _page(directory: RunDirectory, plugins: PluginManager) -> str:
         css=read_asset("page.css"),
         js=read_asset("page.js"),
         title=document["capture"]["name"],
-        lead=_lead(document),
+        lead=lead(document),
         tiles=tiles(document, timings),
         model=embedded_viewer.viewer(directory, plugins),
         comparison=embedded_pictures.comparison(directory),
@@ -65,9 +65,11 @@ def _page(directory: RunDirectory, plugins: PluginManager) -> str:
     )
 
 
-def _lead(document: Mapping[str, Any]) -> str:
-    """One sentence: photographs, triangles, preset, seed."""
+def lead(document: Mapping[str, Any]) -> str:
+    """Photographs, triangles, what gave the metres, preset, seed."""
     triangles = report_of(document, "bake").get("triangles")
     result = f"a mesh of {triangles:,} triangles with textures and light" if triangles else "an unfinished asset"
     count, preset = document["capture"]["views"], document["settings"]["preset"]
-    return f"From {count} photographs: {result}. Preset {preset}, seed {document['seed']}."
+    scale = report_of(document, "initializer").get("scale_from")
+    metres = f" Metres from {scale}." if scale else ""
+    return f"From {count} photographs: {result}.{metres} Preset {preset}, seed {document['seed']}."

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,7 @@ def fingerprint(capture: Capture) -> str:
     No other file is opened.
     """
     digest = hashlib.blake2b(digest_size=16)
+    hash_once = cache(file_hash)  # all frames of a video are in one file
     digest.update(repr((capture.split, capture.light_frame, capture.reader)).encode())
     digest.update(np.ascontiguousarray(capture.world_from_source, dtype=np.float64).tobytes())
     if capture.irradiance is not None:
@@ -36,11 +38,11 @@ def fingerprint(capture: Capture) -> str:
         digest.update(repr((view.name, view.gain.tolist(), view.distortion, camera_document(view.camera))).encode())
         for path in (view.path, view.mask_path):
             # one that is missing counts too: a photograph's bytes must not pass for its mask's
-            digest.update(b"-" if path is None else file_hash(path).encode())
+            digest.update(b"-" if path is None else hash_once(path).encode())
         if view.depth is not None:
             digest.update(repr(view.depth.world_per_unit).encode())
             for path in view.depth.paths:
-                digest.update(file_hash(path).encode())
+                digest.update(hash_once(path).encode())
     if capture.points is not None:
         for array in (capture.points.positions, capture.points.normals, capture.points.colors):
             digest.update(b"-" if array is None else np.ascontiguousarray(array, dtype=np.float64).tobytes())

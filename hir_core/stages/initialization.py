@@ -38,10 +38,13 @@ class InitializationReport:
     triangles: int
     details: Mapping[str, Mapping[str, Any]]
     """What each initializer says about its own result."""
+    scale_from: str = ""
+    """What gave the length of the world's unit, and its spread; empty where nothing is known of it."""
 
     def as_document(self) -> dict[str, Any]:
         """For run.json."""
-        fields = {name: getattr(self, name) for name in ("views", "masked_views", "vertices", "triangles", "details")}
+        names = ("views", "masked_views", "vertices", "triangles", "scale_from", "details")
+        fields = {name: getattr(self, name) for name in names}
         return {"initializers": list(self.initializers), "frames": self.frames.as_document()} | fields
 
 
@@ -97,8 +100,15 @@ def initialize(
         vertices=len(scene.mesh.positions),
         triangles=len(scene.mesh.faces),
         details=details,
+        scale_from=scale_source(capture, details),
     )
     return moved_capture, move_scene(scene, working_from_asset).to(context.device), frames, report
+
+
+def scale_source(capture: Capture, details: Mapping[str, Mapping[str, Any]]) -> str:
+    """The last initializer that says what gave the scale, or else what measured the world of the cameras' files."""
+    stated = [str(report["scale_from"]) for report in details.values() if report.get("scale_from")]
+    return stated[-1] if stated else capture.metres_from
 
 
 def _check_distance_from_origin(capture: Capture) -> None:

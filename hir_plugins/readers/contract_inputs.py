@@ -7,6 +7,7 @@ returns the path to read.
 from __future__ import annotations
 
 import json
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -248,6 +249,24 @@ def polycam(capture: Capture, folder: Path) -> Path:
         table |= {"width": camera.width, "height": camera.height}
         (cameras / f"{view.name}.json").write_text(json.dumps(table), encoding="utf-8")
     return folder
+
+
+def record3d(capture: Capture, folder: Path) -> Path:
+    """A .r3d without depth. Its photographs are PNG inside, because JPEG would change their colours."""
+    _pictures(capture, folder / "pictures")
+    poses = []
+    for camera in capture.cameras:
+        w, x, y, z = quaternion_from_rotation((np.linalg.inv(camera.world_to_camera) @ FLIP)[:3, :3])
+        poses.append([x, y, z, w, *camera.center])
+    first = capture.cameras[0]
+    lenses = [[k[0, 0], k[1, 1], k[0, 2], k[1, 2]] for k in (camera.intrinsics for camera in capture.cameras)]
+    document = {"w": first.width, "h": first.height, "K": first.intrinsics.T.ravel().tolist(), "poses": poses}
+    path = folder / "recording.r3d"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("metadata", json.dumps(document | {"perFrameIntrinsicCoeffs": lenses}))
+        for i, view in enumerate(capture.views):
+            archive.write(folder / "pictures" / f"{view.name}.png", f"rgbd/{i}.jpg")
+    return path
 
 
 def _pictures(capture: Capture, folder: Path, alpha: bool = False) -> None:

@@ -96,6 +96,13 @@ POLYCAM = Component(
     testing="hir_plugins.readers.contract_inputs:polycam",
 )
 
+RECORD3D = Component(
+    name="record3d",
+    target="hir_plugins.readers.record3d:Record3DReader",
+    summary="Record3D: a .r3d with ARKit's cameras, and depth where lzfse is installed.",
+    testing="hir_plugins.readers.contract_inputs:record3d",
+)
+
 VIDEO = Component(
     name="video",
     target="hir_plugins.readers.video:VideoReader",
@@ -116,6 +123,7 @@ def hir_register_capture_readers() -> list[Component]:
         OPEN_MVG,
         BUNDLER,
         POLYCAM,
+        RECORD3D,
         IDR_CAMERAS,
         LLFF,
         MIDDLEBURY,

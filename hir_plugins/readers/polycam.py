@@ -32,6 +32,7 @@ class PolycamReader(PosedPhotosReader[tuple[Path, str]]):
     name = "polycam"
     remedy = "no keyframes/cameras; export the raw data of Polycam into this folder"
     is_upright = True
+    metres_from = "ARKit"
 
     def find(self, path: Path) -> tuple[Path, str] | None:
         """The folder of the cameras, and the name of that of the images."""

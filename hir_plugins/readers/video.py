@@ -101,9 +101,7 @@ def sharpness(video: Path) -> list[tuple[int, float]]:
                 image = frame.to_ndarray(format="gray").astype(np.float32)
                 height, width = image.shape[0] // step * step, image.shape[1] // step * step
                 small = image[:height, :width].reshape(height // step, step, width // step, step).mean(axis=(1, 3))
-                center, rows = small[1:-1, 1:-1], (small[:-2, 1:-1], small[2:, 1:-1])
-                laplacian = 4 * center - rows[0] - rows[1] - small[1:-1, :-2] - small[1:-1, 2:]
-                measured.append((int(frame.pts), float(laplacian.var()) if laplacian.size else 0.0))
+                measured.append((int(frame.pts), laplacian_variance(small)))
         except Exception as error:  # a truncated file: the frames before the damage are usable
             if not measured:
                 raise CaptureError(
@@ -111,6 +109,13 @@ def sharpness(video: Path) -> list[tuple[int, float]]:
                 ) from None
             warnings.warn(f"{video.name} cannot be decoded after {len(measured)} frames", stacklevel=2)
     return measured
+
+
+def laplacian_variance(gray: NDArray[np.float32]) -> float:
+    """Variance of the Laplacian of a grey image (H, W): larger where it is sharper."""
+    center, rows = gray[1:-1, 1:-1], (gray[:-2, 1:-1], gray[2:, 1:-1])
+    laplacian = 4 * center - rows[0] - rows[1] - gray[1:-1, :-2] - gray[1:-1, 2:]
+    return float(laplacian.var()) if laplacian.size else 0.0
 
 
 def sharpest_in_intervals(sharp: NDArray[np.floating], count: int) -> list[int]:

@@ -190,11 +190,11 @@ def _checkpoint(folder: Path) -> object:
 
 
 def _capture(folder: Path) -> object:
-    """Cameras, masks and the first picture of whatever reader knows the folder."""
+    """Cameras, masks, the first picture and its depth of whatever reader knows the folder."""
     from hir_core.intake.reader_lookup import read_capture
 
     capture = read_capture(folder, "train", _plugins())
-    return [view.pixels() for view in capture.views[:1]]
+    return [(view.pixels(), view.measured_depth()) for view in capture.views[:1]]
 
 
 def _restored(folder: Path) -> object:
@@ -333,6 +333,9 @@ TARGETS = [
     Target("open_mvg", "sfm_data.json", _capture, seeds.scan("open_mvg")),
     Target("bundler", "bundle.out", _capture, seeds.scan("bundler")),
     Target("polycam", "keyframes/corrected_cameras/0.json", _capture, seeds.scan("polycam")),
+    Target("record3d", "recording.r3d", _capture, seeds.scan("record3d")),
+    Target("record3d_metadata", "metadata", _capture, seeds.record3d_unpacked),
+    Target("record3d_depth", "rgbd/0.depth", _capture, seeds.record3d_unpacked),
     Target("video", "clip.mp4", _capture, seeds.video, slow=True),
     *(Target(f"mesh_{kind}", f"mesh.{kind}", _mesh(f"mesh.{kind}"), seeds.mesh) for kind in seeds.MESHES),
     *(Target(f"asset_{kind}", f"mesh.{kind}", _asset(f"mesh.{kind}"), seeds.mesh) for kind in seeds.ASSETS),

@@ -298,6 +298,20 @@ def scan(name: str) -> Callable[[Path], None]:
     return write
 
 
+def record3d_unpacked(folder: Path) -> None:
+    """The files of a recording with a depth map."""
+    import zipfile
+
+    import lzfse
+
+    scan("record3d")(folder)
+    with zipfile.ZipFile(folder / "recording.r3d") as archive:
+        archive.extractall(folder)
+    (folder / "recording.r3d").unlink()
+    depth = np.linspace(1, 2, 24 * 32, dtype=np.float32).round(2)
+    (folder / "rgbd" / "0.depth").write_bytes(lzfse.compress(depth.tobytes()))
+
+
 def video(folder: Path) -> None:
     """A clip of a few frames; empty where PyAV is missing."""
     try:

@@ -184,6 +184,7 @@ def seeds_png() -> bytes:
         (seeds.scan("bundler"), "bundle.out"),
         (seeds.scan("bundler"), "list.txt"),
         (seeds.scan("polycam"), "keyframes/corrected_cameras/0.json"),
+        (seeds.scan("record3d"), "recording.r3d"),
     ],
 )
 def test_a_pipe_in_a_capture_does_not_block(fill: Callable[[Path], None], file: str, tmp_path: Path) -> None:

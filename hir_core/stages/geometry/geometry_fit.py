@@ -34,12 +34,14 @@ from hir_core.stages.geometry.geometry_report import (
     IouChange,
     LevelReport,
     MeshChange,
+    SensorDepthReport,
     SilhouetteResidualReport,
     ViewsReport,
 )
 from hir_core.stages.geometry.level_plan import level_count, triangles_of_level
 from hir_core.stages.geometry.photo_consistency_report import PhotoConsistencyReport, PhotoConsistencySkipped
 from hir_core.stages.geometry.photo_refinement import refine_by_photo_consistency
+from hir_core.stages.geometry.sensor_depth.depth_term import depth_rays
 from hir_core.stages.geometry.silhouette_fit import SilhouetteFit, fit_level
 from hir_core.stages.geometry.silhouette_residual import silhouette_residual
 from hir_core.stages.held_out_views import held_out_for_geometry
@@ -71,6 +73,7 @@ def fit_geometry(
     everything = list(range(len(fit.targets)))
     before = inspect_mesh(*_arrays(mesh))
     initial_errors = fit.errors(mesh, everything)
+    initial_distance = None if fit.depth is None else fit.depth.median_distance(mesh)
     removed = 0
     if settings.prune:
         mesh, removed = remove_floating_components(fit.renderer, mesh, fit.targets, fit.train)
@@ -105,6 +108,9 @@ def fit_geometry(
         mesh=MeshChange(before, after),
         levels=levels,
         photo_consistency=photo_consistency,
+        sensor_depth=None
+        if fit.depth is None or initial_distance is None
+        else SensorDepthReport(len(fit.depth.points), initial_distance, fit.depth.median_distance(mesh)),
         curves=CurvesReport(curve),
     )
     inverse = np.linalg.inv(frame)
@@ -120,7 +126,11 @@ def _prepare(mesh: Mesh, capture: Capture, settings: GeometrySettings, context: 
     if len(targets) == 0:
         raise StageError("the geometry stage has no views; name a capture with photographs")
     held_out = held_out_for_geometry(len(targets), settings.held_out)
-    return SilhouetteFit(renderer, targets, settings, context, held_out, [view.name for view in capture.views])
+    fit = SilhouetteFit(renderer, targets, settings, context, held_out, [view.name for view in capture.views])
+    if settings.depth_weight > 0 and settings.iterations + settings.iterations_per_view > 0:
+        train = [capture.views[i] for i in fit.train]
+        fit.depth = depth_rays(train, settings.start_radius or 1.0, context.seed)
+    return fit
 
 
 def _fit_silhouettes(

@@ -37,6 +37,15 @@ class SilhouetteResidualReport:
 
 
 @dataclass(frozen=True)
+class SensorDepthReport:
+    """Median distance of measured depths from the surface, along its normal, in radii of the initial mesh."""
+
+    rays: int
+    before: float
+    after: float
+
+
+@dataclass(frozen=True)
 class MeshChange:
     """The mesh before and after the stage."""
 
@@ -76,4 +85,6 @@ class GeometryReport:
     mesh: MeshChange
     levels: list[LevelReport]
     photo_consistency: PhotoConsistencyReport | PhotoConsistencySkipped
+    sensor_depth: SensorDepthReport | None
+    """None where no measured depth took part."""
     curves: CurvesReport

@@ -25,6 +25,7 @@ from hir_core.scene import Mesh, Scene
 from hir_core.scene.silhouette_targets import SilhouetteTargets, intersection_over_union
 from hir_core.stages.geometry.best_state import BestState
 from hir_core.stages.geometry.robust_view_weights import RobustViewWeights
+from hir_core.stages.geometry.sensor_depth.depth_term import DepthRays
 
 HELD_OUT_INTERVAL_STEPS = 25
 """Held-out views are evaluated this often."""
@@ -47,6 +48,8 @@ class SilhouetteFit:
     held_out: list[int]
     names: list[str]
     """Of all views, for messages."""
+    depth: DepthRays | None = None
+    """Measured depths of the views that take part in the fit."""
 
     def __post_init__(self) -> None:
         self.areas = self.targets.areas
@@ -97,7 +100,10 @@ def fit_level(mesh: Mesh, fit: SilhouetteFit, level: int, levels: int) -> tuple[
             active = level > 0 or step > steps // 2
             weights = fit.view_weights.update(views, error.detach().cpu().numpy(), active)
             weight = torch.as_tensor(weights, dtype=error.dtype, device=error.device)
-        return {"silhouette": (weight * error).sum() / len(views)} | energies(replace(scene, mesh=current))
+        terms = {"silhouette": (weight * error).sum() / len(views)} | energies(replace(scene, mesh=current))
+        if fit.depth is None:
+            return terms
+        return terms | {"depth": settings.depth_weight / radius**2 * fit.depth.energy(current, step)}
 
     best = BestState(parameter)
 

@@ -16,6 +16,7 @@ from hir_core.files.json_documents import read_json, write_json
 from hir_core.run.run_directory import LAST_STAGE, STAGE_NAMES, RunDirectory
 from hir_core.terminal.run_results import decisions
 from hir_plugins.commands.ui.hir_process import HirProcess
+from hir_plugins.commands.ui.scan_files import scan_file, scans_in
 from hir_plugins.commands.ui.upload import capture_name
 
 RECORD: Final = "capture.json"
@@ -39,6 +40,10 @@ class CaptureEntry:
     """As last chosen; empty before the first run."""
     settings: tuple[str, ...] = ()
     """Settings besides the preset, as last chosen."""
+    scan: str = ""
+    """The scan whose mesh is kept, as last named; empty before."""
+    scans: tuple[str, ...] = ()
+    """Meshes among the photographs when they were checked last."""
     check: HirProcess | None = None
     run: HirProcess | None = None
     changes: threading.Lock = field(default_factory=threading.Lock)
@@ -59,6 +64,11 @@ class CaptureEntry:
     @property
     def run_directory(self) -> RunDirectory:
         return RunDirectory(self.folder / "run")
+
+    @property
+    def is_own(self) -> bool:
+        """Whether the photographs are copies that were dropped."""
+        return self.source.is_relative_to(self.folder)
 
     @property
     def is_busy(self) -> bool:
@@ -86,12 +96,12 @@ class CaptureEntry:
 
     def write_record(self) -> None:
         """Writes capture.json: what another session needs."""
-        is_own = self.source.is_relative_to(self.folder)
         record = {
             "name": self.name,
-            "source": None if is_own else str(self.source),
+            "source": None if self.is_own else str(self.source),
             "preset": self.preset,
             "settings": list(self.settings),
+            "scan": self.scan,
         }
         write_json(self.folder / RECORD, record)
 
@@ -102,17 +112,24 @@ class CaptureEntry:
             shutil.rmtree(self.sheet.parent, ignore_errors=True)
             self.sheet.parent.mkdir()
             self.run = None
+            self.scans = scans_in(self.source)
             arguments = ["check", str(self.source), "--json", "--sheet", str(self.sheet)]
             self.check = HirProcess(arguments, self.check_document)
 
-    def start_run(self, preset: str, assignments: Sequence[str]) -> None:
-        """Starts `hir reconstruct`; of an earlier run it reuses the stages whose settings are unchanged."""
+    def start_run(self, preset: str, assignments: Sequence[str], scan: str | None = None) -> None:
+        """Starts `hir reconstruct`, or `hir delight` with the mesh of `scan`; of an earlier run they reuse the stages
+        whose settings are unchanged.
+        """
         with self.changes:
             self._refuse_if_busy()
-            self.preset, self.settings = preset, tuple(assignments)
+            kept = None if scan is None else scan_file(scan, self.source)
+            self.preset, self.settings, self.scan = preset, tuple(assignments), scan or self.scan
             self.write_record()
             run = self.run_directory.path
-            arguments = ["reconstruct", str(self.source), "-o", str(run), "-q", f"--preset={preset}"]
+            if kept is None:
+                arguments = ["reconstruct", str(self.source), "-o", str(run), "-q", f"--preset={preset}"]
+            else:
+                arguments = ["delight", str(kept), str(self.source), "-o", str(run), "-q"]
             arguments += [f"--set={text}" for text in (*OBSERVERS, *assignments)]
             if (run / "run.json").is_file():
                 arguments.append("--resume")
@@ -140,6 +157,9 @@ class CaptureEntry:
             "source": str(self.source),
             "preset": self.preset,
             "settings": self.settings,
+            "scan": self.scan,
+            "scans": self.scans,
+            "is_own": self.is_own,
             "sentence": self._sentence(state),
         }
         document["checked"] = self.sheet.is_file() and not (self.check is not None and self.check.is_running)
@@ -216,13 +236,13 @@ def stored_entry(folder: Path) -> CaptureEntry | None:
         return None
     record = _document(folder / RECORD)
     name, source = record.get("name"), record.get("source")
-    preset, settings = record.get("preset"), record.get("settings")
+    preset, settings, scan = record.get("preset"), record.get("settings"), record.get("scan", "")
     if not isinstance(name, str) or name != capture_name(name) or not (source is None or isinstance(source, str)):
         return None
-    if not isinstance(preset, str) or not isinstance(settings, list):
+    if not isinstance(preset, str) or not isinstance(settings, list) or not isinstance(scan, str):
         return None
     path = folder / UPLOADED / name if source is None else Path(source)
-    return CaptureEntry(folder, name, path, preset, tuple(str(line) for line in settings))
+    return CaptureEntry(folder, name, path, preset, tuple(str(line) for line in settings), scan, scans_in(path))
 
 
 def _document(path: Path) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import secrets
 import shutil
 import threading
@@ -21,6 +22,7 @@ MAX_CHECKS: Final = 2
 ABANDONED_SECONDS: Final = 60.0
 """An upload that received nothing for so long makes room for another."""
 UPLOAD_PREFIX: Final = ".upload-"
+REMOVED_PREFIX: Final = ".removed-"
 END_SECONDS: Final = 5.0
 
 
@@ -42,9 +44,10 @@ class CaptureLibrary:
         self.folder = folder.resolve()
         self._changes = threading.Lock()
         self._uploads: dict[str, Upload] = {}
-        for left in self.folder.glob(f"{UPLOAD_PREFIX}*"):
-            if not left.is_symlink():
-                shutil.rmtree(left, ignore_errors=True)
+        for prefix in (UPLOAD_PREFIX, REMOVED_PREFIX):
+            for left in self.folder.glob(f"{prefix}*"):
+                if not left.is_symlink():
+                    shutil.rmtree(left, ignore_errors=True)
         folders = sorted(path for path in self.folder.iterdir() if path.is_dir())
         found = [entry for path in folders if (entry := stored_entry(path)) is not None]
         self._entries = {entry.id: entry for entry in found}
@@ -141,12 +144,23 @@ class CaptureLibrary:
             raise InputError(f"{running[0].name} is being checked; check {entry.name} when it is done")
         entry.start_check()
 
-    def start_run(self, entry: CaptureEntry, preset: str, assignments: list[str]) -> None:
+    def remove(self, entry: CaptureEntry) -> None:
+        """Deletes the folder of a capture: dropped photographs, check and run. A folder elsewhere is not touched."""
+        with self._changes, entry.changes:
+            if entry.is_busy:
+                raise InputError(f"{entry.name} is being computed; stop it first")
+            # in one step: what cannot be deleted is no capture any more, and is deleted at the next start
+            removed = self.folder / f"{REMOVED_PREFIX}{secrets.token_hex(8)}"
+            os.replace(entry.folder, removed)
+            self._entries.pop(entry.id, None)
+        shutil.rmtree(removed, ignore_errors=True)
+
+    def start_run(self, entry: CaptureEntry, preset: str, assignments: list[str], scan: str | None = None) -> None:
         """Starts or resumes the reconstruction; one at a time, because each uses all cores."""
         running = next((e for e in self.entries if e is not entry and e.state == "running"), None)
         if running is not None:
             raise InputError(f"{running.name} is being reconstructed; stop it, or wait until it is finished")
-        entry.start_run(preset, assignments)
+        entry.start_run(preset, assignments, scan)
 
     def _added(self, name: str, source: Path) -> CaptureEntry:
         folder = self._new_folder(capture_name(name))

@@ -25,8 +25,8 @@ def ui_command(folder: Path, port: int, browser: bool, quiet: bool, verbose: boo
     """Opens a page on which captures are dropped, checked and reconstructed.
 
     Copies of dropped photographs, checks and runs are written to FOLDER (hir-captures by default) and to no other
-    place. The page runs `hir check` and `hir reconstruct`; it is served on the loopback interface only. Press Ctrl-C to
-    stop the server and what it runs: runs can be resumed.
+    place. The page runs `hir check`, `hir reconstruct` and `hir delight`; it is served on the loopback interface only.
+    Press Ctrl-C to stop the server and what it runs: runs can be resumed.
     """
     require_reconstruction_packages("hir ui")
     from hir_plugins.commands.loopback_server import bound_server
@@ -46,18 +46,19 @@ def ui_command(folder: Path, port: int, browser: bool, quiet: bool, verbose: boo
 
 
 def preset_choices() -> list[PresetChoice]:
-    """The presets for photographs, each with the comment at the top of its file; the default one first."""
+    """The presets, each with the comment at the top of its file; the default one first, the one for scans last."""
     from hir_core.config import DEFAULT_PRESET, read_toml
     from hir_core.plugins.manager import PluginManager
     from hir_plugins.commands.delight.command import PRESET as NEEDS_A_SCAN
     from hir_plugins.commands.ui.ui_server import PresetChoice
 
     choices = [
-        PresetChoice(name, leading_comment(path), bool(read_toml(path).get(DEFAULT_PRESET, False)))
+        PresetChoice(
+            name, leading_comment(path), bool(read_toml(path).get(DEFAULT_PRESET, False)), name == NEEDS_A_SCAN
+        )
         for name, path in PluginManager.discover().presets().items()
-        if name != NEEDS_A_SCAN
     ]
-    return sorted(choices, key=lambda choice: not choice.default)
+    return sorted(choices, key=lambda choice: (choice.needs_scan, not choice.default))
 
 
 def leading_comment(path: Path) -> str:

@@ -65,6 +65,8 @@ class PresetChoice:
     name: str
     summary: str
     default: bool
+    needs_scan: bool
+    """It keeps the mesh of a scan, which `hir delight` reads."""
 
 
 class UiHandler(LoopbackHandler):
@@ -168,10 +170,14 @@ class UiHandler(LoopbackHandler):
                 self._answer_json({})
             case ["captures", name, "start"]:
                 entry = self._entry(name)
-                library.start_run(entry, self.server.preset(document.get("preset")), assignments(document))
+                preset = self.server.preset(document.get("preset"))
+                library.start_run(entry, preset.name, assignments(document), named_scan(document, preset))
                 self._answer_json({})
             case ["captures", name, "stop"]:
                 self._entry(name).stop()
+                self._answer_json({})
+            case ["captures", name, "remove"]:
+                library.remove(self._entry(name))
                 self._answer_json({})
             case _:
                 raise RefusedRequestError(HTTPStatus.NOT_FOUND, "there is no such request")
@@ -271,11 +277,12 @@ class UiServer(LoopbackServer):
         self.presets = tuple(presets)
         super().__init__(port)
 
-    def preset(self, name: object) -> str:
-        """The name, if it is one of the presets."""
-        if not any(name == preset.name for preset in self.presets):
-            raise InputError(f"there is no preset {str(name)[:40]!r}")
-        return str(name)
+    def preset(self, name: object) -> PresetChoice:
+        """The preset of that name."""
+        for preset in self.presets:
+            if preset.name == name:
+                return preset
+        raise InputError(f"there is no preset {str(name)[:40]!r}")
 
     def state(self, selected: str) -> dict[str, Any]:
         """What the page displays: all captures, and the selected one in detail."""
@@ -286,6 +293,14 @@ class UiServer(LoopbackServer):
             "captures": [entry.summary() for entry in self.library.entries],
             "selected": None if entry is None else entry.document(),
         }
+
+
+def named_scan(document: Mapping[str, Any], preset: PresetChoice) -> str | None:
+    """The scan of a request as the user named it; None for a preset that makes a mesh."""
+    scan = document.get("scan", "")
+    if not isinstance(scan, str) or len(scan) > MAX_ASSIGNMENT:
+        raise InputError("the scan is not the name of a file")
+    return scan if preset.needs_scan else None
 
 
 def assignments(document: Mapping[str, Any]) -> list[str]:

@@ -9,10 +9,11 @@ from typing import final
 import numpy as np
 
 from hir_core.capture import Capture
+from hir_core.capture.depth_samples import depth_noise
 from hir_core.errors import CaptureError
 from hir_core.plugins.interfaces import Initializer
 from hir_core.scene import Scene
-from hir_plugins.initializers.depth.sensor_maps import depth_noise, sensor_map
+from hir_plugins.initializers.depth.sensor_maps import sensor_map
 from hir_plugins.initializers.hull.visual_hull import hull_volume
 from hir_plugins.initializers.options import SensorDepthOptions, VisualHullOptions
 from hir_plugins.initializers.stereo.depth_fusion import carve_depths, smoothed_carving

@@ -85,7 +85,8 @@ class FiducialMarkers(Initializer):
         irradiance = measured_irradiance(capture, corners, paper) if paper > 0 else None
         turn, level = self._level(corners)
         self._report = {
-            "scale_from": f"{scale.markers} markers ({found}) of {side:g} m",
+            "scale_from": f"{scale.markers} markers ({found}) of {side:g} m, "
+            f"whose sides differ by {scale.relative_deviation:.2%}",
             "relative_deviation_of_sides": round(scale.relative_deviation, 5),
             "level": level,
         }

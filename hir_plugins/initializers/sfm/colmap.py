@@ -80,7 +80,7 @@ class Colmap(Initializer):
             solved = replace(solved, world_from_source=_solved_from_source(solved, original, self._config.seed))
         object_from_solved, radius = _object_frame(solved)
         size = self._config.object_size
-        scale = self._scale(solved) or MetricScale(size / (2 * radius), f"object_size {size:g} m")
+        scale = self._scale(solved) or MetricScale(size / (2 * radius), f"object_size, assumed to be {size:g} m")
         self._report = {
             "cameras": f"{len(solved.views) - len(unregistered)} of {len(solved.views)} solved",
             "scale_from": scale.source,

@@ -38,8 +38,13 @@ class DepthFile:
                 f"the confidence {self.confidence_path} is {levels.shape[1]}×{levels.shape[0]}, its depth map "
                 f"{depth.shape[1]}×{depth.shape[0]}; give them the same size"
             )
-        largest = ARKIT_LEVELS if levels.max(initial=0) <= ARKIT_LEVELS else np.iinfo(levels.dtype).max
-        return DepthPixels(depth, np.where(known, levels.astype(np.float32) / np.float32(largest), 0))
+        return DepthPixels(depth, np.where(known, confidence_shares(levels), np.float32(0)))
+
+
+def confidence_shares(levels: NDArray[np.unsignedinteger]) -> NDArray[np.float32]:
+    """Confidences 0…1 of ARKit's levels, or of shares of the largest number of their type."""
+    largest = ARKIT_LEVELS if levels.max(initial=0) <= ARKIT_LEVELS else np.iinfo(levels.dtype).max
+    return levels.astype(np.float32) / np.float32(largest)
 
 
 def depth_map(path: Path, confidence: Path | None, unit: float) -> MeasuredDepth:

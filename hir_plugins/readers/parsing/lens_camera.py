@@ -30,6 +30,12 @@ class LensCamera:
     model: Literal["radial", "fisheye"] = "radial"
 
 
+def pinhole_camera(lens: LensCamera, world_to_camera: Array, width: int, height: int, owner: str) -> Camera:
+    """The camera of an image without distortion; its intrinsics and errors are those of `make_view`."""
+    _check_distance(world_to_camera, owner)
+    return Camera(camera_matrix(*_intrinsics(lens, width, height, owner)), world_to_camera, width, height)
+
+
 def make_view(
     name: str,
     photo: Path,
@@ -49,24 +55,8 @@ def make_view(
         # the camera was estimated on the image in display orientation
         turned = photo_size(photo, orient=True)
         orient, (width, height) = turned == (lens.width, lens.height), turned
-    named_width, named_height = lens.width or width, lens.height or height
-    scale_x, scale_y = width / named_width, height / named_height
-    if not 0.98 < scale_x / scale_y < 1.02:
-        raise CaptureError(
-            f"{owner}: the image is {width}×{height}, but the camera is for {named_width:g}×{named_height:g}; use the "
-            "images that the cameras were estimated with, neither cropped nor rotated"
-        )
-    numbers = (lens.fx * scale_x, lens.fy * scale_y, lens.cx * scale_x, lens.cy * scale_y)
-    if not np.isfinite(numbers).all() or numbers[0] <= 0 or numbers[1] <= 0:
-        raise CaptureError(
-            f"{owner}: the focal length {lens.fx:g}, {lens.fy:g} or the centre {lens.cx:g}, {lens.cy:g} is not "
-            "possible; "
-            "export the cameras again"
-        )
-    if not (np.abs(world_to_camera) <= MAX_DISTANCE).all():  # also of NaN
-        raise CaptureError(
-            f"{owner}: the camera is more than {MAX_DISTANCE:g} units from the origin; export the cameras again"
-        )
+    numbers = _intrinsics(lens, width, height, owner)
+    _check_distance(world_to_camera, owner)
     fisheye = None
     try:
         if lens.model == "fisheye":
@@ -84,3 +74,28 @@ def make_view(
         )
     depth = None if depth is None else replace(depth, lens=fisheye)
     return View(name, camera, read, distortion=distortion, path=photo, mask_path=mask, depth=depth)
+
+
+def _intrinsics(lens: LensCamera, width: int, height: int, owner: str) -> tuple[float, float, float, float]:
+    """fx, fy, cx, cy of an image of `width` × `height`."""
+    named_width, named_height = lens.width or width, lens.height or height
+    scale_x, scale_y = width / named_width, height / named_height
+    if not 0.98 < scale_x / scale_y < 1.02:
+        raise CaptureError(
+            f"{owner}: the image is {width}×{height}, but the camera is for {named_width:g}×{named_height:g}; use the "
+            "images that the cameras were estimated with, neither cropped nor rotated"
+        )
+    numbers = (lens.fx * scale_x, lens.fy * scale_y, lens.cx * scale_x, lens.cy * scale_y)
+    if not np.isfinite(numbers).all() or numbers[0] <= 0 or numbers[1] <= 0:
+        raise CaptureError(
+            f"{owner}: the focal length {lens.fx:g}, {lens.fy:g} or the centre {lens.cx:g}, {lens.cy:g} is not "
+            "possible; export the cameras again"
+        )
+    return numbers
+
+
+def _check_distance(world_to_camera: Array, owner: str) -> None:
+    if not (np.abs(world_to_camera) <= MAX_DISTANCE).all():  # also of NaN
+        raise CaptureError(
+            f"{owner}: the camera is more than {MAX_DISTANCE:g} units from the origin; export the cameras again"
+        )

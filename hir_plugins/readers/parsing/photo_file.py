@@ -44,7 +44,7 @@ class PhotoFile:
                 "camera "
                 "was read with"
             )
-        color, saturated = _linear(encoded)
+        color, saturated = linear_pixels(encoded)
         mask: NDArray[np.float32] | None = None
         if self.mask_path is not None:
             mask = read_mask(self.mask_path, width, height, self.orient)
@@ -68,7 +68,7 @@ def read_mask(path: Path, width: int, height: int, orient: bool = False) -> NDAr
     return np.asarray(_to_unit_range(colors).mean(axis=2), dtype=np.float32)
 
 
-def _linear(encoded: EncodedPixels) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+def linear_pixels(encoded: EncodedPixels) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Linear colour (H, W, 3) and clipped pixels (H, W) of encoded pixels (H, W, C)."""
     colors = encoded[..., : 1 if encoded.shape[2] <= 2 else 3]
     if encoded.dtype == np.float32:

@@ -59,6 +59,15 @@ def read_encoded(path: Path, orient: bool = False) -> EncodedPixels:
     return _apply_orientation(pixels, orientation)
 
 
+def decode_picture(content: bytes, name: str) -> EncodedPixels:
+    """Pixels (H, W, C) of an image of 8 bits in memory, as stored; `name` stands in messages."""
+    try:
+        with open_image(content, name=name) as image:
+            return _decode_or_refuse(name, lambda: _decoded(image))
+    except InputError as error:
+        raise CaptureError(str(error)) from None
+
+
 def _pillow(path: Path) -> Image.Image:
     """An opened image of an allowed size; its pixels are not decoded yet."""
     if path.suffix.lower() in _HEIF_SUFFIXES:
@@ -152,7 +161,7 @@ def _read_raw(path: Path) -> EncodedPixels:
     return np.asarray(developed, dtype=np.float32) / np.float32(65535)
 
 
-def _decode_or_refuse(path: Path, decode: Callable[[], Result]) -> Result:
+def _decode_or_refuse(path: Path | str, decode: Callable[[], Result]) -> Result:
     try:
         return decode()
     except Exception as error:  # decoders raise many types on damaged images

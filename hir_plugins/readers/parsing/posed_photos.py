@@ -82,6 +82,8 @@ class PosedPhotosReader(CaptureReader, Generic[Source]):
     """What a folder lacks that is not of the format, and what to put into it."""
     is_upright: ClassVar[bool] = False
     """Whether the file's world has +Y up; otherwise the world is rotated upright by the cameras."""
+    metres_from: ClassVar[str] = ""
+    """What measured the metres of the file's world; empty where its unit is unknown."""
 
     def __init__(self, config: NoOptions) -> None:
         del config
@@ -128,7 +130,7 @@ class PosedPhotosReader(CaptureReader, Generic[Source]):
             for camera, photo, name in zip(cameras, photos, unique_names(photos, path), strict=True)
         ]
         warn_of_matches_by_number(views)
-        capture = Capture(path=path, views=tuple(views), world_from_source=np.eye(4), reader=self.name)
+        capture = Capture(path, tuple(views), reader=self.name, metres_from=self.metres_from)
         upright = np.eye(4) if self.is_upright else upright_rotation([c.world_to_camera for c in cameras])
         return capture.transformed(upright)
 

@@ -26,6 +26,7 @@ from hir_core.report import (
     model_selection_table,
     refresh_page,
     rendered_pictures,
+    report_page,
     tables,
 )
 from hir_core.report.curve_svg import block_means, curve_svg
@@ -196,6 +197,20 @@ def test_where_the_scale_comes_from_is_said() -> None:
     assert decisions(document) == {"scale": "from the card; the light agrees"}
     report["light_scale"]["source"] = "assumed"
     assert decisions(document) == {}
+
+
+@pytest.mark.parametrize("source", ["ARKit", ""])
+def test_what_gave_the_metres_is_said(source: str) -> None:
+    document = {
+        "stages": {"initializer": {"report": {"scale_from": source}}},
+        "capture": {"views": 12},
+        "settings": {"preset": "fast"},
+        "seed": 0,
+    }
+    assert decisions(document) == ({"metres": "from ARKit"} if source else {})
+    assert (
+        ("Metres from ARKit." in report_page.lead(document)) == ("Metres" in report_page.lead(document)) == bool(source)
+    )
 
 
 HYPOTHESES = [

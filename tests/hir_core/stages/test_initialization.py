@@ -18,7 +18,7 @@ from hir_core.plugins.interfaces import Initializer, MaskSource
 from hir_core.plugins.manager import PluginManager
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import Scene
-from hir_core.stages.initialization import apply_masks, initialize, resolve_initializers
+from hir_core.stages.initialization import apply_masks, initialize, resolve_initializers, scale_source
 
 CAMERA = Camera(np.array([[50.0, 0, 4], [0, 50, 4], [0, 0, 1]]), np.eye(4), 8, 8)
 BLACK = Pixels(np.zeros((8, 8, 3), np.float32), None, np.zeros((8, 8), bool))
@@ -104,6 +104,14 @@ def test_masks_of_the_files_stay_unless_sources_are_named(stage: tuple[StageCont
     assert means(apply_masks(masked, None, RunConfig(), context, known="photographs")) == [0.25, 0.25]
     named = replace(RunConfig(), masks=("every_other",))
     assert means(apply_masks(masked, None, named, context, known="photographs")) == [1.0, 0.25]
+
+
+def test_what_gave_the_metres_is_the_last_that_says_so() -> None:
+    """An initializer that scales the world comes after the files of the cameras."""
+    arkit = replace(capture_of(1), metres_from="ARKit")
+    assert scale_source(capture_of(1), {}) == "" and scale_source(arkit, {"hull": {"voxels": 3}}) == "ARKit"
+    reports = {"solved": {"scale_from": "GPS"}, "marked": {"scale_from": "8 markers"}, "hull": {}}
+    assert scale_source(arkit, reports) == "8 markers"
 
 
 def test_photographs_without_a_camera_are_left_out_with_a_warning(stage: tuple[StageContext, list[str]]) -> None:

@@ -63,17 +63,15 @@ def test_symmetry_is_zero_for_a_mirrored_shape_and_pulls_a_dent_out() -> None:
     assert float(gradient[right, 0].mean()) < 0, "a step against the gradient moves the dent outwards"
 
 
-def test_record3d_reads_at_most_120_frames_of_a_video(tmp_path: Path) -> None:
-    plugins, _ = loaded("record3d")
-    written = import_module("hir_plugin_record3d").write_sample(tiny_capture(tmp_path, 4, 24).capture, tmp_path)
-    reader = plugins.create("capture_reader", "record3d")
-    assert [view.name for view in reader.read(written).views] == ["00000", "00001", "00002", "00003"]
-    document = json.loads((written / "metadata").read_text())
-    document["poses"] *= 100
-    (written / "metadata").write_text(json.dumps(document))
-    for i in range(4, 400, 4):
-        shutil.copy(written / "rgbd" / "0.jpg", written / "rgbd" / f"{i}.jpg")
-    assert len(reader.read(written).views) == 100, "every fourth of 400"
+def test_nsvf_names_say_the_split(tmp_path: Path) -> None:
+    plugins, _ = loaded("nsvf")
+    written = import_module("hir_plugin_nsvf").write_sample(tiny_capture(tmp_path, 4, 24).capture, tmp_path)
+    reader = plugins.create("capture_reader", "nsvf")
+    assert reader.splits(written) == ["train"]
+    for folder, suffix in (("pose", "txt"), ("rgb", "png")):
+        shutil.move(written / folder / f"0_0002.{suffix}", written / folder / f"2_0002.{suffix}")
+    assert [view.name for view in reader.read(written).views] == ["0_0000", "0_0001", "0_0003"]
+    assert [view.name for view in reader.read(written, "test").views] == ["2_0002"]
 
 
 def test_web_glb_is_smaller_and_needs_no_extension(tmp_path: Path) -> None:
@@ -142,12 +140,12 @@ def test_lambert_harmonics_fit_a_capture(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_record3d_capture_becomes_a_run(tmp_path: Path, quick: Callable[..., Run]) -> None:
-    plugins, _ = loaded("record3d")
+def test_nsvf_capture_becomes_a_run(tmp_path: Path, quick: Callable[..., Run]) -> None:
+    plugins, _ = loaded("nsvf")
     written = tmp_path / "capture"
     written.mkdir()
-    import_module("hir_plugin_record3d").write_sample(tiny_capture(tmp_path, 12, 64).capture, written)
+    import_module("hir_plugin_nsvf").write_sample(tiny_capture(tmp_path, 12, 64).capture, written)
     masks = 'masks=["color_key"]'
     run = quick(written, tmp_path / "run", masks, "reflectance.enabled=false", "export=[]", plugins=plugins)
-    assert run.directory.read_run()["capture"]["reader"] == "record3d"
+    assert run.directory.read_run()["capture"]["reader"] == "nsvf"
     assert (run.directory.path / "report.html").is_file()

@@ -63,7 +63,9 @@ def scale_of(capture: Capture, before: Capture) -> float:
 def test_the_world_is_scaled_to_metres(on_sheet: Capture, tmp_path: Path) -> None:
     found, report = solved(on_sheet, tmp_path)
     assert scale_of(found, on_sheet) == pytest.approx(0.05, rel=0.005)
-    assert report["scale_from"] == "8 markers (aruco_4x4) of 0.02 m"
+    deviation = report["relative_deviation_of_sides"]
+    assert 0 < deviation < 0.005
+    assert report["scale_from"] == f"8 markers (aruco_4x4) of 0.02 m, whose sides differ by {deviation:.2%}"
     np.testing.assert_allclose(found.world_from_source[:3, :3], 0.05 * np.eye(3), atol=0.05 * 0.01)
 
 

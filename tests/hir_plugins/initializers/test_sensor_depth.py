@@ -13,13 +13,13 @@ import pytest
 import trimesh
 
 from hir_core.capture import Camera, Capture, DepthPixels, MeasuredDepth, View
+from hir_core.capture.depth_samples import depth_noise
 from hir_core.errors import CaptureError
 from hir_core.mesh.ray_casting import MeshQueries
 from hir_core.plugins.manager import PluginManager
 from hir_core.scene import Scene
 from hir_core.testing.captures import StoredPixels
 from hir_plugins.initializers.depth.sensor_depth import SensorDepth
-from hir_plugins.initializers.depth.sensor_maps import depth_noise
 from hir_plugins.initializers.hull.visual_hull import VisualHull
 from hir_plugins.initializers.options import SensorDepthOptions, VisualHullOptions
 from tests.fixtures.made_captures import around, bowl

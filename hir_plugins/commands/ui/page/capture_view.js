@@ -79,6 +79,16 @@ const BUTTONS = { stopped: "Resume", failed: "Try again", finished: "Run again" 
 // The form that starts or resumes a run.
 export function startForm(capture, presets, actions) {
   const used = presets.some((preset) => preset.name === capture.preset) ? capture.preset : null;
+  const scan = element("input", {
+    id: "scan", type: "text", autocomplete: "off", spellcheck: "false", list: "scans", "aria-describedby": "scan-help",
+    value: capture.scan || (capture.scans.length === 1 ? capture.scans[0] : ""),
+  });
+  const scanField = element("div", { id: "scan-field" },
+    element("label", { for: "scan" }, "Scan whose mesh and texture coordinates are kept"), scan,
+    element("datalist", { id: "scans" }, capture.scans.map((path) => element("option", { value: path }))),
+    element("p", { id: "scan-help", class: "quiet" },
+      "A mesh among the photographs, or its whole path on this machine (.glb, .gltf, .obj, .ply). It must be in the ",
+      "axes of the cameras; without cameras it is aligned with the photographs."));
   const choices = presets.map((preset) => element("label", { class: "choice" },
     element("input", {
       type: "radio", name: "preset", value: preset.name, checked: used ? preset.name === used : preset.default,
@@ -88,7 +98,7 @@ export function startForm(capture, presets, actions) {
     id: "settings", rows: "3", spellcheck: "false", "aria-describedby": "settings-help",
   }, capture.settings.join("\n"));
   const form = element("form", { id: "start-form" },
-    element("fieldset", {}, element("legend", {}, "Preset"), choices),
+    element("fieldset", {}, element("legend", {}, "Preset"), choices), scanField,
     element("details", { id: "settings-details", open: capture.settings.length > 0 },
       element("summary", {}, "Settings"),
       element("label", { for: "settings" }, "Settings besides the preset"),
@@ -100,10 +110,31 @@ export function startForm(capture, presets, actions) {
       capture.state === "stopped" || capture.state === "failed"
         ? element("span", { class: "quiet" }, "Finished stages are used again where their settings are the same.") : null),
     element("p", { id: "start-error", class: "error", role: "alert" }));
+  const needsScan = () => presets.find(({ name }) => name === form.elements.preset.value)?.needs_scan ?? false;
+  const showScan = () => { scanField.hidden = !needsScan(); };
+  form.addEventListener("change", showScan);
+  showScan();
   form.addEventListener("submit", (event) => {
     event.preventDefault();
     const lines = settings.value.split("\n").map((line) => line.trim()).filter(Boolean);
-    actions.start(form.elements.preset.value, lines);
+    actions.start(form.elements.preset.value, lines, needsScan() ? scan.value : "");
   });
   return form;
+}
+
+// Removes the capture from the page; a second press confirms.
+export function removal(capture, actions) {
+  const lost = capture.is_own ? "the copied photographs, their check and the run"
+    : "the check and the run; the photographs stay where they are";
+  const place = element("p", { class: "buttons" });
+  const ask = () => place.replaceChildren(element("button", { type: "button", id: "remove", onclick: confirm }, "Remove …"));
+  const confirm = () => {
+    const keep = element("button", { type: "button", id: "keep", onclick: () => { ask(); place.firstChild.focus(); } }, "Keep");
+    place.replaceChildren(
+      element("button", { type: "button", id: "confirm-removal", class: "danger", onclick: actions.remove }, "Remove"), keep,
+      element("span", { role: "status" }, `This deletes ${lost}.`));
+    keep.focus();
+  };
+  ask();
+  return [place, element("p", { id: "remove-error", class: "error", role: "alert" })];
 }

@@ -1,6 +1,6 @@
 // The page of `hir ui`: it asks the server for its state, displays it, and sends what the user does.
 
-import { STATES, photographs, startForm } from "./capture_view.js";
+import { STATES, photographs, removal, startForm } from "./capture_view.js";
 import { chosen, dropped } from "./dropped_files.js";
 import { bytesText, element, refresh } from "./elements.js";
 import { get, post, put } from "./requests.js";
@@ -137,8 +137,16 @@ const actions = {
     return post(`captures/${encodeURIComponent(selected)}/check`);
   }),
   stop: () => attempt("action-error", () => post(`captures/${encodeURIComponent(selected)}/stop`)),
-  start: (preset, settings) => attempt("start-error", () =>
-    post(`captures/${encodeURIComponent(selected)}/start`, { preset, settings })),
+  start: (preset, settings, scan) => attempt("start-error", () =>
+    post(`captures/${encodeURIComponent(selected)}/start`, { preset, settings, scan })),
+  remove: () => attempt("remove-error", async () => {
+    await post(`captures/${encodeURIComponent(selected)}/remove`);
+    delete checks[selected];
+    announce(`${selected} is removed`);
+    selected = "";
+    history.replaceState(null, "", location.pathname);
+    part("path").focus();
+  }),
 };
 
 function showList(captures) {
@@ -172,6 +180,7 @@ function showCapture(capture, presets) {
       element("div", { id: "capture-head" }), element("p", { id: "action-error", class: "error", role: "alert" }),
       section("result", "Result"), section("progress", "Progress"),
       section("photographs", "Photographs"), section("reconstruction", "Reconstruction"),
+      element("div", { id: "removal" }),
     ];
   });
   if (!capture) return;
@@ -186,8 +195,11 @@ function showCapture(capture, presets) {
     capture.state === "check_failed" ? capture.sentence : "", check], () => photographs(capture, check, actions));
   const startable = !["checking", "running", "check_failed"].includes(capture.state);
   part("reconstruction").hidden = !startable;
-  refresh(part("reconstruction-content"), startable ? [capture.state, presets, capture.preset, capture.settings] : null,
+  refresh(part("reconstruction-content"), startable ? [capture.state, presets, capture.preset, capture.settings, capture.scan,
+    capture.scans] : null,
     () => (startable ? [startForm(capture, presets, actions)] : []));
+  const removable = !["checking", "running"].includes(capture.state);
+  refresh(part("removal"), removable ? [capture.is_own] : null, () => (removable ? removal(capture, actions) : []));
 }
 
 function showRun(capture) {

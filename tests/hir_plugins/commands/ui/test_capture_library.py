@@ -17,6 +17,7 @@ from hir_core.errors import InputError
 from hir_plugins.commands.ui.capture_entry import CaptureEntry
 from hir_plugins.commands.ui.capture_library import MAX_UPLOADS, CaptureLibrary
 from hir_plugins.commands.ui.hir_process import KEPT_LINES, HirProcess
+from hir_plugins.commands.ui.scan_files import scan_file
 
 
 @pytest.fixture
@@ -117,6 +118,67 @@ def test_a_link_is_no_entry(library: CaptureLibrary, tmp_path: Path, tiny_captur
     (folder / "tiny").symlink_to(tmp_path / "elsewhere")
     with closing(CaptureLibrary(folder)) as again:
         assert again.entries == []
+
+
+def test_what_is_removed_is_gone_and_a_folder_elsewhere_stays(
+    library: CaptureLibrary, tiny_capture: Path, tmp_path: Path
+) -> None:
+    before = {path: path.read_bytes() for path in tiny_capture.rglob("*") if path.is_file()}
+    elsewhere, own = library.add_path(str(tiny_capture)), send(library, "mine", {"notes.txt": b"no pictures"})
+    with pytest.raises(InputError, match="stop it first"):
+        library.remove(elsewhere)
+    for entry in (elsewhere, own):
+        wait(entry)
+        library.remove(entry)
+    assert library.entries == [] and [p.name for p in library.folder.iterdir()] == [".lock"]
+    assert {path: path.read_bytes() for path in tiny_capture.rglob("*") if path.is_file()} == before
+    assert library.add_path(str(tiny_capture)).id == elsewhere.id, "its name is free again"
+
+
+def test_what_could_not_be_deleted_is_deleted_by_the_next_session(tmp_path: Path) -> None:
+    (tmp_path / ".removed-0" / "run").mkdir(parents=True)
+    with closing(CaptureLibrary(tmp_path)) as library:
+        assert library.entries == [] and not (tmp_path / ".removed-0").exists()
+
+
+def test_meshes_among_the_photographs_are_offered(library: CaptureLibrary, tmp_path: Path) -> None:
+    files = {"a.txt": b"-", "scan/cow.OBJ": b"v 0 0 0", "scan.glb": b"-", "a/b/c/d/e.ply": b"-"}
+    entry = send(library, "cow", files)
+    wait(entry)
+    assert entry.document()["scans"] == ("scan.glb", "scan/cow.OBJ")
+    assert scan_file("scan/cow.OBJ", entry.source) == entry.source / "scan" / "cow.OBJ"
+    assert scan_file(f" {entry.source / 'scan.glb'} ", tmp_path) == entry.source / "scan.glb"
+    (entry.source / "link.obj").symlink_to(library.folder / ".lock")
+    outside = ("../../capture.json", "link.obj", str(tmp_path), "~nobody-here/x")
+    for name in ("", " ", "nowhere.obj", "scan", "a\0b", *outside):
+        with pytest.raises(InputError):
+            scan_file(name, entry.source)
+
+
+def test_a_run_with_a_scan_is_delight(
+    library: CaptureLibrary, tiny_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is started is the command line that a user would type; the next session knows the scan."""
+    entry = library.add_path(str(tiny_capture))
+    wait(entry)
+    scan = tmp_path / "cow.obj"
+    scan.write_text("v 0 0 0\n")
+    started: list[list[str]] = []
+
+    def start(arguments: list[str], output: Path) -> HirProcess:
+        started.append(arguments)
+        return HirProcess(["--version"], output)
+
+    monkeypatch.setattr("hir_plugins.commands.ui.capture_entry.HirProcess", start)
+    library.start_run(entry, "delight", ["atlas.texture_size=64"], str(scan))
+    run = str(entry.run_directory.path)
+    assert started[0][:6] == ["delight", str(scan), str(tiny_capture), "-o", run, "-q"]
+    assert started[0][-1] == "--set=atlas.texture_size=64" and "--resume" not in started[0]
+    wait(entry)
+    folder = library.folder
+    library.close()
+    with closing(CaptureLibrary(folder)) as again:
+        assert [(e.preset, e.scan) for e in again.entries] == [("delight", str(scan))]
 
 
 def test_a_run_that_cannot_start_says_why_and_another_may_follow(library: CaptureLibrary, tiny_capture: Path) -> None:

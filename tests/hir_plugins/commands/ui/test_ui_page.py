@@ -26,6 +26,12 @@ def browser(server: UiServer, chromium: list[str], tmp_path: Path) -> Iterator[B
         yield session
 
 
+def checked(browser: BrowserSession) -> None:
+    """Waits for the contact sheet, too: until it is displayed, what is below it moves."""
+    in_state(browser, "checked")
+    browser.wait_for("document.querySelector('.sheet img')?.naturalWidth > 100")
+
+
 def in_state(browser: BrowserSession, state: str, seconds: float = 60) -> None:
     browser.wait_for(f"{STATE} === '{state}'", seconds)
 
@@ -130,6 +136,47 @@ def test_every_control_has_a_name(browser: BrowserSession, dropped: Path) -> Non
 def test_a_lost_server_is_said(server: UiServer, browser: BrowserSession) -> None:
     server.token = "gone"
     browser.wait_for("document.querySelector('#connection').textContent.includes('Start hir ui again')")
+
+
+def test_a_capture_is_removed_after_a_question(server: UiServer, browser: BrowserSession, dropped: Path) -> None:
+    browser.drop("#drop", [dropped])
+    checked(browser)
+    [entry] = server.library.entries
+    browser.click("#remove")
+    assert browser.evaluate(FOCUS) == "keep", "the harmless button has the focus"
+    assert "deletes the copied photographs" in browser.text("#removal")
+    browser.click("#keep")
+    assert entry.folder.is_dir() and browser.evaluate("document.querySelector('#confirm-removal')") is None
+    browser.click("#remove")
+    browser.click("#confirm-removal")
+    in_state(browser, "empty")
+    assert server.library.entries == [] and not entry.folder.exists()
+    assert dropped.is_dir() and browser.text("#empty") == "None yet."
+    assert browser.problems == []
+
+
+def test_the_mesh_of_a_scan_is_asked_for(server: UiServer, browser: BrowserSession, dropped: Path) -> None:
+    """Only by the preset for scans; a mesh among the photographs is offered, and a wrong name is a sentence."""
+    (dropped / "scan.obj").write_text("v 0 0 0\n")
+    browser.drop("#drop", [dropped])
+    checked(browser)
+    assert browser.evaluate("document.querySelector('#scan-field').hidden")
+    browser.click("[name=preset][value=delight]")
+    assert not browser.evaluate("document.querySelector('#scan-field').hidden")
+    offered = browser.evaluate("[...document.querySelectorAll('#scans option')].map(o => o.value)")
+    assert "scan.obj" in offered, "beside meshes that the capture itself has"
+    browser.evaluate("document.querySelector('#scan').select()")
+    browser.type("nowhere.obj")
+    browser.click("#start")
+    browser.wait_for("document.querySelector('#start-error').textContent.includes('nowhere.obj is no file')")
+    browser.evaluate("document.querySelector('#scan').select()")
+    browser.type("scan.obj")
+    browser.click("#start")
+    in_state(browser, "failed", 120)  # its mesh has no triangles
+    [entry] = server.library.entries
+    assert "scan.obj" in browser.text("#run-sentence [role=alert]")
+    assert (entry.preset, entry.scan) == ("delight", "scan.obj")
+    assert browser.evaluate("document.querySelector('#scan').value") == "scan.obj"
 
 
 @pytest.mark.slow

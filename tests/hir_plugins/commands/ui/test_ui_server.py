@@ -136,6 +136,9 @@ def test_settings_are_lines_and_presets_are_known(server: UiServer, tiny_capture
     for document in (
         {},
         {"preset": "delight"},
+        {"preset": "delight", "scan": "nowhere.glb"},
+        {"preset": "delight", "scan": "../run.json"},
+        {"preset": "delight", "scan": ["a.glb"]},
         {"preset": "../x"},
         {"preset": ["fast"]},
         {"preset": "fast", "settings": "a=1"},
@@ -148,7 +151,8 @@ def test_settings_are_lines_and_presets_are_known(server: UiServer, tiny_capture
         status, answer = post(server, f"captures/{capture}/start", document)
         assert status == 400 and answer["error"]
     names = [choice.name for choice in server.presets]
-    assert names[0] == "fast" and {"best", "paper"} <= set(names) and "delight" not in names
+    assert names[0] == "fast" and {"best", "paper"} <= set(names)
+    assert [choice.name for choice in server.presets if choice.needs_scan] == ["delight"] == names[-1:]
     assert all(choice.summary and "`" not in choice.summary for choice in server.presets)
 
 

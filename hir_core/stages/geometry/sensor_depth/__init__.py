@@ -1,0 +1,1 @@
+"""Measured depths as a term of the geometry fit."""
