@@ -16,7 +16,7 @@ from hir_core.plugins.interfaces import Initializer
 from hir_core.run.determinism import threads
 from hir_core.scene import Scene
 from hir_plugins.initializers.options import CameraRefinementOptions
-from hir_plugins.initializers.refinement.adjusted_cameras import AdjustedBundle, adjusted_bundle
+from hir_plugins.initializers.refinement.adjusted_cameras import adjusted_bundle
 from hir_plugins.initializers.refinement.camera_alignment import aligned_cameras, camera_motion
 from hir_plugins.initializers.refinement.held_out_silhouettes import HeldOutAgreement, held_out_agreement
 from hir_plugins.initializers.refinement.silhouette_agreement import SilhouetteAgreement, silhouette_agreement
@@ -32,6 +32,8 @@ MIN_VIEWS = 12
 """Photographs with a mask below which cameras are kept: three of them would be held out, and hulls are coarse."""
 MASK_SIDE = 256
 """Masks are reduced by the largest whole factor that leaves this many pixels on the longer side."""
+_MAX_REMAINING_GAP = 0.5
+"""Share of the gap between masks and hulls that refined cameras may leave: where more is left, masks are wrong."""
 _SETTING = "initializer.camera_refinement"
 
 
@@ -94,60 +96,58 @@ class CameraRefinement(Initializer):
 
     def _refined(self, capture: Capture, masked: _MaskedViews, before: SilhouetteAgreement, workspace: Path) -> Capture:
         given, focus = capture.cameras, focus_and_radius(masked.fields)[0]
-        cameras, held_out = list(given), None
+        start, candidates = given, []
         if self._config.method != "bundle_adjustment":
             held_out = held_out_agreement(masked.fields, self._config.rounds)
             self._report["held_out_views"] = _held_out_scores(held_out)
             if held_out.better:
                 poses = refine_poses(masked.fields, self._config.rounds)
-                cameras = masked_poses(cameras, masked.indices, poses)
-                cameras = aligned_cameras(cameras, given, focus)
-        bundle = None
+                start = aligned_cameras(masked_poses(given, masked.indices, poses), given, focus)
+                candidates.append(("outlines", start))
         if self._config.method != "silhouettes":
-            bundle = adjusted_bundle(capture, cameras, focus, workspace, self._config)
+            bundle = adjusted_bundle(capture, start, focus, workspace, self._config)
             self._report["bundle_adjustment"] = "too few matched features" if bundle is None else bundle.document()
-        outlines = cameras is not given and held_out is not None and held_out.better
-        if bundle is not None and bundle.better:
-            candidate = list(bundle.cameras)
-            if silhouette_agreement(masked.with_cameras(candidate)).iou.mean() > before.iou.mean():
-                return self._kept(capture, candidate, masked, before, focus, bundle, outlines)
-        if outlines and silhouette_agreement(masked.with_cameras(cameras)).iou.mean() > before.iou.mean():
-            return self._kept(capture, cameras, masked, before, focus, None, True)
-        self._report["cameras"] = "kept: refined ones are not better on held-out views"
+            if bundle is not None and bundle.better:
+                candidates.append(("bundle adjustment", list(bundle.cameras)))
+        # features that fit better than with the cameras of the outlines are the more accurate measurement
+        for how, cameras in reversed(candidates):
+            after = silhouette_agreement(masked.with_cameras(cameras))
+            if self._explains(before, after):
+                self._describe(capture, cameras, how, focus, before, after)
+                views = [replace(view, camera=camera) for view, camera in zip(capture.views, cameras, strict=True)]
+                return replace(capture, views=tuple(views))
+        self._report["cameras"] = "kept: refined ones are not better"
         warnings.warn(
-            f"masks and cameras disagree: {_spoken(before)}; refined cameras were not better on held-out views, so the "
-            "given ones are kept; check the masks (hir check shows the worst), or estimate new cameras with: --set "
-            '\'initializers=["colmap", "visual_hull", "stereo"]\' --set initializer.colmap.known_cameras=solve',
+            f"masks and cameras disagree: {_spoken(before)}; refined cameras were not better on held-out views, so "
+            "the given ones are kept; check the masks (hir check shows the worst), or estimate new cameras with: "
+            '--set \'initializers=["colmap", "visual_hull", "stereo"]\' '
+            "--set initializer.colmap.known_cameras=solve",
             stacklevel=3,
         )
         return capture
 
-    def _kept(
+    def _explains(self, before: SilhouetteAgreement, after: SilhouetteAgreement) -> bool:
+        """Whether the masks agree better, and most of their disagreement is gone: else it is not the cameras'."""
+        gap_before, gap_after = float(np.median(before.gap)), float(np.median(after.gap))
+        allowed = max(self._config.max_gap, _MAX_REMAINING_GAP * gap_before)
+        return float(after.iou.mean()) > float(before.iou.mean()) and gap_after <= allowed
+
+    def _describe(
         self,
         capture: Capture,
         cameras: Sequence[Camera],
-        masked: _MaskedViews,
-        before: SilhouetteAgreement,
+        how: str,
         focus: Array,
-        bundle: AdjustedBundle | None,
-        outlines: bool,
-    ) -> Capture:
-        """The capture with `cameras`; the report and a warning say how far they moved."""
-        after = silhouette_agreement(masked.with_cameras(cameras))
+        before: SilhouetteAgreement,
+        after: SilhouetteAgreement,
+    ) -> None:
+        """Writes the report, and says to the user, how far cameras moved."""
         motion = camera_motion(cameras, capture.cameras, focus)
         worst = int(np.argmax(motion.degrees))
-        how = " and ".join([*["outlines"] * outlines, *["bundle adjustment"] * (bundle is not None)])
         self._report["cameras"] = f"refined by {how}"
         self._report["agreement_refined"] = _scores(after)
-        self._report["turned_degrees"] = {
-            "median": round(float(np.median(motion.degrees)), 4),
-            "largest": round(float(motion.degrees.max()), 4),
-            "photograph": capture.views[worst].name,
-        }
-        self._report["moved_percent"] = {
-            "median": round(float(np.median(motion.percent)), 4),
-            "largest": round(float(motion.percent.max()), 4),
-        }
+        self._report["turned_degrees"] = _sizes(motion.degrees)
+        self._report["moved_percent"] = _sizes(motion.percent)
         warnings.warn(
             f"the given cameras were a little wrong and are refined by {how}: {_spoken(after)}, before "
             f"{_spoken(before, short=True)}; they turned by {np.median(motion.degrees):.2f}° and moved by "
@@ -156,8 +156,6 @@ class CameraRefinement(Initializer):
             "given ones",
             stacklevel=4,
         )
-        views = [replace(view, camera=camera) for view, camera in zip(capture.views, cameras, strict=True)]
-        return replace(capture, views=tuple(views))
 
 
 def masked_poses(cameras: Sequence[Camera], indices: Sequence[int], fields: Sequence[SilhouetteField]) -> list[Camera]:
@@ -195,6 +193,10 @@ def _scores(agreement: SilhouetteAgreement) -> dict[str, float]:
         "worst": round(float(agreement.iou.min()), 4),
         "gap_pixels": round(float(np.median(agreement.gap)), 3),
     }
+
+
+def _sizes(values: Array) -> dict[str, float]:
+    return {"median": round(float(np.median(values)), 4), "largest": round(float(values.max()), 4)}
 
 
 def _held_out_scores(agreement: HeldOutAgreement) -> dict[str, float | int]:

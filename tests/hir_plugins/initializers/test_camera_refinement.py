@@ -131,9 +131,9 @@ def test_wrong_masks_are_not_explained_by_cameras(true_capture: Capture, tmp_pat
         assert pixels.mask is not None
         views.append(replace(view, read=StoredPixels(replace(pixels, mask=pixels.mask * half))))
     broken = replace(true_capture, views=tuple(views))
-    result, initializer, said = refined(broken, tmp_path, method="silhouettes")
+    result, initializer, said = refined(broken, tmp_path, method="silhouettes", rounds=2)
     assert result is broken
-    assert initializer.report()["cameras"] == "kept: refined ones are not better on held-out views"
+    assert initializer.report()["cameras"] == "kept: refined ones are not better"
     assert len(said) == 1 and "hir check" in said[0] and "known_cameras=solve" in said[0]
 
 
