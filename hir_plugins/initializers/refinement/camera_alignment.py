@@ -42,7 +42,7 @@ def aligned_cameras(refined: Sequence[Camera], given: Sequence[Camera], focus: A
 
 def camera_motion(cameras: Sequence[Camera], given: Sequence[Camera], focus: Array) -> CameraMotion:
     """Angles and distances between two sets of cameras."""
-    turns = [
+    angles = [
         np.linalg.norm(vector_of_rotation(a.world_to_camera[:3, :3] @ b.world_to_camera[:3, :3].T))
         for a, b in zip(cameras, given, strict=True)
     ]
@@ -50,7 +50,7 @@ def camera_motion(cameras: Sequence[Camera], given: Sequence[Camera], focus: Arr
         np.linalg.norm(a.center - b.center) / np.linalg.norm(b.center - focus)
         for a, b in zip(cameras, given, strict=True)
     ]
-    return CameraMotion(np.degrees(turns), 100 * np.array(moves))
+    return CameraMotion(np.degrees(angles), 100 * np.array(moves))
 
 
 def _similarity(source: Sequence[Camera], target: Sequence[Camera], weights: Array, reach: float) -> Array:

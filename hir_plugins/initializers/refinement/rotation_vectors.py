@@ -15,4 +15,4 @@ def rotation_of_vector(vector: Array) -> Array:
 
 def vector_of_rotation(rotation: Array) -> Array:
     """Axis times angle (3,)."""
-    return np.asarray(cv2.Rodrigues(np.asarray(rotation, dtype=np.float64))[0]).reshape(3)
+    return np.asarray(cv2.Rodrigues(np.asarray(rotation, dtype=np.float64))[0], dtype=np.float64).reshape(3)

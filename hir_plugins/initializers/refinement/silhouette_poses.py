@@ -63,8 +63,8 @@ def moved_to_outlines(
     together = np.concatenate(distances)
     bias = float(np.median(together)) if len(together) else 0.0
     # the hull of wrong cameras is wrong, too: what it says counts less until it agrees with the masks
-    spread = _NORMAL_MAD * float(np.median(np.abs(together - bias))) if len(together) else 0.0
-    noise = max(_NOISE_PIXELS, spread)
+    deviation = _NORMAL_MAD * float(np.median(np.abs(together - bias))) if len(together) else 0.0
+    noise = max(_NOISE_PIXELS, deviation)
     return [
         replace(field, camera=_fitted_pose(field, camera, each, bias, noise, focus))
         for field, camera, each in zip(fields, given, points, strict=True)
