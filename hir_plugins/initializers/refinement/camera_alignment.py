@@ -30,7 +30,8 @@ def aligned_cameras(refined: Sequence[Camera], given: Sequence[Camera], focus: A
     (iteratively reweighted least squares).
     """
     reach = float(np.median([np.linalg.norm(camera.center - focus) for camera in given]))
-    weights, similarity = np.ones(len(refined)), np.eye(4)
+    weights: Array = np.ones(len(refined))
+    similarity: Array = np.eye(4)
     for _ in range(_ITERATIONS):
         similarity = _similarity(refined, given, weights / weights.sum(), reach)
         moved = [camera.transformed(similarity) for camera in refined]

@@ -47,7 +47,7 @@ class _MaskedViews:
     def with_cameras(self, cameras: Sequence[Camera]) -> list[SilhouetteField]:
         """The fields with cameras of the photographs."""
         return [
-            replace(field, camera=replace(field.camera, **_reduced(cameras[i], field.camera)))
+            replace(field, camera=_reduced(cameras[i], field.camera))
             for i, field in zip(self.indices, self.fields, strict=True)
         ]
 
@@ -180,11 +180,9 @@ def _masked_views(capture: Capture) -> _MaskedViews:
     return _MaskedViews(tuple(indices), tuple(fields))
 
 
-def _reduced(camera: Camera, like: Camera) -> dict[str, Array]:
-    """Pose and intrinsics of a photograph's camera at the resolution of `like`."""
-    factor = max(1, max(camera.width, camera.height) // max(like.width, like.height))
-    small = camera.downsampled(factor)
-    return {"world_to_camera": small.world_to_camera, "intrinsics": small.intrinsics}
+def _reduced(camera: Camera, like: Camera) -> Camera:
+    """A photograph's camera at the resolution of `like`."""
+    return camera.downsampled(max(1, max(camera.width, camera.height) // max(like.width, like.height)))
 
 
 def _scores(agreement: SilhouetteAgreement) -> dict[str, float]:

@@ -35,7 +35,7 @@ def silhouette_agreement(fields: Sequence[SilhouetteField], box: HullBox | None 
     fold = fold_of_views(len(fields))
     iou, uncovered = np.zeros(len(fields)), np.ones(len(fields))
     for each, hull in enumerate(hulls_of_others(fields, hull_box(fields) if box is None else box)):
-        own = np.flatnonzero(fold == each)
+        own = np.flatnonzero(fold == each).tolist()
         iou[own], uncovered[own] = compared_with_hull(hull, [fields[i] for i in own])
     area = np.array([np.count_nonzero(field.distance > 0) for field in fields])
     length = np.array([np.count_nonzero(np.abs(field.distance) < 0.5) for field in fields])

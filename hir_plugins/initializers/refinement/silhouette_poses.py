@@ -27,9 +27,11 @@ _HUBER = 2.0
 """Beyond so many standard deviations a point's weight falls: parts of the object that the hull lacks."""
 _NORMAL_MAD = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
-_PRIOR = 0.01
-"""Standard deviation of an error of a given camera, in radians and in distances from the object. It decides along the
-motions that no silhouette shows, such as the turn of a vase."""
+_PRIOR = 0.005
+"""Scale of the error of a given camera along each axis, in radians and in distances from the object. It decides along
+the motions that no silhouette shows, such as the turn of a vase."""
+_PRIOR_FREEDOM = 4.0
+"""Degrees of freedom of the prior, a multivariate t distribution: a few cameras are far more wrong than most."""
 _MIN_POINTS = 12
 
 
@@ -44,7 +46,7 @@ def refine_poses(
     for done in range(rounds):
         points: list[OutlinePoints] = [OutlinePoints.none()] * len(current)
         for each, hull in enumerate(hulls_of_others(current, box)):
-            own = np.flatnonzero(fold == each)
+            own = np.flatnonzero(fold == each).tolist()
             for view, found in zip(own, outline_points(*hull, [current[i].camera for i in own]), strict=True):
                 points[view] = found
         current = moved_to_outlines(current, given, points, focus)
@@ -87,8 +89,10 @@ def _fitted_pose(
         residual = distance - bias
         jacobian, pivot = _derivative(camera, points.positions, slope, focus)
         weight = share * points.weights / np.maximum(1.0, np.abs(residual) / (_HUBER * noise))
-        normal = jacobian.T @ (jacobian * weight[:, None]) + np.eye(6) / _PRIOR**2
-        right = jacobian.T @ (weight * residual) + _motion(camera, given, focus) / _PRIOR**2
+        motion = _motion(camera, given, focus)
+        prior = (_PRIOR_FREEDOM + 6) / (_PRIOR_FREEDOM + motion @ motion / _PRIOR**2) / _PRIOR**2
+        normal = jacobian.T @ (jacobian * weight[:, None]) + np.eye(6) * prior
+        right = jacobian.T @ (weight * residual) + motion * prior
         step = -np.linalg.solve(normal, right)
         turn = rotation_of_vector(step[:3])
         pose = np.eye(4)
