@@ -46,8 +46,11 @@ class Topology:
         owner = torch.arange(len(self.faces), device=self.faces.device).repeat(3)
         proper = corners[:, 0] != corners[:, 1]
         corners, owner = corners[proper].sort(dim=1).values, owner[proper]
-        edges, inverse = torch.unique(corners, dim=0, return_inverse=True)
-        return edges, inverse, owner
+        # one number for each pair, in the same order: sorting rows takes ten times as long
+        count = int(corners.max()) + 1 if len(corners) else 1
+        keys, inverse = torch.unique(corners[:, 0].long() * count + corners[:, 1], return_inverse=True)
+        edges = torch.stack([torch.div(keys, count, rounding_mode="floor"), keys % count], dim=1)
+        return edges.to(corners.dtype), inverse, owner
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,6 +36,32 @@ class VisualHullOptions:
 
 
 @dataclass(frozen=True)
+class CameraRefinementOptions:
+    """Options of the refinement of given cameras."""
+
+    when: Literal["auto", "always", "never"] = "auto"
+    """`auto`: where the masks disagree with the visual hull of other masks. `always`: whatever they say. Refined
+    cameras are used only where held-out views agree better. `never` keeps the given cameras."""
+    method: Literal["auto", "silhouettes", "bundle_adjustment"] = "auto"
+    """`silhouettes` moves each camera until the outline of its mask fits the hull of the others: it needs no texture.
+    `bundle_adjustment` matches features of the photographs: more accurate on textured objects, useless on metal and
+    plain ones. `auto` adjusts from the poses of the silhouettes, and decides by held-out feature tracks."""
+    focal_length: Literal["auto", "keep"] = "auto"
+    """`auto` lets bundle adjustment change the focal length where that lowers the error of held-out tracks."""
+    max_gap: Annotated[float, Interval(gt=0), Unit("pixels")] = 0.5
+    """Cameras are refined where the median gap between a mask's outline and the hull of other masks is larger, in
+    pixels of masks reduced to 256 to 511 pixels on the longer side."""
+    rounds: Annotated[int, Interval(ge=1, le=100)] = 6
+    """How many times the hull and all poses are fitted to each other in turn."""
+    max_image_size: Annotated[int, Interval(ge=64), Unit("pixels")] = 1600
+    """For features, photographs are reduced by a whole factor until their longer side is at most this."""
+    threads: int = -1
+    """Of feature matching and bundle adjustment; -1 uses all."""
+    seed: int = seed_of_run()
+    """Seed of the random trials of matching; the run's, unless it is set."""
+
+
+@dataclass(frozen=True)
 class SensorDepthOptions:
     """Options of the visual hull that is carved by measured depths."""
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from hir_core.plugins import Component, hookimpl
 from hir_plugins.initializers.options import (
+    CameraRefinementOptions,
     ColmapOptions,
     FiducialMarkersOptions,
     MeshFileOptions,
@@ -79,6 +80,16 @@ FIDUCIAL_MARKERS = Component(
     testing="hir_plugins.initializers.contract_inputs:with_markers",
 )
 
+CAMERA_REFINEMENT = Component(
+    name="camera_refinement",
+    target="hir_plugins.initializers.refinement.camera_refinement:CameraRefinement",
+    config=CameraRefinementOptions,
+    summary="Refines given cameras that are a little wrong, where masks and cameras disagree.",
+    requires=("torch", "jaxtyping", "pycolmap", "cv2", "skimage", "scipy"),
+    extra="reconstruct",
+    traits=frozenset({"needs_cameras", "needs_masks"}),
+)
+
 STEREO = Component(
     name="stereo",
     target="hir_plugins.initializers.stereo.stereo:Stereo",
@@ -103,13 +114,14 @@ POISSON = Component(
 
 @hookimpl
 def hir_register_initializers() -> list[Component]:
-    return [VISUAL_HULL, SENSOR_DEPTH, MESH_FILE, COLMAP, FIDUCIAL_MARKERS, STEREO, POISSON]
+    return [CAMERA_REFINEMENT, VISUAL_HULL, SENSOR_DEPTH, MESH_FILE, COLMAP, FIDUCIAL_MARKERS, STEREO, POISSON]
 
 
 @hookimpl
 def hir_suggest_initializers(capture: Capture) -> list[str] | None:
     """The visual hull and stereo, which carves it; structure from motion before them if cameras, or both masks and
-    points, are missing. A capture with cameras and depth maps gets `sensor_depth` in place of the hull.
+    points, are missing. A capture with cameras and depth maps gets `sensor_depth` in place of the hull. Cameras of a
+    capture with masks are checked, and refined where masks and cameras disagree.
 
     Without `stereo` where photographs are too few or too small to be matched.
     """
@@ -122,7 +134,9 @@ def hir_suggest_initializers(capture: Capture) -> list[str] | None:
         surface.append("stereo")
     first = capture.views[0]
     masked = first.mask is not None or first.pixels().mask is not None
-    return surface if posed and (masked or capture.points is not None) else ["colmap", *surface]
+    if posed and masked:
+        return ["camera_refinement", *surface]
+    return surface if posed and capture.points is not None else ["colmap", *surface]
 
 
 def _can_be_matched(capture: Capture) -> bool:

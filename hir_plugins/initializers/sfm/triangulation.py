@@ -22,7 +22,7 @@ def triangulate(
     """A reconstruction with the given cameras, one for each image, and triangulated points."""
     folder = workspace / "triangulation"
     database = build_database(images, folder, attempts(options, masked)[0], options)
-    posed = _reconstruction_of_poses({image.file: cameras[image.view] for image in images}, database)
+    posed = reconstruction_of_poses({image.file: cameras[image.view] for image in images}, database)
     models = folder / "models"
     shutil.rmtree(models, ignore_errors=True)
     models.mkdir()
@@ -37,7 +37,7 @@ def triangulate(
     )
 
 
-def _reconstruction_of_poses(cameras: dict[str, Camera], database: Path) -> pycolmap.Reconstruction:
+def reconstruction_of_poses(cameras: dict[str, Camera], database: Path) -> pycolmap.Reconstruction:
     """A reconstruction of the given poses, with the identifiers of the database."""
     posed = pycolmap.Reconstruction()
     opened = pycolmap.Database.open(str(database))

@@ -108,9 +108,9 @@ def test_evenly_distributed_views_cover_all_directions() -> None:
 
 def test_stereo_is_suggested_where_photographs_can_be_matched() -> None:
     capture = ball(mirror=False)
-    assert hir_suggest_initializers(capture) == ["visual_hull", "stereo"]
+    assert hir_suggest_initializers(capture) == ["camera_refinement", "visual_hull", "stereo"]
     few = Capture(capture.path, capture.views[:15])
-    assert hir_suggest_initializers(few) == ["visual_hull"]
+    assert hir_suggest_initializers(few) == ["camera_refinement", "visual_hull"]
 
 
 def test_photographs_that_are_near_each_other_cannot_tell_and_say_so() -> None:

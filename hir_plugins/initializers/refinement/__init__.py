@@ -1,0 +1,1 @@
+"""Cameras that are a little wrong, refined from the photographs."""
