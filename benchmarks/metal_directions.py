@@ -32,9 +32,8 @@ FULL = Budget(1.0, 1.0)
 
 
 def solver_with(task: Task, directions: int, seed: int) -> TransportSolver:
-    """A solver of that many directions, for metals and others."""
-    options = {"samples": directions, "metal_samples": directions}
-    solver = task.plugins.create("reflectance_renderer", "transport_ggx", options, seed).prepare(
+    """A solver of that many directions."""
+    solver = task.plugins.create("reflectance_renderer", "transport_ggx", {"samples": directions}, seed).prepare(
         task.start, task.train, 1
     )
     assert isinstance(solver, TransportSolver)

@@ -18,9 +18,6 @@ class TransportGGXOptions:
     """Pixels of all views together that light and model are fitted to."""
     samples: int = 16
     """Directions of each pixel's specular lobe."""
-    metal_samples: int = takes_effect_with(32, "solver")
-    """Directions in a fit of the `metallic` BRDF. The lobe of a metal reflects twenty times as much as that of plastic,
-    and the noise of few directions was its largest error (docs/studies/directions_of_lobes.md)."""
     diffuse_samples: int = 96
     """Directions of each pixel's hemisphere, where the light moves with the camera."""
     cache_cells: int = 6_000
@@ -48,8 +45,8 @@ class TransportGGXOptions:
     block_pixels: int = takes_effect_with(65_536, "solver")
     """Pixels of a gradient step."""
     resident_pixels: int = takes_effect_with(262_144, "solver")
-    """Pixels whose lobes are in memory at once: 2 kB for each, or 4 kB with `metal_samples`. If `pixels` is larger,
-    mini-batches take turns and their lobes are drawn again, which costs time instead of memory."""
+    """Pixels whose lobes are in memory at once, about 2 kB each. If `pixels` is larger, mini-batches take turns and
+    their lobes are drawn again, which costs time instead of memory."""
     render_samples: int = 32
     """Directions of each pixel's lobe in `render`."""
     supersampling: int = 2

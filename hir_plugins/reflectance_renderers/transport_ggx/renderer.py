@@ -58,7 +58,7 @@ class TransportGGX(ReflectanceRenderer):
         Includes the hemispheres of a light that moves with the camera, because model selection may try one.
         """
         options = self._options
-        lobes = max(options.samples, options.metal_samples) * LOBE_BYTES + options.diffuse_samples * HEMISPHERE_BYTES
+        lobes = options.samples * LOBE_BYTES + options.diffuse_samples * HEMISPHERE_BYTES
         fitted = min(options.pixels, size.pixels)
         resident = min(fitted, max(options.resident_pixels, options.block_pixels))
         # a block is drawn at another width beside all others, and while its matrices are transposed they exist twice

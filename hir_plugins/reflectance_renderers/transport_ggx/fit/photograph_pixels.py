@@ -112,7 +112,7 @@ class PhotographPixels:
         """
         block = self._options.block_pixels
         count = max(1, math.ceil(len(photographs) / block))
-        directions = self._options.metal_samples if spec.brdf == "metallic" else self._options.samples
+        directions = self._options.samples
         order = torch.randperm(len(photographs), generator=torch.Generator().manual_seed(self._options.seed))
 
         def make(state: Parameters, number: int) -> PixelBatch:

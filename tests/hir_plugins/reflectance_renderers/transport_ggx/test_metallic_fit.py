@@ -115,7 +115,7 @@ def test_errors_do_not_contain_the_noise_of_directions() -> None:
     capture = photographs(truth, around(4))
     views, noisy, errors = list(range(4)), {}, {}
     for directions in (16, 1024):
-        solver = TransportGGX(replace(OPTIONS, metal_samples=directions)).prepare(truth, capture)
+        solver = TransportGGX(replace(OPTIONS, samples=directions)).prepare(truth, capture)
         base = torch.logit(GOLD).expand(len(solver._transport.surface.positions), 3)
         fit = Fit(
             METAL,
