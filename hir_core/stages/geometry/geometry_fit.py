@@ -39,9 +39,9 @@ from hir_core.stages.geometry.geometry_report import (
     ViewsReport,
 )
 from hir_core.stages.geometry.level_plan import level_count, triangles_of_level
+from hir_core.stages.geometry.measured_depths.depth_term import depth_rays
 from hir_core.stages.geometry.photo_consistency_report import PhotoConsistencyReport, PhotoConsistencySkipped
 from hir_core.stages.geometry.photo_refinement import refine_by_photo_consistency
-from hir_core.stages.geometry.sensor_depth.depth_term import depth_rays
 from hir_core.stages.geometry.silhouette_fit import SilhouetteFit, fit_level
 from hir_core.stages.geometry.silhouette_residual import silhouette_residual
 from hir_core.stages.held_out_views import held_out_for_geometry

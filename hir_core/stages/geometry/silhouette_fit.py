@@ -24,8 +24,8 @@ from hir_core.run.stage_context import StageContext
 from hir_core.scene import Mesh, Scene
 from hir_core.scene.silhouette_targets import SilhouetteTargets, intersection_over_union
 from hir_core.stages.geometry.best_state import BestState
+from hir_core.stages.geometry.measured_depths.depth_term import DepthRays
 from hir_core.stages.geometry.robust_view_weights import RobustViewWeights
-from hir_core.stages.geometry.sensor_depth.depth_term import DepthRays
 
 HELD_OUT_INTERVAL_STEPS = 25
 """Held-out views are evaluated this often."""

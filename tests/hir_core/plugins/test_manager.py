@@ -410,6 +410,7 @@ def test_every_seed_of_a_built_in_component_is_by_default_that_of_the_run() -> N
                 assert with_seed_of_run(kind, {}, 7) == {"seed": 7}, registered.component.name
                 found.add(registered.component.name)
     assert found == {
+        "camera_refinement",
         "colmap",
         "grabcut",
         "mesh_file",

@@ -16,8 +16,8 @@ from hir_core.plugins.manager import PluginManager
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import Mesh, Scene, Topology
 from hir_core.stages.geometry.geometry_fit import fit_geometry
-from hir_core.stages.geometry.sensor_depth import depth_term
-from hir_core.stages.geometry.sensor_depth.depth_term import DepthRays, depth_rays
+from hir_core.stages.geometry.measured_depths import depth_term
+from hir_core.stages.geometry.measured_depths.depth_term import DepthRays, depth_rays
 from hir_core.testing.captures import StoredPixels
 from tests.fixtures.made_captures import around, bowl
 from tests.fixtures.scenes import looking_at

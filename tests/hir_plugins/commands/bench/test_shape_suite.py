@@ -124,13 +124,15 @@ def test_the_geometry_stage_follows_where_a_method_says_so(
         return FittedGeometry(Scene(scene.mesh.with_positions(0.5 * scene.mesh.positions))), None
 
     monkeypatch.setattr(shape_suite, "fit_geometry", shrunk)
-    plain, fitted = shape_suite.shape_rows(bench_options)
+    plain, fitted, default = shape_suite.shape_rows(bench_options)
+    assert default.method.startswith("default: ") and default.errors == fitted.errors
     assert plain.method == "visual_hull" and fitted.method == "visual_hull, geometry"
     assert fitted.errors["Chamfer, radii"] > 5 * plain.errors["Chamfer, radii"]
     assert fitted.timing is not None and fitted.timing.median > 0
     assert [method.label for method in shape_suite.shape_methods(bench_options, _capture(made, bench_options))] == [
         "visual_hull",
         "visual_hull, geometry",
+        "default: camera_refinement, visual_hull, geometry",
     ]
 
 
