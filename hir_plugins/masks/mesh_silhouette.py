@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import label
 
 from hir_core.capture import Camera, Capture
 from hir_core.errors import StageError
@@ -57,6 +56,8 @@ class _Silhouette:
 
     def mask(self, camera: Camera) -> NDArray[np.float32]:
         """The mask (H, W) of one camera."""
+        from scipy.ndimage import label
+
         crossed = self._edges.pixels(camera)
         areas, count = label(~crossed)
         chosen = _few_of_each(areas, count)
