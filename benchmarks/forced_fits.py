@@ -1,31 +1,34 @@
 """Constants of the texture solve and of the fitted light, on fits that are forced to the true kind of material.
 
-`python -m benchmarks.forced_fits NAME… --materials DIR --workspace DIR [--only CAPTURE…] [--seeds 0,1,2]`, with some of
-the names of `benchmarks.default_values`: each candidate beside today's value on captures of the tuning half, with true
-mesh, kind and light frame. A model selection would cost ten times as much, and its decisions would hide what a constant
-of the solver does. Runs are those of `hir reconstruct`; only values that act after the fit at vertices share that fit.
-`--half validation` measures today's values alone. An interrupted study resumes. Results are stored in
-benchmarks/results/default_values, with commit, date and machine.
+    python -m benchmarks.forced_fits NAME… --materials DIR --workspace DIR [--only CAPTURE…] [--seeds 0,1,2]
+    python -m benchmarks.forced_fits --table benchmarks/results/forced_fits.jsonl
+
+Names are some of those of `benchmarks.default_values`: each candidate beside today's value on captures of the tuning
+half, with true mesh, kind and light frame. A model selection would cost ten times as much, and its decisions would hide
+what a constant of the solver does. Runs are those of `hir reconstruct`; only values that act after the fit at vertices
+share that fit. `--half validation` measures today's values alone. One line is stored for each capture, seed and
+constant, with commit, date and machine; a line that is stored already is not measured again. Gains are paired inside a
+line, so lines of different commits may stand in one table.
 """
 
 from __future__ import annotations
 
 import argparse
 import hashlib
+import statistics
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
 from datetime import UTC, datetime
 from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
 from typing import Any, get_args, get_type_hints
 
-from benchmarks.default_values import DEFAULT_VALUES, MEASURES, RESULTS, Decibels, DefaultValue, Value, gain_of
+from benchmarks.default_values import DEFAULT_VALUES, MEASURES, Value, gain_of
+from benchmarks.stored_rows import add_rows, stored_rows
 from hir_core.config import ReflectanceSettings
 from hir_core.errors import ConfigError
-from hir_core.files.json_documents import write_json
 from hir_core.plugins.interfaces import CheckpointLocation
 from hir_core.plugins.manager import PluginManager
 from hir_core.plugins.model_spec import ModelSpec
@@ -38,6 +41,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.solver import Fit, Transpor
 
 NAMES = ("light_whiteness", "texel_prior_weight", "texture_size")
 """A setting of the fit, and values that act after it: a constant of the fit itself must not share fits."""
+STORE = Path("benchmarks/results/forced_fits.jsonl")
 MODEL = "specular"
 """One lobe and an albedo texture; maps of the lobe are not needed to judge the albedo's constants."""
 
@@ -116,71 +120,95 @@ def run_with(
         return run_figures(current_key(capture, "truth", seed, settings), capture, folder, plugins)
 
 
-def summary(default: DefaultValue, runs: dict[Value, dict[str, Decibels]]) -> dict[str, Any]:
-    """Figures of every run, and gains with their verdict, as benchmarks.default_values stores them."""
-    gains: dict[str, dict[str, Any]] = {}
-    for value in default.candidates:
-        found = {error: gain_of(runs[default.value][error], runs[value][error]) for error in MEASURES}
-        gains[str(value)] = {error: asdict(gain) | {"verdict": gain.verdict} for error, gain in found.items()}
-    return {"runs": {str(value): found for value, found in runs.items()}, "gains": gains}
-
-
-def origin(half: str, seeds: Sequence[int]) -> dict[str, Any]:
-    """Where figures come from."""
+def measured(
+    name: str,
+    values: Sequence[Value],
+    capture: MaterialsCapture,
+    seed: int,
+    workspace: Path,
+    plugins: PluginManager,
+) -> dict[str, Any]:
+    """The line of one capture, seed and constant: decibels with each value."""
+    decibels: dict[str, dict[str, float]] = {}
+    for value in values:
+        figures = run_with(name, value, capture, seed, workspace, plugins)
+        decibels[str(value)] = {error: round(figures.errors[error], 4) for error in MEASURES}
     return {
-        "half": half,
+        "capture": capture.name,
+        "half": capture.half,
+        "seed": seed,
+        "constant": name,
+        "decibels": decibels,
         "fit": "forced to the true kind and light frame, true mesh",
-        "seeds": list(seeds),
         "commit": source_commit(),
         "date": datetime.now(UTC).date().isoformat(),
         "machine": describe_machine("cpu"),
     }
 
 
+def table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Markdown: gains of each candidate over today's value for each capture, their mean and the verdict."""
+    lines = []
+    for name in NAMES:
+        default = DEFAULT_VALUES[name]
+        chosen = [row for row in rows if row["constant"] == name and row["half"] == HALVES[0]]
+        captures = sorted({row["capture"] for row in chosen})
+        if not captures:
+            continue
+        lines += [
+            "| constant | candidate | measure | "
+            + " | ".join(c.partition("_")[0] for c in captures)
+            + " | mean | verdict |"
+        ]
+        lines += ["|---" * (len(captures) + 5) + "|"]
+        for value in default.candidates:
+            for error in MEASURES:
+                today, candidate = (
+                    {c: [row["decibels"][str(v)][error] for row in chosen if row["capture"] == c] for c in captures}
+                    for v in (default.value, value)
+                )
+                of_captures = [
+                    f"{statistics.mean(candidate[c]) - statistics.mean(today[c]):+.2f} ({len(today[c])})"
+                    for c in captures
+                ]
+                gain = gain_of(today, candidate)
+                cells = [name, str(value), error, *of_captures, f"{gain.mean:+.2f} ± {gain.standard_error:.2f}"]
+                lines.append(f"| {' | '.join(cells)} | {gain.verdict} |")
+        lines.append("")
+    return "\n".join([*lines, "The number of seeds stands in brackets."])
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(NAMES))
-    parser.add_argument("--materials", type=Path, required=True, help="folder of `python -m benchmarks.materials make`")
-    parser.add_argument("--workspace", type=Path, required=True, help="finished runs are kept here")
+    parser.add_argument("--materials", type=Path, help="folder of `python -m benchmarks.materials make`")
+    parser.add_argument("--workspace", type=Path, help="finished runs are kept here")
     parser.add_argument("--half", choices=HALVES, default=HALVES[0])
     parser.add_argument("--only", nargs="*", default=(), help="names or numbers of captures")
     parser.add_argument("--seeds", default="0,1,2")
+    parser.add_argument("--store", type=Path, default=STORE, help="file of stored lines")
+    parser.add_argument("--table", type=Path, metavar="FILE", help="print the table of stored lines, measure nothing")
     options = parser.parse_args()
+    if options.table is not None:
+        print(table(stored_rows(options.table)))
+        return
+    if options.materials is None or options.workspace is None:
+        parser.error("name --materials and --workspace, or --table")
     for name in options.names:
         if name not in NAMES:
             parser.error(f"{name} is not one of {', '.join(NAMES)}")
     if bool(options.names) == (options.half == "validation"):
         parser.error("name constants for the tuning half, none for the validation half")
-    seeds, plugins = parse_seeds(options.seeds), PluginManager.discover()
-    names = options.names
-    captures = find_captures(options.materials, (options.half,), tuple(options.only)).captures
-    values: dict[str, tuple[Value, ...]] = {n: (DEFAULT_VALUES[n].value, *DEFAULT_VALUES[n].candidates) for n in names}
-    if not names:
-        values = {NAMES[0]: (DEFAULT_VALUES[NAMES[0]].value,)}
-    found: dict[str, dict[Value, dict[str, dict[str, list[float]]]]] = {
-        name: {value: {error: {} for error in MEASURES} for value in values[name]} for name in values
-    }
-    for capture in captures:
-        for seed in seeds:
+    plugins = PluginManager.discover()
+    values = {n: (DEFAULT_VALUES[n].value, *DEFAULT_VALUES[n].candidates) for n in options.names}
+    values = values or {NAMES[0]: (DEFAULT_VALUES[NAMES[0]].value,)}
+    known = {(row["capture"], row["seed"], row["constant"]) for row in stored_rows(options.store)}
+    for seed in parse_seeds(options.seeds):
+        for capture in find_captures(options.materials, (options.half,), tuple(options.only)).captures:
+            missing = [name for name in values if (capture.name, seed, name) not in known]
             with shared_fits():
-                for name, candidates in values.items():
-                    for value in candidates:
-                        figures = run_with(name, value, capture, seed, options.workspace, plugins)
-                        for error in MEASURES:
-                            found[name][value][error].setdefault(capture.name, []).append(figures.errors[error])
-                        dB = ", ".join(f"{figures.errors[error]:.2f}" for error in MEASURES)
-                        print(f"{capture.name} seed {seed} {name}={value}: {dB}", flush=True)
-    # written last: a changed result would mark the code of the next run as changed
-    about = origin(options.half, seeds)
-    for name, runs in found.items():
-        if not names:
-            [today] = runs.values()
-            write_json(RESULTS / f"today_{options.half}.json", {"runs": today, **about})
-            continue
-        default = DEFAULT_VALUES[name]
-        write_json(
-            RESULTS / f"{name}.json", {"name": name, "default": asdict(default), **summary(default, runs), **about}
-        )
+                found = [measured(name, values[name], capture, seed, options.workspace, plugins) for name in missing]
+            add_rows(options.store, found)
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ import os
 import platform
 import subprocess
 import sys
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -42,10 +43,12 @@ def versions() -> dict[str, str]:
     return found
 
 
+@cache
 def source_commit() -> str:
     """Commit of the checkout that this program runs from, with `-dirty` where tracked files differ from it.
 
-    Empty for an installed package, and where git is missing.
+    Empty for an installed package, and where git is missing. Asked once: results that a program stores in the checkout
+    are no change of the code that runs.
     """
     root = Path(__file__).resolve().parents[2]
     if not (root / ".git").exists():

@@ -11,7 +11,7 @@ import torch
 
 from benchmarks import forced_fits
 from benchmarks.default_values import DEFAULT_VALUES, MEASURES, TEXTURES
-from benchmarks.forced_fits import NAMES, changed_constant, shared_fits, summary, true_settings
+from benchmarks.forced_fits import NAMES, changed_constant, shared_fits, table, true_settings
 from hir_core.config import load_config
 from hir_core.errors import ConfigError
 from hir_core.plugins.manager import PluginManager
@@ -74,13 +74,37 @@ def test_a_fit_is_forced_to_the_truth(kind: Any) -> None:
     assert kind == "dielectric" or settings.metalness == {"metal": "metal", "mixed": "map"}[kind]
 
 
-def test_gains_are_those_of_each_candidate_over_today() -> None:
-    default = DEFAULT_VALUES[NAMES[1]]
-    runs = {
-        value: {error: {"a": [30.0 + number], "b": [20.0 + number]} for error in MEASURES}
-        for number, value in enumerate((default.value, *default.candidates))
-    }
-    found = summary(default, runs)["gains"]
-    assert {value: gains[MEASURES[0]]["mean"] for value, gains in found.items()} == {
-        str(value): number + 1 for number, value in enumerate(default.candidates)
-    }
+def test_the_table_pairs_candidates_with_today_inside_each_line() -> None:
+    name, default = NAMES[1], DEFAULT_VALUES[NAMES[1]]
+    values = (default.value, *default.candidates)
+
+    def row(capture: str, seed: int, base: float) -> dict[str, Any]:
+        decibels = {str(value): {error: base + number for error in MEASURES} for number, value in enumerate(values)}
+        return {"constant": name, "half": "tuning", "capture": capture, "seed": seed, "decibels": decibels}
+
+    # another base, as of other code, changes no gain
+    lines = table([row("01_a", 0, 30.0), row("01_a", 1, 34.0), row("02_b", 0, 20.0)]).splitlines()
+    first, last = default.candidates[0], default.candidates[-1]
+    assert f"| {name} | {first} | {MEASURES[0]} | +1.00 (2) | +1.00 (1) | +1.00 ± 0.00 | better |" in lines
+    assert f"| {name} | {last} | {MEASURES[1]} | +2.00 (2) | +2.00 (1) | +2.00 ± 0.00 | better |" in lines
+
+
+def test_a_stored_line_is_not_measured_again(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    captures = [MaterialsCapture(tmp_path / name, "tuning", "metal", "world", True) for name in ("01_a", "02_b")]
+    measured: list[tuple[str, str, int]] = []
+
+    def run(name: str, value: object, capture: MaterialsCapture, seed: int, *more: object) -> object:
+        measured.append((capture.name, name, seed))
+        return SimpleNamespace(errors=dict.fromkeys(MEASURES, 30.0))
+
+    monkeypatch.setattr(forced_fits, "run_with", run)
+    monkeypatch.setattr(forced_fits, "find_captures", lambda *arguments: SimpleNamespace(captures=captures))
+    store = tmp_path / "rows.jsonl"
+    arguments = ["x", NAMES[1], "--materials", "m", "--workspace", "w", "--seeds", "0", "--store", str(store)]
+    monkeypatch.setattr("sys.argv", arguments)
+    forced_fits.main()
+    assert {name for name, _, _ in measured} == {"01_a", "02_b"} and len(store.read_text().splitlines()) == 2
+    measured.clear()
+    monkeypatch.setattr("sys.argv", [*arguments, "--seeds", "0,1"])
+    forced_fits.main()
+    assert {seed for _, _, seed in measured} == {1} and len(store.read_text().splitlines()) == 4
