@@ -244,7 +244,7 @@ async function update() {
     const state = await get(`state?capture=${encodeURIComponent(selected)}`);
     const capture = state.selected;
     if (!capture && state.captures.length && !selected) {
-      selected = (state.captures.find(isBusy) ?? state.captures.at(-1)).id; // what is computed, or the newest
+      selected = (state.captures.find(isBusy) ?? state.captures.at(-1)).id; // what is computed, or the last
       return await update();
     }
     if (capture?.checked && !checks[capture.id]) {

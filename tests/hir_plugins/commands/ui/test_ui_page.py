@@ -116,7 +116,7 @@ def test_what_cannot_be_read_says_so(browser: BrowserSession, tmp_path: Path) ->
     assert browser.problems == []
 
 
-def test_the_address_opens_the_newest_capture(server: UiServer, browser: BrowserSession, tmp_path: Path) -> None:
+def test_the_address_opens_the_last_capture(server: UiServer, browser: BrowserSession, tmp_path: Path) -> None:
     for name in ("first", "second"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "a.txt").write_text("no photograph")
