@@ -29,8 +29,11 @@ def find_reader(path: Path, plugins: PluginManager, name: str = "auto") -> tuple
         reader: CaptureReader = plugins.create("capture_reader", registered.component.name)
         if reader.matches(path):
             return registered.component.name, reader
-        tried.append(f"{registered.component.name} ({registered.component.summary.rstrip('.')})")
-    raise CaptureError(f"{path} is no capture that an installed reader knows; installed: {', '.join(tried) or 'none'}")
+        tried.append(registered.component.name)
+    raise CaptureError(
+        f"{path} is no capture that an installed reader knows ({', '.join(tried) or 'none is installed'}); give a "
+        "folder with two photographs or more, or with the cameras of another program (docs/captures.md)"
+    )
 
 
 def read_capture(path: Path, split: str, plugins: PluginManager, reader: str = "auto") -> Capture:

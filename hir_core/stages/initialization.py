@@ -62,8 +62,11 @@ def initialize(
     chain = config.initializers
     details: dict[str, Mapping[str, Any]] = {}
     masked = False
+    # sources of masks that need cameras may need points too, which the same initializers find
+    finders = [i for i, name in enumerate(chain) if _has_trait(name, "finds_cameras", context.plugins)]
     for i, name in enumerate(chain):
-        if not masked and capture.views and all(view.camera is not None for view in capture.views):
+        posed = bool(capture.views) and all(view.camera is not None for view in capture.views)
+        if not masked and posed and i > max(finders, default=-1):
             capture = apply_masks(capture, scene, config, context, "cameras")
             masked = True
         context.report(Progress("initializer", i, len(chain), 0.0, message=name))

@@ -12,6 +12,9 @@ from hir_core.errors import CaptureError
 
 _GRID_RESOLUTION = 72
 
+MIN_POINTS = 50
+"""Points from which the region of the object can be told."""
+
 
 def object_points(capture: Capture) -> tuple[Array, Array, float]:
     """Points (N, 3) of the object, its centre (3,) and radius.
@@ -20,10 +23,12 @@ def object_points(capture: Capture) -> tuple[Array, Array, float]:
     Too few points raise `CaptureError`.
     """
     points = capture.points
-    if points is None or len(points.positions) < 50:
+    count = 0 if points is None else len(points.positions)
+    if points is None or count < MIN_POINTS:
         raise CaptureError(
-            f"{capture.path}: the mask source grabcut needs reconstructed points; run colmap before, such as: "
-            '--set \'initializers=["colmap", "visual_hull"]\''
+            f"{capture.path}: the mask source grabcut needs {MIN_POINTS} reconstructed points, and there are {count}; "
+            "put masks of the photographs into a folder 'masks', or name a source that needs no points, such as: "
+            "--set 'masks=[\"rembg\"]'"
         )
     cameras = capture.cameras
     mask_count = np.zeros(len(points.positions))

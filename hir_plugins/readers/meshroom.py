@@ -1,4 +1,4 @@
-"""Meshroom (AliceVision): a `.sfm` file in JSON, such as `cameras.sfm`.
+"""Meshroom (AliceVision): a `.sfm` file in JSON, such as `cameras.sfm`, or a `.json` of its ConvertSfMFormat.
 
 Sources: the change log of AliceVision's sfmDataIO (principal points are offsets from the middle since version 1.2.1,
 focal lengths in millimetres since 1.2.2) and its camera models.
@@ -18,6 +18,7 @@ from hir_plugins.readers.parsing.camera_axes import rigid_transform
 from hir_plugins.readers.parsing.json_fields import read_json
 from hir_plugins.readers.parsing.lens_camera import LensCamera
 from hir_plugins.readers.parsing.posed_photos import PhotoFinder, PosedPhoto, PosedPhotosReader
+from hir_plugins.readers.parsing.text_files import file_head
 
 _CENTERED_SINCE: Final = (1, 2, 1)
 _NO_RIG: Final = ("", "-1", "4294967295")
@@ -33,9 +34,10 @@ class MeshroomReader(PosedPhotosReader[Path]):
     remedy = "no .sfm file; put cameras.sfm of Meshroom into this folder"
 
     def find(self, path: Path) -> Path | None:
-        """cameras.sfm, or the first .sfm file."""
+        """cameras.sfm, or the first .sfm file, or the first .json file that holds the same."""
         files = sorted(p for p in path.glob("*.sfm") if p.is_file())
-        return next((f for f in files if f.name == "cameras.sfm"), files[0] if files else None)
+        cameras = next((f for f in files if f.name == "cameras.sfm"), files[0] if files else None)
+        return cameras or next((f for f in sorted(path.glob("*.json"))[:20] if _is_sfm(file_head(f))), None)
 
     def cameras(self, source: Path, finder: PhotoFinder) -> list[PosedPhoto]:
         """Those that are registered."""
@@ -55,6 +57,11 @@ class MeshroomReader(PosedPhotosReader[Path]):
                 raise CaptureError(f"{owner}: rigs are not supported; reconstruct the photographs without a rig")
             cameras.append(PosedPhoto(name, owner, _lens(intrinsic, version, owner), _pose(pose, owner)))
         return cameras
+
+
+def _is_sfm(head: bytes) -> bool:
+    """Whether the first bytes of a JSON file are AliceVision's: a version, then views with their numbers."""
+    return b'"version"' in head and b'"views"' in head and b'"viewId"' in head
 
 
 def _version(value: object) -> tuple[int, ...]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
-from typing import final
+from typing import Final, final
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -21,6 +21,8 @@ from hir_plugins.readers.parsing.number_text import finite_number, finite_number
 from hir_plugins.readers.parsing.posed_photos import PhotoFinder, PosedPhoto, PosedPhotosReader
 from hir_plugins.readers.parsing.text_files import file_head
 from hir_plugins.readers.parsing.xml_files import read_xml
+
+_DISABLED: Final = ("0", "false")
 
 EARTH_DISTANCE = 1e5
 """Longer translations, in metres, place the object on the Earth. They are dropped: float32 is too coarse for them."""
@@ -43,17 +45,51 @@ class MetashapeReader(PosedPhotosReader[Path]):
     def cameras(self, source: Path, finder: PhotoFinder) -> list[PosedPhoto]:
         """In the chunk's world, in metres if the chunk has a scale."""
         del finder
-        chunks = [chunk for chunk in read_xml(source).iter("chunk") if _aligned(chunk)]
-        if not chunks:
-            raise CaptureError(f"{source} has no aligned camera; align the photographs and export the cameras again")
-        return _cameras(chunks[0], source)
+        return _cameras(_chunk(source), source)
+
+    def metres_source(self, source: Path) -> str:
+        """The distances and coordinates that the project was scaled by; empty if it has none of them, or no scale."""
+        chunk = _chunk(source)
+        if not any(place.find("scale") is not None for place in chunk.iter("transform")):
+            return ""
+        measured = {
+            "scale bar": _measured(chunk, "scalebars", "scalebar", ("distance",)),
+            "marker with coordinates": _measured(chunk, "markers", "marker", ("x", "y", "z")),
+            "photograph with coordinates": _measured(chunk, "cameras", "camera", ("x", "y", "z")),
+        }
+        # one point with coordinates gives no scale
+        used = [_counted(n, what) for what, n in measured.items() if n >= (1 if what == "scale bar" else 2)]
+        return f"Metashape, by {' and '.join(used)}" if used else ""
+
+
+def _chunk(source: Path) -> Element:
+    """The first chunk with an aligned camera."""
+    chunk = next((chunk for chunk in read_xml(source).iter("chunk") if _aligned(chunk)), None)
+    if chunk is None:
+        raise CaptureError(f"{source} has no aligned camera; align the photographs and export the cameras again")
+    return chunk
+
+
+def _measured(chunk: Element, group: str, kind: str, values: tuple[str, ...]) -> int:
+    """Number of entries with an enabled reference that has these values."""
+    references = [entry.find("reference") for entry in chunk.iterfind(f"{group}//{kind}")]
+    return sum(
+        r is not None and r.get("enabled", "1") not in _DISABLED and all(r.get(value) is not None for value in values)
+        for r in references
+    )
+
+
+def _counted(number: int, what: str) -> str:
+    first, _, rest = what.partition(" with ")
+    plural = first if number == 1 else f"{first}s"
+    return f"{number} {plural} with {rest}" if rest else f"{number} {plural}"
 
 
 def _aligned(chunk: Element) -> list[Element]:
     return [
         camera
         for camera in chunk.iterfind(".//cameras//camera")
-        if camera.find("transform") is not None and camera.get("enabled", "1") not in ("0", "false")
+        if camera.find("transform") is not None and camera.get("enabled", "1") not in _DISABLED
     ]
 
 

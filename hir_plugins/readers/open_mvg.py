@@ -71,6 +71,8 @@ def _pose(entry: Mapping[str, object], owner: str) -> Array:
 
 
 def _lens(table: Mapping[str, object], owner: str) -> LensCamera:
+    pinhole = table.get("value0")  # cereal's name of a base class: versions differ in whether they nest it
+    table = {**pinhole, **table} if isinstance(pinhole, dict) else table
     focal = number_field(table, "focal_length", owner)
     width, height = number_field(table, "width", owner), number_field(table, "height", owner)
     point = table.get("principal_point")

@@ -28,6 +28,16 @@ _CAMERA_FILES: Final = (
     "blended_images",
 )
 
+_PROJECTS: Final = {
+    ".psx": "Metashape's cameras as XML",
+    ".psz": "Metashape's cameras as XML",
+    ".rsproj": "RealityScan's registration as CSV or XMP",
+    ".rcproj": "RealityCapture's registration as CSV or XMP",
+    ".abc": "Meshroom's cameras.sfm",
+    ".mg": "Meshroom's cameras.sfm",
+}
+"""Files of scanning programs that hold cameras but are not read, and what to export instead."""
+
 
 @final
 class PhotosReader(CaptureReader):
@@ -65,6 +75,7 @@ class PhotosReader(CaptureReader):
                 f"such as {unusual[0]}; they get separate intrinsics",
                 stacklevel=2,
             )
+        _warn_of_unread_cameras(path)
         names = unique_names(photos, path)
         masks = [find_mask(photo, path) for photo in photos]
         if unmatched := unmatched_masks(photos, path):
@@ -79,6 +90,20 @@ class PhotosReader(CaptureReader):
         )
         warn_of_matches_by_number(views)
         return Capture(path=path, views=views, reader="photos")
+
+
+def _warn_of_unread_cameras(path: Path) -> None:
+    """Says once that a file which may hold the cameras is not read."""
+    for file in sorted(path.iterdir()):
+        suffix = file.suffix.lower()
+        if suffix in _PROJECTS:
+            reason = f"{file.name} is not read; export {_PROJECTS[suffix]} into this folder to use its cameras"
+        elif suffix in (".xml", ".csv", ".out") and file.is_file() and file.stat().st_size == 0:
+            reason = f"{file.name} is empty; export the cameras again if it should hold them"
+        else:
+            continue
+        warnings.warn(f"{reason}, or they are estimated", stacklevel=3)
+        return
 
 
 def _photos(path: Path) -> list[Path]:

@@ -15,7 +15,7 @@ import numpy as np
 from hir_core.capture import MeasuredDepth
 from hir_core.errors import CaptureError
 from hir_plugins.readers.parsing.camera_axes import OPENCV_FROM_OPENGL, rigid_inverse, rigid_transform
-from hir_plugins.readers.parsing.capture_paths import contained_path
+from hir_plugins.readers.parsing.capture_paths import contained_path, find_photo
 from hir_plugins.readers.parsing.depth_file import MILLIMETRE, depth_map
 from hir_plugins.readers.parsing.json_fields import number_field, read_json
 from hir_plugins.readers.parsing.lens_camera import LensCamera
@@ -62,7 +62,9 @@ class PolycamReader(PosedPhotosReader[tuple[Path, str]]):
             pose = rigid_transform(np.array([[known[f"t_{r}{c}"] for c in range(4)] for r in range(3)]), owner)
             fx, fy, cx, cy, width, height = (known[key] for key in _INTRINSICS)
             lens = LensCamera(fx, fy, cx, cy, width, height)
-            name = f"keyframes/{images}/{file.stem}"
+            # depth maps and uncorrected images have the same names
+            photo = find_photo(finder.capture, f"keyframes/{images}/{file.stem}", file)
+            name = photo.relative_to(finder.capture).as_posix()
             depth = depth_beside(finder.capture, file.stem)
             cameras.append(PosedPhoto(name, owner, lens, OPENCV_FROM_OPENGL @ rigid_inverse(pose), depth))
         return cameras

@@ -1,7 +1,9 @@
 """RealityScan and RealityCapture: XMP sidecars beside the photographs, or the registration as CSV.
 
 XMP: "RealityCapture XMP Camera Math" (Capturing Reality, knowledge base): x = R (X − position), lengths as shares of
-the longer side of the image. CSV: "Internal/External camera parameters"; its angles as nerfstudio reads them.
+the longer side of the image. CSV: "Internal/External camera parameters"; its angles as nerfstudio reads them. Lens:
+RealityScan's own export for OpenCV writes `k1 k2 t2 t1 k3`, so t1 stands with r² + 2x²; its export templates write
+px and py, which newer versions name `px_norm` and `py_norm`, as shares of the longer side.
 """
 
 from __future__ import annotations
@@ -27,6 +29,8 @@ from hir_plugins.readers.parsing.xml_files import read_xml
 
 _NAMESPACE: Final = "http://www.capturingreality.com/ns/xcr/1.1#"
 _COLUMNS: Final = ("x", "y", "alt", "heading", "pitch", "roll", "f")
+_RENAMED: Final = {"yaw": "heading", "f_35mm": "f", "px_norm": "px", "py_norm": "py"}
+"""Columns of RealityScan 2, by their names in RealityCapture."""
 FILM_WIDTH_MM = 36.0
 """Focal lengths are those of a 35 mm camera, whose longer side this is."""
 LARGEST_SKEW = 1e-4
@@ -99,7 +103,7 @@ def _table(path: Path) -> Path | None:
 def _from_table(source: Path, finder: PhotoFinder) -> list[PosedPhoto]:
     lines = read_text(source).splitlines()
     start = next(i for i, line in enumerate(lines) if line.startswith("#name,"))
-    header = [name.strip() for name in lines[start][1:].split(",")]
+    header = [_RENAMED.get(name.strip(), name.strip()) for name in lines[start][1:].split(",")]
     missing = [name for name in _COLUMNS if name not in header]
     if missing:
         raise CaptureError(
@@ -115,7 +119,7 @@ def _from_table(source: Path, finder: PhotoFinder) -> list[PosedPhoto]:
         pose[:3, :3] = _rotation(value["heading"], value["pitch"], value["roll"])
         pose[:3, 3] = [value["x"], value["y"], value["alt"]]
         lens = [value.get(name, 0.0) for name in ("k1", "k2", "k3", "k4", "t1", "t2")]
-        u, v = (value.get(name, 0.0) / FILM_WIDTH_MM for name in ("px", "py"))
+        u, v = (value.get(name, 0.0) for name in ("px", "py"))
         camera = _lens(finder.find(row[0], owner), value["f"] / FILM_WIDTH_MM, 1.0, u, v, lens, owner)
         world_to_camera = OPENCV_FROM_OPENGL @ rigid_inverse(rigid_transform(pose, owner))
         cameras.append(PosedPhoto(row[0], owner, camera, world_to_camera))
@@ -141,7 +145,7 @@ def _lens(
     width, height = photo_size(photo)
     side = max(width, height)
     center = (width / 2 + u * side, height / 2 + v * side)
-    return LensCamera(focal * side, focal * aspect * side, *center, width, height, (k1, k2, t1, t2, k3))
+    return LensCamera(focal * side, focal * aspect * side, *center, width, height, (k1, k2, t2, t1, k3))
 
 
 def _field(element: Element, name: str) -> str | None:

@@ -83,7 +83,7 @@ class PosedPhotosReader(CaptureReader, Generic[Source]):
     is_upright: ClassVar[bool] = False
     """Whether the file's world has +Y up; otherwise the world is rotated upright by the cameras."""
     metres_from: ClassVar[str] = ""
-    """What measured the metres of the file's world; empty where its unit is unknown."""
+    """What measured the metres of every file's world; empty where that is unknown, or differs by file."""
 
     def __init__(self, config: NoOptions) -> None:
         del config
@@ -95,6 +95,11 @@ class PosedPhotosReader(CaptureReader, Generic[Source]):
     @abstractmethod
     def cameras(self, source: Source, finder: PhotoFinder) -> list[PosedPhoto]:
         """The photographs that have a pose, in the order of the file; `finder` knows the capture's folder."""
+
+    def metres_source(self, source: Source) -> str:
+        """What measured the metres of the cameras in `source`; empty where their unit is unknown."""
+        del source
+        return self.metres_from
 
     @final
     def matches(self, path: Path) -> bool:
@@ -130,7 +135,7 @@ class PosedPhotosReader(CaptureReader, Generic[Source]):
             for camera, photo, name in zip(cameras, photos, unique_names(photos, path), strict=True)
         ]
         warn_of_matches_by_number(views)
-        capture = Capture(path, tuple(views), reader=self.name, metres_from=self.metres_from)
+        capture = Capture(path, tuple(views), reader=self.name, metres_from=self.metres_source(source))
         upright = np.eye(4) if self.is_upright else upright_rotation([c.world_to_camera for c in cameras])
         return capture.transformed(upright)
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hir_core.capture import Camera, Capture, Pixels, View
+from hir_core.capture import Camera, Capture, OrientedPoints, Pixels, View
 from hir_core.config import RunConfig
 from hir_core.errors import CaptureError, StageError
 from hir_core.plugins import Component, hookimpl
@@ -55,6 +55,39 @@ class LosesOne(Initializer):
         return replace(capture, views=(*views, *capture.views[-1:])), scene
 
 
+class AddsPoints(Initializer):
+    """Keeps cameras and finds points, as structure from motion with known cameras does; it sees no mask."""
+
+    def __init__(self, _: object) -> None:
+        pass
+
+    def initialize(self, capture: Capture, scene: Scene | None, workspace: Path) -> tuple[Capture, Scene | None]:
+        assert means(capture) == [None] * len(capture.views)
+        return replace(capture, points=OrientedPoints(np.zeros((50, 3)))), scene
+
+
+class NeedsPoints(MaskSource):
+    """As grabcut: cameras are not enough."""
+
+    def __init__(self, _: object) -> None:
+        pass
+
+    def masks(self, capture: Capture, scene: Scene | None) -> list[NDArray[np.float32] | None]:
+        assert capture.points is not None
+        return [np.ones((8, 8), np.float32) for _ in capture.views]
+
+
+class NeedsMasks(Initializer):
+    """Fails without a mask."""
+
+    def __init__(self, _: object) -> None:
+        pass
+
+    def initialize(self, capture: Capture, scene: Scene | None, workspace: Path) -> tuple[Capture, Scene | None]:
+        assert means(capture) == [1.0] * len(capture.views)
+        return capture, scene
+
+
 class Plugin:
     """The components of this file."""
 
@@ -63,11 +96,16 @@ class Plugin:
         return [
             Component("every_other", f"{__name__}:EveryOther", summary="Masks of every other view."),
             Component("half", f"{__name__}:Half", summary="Half.", traits=frozenset({"needs_cameras"})),
+            Component("cut", f"{__name__}:NeedsPoints", summary="All.", traits=frozenset({"needs_cameras"})),
         ]
 
     @hookimpl
     def hir_register_initializers(self) -> list[Component]:
-        return [Component("loses_one", f"{__name__}:LosesOne", summary="Loses one.")]
+        return [
+            Component("loses_one", f"{__name__}:LosesOne", summary="Loses one."),
+            Component("motion", f"{__name__}:AddsPoints", summary="Points.", traits=frozenset({"finds_cameras"})),
+            Component("hull", f"{__name__}:NeedsMasks", summary="Nothing.", traits=frozenset({"needs_masks"})),
+        ]
 
 
 @pytest.fixture
@@ -122,6 +160,14 @@ def test_photographs_without_a_camera_are_left_out_with_a_warning(stage: tuple[S
     assert warned == ["1 of 3 photographs have no camera and are left out: 2, …"]
 
 
+def test_masks_that_need_points_wait_for_them_where_cameras_are_given(stage: tuple[StageContext, list[str]]) -> None:
+    """The cameras of another program without masks: structure from motion gives points, then grabcut cuts."""
+    context, _ = stage
+    config = replace(RunConfig(), initializers=("motion", "hull"), masks=("cut",))
+    with pytest.raises(StageError, match="the initializers motion, hull made no surface"):
+        initialize(capture_of(3, CAMERA), config, context)
+
+
 def test_the_chain_is_computed_once_and_with_the_masks_of_the_run(stage: tuple[StageContext, list[str]]) -> None:
     """A suggestion sees the masks that the stage will give, and the stage runs the chain that it is given."""
     context, _ = stage
@@ -146,5 +192,5 @@ def test_a_capture_without_a_suggested_chain_is_an_error_that_names_the_installe
     stage: tuple[StageContext, list[str]],
 ) -> None:
     context, _ = stage
-    with pytest.raises(CaptureError, match=r"no plugin suggests initializers .*installed: loses_one"):
+    with pytest.raises(CaptureError, match=r"no plugin suggests initializers .*installed: hull, loses_one, motion"):
         resolve_initializers(capture_of(3), replace(RunConfig(), masks=()), context.plugins)

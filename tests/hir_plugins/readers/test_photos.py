@@ -49,6 +49,17 @@ def test_a_folder_with_cameras_belongs_to_another_reader(tmp_path: Path) -> None
     assert not READER.matches(tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("name", "words"), [("sfm.abc", r"sfm\.abc is not read; export .*cameras\.sfm"), ("doc.xml", "doc.xml is empty")]
+)
+def test_cameras_that_are_not_read_are_named(tmp_path: Path, name: str, words: str) -> None:
+    for photo_name in "ab":
+        photo(tmp_path / "images" / f"{photo_name}.jpg")
+    (tmp_path / name).touch()
+    with pytest.warns(UserWarning, match=words):
+        READER.read(tmp_path)
+
+
 def test_another_size_is_named(tmp_path: Path) -> None:
     for name in "abc":
         photo(tmp_path / f"{name}.jpg")

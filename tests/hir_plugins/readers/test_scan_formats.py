@@ -20,6 +20,8 @@ from hir_core.plugins.manager import PluginManager
 
 PLUGINS = PluginManager.discover()
 WIDTH, HEIGHT, FOCAL = 64, 48, 80.0
+OFFSET = np.array([2.5, -1.75])
+"""Principal point from the middle of the image, in pixels."""
 ROTATION = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 """World (+Z up) to camera (OpenCV): a camera that looks along +Y."""
 CENTER = np.array([0.5, -5.0, 0.25])
@@ -34,7 +36,7 @@ def brown(point: NDFloat, k: tuple[float, float, float], along_x: float, along_y
     radial = 1 + k[0] * r + k[1] * r**2 + k[2] * r**3
     u = x * radial + along_x * (r + 2 * x * x) + 2 * along_y * x * y
     v = y * radial + along_y * (r + 2 * y * y) + 2 * along_x * x * y
-    return np.array([WIDTH / 2 + FOCAL * u, HEIGHT / 2 + FOCAL * v])
+    return np.array([WIDTH / 2 + FOCAL * u, HEIGHT / 2 + FOCAL * v]) + OFFSET
 
 
 K, ALONG_X, ALONG_Y = (-0.2, 0.05, 0.01), 0.004, -0.003
@@ -46,7 +48,8 @@ def metashape(folder: Path) -> None:
     pose[:3, :3], pose[:3, 3] = ROTATION.T, CENTER
     size = f'<resolution width="{WIDTH}" height="{HEIGHT}"/>'
     # their p1 stands with r² + 2x²
-    values = {"f": FOCAL, "k1": K[0], "k2": K[1], "k3": K[2], "p1": ALONG_X, "p2": ALONG_Y}
+    values = {"f": FOCAL, "cx": OFFSET[0], "cy": OFFSET[1], "k1": K[0], "k2": K[1], "k3": K[2]}
+    values |= {"p1": ALONG_X, "p2": ALONG_Y}
     lens = "".join(f"<{key}>{value}</{key}>" for key, value in values.items())
     (folder / "cameras.xml").write_text(
         f'<document version="2.0.0"><chunk label="c"><sensors><sensor id="0" type="frame">{size}'
@@ -57,37 +60,40 @@ def metashape(folder: Path) -> None:
 
 
 def xmp(folder: Path) -> None:
-    # their t2 stands with r² + 2x²
-    lens = f"{K[0]} {K[1]} {K[2]} 0 {ALONG_Y} {ALONG_X}"
+    # their t1 stands with r² + 2x²
+    lens = f"{K[0]} {K[1]} {K[2]} 0 {ALONG_X} {ALONG_Y}"
+    u, v = OFFSET / WIDTH
     (folder / "images" / "a.xmp").write_text(
         '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
         '<rdf:Description xmlns:xcr="http://www.capturingreality.com/ns/xcr/1.1#" xcr:DistortionModel="brown3t2" '
-        f'xcr:FocalLength35mm="{FOCAL / WIDTH * 36}" xcr:PrincipalPointU="0" xcr:PrincipalPointV="0">'
+        f'xcr:FocalLength35mm="{FOCAL / WIDTH * 36}" xcr:PrincipalPointU="{u}" xcr:PrincipalPointV="{v}">'
         f"<xcr:Rotation>{' '.join(map(str, ROTATION.ravel()))}</xcr:Rotation>"
         f"<xcr:Position>{' '.join(map(str, CENTER))}</xcr:Position>"
         f"<xcr:DistortionCoeficients>{lens}</xcr:DistortionCoeficients></rdf:Description></rdf:RDF></x:xmpmeta>"
     )
 
 
-def table(folder: Path) -> None:
+def table(folder: Path, header: str = "#name,x,y,alt,heading,pitch,roll,f,px,py,k1,k2,k3,k4,t1,t2") -> None:
     """A camera that looks along +Y is pitched by 90° from one that looks down, as drones do."""
-    lens = f"{FOCAL / WIDTH * 36},0,0,{K[0]},{K[1]},{K[2]},0,{ALONG_Y},{ALONG_X}"
-    (folder / "scan.csv").write_text(
-        "#cameras 1\n#name,x,y,alt,heading,pitch,roll,f,px,py,k1,k2,k3,k4,t1,t2\n"
-        f"a.png,{CENTER[0]},{CENTER[1]},{CENTER[2]},0,90,0,{lens}\n"
-    )
+    u, v = OFFSET / WIDTH
+    lens = f"{FOCAL / WIDTH * 36},{u},{v},{K[0]},{K[1]},{K[2]},0,{ALONG_X},{ALONG_Y}"
+    (folder / "scan.csv").write_text(f"#cameras 1\n{header}\na.png,{CENTER[0]},{CENTER[1]},{CENTER[2]},0,90,0,{lens}\n")
+
+
+def table_of_realityscan(folder: Path) -> None:
+    table(folder, "#name,x,y,alt,yaw,pitch,roll,f_35mm,px_norm,py_norm,k1,k2,k3,k4,t1,t2")
 
 
 def sfm(folder: Path, version: str = "1.2.6") -> None:
-    offset = [0, 0] if version >= "1.2.1" else [WIDTH / 2, HEIGHT / 2]
+    offset = (OFFSET if version >= "1.2.1" else OFFSET + np.array([WIDTH / 2, HEIGHT / 2])).tolist()
     lens: dict[str, Any] = {"type": "brown", "distortionParams": [*K, ALONG_Y, ALONG_X], "principalPoint": offset}
     lens |= {"focalLength": FOCAL / WIDTH * 36, "sensorWidth": 36} if version >= "1.2.2" else {"pxFocalLength": FOCAL}
     transform = {"rotation": ROTATION.T.ravel().tolist(), "center": CENTER.tolist()}
     content = {
         "version": version.split("."),
         "views": [
-            {"poseId": "7", "intrinsicId": "3", "path": "C:\\scan\\images\\a.png"},
-            {"poseId": "8", "intrinsicId": "3", "path": "C:\\scan\\images\\lost.png"},
+            {"viewId": "1", "poseId": "7", "intrinsicId": "3", "path": "C:\\scan\\images\\a.png"},
+            {"viewId": "2", "poseId": "8", "intrinsicId": "3", "path": "C:\\scan\\images\\lost.png"},
         ],
         "intrinsics": [{"intrinsicId": "3", "width": str(WIDTH), "height": str(HEIGHT), **lens}],
         "poses": [{"poseId": "7", "pose": {"transform": transform}}],
@@ -99,11 +105,18 @@ def old_sfm(folder: Path) -> None:
     sfm(folder, "1.0.0")
 
 
-def mvg(folder: Path) -> None:
-    lens = {"focal_length": FOCAL, "principal_point": [WIDTH / 2, HEIGHT / 2], "disto_t2": [*K, ALONG_Y, ALONG_X]}
+def exported_sfm(folder: Path) -> None:
+    sfm(folder)
+    (folder / "cameras.sfm").rename(folder / "scene.json")
+
+
+def mvg(folder: Path, nested: bool = False) -> None:
+    middle = [WIDTH / 2 + OFFSET[0], HEIGHT / 2 + OFFSET[1]]
+    pinhole = {"width": WIDTH, "height": HEIGHT, "focal_length": FOCAL, "principal_point": middle}
+    lens = {**({"value0": pinhole} if nested else pinhole), "disto_t2": [*K, ALONG_Y, ALONG_X]}
     view = {"local_path": "images", "filename": "a.png", "id_intrinsic": 0, "id_pose": 0}
     lost = view | {"filename": "lost.png", "id_pose": 4294967295}
-    intrinsic = {"ptr_wrapper": {"data": {"width": WIDTH, "height": HEIGHT, **lens}}}
+    intrinsic = {"ptr_wrapper": {"data": lens}}
     content = {
         "views": [{"key": i, "value": {"ptr_wrapper": {"data": data}}} for i, data in enumerate((view, lost))],
         "intrinsics": [{"key": 0, "value": intrinsic}],
@@ -112,13 +125,20 @@ def mvg(folder: Path) -> None:
     (folder / "sfm_data.json").write_text(json.dumps(content))
 
 
+def nested_mvg(folder: Path) -> None:
+    mvg(folder, nested=True)
+
+
 FORMATS: dict[str, Callable[[Path], None]] = {
     "metashape": metashape,
     "reality_capture": xmp,
     "reality_capture (CSV)": table,
+    "reality_capture (CSV of RealityScan 2)": table_of_realityscan,
     "meshroom": sfm,
     "meshroom (1.0)": old_sfm,
+    "meshroom (JSON)": exported_sfm,
     "open_mvg": mvg,
+    "open_mvg (nested)": nested_mvg,
 }
 
 
@@ -137,6 +157,24 @@ def test_points_land_where_the_manual_says(picture: Path, name: str) -> None:
     np.testing.assert_allclose(distorted(pinhole, view.camera.intrinsics, view.distortion), expected, atol=1e-6)
     # the camera stood level, so its up is the world's
     np.testing.assert_allclose(view.camera.world_to_camera[:3, :3] @ [0, 1, 0], [0, -1, 0], atol=1e-9)
+
+
+def test_angles_of_a_table_are_those_of_a_map(picture: Path) -> None:
+    """Heading is clockwise from +Y, as on a compass; pitch 0 looks down, 90° ahead; roll is about the vertical axis."""
+    table(picture)
+    edited(picture, "scan.csv", ",0,90,0,", ",70,55,20,")
+    capture = read_capture(picture, "train", PLUGINS)
+    camera = capture.views[0].camera
+    assert camera is not None
+    turn = capture.world_from_source[:3, :3]
+    heading, pitch, roll = np.radians([70, 55, 20])
+    ahead = np.array([np.sin(heading), np.cos(heading), 0])
+    level, down = np.array([np.cos(heading), -np.sin(heading), 0]), np.array([0, 0, -1.0])
+    optical = np.sin(pitch) * ahead + np.cos(pitch) * down
+    lower = np.sin(pitch) * down - np.cos(pitch) * ahead
+    # the vertical axis is the camera's own, after heading and pitch
+    expected = [np.cos(roll) * level + np.sin(roll) * optical, lower, np.cos(roll) * optical - np.sin(roll) * level]
+    np.testing.assert_allclose(camera.world_to_camera[:3, :3] @ turn, expected, atol=1e-9)
 
 
 def distorted(pixels: NDFloat, k: NDFloat, coefficients: tuple[float, ...]) -> NDFloat:
@@ -189,6 +227,13 @@ def test_a_point_lands_on_the_bright_pixel(picture: Path, name: str) -> None:
     assert np.argwhere(view.pixels().color_linear[..., 0] > 0.5).tolist() == [[12, 40]]
 
 
+def test_a_missing_keyframe_is_not_replaced_by_its_depth_map(picture: Path) -> None:
+    keyframes(picture)
+    (picture / "keyframes" / "corrected_images" / "a.png").unlink()
+    with pytest.raises(CaptureError, match=r"'keyframes/corrected_images/a', which is not in"):
+        read_capture(picture, "train", PLUGINS)
+
+
 def test_a_chunk_in_metres_has_its_scale_and_place(picture: Path) -> None:
     metashape(picture)
     file = picture / "cameras.xml"
@@ -210,6 +255,27 @@ def test_a_chunk_in_metres_has_its_scale_and_place(picture: Path) -> None:
     np.testing.assert_allclose(center[:3], [-2 * CENTER[1], 2 * CENTER[0], 2 * CENTER[2]], atol=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("references", "expected"),
+    [
+        ('<scalebars><scalebar id="0"><reference distance="0.3" enabled="1"/></scalebar></scalebars>', "1 scale bar"),
+        ('<scalebars><scalebar id="0"><reference distance="0.3" enabled="0"/></scalebar></scalebars>', ""),
+        ('<markers><marker id="0"><reference x="0" y="0" z="0"/></marker></markers>', ""),
+        (
+            "<markers>" + '<marker><reference x="0" y="1" z="0"/></marker>' * 3 + "</markers>",
+            "3 markers with coordinates",
+        ),
+    ],
+)
+def test_metres_of_a_project_are_those_of_its_references(picture: Path, references: str, expected: str) -> None:
+    metashape(picture)
+    edited(picture, "cameras.xml", "</chunk>", f"{references}</chunk>")
+    assert read_capture(picture, "train", PLUGINS).metres_from == ""  # a chunk without a scale has no unit
+    edited(picture, "cameras.xml", "<sensors>", "<transform><scale>2</scale></transform><sensors>")
+    found = read_capture(picture, "train", PLUGINS).metres_from
+    assert found == (f"Metashape, by {expected}" if expected else "")
+
+
 def edited(folder: Path, file: str, old: str, new: str) -> None:
     text = (folder / file).read_text()
     assert old in text
@@ -225,9 +291,9 @@ REFUSED: list[tuple[Callable[[Path], None], str, str, str, str]] = [
     (metashape, "cameras.xml", "</document>", "", "not valid XML"),
     (metashape, "cameras.xml", "<f>80.0</f>", "<f>nan</f>", "not a finite number"),
     (xmp, "images/a.xmp", "brown3t2", "division", "'division' is not supported"),
-    (xmp, "images/a.xmp", " 0 -0.003", " 0.1 -0.003", "k4"),
-    (xmp, "images/a.xmp", 'U="0"', 'U="0" xcr:Skew="0.1"', "skew"),
-    (table, "scan.csv", ",heading", ",yaw", "no column 'heading'"),
+    (xmp, "images/a.xmp", " 0 0.004", " 0.1 0.004", "k4"),
+    (xmp, "images/a.xmp", "xcr:PrincipalPointU", 'xcr:Skew="0.1" xcr:PrincipalPointU', "skew"),
+    (table, "scan.csv", ",heading", ",omega", "no column 'heading'"),
     (table, "scan.csv", ",90,", ",up,", "'up' is not a finite number"),
     (sfm, "cameras.sfm", '"brown"', '"3declassicld"', "'3declassicld' is not supported"),
     (sfm, "cameras.sfm", '"sensorWidth": 36', '"sensorWidth": 0', "0 mm wide"),

@@ -8,6 +8,7 @@ import { activity, messages, preview, results, stages } from "./run_view.js";
 
 const SENDERS = 4;
 const part = (id) => document.getElementById(id);
+const isBusy = ({ state }) => ["checking", "running"].includes(state);
 
 let selected = decodeURIComponent(location.hash.slice(1));
 let checks = {}; // documents of `hir check`, by the capture's id
@@ -243,7 +244,7 @@ async function update() {
     const state = await get(`state?capture=${encodeURIComponent(selected)}`);
     const capture = state.selected;
     if (!capture && state.captures.length && !selected) {
-      selected = state.captures[0].id;
+      selected = (state.captures.find(isBusy) ?? state.captures.at(-1)).id; // what is computed, or the last
       return await update();
     }
     if (capture?.checked && !checks[capture.id]) {
@@ -257,7 +258,7 @@ async function update() {
     tell(capture);
     part("connection").textContent = "";
     document.documentElement.dataset.state = capture?.state ?? "empty";
-    if (!state.captures.some(({ state: each }) => ["checking", "running"].includes(each))) pause = 4000;
+    if (!state.captures.some(isBusy)) pause = 4000;
   } catch (error) {
     part("connection").textContent = error.message;
     pause = 4000;

@@ -116,6 +116,22 @@ def test_what_cannot_be_read_says_so(browser: BrowserSession, tmp_path: Path) ->
     assert browser.problems == []
 
 
+def test_the_address_opens_the_last_capture(server: UiServer, browser: BrowserSession, tmp_path: Path) -> None:
+    for name in ("first", "second"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "a.txt").write_text("no photograph")
+        browser.drop("#drop", [tmp_path / name])
+        browser.wait_for(f"document.querySelector('#capture-title')?.textContent.startsWith('{name}')")
+        in_state(browser, "check_failed")
+    browser.evaluate("location.hash = '#first'")
+    browser.wait_for("document.querySelector('#capture-title')?.textContent.startsWith('first')")
+    browser.send("Page.reload")
+    browser.wait_for("document.querySelector('#capture-title')?.textContent.startsWith('first')")
+    browser.open("about:srcdoc")
+    browser.open(server.address)
+    browser.wait_for("document.querySelector('#capture-title')?.textContent.startsWith('second')")
+
+
 def test_every_control_has_a_name(browser: BrowserSession, dropped: Path) -> None:
     """As assistive technology sees the page: roles and names that the browser computes."""
     browser.drop("#drop", [dropped])
