@@ -185,6 +185,8 @@ class ReflectanceSettings:
     """No texel reflects more light than it receives: ρd + ρs ≤ 1 in the `paper` model, each ≤ 1 in `dielectric`."""
     known_environment: str = ""
     """A lat-long file that is the light, in the capture's axes, `FILE` or `FILE*STRENGTH`; it is then not fitted."""
+    map_errors: bool = True
+    """Estimate standard errors of base colour, metalness and roughness from the spread over photographs."""
     gradient: GradientSettings = field(default_factory=GradientSettings)
     path_tracing: PathTracingSettings = field(default_factory=PathTracingSettings)
     enabled: bool = True

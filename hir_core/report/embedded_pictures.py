@@ -46,6 +46,16 @@ RELIT = {
 }
 """Pictures of the asset under another light, by the name of the file."""
 
+MAP_ERRORS = {
+    "map_condition": "Green: well observed. Red: by too few photographs. Blue: only in shadow. Yellow: only under "
+    "highlights",
+    "error_base_color": "Base colour: dark 0, white 0.2 and more",
+    "error_metalness": "Metalness: dark 0, white 0.2 and more",
+    "error_roughness": "Roughness: dark 0, white 0.2 and more",
+    "error_specular": "Specular albedo (F0): dark 0, white 0.02 and more",
+}
+"""Pictures of how certain the maps are, by the name of the file."""
+
 EMBEDDED_SIDE = 1024
 """Longest side of a picture inside report.html; those in report/ may be larger."""
 
@@ -115,6 +125,17 @@ def relit(directory: RunDirectory) -> Markup:
         regular_file_within(directory.path, path)
         tiles.append({"name": name, "value": None, "picture": picture_uri(path), "caption": caption})
     return render("textures.html", tiles=tiles)
+
+
+def map_errors(directory: RunDirectory) -> Markup:
+    """How certain the maps are; empty where a run has no such pictures."""
+    tiles: list[dict[str, str | None]] = []
+    for name, caption in MAP_ERRORS.items():
+        path = directory.report / f"{name}.png"
+        if path.exists():
+            regular_file_within(directory.path, path)
+            tiles.append({"name": name, "value": None, "picture": picture_uri(path), "caption": caption})
+    return render("textures.html", tiles=tiles) if tiles else Markup()
 
 
 def _value(name: str, value: float | list[float]) -> str:

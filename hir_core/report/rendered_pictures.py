@@ -19,6 +19,7 @@ from hir_core.rendering.photographs import MaskedPhotograph, difference_picture,
 from hir_core.rendering.reference_renderer import reference_renderer, render_view
 from hir_core.rendering.unlit_renderer import UnlitRenderer
 from hir_core.rendering.view_selection import evenly_spaced_indices
+from hir_core.report.map_error_pictures import map_error_pictures
 from hir_core.report.relit_pictures import relit_pictures
 from hir_core.run.finished_run import FinishedRun, open_finished_run
 from hir_core.run.run_directory import RunDirectory
@@ -87,6 +88,8 @@ def write_pictures(
         for name, picture in relit_pictures(run, measured[0][1], plugins).items() if measured else ():
             write_png(folder / f"{name}.png", picture)
         _write_asset_pictures(folder, directory.scene)
+        for name, picture in map_error_pictures(directory).items():
+            write_png(folder / f"{name}.png", picture)
     return {"views": views, "stages": stage_psnr(directory, measured)}
 
 

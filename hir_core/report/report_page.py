@@ -24,6 +24,13 @@ from hir_core.report.tiles import tiles
 from hir_core.report.value_formatting import report_of
 from hir_core.run.run_directory import RunDirectory, refuse_damaged_documents
 
+MAP_NAMES = {"base_color": "base colour", "specular": "specular albedo"}
+CONDITIONS = {
+    "under_observed": "is seen by too few photographs",
+    "in_shadow": "lies in shadow in all of them",
+    "under_highlights": "is seen under highlights alone",
+}
+
 
 def refresh_page(directory: RunDirectory, plugins: PluginManager) -> Path:
     """Writes report.html; returns its path. `InputError` where a document of the run is damaged."""
@@ -46,6 +53,8 @@ def _page(directory: RunDirectory, plugins: PluginManager) -> str:
         model=embedded_viewer.viewer(directory, plugins),
         comparison=embedded_pictures.comparison(directory),
         textures=embedded_pictures.textures(directory, report_of(document, "bake")),
+        map_errors=embedded_pictures.map_errors(directory),
+        map_error_sentence=map_error_sentence(report_of(document, "reflectance")),
         relit=embedded_pictures.relit(directory),
         history=history_chart.history_chart(convergence.history(directory, document, timings)),
         model_selection=model_selection_table.model_selection(
@@ -73,3 +82,16 @@ def lead(document: Mapping[str, Any]) -> str:
     scale = report_of(document, "initializer").get("scale_from")
     metres = f" Metres from {scale}." if scale else ""
     return f"From {count} photographs: {result}.{metres} Preset {preset}, seed {document['seed']}."
+
+
+def map_error_sentence(report: Mapping[str, Any]) -> str:
+    """Medians of the standard errors, and shares of the surface that are uncertain; empty without errors."""
+    found = report.get("map_errors")
+    if not found:
+        return ""
+    errors = [
+        f"{MAP_NAMES.get(name, name)} ± {each['constant' if 'constant' in each else 'median']:.3f}"
+        for name, each in found["standard_errors"].items()
+    ]
+    shares = [f"{share:.1%} {CONDITIONS.get(name, name)}" for name, share in found["shares"].items()]
+    return f"Standard errors (median): {', '.join(errors)}. Of the surface, {', '.join(shares)}."

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from hir_core.scene import Scene
     from hir_core.stages.geometry.geometry_fit import FittedGeometry
+    from hir_core.stages.reflectance.map_errors.map_errors import MapErrors
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,7 @@ class FittedScene:
     scene: Scene
     exposures: PhotographExposures
     bounces: int | None
+    map_errors: MapErrors | None
 
 
 def _initializer_settings(state: RunState) -> Any:
@@ -135,25 +137,31 @@ def _reflectance_settings(state: RunState) -> Any:
 def _fit_reflectance(state: RunState, context: StageContext) -> StageResult[FittedScene]:
     scene = _scene(state)
     if not state.config.reflectance.enabled:
-        return StageResult(FittedScene(scene, EQUAL_EXPOSURES, None), SkippedStageReport())
+        return StageResult(FittedScene(scene, EQUAL_EXPOSURES, None, None), SkippedStageReport())
     from hir_core.stages.reflectance.reflectance_fit import fit_reflectance
 
-    fitted, exposures, report = fit_reflectance(
-        scene, state.capture, state.config.reflectance, context, state.silhouette_positions
-    )
-    return StageResult(FittedScene(fitted, exposures, report.bounces), report)
+    found = fit_reflectance(scene, state.capture, state.config.reflectance, context, state.silhouette_positions)
+    value = FittedScene(found.scene, found.exposures, found.report.bounces, found.map_errors)
+    return StageResult(value, found.report)
 
 
 def _save_fitted(state: RunState, value: FittedScene, folder: Path) -> None:
     _save_scene(state, value.scene, folder)
     write_json(folder / "model.json", {"bounces": value.bounces, "exposures": value.exposures.as_document()})
+    if value.map_errors is not None:
+        from hir_core.stages.reflectance.map_errors.map_error_store import save_map_errors
+
+        save_map_errors(value.map_errors, folder)
 
 
 def _load_fitted(state: RunState, folder: Path) -> FittedScene:
     path = folder / "model.json"
     bounces = read_json(path).get("bounces")
     exposures = read_exposures(path)
-    return FittedScene(_load_scene(state, folder), exposures, bounces if isinstance(bounces, int) else None)
+    from hir_core.stages.reflectance.map_errors.map_error_store import load_map_errors
+
+    bounces = bounces if isinstance(bounces, int) else None
+    return FittedScene(_load_scene(state, folder), exposures, bounces, load_map_errors(folder))
 
 
 def _bake(state: RunState, context: StageContext) -> StageResult[Asset]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -28,6 +28,7 @@ from hir_core.scene.energy_conservation import with_conserved_energy
 from hir_core.stages.reflectance.gradient_fit import fit_by_gradient, gradient_steps, object_pixels
 from hir_core.stages.reflectance.initial_material_and_light import initial_scene
 from hir_core.stages.reflectance.light_scale import disagreement_warning, light_scale_report
+from hir_core.stages.reflectance.map_errors.map_errors import MapErrors, map_errors
 from hir_core.stages.reflectance.path_traced_refinement import refine_albedo, refine_by_path_tracing
 from hir_core.stages.reflectance.reflectance_report import (
     LightAndMaterial,
@@ -48,14 +49,27 @@ from hir_core.stages.reflectance.selection.requested_model import default_spec, 
 from hir_core.stages.reflectance.stage_progress import StageProgress
 
 
+@dataclass(frozen=True, eq=False)
+class FittedReflectance:
+    """What the stage found."""
+
+    scene: Scene
+    """With material and light."""
+    exposures: PhotographExposures
+    map_errors: MapErrors | None
+    """How certain the maps are; None where that was not estimated."""
+    report: ReflectanceReport
+    """How the model was selected, and what each step gained."""
+
+
 def fit_reflectance(
     scene: Scene,
     capture: Capture,
     settings: ReflectanceSettings,
     context: StageContext,
     silhouette_positions: Float[Tensor, "V 3"] | None = None,
-) -> tuple[Scene, PhotographExposures, ReflectanceReport]:
-    """The scene with material and light fitted to the photographs, their exposures, and how the model was selected.
+) -> FittedReflectance:
+    """Material and light fitted to the photographs.
 
     With `silhouette_positions`, the vertices before photo-consistency moved them, held-out views decide which of both
     shapes the scene has.
@@ -89,12 +103,12 @@ def fit_reflectance(
         if by_solver and isinstance(prepared, ReflectanceSolver):
             takes_terms = "regularizers" in traits
             other_shape = None if silhouette_positions is None else on_silhouettes
-            fitted, used, report = _fit_by_solver(
+            fitted, used, shading, report = _fit_by_solver(
                 initial, prepared, other_shape, takes_terms, exposures, capture, settings, context
             )
         else:
             fitted, report = _fit_by_gradient(initial, prepared, capture, settings, context)
-            used = EQUAL_EXPOSURES
+            used, shading = EQUAL_EXPOSURES, prepared
     if settings.conserve_energy and fitted.material is not None:
         material, clamped = with_conserved_energy(fitted.material)
         fitted = replace(fitted, material=material)
@@ -102,7 +116,11 @@ def fit_reflectance(
     light_scale = light_scale_report(fitted, capture, bool(settings.known_environment))
     if warning := disagreement_warning(light_scale):
         context.warn(warning)
-    return fitted, used, replace(report, light_scale=light_scale)
+    errors = None
+    if settings.map_errors:
+        errors = map_errors(fitted, shading, used.applied_to(capture), settings.downsample, context.seed)
+    report = replace(report, light_scale=light_scale, map_errors=None if errors is None else errors.report())
+    return FittedReflectance(fitted, used, errors, report)
 
 
 def _fit_by_solver(
@@ -114,8 +132,11 @@ def _fit_by_solver(
     capture: Capture,
     settings: ReflectanceSettings,
     context: StageContext,
-) -> tuple[Scene, PhotographExposures, ReflectanceReport]:
-    """`takes_terms`: the solver minimises the regularizers itself; otherwise gradient steps with them follow it."""
+) -> tuple[Scene, PhotographExposures, PreparedReflectance, ReflectanceReport]:
+    """Also what shades the scene with all that was modelled.
+
+    `takes_terms`: the solver minimises the regularizers itself; otherwise gradient steps with them follow it.
+    """
     views = list(range(len(capture.views)))
     terms = solver_terms(settings.regularizers, context.plugins, context.seed, context.part_seconds)
     if terms and takes_terms:
@@ -179,6 +200,7 @@ def _fit_by_solver(
     return (
         fitted,
         used,
+        solved.prepared,
         ReflectanceReport(
             method="solver",
             model=spec.name,

@@ -188,6 +188,8 @@ class ReflectanceReport:
     """By name; None without any."""
     albedo_refinement: RefinementReport | None = None
     path_tracing: RefinementReport | None = None
+    map_errors: Mapping[str, Any] | None = None
+    """Standard errors of the maps; None where they were not estimated."""
     clamped_share: float | None = None
     """Share of diffuse albedo values that energy conservation reduced."""
 

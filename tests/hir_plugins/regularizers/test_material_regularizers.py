@@ -221,7 +221,7 @@ def small_fit(tmp_path: Path, warnings: list[str], **settings: Any) -> Scene:
     given = {"environment_height": 8, "environment_width": 16, "gradient": gradient, **settings}
     torch.manual_seed(0)
     capture = Capture(Path("made"), tuple(view(eye) for eye in eyes))
-    fitted, _, _ = fit_reflectance(start, capture, reflectance_settings(**given), context)
+    fitted = fit_reflectance(start, capture, reflectance_settings(**given), context).scene
     return fitted
 
 

@@ -147,10 +147,10 @@ class FitBenchmark:
         context = self._context({"reflectance_renderer": options})
         for steps in step_counts:
             gradient = replace(settings.gradient, iterations=steps, iterations_per_view=0)
-            limited = replace(settings, gradient=gradient)
+            limited = replace(settings, gradient=gradient, map_errors=False)
 
             def run(limited: ReflectanceSettings = limited) -> tuple[Scene, str]:
-                scene, _, _ = fit_reflectance(self.scene, self.train, limited, context)
+                scene = fit_reflectance(self.scene, self.train, limited, context).scene
                 return scene, f"at 1/{limited.downsample} of the size"
 
             yield self._row(name, f"{steps} steps", run)

@@ -72,8 +72,8 @@ def fitted(tmp_path: Path, scene: Scene, capture: Capture, **settings: Any) -> t
         "path_tracing": {"renderer": "lambert_sh", "refine_albedo": False},
     }
     chosen = load_config(PLUGINS, "fast", reflectance=given | settings).reflectance
-    fitted, _, report = fit_reflectance(start_of(scene), capture, chosen, context)
-    return fitted, report
+    found = fit_reflectance(start_of(scene), capture, chosen, context)
+    return found.scene, found.report
 
 
 @pytest.mark.parametrize("frame", ["world", "camera"])
