@@ -14,6 +14,7 @@ from hir_exporters.textures.image_files import read_rgb8, write_png
 from numpy.typing import NDArray
 
 from hir_core.errors import InputError
+from hir_core.files.contained_files import regular_file_within
 from hir_core.files.json_documents import read_json, write_json
 
 DOCUMENT, TEXTURE = "scan.json", "scan_texture.png"
@@ -42,8 +43,9 @@ def load_scan(folder: Path) -> Scan | None:
     """The scan that `save_scan` wrote; None where there is none. `InputError` where it is damaged."""
     if not (folder / DOCUMENT).exists():
         return None
-    file = read_json(folder / DOCUMENT).get("file")
+    file = read_json(regular_file_within(folder, folder / DOCUMENT)).get("file")
     if not isinstance(file, str):
         raise InputError(f"{folder / DOCUMENT} does not name a file; run again with --resume")
-    texture = read_rgb8(folder / TEXTURE) if (folder / TEXTURE).exists() else None
+    path = folder / TEXTURE
+    texture = read_rgb8(regular_file_within(folder, path)) if path.exists() else None
     return Scan(file, texture)

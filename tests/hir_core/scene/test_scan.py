@@ -36,6 +36,14 @@ def test_damaged_files_are_one_sentence(tmp_path: Path) -> None:
         load_scan(tmp_path)
 
 
+def test_a_link_in_place_of_the_texture_is_refused(tmp_path: Path) -> None:
+    save_scan(Scan("b.glb", CODES), tmp_path / "stage")
+    (tmp_path / "stage" / TEXTURE).rename(tmp_path / "outside.png")
+    (tmp_path / "stage" / TEXTURE).symlink_to(tmp_path / "outside.png")
+    with pytest.raises(InputError, match="leads out of"):
+        load_scan(tmp_path / "stage")
+
+
 def test_later_stages_are_given_its_name_alone(tmp_path: Path) -> None:
     """The state that all stages share has no place for a texture: what the initializer stage adds to it is a name."""
     from hir_core.capture import Capture, CoordinateFrames
