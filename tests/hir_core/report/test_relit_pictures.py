@@ -54,13 +54,13 @@ def compared(directory: RunDirectory) -> dict[str, np.ndarray]:
 
 @pytest.fixture
 def scanned(finished: Run, tmp_path: Path) -> RunDirectory:
-    """A run as if its surface had been a scan with a texture: red where u is small, green elsewhere."""
+    """A run as if its surface had been a scan with a texture: reddish where u is small, greenish elsewhere."""
     shutil.copytree(finished.path, tmp_path / "run")
     directory = RunDirectory(tmp_path / "run")
     stage = directory.stage("initializer")
     atlas = load_stage_scene(directory.stage("atlas") / "scene")
     save_stage_scene(replace(atlas, material=None), stage / "scene")
-    codes = np.zeros((4, 4, 3), np.uint8)
+    codes = np.full((4, 4, 3), 90, np.uint8)
     codes[:, :2, 0] = codes[:, 2:, 1] = 200
     save_scan(Scan("scan.obj", codes), stage)
     return directory
@@ -98,8 +98,8 @@ def test_a_textured_scan_is_shown_with_its_own_texture(scanned: RunDirectory) ->
     for name in ("compared_scan", "relit_scan"):
         picture = pictures[name]
         shown = picture.max(axis=2) > 0.1
-        red, green = ((picture[..., i] > 2 * picture[..., 1 - i]) & shown for i in (0, 1))
-        assert shown.mean() > 0.02 and (red | green)[shown].mean() > 0.8 and red.any() and green.any()
+        red, green = ((picture[..., i] > 1.3 * picture[..., 1 - i]) & shown for i in (0, 1))
+        assert shown.mean() > 0.02 and (red | green)[shown].mean() > 0.85 and red.any() and green.any()
     target = pictures["compared_photograph"]
     linear = {name: srgb_to_linear(pictures[name]).sum() for name in ("compared_photograph", "compared_scan")}
     assert linear["compared_scan"] == pytest.approx(linear["compared_photograph"], rel=0.1), "of the same brightness"
