@@ -114,10 +114,11 @@ def _obj_base_colors(path: Path) -> Iterator[_BaseColor]:
         raise InputError(f"{path} names {library[:80]!r}, which is not in its folder; put it beside the file")
     materials = _mtl_base_colors(path, file)
     content = path.read_bytes()
-    starts = [(0, ""), *((match.end(), _text(match[1])) for match in _USEMTL.finditer(content))]
-    ends = [*(start for start, _ in starts[1:]), len(content)]
-    for (start, name), end in zip(starts, ends, strict=True):
-        if _FACE.search(content, start, end):
+    statements = list(_USEMTL.finditer(content))
+    names = ["", *(_text(statement[1]) for statement in statements)]
+    bounds = [0, *(statement.end() for statement in statements), len(content)]
+    for name, begin, end in zip(names, bounds[:-1], bounds[1:], strict=True):
+        if _FACE.search(content, begin, end):
             yield materials.get(name, _BaseColor("faces without a material", None))
 
 
