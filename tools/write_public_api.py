@@ -29,6 +29,7 @@ TYPES = {
     "hir_exporters.exporter": ("Exporter", "ExportReport"),
     "hir_core.capture": ("Camera", "Pixels", "View", "OrientedPoints", "EnvironmentSource", "Capture"),
     "hir_core.scene": ("Topology", "Mesh", "Material", "EnvironmentMap", "Scene"),
+    "hir_core.scene.scan": ("Scan",),
     "hir_core.scene.silhouette_targets": ("SilhouetteTargets",),
     "hir_core.plugins.progress": ("Progress",),
     "hir_core.mesh.ray_casting": ("MeshQueries",),

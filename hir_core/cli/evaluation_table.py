@@ -60,6 +60,10 @@ OTHER_TABLES: dict[str, Columns] = {
         ("scaled", "albedo.psnr_scaled", 2, True),
         ("ORB", "albedo.stanford_orb_psnr", 2, True),
     ),
+    "scan_texture": (
+        ("the scan's own texture: scaled frame", "scan_texture.psnr_scaled.frame", 2, True),
+        ("object", "scan_texture.psnr_scaled.object", 2, True),
+    ),
     "light_error": (
         ("light, texels", "light_error.texels", 3, False),
         ("mirror sphere", "light_error.spheres.mirror", 3, False),

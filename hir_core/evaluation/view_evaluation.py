@@ -57,6 +57,7 @@ RECORDED_KEYS = (
     "surface",
     "albedo",
     "light_error",
+    "scan_texture",
 )
 """Entries of the result that run.json repeats."""
 
@@ -89,6 +90,7 @@ def evaluate_run(
     Writes `evaluation/<label>/` with metrics.json and a picture of each view, and the means into run.json where the
     capture is the run's own.
     """
+    from hir_core.evaluation.scan_texture_figures import scan_texture_figures
     from hir_core.evaluation.truth_evaluation import compare_with_truth
 
     run = open_finished_run(directory, request.device)
@@ -127,6 +129,8 @@ def evaluate_run(
         # the scale is known only now; photographs are decoded twice so that memory does not grow with their number
         entry["psnr_scaled"] = _scaled_psnr(read_exr(folder / f"{name}.exr"), masked_photograph(view), scale.value)
 
+    texture_light = scene.environment if is_relit else None
+    own_exposure = _own_exposure if at_own else None
     result = {
         "run": str(directory.path),
         "capture": str(path),
@@ -139,6 +143,7 @@ def evaluate_run(
         "lpips_missing": " ".join(metrics.missing) or None,
         "seconds_per_view": round(float(np.mean([view["seconds"] for view in views])), 3),
         **compare_with_truth(run, path, capture, request, plugins),
+        **scan_texture_figures(run, capture, names, folder, texture_light, renderer, own_exposure),
         "views": views,
     }
     write_json(folder / "metrics.json", result)

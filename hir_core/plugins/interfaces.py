@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from hir_core.capture.capture_size import CaptureSize
     from hir_core.plugins.model_spec import ModelSpec
     from hir_core.scene import EnvironmentMap, Material, Mesh, Scene
+    from hir_core.scene.scan import Scan
     from hir_core.scene.silhouette_targets import SilhouetteTargets
 
     Energy: TypeAlias = Callable[[Scene], Float[Tensor, ""]]
@@ -71,6 +72,13 @@ class Initializer(ABC):
     def report(self) -> Mapping[str, Any]:
         """Entries for run.json about the last `initialize`: method, results; JSON-compatible and reproducible."""
         return {}
+
+    def scan(self) -> Scan | None:
+        """The mesh file whose surface the last `initialize` returned; None for a surface that it made itself.
+
+        The report compares its texture with the result. No fit is given it.
+        """
+        return None
 
 
 class GeometryRenderer(ABC):

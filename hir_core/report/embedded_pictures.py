@@ -40,11 +40,20 @@ VALUES = {
     "normal": "Normals",
 }
 
-RELIT = {
-    "relit_texture": "The photographs' colours at the vertices",
-    "relit_material": "The fitted material",
+COMPARED = {
+    "compared_photograph": "A photograph",
+    "compared_scan": "The scan's own texture, without a light",
+    "compared_vertices": "The photographs' colours at the vertices, without a light",
+    "compared_material": "The new material, in the light that was found",
 }
-"""Pictures of the asset under another light, by the name of the file."""
+"""Pictures beside a photograph, by the name of the file."""
+
+RELIT = {
+    "relit_scan": "The scan's own texture, relit",
+    "relit_vertices": "The photographs' colours at the vertices, relit",
+    "relit_material": "The new material, relit",
+}
+"""Pictures under another light, by the name of the file."""
 
 MAP_ERRORS = {
     "map_condition": "Green: well observed. Red: by too few photographs. Blue: only in shadow. Yellow: only under "
@@ -115,16 +124,36 @@ def textures(directory: RunDirectory, baked: Mapping[str, Any]) -> Markup:
     return render("textures.html", tiles=tiles)
 
 
-def relit(directory: RunDirectory) -> Markup:
-    """The asset under another light, beside a texture from photographs; empty where a run has no such pictures."""
+@dataclass(frozen=True)
+class BeforeAndAfter:
+    """A texture from photographs beside the new material."""
+
+    is_scan: bool
+    """The texture is the scan's own; otherwise it is the photographs' colours at the vertices."""
+    compared: Markup
+    """Tiles beside a photograph."""
+    relit: Markup
+    """Tiles under another light."""
+
+
+def before_and_after(directory: RunDirectory) -> BeforeAndAfter | None:
+    """The pictures of `relit_pictures`; None where a run has none, or not all of them."""
+    compared, relit = _tiles(directory, COMPARED), _tiles(directory, RELIT)
+    if len(compared) != len(COMPARED) - 1 or len(relit) != len(RELIT) - 1:  # one texture of two
+        return None
+    is_scan = any(tile["name"] == "relit_scan" for tile in relit)
+    return BeforeAndAfter(is_scan, *(render("textures.html", tiles=tiles) for tiles in (compared, relit)))
+
+
+def _tiles(directory: RunDirectory, captions: Mapping[str, str]) -> list[dict[str, str | None]]:
+    """One tile for each of the pictures that exist."""
     tiles: list[dict[str, str | None]] = []
-    for name, caption in RELIT.items():
+    for name, caption in captions.items():
         path = directory.report / f"{name}.png"
-        if not path.exists():
-            return Markup()
-        regular_file_within(directory.path, path)
-        tiles.append({"name": name, "value": None, "picture": picture_uri(path), "caption": caption})
-    return render("textures.html", tiles=tiles)
+        if path.exists():
+            regular_file_within(directory.path, path)
+            tiles.append({"name": name, "value": None, "picture": picture_uri(path), "caption": caption})
+    return tiles
 
 
 def map_errors(directory: RunDirectory) -> Markup:

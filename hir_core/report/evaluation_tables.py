@@ -48,9 +48,19 @@ def evaluations(document: Document) -> Markup:
         )
         under = "fitted light" if light.get("fitted") else f"light of {light.get('file')}"
         rows.append(Row(split, (Cell(under), *(Cell(figure, "number") for figure in figures))))
+        if "scan_texture" in m:
+            rows.append(_scan_texture(m["scan_texture"]))
     if not rows:
         return notice("Not evaluated on unseen photographs yet", "hir evaluate RUN")
     return table("evaluations", IMAGE_HEADINGS, rows)
+
+
+def _scan_texture(figures: Document) -> Row:
+    """The texture that the scan had before the run, in the same views: two figures below those of the asset."""
+    scaled = [number(figures["psnr_scaled"][part], 2) for part in ("frame", "object")]
+    dashes = ["–"] * (len(IMAGE_HEADINGS) - 6)
+    how = "same light" if figures["lit"] else "without a light"
+    return Row("", (Cell(f"scan's texture, {how}"), *(Cell(text, "number") for text in ("–", "–", *scaled, *dashes))))
 
 
 def ground_truth(document: Document) -> Markup:

@@ -1,25 +1,30 @@
-"""The asset under another light, beside the same mesh with the photographs' colours as its texture.
+"""A surface with a texture from photographs, before, and the finished asset, after: beside a photograph, and relit.
 
-A texture from photographs contains the light in which they were taken. Under another light its shadows stay where they
-were; those of a fitted material move with the light.
+The texture is the scan's own where the run began with a textured scan, otherwise the photographs' colours at the
+vertices. Such a texture contains the light in which the photographs were taken. Under another light its shadows stay
+where they were; those of a fitted material move with the light.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from hir_core.capture import block_mean
 from hir_core.metrics import Image, composite, unassociate
 from hir_core.rendering.reference_renderer import reference_renderer, render_view
-from hir_core.scene import EnvironmentMap, Material, Scene
+from hir_core.rendering.textured_scan import texture_as_material, textured_scan
+from hir_core.rendering.unlit_renderer import UnlitRenderer
+from hir_core.scene import EnvironmentMap, Scene
 from hir_core.scene.scene_store import load_stage_scene
 
 if TYPE_CHECKING:
     from hir_core.capture import Camera
     from hir_core.plugins.manager import PluginManager
+    from hir_core.rendering.photographs import MaskedPhotograph
     from hir_core.run.finished_run import FinishedRun
 
 TURN_DEGREES = 120.0
@@ -27,39 +32,70 @@ TURN_DEGREES = 120.0
 SIDE = 512
 """Longest side of the pictures, at most."""
 SAMPLES = 128
-TEXTURE_ONLY_F0, TEXTURE_ONLY_ALPHA = 0.04, 0.25
-"""What a texture without other maps is usually given: a dielectric of roughness 0.5, which is α = 0.25."""
 
-BEFORE, AFTER = "relit_texture", "relit_material"
+SCAN, VERTICES = "scan", "vertices"
+"""Where the texture is from: from the file of the scan, or from the photographs at the vertices."""
+PHOTOGRAPH, FOUND, RELIT = "compared_photograph", "compared", "relit"
+"""Beginnings of the names of pictures: beside a photograph, and under another light."""
+MATERIAL = "material"
+
+FILES: Final = (PHOTOGRAPH, *(f"{row}_{what}" for row in (FOUND, RELIT) for what in (SCAN, VERTICES, MATERIAL)))
+"""Names of all pictures that there can be; a run has those of one texture."""
 
 
-def relit_pictures(run: FinishedRun, camera: Camera, plugins: PluginManager) -> dict[str, Image]:
-    """Both as sRGB pictures by file name; empty where the run has no texture from photographs on the same mesh.
+def relit_pictures(
+    run: FinishedRun, camera: Camera, photograph: MaskedPhotograph, fit: Image, plugins: PluginManager
+) -> dict[str, Image]:
+    """sRGB pictures by file name; empty where the run has no texture from photographs.
 
-    The texture's brightness has one factor: its scale belongs to the old light.
+    `fit` is the render (H, W, 4) of the finished asset in the view of the photograph. Each picture of the texture has
+    one factor of brightness, because its scale belongs to the old light: to that of the photograph, and of the relit
+    asset.
     """
-    import torch
-
-    record = run.directory.record("atlas")
-    if record is None or not record.finished or run.scene.environment is None:
+    kind, textured = _textured(run)
+    if textured is None or run.scene.environment is None:
         return {}
-    texture = load_stage_scene(run.directory.stage("atlas") / "scene", "cpu")
-    if texture.material is None or texture.mesh.uvs is None or texture.mesh.vertex_colors is None:
-        return {}  # without colours at the vertices the atlas is grey
-    plain = Material(
-        "dielectric",
-        texture.material.diffuse_albedo.clamp(0, 1),
-        torch.full((3,), TEXTURE_ONLY_F0),
-        torch.full((1,), TEXTURE_ONLY_ALPHA),
-    )
+    factor = max(1, math.ceil(max(camera.width, camera.height) / SIDE))
+    small, true = camera.downsampled(factor), photograph.downsampled(factor)
+    target = true.color_linear * true.mask[..., None]
     light = turned(run.scene.environment, TURN_DEGREES)
-    small = camera.downsampled(max(1, math.ceil(max(camera.width, camera.height) / SIDE)))
     _, renderer = reference_renderer(plugins, bounces=run.bounces, max_samples=SAMPLES)
-    after = render_view(renderer, replace(run.scene, environment=light), small, AFTER)
-    before = render_view(renderer, Scene(texture.mesh, plain, light), small, BEFORE)
-    sums = [float(np.clip(image[..., :3], 0, 1).sum(dtype=np.float64)) for image in (after, before)]
-    before[..., :3] *= sums[0] / sums[1] if sums[1] > 0 else 1.0
-    return {name: composite(*unassociate(image)) for name, image in ((BEFORE, before), (AFTER, after))}
+    after = render_view(renderer, replace(run.scene, environment=light), small, f"{RELIT}_{MATERIAL}")
+    before = render_view(renderer, replace(textured, environment=light), small, f"{RELIT}_{VERTICES}")
+    unlit = UnlitRenderer(textured).render(small)
+    return {
+        PHOTOGRAPH: true.picture,
+        f"{FOUND}_{kind}": _picture(_as_bright_as(unlit, target)),
+        f"{FOUND}_{MATERIAL}": _picture(block_mean(fit, factor)),
+        f"{RELIT}_{kind}": _picture(_as_bright_as(before, after[..., :3])),
+        f"{RELIT}_{MATERIAL}": _picture(after),
+    }
+
+
+def _textured(run: FinishedRun) -> tuple[str, Scene | None]:
+    """Where the texture is from, and the surface with it."""
+    scan = textured_scan(run.directory.stage("initializer"))
+    if scan is not None:
+        return SCAN, scan
+    record = run.directory.record("atlas")
+    if record is None or not record.finished:
+        return VERTICES, None
+    atlas = load_stage_scene(run.directory.stage("atlas") / "scene", "cpu")
+    if atlas.material is None or atlas.mesh.uvs is None or atlas.mesh.vertex_colors is None:
+        return VERTICES, None  # without colours at the vertices the atlas is grey
+    return VERTICES, Scene(atlas.mesh, texture_as_material(atlas.material.diffuse_albedo))
+
+
+def _as_bright_as(image: Image, target: Image) -> Image:
+    """A premultiplied render (H, W, 4) times one factor, so that it has the mean of linear colours (H, W, 3)."""
+    wanted, own = (float(np.clip(colors, 0, 1).sum(dtype=np.float64)) for colors in (target, image[..., :3]))
+    scaled = image.copy()
+    scaled[..., :3] *= wanted / own if own > 0 else 1.0
+    return scaled
+
+
+def _picture(image: Image) -> Image:
+    return composite(*unassociate(image))
 
 
 def turned(light: EnvironmentMap, degrees: float) -> EnvironmentMap:

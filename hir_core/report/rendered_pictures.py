@@ -85,8 +85,10 @@ def write_pictures(
             measured.append((truth, camera, _middle(pair)))
             size = {"measured_at": [camera.width, camera.height]} if factor > 1 else {}
             views.append({"name": view.name} | _view_pictures(folder, file_stem(view.name), pair, truth) | size)
-        for name, picture in relit_pictures(run, measured[0][1], plugins).items() if measured else ():
-            write_png(folder / f"{name}.png", picture)
+        if measured:
+            truth, camera, fit = measured[0]
+            for name, picture in relit_pictures(run, camera, truth, fit, plugins).items():
+                write_png(folder / f"{name}.png", picture)
         _write_asset_pictures(folder, directory.scene)
         for name, picture in map_error_pictures(directory).items():
             write_png(folder / f"{name}.png", picture)

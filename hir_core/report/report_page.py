@@ -55,7 +55,7 @@ def _page(directory: RunDirectory, plugins: PluginManager) -> str:
         textures=embedded_pictures.textures(directory, report_of(document, "bake")),
         map_errors=embedded_pictures.map_errors(directory),
         map_error_sentence=map_error_sentence(report_of(document, "reflectance")),
-        relit=embedded_pictures.relit(directory),
+        before_and_after=embedded_pictures.before_and_after(directory),
         history=history_chart.history_chart(convergence.history(directory, document, timings)),
         model_selection=model_selection_table.model_selection(
             document, convergence.milestones(timings, MODELS_COMPARED)

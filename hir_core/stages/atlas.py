@@ -32,6 +32,7 @@ _ROUNDING_LOG2 = 0.07
 _OVERLAP_MAX = 0.002
 """Share of texels that may be claimed twice by texture coordinates that a mesh already has."""
 _OVERLAP_TEST_SIDE = 512
+_OVERLAP = "has texture coordinates that overlap (as mirrored halves and several materials have)"
 _SETTING_MAX = 16384
 
 
@@ -47,24 +48,27 @@ class AtlasReport:
     """Of a new atlas; None where the mesh's own texture coordinates were kept."""
 
 
-def unwrap(scene: Scene, capture: Capture, settings: AtlasSettings, context: StageContext) -> tuple[Scene, AtlasReport]:
+def unwrap(
+    scene: Scene, capture: Capture, settings: AtlasSettings, context: StageContext, mesh_name: str = "the mesh"
+) -> tuple[Scene, AtlasReport]:
     """The scene with texture coordinates and a diffuse texture of its vertex colours.
 
-    Texture coordinates that the mesh already has are kept where they lie in 0…1 and do not overlap.
+    Texture coordinates that the mesh already has are kept where they lie in 0…1 and do not overlap. `mesh_name` is
+    what messages call the mesh.
     """
     size = settings.texture_size or texture_size(scene.mesh, capture.cameras)
     if size < 1 or size > _SETTING_MAX:
         raise ConfigError(f"atlas.texture_size is {size}; it must lie between 1 and {_SETTING_MAX} (0 derives it)")
     mesh, charts = scene.mesh, None
-    if mesh.uvs is None or not _usable(mesh):
+    problem = _problem_of_coordinates(mesh)
+    if problem:
         if settings.texture_coordinates == "keep":
-            problem = "has no texture coordinates" if mesh.uvs is None else "has coordinates that overlap or leave 0…1"
             raise StageError(
-                f"the mesh {problem}, so they cannot be kept; unwrap it in the program that made it, or make new ones: "
-                "--set 'atlas.texture_coordinates=\"auto\"'"
+                f"{mesh_name} {problem}, so they cannot be kept; unwrap it without overlaps on one square in the "
+                "program that made it, or make new ones: --set 'atlas.texture_coordinates=\"auto\"'"
             )
         if mesh.uvs is not None:
-            context.warn("the mesh's own texture coordinates overlap or leave 0…1; new ones replace them")
+            context.warn(f"{mesh_name} {problem}; new ones replace them")
         mesh, charts = unwrap_mesh(mesh, size, settings.padding)
     surface = texel_surface(mesh, size)
     used = round(float(surface.covered.float().mean()), 4)
@@ -120,18 +124,20 @@ def _face_pixels(positions: NDArray[np.float64], faces: NDArray[np.int64], camer
     return np.where(inside & (depth[faces] > 0).all(axis=1), np.maximum(area, 0), 0)
 
 
-def _usable(mesh: Mesh) -> bool:
-    """Whether the mesh's own coordinates lie in 0…1 and cover no texel twice."""
+def _problem_of_coordinates(mesh: Mesh) -> str:
+    """Why the mesh's own texture coordinates cannot be used; empty where they lie in 0…1 and cover no texel twice."""
     if mesh.uvs is None or mesh.topology.uv_faces is None or not bool(torch.isfinite(mesh.uvs).all()):
-        return False
+        return "has no texture coordinates"
     if float(mesh.uvs.min()) < 0 or float(mesh.uvs.max()) > 1:
-        return False
+        return "has texture coordinates outside 0…1 (as UDIM tiles and repeated textures have)"
     a, b, c = mesh.uvs[mesh.topology.uv_faces].double().unbind(1)
     doubled_area = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
     if float(doubled_area.abs().sum()) / 2 > 1:
-        return False
+        return _OVERLAP
     surface = texel_surface(mesh, _OVERLAP_TEST_SIDE)
-    return surface.overlaps <= _OVERLAP_MAX * max(len(surface.face), 1) and len(surface.face) > 0
+    if not len(surface.face):
+        return "has texture coordinates without an area"
+    return _OVERLAP if surface.overlaps > _OVERLAP_MAX * len(surface.face) else ""
 
 
 def _baked_colors(mesh: Mesh, surface: TexelSurface, padding: int) -> Material:

@@ -18,8 +18,9 @@ from hir_core.plugins.interfaces import Initializer, MaskSource
 from hir_core.plugins.manager import PluginManager
 from hir_core.plugins.progress import Progress
 from hir_core.run.stage_context import StageContext, forward_warnings
-from hir_core.scene import Scene
+from hir_core.scene import Mesh, Scene
 from hir_core.scene.frames import move_scene, unit_similarity
+from hir_core.scene.scan import Scan
 from hir_core.stages.held_out_views import MIN_VIEWS
 
 MAX_DISTANCE_FROM_ORIGIN = 1e4
@@ -50,13 +51,16 @@ class InitializationReport:
 
 def initialize(
     capture: Capture, config: RunConfig, context: StageContext
-) -> tuple[Capture, Scene, CoordinateFrames, InitializationReport]:
+) -> tuple[Capture, Scene, CoordinateFrames, Scan | None, InitializationReport]:
     """Runs the resolved chain of initializers with mask sources between them.
 
     Capture and scene are returned in the working frame. The asset's frame is the one that the initializers ended in.
+    The scan is the file of the scene's mesh, where one was read.
     """
     assert config.initializers != "auto", "`resolve_initializers` comes first"
     scene: Scene | None = None
+    scan: Scan | None = None
+    scanned: Mesh | None = None
     _check_distance_from_origin(capture)
     capture = apply_masks(capture, scene, config, context, "photographs")
     chain = config.initializers
@@ -79,6 +83,8 @@ def initialize(
             capture, scene = initializer.initialize(capture, scene, workspace)
         if own_report := initializer.report():
             details[name] = dict(own_report)
+        if own_scan := initializer.scan():
+            scan, scanned = own_scan, None if scene is None else scene.mesh
         capture = _registered_only(capture, context)
         _check_distance_from_origin(capture)
     if scene is None:
@@ -91,6 +97,8 @@ def initialize(
             f"there are only {len(capture.views)} photographs: the shape is a guess where they do not look, and with "
             f"fewer than {MIN_VIEWS} no view is held out, so no models are compared; take 20 or more around the object"
         )
+    if scanned is not None and not _has_surface_of(scene.mesh, scanned):
+        scan = None  # an initializer made another surface, to which the texture does not belong
     working_from_asset = unit_similarity(scene.mesh)
     moved_capture = capture.transformed(working_from_asset)
     asset_from_working = np.linalg.inv(working_from_asset)
@@ -105,7 +113,12 @@ def initialize(
         details=details,
         scale_from=scale_source(capture, details),
     )
-    return moved_capture, move_scene(scene, working_from_asset).to(context.device), frames, report
+    return moved_capture, move_scene(scene, working_from_asset).to(context.device), frames, scan, report
+
+
+def _has_surface_of(mesh: Mesh, scanned: Mesh) -> bool:
+    """Whether a mesh has the triangles and texture coordinates of another; its vertices may have moved."""
+    return mesh.topology is scanned.topology and mesh.uvs is scanned.uvs
 
 
 def scale_source(capture: Capture, details: Mapping[str, Mapping[str, Any]]) -> str:

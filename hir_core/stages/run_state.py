@@ -47,6 +47,8 @@ class RunState:
     """In the capture's own frame before the initializer stage, in the working frame after it."""
     frames: CoordinateFrames | None = None
     """From the initializer stage."""
+    scan_file: str = ""
+    """Name of the file that the initializer stage's mesh was read from, for messages; empty where it made the mesh."""
     scene: Scene | None = None
     """The latest scene, in the working frame."""
     silhouette_positions: Tensor | None = None

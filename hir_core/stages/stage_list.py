@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from hir_exporters.asset import Asset
 
     from hir_core.scene import Scene
+    from hir_core.scene.scan import Scan
     from hir_core.stages.geometry.geometry_fit import FittedGeometry
     from hir_core.stages.reflectance.map_errors.map_errors import MapErrors
 
@@ -31,6 +32,8 @@ class InitializedCapture:
     capture: Capture
     scene: Scene
     frames: CoordinateFrames
+    scan: Scan | None = None
+    """Of its texture no later stage hears: it is stored for the report and for `hir evaluate`."""
 
 
 @dataclass(frozen=True)
@@ -54,19 +57,22 @@ def _initializer_settings(state: RunState) -> Any:
 def _initialize(state: RunState, context: StageContext) -> StageResult[InitializedCapture]:
     from hir_core.stages.initialization import initialize
 
-    capture, scene, frames, report = initialize(state.capture, state.config, context)
-    return StageResult(InitializedCapture(capture, scene, frames), report)
+    capture, scene, frames, scan, report = initialize(state.capture, state.config, context)
+    return StageResult(InitializedCapture(capture, scene, frames, scan), report)
 
 
 def _save_initialized(state: RunState, value: InitializedCapture, folder: Path) -> None:
+    from hir_core.scene.scan import save_scan
     from hir_core.scene.scene_store import save_stage_scene
 
     save_capture(value.capture, folder)
     save_stage_scene(value.scene, folder / "scene")
     write_json(folder / "frames.json", value.frames.as_document())
+    save_scan(value.scan, folder)
 
 
 def _load_initialized(state: RunState, folder: Path) -> InitializedCapture:
+    from hir_core.scene.scan import load_scan
     from hir_core.scene.scene_store import load_stage_scene
 
     path = folder / "frames.json"
@@ -74,6 +80,7 @@ def _load_initialized(state: RunState, folder: Path) -> InitializedCapture:
         restore_capture(state.capture, folder),
         load_stage_scene(folder / "scene", state.device),
         CoordinateFrames.from_document(read_json(path), str(path)),
+        load_scan(folder),
     )
 
 
@@ -81,7 +88,8 @@ def _extend_initialized(state: RunState, value: InitializedCapture) -> RunState:
     in_asset_frame = value.capture.transformed(value.frames.asset_from_working)
     write_cameras(state.directory.cameras, in_asset_frame, state.source.view_names)
     capture = state.photographs.undistort(value.capture)
-    return replace(state, capture=capture, scene=value.scene, frames=value.frames)
+    scan_file = "" if value.scan is None else value.scan.file
+    return replace(state, capture=capture, scene=value.scene, frames=value.frames, scan_file=scan_file)
 
 
 def _geometry_settings(state: RunState) -> Any:
@@ -123,7 +131,8 @@ def _load_geometry(state: RunState, folder: Path) -> FittedGeometry:
 def _unwrap(state: RunState, context: StageContext) -> StageResult[Scene]:
     from hir_core.stages.atlas import unwrap
 
-    return StageResult(*unwrap(_scene(state), state.capture, state.config.atlas, context))
+    mesh_name = state.scan_file or "the mesh"
+    return StageResult(*unwrap(_scene(state), state.capture, state.config.atlas, context, mesh_name))
 
 
 def _reflectance_settings(state: RunState) -> Any:

@@ -317,7 +317,7 @@ def test_the_scan_that_hir_gets(session: dict[str, Any], case: str, y_up: bool) 
         positions = positions[:, [0, 2, 1]] * [1, 1, -1]
     corners = scan.faces.reshape(-1)
     expected = np.hstack([positions, uv])
-    written = np.hstack([scan.vertices[corners], scan.visual.uv[corners]])  # type: ignore[union-attr]
+    written = np.hstack([scan.positions[corners], scan.uvs[corners]])
     assert written.shape == expected.shape and len(np.unique(expected, axis=0)) > 4000
     for some, others in ((written, expected), (expected, written)):
         assert cKDTree(others).query(some)[0].max() < 1e-6

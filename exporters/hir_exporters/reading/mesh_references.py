@@ -123,13 +123,13 @@ def _contained_resolver(path: Path) -> Any:
 
 def _check_gltf(path: Path) -> None:
     try:
-        document, binary = _gltf_content(path)
-        for uri in _uris(document):
+        document, binary = gltf_content(path)
+        for uri in uris(document):
             if not uri.startswith("data:"):
                 contained_file(path, uri, percent_encoded=True)
         _check_size(path, document)
         for number, image in enumerate(document.get("images", [])):
-            data = _image_bytes(path, document, image, binary)
+            data = image_bytes(path, document, image, binary)
             if data is not None:
                 _check_image(data, f"{path}: image {number}")
     except HirError:
@@ -146,7 +146,7 @@ def _check_image(data: bytes, name: str) -> None:
         open_image(data, name=name).close()
 
 
-def _gltf_content(path: Path) -> tuple[dict[str, Any], bytes]:
+def gltf_content(path: Path) -> tuple[dict[str, Any], bytes]:
     """The JSON document of a .gltf or .glb, and the binary chunk of a .glb."""
     text, chunks = split_document(path.read_bytes())
     document, binary = parse_json(text), chunks[8:]
@@ -155,7 +155,7 @@ def _gltf_content(path: Path) -> tuple[dict[str, Any], bytes]:
     return document, binary
 
 
-def _uris(document: dict[str, Any]) -> Iterator[str]:
+def uris(document: dict[str, Any]) -> Iterator[str]:
     """The value of each `uri` in the document, those of extensions too."""
     pending: list[Any] = [document]
     while pending:
@@ -183,7 +183,7 @@ def _check_size(path: Path, document: dict[str, Any]) -> None:
         raise InputError(f"{path} has more than {MAX_ELEMENTS} corners in all instances; simplify it first")
 
 
-def _image_bytes(path: Path, document: dict[str, Any], image: dict[str, Any], binary: bytes) -> bytes | None:
+def image_bytes(path: Path, document: dict[str, Any], image: dict[str, Any], binary: bytes) -> bytes | None:
     """The content of an image; None where its file is missing."""
     if image.get("uri") is not None:
         return _uri_bytes(path, image["uri"])

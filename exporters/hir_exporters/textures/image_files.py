@@ -20,6 +20,7 @@ from hir_exporters.errors import ExportError, InputError
 from hir_exporters.files.atomic import atomic_path, write_bytes_atomic
 from hir_exporters.files.native_output import suppress_native_output
 from hir_exporters.files.regular_files import check_regular_file
+from hir_exporters.textures.ktx2 import IDENTIFIER, check_ktx2, decode_ktx2
 from hir_exporters.textures.pillow_images import MAX_PIXELS, open_image
 from hir_exporters.textures.png_encoding import png_bytes
 from hir_exporters.textures.rgbe import RgbeError, decode_rgbe, encode_rgbe, read_size
@@ -43,6 +44,28 @@ def read_ldr(path: str | os.PathLike[str], max_pixels: int = MAX_PIXELS) -> NDAr
         raise
     except Exception as error:  # Pillow's decoders raise many types on broken data
         raise InputError(f"{source} is a broken image ({error}); write it again") from error
+
+
+def read_rgb8(source: Path | bytes, max_pixels: int = MAX_PIXELS, name: str = "") -> NDArray[np.uint8]:
+    """Codes (H, W, 3) of 8 bits in the image's own encoding, without alpha; of a file, or of the bytes of one.
+
+    KTX2 is read from bytes alone. `name` stands in messages, by default the path. Raises `InputError` naming it.
+    """
+    name = name or str(source)
+    if isinstance(source, bytes) and source.startswith(IDENTIFIER):
+        check_ktx2(source, name)
+        return decode_ktx2(source)[..., :3]
+    try:
+        with open_image(source, max_pixels, name) as image, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about metadata that is not used
+            image.load()
+            if image.mode == "F" or image.mode.startswith("I"):  # Pillow would clip them to 8 bits
+                return quantize(_pillow_pixels(image)).astype(np.uint8).repeat(3, axis=2)
+            return np.asarray(image.convert("RGB"))
+    except InputError:
+        raise
+    except Exception as error:  # Pillow's decoders raise many types on broken data
+        raise InputError(f"{name} is a broken image ({error}); write it again") from error
 
 
 def read_hdr(path: str | os.PathLike[str], max_pixels: int = MAX_PIXELS) -> NDArray[np.float32]:

@@ -2,38 +2,47 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, final
+from typing import final
 
 import numpy as np
 import torch
-from hir_exporters.conventions import flip_v, srgb_to_linear
+from hir_exporters.conventions import flip_v
 from hir_exporters.mesh.vertex_welding import weld
+from hir_exporters.reading.base_color_texture import read_base_color_texture
 from numpy.typing import NDArray
 
 from hir_core.capture import Array, Capture, similarity_scale
-from hir_core.errors import CaptureError, ConfigError
+from hir_core.errors import CaptureError, ConfigError, HirError
 from hir_core.plugins.interfaces import Initializer
 from hir_core.scene import Mesh, Scene, Topology
+from hir_core.scene.scan import Scan
 from hir_plugins.initializers.existing_mesh.mesh_alignment import align_mesh
-from hir_plugins.initializers.existing_mesh.mesh_loading import load_mesh
+from hir_plugins.initializers.existing_mesh.mesh_loading import LoadedMesh, files_of_mesh, load_mesh
 from hir_plugins.initializers.options import MeshFileOptions
 from hir_plugins.initializers.surface.object_bounds import object_bounding_sphere
 from hir_plugins.initializers.surface.silhouette_fields import working_downsample
 from hir_plugins.initializers.surface.vertex_colors import vertex_colors
 
-if TYPE_CHECKING:
-    import trimesh
+UV_TOLERANCE = 1e-3
+"""Texture coordinates may leave 0…1 by this for a texture to be kept: programs round the border."""
+
+_UNTIL_THEN = "until then the report compares with the colours of the photographs at the vertices"
 
 
 @final
 class MeshFile(Initializer):
-    """Reads a mesh and transforms it to the capture's world; keeps its texture coordinates and vertex colours."""
+    """Reads a mesh and transforms it to the capture's world; keeps its texture coordinates and vertex colours.
+
+    Its texture is no part of the scene: `scan` returns it.
+    """
 
     def __init__(self, config: MeshFileOptions) -> None:
         self._config = config
         self._report: dict[str, object] = {}
+        self._scan: Scan | None = None
 
     def initialize(self, capture: Capture, scene: Scene | None, workspace: Path) -> tuple[Capture, Scene | None]:
         """The unchanged capture, and the file's mesh. Unreadable, empty or non-finite meshes raise `CaptureError`."""
@@ -41,8 +50,8 @@ class MeshFile(Initializer):
         path = self._path(capture)
         loaded = load_mesh(path)
         to_world = self._world_from_file(path, capture)
-        positions: Array = np.asarray(loaded.vertices, dtype=np.float64) @ to_world[:3, :3].T + to_world[:3, 3]
-        corners = np.asarray(loaded.faces, dtype=np.int64)
+        positions: Array = loaded.positions @ to_world[:3, :3].T + to_world[:3, 3]
+        corners = loaded.faces
         if np.linalg.det(to_world[:3, :3]) < 0:
             corners = corners[:, ::-1]
         if self._config.align == "points":
@@ -55,8 +64,9 @@ class MeshFile(Initializer):
         if not len(faces):
             raise CaptureError(f"{path} has no triangle with an area; export the mesh again")
         positions = positions[first]
-        uvs = _texture_coordinates(loaded)
-        colors = _file_colors(loaded)
+        # trimesh has the origin at the bottom left for all formats
+        uvs = None if loaded.uvs is None else flip_v(loaded.uvs.astype(np.float32)).astype(np.float32)
+        colors = loaded.colors
         if colors is not None:
             colors = colors[first]
         elif self._config.vertex_colors and any(view.camera is not None for view in capture.views):
@@ -67,11 +77,16 @@ class MeshFile(Initializer):
             uvs=None if uvs is None else torch.from_numpy(uvs),
             vertex_colors=None if colors is None else torch.from_numpy(colors),
         )
+        self._scan = Scan(path.name, _texture(path, loaded))
         return capture, Scene(mesh=mesh)
 
     def files(self, capture: Capture) -> list[Path]:
-        """The mesh."""
-        return [self._path(capture)]
+        """The mesh, and the files that it names."""
+        return files_of_mesh(self._path(capture))
+
+    def scan(self) -> Scan | None:
+        """The file and its texture; a warning says why a texture is left out."""
+        return self._scan
 
     def report(self) -> Mapping[str, object]:
         """The mean distance between the mesh and the points that it was aligned with."""
@@ -126,20 +141,20 @@ class MeshFile(Initializer):
         return transform if axes == "world" else capture.world_from_source @ transform
 
 
-def _texture_coordinates(mesh: trimesh.Trimesh) -> NDArray[np.float32] | None:
-    """UV per vertex (V, 2), origin top left; None if the file has none, or not one finite UV per vertex."""
-    uv = getattr(mesh.visual, "uv", None)
-    if uv is None or len(uv) != len(mesh.vertices) or not np.isfinite(uv).all():
+def _texture(path: Path, loaded: LoadedMesh) -> NDArray[np.uint8] | None:
+    """The texture of the file; None where it has none, or none that can be shown on its texture coordinates."""
+    if loaded.uvs is None:
         return None
-    # trimesh has the origin at the bottom left for all formats
-    return flip_v(np.asarray(uv, dtype=np.float32)).astype(np.float32)
-
-
-def _file_colors(mesh: trimesh.Trimesh) -> NDArray[np.float32] | None:
-    """Linear vertex colours (V, 3) of the file; None if it has none."""
-    if getattr(mesh.visual, "kind", None) != "vertex":
+    try:
+        texture = read_base_color_texture(path)
+    except HirError as error:
+        warnings.warn(f"{error}; {_UNTIL_THEN}", UserWarning, stacklevel=2)
         return None
-    colors = np.asarray(mesh.visual.vertex_colors)  # type: ignore[union-attr] # of ColorVisuals, by its kind
-    if len(colors) != len(mesh.vertices):
+    if texture is not None and (loaded.uvs.min() < -UV_TOLERANCE or loaded.uvs.max() > 1 + UV_TOLERANCE):
+        warnings.warn(
+            f"{path}: its texture coordinates leave 0…1; pack them on one square; {_UNTIL_THEN}",
+            UserWarning,
+            stacklevel=2,
+        )
         return None
-    return srgb_to_linear(colors[:, :3].astype(np.float32) / 255).astype(np.float32)
+    return texture

@@ -197,6 +197,23 @@ def test_stage_keeps_good_coordinates_and_replaces_bad_ones(tmp_path: Path) -> N
     assert len(warnings) == 1
 
 
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda uvs: uvs + torch.tensor([1.0, 0.0]), r"outside 0…1 \(as UDIM tiles"),
+        (lambda uvs: None, "no texture coordinates"),
+        (lambda uvs: uvs * 0, "without an area"),
+        (lambda uvs: uvs[[0, 0, 1, 1]] * 0.5 + uvs[[0, 2, 0, 2]] * 0.1, "without an area|overlap"),
+    ],
+)
+def test_coordinates_that_cannot_be_kept_name_the_file_and_the_remedy(change, words: str, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    settings = AtlasSettings(texture_size=64, texture_coordinates="keep")
+    mesh = replace(square(), uvs=change(square().uvs))
+    capture = capture_of(looking_at((0, 3, 0), 128, 128))
+    with pytest.raises(StageError, match=f"^scan.obj has .*({words}).*unwrap it .*texture_coordinates"):
+        unwrap(Scene(mesh), capture, settings, context(tmp_path, []), "scan.obj")
+
+
 def test_stage_bakes_vertex_colours(tmp_path: Path) -> None:
     mesh = icosphere(3)
     mesh = replace(mesh, vertex_colors=mesh.positions * 0.4 + 0.5)

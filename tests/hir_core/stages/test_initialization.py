@@ -18,7 +18,10 @@ from hir_core.plugins.interfaces import Initializer, MaskSource
 from hir_core.plugins.manager import PluginManager
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import Scene
+from hir_core.scene.frames import move_scene
+from hir_core.scene.scan import Scan
 from hir_core.stages.initialization import apply_masks, initialize, resolve_initializers, scale_source
+from tests.fixtures.scenes import square
 
 CAMERA = Camera(np.array([[50.0, 0, 4], [0, 50, 4], [0, 0, 1]]), np.eye(4), 8, 8)
 BLACK = Pixels(np.zeros((8, 8, 3), np.float32), None, np.zeros((8, 8), bool))
@@ -88,6 +91,40 @@ class NeedsMasks(Initializer):
         return capture, scene
 
 
+class ReadsScan(Initializer):
+    """Its surface is the one of a file with a texture."""
+
+    def __init__(self, _: object) -> None:
+        pass
+
+    def initialize(self, capture: Capture, scene: Scene | None, workspace: Path) -> tuple[Capture, Scene | None]:
+        return capture, Scene(square())
+
+    def scan(self) -> Scan | None:
+        return Scan("scan.obj", np.full((2, 2, 3), 9, np.uint8))
+
+
+class Doubles(Initializer):
+    """Makes the surface twice as large."""
+
+    def __init__(self, _: object) -> None:
+        pass
+
+    def initialize(self, capture: Capture, scene: Scene | None, workspace: Path) -> tuple[Capture, Scene | None]:
+        assert scene is not None
+        return capture, move_scene(scene, np.diag([2.0, 2.0, 2.0, 1.0]))
+
+
+class Replaces(Initializer):
+    """Makes another surface."""
+
+    def __init__(self, _: object) -> None:
+        pass
+
+    def initialize(self, capture: Capture, scene: Scene | None, workspace: Path) -> tuple[Capture, Scene | None]:
+        return capture, Scene(square())
+
+
 class Plugin:
     """The components of this file."""
 
@@ -102,6 +139,9 @@ class Plugin:
     @hookimpl
     def hir_register_initializers(self) -> list[Component]:
         return [
+            Component("reads_scan", f"{__name__}:ReadsScan", summary="Reads a scan."),
+            Component("doubles", f"{__name__}:Doubles", summary="Doubles the surface."),
+            Component("replaces", f"{__name__}:Replaces", summary="Makes another surface."),
             Component("loses_one", f"{__name__}:LosesOne", summary="Loses one."),
             Component("motion", f"{__name__}:AddsPoints", summary="Points.", traits=frozenset({"finds_cameras"})),
             Component("hull", f"{__name__}:NeedsMasks", summary="Nothing.", traits=frozenset({"needs_masks"})),
@@ -168,6 +208,24 @@ def test_masks_that_need_points_wait_for_them_where_cameras_are_given(stage: tup
         initialize(capture_of(3, CAMERA), config, context)
 
 
+@pytest.mark.parametrize(
+    ("chain", "kept"),
+    [
+        (("reads_scan",), True),
+        (("reads_scan", "doubles"), True),
+        (("reads_scan", "replaces"), False),
+        (("replaces",), False),
+    ],
+)
+def test_a_scan_is_kept_while_the_surface_is_its_own(
+    stage: tuple[StageContext, list[str]], chain: tuple[str, ...], kept: bool
+) -> None:
+    """The texture belongs to the triangles and coordinates of its file, wherever its vertices are moved."""
+    config = replace(RunConfig(), initializers=chain, masks=())
+    *_, scan, _ = initialize(capture_of(3, CAMERA), config, stage[0])
+    assert (scan is not None) == kept
+
+
 def test_the_chain_is_computed_once_and_with_the_masks_of_the_run(stage: tuple[StageContext, list[str]]) -> None:
     """A suggestion sees the masks that the stage will give, and the stage runs the chain that it is given."""
     context, _ = stage
@@ -192,5 +250,5 @@ def test_a_capture_without_a_suggested_chain_is_an_error_that_names_the_installe
     stage: tuple[StageContext, list[str]],
 ) -> None:
     context, _ = stage
-    with pytest.raises(CaptureError, match=r"no plugin suggests initializers .*installed: hull, loses_one, motion"):
+    with pytest.raises(CaptureError, match=r"no plugin suggests initializers .*installed: .*hull, loses_one, motion"):
         resolve_initializers(capture_of(3), replace(RunConfig(), masks=()), context.plugins)

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+from hir_exporters.textures.image_files import write_png
 
 from hir_core.capture import Capture, OrientedPoints
 from hir_core.errors import CaptureError, ConfigError
-from hir_core.scene import Mesh
+from hir_core.scene import Mesh, Scene
+from hir_core.scene.scan import Scan
+from hir_core.scene.scene_store import save_stage_scene
 from hir_plugins.initializers.existing_mesh.mesh_file import MeshFile
 from hir_plugins.initializers.options import MeshFileOptions
 from hir_plugins.readers.parsing.camera_axes import WORLD_FROM_Z_UP
@@ -95,6 +99,75 @@ def test_vertex_colours_are_linear(capture: Capture) -> None:
     np.testing.assert_allclose(colors.numpy(), np.tile([0.5029, 0, 1], (8, 1)), atol=1e-3)
 
 
+PALETTE = np.random.default_rng(5).integers(0, 256, (8, 8, 3)).astype(np.uint8)
+TWO_MATERIALS = OBJ.replace("f 1/1 2/2 4/4", "usemtl b\nf 1/1 2/2 4/4").replace("f 1/1 3/3", "usemtl a\nf 1/1 3/3", 1)
+
+
+def scanned(capture: Capture, obj: str, library: str | None) -> tuple[Scene, Scan]:
+    """What is read from an .obj with a material library, or without the library that it names."""
+    folder = capture.path / ("with" if library else "without")
+    folder.mkdir(exist_ok=True)
+    (folder / "scan.obj").write_text("mtllib scan.mtl\n" + obj)
+    write_png(folder / "a.png", PALETTE)
+    write_png(folder / "b.png", 255 - PALETTE)
+    if library:
+        (folder / "scan.mtl").write_text(library)
+    initializer = MeshFile(MeshFileOptions(path=str(folder / "scan.obj"), vertex_colors=False))
+    _, scene = initializer.initialize(capture, None, capture.path)
+    scan = initializer.scan()
+    assert scene is not None and scan is not None
+    return scene, scan
+
+
+@pytest.mark.parametrize("materials", [1, 2])
+def test_a_texture_is_no_part_of_the_scene(capture: Capture, materials: int) -> None:
+    """Whatever follows gets the same bits with and without the picture: also where trimesh would pack several."""
+    obj = "usemtl a\n" + OBJ if materials == 1 else TWO_MATERIALS
+    library = "newmtl a\nmap_Kd a.png\nnewmtl b\nmap_Kd b.png\n"
+    found = []
+    with warnings.catch_warnings(record=True):
+        warnings.simplefilter("always")
+        for named in (library, None):
+            scene, scan = scanned(capture, obj, named)
+            save_stage_scene(scene, capture.path / "stored")
+            found.append({file.name: file.read_bytes() for file in (capture.path / "stored").iterdir()})
+            assert (scan.texture is not None) == (named is not None and materials == 1)
+            assert scan.file == "scan.obj"
+            if scan.texture is not None:
+                np.testing.assert_array_equal(scan.texture, PALETTE)
+    assert found[0] == found[1] and "arrays.npz" in found[0]
+
+
+def test_several_materials_keep_their_coordinates(capture: Capture) -> None:
+    """Each corner has the coordinates of the file; a warning says why no texture is compared."""
+    with pytest.warns(UserWarning, match=r"scan\.obj has 2 base colours .*bake them .*photographs at the vertices"):
+        scene, _ = scanned(capture, TWO_MATERIALS, "newmtl a\nmap_Kd a.png\nnewmtl b\nmap_Kd b.png\n")
+    mesh = scene.mesh
+    assert mesh.uvs is not None and mesh.topology.uv_faces is not None
+    corners = {tuple(uv) for uv in mesh.uvs[mesh.topology.uv_faces].reshape(-1, 2).tolist()}
+    assert corners == {(0.0, 1.0), (1.0, 1.0), (0.25, 0.25), (0.5, 0.5)}
+
+
+def test_a_texture_off_the_square_is_not_compared(capture: Capture) -> None:
+    with pytest.warns(UserWarning, match=r"scan\.obj: its texture coordinates leave 0…1; pack them .*; until then"):
+        _, scan = scanned(capture, "usemtl a\n" + OBJ.replace("vt 1 0", "vt 1.5 0"), "newmtl a\nmap_Kd a.png\n")
+    assert scan.texture is None
+
+
+def test_a_texture_that_is_missing_or_damaged_is_a_warning(capture: Capture) -> None:
+    with pytest.warns(UserWarning, match=r"'gone\.png', which is not in its folder; .*at the vertices"):
+        _, scan = scanned(capture, "usemtl a\n" + OBJ, "newmtl a\nmap_Kd gone.png\n")
+    assert scan.texture is None
+    initializer = MeshFile(MeshFileOptions(path=str(capture.path / "with" / "scan.obj")))
+    assert [file.name for file in initializer.files(capture)] == ["scan.obj", "scan.mtl"]
+    data = (capture.path / "with" / "a.png").read_bytes()
+    (capture.path / "with" / "gone.png").write_bytes(data[: len(data) // 2])
+    with pytest.warns(UserWarning, match=r"gone\.png is a broken image"):
+        initializer.initialize(capture, None, capture.path)
+    assert [file.name for file in initializer.files(capture)] == ["scan.obj", "scan.mtl", "gone.png"]
+
+
+@pytest.mark.filterwarnings("ignore:.*until then the report compares:UserWarning")
 def test_files_that_are_no_meshes(capture: Capture, shared: Path) -> None:
     with pytest.raises(ConfigError, match="path=FILE"):
         load(capture, "")

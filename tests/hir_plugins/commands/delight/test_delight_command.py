@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from hir_exporters.textures.image_files import write_png
 from numpy.typing import NDArray
 
 from hir_core.cli import main
@@ -99,23 +100,70 @@ def test_no_photograph_is_decoded_for_a_moment_without_sources(tiny_capture: Pat
     assert apply_mask_sources(capture, None, "auto", {}, plugins, known="mesh") is capture
 
 
-@pytest.mark.parametrize("broken", ["no coordinates", "overlap"])
+def write_scan(folder: Path, run: Run, fault: str = "") -> Path:
+    """The asset of a run as a textured .obj in the axes of the run, with a fault in its coordinates."""
+    positions, uvs = corners(scan_of(run))
+    half = len(uvs) // 2
+    if fault == "UDIM":
+        uvs[half:, :, 0] += 1
+    elif fault in ("mirrored", "two materials"):
+        uvs[half : 2 * half] = uvs[:half]
+    lines = ["mtllib scan.mtl", "usemtl m0"]
+    lines += [f"v {x} {y} {z}" for x, y, z in positions.reshape(-1, 3).tolist()]
+    lines += [f"vt {u} {v}" for u, v in uvs.reshape(-1, 2).tolist()]
+    for face in range(len(positions)):
+        if face == half and fault == "two materials":
+            lines.append("usemtl m1")
+        numbers = range(3 * face + 1, 3 * face + 4)
+        lines.append("f " + " ".join(f"{n}" if fault == "no coordinates" else f"{n}/{n}" for n in numbers))
+    folder.mkdir()
+    (folder / "scan.obj").write_text("\n".join(lines) + "\n")
+    (folder / "scan.mtl").write_text("newmtl m0\nmap_Kd a.png\nnewmtl m1\nmap_Kd b.png\n")
+    for seed, name in enumerate(("a.png", "b.png")):
+        write_png(folder / name, np.random.default_rng(seed).integers(0, 256, (32, 32, 3)).astype(np.uint8))
+    return folder / "scan.obj"
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        ("no coordinates", "has no texture coordinates"),
+        ("mirrored", "has texture coordinates that overlap (as mirrored halves and several materials have)"),
+        ("two materials", "has texture coordinates that overlap (as mirrored halves and several materials have)"),
+        ("UDIM", "has texture coordinates outside 0…1 (as UDIM tiles and repeated textures have)"),
+    ],
+)
 def test_coordinates_that_cannot_be_kept_are_an_error(
-    finished: Run, tiny_capture: Path, tmp_path: Path, broken: str, capsys: pytest.CaptureFixture[str]
+    finished: Run, tiny_capture: Path, tmp_path: Path, fault: str, words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    mesh = trimesh.load(scan_of(finished), process=False, force="mesh")
-    assert isinstance(mesh, trimesh.Trimesh)
-    scan = tmp_path / "scan.glb"
-    if broken == "overlap":
-        mesh.visual.uv = np.asarray(mesh.visual.uv) * 0.1  # type: ignore[union-attr]
-        mesh.visual.uv[::2] += 0.5  # type: ignore[union-attr]
-    else:
-        mesh.visual = trimesh.visual.ColorVisuals(mesh)
-    mesh.export(scan)
-    assert delight(scan, tiny_capture, tmp_path / "run") != 0
-    words = "overlap or leave" if broken == "overlap" else "no texture coordinates"
-    output = capsys.readouterr()
-    assert words in output.err and "unwrap it" in output.err
+    """One sentence with the file and the remedy; before it, why the textures of two materials are not compared."""
+    scan = write_scan(tmp_path / "scan", finished, fault)
+    assert delight(scan, tiny_capture, tmp_path / "run", "--axes", "world") != 0
+    output = " ".join(capsys.readouterr().err.split())
+    assert f"scan.obj {words}, so they cannot be kept; unwrap it" in output
+    assert 'texture_coordinates="auto"' in output
+    assert ("scan.obj has 2 base colours (a.png, b.png)" in output) == (fault == "two materials")
+
+
+@pytest.mark.slow
+def test_a_fit_is_the_same_without_the_texture(finished: Run, tiny_capture: Path, tmp_path: Path) -> None:
+    """All that a run finds has the same bits; only its comparison with the scan differs."""
+    found: list[dict[str, bytes]] = []
+    for name in ("with", "without"):
+        scan = write_scan(tmp_path / name, finished)
+        if name == "without":
+            scan.write_text(scan.read_text().replace("mtllib scan.mtl\n", ""))
+        run = tmp_path / f"run {name}"
+        options = ("--axes", "world", "--set", "deterministic=true", "--set", 'export=["glb"]')
+        assert delight(scan, tiny_capture, run, *options) == 0
+        stages = [file for file in (run / "stages").rglob("*") if file.suffix in (".npz", ".exr", ".png")]
+        files = [*stages, *(run / "scene").rglob("*"), *(run / "exports").rglob("*")]
+        found.append({str(file.relative_to(run)): file.read_bytes() for file in files if file.is_file()})
+        kind, other = ("scan", "vertices") if name == "with" else ("vertices", "scan")
+        assert (run / "report" / f"relit_{kind}.png").exists() and not (run / "report" / f"relit_{other}.png").exists()
+    texture = found[0].pop("stages/1-initializer/scan_texture.png")
+    assert texture == (tmp_path / "with" / "a.png").read_bytes()
+    assert found[0] == found[1] and len(found[0]) > 6
 
 
 def test_photographs_without_cameras_are_aligned_with_the_scan(tiny_capture: Path, tmp_path: Path) -> None:
