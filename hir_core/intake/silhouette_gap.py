@@ -72,7 +72,7 @@ def _strip(mask: NDArray[np.float32]) -> tuple[Array, NDArray[np.int64]]:
     smooth = (padded[:-2] + 2 * padded[1:-1] + padded[2:]) / 4
     smooth = (smooth[:, :-2] + 2 * smooth[:, 1:-1] + smooth[:, 2:]) / 4
     down, right = np.gradient(smooth)
-    slope = np.stack([_bilinear(right, *outline.T), _bilinear(down, *outline.T)], axis=1)
+    slope = np.stack([_bilinear(each, outline[:, 0], outline[:, 1]) for each in (right, down)], axis=1)
     inward = slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-9)
     pixels = (outline[:, None] + _DEPTHS[None, :, None] * inward[:, None]).reshape(-1, 2)
     strip = np.tile(np.arange(len(_DEPTHS)), len(outline))
