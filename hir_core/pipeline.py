@@ -25,7 +25,11 @@ from hir_core.run.stage_runner import StageRunner
 from hir_core.stages.initialization import resolve_initializers
 from hir_core.stages.memory_plan import MemoryPlan, gigabytes, plan_memory
 from hir_core.stages.run_state import CaptureSource, RunState
-from hir_core.stages.settings_without_effect import check_settings_take_effect, settings_of_disabled_stages
+from hir_core.stages.settings_without_effect import (
+    check_settings_take_effect,
+    options_outside_the_chain,
+    settings_of_disabled_stages,
+)
 from hir_core.stages.stage_list import STAGES
 
 if TYPE_CHECKING:
@@ -149,7 +153,11 @@ def prepare(
     )
     photographs = PixelCache(memory.cache_bytes)
     capture = photographs.wrap(capture)
-    final = replace(memory.config, initializers=resolve_initializers(capture, memory.config, plugins))
+    chain = resolve_initializers(capture, memory.config, plugins)
+    if config.initializers == "auto":
+        for sentence in options_outside_the_chain(config, plugins, chain):
+            on_message(f"warning: {sentence}")
+    final = replace(memory.config, initializers=chain)
     return RunState(final, plugins, directory, device, source, photographs, capture), memory
 
 

@@ -32,12 +32,12 @@ SMALL = {
     "atlas.texture_size": "64",
     "reflectance.environment_height": "8",
     "reflectance.environment_width": "16",
-    "initializer.visual_hull.max_resolution": "40",
     "export": '["glb", "usdz", "obj", "hdr"]',
     "checkpoint_seconds": "0.05",
 }
 KINDS = {
     "cached": {
+        "initializer.visual_hull.max_resolution": "40",
         "reflectance.light_frame": "world",
         "reflectance.brdf": "dielectric",
         "reflectance_renderer.transport_ggx.steps": "24",
@@ -46,6 +46,7 @@ KINDS = {
         "reflectance_renderer.transport_ggx.samples": "4",
     },
     "traced": {
+        "initializer.visual_hull.max_resolution": "40",
         "reflectance.renderer": "mitsuba_ggx",
         "reflectance.method": "gradient",
         "reflectance.model": "specular",

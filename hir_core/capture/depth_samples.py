@@ -20,9 +20,6 @@ _MAX_TANGENT: Final = 6.0
 _EDGE_NOISE: Final = 4.0
 """Standard deviations of noise that a difference between neighbours must exceed to be an edge."""
 
-_NORMAL_MAD: Final = 1.4826
-"""Standard deviation of a normal distribution with a median absolute deviation of 1."""
-
 
 def usable_depths(camera: Camera, pixels: DepthPixels, noise: float, min_confidence: float) -> NDArray[np.bool_]:
     """Where (H, W) a depth is known, of that confidence, and not at an edge; `camera` is that of the depth map."""
@@ -36,6 +33,8 @@ def depth_noise(pixels: DepthPixels, min_confidence: float) -> float:
     Second differences of a smooth surface are small against those of noise, whose variance they have six times. Errors
     that neighbours share do not show in them.
     """
+    from scipy.stats import median_abs_deviation
+
     depth = pixels.depth.astype(np.float64)
     usable = _confident(pixels, min_confidence)
     bends = []
@@ -44,7 +43,7 @@ def depth_noise(pixels: DepthPixels, min_confidence: float) -> float:
         bend = d[2:] - 2 * d[1:-1] + d[:-2]
         bends.append(bend[known[2:] & known[1:-1] & known[:-2]])
     values = np.concatenate(bends)
-    return float(_NORMAL_MAD * np.median(np.abs(values)) / math.sqrt(6)) if len(values) else 0.0
+    return float(median_abs_deviation(values, scale="normal")) / math.sqrt(6) if len(values) else 0.0
 
 
 def _confident(pixels: DepthPixels, min_confidence: float) -> NDArray[np.bool_]:

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 ROWS = 12
 """Maximum number of photographs in the table without -v."""
+REFINES = "refines_cameras"
+"""The trait of initializers that mend given cameras."""
 
 
 @click.command("check")
@@ -65,6 +67,7 @@ def check_command(
     Uses the mask sources of `hir reconstruct` that need no cameras. -v lists every photograph.
     """
     from hir_core.files.json_documents import jsonable
+    from hir_core.intake.capture_advice import advice_on_cameras, cameras_are_inexact
     from hir_core.intake.capture_check import check_capture
     from hir_core.intake.contact_sheet import contact_sheet
     from hir_core.intake.mask_sources import with_automatic_masks
@@ -86,6 +89,9 @@ def check_command(
     if not found.views:
         raise InputError(f"{capture} has no photographs in the split {split}; give the folder of a capture")
     check = check_capture(found, None if mesh is None else surface_of(mesh, found))
+    if cameras_are_inexact(check):
+        refining = [r.component.name for r in plugins.components("initializer") if REFINES in r.component.traits]
+        said.append(advice_on_cameras(check, plugins.suggest_initializers(found), refining))
     check = replace(check, advice=(*said, *check.advice))
     if sheet is not None:
         from hir_exporters.textures.image_files import write_png

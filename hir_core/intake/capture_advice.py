@@ -2,11 +2,40 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Collection, Sequence
+
 import numpy as np
 
-from hir_core.intake.check_result import CaptureCheck
+from hir_core.intake.check_result import GAP_SIDE_PIXELS, CaptureCheck
+from hir_core.intake.mask_agreement import MAX_BELOW_MEDIAN, MIN_AGREEMENT
 
 _MIN_HEADLIGHT_SCORE = 0.5
+
+MAX_MASK_GAP = 0.5
+"""Above it the given cameras are a little wrong; in the unit of `CaptureCheck.mask_gap`."""
+
+
+def cameras_are_inexact(check: CaptureCheck) -> bool:
+    """Whether masks lie beside the hull of other masks, though they agree roughly."""
+    return check.mask_gap is not None and check.mask_gap > MAX_MASK_GAP
+
+
+def advice_on_cameras(check: CaptureCheck, chain: Sequence[str], refining: Collection[str]) -> str:
+    """The sentence on cameras that are a little wrong; `refining` are those of a run's initializers that mend them."""
+    assert check.mask_gap is not None
+    fact = (
+        f"the given cameras seem a little wrong: masks lie {check.mask_gap:.1f} pixels (of {GAP_SIDE_PIXELS}) beside "
+        "the hull of the others (median)"
+    )
+    used = [name for name in chain if name in refining]
+    if not used:
+        return f"{fact}; export them again, or have them estimated again"
+    rest = json.dumps([name for name in chain if name not in refining])
+    return (
+        f"{fact}; hir reconstruct refines them ({', '.join(used)}) where held-out views then agree better, and "
+        f"--set 'initializers={rest}' keeps them"
+    )
 
 
 def advice_for(check: CaptureCheck) -> list[str]:
@@ -19,10 +48,10 @@ def advice_for(check: CaptureCheck) -> list[str]:
     scores = [v.agreement for v in views if v.agreement is not None]
     if scores:
         middle = float(np.median(scores))
-        if middle < 0.7:
+        if middle < MIN_AGREEMENT:
             advice.append(f"masks and cameras do not agree (IoU {middle:.2f}): check the cameras' axes and the masks")
-        bad = [v.name for v in views if v.agreement is not None and v.agreement < middle - 0.12]
-        if bad and middle >= 0.7:
+        bad = [v.name for v in views if v.agreement is not None and v.agreement < middle - MAX_BELOW_MEDIAN]
+        if bad and middle >= MIN_AGREEMENT:
             advice.append(
                 f"the masks of {', '.join(bad[:5])} disagree with the others: correct them, or remove these photographs"
             )

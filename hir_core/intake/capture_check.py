@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from hir_core.capture import Array, Camera, Capture, Pixels, View
 from hir_core.capture.exif import camera_record
 from hir_core.intake.capture_advice import advice_for
-from hir_core.intake.check_result import CaptureCheck, ViewCheck
+from hir_core.intake.check_result import GAP_SIDE_PIXELS, CaptureCheck, ViewCheck
 from hir_core.intake.light_motion import headlight_score
 from hir_core.intake.mask_agreement import mask_agreement
 from hir_core.intake.picture_statistics import find_duplicates, sharpness
@@ -34,7 +35,7 @@ def check_capture(capture: Capture, surface: tuple[Array, Array] | None = None) 
     agreement = mask_agreement([c for _, c in small], [p.mask for p, _ in small])
     views = tuple(
         _view_check(view, pixels, size, clipped, sharp / middle if middle > 0 else 1.0, agreed)
-        for view, (pixels, _, size, sharp, clipped), agreed in zip(capture.views, read, agreement, strict=True)
+        for view, (pixels, _, size, sharp, clipped), agreed in zip(capture.views, read, agreement.iou, strict=True)
     )
     cameras = [camera for _, camera in small if camera is not None]
     headlight = None
@@ -49,8 +50,18 @@ def check_capture(capture: Capture, surface: tuple[Array, Array] | None = None) 
         directions_covered=directions_covered(cameras),
         flashes=sum(camera_record(view.path).flash is True for view in capture.views if view.path is not None),
         headlight=headlight,
+        mask_gap=None if agreement.gap is None else agreement.gap * _gap_scale([(size, p) for p, _, size, *_ in read]),
     )
     return replace(check, advice=tuple(advice_for(check)))
+
+
+def _gap_scale(sizes: Sequence[tuple[tuple[int, int], Pixels]]) -> float:
+    """Pixels of masks reduced to `GAP_SIDE_PIXELS` for one of the reduced pixels, the median of all views."""
+    scales = []
+    for size, small in sizes:
+        side = max(size)
+        scales.append(side / max(1, side // GAP_SIDE_PIXELS) / max(small.color_linear.shape[:2]))
+    return float(np.median(scales))
 
 
 def _read(view: View) -> tuple[Pixels, Camera | None, tuple[int, int], float, float]:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+GAP_SIDE_PIXELS = 256
+"""Gaps are in pixels of masks reduced by the largest whole factor that leaves so many on the longer side."""
+
 
 @dataclass(frozen=True)
 class ViewCheck:
@@ -41,5 +44,8 @@ class CaptureCheck:
     """Number of photographs whose EXIF record says that the flash fired."""
     headlight: float | None
     """1 for a light that moves with the camera, 0 for a static light; None if unknown."""
+    mask_gap: float | None = None
+    """Median width of the strip along a mask's outline that lies beside the hull of other masks, in pixels of masks
+    reduced to 256 to 511 on the longer side; None without cameras, for few masks, and where none agree."""
     advice: tuple[str, ...] = field(default=())
     """One sentence for each problem."""

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hir_core.capture import Array, Camera
+from hir_core.intake.silhouette_gap import silhouette_gap
 from hir_core.intake.view_directions import camera_focus
 
 _GRID_RESOLUTION = 56
@@ -16,11 +18,27 @@ MAX_HULL_VIEWS = 300
 """The hull is made of at most so many masks, evenly spaced; each takes about 0.1 s."""
 
 
-def mask_agreement(cameras: Sequence[Camera | None], masks: Sequence[NDArray[np.float32] | None]) -> list[float | None]:
-    """Per view the IoU of its mask and the re-projected hull of all masks; None for views without mask or camera.
+MIN_AGREEMENT = 0.7
+"""Median IoU below which masks and cameras do not agree at all, such as those of other axes."""
+MAX_BELOW_MEDIAN = 0.12
+"""A view whose IoU is further below the median has a wrong mask, or a wrong camera."""
 
-    The hull, on a coarse grid, consists of points that nine in ten masks agree on, so that a wrong mask lowers only its
-    own value.
+
+@dataclass(frozen=True)
+class MaskAgreement:
+    """Masks and cameras compared."""
+
+    iou: tuple[float | None, ...]
+    """Per view, of its mask and the re-projected hull of all masks; None for views without mask or camera."""
+    gap: float | None
+    """As `silhouette_gap`, of the views that do not stand out; None where nothing agrees, and for few masks."""
+
+
+def mask_agreement(cameras: Sequence[Camera | None], masks: Sequence[NDArray[np.float32] | None]) -> MaskAgreement:
+    """Each mask compared with the hull of the others.
+
+    The hull for the IoU, on a coarse grid, consists of points that nine in ten masks agree on, so that a wrong mask
+    lowers only its own value.
     """
     result: list[float | None] = [None] * len(cameras)
     pairs = {
@@ -29,19 +47,25 @@ def mask_agreement(cameras: Sequence[Camera | None], masks: Sequence[NDArray[np.
         if camera is not None and mask is not None and mask.any()
     }
     if len(pairs) < 3:
-        return result
+        return MaskAgreement(tuple(result), None)
     chosen = np.unique(np.linspace(0, len(pairs) - 1, min(len(pairs), MAX_HULL_VIEWS)).round().astype(int))
     listed = list(pairs.values())
     hull = _consensus_hull([listed[i] for i in chosen])
-    for index, (camera, mask) in pairs.items():
-        if hull is None:
-            result[index] = 0.0
-            continue
-        points, cell = hull
+    if hull is None:
+        return MaskAgreement(tuple(0.0 if i in pairs else None for i in range(len(cameras))), None)
+    points, cell = hull
+    scores = []
+    for camera, mask in listed:
         silhouette = _project_cells(points, cell, camera)
         solid = mask > 0.5
-        result[index] = float((silhouette & solid).sum() / max((silhouette | solid).sum(), 1))
-    return result
+        scores.append(float((silhouette & solid).sum() / max((silhouette | solid).sum(), 1)))
+    for index, score in zip(pairs, scores, strict=True):
+        result[index] = score
+    middle = float(np.median(scores))
+    usual = [listed[i] for i in chosen if scores[i] >= middle - MAX_BELOW_MEDIAN]
+    low, high = points.min(axis=0) - 1.5 * cell, points.max(axis=0) + 1.5 * cell
+    gap = silhouette_gap(usual, low, high) if middle >= MIN_AGREEMENT else None
+    return MaskAgreement(tuple(result), gap)
 
 
 def _consensus_hull(pairs: Sequence[tuple[Camera, NDArray[np.float32]]]) -> tuple[Array, float] | None:

@@ -16,6 +16,7 @@ TRAITS: Mapping[str, Mapping[str, str]] = {
     },
     "initializer": {
         "finds_cameras": "finds cameras for views that have none",
+        "refines_cameras": "moves given cameras that are a little wrong; `hir check` announces it",
         "makes_surface": "returns a scene with a mesh",
         "needs_cameras": "every view must have a camera",
         "needs_masks": "views must have masks",

@@ -11,7 +11,7 @@ import numpy as np
 
 from hir_core.capture import Capture, CoordinateFrames
 from hir_core.config import RunConfig
-from hir_core.errors import CaptureError, ConfigError, StageError
+from hir_core.errors import CaptureError, StageError
 from hir_core.files.file_checksums import file_hash
 from hir_core.intake.mask_sources import Known, apply_mask_sources, mask_source_names
 from hir_core.plugins.interfaces import Initializer, MaskSource
@@ -149,11 +149,6 @@ def resolve_initializers(capture: Capture, config: RunConfig, plugins: PluginMan
     """
     if config.initializers != "auto":
         chain = tuple(config.initializers)
-        if unused := _scale_setters(chain, config, plugins):
-            raise ConfigError(
-                f"initializer.{unused[0]} has no effect: initializers = {list(chain)} does not contain it; name it "
-                "there, before the one that makes the surface, or leave initializers out"
-            )
     else:
         chain = tuple(plugins.suggest_initializers(_with_expected_masks(capture, config, plugins)))
         chain = _with_scale(chain, config, plugins)

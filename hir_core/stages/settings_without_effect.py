@@ -1,16 +1,19 @@
-"""Refuses settings of the geometry and reflectance stages that would have no effect in a run, before the run starts.
+"""Refuses settings that would have no effect in a run, before the run starts.
 
-A setting counts as set by the user where it differs from the preset's.
+A setting counts as set by the user where it differs from the preset's. Options of initializers that an automatic chain
+does not contain are no error: the chain depends on the capture, and settings may be those of several captures.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import json
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
-from hir_core.config import GeometrySettings, ReflectanceSettings, RunConfig, load_config
+from hir_core.config import GeometrySettings, ReflectanceSettings, RunConfig, Tables, load_config
 from hir_core.errors import ConfigError
+from hir_core.intake.mask_sources import mask_source_names
 from hir_core.plugins.manager import PluginManager
 
 
@@ -25,6 +28,7 @@ def settings_without_effect(config: RunConfig, plugins: PluginManager) -> dict[s
     """Settings that differ from the preset's and have no effect, each with the reason and the remedy."""
     preset = _preset(config, plugins)
     found = _geometry_settings_without_effect(config.geometry, preset.geometry)
+    found |= _options_of_unused_components(config, preset, plugins)
     settings = config.reflectance
     if not settings.enabled or not settings.renderer:
         return found
@@ -33,13 +37,22 @@ def settings_without_effect(config: RunConfig, plugins: PluginManager) -> dict[s
     by_solver = offers_solver and settings.method != "gradient"
     changed = set(_changed(asdict(settings), asdict(preset.reflectance)))
     found |= _broken_rules("reflectance", _reflectance_rules(settings, by_solver, "regularizers" in traits), changed)
-    for renderer, options in config.reflectance_renderer.items():
-        known = preset.reflectance_renderer.get(renderer, {})
-        for name in (name for name, value in options.items() if name not in known or known[name] != value):
-            reason = _option_reason(renderer, name, settings, by_solver, plugins)
-            if reason:
-                found[f"reflectance_renderer.{renderer}.{name}"] = reason
+    for renderer, name in _changed_options(config.reflectance_renderer, preset.reflectance_renderer):
+        reason = _option_reason(renderer, name, settings, by_solver, plugins)
+        if reason:
+            found[f"reflectance_renderer.{renderer}.{name}"] = reason
     return found
+
+
+def options_outside_the_chain(config: RunConfig, plugins: PluginManager, chain: Sequence[str]) -> list[str]:
+    """One sentence for each option of an initializer that the chain, chosen for a capture, does not contain."""
+    changed = _changed_options(config.initializer, _preset(config, plugins).initializer)
+    return [
+        f"initializer.{name}.{option} has no effect: the initializers chosen for this capture are {', '.join(chain)}; "
+        f"name {name} in initializers, or remove the setting"
+        for name, option in changed
+        if name not in chain
+    ]
 
 
 @dataclass(frozen=True)
@@ -74,6 +87,40 @@ def _broken_rules(stage: str, rules: list[_Rule], changed: set[str]) -> dict[str
             if rule.applies and name in changed:
                 found.setdefault(f"{stage}.{name}", rule.reason)
     return found
+
+
+def _options_of_unused_components(config: RunConfig, preset: RunConfig, plugins: PluginManager) -> dict[str, str]:
+    """Options of components that the settings exclude. An automatic chain of initializers excludes none."""
+    masks = mask_source_names(config.masks, plugins)
+    used: list[tuple[str, str, Sequence[str]]] = [
+        ("mask_source", f"masks = {_written(config.masks)}", masks),
+        ("exporter", f"export = {_written(config.export)}", config.export),
+    ]
+    if config.initializers != "auto":
+        used.append(("initializer", f"initializers = {_written(config.initializers)}", config.initializers))
+    if config.geometry.enabled:
+        renderer = config.geometry.renderer
+        used.append(("geometry_renderer", f"geometry.renderer = {_written(renderer)}", (renderer,)))
+    return {
+        f"{kind}.{name}.{option}": f"{setting} does not use {name}; name it there, or remove the option"
+        for kind, setting, names in used
+        for name, option in _changed_options(getattr(config, kind), getattr(preset, kind))
+        if name not in names
+    }
+
+
+def _written(value: str | Sequence[str]) -> str:
+    """As in a file of settings."""
+    return json.dumps(value, ensure_ascii=False)
+
+
+def _changed_options(tables: Tables, preset: Tables) -> Iterator[tuple[str, str]]:
+    """Component and option of each option that differs from the preset's."""
+    for name, options in tables.items():
+        known = preset.get(name, {})
+        for option, value in options.items():
+            if option not in known or known[option] != value:
+                yield name, option
 
 
 def _geometry_settings_without_effect(settings: GeometrySettings, preset: GeometrySettings) -> dict[str, str]:

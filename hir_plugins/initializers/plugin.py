@@ -87,7 +87,7 @@ CAMERA_REFINEMENT = Component(
     summary="Refines given cameras that are a little wrong, where masks and cameras disagree.",
     requires=("torch", "jaxtyping", "pycolmap", "cv2", "skimage", "scipy"),
     extra="reconstruct",
-    traits=frozenset({"needs_cameras", "needs_masks"}),
+    traits=frozenset({"needs_cameras", "needs_masks", "refines_cameras"}),
 )
 
 STEREO = Component(

@@ -14,7 +14,7 @@ from hir_core.plugins.interfaces import CaptureReader
 from hir_plugins.readers.parsing.capture_paths import find_photo, unique_names
 from hir_plugins.readers.parsing.colmap_format.colmap_files import read_cameras, read_images, read_points
 from hir_plugins.readers.parsing.lens_camera import make_view
-from hir_plugins.readers.parsing.mask_files import find_mask, warn_of_matches_by_number
+from hir_plugins.readers.parsing.mask_files import find_mask, matches_of, warn_of_mask_names
 from hir_plugins.readers.parsing.upright import upright_rotation
 
 _MODELS: Final = ("sparse/0", "sparse", "colmap/sparse/0", "colmap/sparse", "dense/sparse", "colmap", "model", ".")
@@ -57,7 +57,7 @@ class ColmapModelReader(CaptureReader):
             owner = f"{model}, image {image.name!r}"
             mask = find_mask(photo, path)
             views.append(make_view(name, photo, cameras[image.camera_id], image.world_to_camera, owner, mask))
-        warn_of_matches_by_number(views)
+        warn_of_mask_names(matches_of(views), path)
         capture = Capture(
             path=path, views=tuple(views), points=read_points(model), world_from_source=np.eye(4), reader="colmap_model"
         )

@@ -15,7 +15,7 @@ from hir_core.plugins.interfaces import CaptureReader
 from hir_plugins.readers.parsing.camera_axes import MAX_DISTANCE
 from hir_plugins.readers.parsing.capture_paths import photos_in_first_folder, unique_names
 from hir_plugins.readers.parsing.lens_camera import LensCamera, make_view
-from hir_plugins.readers.parsing.mask_files import find_mask, warn_of_matches_by_number
+from hir_plugins.readers.parsing.mask_files import find_mask, matches_of, warn_of_mask_names
 from hir_plugins.readers.parsing.pose_files import decompose_projection, load_arrays
 from hir_plugins.readers.parsing.upright import upright_rotation
 
@@ -63,7 +63,7 @@ class IdrCamerasReader(CaptureReader):
                 )
             )
             poses.append(pose)
-        warn_of_matches_by_number(views)
+        warn_of_mask_names(matches_of(views), path)
         capture = Capture(path=path, views=tuple(views), world_from_source=np.eye(4), reader="idr_cameras")
         capture = capture.transformed(upright_rotation(poses))
         scale = arrays.get(f"scale_mat_{numbers[0]}")

@@ -14,7 +14,7 @@ from hir_core.plugins.interfaces import CaptureReader
 from hir_plugins.readers.parsing.camera_axes import OPENCV_FROM_OPENGL, rigid_inverse, rigid_transform
 from hir_plugins.readers.parsing.capture_paths import photos_in_first_folder, unique_names
 from hir_plugins.readers.parsing.lens_camera import LensCamera, make_view
-from hir_plugins.readers.parsing.mask_files import find_mask, warn_of_matches_by_number
+from hir_plugins.readers.parsing.mask_files import find_mask, matches_of, warn_of_mask_names
 from hir_plugins.readers.parsing.pose_files import load_arrays
 from hir_plugins.readers.parsing.upright import upright_rotation
 
@@ -58,6 +58,6 @@ class LlffReader(CaptureReader):
             lens = LensCamera(focal, focal, width / 2, height / 2, width, height)
             views.append(make_view(name, photo, lens, pose, owner, find_mask(photo, path)))
             poses.append(pose)
-        warn_of_matches_by_number(views)
+        warn_of_mask_names(matches_of(views), path)
         capture = Capture(path=path, views=tuple(views), world_from_source=np.eye(4), reader="llff")
         return capture.transformed(upright_rotation(poses))

@@ -14,7 +14,7 @@ from hir_core.plugins.interfaces import CaptureReader
 from hir_plugins.readers.parsing.camera_axes import rigid_transform
 from hir_plugins.readers.parsing.capture_paths import find_photo, unique_names
 from hir_plugins.readers.parsing.lens_camera import LensCamera, make_view
-from hir_plugins.readers.parsing.mask_files import find_mask
+from hir_plugins.readers.parsing.mask_files import find_mask, matches_of, warn_of_mask_names
 from hir_plugins.readers.parsing.text_files import read_text
 from hir_plugins.readers.parsing.upright import upright_rotation
 
@@ -55,5 +55,6 @@ class MiddleburyReader(CaptureReader):
             lens = LensCamera(k[0, 0], k[1, 1], k[0, 2], k[1, 2])
             views.append(make_view(name, photo, lens, pose, owner, find_mask(photo, path)))
             poses.append(pose)
+        warn_of_mask_names(matches_of(views), path)
         capture = Capture(path=path, views=tuple(views), world_from_source=np.eye(4), reader="middlebury")
         return capture.transformed(upright_rotation(poses))

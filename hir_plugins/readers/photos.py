@@ -12,7 +12,7 @@ from hir_core.errors import CaptureError
 from hir_core.plugins import NoOptions
 from hir_core.plugins.interfaces import CaptureReader
 from hir_plugins.readers.parsing.capture_paths import PHOTO_SUFFIXES, contained_path, unique_names
-from hir_plugins.readers.parsing.mask_files import find_mask, unmatched_masks, warn_of_matches_by_number
+from hir_plugins.readers.parsing.mask_files import find_mask, found_masks, matches_of, warn_of_mask_names
 from hir_plugins.readers.parsing.photo_file import PhotoFile
 from hir_plugins.readers.parsing.picture_decoding import photo_size
 
@@ -78,7 +78,7 @@ class PhotosReader(CaptureReader):
         _warn_of_unread_cameras(path)
         names = unique_names(photos, path)
         masks = [find_mask(photo, path) for photo in photos]
-        if unmatched := unmatched_masks(photos, path):
+        if all(masks) and (unmatched := found_masks(photos, path).of_none):
             warnings.warn(
                 f"{len(unmatched)} masks belong to no photograph, such as {unmatched[0]}; name masks like their "
                 "photographs",
@@ -88,7 +88,7 @@ class PhotosReader(CaptureReader):
             View(name, None, PhotoFile(photo, mask, orient=True), path=photo, mask_path=mask)
             for photo, mask, name in zip(photos, masks, names, strict=True)
         )
-        warn_of_matches_by_number(views)
+        warn_of_mask_names(matches_of(views), path)
         return Capture(path=path, views=views, reader="photos")
 
 

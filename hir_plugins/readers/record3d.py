@@ -24,7 +24,7 @@ from hir_core.plugins import NoOptions
 from hir_core.plugins.interfaces import CaptureReader
 from hir_plugins.readers.parsing.capture_paths import contained_path
 from hir_plugins.readers.parsing.lens_camera import pinhole_camera
-from hir_plugins.readers.parsing.mask_files import find_mask
+from hir_plugins.readers.parsing.mask_files import find_mask, warn_of_mask_names
 from hir_plugins.readers.parsing.record3d_format.metadata import RecordingMetadata, parse_metadata
 from hir_plugins.readers.parsing.record3d_format.recorded_frames import RecordedPhoto, recorded_depth
 from hir_plugins.readers.parsing.record3d_format.recording_files import RecordingFile, files_of_archive
@@ -74,6 +74,11 @@ class Record3DReader(CaptureReader):
         if len(frames) < len(metadata.poses):
             warnings.warn(f"{len(metadata.poses) - len(frames)} frames of {path.name} have no photograph", stacklevel=2)
         views = _views(recording, metadata, _sharpest(recording, frames))
+        if recording.folder is not None:
+            photos = [recording.folder / "rgbd" / f"{n}.jpg" for n in frames]
+            masks = {int(view.name): view.mask_path for view in views}
+            pairs = [(p, masks[n]) for n, p in zip(frames, photos, strict=True) if n in masks]
+            warn_of_mask_names(pairs, recording.folder, photos)
         return Capture(path, views, reader="record3d", metres_from="ARKit")
 
 

@@ -21,7 +21,7 @@ from hir_plugins.readers.parsing.capture_paths import contained_path, find_photo
 from hir_plugins.readers.parsing.depth_file import MILLIMETRE, depth_map
 from hir_plugins.readers.parsing.json_fields import number_field, read_json
 from hir_plugins.readers.parsing.lens_camera import LensCamera, make_view
-from hir_plugins.readers.parsing.mask_files import find_mask
+from hir_plugins.readers.parsing.mask_files import find_mask, matches_of, warn_of_mask_names
 from hir_plugins.readers.parsing.picture_decoding import photo_size
 
 _RADIAL: Final = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
@@ -76,6 +76,9 @@ class TransformsJsonReader(CaptureReader):
             _view(content, frame, source, index, photo, name)
             for (index, frame), photo, name in zip(frames, photos, unique_names(photos, folder), strict=True)
         )
+        # by their names alone: photographs of another split have masks, too
+        others = (photo for each in files if each != split for photo in folder.glob(f"{each}/*"))
+        warn_of_mask_names(matches_of(views), folder, others)
         return Capture(
             path=path,
             views=views,

@@ -158,7 +158,6 @@ def test_the_seed_of_a_run_reaches_every_component_that_draws(
             tiny_capture,
             tmp_path / folder,
             "reflectance.model=specular",
-            'initializers=["visual_hull"]',
             seed=seed,
             deterministic=True,
             until="reflectance",

@@ -46,8 +46,8 @@ def test_the_hull_is_made_of_a_bounded_number_of_masks(monkeypatch: pytest.Monke
     from tests.fixtures.silhouette_captures import dome
 
     camera, mask = dome(1, 4.0, np.zeros(3), 50.0, 32)[0], np.ones((4, 4), np.float32)
-    assert mask_agreement([camera] * FRAMES, [mask] * FRAMES) == [0.0] * FRAMES
-    assert mask_agreement([camera] * 5, [mask] * 5) == [0.0] * 5
+    assert mask_agreement([camera] * FRAMES, [mask] * FRAMES).iou == (0.0,) * FRAMES
+    assert mask_agreement([camera] * 5, [mask] * 5).iou == (0.0,) * 5
     assert given == [MAX_HULL_VIEWS, 5]
 
 

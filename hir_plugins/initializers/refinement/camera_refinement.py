@@ -81,14 +81,14 @@ class CameraRefinement(Initializer):
             return capture, scene
         try:
             before = silhouette_agreement(masked.fields)
-            self._report = {"cameras": "kept: masks and cameras agree", "agreement": _scores(before)}
-            if self._config.when == "auto" and float(np.median(before.gap)) <= self._config.max_gap:
-                return capture, scene
-            return self._refined(capture, masked, before, workspace), scene
-        except CaptureError:
+        except CaptureError as error:
             # an empty hull: cameras and masks are not "a little wrong"; the next initializer says so
-            self._report = {"cameras": "kept: no point lies inside all masks"}
+            self._report = {"cameras": f"kept: {error}"}
             return capture, scene
+        self._report = {"cameras": "kept: masks and cameras agree", "agreement": _scores(before)}
+        if self._config.when == "auto" and float(np.median(before.gap)) <= self._config.max_gap:
+            return capture, scene
+        return self._refined(capture, masked, before, workspace), scene
 
     def report(self) -> Mapping[str, object]:
         """Whether cameras were refined, how far they moved, and the agreement before and after."""
@@ -98,10 +98,8 @@ class CameraRefinement(Initializer):
         given, focus = capture.cameras, focus_and_radius(masked.fields)[0]
         start, candidates = given, []
         if self._config.method != "bundle_adjustment":
-            held_out = held_out_agreement(masked.fields, self._config.rounds)
-            self._report["held_out_views"] = _held_out_scores(held_out)
-            if held_out.better:
-                poses = refine_poses(masked.fields, self._config.rounds)
+            poses = self._poses_of_outlines(masked)
+            if poses is not None:
                 start = aligned_cameras(masked_poses(given, masked.indices, poses), given, focus)
                 candidates.append(("outlines", start))
         if self._config.method != "silhouettes":
@@ -111,8 +109,8 @@ class CameraRefinement(Initializer):
                 candidates.append(("bundle adjustment", list(bundle.cameras)))
         # features that fit better than with the cameras of the outlines are the more accurate measurement
         for how, cameras in reversed(candidates):
-            after = silhouette_agreement(masked.with_cameras(cameras))
-            if self._explains(before, after):
+            after = _agreement_of_candidate(masked.with_cameras(cameras))
+            if after is not None and self._explains(before, after):
                 self._describe(capture, cameras, how, focus, before, after)
                 views = [replace(view, camera=camera) for view, camera in zip(capture.views, cameras, strict=True)]
                 return replace(capture, views=tuple(views))
@@ -125,6 +123,17 @@ class CameraRefinement(Initializer):
             stacklevel=3,
         )
         return capture
+
+    def _poses_of_outlines(self, masked: _MaskedViews) -> list[SilhouetteField] | None:
+        """The views with poses from their outlines; None where held-out views do not agree better, or a hull on the
+        way is empty."""
+        try:
+            held_out = held_out_agreement(masked.fields, self._config.rounds)
+            self._report["held_out_views"] = _held_out_scores(held_out)
+            return refine_poses(masked.fields, self._config.rounds) if held_out.better else None
+        except CaptureError as error:
+            self._report["outlines"] = f"not used: {error}"
+            return None
 
     def _explains(self, before: SilhouetteAgreement, after: SilhouetteAgreement) -> bool:
         """Whether the masks agree better, and most of their disagreement is gone: else it is not the cameras'."""
@@ -183,6 +192,14 @@ def _masked_views(capture: Capture) -> _MaskedViews:
 def _reduced(camera: Camera, like: Camera) -> Camera:
     """A photograph's camera at the resolution of `like`."""
     return camera.downsampled(max(1, max(camera.width, camera.height) // max(like.width, like.height)))
+
+
+def _agreement_of_candidate(fields: Sequence[SilhouetteField]) -> SilhouetteAgreement | None:
+    """The agreement with refined cameras; None where no point is in all masks any more."""
+    try:
+        return silhouette_agreement(fields)
+    except CaptureError:
+        return None
 
 
 def _scores(agreement: SilhouetteAgreement) -> dict[str, float]:

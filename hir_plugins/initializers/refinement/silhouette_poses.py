@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.stats import median_abs_deviation
 
 from hir_core.capture import Array, Camera
 from hir_plugins.initializers.refinement.cross_hulls import fold_of_views, hull_box, hulls_of_others
@@ -25,8 +26,6 @@ _INDEPENDENT_POINTS = 60.0
 """Errors of neighbouring points of an outline are equal: a whole outline is worth about so many independent ones."""
 _HUBER = 2.0
 """Beyond so many standard deviations a point's weight falls: parts of the object that the hull lacks."""
-_NORMAL_MAD = 1.4826
-"""Standard deviation of a normal distribution over its median absolute deviation."""
 _PRIOR = 0.005
 """Scale of the error of a given camera along each axis, in radians and in distances from the object. It decides along
 the motions that no silhouette shows, such as the turn of a vase."""
@@ -65,7 +64,7 @@ def moved_to_outlines(
     together = np.concatenate(distances)
     bias = float(np.median(together)) if len(together) else 0.0
     # the hull of wrong cameras is wrong, too: what it says counts less until it agrees with the masks
-    deviation = _NORMAL_MAD * float(np.median(np.abs(together - bias))) if len(together) else 0.0
+    deviation = float(median_abs_deviation(together, scale="normal")) if len(together) else 0.0
     noise = max(_NOISE_PIXELS, deviation)
     return [
         replace(field, camera=_fitted_pose(field, camera, each, bias, noise, focus))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
@@ -53,25 +54,49 @@ class MaskIndex:
 
 def find_mask(photo: Path, capture: Path) -> Path | None:
     """The mask of `photo` in one of `FOLDERS`, in the capture's folder or beside the folder of the photograph."""
+    for folder in _mask_folders(photo, capture):
+        mask = _indexed(folder).match(photo)
+        if mask is not None and mask.resolve().is_relative_to(capture.resolve()):
+            return mask
+    return None
+
+
+def _mask_folders(photo: Path, capture: Path) -> Iterator[Path]:
+    """Where the mask of a photograph may lie, in the order of preference; they need not exist."""
     for parent in dict.fromkeys((capture, photo.parent.parent, photo.parent)):
         if not parent.resolve().is_relative_to(capture.resolve()):
             continue
         # Stanford-ORB: train_mask beside train
         for name in (*FOLDERS, f"{photo.parent.name}_mask", f"{photo.parent.name}_masks"):
             # photographs in subfolders (train/a.png) have masks in subfolders of the same name
-            inner = _indexed(parent / name / photo.parent.name)
-            mask = inner.match(photo) or _indexed(parent / name).match(photo)
-            if mask is not None and mask.resolve().is_relative_to(capture.resolve()):
-                return mask
-    return None
+            yield parent / name / photo.parent.name
+            yield parent / name
 
 
-def unmatched_masks(photos: Iterable[Path], capture: Path) -> list[Path]:
-    """Files in the capture's folders of masks that belong to none of its photographs."""
-    photos = list(photos)
-    matched = {find_mask(photo, capture) for photo in photos}
-    listed = [file for name in FOLDERS for file in _listed(capture / name) if file.suffix.lower() in PHOTO_SUFFIXES]
-    return [file for file in dict.fromkeys(listed) if file not in matched and file not in photos]
+@dataclass(frozen=True)
+class FoundMasks:
+    """The mask files of a capture, divided by whether a photograph has their name."""
+
+    of_photographs: tuple[Path, ...]
+    of_none: tuple[Path, ...]
+
+
+def found_masks(photos: Sequence[Path], capture: Path, others: Iterable[Path] = ()) -> FoundMasks:
+    """The files in all folders in which masks of these photographs are looked for.
+
+    Masks of `others` belong to a photograph, too, and those of other files in the folders of the photographs: a camera
+    file may list some only. `others` is read where there are masks.
+    """
+    folders = {photo.parent: photo for photo in photos}
+    listed = [file for photo in folders.values() for each in _mask_folders(photo, capture) for file in _listed(each)]
+    masks = [file for file in dict.fromkeys(listed) if file.suffix.lower() in PHOTO_SUFFIXES]
+    if not masks:
+        return FoundMasks((), ())
+    beside = [file for folder in folders for file in _listed(folder) if file.suffix.lower() in PHOTO_SUFFIXES]
+    known = dict.fromkeys((*photos, *beside, *others))
+    matched = {find_mask(photo, capture) for photo in known}
+    rest = [file for file in masks if file not in known]
+    return FoundMasks(tuple(f for f in rest if f in matched), tuple(f for f in rest if f not in matched))
 
 
 @lru_cache(maxsize=64)
@@ -99,17 +124,38 @@ def _indexed(folder: Path) -> MaskIndex:
         return MaskIndex(())
 
 
-def warn_of_matches_by_number(views: Iterable[View]) -> None:
-    """Says once which masks were matched by number only, such as `000.png` for `000000.png` in folders of DTU."""
-    pairs = [(view.path, view.mask_path) for view in views if view.path is not None and view.mask_path is not None]
-    matched = [(p, m) for p, m in pairs if _name_without_affixes(p.stem) != _name_without_affixes(m.stem)]
-    if matched:
-        photo, mask = matched[0]
+def warn_of_mask_names(matches: Iterable[tuple[Path, Path | None]], capture: Path, others: Iterable[Path] = ()) -> None:
+    """Says once where photographs lack a mask and masks lack a photograph, or else which masks match by number only.
+
+    `matches` are the photographs of the capture, each with its mask; `others` are photographs that it leaves out and
+    that lie elsewhere, such as those of another split, read where masks are missing.
+    """
+    matches = list(matches)
+    missing = [photo for photo, mask in matches if mask is None]
+    found = found_masks([photo for photo, _ in matches], capture, others) if missing else FoundMasks((), ())
+    pairs = [(photo, mask) for photo, mask in matches if mask is not None]
+    by_number = [(p, m) for p, m in pairs if _name_without_affixes(p.stem) != _name_without_affixes(m.stem)]
+    if found.of_none:
+        masks = len(found.of_none) + len(found.of_photographs)
+        example = f" (by number, such as {by_number[0][1].name} to {by_number[0][0].name})" if by_number else ""
         warnings.warn(
-            f"{len(matched)} masks are matched by number, such as {mask.name} with {photo.name}; if that is wrong, "
+            f"{len(found.of_photographs)} of {masks} masks belong to a photograph{example}, and {len(missing)} of "
+            f"{len(matches)} photographs have no mask: {found.of_none[0]} belongs to none; rename the masks so that "
+            f"their names or numbers are those of the photographs, such as {missing[0].stem}.png",
+            stacklevel=3,
+        )
+    elif by_number:
+        photo, mask = by_number[0]
+        warnings.warn(
+            f"{len(by_number)} masks are matched by number, such as {mask.name} with {photo.name}; if that is wrong, "
             "name masks like their photographs",
             stacklevel=3,
         )
+
+
+def matches_of(views: Iterable[View]) -> list[tuple[Path, Path | None]]:
+    """Photograph and mask file of each view, as far as they are files."""
+    return [(view.path, view.mask_path) for view in views if view.path is not None]
 
 
 def _is_number(stem: str) -> bool:

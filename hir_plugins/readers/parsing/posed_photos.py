@@ -19,7 +19,7 @@ from hir_core.plugins.interfaces import CaptureReader
 from hir_plugins.readers.parsing.capture_paths import PHOTO_SUFFIXES, contained_path, unique_names
 from hir_plugins.readers.parsing.lens_camera import LensCamera, make_view
 from hir_plugins.readers.parsing.mask_files import FOLDERS as MASK_FOLDERS
-from hir_plugins.readers.parsing.mask_files import find_mask, warn_of_matches_by_number
+from hir_plugins.readers.parsing.mask_files import find_mask, matches_of, warn_of_mask_names
 from hir_plugins.readers.parsing.upright import upright_rotation
 
 Source = TypeVar("Source")
@@ -134,7 +134,7 @@ class PosedPhotosReader(CaptureReader, Generic[Source]):
             )
             for camera, photo, name in zip(cameras, photos, unique_names(photos, path), strict=True)
         ]
-        warn_of_matches_by_number(views)
+        warn_of_mask_names(matches_of(views), path)
         capture = Capture(path, tuple(views), reader=self.name, metres_from=self.metres_source(source))
         upright = np.eye(4) if self.is_upright else upright_rotation([c.world_to_camera for c in cameras])
         return capture.transformed(upright)

@@ -9,8 +9,9 @@ import pytest
 
 from hir_core.config import GradientSettings, PathTracingSettings, load_config
 from hir_core.errors import ConfigError
-from hir_core.pipeline import reconstruct
+from hir_core.pipeline import prepare, reconstruct
 from hir_core.plugins.manager import PluginManager
+from hir_core.run.run_directory import RunDirectory
 from hir_core.stages.settings_without_effect import (
     check_settings_take_effect,
     settings_of_disabled_stages,
@@ -28,6 +29,7 @@ VIEWS = "reflectance.gradient.batch=views"
 DIFFUSE = "reflectance.model=diffuse"
 NO_STEPS = "reflectance.gradient.iterations=0"
 NO_REFINEMENT = "reflectance.path_tracing.refine_albedo=false"
+HULL = 'initializers=["visual_hull"]'
 T = "reflectance_renderer.transport_ggx."
 
 WITHOUT_EFFECT = [
@@ -65,6 +67,13 @@ WITHOUT_EFFECT = [
     (f"{T}light_smoothness=1", [KNOWN], "known_environment"),
     (f"{T}initial_albedo=photographs", [KNOWN], "known_environment"),
     ("reflectance_renderer.mitsuba_ggx.samples=7", [NO_REFINEMENT], "reflectance.renderer"),
+    ("initializer.camera_refinement.when=never", [HULL], 'initializers = ["visual_hull"] does not use'),
+    ("initializer.fiducial_markers.side=0.02", [HULL], "name it there, or remove"),
+    ("initializer.stereo.levels=1", [HULL, "reflectance.enabled=false"], "name it there, or remove"),
+    ("mask_source.rembg.weights=a.onnx", [], 'masks = "auto" does not use rembg'),
+    ("mask_source.folder.path=m", ['masks=["alpha"]'], 'masks = ["alpha"] does not use folder'),
+    ("geometry_renderer.soft_silhouette.tile=8", [], 'geometry.renderer = "contour" does not use'),
+    ("exporter.glb.profile=blender", ['export=["hdr"]'], 'export = ["hdr"] does not use glb'),
 ]
 
 WITH_EFFECT = [
@@ -98,6 +107,12 @@ WITH_EFFECT = [
     (f"{T}light_smoothness=1", []),
     ("reflectance_renderer.mitsuba_ggx.samples=7", []),
     ("reflectance_renderer.mitsuba_ggx.samples=7", [MITSUBA]),
+    ("initializer.visual_hull.max_resolution=40", [HULL]),
+    ("initializer.stereo.levels=1", []),
+    ("mask_source.folder.path=m", []),
+    ("mask_source.rembg.weights=a.onnx", ['masks=["rembg"]']),
+    ("geometry_renderer.contour.lines_per_pixel=2", []),
+    ("exporter.glb.profile=blender", []),
 ]
 
 
@@ -154,6 +169,21 @@ def test_every_setting_of_the_nested_tables_has_a_case() -> None:
     names = {f"reflectance.{table}.{name}" for table, kind in tables.items() for name in get_type_hints(kind)}
     assert names <= {setting.partition("=")[0] for setting, *_ in WITHOUT_EFFECT}
     assert names <= {setting.partition("=")[0] for setting, *_ in WITH_EFFECT}
+
+
+def test_options_outside_an_automatic_chain_are_named(tiny_capture: Path, tmp_path: Path) -> None:
+    """The chain depends on the capture, so that they are no error: ten small photographs get no stereo."""
+
+    def said(*assignments: str) -> list[str]:
+        sentences: list[str] = []
+        config = load_config(PLUGINS, "fast", assignments=assignments)
+        prepare(tiny_capture, config, PLUGINS, RunDirectory(tmp_path), "cpu", sentences.append)
+        return sentences
+
+    [sentence] = said("initializer.stereo.levels=1", "initializer.visual_hull.max_resolution=40")
+    assert sentence.startswith("warning: initializer.stereo.levels has no effect: ")
+    assert "camera_refinement, visual_hull" in sentence and "name stereo in initializers" in sentence
+    assert said() == said("initializer.camera_refinement.when=never") == []
 
 
 def test_a_run_ends_before_its_folder_is_made(tmp_path: Path) -> None:

@@ -11,9 +11,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hir_core.capture import Array, Camera, Capture
+from hir_core.capture import Array, Camera, Capture, Pixels
+from hir_core.errors import CaptureError
+from hir_plugins.initializers.hull.object_box import empty_hull_error
 from hir_plugins.initializers.options import CameraRefinementOptions, ColmapOptions
 from hir_plugins.initializers.plugin import hir_suggest_initializers
+from hir_plugins.initializers.refinement import camera_refinement
+from hir_plugins.initializers.refinement.adjusted_cameras import AdjustedBundle
 from hir_plugins.initializers.refinement.camera_alignment import aligned_cameras, camera_motion
 from hir_plugins.initializers.refinement.camera_refinement import CameraRefinement
 from hir_plugins.initializers.refinement.outline_points import sample_with_slope
@@ -135,6 +139,62 @@ def test_wrong_masks_are_not_explained_by_cameras(true_capture: Capture, tmp_pat
     assert result is broken
     assert initializer.report()["cameras"] == "kept: refined ones are not better"
     assert len(said) == 1 and "hir check" in said[0] and "known_cameras=solve" in said[0]
+
+
+class BrokenLater:
+    """Reads a photograph a few times, then raises: a file that was removed while the run reads it."""
+
+    def __init__(self, read: Callable[[], Pixels], times: int) -> None:
+        self.read, self.left = read, times
+
+    def __call__(self) -> Pixels:
+        self.left -= 1
+        if self.left < 0:
+            raise CaptureError("photo.png cannot be decoded; replace the file")
+        return self.read()
+
+
+def test_a_photograph_that_cannot_be_decoded_is_an_error(true_capture: Capture, tmp_path: Path) -> None:
+    """It is not reported as cameras that were kept."""
+    wrong = slightly_wrong(true_capture)
+    first, *others = wrong.views
+    broken = replace(wrong, views=(replace(first, read=BrokenLater(first.read, 2)), *others))
+    with pytest.raises(CaptureError, match=r"photo\.png cannot be decoded"):
+        refined(broken, tmp_path, method="bundle_adjustment")
+
+
+def test_masks_without_a_common_point_keep_the_cameras(true_capture: Capture, tmp_path: Path) -> None:
+    """The next initializer says so; the report gives the reason."""
+    rng = np.random.default_rng(4)
+    astray = with_cameras(true_capture, [moved(c, rng, 0.5) for c in true_capture.cameras])
+    result, initializer, said = refined(astray, tmp_path)
+    assert result is astray and not said
+    assert str(initializer.report()["cameras"]).startswith("kept: no point lies inside all masks")
+
+
+def test_a_candidate_with_an_empty_hull_is_not_better(
+    true_capture: Capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wrong, rng = slightly_wrong(true_capture), np.random.default_rng(4)
+    astray = tuple(moved(c, rng, 0.5) for c in true_capture.cameras)
+    bundle = AdjustedBundle(astray, len(astray), 500, 100, 1.0, 0.1, 1.0)
+    monkeypatch.setattr(camera_refinement, "adjusted_bundle", lambda *arguments: bundle)
+    result, initializer, said = refined(wrong, tmp_path, method="bundle_adjustment")
+    assert bundle.better and result is wrong and initializer.report()["cameras"] == "kept: refined ones are not better"
+    assert len(said) == 1 and "the given ones are kept" in said[0]
+
+
+def test_a_hull_that_becomes_empty_ends_the_outlines(
+    true_capture: Capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def empty(*arguments: object) -> None:
+        raise empty_hull_error()
+
+    monkeypatch.setattr(camera_refinement, "held_out_agreement", empty)
+    wrong = slightly_wrong(true_capture)
+    result, initializer, said = refined(wrong, tmp_path, method="silhouettes")
+    assert result is wrong and initializer.report()["cameras"] == "kept: refined ones are not better"
+    assert "no point lies inside all masks" in str(initializer.report()["outlines"]) and len(said) == 1
 
 
 def test_few_photographs_keep_their_cameras(true_capture: Capture, tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from hir_core.config import load_config
 from hir_core.errors import CaptureError, ConfigError
 from hir_core.plugins.manager import PluginManager
 from hir_core.stages.initialization import resolve_initializers
+from hir_core.stages.settings_without_effect import check_settings_take_effect
 from hir_core.testing.captures import StoredPixels
 from hir_plugins.initializers.markers.fiducial_markers import FiducialMarkers
 from hir_plugins.initializers.markers.marker_detection import find_dictionary
@@ -179,5 +180,5 @@ def test_an_automatic_chain_contains_them_where_their_side_is_given(on_sheet: Ca
     ignored = load_config(
         plugins, assignments=["initializer.fiducial_markers.side=0.02", 'initializers=["visual_hull"]']
     )
-    with pytest.raises(ConfigError, match="fiducial_markers has no effect"):
-        resolve_initializers(on_sheet, ignored, plugins)
+    with pytest.raises(ConfigError, match=r"fiducial_markers\.side has no effect"):
+        check_settings_take_effect(ignored, plugins)

@@ -159,6 +159,21 @@ def test_masks_lie_beside_the_recording(tmp_path: Path) -> None:
     assert read(tmp_path / "a.r3d").views[1].pixels().mask is None
 
 
+def test_masks_of_frames_that_are_not_taken_belong_to_them(
+    tmp_path: Path, recwarn: pytest.WarningsRecorder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reader_module, "FRAMES", 2)
+    archive(tmp_path / "a.r3d", recording(6))
+    (tmp_path / "masks").mkdir()
+    for name in ("1", "2", "4", "5"):
+        Image.fromarray(np.zeros((HEIGHT, WIDTH), np.uint8)).save(tmp_path / "masks" / f"{name}.png")
+    assert [view.name for view in read(tmp_path).views] == ["00000", "00003"] and not recwarn
+    (tmp_path / "masks" / "1.png").rename(tmp_path / "masks" / "x.png")
+    read(tmp_path)
+    [warning] = recwarn
+    assert "3 of 4 masks belong to a photograph" in str(warning.message) and "x.png" in str(warning.message)
+
+
 def test_the_sharpest_frames_are_taken(tmp_path: Path) -> None:
     files = recording(400)
     for i in range(2, 400, 5):
