@@ -88,6 +88,17 @@ class GeometrySettings:
 
 
 @dataclass(frozen=True)
+class DepthMapSettings:
+    """How depths that a sensor measured are read; both the first mesh and the geometry stage use them."""
+
+    min_confidence: Annotated[float, Interval(ge=0, le=1)] = 0.25
+    """Depths of a lower confidence are ignored; the low level of ARKit is 0, its medium level 0.5."""
+    scale: Literal["auto", "as_measured"] = "auto"
+    """`auto` multiplies all depths by the factor that masks and cameras determine, where they do; `as_measured` does
+    not."""
+
+
+@dataclass(frozen=True)
 class AtlasSettings:
     """How the mesh is unwrapped."""
 
@@ -214,6 +225,7 @@ class RunConfig:
     """Options of each reflectance renderer."""
     exporter: Tables = field(default_factory=dict)
     """Options of each export format."""
+    depth_maps: DepthMapSettings = field(default_factory=DepthMapSettings)
     geometry: GeometrySettings = field(default_factory=GeometrySettings)
     atlas: AtlasSettings = field(default_factory=AtlasSettings)
     reflectance: ReflectanceSettings = field(default_factory=ReflectanceSettings)

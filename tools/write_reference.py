@@ -42,8 +42,8 @@ def options_page(plugins: PluginManager) -> str:
     parts = [f"# Settings and options\n\n{WRITTEN} `hir config schema` prints the same as JSON, with your plugins.\n"]
     parts.append("## Settings of a run\n")
     schema = options_schema(RunConfig)
-    parts.append(_table(schema, skip=("geometry", "atlas", "reflectance")))
-    for stage in ("geometry", "atlas", "reflectance"):
+    parts.append(_table(schema, skip=("depth_maps", "geometry", "atlas", "reflectance")))
+    for stage in ("depth_maps", "geometry", "atlas", "reflectance"):
         reference = schema["properties"][stage]
         parts += _settings_tables(stage, _resolved(reference, schema))
     for kind, name in KIND_NAMES.items():

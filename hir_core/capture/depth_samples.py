@@ -11,9 +11,6 @@ from numpy.typing import NDArray
 from hir_core.capture.camera import Camera
 from hir_core.capture.measured_depth import DepthPixels
 
-MIN_CONFIDENCE: Final = 0.25
-"""Depths of a lower confidence are ignored; the low level of ARKit is 0, its medium level 0.5."""
-
 _MAX_TANGENT: Final = 6.0
 """A depth whose neighbours are further away than on a surface of this slope lies at an edge: sensors mix both sides."""
 
@@ -21,13 +18,13 @@ _EDGE_NOISE: Final = 4.0
 """Standard deviations of noise that a difference between neighbours must exceed to be an edge."""
 
 
-def usable_depths(camera: Camera, pixels: DepthPixels, noise: float, min_confidence: float) -> NDArray[np.bool_]:
-    """Where (H, W) a depth is known, of that confidence, and not at an edge; `camera` is that of the depth map."""
-    usable = _confident(pixels, min_confidence)
+def usable_depths(camera: Camera, pixels: DepthPixels, noise: float) -> NDArray[np.bool_]:
+    """Where (H, W) a depth is known and not at an edge; `camera` is that of the depth map."""
+    usable = _known(pixels)
     return usable & ~_at_edge(camera, pixels.depth, usable, noise)
 
 
-def depth_noise(pixels: DepthPixels, min_confidence: float) -> float:
+def depth_noise(pixels: DepthPixels) -> float:
     """Standard deviation of independent errors of depths, from their second differences; 0 without three in a row.
 
     Second differences of a smooth surface are small against those of noise, whose variance they have six times. Errors
@@ -36,7 +33,7 @@ def depth_noise(pixels: DepthPixels, min_confidence: float) -> float:
     from scipy.stats import median_abs_deviation
 
     depth = pixels.depth.astype(np.float64)
-    usable = _confident(pixels, min_confidence)
+    usable = _known(pixels)
     bends = []
     for axis in (0, 1):
         d, known = np.moveaxis(depth, axis, 0), np.moveaxis(usable, axis, 0)
@@ -46,8 +43,8 @@ def depth_noise(pixels: DepthPixels, min_confidence: float) -> float:
     return float(median_abs_deviation(values, scale="normal")) / math.sqrt(6) if len(values) else 0.0
 
 
-def _confident(pixels: DepthPixels, min_confidence: float) -> NDArray[np.bool_]:
-    return (pixels.depth > 0) & (pixels.confidence >= min_confidence) & (pixels.confidence > 0)
+def _known(pixels: DepthPixels) -> NDArray[np.bool_]:
+    return (pixels.depth > 0) & (pixels.confidence > 0)
 
 
 def _at_edge(camera: Camera, depth: NDArray[np.float32], usable: NDArray[np.bool_], noise: float) -> NDArray[np.bool_]:

@@ -39,6 +39,8 @@ class MeasuredDepth:
     """The photograph's lens where its view has undistorted pixels already."""
     paths: tuple[Path, ...] = ()
     """The files; a run is computed again when their bytes change."""
+    min_confidence: float = 0.25
+    """Depths of a lower confidence are unknown; a run sets `depth_maps.min_confidence`."""
 
     def scaled(self, factor: float) -> MeasuredDepth:
         """The same depth in a world in which lengths are `factor` times as large."""
@@ -47,8 +49,8 @@ class MeasuredDepth:
     def undistorted(self, camera: Camera, distortion: tuple[float, ...], name: str) -> tuple[Camera, DepthPixels]:
         """The pinhole camera of the depth map, and depths in world units, without the lens distortion of the view.
 
-        Depths are not interpolated: each is that of the nearest pixel as taken. A map whose aspect ratio is not that of
-        the photograph raises `CaptureError`.
+        Depths are not interpolated: each is that of the nearest pixel as taken. Those below `min_confidence` are
+        unknown. A map whose aspect ratio is not that of the photograph raises `CaptureError`.
         """
         pixels = self.read()
         height, width = pixels.depth.shape
@@ -62,7 +64,9 @@ class MeasuredDepth:
         lens = self.lens if self.lens is not None or not any(distortion) else camera_lens(camera, distortion)
         if lens is not None:
             pixels = _resampled(pixels, lens, across, down)
-        return small, replace(pixels, depth=(pixels.depth * np.float32(self.world_per_unit)).astype(np.float32))
+        known = pixels.confidence >= self.min_confidence
+        depth = np.where(known, pixels.depth * np.float32(self.world_per_unit), 0).astype(np.float32)
+        return small, DepthPixels(depth, np.where(known, pixels.confidence, 0).astype(np.float32))
 
 
 def _resampled(pixels: DepthPixels, lens: Lens, across: float, down: float) -> DepthPixels:

@@ -75,13 +75,15 @@ def _page(directory: RunDirectory, plugins: PluginManager) -> str:
 
 
 def lead(document: Mapping[str, Any]) -> str:
-    """Photographs, triangles, what gave the metres, preset, seed."""
+    """Photographs, triangles, what gave the metres and corrected measured depths, preset, seed."""
     triangles = report_of(document, "bake").get("triangles")
     result = f"a mesh of {triangles:,} triangles with textures and light" if triangles else "an unfinished asset"
     count, preset = document["capture"]["views"], document["settings"]["preset"]
-    scale = report_of(document, "initializer").get("scale_from")
+    initial = report_of(document, "initializer")
+    scale, depths = initial.get("scale_from"), (initial.get("depth_scale") or {}).get("sentence")
     metres = f" Metres from {scale}." if scale else ""
-    return f"From {count} photographs: {result}.{metres} Preset {preset}, seed {document['seed']}."
+    corrected = f" {depths[0].upper()}{depths[1:]}." if depths else ""
+    return f"From {count} photographs: {result}.{metres}{corrected} Preset {preset}, seed {document['seed']}."
 
 
 def map_error_sentence(report: Mapping[str, Any]) -> str:

@@ -87,6 +87,7 @@ def save_capture(capture: Capture, folder: Path) -> None:
             "exposure": v.exposure,
             "white_balance": list(v.white_balance),
             "depth_world_per_unit": None if v.depth is None else v.depth.world_per_unit,
+            "depth_min_confidence": None if v.depth is None else v.depth.min_confidence,
         }
         for v in capture.views
     ]
@@ -143,7 +144,10 @@ def _restored(known: Mapping[str, View], entry: Mapping[str, Any], mask: NDArray
     red, green, blue = (float(factor) for factor in entry.get("white_balance", (1, 1, 1)))  # older runs have none
     view, scale = known[entry["name"]], entry.get("depth_world_per_unit")
     # without a scale an initializer gave up the depth: its cameras are others
-    depth = None if view.depth is None or scale is None else replace(view.depth, world_per_unit=float(scale))
+    depth = None if scale is None else view.depth
+    if depth is not None and scale is not None:
+        least = entry.get("depth_min_confidence", depth.min_confidence)  # older runs have none
+        depth = replace(depth, world_per_unit=float(scale), min_confidence=float(least))
     return replace(
         view,
         depth=depth,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from hir_core.capture import Capture, CoordinateFrames
 from hir_core.config import RunConfig
 from hir_core.errors import CaptureError, StageError
 from hir_core.files.file_checksums import file_hash
+from hir_core.intake.depth_scale import DepthScale, with_depth_scale
 from hir_core.intake.mask_sources import Known, apply_mask_sources, mask_source_names
 from hir_core.plugins.interfaces import Initializer, MaskSource
 from hir_core.plugins.manager import PluginManager
@@ -41,12 +42,16 @@ class InitializationReport:
     """What each initializer says about its own result."""
     scale_from: str = ""
     """What gave the length of the world's unit, and its spread; empty where nothing is known of it."""
+    depth_scale: DepthScale | None = None
+    """The correction of measured depths; None without them, and where the settings leave it out."""
 
     def as_document(self) -> dict[str, Any]:
         """For run.json."""
         names = ("views", "masked_views", "vertices", "triangles", "scale_from", "details")
         fields = {name: getattr(self, name) for name in names}
-        return {"initializers": list(self.initializers), "frames": self.frames.as_document()} | fields
+        scale = None if self.depth_scale is None else asdict(self.depth_scale)
+        frames = self.frames.as_document()
+        return {"initializers": list(self.initializers), "frames": frames, "depth_scale": scale} | fields
 
 
 def initialize(
@@ -62,17 +67,24 @@ def initialize(
     scan: Scan | None = None
     scanned: Mesh | None = None
     _check_distance_from_origin(capture)
+    capture = _with_min_confidence(capture, config.depth_maps.min_confidence)
     capture = apply_masks(capture, scene, config, context, "photographs")
     chain = config.initializers
     details: dict[str, Mapping[str, Any]] = {}
     masked = False
     # sources of masks that need cameras may need points too, which the same initializers find
     finders = [i for i, name in enumerate(chain) if _has_trait(name, "finds_cameras", context.plugins)]
+    depth_scale: DepthScale | None = None
+    scaled = config.depth_maps.scale == "as_measured"
     for i, name in enumerate(chain):
         posed = bool(capture.views) and all(view.camera is not None for view in capture.views)
         if not masked and posed and i > max(finders, default=-1):
             capture = apply_masks(capture, scene, config, context, "cameras")
             masked = True
+        if not scaled and _has_trait(name, "makes_surface", context.plugins):
+            # cameras are final where a surface is made from them
+            capture, depth_scale = with_depth_scale(capture)
+            scaled = True
         context.report(Progress("initializer", i, len(chain), 0.0, message=name))
         initializer: Initializer = context.plugins.create(
             "initializer", name, config.initializer.get(name), context.seed
@@ -112,6 +124,7 @@ def initialize(
         triangles=len(scene.mesh.faces),
         details=details,
         scale_from=scale_source(capture, details),
+        depth_scale=depth_scale,
     )
     return moved_capture, move_scene(scene, working_from_asset).to(context.device), frames, scan, report
 
@@ -125,6 +138,14 @@ def scale_source(capture: Capture, details: Mapping[str, Mapping[str, Any]]) -> 
     """The last initializer that says what gave the scale, or else what measured the world of the cameras' files."""
     stated = [str(report["scale_from"]) for report in details.values() if report.get("scale_from")]
     return stated[-1] if stated else capture.metres_from
+
+
+def _with_min_confidence(capture: Capture, least: float) -> Capture:
+    views = (
+        view if view.depth is None else replace(view, depth=replace(view.depth, min_confidence=least))
+        for view in capture.views
+    )
+    return replace(capture, views=tuple(views))
 
 
 def _check_distance_from_origin(capture: Capture) -> None:

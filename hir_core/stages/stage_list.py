@@ -51,7 +51,8 @@ def _initializer_settings(state: RunState) -> Any:
 
     config = state.config
     hashes = hashes_of_files_read(state.capture, config, state.plugins)
-    return [list(config.initializers), config.masks, config.initializer, config.mask_source, hashes]
+    depth_maps = asdict(config.depth_maps)
+    return [list(config.initializers), config.masks, config.initializer, config.mask_source, depth_maps, hashes]
 
 
 def _initialize(state: RunState, context: StageContext) -> StageResult[InitializedCapture]:

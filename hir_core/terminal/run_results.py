@@ -14,10 +14,10 @@ if TYPE_CHECKING:
 def decisions(document: Mapping[str, Any]) -> dict[str, str]:
     """What held-out views decided, from run.json: the selected material and light (`model`) and the shape, each beside
     the runner-up, exposures that differ, and where the scale between albedo and light was measured; and what gave the
-    metres. Empty where nothing was compared or measured.
+    metres and corrected measured depths. Empty where nothing was compared or measured.
     """
     initial = document.get("stages", {}).get("initializer", {}).get("report") or {}
-    metres = initial.get("scale_from")
+    metres, depths = initial.get("scale_from"), (initial.get("depth_scale") or {}).get("sentence")
     report = document.get("stages", {}).get("reflectance", {}).get("report") or {}
     scale = report.get("light_scale") or {}
     found = {
@@ -27,7 +27,8 @@ def decisions(document: Mapping[str, Any]) -> dict[str, str]:
         "scale": scale if scale.get("source") == "card" else None,
     }
     sentences = {name: str(part["sentence"]) for name, part in found.items() if part and part.get("sentence")}
-    return sentences | ({"metres": f"from {metres}"} if metres else {})
+    sentences |= {"metres": f"from {metres}"} if metres else {}
+    return sentences | ({"depths": str(depths)} if depths else {})
 
 
 def show_summary(directory: RunDirectory) -> None:

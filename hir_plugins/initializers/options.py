@@ -65,8 +65,6 @@ class CameraRefinementOptions:
 class SensorDepthOptions:
     """Options of the visual hull that is carved by measured depths."""
 
-    min_confidence: Annotated[float, Interval(ge=0, le=1)] = 0.25
-    """Depths of a lower confidence are ignored; the low level of ARKit is 0, its medium level 0.5."""
     min_weight: Annotated[float, Interval(gt=0)] = 0.9
     """A point keeps the distance of the hull where the confidences of the depths that concern it sum up to less: one
     depth of full confidence carves, of medium confidence two."""

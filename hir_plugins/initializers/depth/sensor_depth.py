@@ -44,7 +44,7 @@ class SensorDepth(Initializer):
         capture.cameras  # noqa: B018 - an error names the view without one
         # maps are read twice, because all of them at once may not fit into memory
         found = (view.measured_depth() for view in capture.views)
-        noises = [depth_noise(depth[1], options.min_confidence) for depth in found if depth is not None]
+        noises = [depth_noise(depth[1]) for depth in found if depth is not None]
         if not noises:
             raise CaptureError(
                 f"{capture.path}: no photograph has a depth map; leave sensor_depth out of 'initializers', or name the "
@@ -55,7 +55,7 @@ class SensorDepth(Initializer):
             VisualHullOptions(pixels_per_voxel=options.pixels_per_voxel, max_resolution=options.max_resolution),
         )
         noise = float(np.median(noises))
-        usable = (sensor_map(view, noise, options.min_confidence) for view in capture.views)
+        usable = (sensor_map(view, noise) for view in capture.views)
         maps = (depth_map for depth_map in usable if depth_map is not None)
         volume = smoothed_carving(hull, carve_depths(hull, maps, options.min_weight, noise, _MAX_DEPTH_BEHIND))
         removed = (hull.values > 0) & (volume.values <= 0)

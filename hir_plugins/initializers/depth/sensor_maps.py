@@ -16,7 +16,7 @@ from hir_plugins.initializers.stereo.depth_consistency import DepthMap
 MAX_ENLARGEMENT = 8
 
 
-def sensor_map(view: View, noise: float, min_confidence: float) -> DepthMap | None:
+def sensor_map(view: View, noise: float) -> DepthMap | None:
     """The usable depths of a view in world units, enlarged bilinearly to about the photograph's resolution.
 
     Weights are confidences: also an oblique surface proves that the space before it is empty. None where the view has
@@ -26,7 +26,7 @@ def sensor_map(view: View, noise: float, min_confidence: float) -> DepthMap | No
     if measured is None or view.camera is None:
         return None
     camera, pixels = measured
-    usable = usable_depths(camera, pixels, noise, min_confidence)
+    usable = usable_depths(camera, pixels, noise)
     weight = np.where(usable, pixels.confidence, 0).astype(np.float32)
     inverse = np.where(usable, 1 / np.maximum(pixels.depth, np.float32(1e-30)), 0).astype(np.float32)
     return _enlarged(camera, inverse, weight, min(MAX_ENLARGEMENT, math.ceil(view.camera.width / camera.width)))

@@ -213,6 +213,20 @@ def test_what_gave_the_metres_is_said(source: str) -> None:
     )
 
 
+def test_a_correction_of_measured_depths_is_said() -> None:
+    sentence = "measured depths are 1.20% longer than the scale of the cameras says (± 0.20%); they are corrected"
+    document = {
+        "stages": {"initializer": {"report": {"depth_scale": {"factor": 0.988, "sentence": sentence}}}},
+        "capture": {"views": 12},
+        "settings": {"preset": "fast"},
+        "seed": 0,
+    }
+    assert decisions(document) == {"depths": sentence}
+    assert f" M{sentence[1:]}. Preset" in report_page.lead(document)
+    document["stages"]["initializer"]["report"]["depth_scale"]["sentence"] = ""  # type: ignore[index]
+    assert decisions(document) == {} and "easured depths" not in report_page.lead(document)
+
+
 HYPOTHESES = [
     {"hypothesis": "metal, light in the world", "held_out_db": [20.0, 24.0], "dropped": False},
     {

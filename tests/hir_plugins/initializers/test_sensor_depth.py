@@ -14,10 +14,14 @@ import trimesh
 
 from hir_core.capture import Camera, Capture, DepthPixels, MeasuredDepth, View
 from hir_core.capture.depth_samples import depth_noise
+from hir_core.config import load_config
 from hir_core.errors import CaptureError
 from hir_core.mesh.ray_casting import MeshQueries
 from hir_core.plugins.manager import PluginManager
+from hir_core.run.stage_context import StageContext
 from hir_core.scene import Scene
+from hir_core.scene.frames import move_scene
+from hir_core.stages.initialization import initialize
 from hir_core.testing.captures import StoredPixels
 from hir_plugins.initializers.depth.sensor_depth import SensorDepth
 from hir_plugins.initializers.hull.visual_hull import VisualHull
@@ -176,7 +180,7 @@ def test_noise_is_measured(sigma: float) -> None:
     """On a slanted plane, whose own second differences are nearly zero."""
     x, y = np.meshgrid(np.arange(200.0), np.arange(150.0))
     depth = 4 + 0.002 * x + 0.001 * y + sigma * np.random.default_rng(1).normal(size=x.shape)
-    found = depth_noise(DepthPixels(depth.astype(np.float32), np.ones(x.shape, np.float32)), 0.25)
+    found = depth_noise(DepthPixels(depth.astype(np.float32), np.ones(x.shape, np.float32)))
     assert found == pytest.approx(sigma, rel=0.03, abs=1e-6)
 
 
@@ -190,3 +194,31 @@ def test_the_automatic_chain_contains_it_where_there_is_depth() -> None:
     without = chain(replace(found, views=tuple(replace(v, depth=None) for v in found.views)))
     assert without == ["camera_refinement", "visual_hull", *chain(found)[2:]]
     assert "sensor_depth" not in chain(replace(found, views=tuple(replace(v, camera=None) for v in found.views)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scale", ["auto", "as_measured"])
+def test_a_run_corrects_depths_that_are_wrong_together(scale: str, tmp_path: Path, hull_distance: float) -> None:
+    """The surface is carved by corrected depths, and the geometry stage gets them, in the working frame."""
+
+    def longer(depth: np.ndarray, random: np.random.Generator) -> DepthPixels:
+        return exact(depth * 1.02, random)
+
+    given, plugins = capture(longer), PluginManager.discover()
+    config = load_config(
+        plugins,
+        initializers=("sensor_depth",),
+        initializer={"sensor_depth": {"vertex_colors": False}},
+        depth_maps={"scale": scale, "min_confidence": 0.4},
+    )
+    moved, scene, frames, report = initialize(given, config, StageContext(plugins, tmp_path))
+    view, inverse = moved.views[5], np.linalg.inv(frames.asset_from_working)
+    assert view.depth is not None and view.depth.min_confidence == 0.4
+    ratio = view.depth.world_per_unit / np.linalg.norm(inverse[:3, 0])
+    distance = distance_of_truth(move_scene(scene, frames.asset_from_working))
+    document = report.as_document()["depth_scale"]
+    if scale == "auto":
+        assert ratio * 1.02 == pytest.approx(1, abs=0.0015) and document["factor"] == pytest.approx(ratio)
+        assert "they are corrected" in document["sentence"] and distance < hull_distance / 4
+    else:
+        assert ratio == pytest.approx(1) and document is None and distance > hull_distance / 2

@@ -124,7 +124,13 @@ def test_confidence_and_unknown_depths(tmp_path: Path) -> None:
         _, pixels = view.measured_depth() or pytest.fail("no depth")
         np.testing.assert_allclose(pixels.confidence[3:6, 0], expected, atol=1e-6)
         assert (pixels.confidence[0] == 0).all() and (pixels.depth[0] == 0).all()
-        np.testing.assert_allclose(pixels.depth[1:], 1.5, rtol=1e-6)
+        low = np.arange(HEIGHT) % 3 == 0
+        np.testing.assert_allclose(pixels.depth[~low], 1.5, rtol=1e-6)
+        assert (pixels.depth[low] == 0).all()
+        high = replace(view, depth=replace(view.depth, min_confidence=0.6))  # type: ignore[type-var]
+        _, pixels = high.measured_depth() or pytest.fail("no depth")
+        assert ((pixels.depth > 0).all(axis=1) == (np.arange(HEIGHT) % 3 == 2)).all()
+        assert ((pixels.confidence > 0) == (pixels.depth > 0)).all()
 
 
 def test_depths_move_with_the_world(tmp_path: Path) -> None:
@@ -140,14 +146,17 @@ def test_depths_move_with_the_world(tmp_path: Path) -> None:
 
 
 def test_a_run_knows_its_depth_maps(tmp_path: Path) -> None:
-    """The fingerprint covers their bytes; a stored capture has their scale."""
+    """The fingerprint covers their bytes; a stored capture has their scale and least confidence."""
     capture = transforms(tmp_path, np.full((HEIGHT, WIDTH), 1000))
     before = fingerprint(capture)
     assert before == fingerprint(transforms(tmp_path, np.full((HEIGHT, WIDTH), 1000)))
     assert before != fingerprint(transforms(tmp_path, np.full((HEIGHT, WIDTH), 1001)))
-    save_capture(capture.transformed(np.diag([2.0, 2.0, 2.0, 1.0])), tmp_path / "stage")
+    moved = capture.transformed(np.diag([2.0, 2.0, 2.0, 1.0]))
+    moved = replace(moved, views=tuple(replace(v, depth=replace(v.depth, min_confidence=0.7)) for v in moved.views))
+    save_capture(moved, tmp_path / "stage")
     restored = restore_capture(capture, tmp_path / "stage").views[0]
     assert restored.depth is not None and restored.depth.world_per_unit == pytest.approx(2)
+    assert restored.depth.min_confidence == 0.7
     given_up = replace(capture, views=(replace(capture.views[0], depth=None),))
     save_capture(given_up, tmp_path / "stage")
     assert restore_capture(capture, tmp_path / "stage").views[0].depth is None
@@ -187,6 +196,6 @@ def test_polycam_has_millimetres_and_three_levels(tmp_path: Path) -> None:
     first, second = read_capture(tmp_path, "train", PLUGINS).views
     camera, pixels = first.measured_depth() or pytest.fail("no depth")
     assert (camera.width, camera.height) == (16, 12) and camera.intrinsics[0, 0] == FOCAL / 4
-    np.testing.assert_allclose(pixels.depth, 1.25, rtol=1e-6)
+    np.testing.assert_allclose(pixels.depth, np.where(levels > 0, 1.25, 0), rtol=1e-6)
     np.testing.assert_allclose(pixels.confidence, levels / 255, atol=1e-6)
     assert second.depth is None and second.measured_depth() is None

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hir_core.capture import View
-from hir_core.capture.depth_samples import MIN_CONFIDENCE, depth_noise, usable_depths
+from hir_core.capture.depth_samples import depth_noise, usable_depths
 from hir_core.mesh.ray_casting import MeshQueries
 from hir_core.scene import Mesh
 
@@ -81,8 +81,8 @@ def depth_rays(views: Sequence[View], radius: float, seed: int) -> DepthRays | N
     measured = [found for view in views if (found := view.measured_depth()) is not None]
     origins, directions, points, weights, noises = [], [], [], [], []
     for camera, pixels in measured:
-        noise = depth_noise(pixels, MIN_CONFIDENCE)
-        rows, columns = np.nonzero(usable_depths(camera, pixels, noise, MIN_CONFIDENCE))
+        noise = depth_noise(pixels)
+        rows, columns = np.nonzero(usable_depths(camera, pixels, noise))
         kept = np.sort(random.permutation(len(rows))[: MAX_RAYS // len(measured)])
         rows, columns = rows[kept], columns[kept]
         origin, direction = camera.rays(np.stack([columns, rows], axis=1) + 0.5)
