@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from hir_core.metrics import Image
 from hir_core.run.run_directory import RunDirectory
-from hir_core.stages.reflectance.map_errors.map_error_store import load_map_errors
-from hir_core.stages.reflectance.map_errors.map_errors import (
+from hir_core.scene.map_error_store import load_map_errors
+from hir_core.scene.map_errors import (
     IN_SHADOW,
     OBSERVED,
     OUTSIDE,

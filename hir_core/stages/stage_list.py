@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from hir_exporters.asset import Asset
 
     from hir_core.scene import Scene
+    from hir_core.scene.map_errors import MapErrors
     from hir_core.scene.scan import Scan
     from hir_core.stages.geometry.geometry_fit import FittedGeometry
-    from hir_core.stages.reflectance.map_errors.map_errors import MapErrors
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ def _save_fitted(state: RunState, value: FittedScene, folder: Path) -> None:
     _save_scene(state, value.scene, folder)
     write_json(folder / "model.json", {"bounces": value.bounces, "exposures": value.exposures.as_document()})
     if value.map_errors is not None:
-        from hir_core.stages.reflectance.map_errors.map_error_store import save_map_errors
+        from hir_core.scene.map_error_store import save_map_errors
 
         save_map_errors(value.map_errors, folder)
 
@@ -168,7 +168,7 @@ def _load_fitted(state: RunState, folder: Path) -> FittedScene:
     path = folder / "model.json"
     bounces = read_json(path).get("bounces")
     exposures = read_exposures(path)
-    from hir_core.stages.reflectance.map_errors.map_error_store import load_map_errors
+    from hir_core.scene.map_error_store import load_map_errors
 
     bounces = bounces if isinstance(bounces, int) else None
     return FittedScene(_load_scene(state, folder), exposures, bounces, load_map_errors(folder))

@@ -25,10 +25,11 @@ from hir_core.plugins.interfaces import FitT, PreparedReflectance, RefinementT, 
 from hir_core.run.stage_context import StageContext, forward_warnings
 from hir_core.scene import Scene
 from hir_core.scene.energy_conservation import with_conserved_energy
+from hir_core.scene.map_errors import MapErrors
 from hir_core.stages.reflectance.gradient_fit import fit_by_gradient, gradient_steps, object_pixels
 from hir_core.stages.reflectance.initial_material_and_light import initial_scene
 from hir_core.stages.reflectance.light_scale import disagreement_warning, light_scale_report
-from hir_core.stages.reflectance.map_errors.map_errors import MapErrors, map_errors
+from hir_core.stages.reflectance.map_errors.map_error_estimate import map_errors
 from hir_core.stages.reflectance.path_traced_refinement import refine_albedo, refine_by_path_tracing
 from hir_core.stages.reflectance.reflectance_report import (
     LightAndMaterial,

@@ -1,4 +1,4 @@
-"""Errors of maps on a made ball: photographs that contradict each other, what no photograph shows, and what is stored."""
+"""Errors of maps on a made ball: photographs that contradict each other, what none shows, and what is stored."""
 
 from __future__ import annotations
 
@@ -18,18 +18,15 @@ from hir_core.errors import InputError
 from hir_core.plugins.interfaces import PreparedReflectance
 from hir_core.plugins.manager import PluginManager
 from hir_core.scene import EnvironmentMap, Material, Scene
+from hir_core.scene.map_error_store import FILE, load_map_errors, save_map_errors
+from hir_core.scene.map_errors import OBSERVED, OUTSIDE, UNDER_OBSERVED, MapErrors
 from hir_core.scene.srgb import linear_to_srgb
 from hir_core.stages.atlas import unwrap_mesh
-from hir_core.stages.reflectance.map_errors.map_error_store import FILE, load_map_errors, save_map_errors
-from hir_core.stages.reflectance.map_errors.map_errors import (
+from hir_core.stages.reflectance.map_errors.map_error_estimate import (
     HUBER_SRGB,
     MAX_PIXELS,
     MIN_VIEWS,
-    OBSERVED,
-    OUTSIDE,
     PRIOR_WIDTHS,
-    UNDER_OBSERVED,
-    MapErrors,
     map_errors,
 )
 from hir_core.stages.reflectance.map_errors.pixel_derivatives import STEPS, _changed, _values, pixel_derivatives
@@ -164,7 +161,9 @@ def test_derivatives_are_those_of_the_formula(metallic: bool) -> None:
 
     class Textured(PreparedReflectance):
         def radiance(self, material: Material, environment: EnvironmentMap, pixels: Tensor) -> Tensor:
-            means = [each.reshape(-1, each.shape[-1]).mean(0) for each in (material.diffuse_albedo, material.specular_albedo)]
+            means = [
+                each.reshape(-1, each.shape[-1]).mean(0) for each in (material.diffuse_albedo, material.specular_albedo)
+            ]
             return Formula().radiance(Material("dielectric", *means, material.roughness), environment, pixels)
 
     found = pixel_derivatives(scene, Textured(), capture, 1, 20, 0)

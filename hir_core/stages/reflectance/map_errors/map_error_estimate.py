@@ -9,17 +9,15 @@ common are not in it: the scale between albedo and light (`light_scale.py`), and
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from jaxtyping import Float, UInt8
 from numpy.typing import NDArray
 
 from hir_core.capture import Capture
 from hir_core.mesh.texel_rasterization import texel_surface
 from hir_core.plugins.interfaces import PreparedReflectance
 from hir_core.scene import Scene
+from hir_core.scene.map_errors import IN_SHADOW, OBSERVED, OUTSIDE, UNDER_HIGHLIGHTS, UNDER_OBSERVED, MapErrors
 from hir_core.stages.reflectance.map_errors.grouped_jackknife import NormalEquations, standard_errors
 from hir_core.stages.reflectance.map_errors.pixel_derivatives import (
     BASE_COLOR,
@@ -44,42 +42,12 @@ PRIOR_WIDTHS = {name: 1 / math.sqrt(12) for name in (BASE_COLOR, METALNESS, ROUG
     SPECULAR: 0.08 / math.sqrt(12)
 }
 """Standard deviation of what is not known at all: a uniform distribution over 0…1, and over the F0 of dielectrics."""
+LEAST_NOISE = 1e-4
+"""Of residuals in sRGB: photographs have 256 levels or more."""
 SHADOW_GAIN = 0.1
 """Of the light that the brightest tenth of the blocks receives: a block below it in all photographs lies in shadow."""
 MAX_SPECULAR_SHARE = 0.5
 """A block that reflects more than this from its lobe in all photographs is seen under highlights alone."""
-NORMAL_MAD = 1.4826
-OUTSIDE, OBSERVED, UNDER_OBSERVED, IN_SHADOW, UNDER_HIGHLIGHTS = range(5)
-
-
-@dataclass(frozen=True, eq=False)
-class MapErrors:
-    """Standard errors over blocks of texels, row 0 at the top of the texture; NaN where there is no surface."""
-
-    base_color: Float[NDArray[np.float32], "H W 3"]
-    """Linear, of the base colour or the diffuse albedo."""
-    maps: dict[str, NDArray[np.float32]]
-    """`specular`, `metalness`, `roughness` (√α): (H, W) of each that varies over the surface."""
-    constants: dict[str, float]
-    """The same of each that is one value for the whole surface."""
-    condition: UInt8[NDArray[np.uint8], "H W"]
-    """`OUTSIDE`, `OBSERVED`, `UNDER_OBSERVED` (by too few photographs), `IN_SHADOW` or `UNDER_HIGHLIGHTS` in all."""
-
-    def report(self) -> dict[str, Any]:
-        """For run.json: medians and 95th percentiles over the surface, and shares of the conditions."""
-        surface = self.condition != OUTSIDE
-        values = {BASE_COLOR: self.base_color.mean(axis=2)} | self.maps
-        of_maps = {
-            name: {
-                "median": _rounded(np.median(each[surface])),
-                "largest_5_percent": _rounded(np.quantile(each[surface], 0.95)),
-            }
-            for name, each in values.items()
-        }
-        constants = {name: {"constant": _rounded(value)} for name, value in self.constants.items()}
-        names = {"under_observed": UNDER_OBSERVED, "in_shadow": IN_SHADOW, "under_highlights": UNDER_HIGHLIGHTS}
-        shares = {name: _rounded((self.condition[surface] == code).mean()) for name, code in names.items()}
-        return {"standard_errors": of_maps | constants, "shares": shares, "blocks": [*self.condition.shape]}
 
 
 def map_errors(
@@ -126,9 +94,11 @@ def normal_equations(
     pixels: PixelDerivatives, block: NDArray[np.int64], group: NDArray[np.int64], blocks: int, groups: int
 ) -> tuple[NormalEquations, float]:
     """The equations of all blocks and groups, and the standard deviation of a residual (robust)."""
+    from scipy.stats import median_abs_deviation
+
     residual, known = (each.double().cpu().numpy() for each in (pixels.residual, pixels.known))
     seen = residual[known > 0]
-    noise = max(NORMAL_MAD * float(np.median(np.abs(seen))) if len(seen) else 0.0, 1e-4)
+    noise = max(float(median_abs_deviation(seen, scale="normal")) if len(seen) else 0.0, LEAST_NOISE)
     weight = known / np.maximum(1, np.abs(residual) / HUBER_SRGB)
     own, others = pixels.base_color.double().cpu().numpy(), pixels.others.double().cpu().numpy()
     # rows of derivatives (P, parameters, channels): a channel of the base colour acts on that channel alone
@@ -181,7 +151,3 @@ def _conditions(
 
 def _covered_share(scene: Scene) -> float:
     return max(float(texel_surface(scene.mesh, 256).covered.float().mean()), 1e-3)
-
-
-def _rounded(value: Any) -> float:
-    return float(f"{float(value):.4g}")
