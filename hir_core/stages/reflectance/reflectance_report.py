@@ -26,6 +26,7 @@ class HypothesisReport:
     """Kind of material and light."""
     kind: str
     light_frame: str
+    """`world`, `camera`, or `lamp`: a lamp near the camera beside a light in the world."""
     held_out_db: tuple[float, ...]
     """Mean PSNR on held-out views after each round that it took part in."""
     dropped: bool
@@ -168,6 +169,7 @@ class ReflectanceReport:
     model: str
     """Name of the fitted model."""
     light_frame: str
+    """`world`, `camera`, or `lamp`: a lamp near the camera beside a light in the world."""
     fitted: LightAndMaterial
     bounces: int | None = None
     """Reflections between parts of the surface that the solver modelled."""
@@ -210,7 +212,7 @@ def hypothesis_reports(selection: Selection[FitT]) -> tuple[HypothesisReport, ..
             HypothesisReport(
                 described(spec),
                 spec.kind,
-                spec.light_frame,
+                spec.light,
                 tuple(round(value, 3) for value in contestants[spec].curve_db),
                 contestants[spec].dropped,
                 None if margin is None else round(margin.margin_db, 3),
