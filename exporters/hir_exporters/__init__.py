@@ -9,7 +9,15 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
-    from hir_exporters.asset import Asset, AssetEnvironment, AssetMaterial, AssetMesh, describe, validate_asset
+    from hir_exporters.asset import (
+        Asset,
+        AssetEnvironment,
+        AssetLamp,
+        AssetMaterial,
+        AssetMesh,
+        describe,
+        validate_asset,
+    )
     from hir_exporters.errors import ExportError, HirError, InputError
     from hir_exporters.exporter import Exporter, ExportReport
     from hir_exporters.formats import FORMATS, create_exporter
@@ -20,6 +28,7 @@ __all__ = [
     "FORMATS",
     "Asset",
     "AssetEnvironment",
+    "AssetLamp",
     "AssetMaterial",
     "AssetMesh",
     "ExportError",
@@ -36,7 +45,7 @@ __all__ = [
 ]
 
 _PUBLIC_NAMES: Final = {
-    "asset": ("Asset", "AssetEnvironment", "AssetMaterial", "AssetMesh", "describe", "validate_asset"),
+    "asset": ("Asset", "AssetEnvironment", "AssetLamp", "AssetMaterial", "AssetMesh", "describe", "validate_asset"),
     "errors": ("ExportError", "HirError", "InputError"),
     "exporter": ("Exporter", "ExportReport"),
     "formats": ("FORMATS", "create_exporter"),

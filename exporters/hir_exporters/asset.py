@@ -126,8 +126,27 @@ class AssetMaterial:
 
 
 @dataclass(frozen=True, eq=False)
+class AssetLamp:
+    """A small lamp that the camera of each photograph carried, such as a flash.
+
+    At a distance r, and at an angle t from the viewing axis, its irradiance on a surface that faces it is
+    `intensity cos(t)^exponent / r^2`. No format has such a light: files describe it (`lamp_description`).
+    """
+
+    intensity: NDArray[np.float64]
+    """(3,), linear, not negative: radiance times the square of the asset's unit of length."""
+    offset: NDArray[np.float64]
+    """(3,): place in the camera's axes (x to the right, y down, z forwards), in the asset's unit of length."""
+    exponent: float = 0.0
+
+    def __post_init__(self) -> None:
+        _set(self, "intensity", _array("environment.lamp.intensity", self.intensity, np.float64))
+        _set(self, "offset", _array("environment.lamp.offset", self.offset, np.float64))
+
+
+@dataclass(frozen=True, eq=False)
 class AssetEnvironment:
-    """Distant light as a lat-long image (`hir_exporters.conventions`)."""
+    """Distant light as a lat-long image (`hir_exporters.conventions`), and a lamp."""
 
     radiance: NDArray[np.float32]
     """(H, W, 3), linear, not negative."""
@@ -135,6 +154,8 @@ class AssetEnvironment:
     """(3, 3) rotation from the map's axes to those of `frame`."""
     frame: Literal["world", "camera"] = "world"
     """`world`: the light is fixed in the world; `camera`: it moves with the camera."""
+    lamp: AssetLamp | None = None
+    """A lamp on the camera beside the distant light; None for none."""
 
     def __post_init__(self) -> None:
         _set(self, "radiance", _array("environment.radiance", self.radiance, np.float32))
@@ -202,8 +223,20 @@ def describe(asset: Asset) -> dict[str, Any]:
             "size": f"{environment.radiance.shape[1]} x {environment.radiance.shape[0]}",
             "frame": environment.frame,
             "mean_radiance": environment.radiance.mean(axis=(0, 1), dtype=np.float64).tolist(),
+            **({} if environment.lamp is None else {"lamp": lamp_description(environment.lamp)}),
         },
     }
+
+
+def lamp_description(lamp: AssetLamp) -> dict[str, Any]:
+    """The lamp as JSON values, as files and scenes hold it."""
+    return {"intensity": lamp.intensity.tolist(), "offset": lamp.offset.tolist(), "exponent": float(lamp.exponent)}
+
+
+def described_provenance(asset: Asset) -> dict[str, Any]:
+    """The provenance as exported files hold it: with the lamp on the camera, if there is one, as `camera_lamp`."""
+    lamp = None if asset.environment is None else asset.environment.lamp
+    return {**asset.provenance, **({} if lamp is None else {"camera_lamp": lamp_description(lamp)})}
 
 
 def _validate_mesh(mesh: AssetMesh) -> None:
@@ -310,6 +343,18 @@ def _validate_environment(environment: AssetEnvironment) -> None:
         raise InputError("environment.to_world is not a rotation: rows must be orthonormal and the determinant 1")
     if environment.frame not in ("world", "camera"):
         raise InputError(f"environment.frame is {environment.frame!r}; it is 'world' or 'camera'")
+    if environment.lamp is not None:
+        _validate_lamp(environment.lamp)
+
+
+def _validate_lamp(lamp: AssetLamp) -> None:
+    for name in ("intensity", "offset"):
+        _check_shape(f"environment.lamp.{name}", getattr(lamp, name), (3,))
+        _check_finite(f"environment.lamp.{name}", getattr(lamp, name))
+    if lamp.intensity.min() < 0:
+        raise InputError("environment.lamp.intensity has negative values; clip them to 0")
+    if not isinstance(lamp.exponent, int | float) or not 0 <= lamp.exponent < float("inf"):
+        raise InputError(f"environment.lamp.exponent is {lamp.exponent!r}; it must be one finite number, 0 or more")
 
 
 def _check_shape(name: str, value: NDArray[Any], shape: tuple[int | None, ...], expected: str = "") -> None:

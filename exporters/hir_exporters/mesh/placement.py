@@ -50,4 +50,10 @@ def placed_asset(asset: Asset, matrix: NDArray[np.float64]) -> Asset:
         return asset
     positions = asset.mesh.positions.astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
     provenance = {**asset.provenance, "placement": matrix.tolist()}
-    return replace(asset, mesh=replace(asset.mesh, positions=positions.astype(np.float32)), provenance=provenance)
+    mesh, environment = replace(asset.mesh, positions=positions.astype(np.float32)), asset.environment
+    if environment is not None and environment.lamp is not None:
+        scale, lamp = float(matrix[0, 0]), environment.lamp
+        environment = replace(
+            environment, lamp=replace(lamp, intensity=lamp.intensity * scale**2, offset=lamp.offset * scale)
+        )
+    return replace(asset, mesh=mesh, environment=environment, provenance=provenance)
