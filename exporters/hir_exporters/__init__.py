@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from hir_exporters.asset import (
         Asset,
         AssetEnvironment,
-        AssetLamp,
         AssetMaterial,
         AssetMesh,
         describe,
@@ -21,6 +20,7 @@ if TYPE_CHECKING:
     from hir_exporters.errors import ExportError, HirError, InputError
     from hir_exporters.exporter import Exporter, ExportReport
     from hir_exporters.formats import FORMATS, create_exporter
+    from hir_exporters.light.asset_lamp import AssetLamp
     from hir_exporters.reading.file_verification import verify_file
     from hir_exporters.scene_format import load_scene, save_scene
 
@@ -45,9 +45,10 @@ __all__ = [
 ]
 
 _PUBLIC_NAMES: Final = {
-    "asset": ("Asset", "AssetEnvironment", "AssetLamp", "AssetMaterial", "AssetMesh", "describe", "validate_asset"),
+    "asset": ("Asset", "AssetEnvironment", "AssetMaterial", "AssetMesh", "describe", "validate_asset"),
     "errors": ("ExportError", "HirError", "InputError"),
     "exporter": ("Exporter", "ExportReport"),
+    "light.asset_lamp": ("AssetLamp",),
     "formats": ("FORMATS", "create_exporter"),
     "scene_format": ("load_scene", "save_scene"),
     "reading.file_verification": ("verify_file",),

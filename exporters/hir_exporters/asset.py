@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from hir_exporters.conventions import ALPHA_MIN
 from hir_exporters.errors import InputError
+from hir_exporters.light.asset_lamp import AssetLamp, lamp_description, validate_lamp
 from hir_exporters.metallic_parameters import (
     DEFAULT_DIELECTRIC_F0,
     MAX_DIELECTRIC_F0,
@@ -126,25 +127,6 @@ class AssetMaterial:
 
 
 @dataclass(frozen=True, eq=False)
-class AssetLamp:
-    """A small lamp that the camera of each photograph carried, such as a flash.
-
-    At a distance r, and at an angle t from the viewing axis, its irradiance on a surface that faces it is
-    `intensity cos(t)^exponent / r^2`. No format has such a light: files describe it (`lamp_description`).
-    """
-
-    intensity: NDArray[np.float64]
-    """(3,), linear, not negative: radiance times the square of the asset's unit of length."""
-    offset: NDArray[np.float64]
-    """(3,): place in the camera's axes (x to the right, y down, z forwards), in the asset's unit of length."""
-    exponent: float = 0.0
-
-    def __post_init__(self) -> None:
-        _set(self, "intensity", _array("environment.lamp.intensity", self.intensity, np.float64))
-        _set(self, "offset", _array("environment.lamp.offset", self.offset, np.float64))
-
-
-@dataclass(frozen=True, eq=False)
 class AssetEnvironment:
     """Distant light as a lat-long image (`hir_exporters.conventions`), and a lamp."""
 
@@ -226,17 +208,6 @@ def describe(asset: Asset) -> dict[str, Any]:
             **({} if environment.lamp is None else {"lamp": lamp_description(environment.lamp)}),
         },
     }
-
-
-def lamp_description(lamp: AssetLamp) -> dict[str, Any]:
-    """The lamp as JSON values, as files and scenes hold it."""
-    return {"intensity": lamp.intensity.tolist(), "offset": lamp.offset.tolist(), "exponent": float(lamp.exponent)}
-
-
-def described_provenance(asset: Asset) -> dict[str, Any]:
-    """The provenance as exported files hold it: with the lamp on the camera, if there is one, as `camera_lamp`."""
-    lamp = None if asset.environment is None else asset.environment.lamp
-    return {**asset.provenance, **({} if lamp is None else {"camera_lamp": lamp_description(lamp)})}
 
 
 def _validate_mesh(mesh: AssetMesh) -> None:
@@ -344,17 +315,7 @@ def _validate_environment(environment: AssetEnvironment) -> None:
     if environment.frame not in ("world", "camera"):
         raise InputError(f"environment.frame is {environment.frame!r}; it is 'world' or 'camera'")
     if environment.lamp is not None:
-        _validate_lamp(environment.lamp)
-
-
-def _validate_lamp(lamp: AssetLamp) -> None:
-    for name in ("intensity", "offset"):
-        _check_shape(f"environment.lamp.{name}", getattr(lamp, name), (3,))
-        _check_finite(f"environment.lamp.{name}", getattr(lamp, name))
-    if lamp.intensity.min() < 0:
-        raise InputError("environment.lamp.intensity has negative values; clip them to 0")
-    if not isinstance(lamp.exponent, int | float) or not 0 <= lamp.exponent < float("inf"):
-        raise InputError(f"environment.lamp.exponent is {lamp.exponent!r}; it must be one finite number, 0 or more")
+        validate_lamp(environment.lamp)
 
 
 def _check_shape(name: str, value: NDArray[Any], shape: tuple[int | None, ...], expected: str = "") -> None:

@@ -12,7 +12,8 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hir_exporters.asset import Asset, lamp_description
+from hir_exporters.asset import Asset
+from hir_exporters.light.asset_lamp import lamp_description
 
 _Result = TypeVar("_Result")
 

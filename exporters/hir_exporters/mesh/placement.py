@@ -52,8 +52,5 @@ def placed_asset(asset: Asset, matrix: NDArray[np.float64]) -> Asset:
     provenance = {**asset.provenance, "placement": matrix.tolist()}
     mesh, environment = replace(asset.mesh, positions=positions.astype(np.float32)), asset.environment
     if environment is not None and environment.lamp is not None:
-        scale, lamp = float(matrix[0, 0]), environment.lamp
-        environment = replace(
-            environment, lamp=replace(lamp, intensity=lamp.intensity * scale**2, offset=lamp.offset * scale)
-        )
+        environment = replace(environment, lamp=environment.lamp.scaled(float(matrix[0, 0])))
     return replace(asset, mesh=mesh, environment=environment, provenance=provenance)

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hir_exporters.asset import Asset, AssetMesh, described_provenance
+from hir_exporters.asset import Asset, AssetMesh
 from hir_exporters.conventions import flip_v
+from hir_exporters.light.asset_lamp import described_provenance
 from hir_exporters.mesh.unit_vectors import unit_vectors
 from hir_exporters.mesh.vertex_welding import weld
 from hir_exporters.textures.texture_maps import sample_texels

@@ -7,14 +7,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import hir_exporters
 import numpy as np
 import pytest
 import torch
-from hir_exporters.asset import Asset, AssetLamp, validate_asset
+from hir_exporters.asset import Asset, validate_asset
 from hir_exporters.asset_health import asset_health
 from hir_exporters.content_cache import asset_key
 from hir_exporters.errors import InputError
 from hir_exporters.formats import create_exporter
+from hir_exporters.light.asset_lamp import AssetLamp
 from hir_exporters.mesh.placement import placed_asset
 from hir_exporters.scene_format import load_scene, save_scene
 
@@ -63,6 +65,17 @@ def test_the_lamp_of_an_asset_comes_back(tmp_path: Path) -> None:
     assert_lamp(loaded.environment.lamp)
     assert_lamp(lamp_of(scene_from_asset(loaded)))
     assert asset_health(asset).has_camera_lamp and "lamp near the camera" in asset_health(asset).sentence()
+
+
+def test_a_scene_with_a_lamp_follows_the_schema(tmp_path: Path) -> None:
+    jsonschema = pytest.importorskip("jsonschema", reason="the schema is checked with jsonschema")
+    schema = json.loads((Path(hir_exporters.__file__).parent / "scene.schema.json").read_text())
+    save_scene(bake(lamp_scene()), tmp_path / "scene")
+    document = json.loads((tmp_path / "scene" / "scene.json").read_text())
+    jsonschema.Draft202012Validator(schema).validate(document)
+    document["environment"]["lamp"]["exponent"] = -1
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.Draft202012Validator(schema).validate(document)
 
 
 def test_a_larger_world_has_a_brighter_lamp_farther_from_the_camera() -> None:
