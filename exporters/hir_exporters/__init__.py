@@ -17,10 +17,10 @@ if TYPE_CHECKING:
         describe,
         validate_asset,
     )
+    from hir_exporters.asset_lamp import AssetLamp
     from hir_exporters.errors import ExportError, HirError, InputError
     from hir_exporters.exporter import Exporter, ExportReport
     from hir_exporters.formats import FORMATS, create_exporter
-    from hir_exporters.light.asset_lamp import AssetLamp
     from hir_exporters.reading.file_verification import verify_file
     from hir_exporters.scene_format import load_scene, save_scene
 
@@ -48,7 +48,7 @@ _PUBLIC_NAMES: Final = {
     "asset": ("Asset", "AssetEnvironment", "AssetMaterial", "AssetMesh", "describe", "validate_asset"),
     "errors": ("ExportError", "HirError", "InputError"),
     "exporter": ("Exporter", "ExportReport"),
-    "light.asset_lamp": ("AssetLamp",),
+    "asset_lamp": ("AssetLamp",),
     "formats": ("FORMATS", "create_exporter"),
     "scene_format": ("load_scene", "save_scene"),
     "reading.file_verification": ("verify_file",),

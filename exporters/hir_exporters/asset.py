@@ -14,9 +14,9 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
+from hir_exporters.asset_lamp import AssetLamp, lamp_description, validate_lamp
 from hir_exporters.conventions import ALPHA_MIN
 from hir_exporters.errors import InputError
-from hir_exporters.light.asset_lamp import AssetLamp, lamp_description, validate_lamp
 from hir_exporters.metallic_parameters import (
     DEFAULT_DIELECTRIC_F0,
     MAX_DIELECTRIC_F0,
@@ -154,6 +154,11 @@ class Asset:
     provenance: Mapping[str, Any] = field(default_factory=dict)
     """Where the asset comes from, as JSON values; written into the exported files."""
     name: str = "asset"
+
+    @property
+    def lamp(self) -> AssetLamp | None:
+        """The lamp on the camera, if there is one."""
+        return None if self.environment is None else self.environment.lamp
 
 
 def validate_asset(asset: Asset) -> None:

@@ -85,7 +85,7 @@ def asset_health(asset: Asset) -> AssetHealth:
         unobserved_share=None if observed is None or not len(uvs) else float(1 - observed.mean()),
         shading_correlation=correlation,
         light_moves_with_camera=environment is not None and environment.frame == "camera",
-        has_camera_lamp=environment is not None and environment.lamp is not None,
+        has_camera_lamp=asset.lamp is not None,
     )
 
 

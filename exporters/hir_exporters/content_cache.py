@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hir_exporters.asset import Asset
-from hir_exporters.light.asset_lamp import lamp_description
+from hir_exporters.asset_lamp import lamp_description
 
 _Result = TypeVar("_Result")
 

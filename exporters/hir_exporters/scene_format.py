@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hir_exporters.asset import BRDF_MODELS, Asset, AssetEnvironment, AssetMaterial, validate_asset
+from hir_exporters.asset_lamp import AssetLamp, lamp_description
 from hir_exporters.errors import ExportError, InputError
 from hir_exporters.files.atomic import atomic_directory, write_bytes_atomic, write_text_atomic
 from hir_exporters.files.regular_files import refuse_special_file
 from hir_exporters.files.untrusted_json import parse_json
-from hir_exporters.light.asset_lamp import AssetLamp, lamp_description
 from hir_exporters.mesh.ply_format import decode_ply, encode_ply
 from hir_exporters.metallic_parameters import DEFAULT_DIELECTRIC_F0
 from hir_exporters.textures.image_files import read_exr, write_exr

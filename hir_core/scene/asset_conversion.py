@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import torch
 from hir_exporters.asset import PAPER_SPECULAR_MAX, Asset, AssetEnvironment, AssetMaterial, AssetMesh, validate_asset
+from hir_exporters.asset_lamp import AssetLamp
 from hir_exporters.conventions import ALPHA_MIN
-from hir_exporters.light.asset_lamp import AssetLamp
 from hir_exporters.mesh.tangents import with_tangents
 from hir_exporters.mesh.vertex_welding import weld
 from numpy.typing import NDArray

@@ -13,10 +13,10 @@ import pytest
 import torch
 from hir_exporters.asset import Asset, validate_asset
 from hir_exporters.asset_health import asset_health
+from hir_exporters.asset_lamp import AssetLamp
 from hir_exporters.content_cache import asset_key
 from hir_exporters.errors import InputError
 from hir_exporters.formats import create_exporter
-from hir_exporters.light.asset_lamp import AssetLamp
 from hir_exporters.mesh.placement import placed_asset
 from hir_exporters.scene_format import load_scene, save_scene
 

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hir_exporters.asset import Asset, AssetEnvironment, AssetMaterial, AssetMesh
+from hir_exporters.asset_lamp import AssetLamp
 from hir_exporters.exporter import ExportReport
 from hir_exporters.formats import create_exporter
-from hir_exporters.light.asset_lamp import AssetLamp
 from hir_exporters.materials.material_conversion import to_gltf
 from hir_exporters.reading.asset_decoding import decode_material
 from hir_exporters.reading.readback import ReadBack

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hir_exporters.errors import InputError
-
-if TYPE_CHECKING:
-    from hir_exporters.asset import Asset
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +58,6 @@ def lamp_description(lamp: AssetLamp) -> dict[str, Any]:
     return {"intensity": lamp.intensity.tolist(), "offset": lamp.offset.tolist(), "exponent": float(lamp.exponent)}
 
 
-def described_provenance(asset: Asset) -> Mapping[str, Any]:
-    """The provenance as exported files hold it: with the lamp on the camera, if there is one, as `camera_lamp`."""
-    lamp = None if asset.environment is None else asset.environment.lamp
-    return {**asset.provenance, **({} if lamp is None else {"camera_lamp": lamp_description(lamp)})}
+def described_provenance(provenance: Mapping[str, Any], lamp: AssetLamp | None) -> dict[str, Any]:
+    """An asset's provenance as exported files hold it: with its lamp, if there is one, as `camera_lamp`."""
+    return {**provenance, **({} if lamp is None else {"camera_lamp": lamp_description(lamp)})}
