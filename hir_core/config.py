@@ -187,8 +187,9 @@ class ReflectanceSettings:
     """GGX width α."""
     initial_specular_albedo: Annotated[float, Interval(ge=0, le=1)] = 0.04
     """ρs."""
-    light_frame: Literal["auto", "world", "camera"] = "auto"
-    """Whether the light is fixed in the world or moves with the camera (turntable, flash)."""
+    light_frame: Literal["auto", "world", "camera", "lamp"] = "auto"
+    """Whether the light is fixed in the world or moves with the camera as a whole (turntable), or the camera carries a
+    small `lamp` (flash) beside a light that is fixed in the world."""
     exposures: Literal["auto", "equal", "recorded", "fitted"] = "auto"
     """Whether all photographs have one exposure, those that their EXIF data record, or a brightness and white balance
     of their own that are fitted; `auto` compares them on held-out views."""

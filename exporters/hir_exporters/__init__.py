@@ -9,7 +9,15 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
-    from hir_exporters.asset import Asset, AssetEnvironment, AssetMaterial, AssetMesh, describe, validate_asset
+    from hir_exporters.asset import (
+        Asset,
+        AssetEnvironment,
+        AssetMaterial,
+        AssetMesh,
+        describe,
+        validate_asset,
+    )
+    from hir_exporters.asset_lamp import AssetLamp
     from hir_exporters.errors import ExportError, HirError, InputError
     from hir_exporters.exporter import Exporter, ExportReport
     from hir_exporters.formats import FORMATS, create_exporter
@@ -20,6 +28,7 @@ __all__ = [
     "FORMATS",
     "Asset",
     "AssetEnvironment",
+    "AssetLamp",
     "AssetMaterial",
     "AssetMesh",
     "ExportError",
@@ -39,6 +48,7 @@ _PUBLIC_NAMES: Final = {
     "asset": ("Asset", "AssetEnvironment", "AssetMaterial", "AssetMesh", "describe", "validate_asset"),
     "errors": ("ExportError", "HirError", "InputError"),
     "exporter": ("Exporter", "ExportReport"),
+    "asset_lamp": ("AssetLamp",),
     "formats": ("FORMATS", "create_exporter"),
     "scene_format": ("load_scene", "save_scene"),
     "reading.file_verification": ("verify_file",),

@@ -14,6 +14,7 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
+from hir_exporters.asset_lamp import AssetLamp, lamp_description, validate_lamp
 from hir_exporters.conventions import ALPHA_MIN
 from hir_exporters.errors import InputError
 from hir_exporters.metallic_parameters import (
@@ -127,7 +128,7 @@ class AssetMaterial:
 
 @dataclass(frozen=True, eq=False)
 class AssetEnvironment:
-    """Distant light as a lat-long image (`hir_exporters.conventions`)."""
+    """Distant light as a lat-long image (`hir_exporters.conventions`), and a lamp."""
 
     radiance: NDArray[np.float32]
     """(H, W, 3), linear, not negative."""
@@ -135,6 +136,8 @@ class AssetEnvironment:
     """(3, 3) rotation from the map's axes to those of `frame`."""
     frame: Literal["world", "camera"] = "world"
     """`world`: the light is fixed in the world; `camera`: it moves with the camera."""
+    lamp: AssetLamp | None = None
+    """A lamp on the camera beside the distant light; None for none."""
 
     def __post_init__(self) -> None:
         _set(self, "radiance", _array("environment.radiance", self.radiance, np.float32))
@@ -151,6 +154,11 @@ class Asset:
     provenance: Mapping[str, Any] = field(default_factory=dict)
     """Where the asset comes from, as JSON values; written into the exported files."""
     name: str = "asset"
+
+    @property
+    def lamp(self) -> AssetLamp | None:
+        """The lamp on the camera, if there is one."""
+        return None if self.environment is None else self.environment.lamp
 
 
 def validate_asset(asset: Asset) -> None:
@@ -202,6 +210,7 @@ def describe(asset: Asset) -> dict[str, Any]:
             "size": f"{environment.radiance.shape[1]} x {environment.radiance.shape[0]}",
             "frame": environment.frame,
             "mean_radiance": environment.radiance.mean(axis=(0, 1), dtype=np.float64).tolist(),
+            **({} if environment.lamp is None else {"lamp": lamp_description(environment.lamp)}),
         },
     }
 
@@ -310,6 +319,8 @@ def _validate_environment(environment: AssetEnvironment) -> None:
         raise InputError("environment.to_world is not a rotation: rows must be orthonormal and the determinant 1")
     if environment.frame not in ("world", "camera"):
         raise InputError(f"environment.frame is {environment.frame!r}; it is 'world' or 'camera'")
+    if environment.lamp is not None:
+        validate_lamp(environment.lamp)
 
 
 def _check_shape(name: str, value: NDArray[Any], shape: tuple[int | None, ...], expected: str = "") -> None:

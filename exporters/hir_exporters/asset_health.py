@@ -43,6 +43,8 @@ class AssetHealth:
     a constant albedo, for even light, and without light.
     """
     light_moves_with_camera: bool
+    has_camera_lamp: bool = False
+    """A lamp near the camera lit the photographs, too."""
 
     def as_document(self) -> dict[str, bool | float | None]:
         """JSON-able, rounded to three digits."""
@@ -59,6 +61,8 @@ class AssetHealth:
             parts.append(f"albedo and irradiance correlate by {self.shading_correlation:.2f}")
         if self.light_moves_with_camera:
             parts.append("the light moves with the camera, so that files have it as of the first view only")
+        if self.has_camera_lamp:
+            parts.append("a lamp near the camera lit the photographs; files describe it and have no light in its place")
         return ", ".join(parts)
 
 
@@ -81,6 +85,7 @@ def asset_health(asset: Asset) -> AssetHealth:
         unobserved_share=None if observed is None or not len(uvs) else float(1 - observed.mean()),
         shading_correlation=correlation,
         light_moves_with_camera=environment is not None and environment.frame == "camera",
+        has_camera_lamp=asset.lamp is not None,
     )
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hir_exporters.asset import Asset
+from hir_exporters.asset_lamp import lamp_description
 
 _Result = TypeVar("_Result")
 
@@ -46,6 +47,8 @@ def asset_key(asset: Asset, *options: object) -> bytes:
     if light is not None:
         words.append(light.frame)
         arrays += [light.radiance, light.to_world]
+        if light.lamp is not None:
+            words.append(json.dumps(lamp_description(light.lamp)))
     digest = hashlib.sha256(repr((words, material.normal is None, [array.shape for array in arrays])).encode())
     for array in arrays:
         digest.update(np.ascontiguousarray(array).data)

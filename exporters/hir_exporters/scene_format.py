@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hir_exporters.asset import BRDF_MODELS, Asset, AssetEnvironment, AssetMaterial, validate_asset
+from hir_exporters.asset_lamp import AssetLamp, lamp_description
 from hir_exporters.errors import ExportError, InputError
 from hir_exporters.files.atomic import atomic_directory, write_bytes_atomic, write_text_atomic
 from hir_exporters.files.regular_files import refuse_special_file
@@ -116,7 +117,11 @@ def _save_environment(folder: Path, environment: AssetEnvironment | None) -> dic
     if environment is None:
         return None
     write_exr(folder / "environment.exr", environment.radiance)
-    return {"radiance": "environment.exr", "to_world": environment.to_world.tolist(), "frame": environment.frame}
+    entry: dict[str, object] = {"radiance": "environment.exr", "to_world": environment.to_world.tolist()}
+    entry["frame"] = environment.frame
+    if environment.lamp is not None:
+        entry["lamp"] = lamp_description(environment.lamp)
+    return entry
 
 
 def _load_material(folder: Path, table: dict[str, Any]) -> AssetMaterial:
@@ -164,7 +169,20 @@ def _load_environment(folder: Path, source: Path, document: dict[str, Any]) -> A
     if frame not in ("world", "camera"):
         raise InputError(f"{source}: environment.frame is {frame!r}; it is 'world' or 'camera'")
     radiance = read_exr(_inside(folder, table.get("radiance"), "environment.radiance"), MAX_PIXELS, 3)
-    return AssetEnvironment(radiance, np.array(rows, dtype=np.float64), frame)
+    return AssetEnvironment(radiance, np.array(rows, dtype=np.float64), frame, _load_lamp(source, table))
+
+
+def _load_lamp(source: Path, environment: dict[str, Any]) -> AssetLamp | None:
+    if environment.get("lamp") is None:
+        return None
+    table = _table(source, environment, "lamp")
+    vectors = {name: table.get(name) for name in ("intensity", "offset")}
+    for name, vector in vectors.items():
+        if not isinstance(vector, list) or len(vector) != 3:
+            raise InputError(f"{source}: environment.lamp.{name} is not a list of three numbers")
+        _check_numbers(source, f"environment.lamp.{name}", vector)
+    _check_numbers(source, "environment.lamp.exponent", [table.get("exponent")])
+    return AssetLamp(*(np.array(vector, dtype=np.float64) for vector in vectors.values()), float(table["exponent"]))
 
 
 def _inside(folder: Path, name: object, entry: str) -> Path:

@@ -100,9 +100,11 @@ def advice_for(check: CaptureCheck) -> list[str]:
         advice.append("the photographs cover few directions: parts that are in no photograph will be inpainted")
     if check.flashes > len(views) / 2:
         advice.append(
-            f"the flash fired in {check.flashes} photographs, so the light moves with the camera: set light_frame = "
-            "camera"
+            f"the flash fired in {check.flashes} photographs, so a lamp near the camera lit the object: "
+            "hir reconstruct recognises it, and light_frame = lamp leaves other lights out"
         )
     if check.headlight is not None and check.headlight > _MIN_HEADLIGHT_SCORE:
-        advice.append("the light moves with the camera (a flash, or a turntable): set light_frame = camera")
+        advice.append(
+            "the light moves with the camera (a flash, or a turntable): set light_frame = camera, or lamp for a flash"
+        )
     return advice

@@ -10,6 +10,10 @@ from hir_core.capture.photograph_exposures import Exposures
 MaterialKind: TypeAlias = Literal["diffuse", "paper", "dielectric", "metal", "mixed"]
 """What a model says the surface is made of; `mixed` is metal in one place and dielectric in another."""
 
+LightKind: TypeAlias = Literal["world", "camera", "lamp"]
+"""The kinds of light: distant and fixed in the world; distant and moving with the camera; a lamp near the camera
+beside a distant light that is fixed in the world."""
+
 
 @dataclass(frozen=True)
 class ModelSpec:
@@ -30,7 +34,7 @@ class ModelSpec:
     """Indirect light: number of reflections between parts of the surface."""
     light_frame: Literal["world", "camera"] = "world"
     light_is_known: bool = False
-    """The light of the prepared scene is given and is not fitted."""
+    """The light of the prepared scene is given and is not fitted; a lamp is."""
     per_texel: Literal["none", "albedo", "brdf"] = "none"
     """What is solved for each texel, from the pixels that observe it, after the fit at vertices: nothing, its albedo
     alone, or its albedo, specular lobe and normal."""
@@ -38,12 +42,16 @@ class ModelSpec:
     """How bright the photographs are beside each other; see `Exposures`."""
     metalness: Literal["none", "metal", "map"] = "none"
     """Of the `metallic` BRDF: `metal` is 1 everywhere, `map` varies over the surface. `none` for every other BRDF."""
+    lamp: bool = False
+    """Is there a small lamp near the camera, beside a light that is fixed in the world? See `CameraLamp`."""
 
     def __post_init__(self) -> None:
         if (self.brdf == "metallic") != (self.metalness != "none"):
             raise ValueError(f"metalness={self.metalness!r} contradicts brdf={self.brdf!r}; only `metallic` has one")
         if self.brdf == "metallic" and (self.specular != "uniform" or self.colored):
             raise ValueError("a `metallic` model has specular='uniform' and no colour of its own in F0")
+        if self.lamp and self.light_frame == "camera":
+            raise ValueError("a model with a lamp has its distant light in the world: light_frame='world'")
 
     @property
     def kind(self) -> MaterialKind:
@@ -51,6 +59,11 @@ class ModelSpec:
         if self.brdf == "metallic":
             return "metal" if self.metalness == "metal" else "mixed"
         return self.brdf
+
+    @property
+    def light(self) -> LightKind:
+        """The kind of light."""
+        return "lamp" if self.lamp else self.light_frame
 
     @property
     def mapped(self) -> bool:
@@ -74,6 +87,8 @@ class ModelSpec:
             parts.append("normal map")
         if self.light_frame == "camera":
             parts.append("light on camera")
+        if self.lamp:
+            parts.append("lamp near the camera")
         if self.bounces:
             parts.append(f"{self.bounces} bounce" + "s" * (self.bounces > 1))
         if self.exposures != "equal":

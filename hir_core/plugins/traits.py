@@ -36,6 +36,7 @@ TRAITS: Mapping[str, Mapping[str, str]] = {
         "lambertian": "shades diffuse reflection alone: specular albedo and roughness have no effect",
         "solver": "`prepare` returns a `ReflectanceSolver`",
         "exposures": "the solver fits models with recorded and with fitted exposures (`ModelSpec.exposures`)",
+        "camera_lamp": "shades the lamp of `EnvironmentMap`; a solver fits models with one (`ModelSpec.lamp`)",
         "regularizers": "the solver minimises regularizers in its own fit (`ReflectanceSolver.with_terms`)",
         "reference": "unbiased; other renderers are compared with it",
     },

@@ -1,5 +1,5 @@
 """The scene that is fitted, in torch: a mesh, its material, the light."""
 
-from hir_core.scene.scene import EnvironmentMap, Material, Mesh, Scene, Texture, Topology
+from hir_core.scene.scene import CameraLamp, EnvironmentMap, Material, Mesh, Scene, Texture, Topology
 
-__all__ = ["EnvironmentMap", "Material", "Mesh", "Scene", "Texture", "Topology"]
+__all__ = ["CameraLamp", "EnvironmentMap", "Material", "Mesh", "Scene", "Texture", "Topology"]

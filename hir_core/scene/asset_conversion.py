@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 from hir_exporters.asset import PAPER_SPECULAR_MAX, Asset, AssetEnvironment, AssetMaterial, AssetMesh, validate_asset
+from hir_exporters.asset_lamp import AssetLamp
 from hir_exporters.conventions import ALPHA_MIN
 from hir_exporters.mesh.tangents import with_tangents
 from hir_exporters.mesh.vertex_welding import weld
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hir_core.errors import StageError
-from hir_core.scene.scene import EnvironmentMap, Material, Mesh, Scene, Topology
+from hir_core.scene.scene import CameraLamp, EnvironmentMap, Material, Mesh, Scene, Topology
 
 
 def bake(scene: Scene, *, name: str = "asset", provenance: Mapping[str, Any] | None = None) -> Asset:
@@ -54,7 +55,11 @@ def scene_from_asset(asset: Asset, device: torch.device | str = "cpu") -> Scene:
     environment = None
     if light is not None:
         rotation = torch.from_numpy(light.to_world.astype(np.float32))
-        environment = EnvironmentMap(torch.from_numpy(light.radiance.copy()), rotation, light.frame)
+        lamp = None
+        if light.lamp is not None:
+            values = (light.lamp.intensity, light.lamp.offset, np.float64(light.lamp.exponent))
+            lamp = CameraLamp(*(torch.tensor(value, dtype=torch.float32) for value in values))
+        environment = EnvironmentMap(torch.from_numpy(light.radiance.copy()), rotation, light.frame, lamp)
     return Scene(
         mesh,
         Material(
@@ -121,7 +126,12 @@ def _bake_material(material: Material) -> AssetMaterial:
 
 def _bake_environment(environment: EnvironmentMap) -> AssetEnvironment:
     rotation = np.eye(3) if environment.to_world is None else _numpy(environment.to_world).astype(np.float64)
-    return AssetEnvironment(_clamped(environment.radiance, 0.0, np.inf), rotation, environment.frame)
+    lamp = None
+    if environment.lamp is not None:
+        found = environment.lamp
+        intensity, offset = (_numpy(value).astype(np.float64) for value in (found.intensity, found.offset))
+        lamp = AssetLamp(np.maximum(intensity, 0), offset, float(found.exponent))
+    return AssetEnvironment(_clamped(environment.radiance, 0.0, np.inf), rotation, environment.frame, lamp)
 
 
 def _clamped(values: Tensor, low: float, high: float) -> NDArray[np.float32]:

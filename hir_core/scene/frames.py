@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hir_core.capture import Array
 from hir_core.errors import StageError
-from hir_core.scene.scene import Mesh, Scene
+from hir_core.scene.scene import CameraLamp, Mesh, Scene
 
 
 def unit_similarity(mesh: Mesh) -> NDArray[np.float64]:
@@ -32,8 +32,16 @@ def unit_similarity(mesh: Mesh) -> NDArray[np.float64]:
 
 
 def move_scene(scene: Scene, new_from_old: Array) -> Scene:
-    """The scene after a scale and translation of the world (no rotation, so its light stays as it is)."""
+    """The scene after a scale and translation of the world (no rotation, so its distant light stays as it is)."""
     positions = scene.mesh.positions.detach().cpu().numpy().astype(np.float64)
     moved = positions @ new_from_old[:3, :3].T + new_from_old[:3, 3]
     tensor = torch.from_numpy(moved.astype(np.float32)).to(scene.mesh.positions.device)
-    return replace(scene, mesh=scene.mesh.with_positions(tensor))
+    environment = scene.environment
+    if environment is not None and environment.lamp is not None:
+        environment = replace(environment, lamp=scaled_lamp(environment.lamp, float(new_from_old[0, 0])))
+    return replace(scene, mesh=scene.mesh.with_positions(tensor), environment=environment)
+
+
+def scaled_lamp(lamp: CameraLamp, scale: float) -> CameraLamp:
+    """The lamp in a world where all lengths are `scale` times as large: the object is as bright as before."""
+    return CameraLamp(lamp.intensity * scale**2, lamp.offset * scale, lamp.exponent)

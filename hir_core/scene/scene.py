@@ -157,13 +157,31 @@ class Material:
 
 
 @dataclass(frozen=True, eq=False)
+class CameraLamp:
+    """A small lamp that each camera carries, such as a flash: its light falls with the square of the distance.
+
+    At a distance r, and at an angle θ from the camera's viewing axis, its irradiance on a surface that faces it is
+    `intensity · cos(θ)^exponent / r²`.
+    """
+
+    intensity: Float[Tensor, " 3"]
+    """Radiant intensity along the viewing axis: radiance times the square of the scene's unit of length."""
+    offset: Float[Tensor, " 3"]
+    """Place in the camera's axes (docs/conventions.md: x to the right, y down, z forwards), in the scene's unit."""
+    exponent: Float[Tensor, ""]
+    """Of the emission lobe; 0 for a lamp that shines equally in all directions."""
+
+
+@dataclass(frozen=True, eq=False)
 class EnvironmentMap:
-    """Distant light as a lat-long image (docs/conventions.md), fixed in the world or to the camera."""
+    """Distant light as a lat-long image (docs/conventions.md), fixed in the world or to the camera; and a lamp."""
 
     radiance: Float[Tensor, "H W 3"]
     to_world: Float[Tensor, "3 3"] | None = None
     """Rotation from the map's axes to the world's (or the camera's); None is the identity."""
     frame: Literal["world", "camera"] = "world"
+    lamp: CameraLamp | None = None
+    """A lamp beside the distant light; None for none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,7 +197,7 @@ class Scene:
         return _to_device(self, torch.device(device))
 
 
-Part = TypeVar("Part", bound=Topology | Mesh | Material | EnvironmentMap | Scene)
+Part = TypeVar("Part", bound=Topology | Mesh | Material | CameraLamp | EnvironmentMap | Scene)
 
 
 def _to_device(part: Part, device: torch.device) -> Part:
@@ -189,6 +207,6 @@ def _to_device(part: Part, device: torch.device) -> Part:
         value = getattr(part, field.name)
         if isinstance(value, Tensor):
             moved[field.name] = value.to(device)
-        elif isinstance(value, Topology | Mesh | Material | EnvironmentMap):
+        elif isinstance(value, Topology | Mesh | Material | CameraLamp | EnvironmentMap):
             moved[field.name] = _to_device(value, device)
     return replace(part, **moved)

@@ -13,9 +13,10 @@ from hir_exporters.textures.image_files import read_exr, write_exr
 from hir_core.errors import InputError
 from hir_core.files.array_files import read_arrays, write_arrays
 from hir_core.files.json_documents import read_json, write_json
-from hir_core.scene.scene import EnvironmentMap, Material, Mesh, Scene, Topology
+from hir_core.scene.scene import CameraLamp, EnvironmentMap, Material, Mesh, Scene, Topology
 
 _MATERIAL = ("diffuse_albedo", "specular_albedo", "roughness", "normal", "observed", "metalness")
+_LAMP = ("intensity", "offset", "exponent")
 
 
 def save_stage_scene(scene: Scene, folder: Path) -> None:
@@ -38,6 +39,8 @@ def save_stage_scene(scene: Scene, folder: Path) -> None:
     if environment is not None:
         document["environment"] = environment.frame
         arrays |= {"environment.radiance": environment.radiance, "environment.to_world": environment.to_world}
+        if environment.lamp is not None:
+            arrays |= {f"lamp.{name}": getattr(environment.lamp, name) for name in _LAMP}
     with atomic_directory(folder) as new_folder:
         arrays_to_store = {}
         for name, value in arrays.items():
@@ -81,7 +84,8 @@ def _scene_of(document: dict[str, Any], tensors: dict[str, torch.Tensor]) -> Sce
         maps = {n: tensors.get(f"material.{n}") for n in _MATERIAL}
         material = Material(model=document["material"], **maps, **f0)  # type: ignore[arg-type]
     if document["environment"] is not None:
+        lamp = CameraLamp(*(tensors[f"lamp.{name}"] for name in _LAMP)) if "lamp.intensity" in tensors else None
         environment = EnvironmentMap(
-            tensors["environment.radiance"], tensors.get("environment.to_world"), document["environment"]
+            tensors["environment.radiance"], tensors.get("environment.to_world"), document["environment"], lamp
         )
     return Scene(mesh, material, environment)

@@ -13,7 +13,7 @@ TRANSPORT_GGX = Component(
     summary="Cached light transport for frozen geometry: rays are traced once, steps are linear algebra.",
     requires=("torch", "jaxtyping", "mitsuba", "scipy"),
     extra="reconstruct",
-    traits=frozenset({"material", "environment", "solver", "regularizers", "exposures"}),
+    traits=frozenset({"material", "environment", "solver", "regularizers", "exposures", "camera_lamp"}),
 )
 
 MITSUBA_GGX = Component(
@@ -23,7 +23,7 @@ MITSUBA_GGX = Component(
     summary="Path tracing of the same BRDFs: the unbiased reference for fits and evaluation.",
     requires=("torch", "jaxtyping", "mitsuba"),
     extra="reconstruct",
-    traits=frozenset({"material", "environment", "stochastic", "reference"}),
+    traits=frozenset({"material", "environment", "stochastic", "reference", "camera_lamp"}),
 )
 
 

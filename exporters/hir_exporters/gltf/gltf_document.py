@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from hir_exporters.asset import Asset, AssetMaterial, AssetMesh
+from hir_exporters.asset_lamp import described_provenance
 from hir_exporters.engines.engine_light import EngineLight
 from hir_exporters.errors import ExportError
 from hir_exporters.format_options import GltfConfig
@@ -155,8 +156,8 @@ def build_document(
     finest = levels[0]
     document = GLTF2(asset=Header(version="2.0", generator=GENERATOR))
     document.extensionsUsed, document.extensionsRequired = [], []
-    if finest.asset.provenance:
-        document.asset.extras = {"hir": dict(finest.asset.provenance)}
+    if provenance := described_provenance(finest.asset.provenance, finest.asset.lamp):
+        document.asset.extras = {"hir": provenance}
     writer = BinaryWriter(document, config.compression == "meshopt")
     embedding = writer if files_prefix is None else None
     for level, gathered in enumerate(levels):

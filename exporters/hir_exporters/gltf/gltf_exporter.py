@@ -70,7 +70,7 @@ def _write(asset: Asset, destination: Path, config: GltfConfig, edit: Edit | Non
     warnings += texture_size_warnings(asset.material, config.max_texture_size)
     asset = replace(asset, material=limit_texture_sizes(asset.material, config.max_texture_size))
     if light is not None:
-        asset = replace(asset, environment=AssetEnvironment(light.split.residual))
+        asset = replace(asset, environment=AssetEnvironment(light.split.residual, lamp=asset.environment.lamp))
         warnings += (light.sentence(), *light.warnings)
     gathered = gather_asset(asset, config, light)
     if BUDGETS[config.budget].bytes is not None:

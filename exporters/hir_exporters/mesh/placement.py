@@ -50,4 +50,7 @@ def placed_asset(asset: Asset, matrix: NDArray[np.float64]) -> Asset:
         return asset
     positions = asset.mesh.positions.astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
     provenance = {**asset.provenance, "placement": matrix.tolist()}
-    return replace(asset, mesh=replace(asset.mesh, positions=positions.astype(np.float32)), provenance=provenance)
+    mesh, environment = replace(asset.mesh, positions=positions.astype(np.float32)), asset.environment
+    if environment is not None and environment.lamp is not None:
+        environment = replace(environment, lamp=environment.lamp.scaled(float(matrix[0, 0])))
+    return replace(asset, mesh=mesh, environment=environment, provenance=provenance)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hir_exporters.asset import Asset, AssetMesh
+from hir_exporters.asset_lamp import described_provenance
 from hir_exporters.conventions import flip_v
 from hir_exporters.mesh.unit_vectors import unit_vectors
 from hir_exporters.mesh.vertex_welding import weld
@@ -35,8 +36,8 @@ def build_stage(
     prim = UsdGeom.Xform.Define(stage, root).GetPrim()
     Usd.ModelAPI(prim).SetKind(Kind.Tokens.component)
     stage.SetDefaultPrim(prim)
-    if asset.provenance:
-        prim.SetCustomDataByKey("hir", _custom_data(asset.provenance))
+    if provenance := described_provenance(asset.provenance, asset.lamp):
+        prim.SetCustomDataByKey("hir", _custom_data(provenance))
     mesh = _add_mesh(asset, stage, root.AppendChild("Geometry"))
     if subsets:
         _add_subsets(asset, mesh)

@@ -88,7 +88,10 @@ class Rerender:
         `costs` has the PSNR of the fitted scene with one part of the file: its material, mesh or light. `light` is
         that of the file, in world axes; it is used where the run's light is fixed in the world.
         """
-        lit = light if light is not None and self.light_in_world else self._asset.environment
+        fitted = self._asset.environment
+        lit = light if light is not None and self.light_in_world else fitted
+        if lit is not None and fitted is not None:
+            lit = replace(lit, lamp=fitted.lamp)  # files describe a lamp near the camera and contain none
         whole = replace(self._asset, mesh=written.mesh, material=written.material, environment=lit)
         views = self._views(self._pictures(whole))
         if _mean(views) < GOOD_PSNR and not self._is_finer:
@@ -106,7 +109,7 @@ class Rerender:
                 "the material": replace(self._asset, material=written.material),
                 "the mesh": replace(self._asset, mesh=written.mesh),
             }
-            if lit is not self._asset.environment:
+            if light is not None and self.light_in_world:
                 parts["the light"] = replace(self._asset, environment=lit)
             result["costs"] = {name: _mean(self._views(self._pictures(part))) for name, part in parts.items()}
         return result

@@ -113,7 +113,7 @@ class GradientSolver(ReflectanceSolver[GradientFit, GradientFit]):
 
     def supported(self, spec: ModelSpec) -> ModelSpec | None:
         """Without indirect light, shading normals and per-texel BRDFs; None for other kinds of material or light."""
-        if spec.kind not in self._kinds or spec.light_frame not in self._frames:
+        if spec.kind not in self._kinds or spec.light_frame not in self._frames or spec.lamp:
             return None
         return replace(spec, bounces=0, normals="mesh", per_texel="none", colored=False)
 

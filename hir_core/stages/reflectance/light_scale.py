@@ -31,11 +31,17 @@ class LightScaleReport:
 
 ASSUMED = LightScaleReport("assumed", "assumed, because photographs of the object alone do not show it")
 
+UNDER_LAMP = LightScaleReport(
+    "assumed", "assumed, because the lamp near the camera lit the card from another place in each photograph"
+)
+
 
 def light_scale_report(fitted: Scene, capture: Capture, light_is_known: bool) -> LightScaleReport:
     """The source of the scale, and the fitted light beside the card if there is one."""
     source: Literal["card", "known light"] = "known light" if light_is_known else "card"
     shown = len(measuring_views(capture))
+    if shown and fitted.environment is not None and fitted.environment.lamp is not None:
+        return LightScaleReport(source, "from the known light") if light_is_known else UNDER_LAMP
     if capture.irradiance is None or not shown or fitted.environment is None:
         return LightScaleReport(source, "from the known light") if light_is_known else ASSUMED
     red, green, blue = (round(1 / float(each), 4) for each in measured_over_found(fitted.environment, capture))

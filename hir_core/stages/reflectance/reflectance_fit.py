@@ -89,6 +89,12 @@ def fit_reflectance(
     by_solver = offers_solver and settings.method != "gradient"
     capture = with_recorded_exposures(capture)
     exposures = exposures_to_compare(capture, settings, settings.renderer, by_solver and "exposures" in traits)
+    fits_lamp = by_solver and "camera_lamp" in traits
+    if settings.light_frame == "lamp" and not fits_lamp:
+        raise ConfigError(
+            f"reflectance.light_frame is 'lamp', which the fit of {settings.renderer!r} does not support; choose "
+            "another reflectance.renderer, reflectance.method=auto or reflectance.light_frame=auto"
+        )
     renderer: ReflectanceRenderer = context.plugins.create(
         "reflectance_renderer", settings.renderer, options, context.seed
     )
@@ -105,7 +111,7 @@ def fit_reflectance(
             takes_terms = "regularizers" in traits
             other_shape = None if silhouette_positions is None else on_silhouettes
             fitted, used, shading, report = _fit_by_solver(
-                initial, prepared, other_shape, takes_terms, exposures, capture, settings, context
+                initial, prepared, other_shape, takes_terms, exposures, fits_lamp, capture, settings, context
             )
         else:
             fitted, report = _fit_by_gradient(initial, prepared, capture, settings, context)
@@ -130,6 +136,7 @@ def _fit_by_solver(
     other_shape: Callable[[], PreparedReflectance] | None,
     takes_terms: bool,
     exposures: Sequence[Exposures],
+    fits_lamp: bool,
     capture: Capture,
     settings: ReflectanceSettings,
     context: StageContext,
@@ -151,7 +158,7 @@ def _fit_by_solver(
     progress = StageProgress(context)
     fits = FitSequence(solver, progress.selecting, context.checkpoints, context.checkpoint_seconds)
     selection = select_model(
-        fits, settings, len(views), progress, other_solver if other_shape is not None else None, exposures
+        fits, settings, len(views), progress, other_solver if other_shape is not None else None, exposures, fits_lamp
     )
     solver = fits.solver
     fit, spec = selection.fit, selection.spec
@@ -205,7 +212,7 @@ def _fit_by_solver(
         ReflectanceReport(
             method="solver",
             model=spec.name,
-            light_frame=spec.light_frame,
+            light_frame=spec.light,
             fitted=LightAndMaterial.of(fitted),
             bounces=spec.bounces,
             explanation=explanation_report(selection),

@@ -26,6 +26,7 @@ class HypothesisReport:
     """Kind of material and light."""
     kind: str
     light_frame: str
+    """`world`, `camera`, or `lamp`: a lamp near the camera beside a light in the world."""
     held_out_db: tuple[float, ...]
     """Mean PSNR on held-out views after each round that it took part in."""
     dropped: bool
@@ -145,18 +146,28 @@ class LightAndMaterial:
     brdf: str
     specular_albedo: float
     roughness_alpha: float
+    lamp_intensity: tuple[float, ...] | None = None
+    """RGB, of the lamp near the camera in the working frame, where the object has radius 1; None without one."""
+    lamp_offset: tuple[float, ...] | None = None
+    """Its place in the camera's axes, in the working frame."""
+    lamp_exponent: float | None = None
+    """Of its lobe of emission."""
 
     @classmethod
     def of(cls, scene: Scene) -> LightAndMaterial:
         """Of a fitted scene."""
         assert scene.environment is not None and scene.material is not None
         radiance, material = scene.environment.radiance, scene.material
+        lamp = scene.environment.lamp
         return cls(
             tuple(round(float(v), 5) for v in radiance.mean(dim=(0, 1))),
             round(float(radiance.max()), 4),
             material.model,
             round(float(material.specular_albedo.mean()), 5),
             round(float(material.roughness.mean()), 5),
+            None if lamp is None else tuple(round(float(v), 4) for v in lamp.intensity),
+            None if lamp is None else tuple(round(float(v), 4) for v in lamp.offset),
+            None if lamp is None else round(float(lamp.exponent), 3),
         )
 
 
@@ -168,6 +179,7 @@ class ReflectanceReport:
     model: str
     """Name of the fitted model."""
     light_frame: str
+    """`world`, `camera`, or `lamp`: a lamp near the camera beside a light in the world."""
     fitted: LightAndMaterial
     bounces: int | None = None
     """Reflections between parts of the surface that the solver modelled."""
@@ -210,7 +222,7 @@ def hypothesis_reports(selection: Selection[FitT]) -> tuple[HypothesisReport, ..
             HypothesisReport(
                 described(spec),
                 spec.kind,
-                spec.light_frame,
+                spec.light,
                 tuple(round(value, 3) for value in contestants[spec].curve_db),
                 contestants[spec].dropped,
                 None if margin is None else round(margin.margin_db, 3),

@@ -574,6 +574,48 @@ def _exposed(subject: Subject, scene: Scene, capture: Capture, factors: np.ndarr
     return replace(capture, views=tuple(views))
 
 
+@contract("reflectance_renderer", traits={"camera_lamp"}, slow=True)
+def lamp_is_near_the_camera(subject: Subject) -> None:
+    """A matt sphere under a lamp at the camera's centre, of radiant intensity I, shows albedo / π · I / r² in the
+    middle of the picture (2 %), from two distances r. Towards the rim the exponent of the emission lobe darkens it by
+    the power of the cosine to the viewing axis (2 %). A lamp to the right of the camera leaves the right side brighter.
+    """
+    import torch
+
+    from hir_core.scene import CameraLamp, EnvironmentMap
+    from hir_core.testing.scenes import constant_material, looking_at, smooth_sphere
+
+    material, intensity = constant_material("paper", 0.5, 0.0, 0.5), 30.0
+    dark = torch.full((8, 16, 3), 1e-6)
+    middle, beside = SIZE // 2, SIZE // 2 + SIZE // 6
+    pixels = torch.tensor([(0, middle, middle), (0, beside, middle), (0, SIZE - 1 - beside, middle)])
+
+    def shown(distance: float, x: float, exponent: float) -> np.ndarray:
+        lamp = CameraLamp(torch.full((3,), intensity), torch.tensor([x, 0.0, 0.0]), torch.tensor(exponent))
+        light, camera = EnvironmentMap(dark, lamp=lamp), looking_at((0, 0, distance), SIZE)
+        prepared = _prepared(subject, _scene(material, light, smooth_sphere(4)), camera)
+        value, _ = _mean(subject, lambda: prepared.radiance(material, light, pixels).mean(dim=1))
+        return np.asarray(value.detach().cpu().double().numpy())
+
+    for distance in (3.0, 5.0):
+        expected = 0.5 / np.pi * intensity / (distance - 1) ** 2
+        found = float(shown(distance, 0.0, 0.0)[0])
+        require(
+            abs(found / expected - 1) < 0.02,
+            f"at a distance of {distance - 1:g} a surface that faces the lamp shows {found:.4f}, not {expected:.4f}: "
+            "irradiance is intensity / r²",
+        )
+    direction = looking_at((0, 0, 3.0), SIZE).rays(np.array([[beside + 0.5, middle + 0.5]]))[1]
+    cosine = float(-direction[0, 2])
+    ratio = float(shown(3.0, 0.0, 20.0)[1] / shown(3.0, 0.0, 0.0)[1])
+    require(
+        abs(ratio / cosine**20 - 1) < 0.02,
+        f"an exponent of 20 darkens a point off the viewing axis to {ratio:.3f} instead of {cosine**20:.3f}",
+    )
+    _, right, left = shown(3.0, 1.5, 0.0)
+    require(right > 1.2 * left, f"a lamp to the right lights the right side by {right:.4f} and the left by {left:.4f}")
+
+
 def _blocks(image: Tensor, side: int = 4) -> Tensor:
     """Means over blocks of side×side pixels (H W C)."""
     height, width, channels = image.shape

@@ -98,9 +98,14 @@ class Surface:
         valid = is_hit & (dr.dot(geometric, direction) < 0)
         return SurfaceHit(valid, is_hit, position, geometric, normal, u, v, hit.prim_index, weights)
 
-    def occluded(self, origin: DrJitArray, direction: DrJitArray, active: DrJitArray) -> DrJitArray:
-        """Whether rays hit the mesh."""
-        return self.scene.ray_test(mi.Ray3f(origin, direction), active=active)
+    def occluded(
+        self, origin: DrJitArray, direction: DrJitArray, active: DrJitArray, distance: DrJitArray | None = None
+    ) -> DrJitArray:
+        """Whether rays hit the mesh, before a `distance` if there is one."""
+        ray = mi.Ray3f(origin, direction)
+        if distance is not None:
+            ray.maxt = distance
+        return self.scene.ray_test(ray, active=active)
 
     def start(self, point: SurfaceHit, direction: DrJitArray) -> DrJitArray:
         """Origin of a ray from the surface in a direction."""

@@ -17,6 +17,7 @@ from hir_plugins.reflectance_renderers.mitsuba_ggx.brdf_drjit import Reflectance
 from hir_plugins.reflectance_renderers.mitsuba_ggx.emitter import Light
 from hir_plugins.reflectance_renderers.mitsuba_ggx.mitsuba_mesh import Surface, SurfaceHit
 from hir_plugins.reflectance_renderers.mitsuba_ggx.mitsuba_textures import Parameter
+from hir_plugins.reflectance_renderers.mitsuba_ggx.point_lamp import PointLamp
 from hir_plugins.reflectance_renderers.mitsuba_ggx.sample_sequence import SampleSequence
 
 
@@ -52,10 +53,11 @@ def incoming(
     direction: DrJitArray,
     points: SampleSequence,
     max_depth: int,
+    lamp: PointLamp | None = None,
 ) -> DrJitArray:
     """Color3f: radiance from `first` towards the eye, along `direction`; 0 where `first` is not valid.
 
-    `light_from_world` is a Matrix3f for each lane.
+    `light_from_world` is a Matrix3f for each lane. A `lamp` adds its light without noise of its own.
     """
     up: DrJitArray = mi.Vector3f(0, 0, 1)
     total: DrJitArray = mi.Color3f(0)
@@ -74,6 +76,9 @@ def incoming(
         weight = _power(density, dr.detach(pdf(reflectance, eye, chosen))) / dr.maximum(density, 1e-30)
         value = throughput * evaluate(reflectance, eye, chosen) * light.radiance(towards) * weight
         total += dr.select(lit, value, 0)
+
+        if lamp is not None:
+            total += _light_of_lamp(surface, reflectance, frame, lamp, point, eye, throughput, active)
 
         drawn = dr.detach(sample(reflectance, dr.detach(eye), points.next()))
         density = dr.detach(pdf(reflectance, dr.detach(eye), drawn))
@@ -95,6 +100,24 @@ def incoming(
             active = active & point.valid
             direction = world
     return total
+
+
+def _light_of_lamp(
+    surface: Surface,
+    reflectance: Reflectance,
+    frame: DrJitArray,
+    lamp: PointLamp,
+    point: SurfaceHit,
+    eye: DrJitArray,
+    throughput: DrJitArray,
+    active: DrJitArray,
+) -> DrJitArray:
+    """Color3f: what the points reflect of the lamp's light; no other direction reaches a point of light."""
+    world, distance, irradiance = lamp.toward(dr.detach(point.position))
+    local = dr.select(active, frame.to_local(world), mi.Vector3f(0, 0, 1))
+    lit = active & (dr.detach(local.z) > 0)
+    lit &= ~surface.occluded(surface.start(point, world), world, lit, distance)
+    return dr.select(lit, throughput * evaluate(reflectance, eye, local) * irradiance, 0)
 
 
 def _power(a: DrJitArray, b: DrJitArray) -> DrJitArray:

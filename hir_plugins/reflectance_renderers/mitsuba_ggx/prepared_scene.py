@@ -17,13 +17,14 @@ from torch import Tensor
 from hir_core.capture import Camera
 from hir_core.errors import StageError
 from hir_core.plugins.interfaces import PreparedReflectance
-from hir_core.scene import EnvironmentMap, Material
+from hir_core.scene import CameraLamp, EnvironmentMap, Material
 from hir_plugins.reflectance_renderers.drjit_arrays import floats, to_color, to_float, to_torch, to_uint
 from hir_plugins.reflectance_renderers.drjit_types import DrJitArray
 from hir_plugins.reflectance_renderers.mitsuba_ggx.emitter import Light
 from hir_plugins.reflectance_renderers.mitsuba_ggx.mitsuba_mesh import Surface
 from hir_plugins.reflectance_renderers.mitsuba_ggx.mitsuba_textures import Parameter
 from hir_plugins.reflectance_renderers.mitsuba_ggx.path_tracing import Shading, incoming
+from hir_plugins.reflectance_renderers.mitsuba_ggx.point_lamp import PointLamp
 from hir_plugins.reflectance_renderers.mitsuba_ggx.sample_sequence import SampleSequence, lanes
 
 LANES = 1 << 20
@@ -42,11 +43,18 @@ class Cameras:
         centers = [(np.asarray(c.center) - surface.center) / surface.radius for c in cameras]
         self._directions = floats(np.array(directions), mi)
         self._centers = floats(np.array(centers), mi)
+        self._from_world = floats(np.array(self.rotations), mi)
+        self._radius = surface.radius
 
     def rays(self, view: DrJitArray, x: DrJitArray, y: DrJitArray) -> tuple[DrJitArray, DrJitArray]:
         """Origins and unit directions, in the unit sphere, of rays through pixel positions."""
         direction = _matrix(self._directions, view) @ mi.Vector3f(x, y, 1)
         return dr.gather(mi.Point3f, self._centers, view), dr.normalize(direction)
+
+    def lamp(self, lamp: CameraLamp, view: DrJitArray) -> PointLamp:
+        """The lamp of each view's camera, in the unit sphere."""
+        center = dr.gather(mi.Point3f, self._centers, view)
+        return PointLamp.of(lamp, _matrix(self._from_world, view), center, self._radius)
 
     def light_from_world(self, environment: EnvironmentMap) -> tuple[DrJitArray, bool]:
         """Rotations (9 floats each) from the world to the axes of the light, and whether each view has its own."""
@@ -184,15 +192,25 @@ class PreparedMitsuba(PreparedReflectance):
         inside = points.next()
         origin, direction = self._cameras.rays(view, mi.Float(x) + inside.x, mi.Float(y) + inside.y)
         first = self._surface.intersect(origin, direction, mi.Bool(True), coherent=True)
-        rotation = None
+        rotation = lamp = None
         if environment is not None:
+            if environment.lamp is not None:
+                lamp = self._cameras.lamp(environment.lamp, view)
             table, each = self._cameras.light_from_world(environment)
             rotation = _matrix(table, view if each else dr.zeros(mi.UInt32, dr.width(view)))
-        return _Lanes(pixel, first, direction, points, dr.select(first.valid, mi.Float(1), 0), rotation)
+        return _Lanes(pixel, first, direction, points, dr.select(first.valid, mi.Float(1), 0), rotation, lamp)
 
     def _paths(self, shading: Shading, light: Light, lane: _Lanes) -> DrJitArray:
         return incoming(
-            self._surface, shading, light, lane.rotation, lane.first, lane.direction, lane.points, self._max_depth
+            self._surface,
+            shading,
+            light,
+            lane.rotation,
+            lane.first,
+            lane.direction,
+            lane.points,
+            self._max_depth,
+            lane.lamp,
         )
 
 
@@ -207,6 +225,7 @@ class _Lanes:
     hit: DrJitArray
     """Float: 1 where the sample hit the object."""
     rotation: DrJitArray
+    lamp: PointLamp | None
 
 
 class _Radiance(torch.autograd.Function):

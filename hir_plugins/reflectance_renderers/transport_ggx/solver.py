@@ -26,6 +26,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_checkpoints import 
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_terms import FitTerms
 from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.initial_exposures import initial_exposures
 from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.initial_guess import (
+    direct_irradiance,
     extended_to,
     initial_albedo,
     initial_candidates,
@@ -33,6 +34,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.initial_guess i
     simpler_model,
     without_indirect,
 )
+from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.initial_lamp import initial_lamp
 from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.measured_scale import at_measured_scale
 from hir_plugins.reflectance_renderers.transport_ggx.fit.joint_optimization import FitSettings
 from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import (
@@ -47,6 +49,11 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import (
     srgb_residual,
 )
 from hir_plugins.reflectance_renderers.transport_ggx.fit.smoothness import SmoothnessWeights
+from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_lamp import (
+    LampCameras,
+    LampPoints,
+    lamp_irradiance,
+)
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.shading import TransportShading
@@ -114,7 +121,8 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         self._first_fits: dict[tuple[ModelSpec, tuple[int, ...], float, float], Parameters] = {}
         self._lit_surface: tuple[Parameters, ModelSpec, tuple[int, ...], LitSurface] | None = None
         self._rotation = _camera_rotations(capture, transport.surface.positions.device)
-        self._pixels = PhotographPixels(transport, capture, downsample, options, self._rotation)
+        self._cameras = _lamp_cameras(capture, transport.surface.positions)
+        self._pixels = PhotographPixels(transport, capture, downsample, options, self._rotation, self._cameras)
 
     def with_terms(self, terms: Sequence[WeightedTerm]) -> TransportSolver:
         """The same solver, whose fits at vertices and whose albedo textures minimise the terms too."""
@@ -125,6 +133,10 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
     ) -> Float[Tensor, "B 3"]:
         """Direct radiance through pixels (view, x, y); 0 where they miss. Differentiable in material and light."""
         return self._shading.radiance(material, environment, pixels)
+
+    def supported(self, spec: ModelSpec) -> ModelSpec | None:
+        """Every model; but a BRDF for each texel needs a light that is the same for all photographs."""
+        return replace(spec, per_texel="none") if spec.lamp else spec
 
     def simpler(self, spec: ModelSpec) -> ModelSpec | None:
         """The model that is fitted first where there is no earlier fit."""
@@ -322,12 +334,14 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
                 fit.spec,
                 parameters,
                 self._rotation if on_camera else None,
+                self._cameras,
                 self._options,
                 report,
                 self._fit_terms(fit.spec),
             )
         rotation = UPRIGHT.to(parameters.light) if on_camera else None
-        light = EnvironmentMap(parameters.radiance, rotation, fit.spec.light_frame)
+        lamp = None if (own := parameters.camera_lamp) is None else self._cameras.in_scene(own)
+        light = EnvironmentMap(parameters.radiance, rotation, fit.spec.light_frame, lamp)
         scene = replace(self._scene, material=material, environment=light)
         indirect = self._indirect_light(parameters, fit.spec.bounces) if fit.spec.bounces else None
         refinement = AlbedoRefinement(equations, self._options.seed, self._fit_terms(fit.spec))
@@ -367,21 +381,27 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         assert self._scene.material is not None and self._scene.environment is not None
         if initial is None:
             light = self._scene.environment.radiance.clamp(1e-6, MAX_RADIANCE).log()
+            lamp = initial_lamp(light) if spec.lamp else None
             if spec.brdf == "metallic" and self._has_uniform_guess(spec):
-                radiance, diffuse = self._initial_metal(photographs, spec, light.exp())
-                light = radiance.clamp(1e-6, MAX_RADIANCE).log()
+                gain, diffuse = self._initial_metal(photographs, spec, light.exp(), lamp)
+                light = (light.exp() * gain).clamp(1e-6, MAX_RADIANCE).log()
+                lamp = None if lamp is None else torch.cat([lamp[:3] + gain.log(), lamp[3:]])
             else:
-                diffuse = self._initial_albedo(photographs, spec, light.exp())
-            base = Parameters(light, torch.logit(diffuse), None, None)
+                diffuse = self._initial_albedo(photographs, spec, light.exp(), lamp)
+            base = Parameters(light, torch.logit(diffuse), None, None, lamp=lamp)
         else:
             base = self._at_measured_scale(initial)
+            lamp = initial_lamp(base.light) if spec.lamp and base.lamp is None else base.lamp
+            base = replace(base, lamp=lamp if spec.lamp else None)
             if spec.bounces and not initial.spec.bounces:
                 base = replace(base, diffuse=without_indirect(self._transport, base, spec.bounces))
         return self._with_exposures(spec, extended_to(spec, base, self._scene.material), photographs, initial)
 
     def _at_measured_scale(self, fit: Fit) -> Parameters:
-        """The parameters of a fit, as bright as a card measured the light."""
-        if fit.spec.light_is_known:
+        """The parameters of a fit, as bright as a card measured the light; unchanged with a lamp, which lit the card in
+        each photograph from another side and at another distance.
+        """
+        if fit.spec.light_is_known or fit.spec.lamp:
             return fit.parameters
         rotation = UPRIGHT if fit.spec.light_frame == "camera" else None
         return at_measured_scale(fit.parameters, fit.spec.light_frame, rotation, self._capture)
@@ -413,7 +433,10 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         if missing := [view for view in photographs.points.view.unique().tolist() if view not in known]:
             found[missing] = self._exposures_of(initial, missing)[missing]
         # the mean belongs to the light
-        return replace(parameters, log_exposure=found, light=parameters.light + found.mean(dim=0))
+        mean, lamp = found.mean(dim=0), parameters.lamp
+        if lamp is not None:
+            lamp = torch.cat([lamp[:3] + mean, lamp[3:]])
+        return replace(parameters, log_exposure=found, light=parameters.light + mean, lamp=lamp)
 
     def _exposures_of(self, fit: Fit, views: Sequence[int]) -> Float[Tensor, "views 3"]:
         """Logarithms of the photographs' brightness beside the radiance that a fit predicts."""
@@ -423,15 +446,30 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
     def _has_uniform_guess(self, spec: ModelSpec) -> bool:
         return self._options.initial_albedo == "uniform" and not spec.light_is_known
 
-    def _initial_albedo(self, photographs: ObservedPixels, spec: ModelSpec, light: Tensor) -> Float[Tensor, "V 3"]:
-        rotation = self._rotation if spec.light_frame == "camera" else None
-        uniform, samples = self._has_uniform_guess(spec), self._options.diffuse_samples
-        return initial_albedo(self._transport, photographs, light, uniform, rotation, samples)
+    def _initial_albedo(
+        self, photographs: ObservedPixels, spec: ModelSpec, light: Tensor, lamp: Tensor | None
+    ) -> Float[Tensor, "V 3"]:
+        arriving = self._arriving(photographs, spec, light, lamp)
+        return initial_albedo(self._transport, photographs, arriving, self._has_uniform_guess(spec))
 
-    def _initial_metal(self, photographs: ObservedPixels, spec: ModelSpec, light: Tensor) -> tuple[Tensor, Tensor]:
+    def _initial_metal(
+        self, photographs: ObservedPixels, spec: ModelSpec, light: Tensor, lamp: Tensor | None
+    ) -> tuple[Tensor, Tensor]:
+        arriving = self._arriving(photographs, spec, light, lamp)
+        return initial_metal(self._transport, photographs, arriving, bool(measuring_views(self._capture)))
+
+    def _arriving(
+        self, photographs: ObservedPixels, spec: ModelSpec, light: Tensor, lamp: Tensor | None
+    ) -> Float[Tensor, "P 3"]:
+        """Irradiance of pixels under an initial light, without indirect light."""
         rotation = self._rotation if spec.light_frame == "camera" else None
-        is_measured, samples = bool(measuring_views(self._capture)), self._options.diffuse_samples
-        return initial_metal(self._transport, photographs, light, rotation, samples, is_measured)
+        arriving = direct_irradiance(self._transport, photographs, light, rotation, self._options.diffuse_samples)
+        if lamp is None:
+            return arriving
+        shown = Parameters(light, light, None, None, lamp=lamp).camera_lamp
+        assert shown is not None
+        points = LampPoints.of(photographs.points, self._cameras, self._transport.tracer, self._transport.offset)
+        return arriving + lamp_irradiance(points, shown)
 
     def _best_candidate(
         self,
@@ -462,6 +500,14 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         )
         last = losses[-max(1, len(losses) // 5) :]
         return sum(last) / len(last) if last else math.inf
+
+
+def _lamp_cameras(capture: Capture, positions: Float[Tensor, "V 3"]) -> LampCameras:
+    """The cameras of the views; the unit of length is their mean distance from the middle of the object."""
+    middle = ((positions.max(dim=0).values + positions.min(dim=0).values) / 2).cpu().numpy()
+    distances = [float(np.linalg.norm(camera.center - middle)) for camera in capture.cameras]
+    unit = max(float(np.mean(distances)), 1e-30)
+    return LampCameras.of(dict(enumerate(capture.cameras)), positions.device, unit)
 
 
 def _camera_rotations(capture: Capture, device: torch.device) -> Float[Tensor, "N 3 3"]:

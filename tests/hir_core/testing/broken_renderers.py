@@ -192,6 +192,23 @@ class HalfLit(Prepared):
         return super().radiance(material, replace(environment, radiance=half), pixels)
 
 
+class WithoutLamp(Traced):
+    """Declares the trait `camera_lamp` and shades the distant light alone."""
+
+    def prepare(self, scene: Scene, capture: Capture, downsample: int = 1) -> PreparedReflectance:
+        return PreparedWithoutLamp(self, self.inner.prepare(scene, capture, downsample), capture)
+
+
+class PreparedWithoutLamp(Prepared):
+    def radiance(self, material: Material, environment: EnvironmentMap, pixels: Tensor) -> Tensor:
+        return super().radiance(material, replace(environment, lamp=None), pixels)
+
+
+def with_lamp(implementation: type) -> Component:
+    sound = reflectance(implementation)
+    return replace(sound, name="lit_by_lamp", traits=sound.traits | {"camera_lamp"})
+
+
 def reflectance(implementation: type = Traced) -> Component:
     return Component(
         name="traced",
@@ -244,4 +261,5 @@ BROKEN_REFLECTANCE: dict[str, Component] = {
     "gradient_by_light": reflectance(HalfLight),
     "agrees_with_the_reference": reflectance(Biased),
     "exposures_are_fitted": solving(EquallyExposed),
+    "lamp_is_near_the_camera": with_lamp(WithoutLamp),
 }

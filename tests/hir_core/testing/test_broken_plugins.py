@@ -97,9 +97,10 @@ def test_sound_ones_break_none(kind: str, component: Component, plugins: PluginM
     [
         ("reflectance_renderer", broken_renderers.reflectance()),
         ("reflectance_renderer", broken_renderers.solving(broken_renderers.Exposed)),
+        ("reflectance_renderer", broken_renderers.with_lamp(broken_renderers.Traced)),
         ("initializer", broken_initializers.cameras()),
     ],
-    ids=["reflectance_renderer", "solver", "cameras"],
+    ids=["reflectance_renderer", "solver", "lamp", "cameras"],
 )
 def test_slow_sound_ones_break_none(kind: str, component: Component, plugins: PluginManager) -> None:
     check_component(as_registered(kind, component), plugins=plugins)

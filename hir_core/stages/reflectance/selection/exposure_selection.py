@@ -48,7 +48,7 @@ def select_exposures(
     Exposures are fitted only where held-out views are nearer at exposures of their own. `later_cost`: expected cost of
     what follows, for the progress.
     """
-    specs = _simplest(hypotheses)
+    specs = simplest_under_each_light(hypotheses)
     fits.expect(2 * len(specs) * fit_cost(specs[0], BUDGET.effort, BUDGET.pixel_share) + later_cost)
     comparison = _ExposureComparison(fits, specs)
     if recorded:
@@ -133,9 +133,9 @@ def gains_by_exposures(before: FoldedFit[FitT], after: FoldedFit[FitT]) -> bool:
     return is_significant(gain, standard_error, len(after.errors), REQUIRED_STANDARD_ERRORS_OF_EXPOSURES)
 
 
-def _simplest(hypotheses: Sequence[ModelSpec]) -> list[ModelSpec]:
+def simplest_under_each_light(hypotheses: Sequence[ModelSpec]) -> list[ModelSpec]:
     """The first hypothesis under each light."""
     found: dict[str, ModelSpec] = {}
     for spec in hypotheses:
-        found.setdefault(spec.light_frame, spec)
+        found.setdefault(spec.light, spec)
     return list(found.values())

@@ -1,5 +1,6 @@
 """Model selection by complete hypotheses: material and light together, then refinements.
 
+0. Hypotheses with a lamp near the camera take part where the simplest of them is ahead.
 1. The simplest hypotheses decide which exposures the photographs have.
 2. Each hypothesis starts from its own initial guess; successive halving drops those that cannot catch up.
 3. Of those that tie on held-out views the simplest is selected, after a second fold of held-out views.
@@ -22,7 +23,11 @@ from hir_core.errors import ConfigError
 from hir_core.plugins.interfaces import FitT, RefinementT
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.stages.held_out_views import model_selection_folds
-from hir_core.stages.reflectance.selection.exposure_selection import ExposureSelection, select_exposures
+from hir_core.stages.reflectance.selection.exposure_selection import (
+    ExposureSelection,
+    select_exposures,
+    simplest_under_each_light,
+)
 from hir_core.stages.reflectance.selection.fit_sequence import FitSequence, fit_cost
 from hir_core.stages.reflectance.selection.folded_fits import FoldedFit, FoldedFits
 from hir_core.stages.reflectance.selection.held_out_comparison import (
@@ -32,7 +37,14 @@ from hir_core.stages.reflectance.selection.held_out_comparison import (
     mean_decibels,
     paired_gain,
 )
-from hir_core.stages.reflectance.selection.hypotheses import complexity, contains, hypotheses, simplest_of
+from hir_core.stages.reflectance.selection.hypotheses import (
+    complexity,
+    contains,
+    hypotheses,
+    lamp_hypotheses,
+    simplest_of,
+)
+from hir_core.stages.reflectance.selection.lamp_selection import lamp_is_ahead
 from hir_core.stages.reflectance.selection.refinement_selection import (
     Comparison,
     RefinementSelection,
@@ -127,19 +139,23 @@ def select_model(
     observer: SelectionObserver,
     other_shape: OtherShape[FitT, RefinementT] | None = None,
     exposures: Sequence[Exposures] = ("equal",),
+    fits_lamp: bool = False,
 ) -> Selection[FitT]:
     """Fits training views and decides on held-out views.
 
     A model that the settings name is fitted without a comparison. Where `other_shape` is selected its solver replaces
     that of `fits`. Of several `exposures`, the simplest first, those are selected that held-out views ask for; without
-    held-out views the first.
+    held-out views the first. `fits_lamp`: whether the solver fits a lamp near the camera.
     """
     folds = model_selection_folds(views)
     forced = forced_spec(settings)
     folded = FoldedFits(fits, folds) if folds else None
     shown = ExposureSelection(exposures[0])
+    admitted = hypotheses(settings)
+    if forced is None and folded is not None and fits_lamp:
+        admitted += _with_lamp(folded, fits, settings, exposures[0])
     if folded is not None and len(exposures) > 1:
-        compared = _supported(fits, hypotheses(settings) if forced is None else [simplest_of(forced)])
+        compared = _supported(fits, admitted if forced is None else [simplest_of(forced)])
         later_cost = _hypotheses_cost(compared) if forced is None else fit_cost(forced, 1.0)
         shown = select_exposures(folded, compared, "recorded" in exposures, later_cost)
     if forced is not None or folded is None:
@@ -150,7 +166,7 @@ def select_model(
     def fitted(fit: FoldedFit[FitT]) -> None:
         observer.evaluated(fit.held_out_db)
 
-    specs = [replace(each, exposures=shown.exposures) for each in _supported(fits, hypotheses(settings))]
+    specs = [replace(each, exposures=shown.exposures) for each in _supported(fits, admitted)]
     costliest = specs[-1]
     later_cost = expected_cost(costliest) + (shape_cost(costliest) if other_shape is not None else 0.0)
     halving = SuccessiveHalving(folded, specs, later_cost=later_cost, fitted=fitted)
@@ -195,6 +211,23 @@ def select_model(
         shape,
         shown,
     )
+
+
+def _with_lamp(
+    folded: FoldedFits[FitT, RefinementT],
+    fits: FitSequence[FitT, RefinementT],
+    settings: ReflectanceSettings,
+    exposures: Exposures,
+) -> list[ModelSpec]:
+    """The hypotheses with a lamp, where the simplest of them is ahead of those without; else none."""
+    lamps = lamp_hypotheses(settings)
+    if not lamps:
+        return []
+    own, *others = (
+        replace(each, exposures=exposures)
+        for each in simplest_under_each_light(_supported(fits, [lamps[0], *hypotheses(settings)]))
+    )
+    return lamps if lamp_is_ahead(folded, others, own) else []
 
 
 def _hypotheses_cost(specs: Sequence[ModelSpec]) -> float:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal
 
 from hir_core.config import ReflectanceSettings
 from hir_core.errors import ConfigError
-from hir_core.plugins.model_spec import MaterialKind, ModelSpec
+from hir_core.plugins.model_spec import LightKind, MaterialKind, ModelSpec
 from hir_core.stages.reflectance.selection.hypotheses import hypothesis, kinds_of
 
 
@@ -22,6 +21,11 @@ def forced_spec(settings: ReflectanceSettings) -> ModelSpec | None:
         raise ConfigError(
             f"reflectance.model={settings.model} needs a light that is fixed in the world; "
             "remove it or reflectance.light_frame=camera"
+        )
+    if settings.model == "per_texel_brdf" and spec.lamp:
+        raise ConfigError(
+            "reflectance.model=per_texel_brdf needs a light that is the same for all photographs; "
+            "remove it or reflectance.light_frame=lamp"
         )
     if settings.model == "specular_map" and spec.brdf == "metallic":
         raise ConfigError(
@@ -47,9 +51,9 @@ def default_spec(settings: ReflectanceSettings) -> ModelSpec:
 
 
 def _spec(kind: MaterialKind, settings: ReflectanceSettings) -> ModelSpec:
-    return replace(hypothesis(kind, initial_light_frame(settings), bool(settings.known_environment)), bounces=0)
+    return replace(hypothesis(kind, initial_light(settings), bool(settings.known_environment)), bounces=0)
 
 
-def initial_light_frame(settings: ReflectanceSettings) -> Literal["world", "camera"]:
-    """The frame of the light where none is compared."""
+def initial_light(settings: ReflectanceSettings) -> LightKind:
+    """The kind of light where none is compared."""
     return "world" if settings.light_frame == "auto" else settings.light_frame

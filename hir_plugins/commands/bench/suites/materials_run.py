@@ -53,6 +53,7 @@ class RunFigures:
     kind: str
     """Of the finished material: diffuse, dielectric, metal or mixed."""
     light_frame: str
+    """`camera` also where the camera carries a lamp."""
     model: str
     """Name of the selected model."""
     errors: Mapping[str, float]
@@ -107,7 +108,7 @@ def evaluated(directory: RunDirectory, capture: MaterialsCapture, plugins: Plugi
     explanation = report.get("explanation")
     return RunFigures(
         parameters.kind(material),
-        light.frame,
+        "camera" if light.lamp is not None else light.frame,
         str(report.get("model")),
         errors,
         _timing(directory),

@@ -21,6 +21,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.closed_form_albedo impo
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
 from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import (
     PixelBatch,
+    albedo_gain,
     arriving_light,
     at_pixels,
     diffuse_and_specular,
@@ -71,7 +72,7 @@ def _equations(
     sources, arriving = arriving_light(transport, batch, parameters, bounces)
     base = parameters.base_color
     diffuse = at_pixels(batch, parameters.diffuse_albedo)
-    slope = specular.albedo_gain(sources) - specular.share_change() * arriving * diffuse
+    slope = albedo_gain(batch, specular, parameters, sources) - specular.share_change() * arriving * diffuse
     metal = MetalTerm(slope, parameters.metal_share.expand(len(base), 1))
     rows = AlbedoEquations(batch.vertices, gain, torch.zeros_like(gain), importance, batch.saturated, metal)
     constant = predict(transport, batch, specular, parameters, bounces) - rows.radiance(base)

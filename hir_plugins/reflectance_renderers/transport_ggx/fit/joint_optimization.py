@@ -58,6 +58,7 @@ class FitSettings:
     exposure_rate: float = 0.05
     normal_rate: float = 0.03
     metalness_rate: float = 0.15
+    lamp_rate: float = 0.08
     alpha_frozen_share: float = 0.2
     """Share of the steps before α changes where lobes are new: under a light that is still uniform it has no meaning.
     Where a fit with lobes goes on it is 0."""
@@ -100,7 +101,8 @@ def fit(
     parameters = _leaves(start.detached(), settings)
 
     def predicted(batch: PixelBatch, matrices: SpecularMatrices, at: Parameters) -> Tensor:
-        return predict(transport, batch, matrices, at, settings.bounces)
+        # without the lamp, whose derivative in α is exact
+        return predict(transport, batch, matrices, replace(at, lamp=None), settings.bounces)
 
     resident = ResidentBatches(
         batches, parameters, start.detached(), settings.model, settings.refresh_interval, predicted
@@ -228,6 +230,7 @@ def _leaves(parameters: Parameters, settings: FitSettings) -> Parameters:
         parameters.specular,
         parameters.width,
         parameters.normal_offset,
+        parameters.lamp,
     ):
         if value is not None:
             value.requires_grad_()
@@ -251,5 +254,6 @@ def _groups(parameters: Parameters, settings: FitSettings) -> list[dict[str, Any
         (parameters.log_exposure, settings.exposure_rate),
         (parameters.normal_offset, settings.normal_rate),
         (parameters.metalness, settings.metalness_rate),
+        (parameters.lamp, settings.lamp_rate),
     )
     return [{"params": [p], "lr": rate} for p, rate in rates if p is not None and p.requires_grad]

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields, replace
 
 import torch
 from hir_exporters.metallic_parameters import MAX_DIELECTRIC_F0
 from jaxtyping import Float
 from torch import Tensor
+
+from hir_core.scene import CameraLamp
 
 MIN_ALPHA = 0.01
 """Narrowest lobe that the cached directions resolve in a light of 64 rows."""
@@ -17,6 +20,11 @@ principled BRDF and of Unreal Engine (index of refraction 1.8; plastic has 0.04,
 dielectric with a larger F0, a dark albedo and a bright light looks like a metal of one colour."""
 MAX_LOG_EXPOSURE = 2.0
 """Exposures are limited to a factor of e² from their geometric mean; a larger one means another scene."""
+LAMP_OFFSET_UNIT, LAMP_EXPONENT_UNIT = 0.1, 4.0
+"""Change of the lamp's place, in its unit of length, and of its exponent, with a change of the parameter by about 1."""
+MAX_LAMP_OFFSET = 0.6
+"""Of the lamp's place along each axis of the camera, in units of the mean distance between cameras and object: a lamp
+farther away is no flash."""
 MAX_RADIANCE = 1e5
 """Upper limit of the light: it admits a sun of 1e4 and prevents overflow."""
 
@@ -46,6 +54,10 @@ class Parameters:
     metalness: Float[Tensor, "#V 1"] | None = None
     """Logit of metalness; one infinite row for a metal, which is not optimised. None for other BRDFs."""
 
+    lamp: Float[Tensor, " 7"] | None = None
+    """Of a lamp near the camera: logarithm of its intensity (3), its place (3) and its emission lobe; None for none.
+    Lengths are in units of the mean distance between cameras and object (`operator/camera_lamp.py`)."""
+
     @property
     def with_closed_form_albedo(self) -> Parameters:
         """With the closed-form albedo, if there is one, in place of the optimised one: the result of a fit."""
@@ -68,6 +80,15 @@ class Parameters:
     def radiance(self) -> Float[Tensor, "H W 3"]:
         """The light."""
         return self.light.clamp_max(torch.log(torch.tensor(MAX_RADIANCE)).item()).exp()
+
+    @property
+    def camera_lamp(self) -> CameraLamp | None:
+        """The lamp near the camera, in its own unit of length."""
+        if self.lamp is None:
+            return None
+        intensity = self.lamp[:3].clamp_max(math.log(MAX_RADIANCE)).exp()
+        place = MAX_LAMP_OFFSET * torch.tanh(self.lamp[3:6] * (LAMP_OFFSET_UNIT / MAX_LAMP_OFFSET))
+        return CameraLamp(intensity, place, LAMP_EXPONENT_UNIT * torch.nn.functional.softplus(self.lamp[6]))
 
     @property
     def base_color(self) -> Float[Tensor, "V 3"]:

@@ -22,6 +22,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import 
 )
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
 from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import PixelBatch
+from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_lamp import LampCameras, LampPoints
 from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_light import pixel_irradiance
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
 from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
@@ -53,13 +54,15 @@ class PhotographPixels:
         downsample: int,
         options: TransportGGXOptions,
         rotation: Float[Tensor, "N 3 3"],
+        cameras: LampCameras,
     ) -> None:
-        """`rotation`: from the world to the axes of a light that moves with each view's camera."""
+        """`rotation`: from the world to the axes of a light that moves with the camera; `cameras` carry a lamp."""
         self._transport = transport
         self._capture = capture
         self._downsample = downsample
         self._options = options
         self._rotation = rotation
+        self._cameras = cameras
         self._observed: dict[int, ObservedPixels] = {}
         self._recent: OrderedDict[tuple[tuple[int, ...], float], ObservedPixels] = OrderedDict()
         self._max_recent_pixels = options.resident_pixels // 2
@@ -164,6 +167,9 @@ class PhotographPixels:
             alpha = parameters.alpha.detach()
             alpha = alpha if len(alpha) == 1 else vertices.matrix @ alpha
             lobes = self._transport.lobes(points, alpha, directions, rotation, seed)
+        lamp = None
+        if spec.lamp:
+            lamp = LampPoints.of(part.points, self._cameras, self._transport.tracer, self._transport.offset)
         return PixelBatch(
             linear_to_srgb(part.color),
             part.saturated,
@@ -173,4 +179,5 @@ class PhotographPixels:
             cells if irradiance is None else None,
             irradiance,
             part.points.normal,
+            lamp,
         )

@@ -13,6 +13,7 @@ from hir_core.optimization.clipped_pixels import without_clipped_excess
 from hir_core.scene.srgb import linear_to_srgb
 from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import ObservedPixels
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
+from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_lamp import LampPoints, lamp_irradiance, lamp_lobe
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
 from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
 from hir_plugins.reflectance_renderers.transport_ggx.operator.shading_normals import (
@@ -52,6 +53,8 @@ class PixelBatch(PixelColors):
     """Irradiance of each pixel from the light pyramid, where the light moves with the camera."""
     normal: Float[Tensor, "P 3"]
     """Normal of the mesh, without the normal offset."""
+    lamp: LampPoints | None = None
+    """The pixels' points before the lamp near the camera; None for models without one."""
 
 
 def predict(
@@ -82,7 +85,11 @@ def diffuse_and_specular(
     rho_s = at_pixels(batch, parameters.specular_albedo)
     alpha = at_pixels(batch, parameters.alpha)
     normal = normals_in_lobe_frame(batch, parameters.normal_offset)
-    return gain * specular.diffuse_share(rho_s), specular.radiance(sources, rho_s, alpha, normal)
+    lobe = specular.radiance(sources, rho_s, alpha, normal)
+    if (lamp := parameters.camera_lamp) is not None:
+        white, grazing = lamp_lobe(points_before_lamp(batch, parameters), lamp, alpha)
+        lobe = lobe + (rho_s * white if specular.model == "paper" else rho_s * (white - grazing) + grazing)
+    return gain * specular.diffuse_share(rho_s), lobe
 
 
 def arriving_light(
@@ -99,7 +106,28 @@ def arriving_light(
             shading_normal = normals_of_batch(batch, parameters.normal_offset)
             vectors = batch.cache_cells @ transport.vector_irradiance(parameters.radiance).reshape(-1, 9)
             arriving = shading_normal_irradiance(batch.normal, shading_normal, arriving, vectors.reshape(-1, 3, 3))
+    if (lamp := parameters.camera_lamp) is not None:
+        arriving = arriving + lamp_irradiance(points_before_lamp(batch, parameters), lamp)
     return sources, arriving / torch.pi
+
+
+def points_before_lamp(batch: PixelBatch, parameters: Parameters) -> LampPoints:
+    """The points of a batch before the lamp, with their shading normals."""
+    assert batch.lamp is not None, "the batches of a model with a lamp have points before it"
+    if parameters.normal_offset is None:
+        return batch.lamp
+    return batch.lamp.with_normals(normals_of_batch(batch, parameters.normal_offset))
+
+
+def albedo_gain(
+    batch: PixelBatch, specular: SpecularMatrices, parameters: Parameters, sources: Float[Tensor, "S 3"]
+) -> Float[Tensor, "P 3"]:
+    """Change of the specular radiance with ρs, for the α and the normals of the last refresh."""
+    gain = specular.albedo_gain(sources)
+    if (lamp := parameters.camera_lamp) is not None:
+        white, grazing = lamp_lobe(points_before_lamp(batch, parameters), lamp, at_pixels(batch, parameters.alpha))
+        gain = gain + (white if specular.model == "paper" else white - grazing)
+    return gain
 
 
 def light_sources(
@@ -149,8 +177,11 @@ def specular_matrices(batches: Sequence[PixelBatch], model: str) -> list[Specula
 def refresh_matrices(
     batches: Sequence[PixelBatch], specular: Sequence[SpecularMatrices | None], parameters: Parameters
 ) -> None:
-    """Rebuilds the specular matrices for the current α and shading normals."""
+    """Rebuilds the specular matrices for the current α and shading normals, and the shadows of the lamp."""
+    lamp = parameters.camera_lamp
     for batch, matrices in zip(batches, specular, strict=True):
+        if lamp is not None and batch.lamp is not None:
+            batch.lamp.update_shadows(lamp.offset)
         if matrices is not None:
             with torch.no_grad():
                 alpha, rho_s = at_pixels(batch, parameters.alpha), at_pixels(batch, parameters.specular_albedo)

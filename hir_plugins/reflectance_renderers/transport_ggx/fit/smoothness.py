@@ -46,6 +46,9 @@ def smoothness_energy(
 ) -> Float[Tensor, ""]:
     """All smoothness priors of a fit, over the edges between vertices."""
     energy = light_energy(parameters.light, weights.light, weights.light_chroma)
+    if parameters.lamp is not None:
+        intensity = parameters.lamp[:3]
+        energy = energy + weights.light_chroma * (intensity - intensity.mean()).square().mean()
     if weights.albedo and len(edges):
         # albedo is nearly piecewise constant: a gradient that shading explains too is shading
         albedo = torch.nn.functional.logsigmoid(parameters.diffuse)

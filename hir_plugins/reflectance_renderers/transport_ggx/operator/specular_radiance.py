@@ -71,6 +71,11 @@ class SpecularMatrices:
             self._albedo_terms = (a, b)
         self._matrix = self._pattern.matrix(self._entries)
 
+    @property
+    def model(self) -> Model:
+        """The BRDF whose lobes these are."""
+        return self._model
+
     def scale(self, rho_s: Float[Tensor, "P C"]) -> Float[Tensor, "P C"]:
         """Factor of the matrix's radiance for ρs."""
         if self._model == "paper":

@@ -10,10 +10,16 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from hir_core.capture import Camera
-from hir_core.scene import EnvironmentMap, Material, Texture
+from hir_core.scene import CameraLamp, EnvironmentMap, Material, Texture
 from hir_core.scene.bilinear import texture_texels
 from hir_plugins.reflectance_renderers.brdf_torch import Model, directional_albedo_terms
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import MIN_ALPHA
+from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_lamp import (
+    LampCameras,
+    LampPoints,
+    lamp_irradiance,
+    lamp_lobe,
+)
 from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_light import pixel_irradiance
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import resized
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
@@ -84,7 +90,15 @@ def shade_points(
     else:
         arriving = pixel_irradiance(transport, points, options.diffuse_samples, rotation, options.seed) @ sources
     lobes = transport.lobes(points, alpha, options.samples, rotation, options.seed)
-    gain, lobe = gain_and_lobe(material.model, specular, alpha, arriving, lobes, lobe_radiance(lobes, alpha, sources))
+    received = lobe_radiance(lobes, alpha, sources)
+    if environment.lamp is not None:
+        before_lamp = LampPoints.of(
+            points, LampCameras.of(cameras, points.position.device), transport.tracer, transport.offset
+        )
+        before_lamp.update_shadows(environment.lamp.offset)
+        arriving = arriving + lamp_irradiance(before_lamp, environment.lamp)
+        received = with_lamp(received, before_lamp, environment.lamp, alpha)
+    gain, lobe = gain_and_lobe(material.model, specular, alpha, arriving, lobes, received)
     return diffuse * gain + lobe
 
 
@@ -114,6 +128,17 @@ def lobe_radiance(
     light = sources[lobes.columns.long()].reshape(*lobes.n_wi.shape, 4, 3)
     light = (light * lobes.bilinear.reshape(*lobes.n_wi.shape, 4, 1)).sum(2)
     return (light * weight[..., None]).sum(1), (light * grazing[..., None]).sum(1)
+
+
+def with_lamp(
+    received: tuple[Float[Tensor, "P 3"], Float[Tensor, "P 3"]],
+    before_lamp: LampPoints,
+    lamp: CameraLamp,
+    alpha: Float[Tensor, "#P 1"],
+) -> tuple[Float[Tensor, "P 3"], Float[Tensor, "P 3"]]:
+    """`received`, as `lobe_radiance` returns it, and the same of a lamp near the camera."""
+    white, grazing = lamp_lobe(before_lamp, lamp, alpha)
+    return received[0] + white, received[1] + grazing
 
 
 def gain_and_lobe(

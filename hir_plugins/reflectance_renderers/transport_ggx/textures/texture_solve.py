@@ -21,6 +21,11 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.final_albedo import SRG
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_terms import FitTerms, material_at_vertices
 from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import ObservedPixels, observe_pixels
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
+from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_lamp import (
+    LampCameras,
+    LampPoints,
+    lamp_irradiance,
+)
 from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_light import pixel_irradiance
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
 from hir_plugins.reflectance_renderers.transport_ggx.operator.shading_normals import offset_normals
@@ -38,6 +43,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.textures.texture_shading im
     gain_and_lobe,
     irradiance_at,
     lobe_radiance,
+    with_lamp,
 )
 
 PADDING_TEXELS = 8
@@ -63,6 +69,7 @@ def solve_scene(
     spec: ModelSpec,
     parameters: Parameters,
     rotation: Tensor | None,
+    cameras: LampCameras,
     options: TransportGGXOptions,
     report: Callable[[float], None],
     terms: FitTerms | None = None,
@@ -90,7 +97,18 @@ def solve_scene(
         for done, view in enumerate(views):
             part = observe_pixels(transport, capture, view, max_pixels, downsample, options.seed + 1)
             rows = _equations(
-                transport, part, parameters, spec, sources, irradiance, vectors, rotation, options, start, metalness
+                transport,
+                part,
+                parameters,
+                spec,
+                sources,
+                irradiance,
+                vectors,
+                rotation,
+                cameras,
+                options,
+                start,
+                metalness,
             )
             information += _vertex_information(transport, part, rows, metalness)
             equations += rows
@@ -156,6 +174,7 @@ def _equations(
     irradiance: Tensor,
     vectors: Tensor | None,
     rotation: Tensor | None,
+    cameras: LampCameras,
     options: TransportGGXOptions,
     start: Float[Tensor, "H W 3"],
     metalness: Float[Tensor, "H W 1"] | None,
@@ -174,12 +193,19 @@ def _equations(
         arriving = irradiance_at(transport, points, part.points.normal, irradiance, vectors)
     else:
         arriving = pixel_irradiance(transport, points, options.diffuse_samples, rotation, options.seed).matrix @ sources
+    lamp, before_lamp = parameters.camera_lamp, None
+    if lamp is not None:
+        before_lamp = LampPoints.of(points, cameras, transport.tracer, transport.offset)
+        before_lamp.update_shadows(lamp.offset)
+        arriving = arriving + lamp_irradiance(before_lamp, lamp)
     if spec.brdf == "diffuse":
         gain, specular = arriving / torch.pi, torch.zeros_like(arriving)
     else:
         rho_s, alpha = at_points(parameters.specular_albedo), at_points(parameters.alpha)
         lobes = transport.lobes(points, alpha, options.texture_samples, rotation, options.seed)
         received = lobe_radiance(lobes, alpha, sources)
+        if lamp is not None and before_lamp is not None:
+            received = with_lamp(received, before_lamp, lamp, alpha)
         gain, specular = gain_and_lobe(spec.brdf, rho_s, alpha, arriving, lobes, received)
     rows = texel_equations(transport, part, gain, specular, parameters.exposure, (start.shape[0], start.shape[1]))
     if metalness is None:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hir_exporters.asset import Asset, AssetEnvironment, AssetMaterial, AssetMesh
+from hir_exporters.asset_lamp import AssetLamp
 from hir_exporters.exporter import ExportReport
 from hir_exporters.formats import create_exporter
 from hir_exporters.materials.material_conversion import to_gltf
@@ -87,6 +88,14 @@ def test_a_faithful_file_passes(model: str, tmp_path: Path) -> None:
     assert ("paper" in found.report["rendered"]) is (model == "paper")
     assert "re-rendered from 4 cameras" in found.sentence()
     json.dumps(dict(found.report))
+
+
+def test_a_lamp_that_files_cannot_contain_is_no_fault_of_theirs(tmp_path: Path) -> None:
+    asset = ball("dielectric")
+    assert asset.environment is not None
+    lamp = AssetLamp(np.array([9.0, 8.0, 7.0]), np.array([0.2, -0.3, 0.0]), 1.0)
+    found = verified(replace(asset, environment=replace(asset.environment, lamp=lamp)), tmp_path)
+    assert found.warnings == () and found.report["psnr"]["object"] > 45
 
 
 @pytest.mark.parametrize(("spoil", "blamed"), [(brighten, "the material"), (dim, "the light"), (shrink, "the mesh")])

@@ -49,10 +49,19 @@ def test_an_interrupted_fit_ends_with_the_same_bits(tmp_path: Path, resident: in
         assert (a is None and b is None) or torch.equal(a, b), field.name
 
 
-@pytest.mark.parametrize("metalness", ["metal", "map"])
-def test_an_interrupted_metallic_fit_ends_with_the_same_bits(tmp_path: Path, metalness: str) -> None:
-    """Metalness is part of the state, infinite logits included; its prior grows with the step."""
-    spec = ModelSpec("metallic", "uniform", metalness=metalness)  # type: ignore[arg-type]
+@pytest.mark.parametrize(
+    "spec",
+    [
+        ModelSpec("metallic", "uniform", metalness="metal"),
+        ModelSpec("metallic", "uniform", metalness="map"),
+        ModelSpec("dielectric", "uniform", lamp=True),
+    ],
+    ids=["metal", "map", "lamp"],
+)
+def test_an_interrupted_fit_of_more_parameters_ends_with_the_same_bits(tmp_path: Path, spec: ModelSpec) -> None:
+    """Metalness is part of the state, infinite logits included; its prior grows with the step. So are a lamp and its
+    shadows.
+    """
     checkpoint = FitCheckpoint(tmp_path / "fit", -1.0)
     with pytest.raises(KeyboardInterrupt):
         run(400, checkpoint, 12, spec)

@@ -36,22 +36,16 @@ MOSTLY_METAL = 0.75
 
 
 def initial_albedo(
-    transport: Transport,
-    observed: ObservedPixels,
-    light: Float[Tensor, "H W 3"],
-    uniform: bool,
-    rotation: Float[Tensor, "N 3 3"] | None,
-    samples: int,
+    transport: Transport, observed: ObservedPixels, arriving: Float[Tensor, "P 3"], uniform: bool
 ) -> Float[Tensor, "V 3"]:
     """Mean colour over mean irradiance, or that of each vertex, near the mean where few pixels see it.
 
     If the light is unknown, the albedo should be `uniform`: gradient steps do not remove shading from an initial
-    albedo. `rotation` and `samples` are those of a light that moves with the camera.
+    albedo. `arriving` is the irradiance of the pixels.
     """
     count = len(transport.surface.positions)
     if len(observed) == 0:
-        return torch.full((count, 3), 0.5, device=light.device)
-    arriving = _arriving(transport, observed, light, rotation, samples)
+        return torch.full((count, 3), 0.5, device=arriving.device)
     mean = _mean_albedo(observed, arriving)
     if uniform:
         return mean.clamp(MIN_INITIAL_ALBEDO, MAX_INITIAL_ALBEDO).expand(count, 3).contiguous()
@@ -64,35 +58,35 @@ def initial_albedo(
 
 
 def initial_metal(
-    transport: Transport,
-    observed: ObservedPixels,
-    light: Float[Tensor, "H W 3"],
-    rotation: Float[Tensor, "N 3 3"] | None,
-    samples: int,
-    is_measured: bool = False,
-) -> tuple[Float[Tensor, "H W 3"], Float[Tensor, "V 3"]]:
-    """Light and one base colour of a metal, with the mean colour of the photographs and the brightness of metals.
+    transport: Transport, observed: ObservedPixels, arriving: Float[Tensor, "P 3"], is_measured: bool = False
+) -> tuple[Float[Tensor, ""], Float[Tensor, "V 3"]]:
+    """Factor of the light and one base colour of a metal, with the mean colour of the photographs and the brightness of
+    metals.
 
     The product of both is what photographs show. The base colour is the one that is known to be bright, and what metal
     reflects in metal depends on it. If the brightness of the light `is_measured` the base colour is as bright as it is.
+    `arriving` is the irradiance of the pixels.
     """
     count = len(transport.surface.positions)
     if len(observed) == 0:
-        return light, torch.full((count, 3), METAL_REFLECTANCE, device=light.device)
-    mean = _mean_albedo(observed, _arriving(transport, observed, light, rotation, samples))
+        return arriving.new_ones(()), torch.full((count, 3), METAL_REFLECTANCE, device=arriving.device)
+    mean = _mean_albedo(observed, arriving)
     gain = torch.ones_like(mean.max()) if is_measured else (mean.max() / METAL_REFLECTANCE).clamp_min(1e-6)
     base = (mean / gain).clamp(MIN_INITIAL_ALBEDO, MAX_INITIAL_ALBEDO)
-    return light * gain, base.expand(count, 3).contiguous()
+    return gain, base.expand(count, 3).contiguous()
 
 
-def _arriving(
+def direct_irradiance(
     transport: Transport,
     observed: ObservedPixels,
     light: Float[Tensor, "H W 3"],
     rotation: Float[Tensor, "N 3 3"] | None,
     samples: int,
 ) -> Float[Tensor, "P 3"]:
-    """Irradiance of pixels, without indirect light."""
+    """Irradiance of pixels by a distant light, without indirect light.
+
+    `rotation` and `samples` are those of a light that moves with the camera.
+    """
     black = torch.zeros(len(transport.surface.positions), 3, device=light.device)
     sources, irradiance = transport.sources(light, black, 0)
     if rotation is not None:
@@ -135,6 +129,7 @@ def simpler_model(spec: ModelSpec) -> ModelSpec | None:
             light_is_known=spec.light_is_known,
             exposures=spec.exposures,
             metalness="metal",
+            lamp=spec.lamp,
         )
     if spec.brdf in ("diffuse", "metallic"):
         return None
@@ -144,6 +139,7 @@ def simpler_model(spec: ModelSpec) -> ModelSpec | None:
         light_frame=spec.light_frame,
         light_is_known=spec.light_is_known,
         exposures=spec.exposures,
+        lamp=spec.lamp,
     )
 
 
@@ -161,7 +157,9 @@ def extended_to(spec: ModelSpec, base: Parameters, material: Material) -> Parame
     if spec.normals == "map" and normal_offset is None:
         normal_offset = base.diffuse.new_zeros(base.diffuse.shape)
     if spec.brdf == "diffuse":
-        return Parameters(base.light, base.diffuse, None, None, base.log_exposure, normal_offset=normal_offset)
+        return Parameters(
+            base.light, base.diffuse, None, None, base.log_exposure, normal_offset=normal_offset, lamp=base.lamp
+        )
     specular, width = base.specular, base.width
     vertices = len(base.diffuse)
     if specular is None or width is None:
@@ -181,6 +179,7 @@ def extended_to(spec: ModelSpec, base: Parameters, material: Material) -> Parame
         base.log_exposure,
         normal_offset=normal_offset,
         metalness=base.metalness,
+        lamp=base.lamp,
     )
 
 
