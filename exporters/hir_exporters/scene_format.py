@@ -182,7 +182,8 @@ def _load_lamp(source: Path, environment: dict[str, Any]) -> AssetLamp | None:
             raise InputError(f"{source}: environment.lamp.{name} is not a list of three numbers")
         _check_numbers(source, f"environment.lamp.{name}", vector)
     _check_numbers(source, "environment.lamp.exponent", [table.get("exponent")])
-    return AssetLamp(*(np.array(vector, dtype=np.float64) for vector in vectors.values()), float(table["exponent"]))
+    intensity, offset = (np.array(vector, dtype=np.float64) for vector in vectors.values())
+    return AssetLamp(intensity, offset, float(table["exponent"]))
 
 
 def _inside(folder: Path, name: object, entry: str) -> Path:

@@ -78,7 +78,7 @@ def _strip(mask: NDArray[np.float32]) -> tuple[Array, NDArray[np.int64]]:
     strip = np.tile(np.arange(len(_DEPTHS)), len(outline))
     x, y = pixels.T
     inside = (x > 0) & (y > 0) & (x < mask.shape[1]) & (y < mask.shape[0])
-    inside[inside] = _bilinear(mask, *pixels[inside].T) > 0.5
+    inside[inside] = _bilinear(mask, x[inside], y[inside]) > 0.5
     return pixels[inside], strip[inside]
 
 

@@ -69,7 +69,7 @@ def _write(asset: Asset, destination: Path, config: GltfConfig, edit: Edit | Non
     asset, warnings = apply_budget(asset, config.budget)
     warnings += texture_size_warnings(asset.material, config.max_texture_size)
     asset = replace(asset, material=limit_texture_sizes(asset.material, config.max_texture_size))
-    if light is not None:
+    if light is not None and asset.environment is not None:
         asset = replace(asset, environment=AssetEnvironment(light.split.residual, lamp=asset.environment.lamp))
         warnings += (light.sentence(), *light.warnings)
     gathered = gather_asset(asset, config, light)

@@ -46,4 +46,5 @@ class PointLamp:
         distance = dr.sqrt(square)
         direction = offset / distance
         cosine = dr.maximum(-dr.dot(direction, self.axis), 1e-3)
-        return direction, distance, self.intensity * (dr.power(cosine, self.exponent) / square)
+        emission: DrJitArray = dr.power(cosine, self.exponent)
+        return direction, distance, self.intensity * (emission / square)
