@@ -71,12 +71,12 @@ def _strip(mask: NDArray[np.float32]) -> tuple[Array, NDArray[np.int64]]:
     padded = np.pad(mask.astype(np.float64), 1, mode="edge")
     smooth = (padded[:-2] + 2 * padded[1:-1] + padded[2:]) / 4
     smooth = (smooth[:, :-2] + 2 * smooth[:, 1:-1] + smooth[:, 2:]) / 4
-    down, right = np.gradient(smooth)
+    down, right = (np.asarray(each, np.float64) for each in np.gradient(smooth))
     slope = np.stack([_bilinear(each, outline[:, 0], outline[:, 1]) for each in (right, down)], axis=1)
     inward = slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-9)
     pixels = (outline[:, None] + _DEPTHS[None, :, None] * inward[:, None]).reshape(-1, 2)
     strip = np.tile(np.arange(len(_DEPTHS)), len(outline))
-    x, y = pixels.T
+    x, y = pixels[:, 0], pixels[:, 1]
     inside = (x > 0) & (y > 0) & (x < mask.shape[1]) & (y < mask.shape[0])
     inside[inside] = _bilinear(mask, x[inside], y[inside]) > 0.5
     return pixels[inside], strip[inside]
