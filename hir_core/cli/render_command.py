@@ -80,7 +80,7 @@ def render_command(
         assign(options, assignment)
     directory = open_run(run)
     plugins = PluginManager.discover(plugin_files)
-    from hir_core.rendering.run_pictures import render_pictures
+    from hir_core.report.run_pictures import render_pictures
 
     for path in render_pictures(
         directory, plugins, output, views, orbit or 0, elevation, size, relight, renderer, options, exr

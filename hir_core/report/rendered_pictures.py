@@ -15,14 +15,15 @@ from hir_exporters.textures.image_files import write_png
 from hir_core.capture import block_mean
 from hir_core.files.file_names import file_stem
 from hir_core.metrics import OBJECT_COVERAGE, Image, composite, mean, psnr, psnr_without_noise, unassociate
+from hir_core.rendering.map_error_pictures import map_error_pictures
 from hir_core.rendering.photographs import MaskedPhotograph, difference_picture, masked_photograph
 from hir_core.rendering.reference_renderer import reference_renderer, render_view
 from hir_core.rendering.unlit_renderer import UnlitRenderer
 from hir_core.rendering.view_selection import evenly_spaced_indices
-from hir_core.report.map_error_pictures import map_error_pictures
 from hir_core.report.relit_pictures import relit_pictures
 from hir_core.run.finished_run import FinishedRun, open_finished_run
 from hir_core.run.run_directory import RunDirectory
+from hir_core.scene.map_error_store import load_map_errors
 
 if TYPE_CHECKING:
     from hir_core.capture import Camera, View
@@ -90,7 +91,8 @@ def write_pictures(
             for name, picture in relit_pictures(run, camera, truth, fit, plugins).items():
                 write_png(folder / f"{name}.png", picture)
         _write_asset_pictures(folder, directory.scene)
-        for name, picture in map_error_pictures(directory).items():
+        errors = load_map_errors(directory.stage("reflectance"))
+        for name, picture in map_error_pictures(errors).items() if errors is not None else ():
             write_png(folder / f"{name}.png", picture)
     return {"views": views, "stages": stage_psnr(directory, measured)}
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from hir_exporters.asset import Asset
 
     from hir_core.scene import Scene
-    from hir_core.scene.map_errors import MapErrors
+    from hir_core.scene.material_errors import MapErrors
     from hir_core.scene.scan import Scan
     from hir_core.stages.geometry.geometry_fit import FittedGeometry
 

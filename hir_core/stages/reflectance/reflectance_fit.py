@@ -25,7 +25,7 @@ from hir_core.plugins.interfaces import FitT, PreparedReflectance, RefinementT, 
 from hir_core.run.stage_context import StageContext, forward_warnings
 from hir_core.scene import Scene
 from hir_core.scene.energy_conservation import with_conserved_energy
-from hir_core.scene.map_errors import MapErrors
+from hir_core.scene.material_errors import MapErrors
 from hir_core.stages.reflectance.gradient_fit import fit_by_gradient, gradient_steps, object_pixels
 from hir_core.stages.reflectance.initial_material_and_light import initial_scene
 from hir_core.stages.reflectance.light_scale import disagreement_warning, light_scale_report

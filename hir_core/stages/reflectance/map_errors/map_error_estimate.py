@@ -17,7 +17,7 @@ from hir_core.capture import Capture
 from hir_core.mesh.texel_rasterization import texel_surface
 from hir_core.plugins.interfaces import PreparedReflectance
 from hir_core.scene import Scene
-from hir_core.scene.map_errors import IN_SHADOW, OBSERVED, OUTSIDE, UNDER_HIGHLIGHTS, UNDER_OBSERVED, MapErrors
+from hir_core.scene.material_errors import IN_SHADOW, OBSERVED, OUTSIDE, UNDER_HIGHLIGHTS, UNDER_OBSERVED, MapErrors
 from hir_core.stages.reflectance.map_errors.grouped_jackknife import NormalEquations, standard_errors
 from hir_core.stages.reflectance.map_errors.pixel_derivatives import (
     BASE_COLOR,

@@ -19,7 +19,7 @@ from hir_core.plugins.interfaces import PreparedReflectance
 from hir_core.plugins.manager import PluginManager
 from hir_core.scene import EnvironmentMap, Material, Scene
 from hir_core.scene.map_error_store import FILE, load_map_errors, save_map_errors
-from hir_core.scene.map_errors import OBSERVED, OUTSIDE, UNDER_OBSERVED, MapErrors
+from hir_core.scene.material_errors import OBSERVED, OUTSIDE, UNDER_OBSERVED, MapErrors
 from hir_core.scene.srgb import linear_to_srgb
 from hir_core.stages.atlas import unwrap_mesh
 from hir_core.stages.reflectance.map_errors.map_error_estimate import (

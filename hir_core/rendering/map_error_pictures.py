@@ -8,9 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hir_core.metrics import Image
-from hir_core.run.run_directory import RunDirectory
-from hir_core.scene.map_error_store import load_map_errors
-from hir_core.scene.map_errors import (
+from hir_core.scene.material_errors import (
     IN_SHADOW,
     OBSERVED,
     OUTSIDE,
@@ -36,11 +34,8 @@ PREFIX = "error_"
 CONDITION = "map_condition"
 
 
-def map_error_pictures(directory: RunDirectory) -> dict[str, Image]:
-    """By file name; empty where the run has estimated no errors."""
-    errors = load_map_errors(directory.stage("reflectance"))
-    if errors is None:
-        return {}
+def map_error_pictures(errors: MapErrors) -> dict[str, Image]:
+    """By file name: each map, and the conditions of the blocks."""
     maps: Mapping[str, NDArray[np.float32]] = {"base_color": errors.base_color.mean(axis=2)} | errors.maps
     pictures = {PREFIX + name: _enlarged(_ramp(values, name)) for name, values in maps.items()}
     return pictures | {CONDITION: _enlarged(_conditions(errors))}

@@ -12,7 +12,7 @@ from hir_core.errors import InputError
 from hir_core.pipeline import Run
 from hir_core.plugins.manager import PluginManager
 from hir_core.rendering.orbit_cameras import orbit_cameras
-from hir_core.rendering.run_pictures import render_pictures
+from hir_core.report.run_pictures import render_pictures
 from hir_core.run.capture_store import read_cameras
 
 PLUGINS = PluginManager.discover()
