@@ -60,8 +60,8 @@ def scanned(finished: Run, tmp_path: Path) -> RunDirectory:
     stage = directory.stage("initializer")
     atlas = load_stage_scene(directory.stage("atlas") / "scene")
     save_stage_scene(replace(atlas, material=None), stage / "scene")
-    codes = np.full((4, 4, 3), 90, np.uint8)
-    codes[:, :2, 0] = codes[:, 2:, 1] = 200
+    codes = np.full((64, 64, 3), 90, np.uint8)
+    codes[:, :32, 0] = codes[:, 32:, 1] = 200
     save_scan(Scan("scan.obj", codes), stage)
     return directory
 
