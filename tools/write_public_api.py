@@ -28,7 +28,7 @@ TYPES = {
     "hir_core.stages.reflectance.gradient_solver": ("GradientSolver",),
     "hir_exporters.exporter": ("Exporter", "ExportReport"),
     "hir_core.capture": ("Camera", "Pixels", "View", "OrientedPoints", "EnvironmentSource", "Capture"),
-    "hir_core.scene": ("Topology", "Mesh", "Material", "EnvironmentMap", "Scene"),
+    "hir_core.scene": ("Topology", "Mesh", "Material", "CameraLamp", "EnvironmentMap", "Scene"),
     "hir_core.scene.scan": ("Scan",),
     "hir_core.scene.silhouette_targets": ("SilhouetteTargets",),
     "hir_core.plugins.progress": ("Progress",),
@@ -43,6 +43,7 @@ TYPES = {
         "StageError",
     ),
     "hir_exporters.asset": ("Asset", "AssetMesh", "AssetMaterial", "AssetEnvironment"),
+    "hir_exporters.asset_lamp": ("AssetLamp",),
 }
 
 FUNCTIONS = {

@@ -100,7 +100,9 @@ def evaluate_run(
         chosen = evenly_spaced_indices(len(capture.views), request.views)
         capture = replace(capture, views=tuple(capture.views[i] for i in chosen))
     scene, light = lit_scene(run, path, capture, request.relight, plugins, request.device)
-    renderer_name, renderer = reference_renderer(plugins, request.renderer, request.options, run.bounces)
+    renderer_name, renderer = reference_renderer(
+        plugins, request.renderer, request.options, run.bounces, light=scene.environment
+    )
     metrics = PerceptualMetrics.load(request.download)
     folder = directory.evaluation(request.label)
     is_relit = not light["fitted"]

@@ -101,7 +101,7 @@ def advice_for(check: CaptureCheck) -> list[str]:
     if check.flashes > len(views) / 2:
         advice.append(
             f"the flash fired in {check.flashes} photographs, so a lamp near the camera lit the object: "
-            "hir reconstruct recognises it, and light_frame = lamp leaves other lights out"
+            "hir reconstruct compares that with other lights, and light_frame = lamp forces it"
         )
     if check.headlight is not None and check.headlight > _MIN_HEADLIGHT_SCORE:
         advice.append(

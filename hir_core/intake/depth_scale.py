@@ -117,8 +117,8 @@ def depth_scale(views: Sequence[View]) -> DepthScale:
         return _undetermined(
             len(ratios),
             error,
-            f"a difference of {1 / ratio - 1:+.1%} is more than a sensor's error: check the unit of the depths, or set "
-            "geometry.depth_weight=0 and leave sensor_depth out of 'initializers'",
+            f"a difference of {1 / ratio - 1:+.1%} is more than a sensor's error: check the unit of the depths, or "
+            "take the depth maps out of the capture",
         )
     trust = PRIOR_ERROR**2 / (PRIOR_ERROR**2 + error**2)
     factor, error = 1 + trust * (ratio - 1), error * math.sqrt(trust)

@@ -142,7 +142,7 @@ def render_asset(asset: Asset, plugins: PluginManager, size: int = 512, azimuth_
     scene = scene_from_asset(asset)
     scene = move_scene(scene, unit_similarity(scene.mesh))
     camera = orbit_cameras(360, 20.0, size)[round(azimuth_deg) % 360]
-    _, renderer = reference_renderer(plugins, "", {"render_samples": 128})
+    _, renderer = reference_renderer(plugins, "", {"render_samples": 128}, light=scene.environment)
     # the label seeds the noise of the render
     color, coverage = unassociate(render_view(renderer, scene, camera, "portrait"))
     encoded = np.asarray(linear_to_srgb(np.clip(color, 0, 1)), np.float32)

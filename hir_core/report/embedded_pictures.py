@@ -158,12 +158,7 @@ def _tiles(directory: RunDirectory, captions: Mapping[str, str]) -> list[dict[st
 
 def map_errors(directory: RunDirectory) -> Markup:
     """How certain the maps are; empty where a run has no such pictures."""
-    tiles: list[dict[str, str | None]] = []
-    for name, caption in MAP_ERRORS.items():
-        path = directory.report / f"{name}.png"
-        if path.exists():
-            regular_file_within(directory.path, path)
-            tiles.append({"name": name, "value": None, "picture": picture_uri(path), "caption": caption})
+    tiles = _tiles(directory, MAP_ERRORS)
     return render("textures.html", tiles=tiles) if tiles else Markup()
 
 

@@ -29,12 +29,16 @@ if TYPE_CHECKING:
     from hir_core.capture import Camera, View
     from hir_core.plugins.interfaces import ReflectanceRenderer
     from hir_core.plugins.manager import PluginManager
+    from hir_core.scene import Mesh
 
 VIEWS = 4
 """Number of photographs in a report, evenly spaced over the capture."""
 
 REDUCED_SIDE = 1024
 """Photographs with at least twice as many pixels per side are reduced, to no less than this."""
+
+ERROR_SIDE = 512
+"""Longest side of a picture of the errors of maps, at most; two stand side by side."""
 
 FEW_SAMPLES = 64
 """Paths per pixel of each of two renders. They suffice where their noise is small against the error of the fit."""
@@ -92,9 +96,22 @@ def write_pictures(
                 write_png(folder / f"{name}.png", picture)
         _write_asset_pictures(folder, directory.scene)
         errors = load_map_errors(directory.stage("reflectance"))
-        for name, picture in map_error_pictures(errors).items() if errors is not None else ():
-            write_png(folder / f"{name}.png", picture)
+        if errors is not None and measured:
+            cameras = [_small(camera) for _, camera, _ in measured[::2]]
+            for name, picture in map_error_pictures(errors, _mesh_of_blocks(directory), cameras).items():
+                write_png(folder / f"{name}.png", picture)
     return {"views": views, "stages": stage_psnr(directory, measured)}
+
+
+def _small(camera: Camera) -> Camera:
+    return camera.downsampled(max(1, -(-max(camera.width, camera.height) // ERROR_SIDE)))
+
+
+def _mesh_of_blocks(directory: RunDirectory) -> Mesh:
+    """The mesh whose texture coordinates the blocks of `MapErrors` have, in the working frame."""
+    from hir_core.scene.scene_store import load_stage_scene
+
+    return load_stage_scene(directory.stage("reflectance") / "scene", "cpu").mesh
 
 
 def _write_asset_pictures(folder: Path, scene: Path) -> None:
@@ -107,7 +124,9 @@ class _PathTracer:
 
     def __init__(self, run: FinishedRun, plugins: PluginManager, max_noise_share: float) -> None:
         self._scene, self._max_noise_share = run.scene, max_noise_share
-        _, self._quick = reference_renderer(plugins, bounces=run.bounces, max_samples=FEW_SAMPLES)
+        _, self._quick = reference_renderer(
+            plugins, bounces=run.bounces, max_samples=FEW_SAMPLES, light=run.scene.environment
+        )
         _, self._thorough = reference_renderer(plugins, bounces=run.bounces)
 
     def pair(self, camera: Camera, view: View, truth: MaskedPhotograph) -> tuple[Image, Image]:

@@ -57,7 +57,7 @@ def render_pictures(
     if relight:
         path, strength = parse_light_file(relight)
         scene = run.with_light(load_light(EnvironmentSource(path, strength), np.eye(4)))
-    _, path_tracer = reference_renderer(plugins, renderer, options, run.bounces)
+    _, path_tracer = reference_renderer(plugins, renderer, options, run.bounces, light=scene.environment)
     for name, camera in cameras.items():
         image = render_view(path_tracer, scene, camera, name)
         color, coverage = unassociate(image)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hir_core.errors import InputError
 from hir_core.files.array_files import read_arrays, write_arrays
-from hir_core.scene.material_errors import MapErrors
+from hir_core.scene.map_errors import MapErrors
 
 FILE = "map_errors.npz"
 _MAP, _CONSTANT = "map.", "constant."

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from hir_exporters.asset import Asset
 
     from hir_core.scene import Scene
-    from hir_core.scene.material_errors import MapErrors
+    from hir_core.scene.map_errors import MapErrors
     from hir_core.scene.scan import Scan
     from hir_core.stages.geometry.geometry_fit import FittedGeometry
 
@@ -33,7 +33,7 @@ class InitializedCapture:
     scene: Scene
     frames: CoordinateFrames
     scan: Scan | None = None
-    """Of its texture no later stage hears: it is stored for the report and for `hir evaluate`."""
+    """For the report and for `hir evaluate`; no later stage receives its texture."""
 
 
 @dataclass(frozen=True)
@@ -165,11 +165,11 @@ def _save_fitted(state: RunState, value: FittedScene, folder: Path) -> None:
 
 
 def _load_fitted(state: RunState, folder: Path) -> FittedScene:
+    from hir_core.scene.map_error_store import load_map_errors
+
     path = folder / "model.json"
     bounces = read_json(path).get("bounces")
     exposures = read_exposures(path)
-    from hir_core.scene.map_error_store import load_map_errors
-
     bounces = bounces if isinstance(bounces, int) else None
     return FittedScene(_load_scene(state, folder), exposures, bounces, load_map_errors(folder))
 

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
-
-from annotated_types import Interval
+from typing import Literal
 
 from hir_core.plugins.options import seed_of_run
 
@@ -55,11 +53,3 @@ class RembgOptions:
     """Name of one of rembg's models; its weights must be on this machine (`rembg d u2net` downloads them)."""
     weights: str = ""
     """ONNX file of weights to use instead, with U²-Net's input and output; relative to the capture."""
-
-
-@dataclass(frozen=True)
-class MeshSilhouetteOptions:
-    """Options of the silhouette of a mesh."""
-
-    rays_per_side: Annotated[int, Interval(ge=1, le=32)] = 4
-    """Rays along each side of a pixel; their square is the number of grey levels of an edge."""

@@ -7,7 +7,6 @@ from hir_plugins.masks.options import (
     ColorKeyOptions,
     FolderOptions,
     GrabCutOptions,
-    MeshSilhouetteOptions,
     RembgOptions,
 )
 
@@ -61,9 +60,8 @@ REMBG = Component(
 MESH_SILHOUETTE = Component(
     name="mesh_silhouette",
     target="hir_plugins.masks.mesh_silhouette:MeshSilhouette",
-    config=MeshSilhouetteOptions,
     summary="The silhouette of a mesh that is already there, such as a scan.",
-    requires=("open3d",),
+    requires=("torch", "jaxtyping"),
     extra="reconstruct",
     traits=frozenset({"needs_mesh"}),
 )

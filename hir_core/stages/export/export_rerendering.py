@@ -65,7 +65,9 @@ class Rerender:
 
     def _sample(self, samples: int) -> None:
         self._samples = samples
-        self._name, self._renderer = reference_renderer(self._plugins, "", {"render_samples": samples}, self._bounces)
+        self._name, self._renderer = reference_renderer(
+            self._plugins, "", {"render_samples": samples}, self._bounces, light=self._asset.environment
+        )
 
     @cached_property
     def _fitted(self) -> dict[str, Image]:

@@ -21,7 +21,7 @@ from hir_core.config import ReflectanceSettings
 from hir_core.optimization.clipped_pixels import without_clipped_excess
 from hir_core.optimization.weighted_energies import Energies
 from hir_core.plugins.interfaces import FitT, RefinementT, Solved
-from hir_core.rendering.reference_renderer import reference_renderer
+from hir_core.rendering.reference_renderer import check_light, reference_renderer
 from hir_core.scene import Scene
 from hir_core.scene.srgb import linear_to_srgb
 from hir_core.stages.held_out_views import held_out_for_model_selection
@@ -61,6 +61,7 @@ def refine_by_path_tracing(
         context.warn("too few views to hold some out: path-traced refinement was skipped")
         return scene, RefinementReport(False, 0, "too few views")
     began = time.perf_counter()
+    check_light(context.plugins, options.renderer, scene.environment)
     given = context.options.get("reflectance_renderer", {}).get(options.renderer, {})
     renderer: ReflectanceRenderer = context.plugins.create(
         "reflectance_renderer", options.renderer, given, context.seed
@@ -121,7 +122,7 @@ def refine_albedo(
     config = context.plugins.find("reflectance_renderer", name).component.config
     if "samples" in getattr(config, "__dataclass_fields__", {}):
         options.setdefault("samples", PATHS_PER_PIXEL)
-    _, renderer = reference_renderer(context.plugins, name, options, bounces)
+    _, renderer = reference_renderer(context.plugins, name, options, bounces, light=solved.scene.environment)
     traced = renderer.prepare(solved.scene, capture, settings.downsample)
     without = solver.refine(solved, None, training, lambda share: None)
     refined = solver.refine(solved, traced, training, lambda share: report(0.75 * share))

@@ -25,11 +25,11 @@ from hir_core.plugins.interfaces import FitT, PreparedReflectance, RefinementT, 
 from hir_core.run.stage_context import StageContext, forward_warnings
 from hir_core.scene import Scene
 from hir_core.scene.energy_conservation import with_conserved_energy
-from hir_core.scene.material_errors import MapErrors
+from hir_core.scene.map_errors import MapErrors
+from hir_core.stages.reflectance.error_estimate.error_estimate import estimated_map_errors
 from hir_core.stages.reflectance.gradient_fit import fit_by_gradient, gradient_steps, object_pixels
 from hir_core.stages.reflectance.initial_material_and_light import initial_scene
 from hir_core.stages.reflectance.light_scale import disagreement_warning, light_scale_report
-from hir_core.stages.reflectance.map_errors.map_error_estimate import map_errors
 from hir_core.stages.reflectance.path_traced_refinement import refine_albedo, refine_by_path_tracing
 from hir_core.stages.reflectance.reflectance_report import (
     LightAndMaterial,
@@ -125,7 +125,7 @@ def fit_reflectance(
         context.warn(warning)
     errors = None
     if settings.map_errors:
-        errors = map_errors(fitted, shading, used.applied_to(capture), settings.downsample, context.seed)
+        errors = estimated_map_errors(fitted, shading, used.applied_to(capture), settings.downsample, context.seed)
     report = replace(report, light_scale=light_scale, map_errors=None if errors is None else errors.report())
     return FittedReflectance(fitted, used, errors, report)
 

@@ -1,4 +1,4 @@
-"""The silhouette of a mesh, against all rays of every pixel."""
+"""The silhouette of a mesh, against many rays through every pixel."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ import trimesh
 from hir_core.capture import Camera, Capture, Pixels, View
 from hir_core.errors import StageError
 from hir_core.mesh.ray_casting import MeshQueries
+from hir_core.plugins import NoOptions
 from hir_core.scene import Mesh, Scene, Topology
-from hir_plugins.masks.mesh_outlines import OutlineEdges
 from hir_plugins.masks.mesh_silhouette import MeshSilhouette
-from hir_plugins.masks.options import MeshSilhouetteOptions
 from tests.fixtures.scenes import looking_at
 
-SIDE = 4
+SIDE = 24
+"""Rays along each side of a pixel."""
 
 
 def torn() -> trimesh.Trimesh:
@@ -51,7 +51,7 @@ def mask_of(mesh: trimesh.Trimesh, camera: Camera) -> np.ndarray:
     positions, faces = torch.from_numpy(mesh.vertices.astype(np.float32)), torch.from_numpy(np.array(mesh.faces))
     empty = Pixels(np.zeros((1, 1, 3), np.float32), None, np.zeros((1, 1), bool))
     capture = Capture(Path("made"), (View("a", camera, lambda: empty), View("b", None, lambda: empty)))
-    found, none = MeshSilhouette(MeshSilhouetteOptions(SIDE)).masks(capture, Scene(Mesh(positions, Topology(faces))))
+    found, none = MeshSilhouette(NoOptions()).masks(capture, Scene(Mesh(positions, Topology(faces))))
     assert found is not None and none is None
     return found
 
@@ -69,23 +69,19 @@ def all_rays(mesh: trimesh.Trimesh, camera: Camera) -> np.ndarray:
 
 @pytest.mark.parametrize("name", MESHES)
 @pytest.mark.parametrize("eye", EYES)
-def test_masks_are_those_of_all_rays(name: str, eye: tuple[float, float, float]) -> None:
+def test_masks_are_those_of_many_rays(name: str, eye: tuple[float, float, float]) -> None:
     camera = looking_at(eye, 80, 64)
     found, expected = mask_of(MESHES[name], camera), all_rays(MESHES[name], camera)
     assert 0 < expected.mean() < 1
-    np.testing.assert_allclose(found, expected, atol=1e-6)
+    # an edge along a row of rays is wrong by one row of them, 0.04
+    np.testing.assert_allclose(found, expected, atol=0.06)
+    edge = (expected > 0) & (expected < 1)
+    assert np.abs(found - expected)[edge].mean() < 0.02
 
 
-def test_few_pixels_of_a_smooth_mesh_are_crossed_by_outlines() -> None:
-    mesh = MESHES["ring"]
-    crossed = OutlineEdges.of(np.array(mesh.vertices), np.array(mesh.faces)).pixels(looking_at(EYES[1], 512, 512))
-    assert 0.005 < crossed.mean() < 0.05
-
-
-def test_all_pixels_are_searched_where_a_vertex_is_behind_the_camera() -> None:
-    mesh, camera = MESHES["ball"], looking_at((0.5, 0.1, 0.0), 40, 30)
-    assert OutlineEdges.of(np.array(mesh.vertices), np.array(mesh.faces)).pixels(camera).all()
-    np.testing.assert_allclose(mask_of(mesh, camera), all_rays(mesh, camera), atol=1e-6)
+def test_a_mesh_around_the_camera_is_cut_at_the_image_plane() -> None:
+    """A ball that the camera is in covers all pixels, though half of it is behind the camera."""
+    assert (mask_of(MESHES["ball"], looking_at((0.5, 0.1, 0.0), 40, 30)) == 1).all()
 
 
 def test_an_object_outside_the_image_has_an_empty_mask() -> None:
@@ -96,4 +92,4 @@ def test_an_object_outside_the_image_has_an_empty_mask() -> None:
 
 def test_a_missing_mesh_is_named() -> None:
     with pytest.raises(StageError, match="mesh_file"):
-        MeshSilhouette(MeshSilhouetteOptions()).masks(Capture(Path("made"), ()), None)
+        MeshSilhouette(NoOptions()).masks(Capture(Path("made"), ()), None)

@@ -13,7 +13,7 @@ KINDS: tuple[MaterialKind, ...] = ("diffuse", "dielectric", "metal", "mixed")
 others do not."""
 SIMPLICITY: tuple[MaterialKind, ...] = ("diffuse", "paper", "dielectric", "metal", "mixed")
 FRAMES: tuple[Literal["world", "camera"], ...] = ("world", "camera")
-"""The light is fixed in the world, or moves with the camera (turntable, flash); the more frequent one first."""
+"""The light is fixed in the world, or moves with the camera (turntable); the more frequent one first."""
 LIGHTS: tuple[LightKind, ...] = (*FRAMES, "lamp")
 """The kinds of light, the simplest first."""
 LIGHT = {"world": "light in the world", "camera": "light on the camera", "lamp": "lamp near the camera"}

@@ -19,17 +19,17 @@ from hir_core.plugins.interfaces import PreparedReflectance
 from hir_core.plugins.manager import PluginManager
 from hir_core.scene import EnvironmentMap, Material, Scene
 from hir_core.scene.map_error_store import FILE, load_map_errors, save_map_errors
-from hir_core.scene.material_errors import OBSERVED, OUTSIDE, UNDER_OBSERVED, MapErrors
+from hir_core.scene.map_errors import OBSERVED, OUTSIDE, UNDER_OBSERVED, MapErrors
 from hir_core.scene.srgb import linear_to_srgb
 from hir_core.stages.atlas import unwrap_mesh
-from hir_core.stages.reflectance.map_errors.map_error_estimate import (
+from hir_core.stages.reflectance.error_estimate.error_estimate import (
     HUBER_SRGB,
     MAX_PIXELS,
     MIN_VIEWS,
     PRIOR_WIDTHS,
-    map_errors,
+    estimated_map_errors,
 )
-from hir_core.stages.reflectance.map_errors.pixel_derivatives import STEPS, _changed, _values, pixel_derivatives
+from hir_core.stages.reflectance.error_estimate.pixel_derivatives import STEPS, _changed, _values, pixel_derivatives
 from tests.fixtures.made_captures import around
 from tests.fixtures.scenes import icosphere, looking_at
 
@@ -59,7 +59,7 @@ def photographed(scene_of: Callable[[int], Scene], eyes: Any = None) -> Capture:
 
 def errors_of(scene: Scene, capture: Capture) -> MapErrors:
     prepared = PLUGINS.create("reflectance_renderer", "lambert_sh").prepare(scene, capture, 1)
-    found = map_errors(scene, prepared, capture, 1, 0)
+    found = estimated_map_errors(scene, prepared, capture, 1, 0)
     assert found is not None
     return found
 
@@ -138,7 +138,7 @@ def test_too_few_photographs_give_no_errors() -> None:
     capture = photographed(lambda view: scene)
     few = replace(capture, views=capture.views[: MIN_VIEWS - 1])
     prepared = PLUGINS.create("reflectance_renderer", "lambert_sh").prepare(scene, few, 1)
-    assert map_errors(scene, prepared, few, 1, 0) is None
+    assert estimated_map_errors(scene, prepared, few, 1, 0) is None
 
 
 class Formula(PreparedReflectance):

@@ -17,9 +17,9 @@ from hir_core.capture import Capture
 from hir_core.mesh.texel_rasterization import texel_surface
 from hir_core.plugins.interfaces import PreparedReflectance
 from hir_core.scene import Scene
-from hir_core.scene.material_errors import IN_SHADOW, OBSERVED, OUTSIDE, UNDER_HIGHLIGHTS, UNDER_OBSERVED, MapErrors
-from hir_core.stages.reflectance.map_errors.grouped_jackknife import NormalEquations, standard_errors
-from hir_core.stages.reflectance.map_errors.pixel_derivatives import (
+from hir_core.scene.map_errors import IN_SHADOW, OBSERVED, OUTSIDE, UNDER_HIGHLIGHTS, UNDER_OBSERVED, MapErrors
+from hir_core.stages.reflectance.error_estimate.grouped_jackknife import NormalEquations, standard_errors
+from hir_core.stages.reflectance.error_estimate.pixel_derivatives import (
     BASE_COLOR,
     METALNESS,
     ROUGHNESS,
@@ -50,7 +50,7 @@ MAX_SPECULAR_SHARE = 0.5
 """A block that reflects more than this from its lobe in all photographs is seen under highlights alone."""
 
 
-def map_errors(
+def estimated_map_errors(
     scene: Scene, prepared: PreparedReflectance, capture: Capture, downsample: int, seed: int
 ) -> MapErrors | None:
     """The errors of a fitted scene; None with fewer than `MIN_VIEWS` photographs or without texture coordinates.

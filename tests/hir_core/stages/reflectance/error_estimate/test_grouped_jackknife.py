@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hir_core.stages.reflectance.map_errors.grouped_jackknife import NormalEquations, standard_errors
+from hir_core.stages.reflectance.error_estimate.grouped_jackknife import NormalEquations, standard_errors
 
 GROUPS, BLOCKS, PIXELS = 12, 40, 20
 NOISE, SHARED_NOISE = 0.02, 0.03
