@@ -181,8 +181,9 @@ class ReflectanceSettings:
     """Rows of the light's lat-long image."""
     environment_width: Annotated[int, Interval(ge=2, le=8192)] = 128
     """Columns of the light's image."""
-    initial_radiance: Annotated[float, Interval(gt=0)] = 0.5
-    """Of every texel of the light."""
+    initial_radiance: Annotated[float, Interval(gt=0)] | Literal["auto"] = "auto"
+    """Of every texel of the light. `auto`: as bright as shows an albedo of 0.3 in the mean colour of the photographs;
+    0.5 where the renderer has no solver."""
     initial_roughness: Annotated[float, Interval(ge=0, le=1)] = 0.15
     """GGX width α."""
     initial_specular_albedo: Annotated[float, Interval(ge=0, le=1)] = 0.04

@@ -166,7 +166,7 @@ def _sentence(error: Any, kind: type, beside: tuple[str, ...] = ()) -> str:
     parts = []
     unions: dict[str, list[str]] = {}
     for problem in error.errors():
-        if alternative := _alternative(problem["loc"]):
+        if alternative := _alternative(problem["loc"], kind):
             unions.setdefault(alternative[0], []).append(alternative[1])
             continue
         key = ".".join(str(p) for p in problem["loc"])
@@ -197,15 +197,19 @@ def _sentence(error: Any, kind: type, beside: tuple[str, ...] = ()) -> str:
     return "; ".join(parts)
 
 
-def _alternative(place: tuple[Any, ...]) -> tuple[str, str] | None:
+def _alternative(place: tuple[Any, ...], config: type) -> tuple[str, str] | None:
     """The option and one of the kinds of value it may have, where an error is about one alternative of several.
 
     Pydantic names the alternative in the place of the error: `("masks", "literal['auto']")`.
     """
-    kinds = ("literal[", "tuple[", "list[")
+    kinds = ("literal[", "tuple[", "list[", "constrained-float")
     index = next((i for i, name in enumerate(place) if isinstance(name, str) and name.startswith(kinds)), None)
     if index is None:
         return None
     kind, _, values = place[index].partition("[")
-    allowed = values.rstrip("]") if kind == "literal" else 'a list such as ["name"]'
+    if kind == "constrained-float":
+        numbers = [one for one in _entry_at(config, place[:index]).get("anyOf", ()) if one.get("type") == "number"]
+        allowed = f"a number {range_and_unit(numbers[0]) if numbers else ''}".rstrip()
+    else:
+        allowed = values.rstrip("]") if kind == "literal" else 'a list such as ["name"]'
     return ".".join(str(name) for name in place[:index]), allowed

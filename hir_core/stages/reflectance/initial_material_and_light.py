@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Literal
 
@@ -21,6 +22,13 @@ from hir_core.stages.reflectance.selection.requested_model import default_spec, 
 
 INITIAL_METALNESS = 0.5
 """Of gradient steps; neither metal nor dielectric."""
+INITIAL_RADIANCE = 0.5
+"""Of gradient steps."""
+INITIAL_MEAN_ALBEDO = 0.3
+"""What the mean colour of the photographs shows under the initial light. From a brighter start albedos reach 1 before
+the brightest parts are as bright as in the photographs, and change less in a step (docs/studies/initial_guess.md)."""
+SAMPLED_VIEWS = 8
+"""Photographs whose mean colour is measured, evenly spaced."""
 
 
 def initial_scene(scene: Scene, capture: Capture, settings: ReflectanceSettings, by_solver: bool = True) -> Scene:
@@ -56,13 +64,33 @@ def initial_scene(scene: Scene, capture: Capture, settings: ReflectanceSettings,
     if settings.known_environment:
         environment = known_light(settings.known_environment, capture, rows, str(device))
     else:
-        radiance = torch.full((*rows, 3), settings.initial_radiance, device=device)
+        radiance = torch.full((*rows, 3), initial_radiance(capture, settings, by_solver), device=device)
         if capture.irradiance is not None and measuring_views(capture):
             # constant radiance L brings π·L to a card
             radiance = torch.tensor(capture.irradiance.mean, device=device).div(np.pi).expand(*rows, 3).contiguous()
         frame: Literal["world", "camera"] = "camera" if settings.light_frame == "camera" else "world"
         environment = EnvironmentMap(radiance, None, frame)
     return replace(scene, material=material, environment=environment)
+
+
+def initial_radiance(capture: Capture, settings: ReflectanceSettings, by_solver: bool) -> float:
+    """Radiance of a constant light: what the settings say, or what shows the photographs with the expected albedo.
+
+    An object with albedo a that hides little of the light from itself has the colour a·L under radiance L.
+    """
+    if settings.initial_radiance != "auto":
+        return settings.initial_radiance
+    if not by_solver:
+        return INITIAL_RADIANCE
+    total, count = 0.0, 0.0
+    for view in capture.views[:: math.ceil(len(capture.views) / SAMPLED_VIEWS)]:
+        pixels = view.pixels(settings.downsample)
+        color = pixels.color_linear.mean(axis=2) / view.gain.mean()
+        inside = np.ones(color.shape) if pixels.mask is None else (pixels.mask > 0.5).astype(float)
+        total += float((color * inside).sum())
+        count += float(inside.sum())
+    mean = total / count if count else 0.0
+    return mean / INITIAL_MEAN_ALBEDO if mean > 0 else INITIAL_RADIANCE
 
 
 def known_light(text: str, capture: Capture, size: tuple[int, int], device: str) -> EnvironmentMap:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
+from jaxtyping import Float
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -40,8 +41,8 @@ if TYPE_CHECKING:
 
 MAX_COMPARED_PIXELS = 4096
 """Pixels of each held-out view that are compared, the same before and after."""
-COMPARED_RENDERINGS = 8
-"""Independent renderings whose mean is compared, so that the noise of the path tracer matters little."""
+COMPARED_RENDERINGS = 2
+"""Renderings whose mean is compared, twice: the noise of one has a bias in sRGB, which is not linear."""
 PATHS_PER_PIXEL = 32
 """For the closed form: a texel averages the noise of some five pixels."""
 FINAL_LEARNING_RATE = 0.1
@@ -158,17 +159,29 @@ def _compared(
 def view_errors(
     scene: Scene, prepared: PreparedReflectance, views: Sequence[ObjectPixels], seed: int
 ) -> NDArray[np.float64]:
-    """Mean squared sRGB error of each view, over pixels drawn from `seed`; 0 where a clipped pixel is brighter."""
+    """Mean squared sRGB error of each view, over pixels drawn from `seed`; no error where a clipped pixel is brighter.
+
+    The errors of two independent renderings are multiplied, so that the mean does not contain the path tracer's noise.
+    """
     assert scene.material is not None and scene.environment is not None
     samples = [_sample(pixels, (seed, number)) for number, pixels in enumerate(views)]
     index, color, saturated = (torch.cat([part[k] for part in samples]) for k in range(3))
     with torch.no_grad():
         torch.manual_seed(seed)
-        renderings = [prepared.radiance(scene.material, scene.environment, index) for _ in range(COMPARED_RENDERINGS)]
+        one, other = (_residual(scene, prepared, index, color, saturated) for _ in range(2))
+    squares = (one * other).mean(dim=1)
+    means = np.array([float(part.mean()) for part in squares.split([len(part[0]) for part in samples])])
+    return np.maximum(means, 0.0)
+
+
+def _residual(
+    scene: Scene, prepared: PreparedReflectance, index: Tensor, color: Tensor, saturated: Tensor
+) -> Float[Tensor, "P 3"]:
+    """sRGB error in float64 of the mean of `COMPARED_RENDERINGS`."""
+    assert scene.material is not None and scene.environment is not None
+    renderings = [prepared.radiance(scene.material, scene.environment, index) for _ in range(COMPARED_RENDERINGS)]
     difference = linear_to_srgb(torch.stack(renderings).mean(dim=0).clamp(0, 1)) - linear_to_srgb(color.clamp(0, 1))
-    difference = without_clipped_excess(difference, saturated)
-    squares = difference.double().square().mean(dim=1)
-    return np.array([float(part.mean()) for part in squares.split([len(part[0]) for part in samples])])
+    return without_clipped_excess(difference, saturated).double()
 
 
 def _sample(pixels: ObjectPixels, seed: tuple[int, int]) -> tuple[Tensor, Tensor, Tensor]:

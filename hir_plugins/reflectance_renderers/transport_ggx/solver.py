@@ -381,6 +381,8 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         assert self._scene.material is not None and self._scene.environment is not None
         if initial is None:
             light = self._scene.environment.radiance.clamp(1e-6, MAX_RADIANCE).log()
+            if spec.lamp:
+                light = light - math.log(2)  # the lamp is as bright as the rest
             lamp = initial_lamp(light) if spec.lamp else None
             if spec.brdf == "metallic" and self._has_uniform_guess(spec):
                 gain, diffuse = self._initial_metal(photographs, spec, light.exp(), lamp)

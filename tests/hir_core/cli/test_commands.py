@@ -29,6 +29,10 @@ SAMPLE = ROOT / "examples" / "sample_capture"
             "option 'masks' must be a list such as [\"name\"] or 'auto'",
         ),
         (
+            ["reconstruct", SAMPLE, "-o", "{tmp}/run", "--set", "reflectance.initial_radiance=-1"],
+            "option 'reflectance.initial_radiance' must be a number > 0 or 'auto'",
+        ),
+        (
             ["reconstruct", SAMPLE, "-o", "{tmp}/run", "--preset", "fastest"],
             "no preset 'fastest'; installed: best, delight, fast, paper",
         ),

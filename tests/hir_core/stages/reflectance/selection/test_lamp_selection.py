@@ -74,6 +74,17 @@ def test_photographs_without_a_flash_pay_for_one_short_fit(best: str) -> None:
     assert len(lamps) <= folds and not any(spec.lamp for spec, _ in plain.fitted)
 
 
+@pytest.mark.parametrize(("noise", "takes_part"), [(0.02, True), (0.6, False)])
+def test_a_lead_within_noise_is_none(noise: float, takes_part: bool) -> None:
+    """Of 0.3 dB on average."""
+
+    def error(spec: ModelSpec) -> float:
+        return level(20.3 if spec.lamp else 20.0)
+
+    selection, _ = select_with_lamp(error, noise)
+    assert any(each.spec.lamp for each in selection.contestants) is takes_part
+
+
 def test_a_lamp_that_gains_nothing_is_no_warning() -> None:
     """The light in the world is a lamp that is dark: a tie says nothing against it."""
     lamp, world = hypothesis("metal", "lamp"), hypothesis("metal")
