@@ -80,6 +80,7 @@ DEFAULT_VALUES = {
     "light_whiteness": DefaultValue(1e-3, (0.0, 1e-2), "reflectance_renderer.transport_ggx.light_whiteness"),
     "max_fitted_f0": DefaultValue(0.08, (0.05, 0.2), constant=f"{FITS}:MAX_FITTED_F0"),
     "metal_reflectance": DefaultValue(0.9, (0.6, 0.8), constant=f"{FITS}.initial:METAL_REFLECTANCE"),
+    "initial_mean_albedo": DefaultValue(0.3, (0.15, 0.6), constant="hir_core.stages.reflectance:INITIAL_MEAN_ALBEDO"),
     "bilateral_specular": DefaultValue(
         0.0,
         (131.0,),  # the paper's, at 5,000 pixels a view (benchmarks/term_cost.py)
