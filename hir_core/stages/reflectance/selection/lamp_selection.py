@@ -2,8 +2,8 @@
 
 A lamp beside a light in the world explains whatever that light alone explains. Photographs without a flash would pay
 for as many hypotheses again and select none of them. One short fit, of the simplest material, says whether distances
-and a light that stands still matter. It must be ahead by more than noise: a lamp is one more freedom, which imitates a
-light that few steps have not found yet.
+and a light that stands still matter. It must be ahead of the light in the world by more than noise: a lamp is one more
+freedom, which imitates a light that few steps have not found yet.
 """
 
 from __future__ import annotations
@@ -16,13 +16,18 @@ from hir_core.stages.reflectance.selection.exposure_selection import BUDGET
 from hir_core.stages.reflectance.selection.fit_sequence import fit_cost
 from hir_core.stages.reflectance.selection.folded_fits import FoldedFits
 from hir_core.stages.reflectance.selection.held_out_comparison import differs, paired_gain
+from hir_core.stages.reflectance.selection.hypotheses import contains
 
 
 def lamp_is_ahead(fits: FoldedFits[FitT, RefinementT], others: Sequence[ModelSpec], lamp: ModelSpec) -> bool:
-    """Whether a hypothesis with a lamp explains held-out views better than each of the `others`, by more than noise.
+    """Whether a hypothesis with a lamp explains held-out views better on average than each of the `others`, and by more
+    than noise than one that it contains.
 
     All are of one kind of material, and are fitted with the budget of the first round, as they are there.
     """
     fits.expect((1 + len(others)) * fit_cost(lamp, BUDGET.effort, BUDGET.pixel_share))
     found, *rest = (fits.fit(spec, None, BUDGET.effort, BUDGET.pixel_share) for spec in (lamp, *others))
-    return all(differs(*paired_gain(other.errors, found.errors), len(other.errors)) for other in rest)
+    gains = [(other, paired_gain(other.errors, found.errors)) for other in rest]
+    return all(
+        differs(*gain, len(other.errors)) if contains(lamp, other.spec) else gain[0] > 0 for other, gain in gains
+    )
