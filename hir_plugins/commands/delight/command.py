@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from hir_core.errors import InputError
 from hir_core.terminal.command_options import FOLDER, plugin_option, verbosity_options
 from hir_core.terminal.required_packages import require_reconstruction_packages
 from hir_core.terminal.run_results import show_summary
@@ -57,6 +58,9 @@ def delight_command(
     (docs/captures.md); without one they are estimated, and the scan is aligned with them. This is `hir reconstruct`
     with the preset delight.
     """
+    if not scan.is_file():
+        problem = "is a folder" if scan.is_dir() else "does not exist"
+        raise InputError(f"{scan} {problem}; give the mesh file of the scan, such as scan.obj")
     require_reconstruction_packages("hir delight")
     from hir_core.pipeline import reconstruct
     from hir_core.plugins.manager import PluginManager

@@ -182,3 +182,14 @@ def test_photographs_without_cameras_are_aligned_with_the_scan(tiny_capture: Pat
     ):
         assert scan_settings(scan, tmp_path / "photos", "auto", align, plugins)[-1] == last
     assert len(scan_settings(scan, tiny_capture, "auto", True, plugins)) == 4
+
+
+@pytest.mark.parametrize(("scan", "problem"), [("scan.obj", "does not exist"), ("", "is a folder")])
+def test_a_missing_scan_leaves_no_run(
+    scan: str, problem: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["delight", str(tmp_path / scan), str(tmp_path), "-o", str(tmp_path / "run")])
+    assert ended.value.code == 2
+    assert f"{problem}; give the mesh file of the scan" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
