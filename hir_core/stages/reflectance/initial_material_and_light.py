@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import Literal
 
@@ -27,7 +26,7 @@ INITIAL_RADIANCE = 0.5
 INITIAL_MEAN_ALBEDO = 0.3
 """What the mean colour of the photographs shows under the initial light. From a brighter start albedos reach 1 before
 the brightest parts are as bright as in the photographs, and change less in a step (docs/studies/initial_guess.md)."""
-SAMPLED_VIEWS = 8
+SAMPLED_VIEWS = 16
 """Photographs whose mean colour is measured, evenly spaced."""
 
 
@@ -83,7 +82,10 @@ def initial_radiance(capture: Capture, settings: ReflectanceSettings, by_solver:
     if not by_solver:
         return INITIAL_RADIANCE
     total, count = 0.0, 0.0
-    for view in capture.views[:: math.ceil(len(capture.views) / SAMPLED_VIEWS)]:
+    views = len(capture.views)
+    sampled = min(views, SAMPLED_VIEWS)
+    for number in range(sampled):
+        view = capture.views[(2 * number + 1) * views // (2 * sampled)]
         pixels = view.pixels(settings.downsample)
         color = pixels.color_linear.mean(axis=2) / view.gain.mean()
         inside = np.ones(color.shape) if pixels.mask is None else (pixels.mask > 0.5).astype(float)
