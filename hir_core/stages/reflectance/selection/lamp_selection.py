@@ -14,20 +14,27 @@ from hir_core.plugins.interfaces import FitT, RefinementT
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.stages.reflectance.selection.exposure_selection import BUDGET
 from hir_core.stages.reflectance.selection.fit_sequence import fit_cost
-from hir_core.stages.reflectance.selection.folded_fits import FoldedFits
+from hir_core.stages.reflectance.selection.folded_fits import FoldedFit, FoldedFits
 from hir_core.stages.reflectance.selection.held_out_comparison import differs, paired_gain
 from hir_core.stages.reflectance.selection.hypotheses import contains
 
 
 def lamp_is_ahead(fits: FoldedFits[FitT, RefinementT], others: Sequence[ModelSpec], lamp: ModelSpec) -> bool:
-    """Whether a hypothesis with a lamp explains held-out views better on average than each of the `others`, and by more
-    than noise than one that it contains.
+    """Whether the hypothesis with a lamp takes part, after a short fit of each.
 
     All are of one kind of material, and are fitted with the budget of the first round, as they are there.
     """
     fits.expect((1 + len(others)) * fit_cost(lamp, BUDGET.effort, BUDGET.pixel_share))
     found, *rest = (fits.fit(spec, None, BUDGET.effort, BUDGET.pixel_share) for spec in (lamp, *others))
-    gains = [(other, paired_gain(other.errors, found.errors)) for other in rest]
-    return all(
-        differs(*gain, len(other.errors)) if contains(lamp, other.spec) else gain[0] > 0 for other, gain in gains
-    )
+    return is_ahead_of(found, rest)
+
+
+def is_ahead_of(lamp: FoldedFit[FitT], others: Sequence[FoldedFit[FitT]]) -> bool:
+    """Whether a fit with a lamp explains held-out views better on average than each of the `others`, and by more than
+    noise than one that it contains.
+    """
+    for other in others:
+        gain, standard_error = paired_gain(other.errors, lamp.errors)
+        if gain <= 0 or (contains(lamp.spec, other.spec) and not differs(gain, standard_error, len(other.errors))):
+            return False
+    return True

@@ -46,6 +46,14 @@ def test_the_initial_albedo_is_uniform_unless_set_otherwise_or_the_light_is_know
     assert deviation < 1e-6 if uniform else deviation > 0.1
 
 
+def test_a_lamp_changes_no_initial_brightness() -> None:
+    """A darker albedo would be a head start: under a lamp and a light that are both as bright it was half as large."""
+    solver, _ = solver_of()
+    pixels = solver._pixels.of(range(6))
+    without, lamp = (solver._initial_parameters(spec, None, pixels) for spec in (ModelSpec(), ModelSpec(lamp=True)))
+    assert float(lamp.base_color.mean() / without.base_color.mean()) == pytest.approx(1, abs=0.2)
+
+
 METAL = ModelSpec("metallic", "uniform", metalness="metal")
 
 
