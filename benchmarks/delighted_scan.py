@@ -165,9 +165,9 @@ def make_scan(source: Path, folder: Path, program: str, plugins: PluginManager) 
 
 
 def hir(*words: str | Path) -> float:
-    """Runs a command of this environment and returns its seconds; an error where it fails."""
+    """Runs a command of this checkout and returns its seconds; an error where it fails."""
     began = time.perf_counter()
-    subprocess.run([Path(sys.executable).with_name("hir"), *words], check=True)
+    subprocess.run([sys.executable, "-m", "hir_core.cli", *words], check=True)
     return time.perf_counter() - began
 
 
