@@ -48,6 +48,8 @@ MIN_COSINE = 0.2
 """Between normal and view direction: photographs from the side are not baked."""
 LIGHTS = ("relight_0", "relight_1")
 EVALUATED_VIEWS = 6
+TRUE_ALBEDO = "albedo_test"
+"""The split of captures that have the true albedo."""
 FILM_WIDTH_MM = 36.0
 """Of the camera whose focal length RealityScan states."""
 
@@ -190,7 +192,8 @@ def measured(source: Path, folder: Path, program: str, seed: int, plugins: Plugi
     seconds = hir("delight", scan, folder / "photos", "-o", run, "--seed", str(seed), "--set", 'export=["glb"]')
     for light in LIGHTS:
         hir("evaluate", run, source, "--split", light, "--views", str(EVALUATED_VIEWS), "-q")
-    hir("evaluate", run, source, "--split", "test", "--albedo", "albedo_test", "-q")
+    has_albedo = (source / f"transforms_{TRUE_ALBEDO}.json").exists()
+    hir("evaluate", run, source, "--split", "test", "-q", *(("--albedo", TRUE_ALBEDO) if has_albedo else ()))
     document = json.loads((run / "run.json").read_text(encoding="utf-8"))
     stages = json.loads((run / "timings.json").read_text(encoding="utf-8"))["stages"]
     metrics = document["metrics"]
@@ -202,7 +205,7 @@ def measured(source: Path, folder: Path, program: str, seed: int, plugins: Plugi
         "stage_seconds": {name: round(stage["seconds"], 1) for name, stage in stages.items()},
         "model": document["stages"]["reflectance"]["report"]["model"],
         "unseen": metrics["test"]["psnr"],
-        "albedo": metrics["test"]["albedo"],
+        "albedo": metrics["test"].get("albedo"),
         "relit": {light: metrics[light]["psnr_scaled"] for light in LIGHTS},
         "relit_unscaled": {light: metrics[light]["psnr"] for light in LIGHTS},
         "baked": {light: metrics[light]["scan_texture"]["psnr_scaled"] for light in LIGHTS},
@@ -222,7 +225,8 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
     ]
     for row in rows:
         relit = [f"{row[kind][light]['object']:.1f}" for light in LIGHTS for kind in ("baked", "relit")]
-        decibels = [f"{row['unseen']['object']:.1f}", f"{row['albedo']['psnr_scaled']:.1f}", *relit]
+        albedo = "–" if row["albedo"] is None else f"{row['albedo']['psnr_scaled']:.1f}"
+        decibels = [f"{row['unseen']['object']:.1f}", albedo, *relit]
         lines.append("| " + " | ".join([row["capture"], f"{row['seconds']:.0f}", row["model"], *decibels]) + " |")
     return "\n".join(lines)
 

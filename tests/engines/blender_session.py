@@ -138,6 +138,21 @@ def missing_run(folder: str) -> dict[str, Any]:
     return report_of(bpy.ops.hir.import_run, directory=folder)
 
 
+def old_material() -> Any:
+    """A material with a picture of 8 × 4 texels as base colour."""
+    picture = bpy.data.images.new("old", 8, 4)
+    picture.pixels[:] = np.tile([0.2, 0.4, 0.6, 1.0], 32)
+    picture.pack()
+    material = bpy.data.materials.new("old")
+    material.use_nodes = True
+    nodes = material.node_tree.nodes
+    texture = nodes.new("ShaderNodeTexImage")
+    texture.image = picture
+    shader = next(node for node in nodes if node.type == "BSDF_PRINCIPLED")
+    material.node_tree.links.new(texture.outputs["Color"], shader.inputs["Base Color"])
+    return material
+
+
 def refitted(
     glb: str, photos: str, run: str, axes: str, turned: bool, settings: str, directions: list[list[float]], folder: str
 ) -> dict[str, Any]:
@@ -149,7 +164,7 @@ def refitted(
         item.matrix_world = TURN @ item.matrix_world
     bpy.context.view_layer.update()
     item.data.materials.clear()
-    item.data.materials.append(bpy.data.materials.new("old"))
+    item.data.materials.append(old_material())
     item.data.uv_layers[0].name = "scan's own"
     item.data.uv_layers.new(name="another")
     before = corners(item)

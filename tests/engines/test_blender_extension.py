@@ -311,7 +311,8 @@ def test_materials_are_refitted(session: dict[str, Any], case: str, axes: str) -
 def test_the_scan_that_hir_gets(session: dict[str, Any], case: str, y_up: bool) -> None:
     """The corners of all triangles in the axes that were chosen, with the UV map that textures use."""
     found = session[case]
-    scan = load_mesh(session["work"] / case.replace(" ", "_") / "scan.glb")
+    file = session["work"] / case.replace(" ", "_") / "scan.glb"
+    scan = load_mesh(file)
     positions, uv = np.array(found["positions"]), np.array(found["uv"])
     if y_up:
         positions = positions[:, [0, 2, 1]] * [1, 1, -1]
@@ -321,6 +322,8 @@ def test_the_scan_that_hir_gets(session: dict[str, Any], case: str, y_up: bool) 
     assert written.shape == expected.shape and len(np.unique(expected, axis=0)) > 4000
     for some, others in ((written, expected), (expected, written)):
         assert cKDTree(others).query(some)[0].max() < 1e-6
+    picture = trimesh.load(file, force="mesh").visual.material.baseColorTexture  # type: ignore[union-attr]
+    assert picture.size == (8, 4)  # the old texture, for the report's comparison
 
 
 def test_an_error_of_hir_is_a_report(session: dict[str, Any]) -> None:
@@ -376,3 +379,4 @@ def test_hir_itself_refits_a_mesh(extension: Path, finished: Any, tiny_capture: 
     expected = sample_latlong(light.astype(np.float64), direction_to_latlong_uv(units))
     np.testing.assert_allclose(found["values"], expected, rtol=0.05, atol=0.01)
     assert (run / "progress.json").is_file()
+    assert (run / "stages" / "1-initializer" / "scan_texture.png").is_file()

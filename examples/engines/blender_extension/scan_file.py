@@ -41,7 +41,6 @@ def write_scan(context, item, file, y_up):
         kept = render_uv_map(mesh)
         for name in [layer.name for layer in mesh.uv_layers if layer.name != kept]:
             mesh.uv_layers.remove(mesh.uv_layers[name])
-        mesh.materials.clear()
         context.scene.collection.objects.link(copy)
         for other in selected:
             other.select_set(False)
@@ -54,7 +53,7 @@ def write_scan(context, item, file, y_up):
             use_selection=True,
             export_yup=y_up,
             export_normals=False,
-            export_materials="NONE",
+            export_materials="EXPORT",  # hir compares its textures with the old one
             export_animations=False,
         )
     except RuntimeError as error:
