@@ -196,7 +196,8 @@ def measured(source: Path, folder: Path, program: str, seed: int, plugins: Plugi
     hir("evaluate", run, source, "--split", "test", "-q", *(("--albedo", TRUE_ALBEDO) if has_albedo else ()))
     document = json.loads((run / "run.json").read_text(encoding="utf-8"))
     stages = json.loads((run / "timings.json").read_text(encoding="utf-8"))["stages"]
-    metrics = document["metrics"]
+    files = {split: run / "evaluation" / split / "metrics.json" for split in ("test", *LIGHTS)}
+    metrics = {split: json.loads(file.read_text(encoding="utf-8")) for split, file in files.items()}
     return {
         "capture": source.name,
         "cameras": program,
