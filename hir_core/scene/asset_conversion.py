@@ -86,19 +86,25 @@ def _bake_mesh(mesh: Mesh, needs_uvs: bool) -> AssetMesh:
     if mesh.uvs is None or mesh.topology.uv_faces is None:
         if needs_uvs:
             raise StageError("the material has textures but the mesh no texture coordinates; let the atlas stage run")
-        uvs, uv_faces = np.zeros((1, 2), np.float32), np.zeros_like(faces)
+        uvs, uv_faces, uv_order = np.zeros((1, 2), np.float32), np.zeros_like(faces), faces
     else:
-        uvs = _numpy(mesh.uvs).astype(np.float32)
+        uvs, uv_order = _numpy(mesh.uvs).astype(np.float32), _numpy(mesh.topology.uv_faces)
         first, group = weld(uvs)
-        uvs, uv_faces = uvs[first], group[_numpy(mesh.topology.uv_faces)]
+        uvs, uv_faces = uvs[first], group[uv_order]
     pairs = faces.astype(np.int64) * len(uvs) + uv_faces
-    distinct, corners = np.unique(pairs, return_inverse=True)
-    position, uv = distinct // len(uvs), distinct % len(uvs)
+    distinct, corners = np.unique(pairs.reshape(-1), return_inverse=True)
+    # in the order of the texture coordinates: a glTF file that was read has one for each vertex, and keeps its indices
+    lowest = np.full(len(distinct), np.iinfo(np.int64).max)
+    np.minimum.at(lowest, corners, uv_order.reshape(-1))
+    order = np.argsort(lowest, kind="stable")
+    number = np.empty(len(distinct), np.int64)
+    number[order] = np.arange(len(distinct))
+    position, uv = distinct[order] // len(uvs), distinct[order] % len(uvs)
     return AssetMesh(
         positions=_numpy(mesh.positions)[position].astype(np.float32),
         normals=_unit(_numpy(mesh.normals))[position],
         uvs=uvs[uv],
-        faces=corners.reshape(faces.shape).astype(np.int32),
+        faces=number[corners].reshape(faces.shape).astype(np.int32),
     )
 
 

@@ -39,12 +39,32 @@ def corners(file: Path) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     return np.asarray(mesh.vertices, np.float32)[mesh.faces], uv[mesh.faces]
 
 
+def indices(file: Path) -> NDArray[np.int64]:
+    """Vertex numbers (F, 3) of the triangles."""
+    mesh = trimesh.load(file, process=False, force="mesh")
+    assert isinstance(mesh, trimesh.Trimesh)
+    return np.asarray(mesh.faces, np.int64)
+
+
+def shuffled(file: Path, target: Path) -> Path:
+    """The same mesh with its vertices in another order, as another program may write it."""
+    mesh = trimesh.load(file, process=False, force="mesh")
+    assert isinstance(mesh, trimesh.Trimesh)
+    order = np.random.default_rng(0).permutation(len(mesh.vertices))
+    uv = np.asarray(mesh.visual.uv)[order]  # type: ignore[union-attr]
+    visual = trimesh.visual.TextureVisuals(uv=uv)
+    trimesh.Trimesh(mesh.vertices[order], np.argsort(order)[mesh.faces], visual=visual, process=False).export(target)
+    return target
+
+
 def test_mesh_and_coordinates_stay(finished: Run, tiny_capture: Path, tmp_path: Path) -> None:
-    scan = scan_of(finished)
+    scan = shuffled(scan_of(finished), tmp_path / "scan.glb")
     assert delight(scan, tiny_capture, tmp_path / "run", "--set", 'export=["glb"]') == 0
     exported = next((tmp_path / "run" / "exports").glob("*.glb"))
     (positions, uvs), (old_positions, old_uvs) = corners(exported), corners(scan)
     assert uvs.tobytes() == old_uvs.tobytes()
+    # the file has one vertex for each pair of position and texture coordinate, so its indices stay, too
+    assert indices(exported).tobytes() == indices(scan).tobytes()
     np.testing.assert_allclose(positions, old_positions, atol=1e-6)
     document = RunDirectory(tmp_path / "run").read_run()
     assert document["stages"]["initializer"]["report"]["initializers"] == ["mesh_file"]
