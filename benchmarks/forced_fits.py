@@ -146,10 +146,10 @@ def measured(
     }
 
 
-def table(rows: Sequence[Mapping[str, Any]]) -> str:
+def table(rows: Sequence[Mapping[str, Any]], names: Sequence[str] = NAMES) -> str:
     """Markdown: gains of each candidate over today's value for each capture, their mean and the verdict."""
     lines = []
-    for name in NAMES:
+    for name in names:
         default = DEFAULT_VALUES[name]
         chosen = [row for row in rows if row["constant"] == name and row["half"] == HALVES[0]]
         captures = sorted({row["capture"] for row in chosen})
