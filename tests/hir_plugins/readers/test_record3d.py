@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+import sys
 import zipfile
 from collections.abc import Callable
 from dataclasses import replace
@@ -19,7 +20,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from hir_core.capture import Capture, DepthPixels
-from hir_core.errors import CaptureError
+from hir_core.errors import CaptureError, ConfigError
 from hir_core.intake.reader_lookup import read_capture
 from hir_core.plugins.manager import PluginManager
 from hir_core.run.capture_store import fingerprint
@@ -201,6 +202,13 @@ def test_without_the_decompression_a_warning_says_what_to_install(
     monkeypatch.setattr(reader_module, "find_spec", lambda name: None)
     with pytest.warns(UserWarning, match="pip install lzfse"):
         assert all(view.depth is None for view in read(path).views)
+
+
+def test_decompressing_without_the_library_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    content = lzfse.compress(bytes(8))
+    monkeypatch.setitem(sys.modules, "lzfse", None)
+    with pytest.raises(ConfigError, match="pip install lzfse"):
+        lzfse_blocks.decompress(content, 8)
 
 
 def test_a_changed_recording_is_another_capture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

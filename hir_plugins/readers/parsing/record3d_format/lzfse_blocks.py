@@ -10,6 +10,8 @@ from __future__ import annotations
 import struct
 from typing import Final
 
+from hir_core.errors import ConfigError
+
 BYTES_PER_COPY: Final = 3
 """Least mean length of a copy: the format's shortest copies have 4 bytes, and one entry in 315 only skips literals."""
 
@@ -23,8 +25,12 @@ _LZFSE_HEADER: Final = 32
 
 def decompress(content: bytes, length: int) -> bytes:
     """`length` bytes from a compressed stream; anything else raises `ValueError`."""
-    import lzfse
-
+    try:
+        import lzfse
+    except ImportError:
+        raise ConfigError(
+            "depth maps of Record3D need their decompression; install it with: pip install lzfse"
+        ) from None
     stated, copies = measured_blocks(content)
     if stated != length or copies * BYTES_PER_COPY > length:
         raise ValueError(f"it holds {stated} bytes instead of {length}")
