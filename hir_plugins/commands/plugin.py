@@ -11,14 +11,23 @@ from hir_plugins.commands.batch.command import batch_command
 from hir_plugins.commands.bench.command import bench_command
 from hir_plugins.commands.card.command import card_command
 from hir_plugins.commands.delight.command import delight_command
+from hir_plugins.commands.light_probe.command import light_probe_command
 from hir_plugins.commands.ui.command import ui_command
 from hir_plugins.commands.viewer.command import view_command
 
 
 @hookimpl
 def hir_register_commands(cli: click.Group) -> None:
-    """Adds `hir batch`, `hir bench`, `hir card`, `hir delight`, `hir ui` and `hir view`."""
-    for command in (batch_command, bench_command, card_command, delight_command, ui_command, view_command):
+    """Adds `hir batch`, `hir bench`, `hir card`, `hir delight`, `hir light-probe`, `hir ui` and `hir view`."""
+    for command in (
+        batch_command,
+        bench_command,
+        card_command,
+        delight_command,
+        light_probe_command,
+        ui_command,
+        view_command,
+    ):
         cli.add_command(command)
 
 
