@@ -19,7 +19,7 @@ EXAMPLE = ROOT / "examples" / "hir-plugin-example"
 
 def message(*arguments: object, folder: Path) -> str:
     """What a command prints; it runs outside the checkout, and one that fails shows what it said."""
-    environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "PYTEST"))}
     done = subprocess.run([str(w) for w in arguments], capture_output=True, text=True, cwd=folder, env=environment)
     assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-4000:]
     return done.stdout
