@@ -15,9 +15,6 @@ from __future__ import annotations
 import argparse
 import json
 import shutil
-import subprocess
-import sys
-import time
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -30,6 +27,7 @@ from hir_exporters.textures.bilinear import sample_bilinear
 from hir_exporters.textures.image_files import write_png
 from numpy.typing import NDArray
 
+from benchmarks.hir_command import hir
 from benchmarks.stored_rows import add_rows, stored_rows
 from hir_core.capture import Camera, Capture
 from hir_core.intake.reader_lookup import read_capture
@@ -164,13 +162,6 @@ def make_scan(source: Path, folder: Path, program: str, plugins: PluginManager) 
     for view, camera in zip(capture.views, cameras, strict=True):
         np.testing.assert_allclose(read[view.name].world_to_camera, camera.world_to_camera, atol=1e-6)
         np.testing.assert_allclose(read[view.name].intrinsics, camera.intrinsics, atol=1e-3)
-
-
-def hir(*words: str | Path) -> float:
-    """Runs a command of this checkout and returns its seconds; an error where it fails."""
-    began = time.perf_counter()
-    subprocess.run([sys.executable, "-m", "hir_core.cli", *words], check=True)
-    return time.perf_counter() - began
 
 
 def keeps_triangles(scan: Path, exported: Path) -> bool:

@@ -16,8 +16,6 @@ from __future__ import annotations
 import argparse
 import json
 import shutil
-import subprocess
-import sys
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -30,6 +28,7 @@ from hir_exporters.textures.image_files import read_hdr, read_ldr
 from numpy.typing import NDArray
 from PIL import Image
 
+from benchmarks.hir_command import hir
 from benchmarks.materials.render import LATLONG_TO_WORLD, sensor
 from benchmarks.stored_rows import add_rows, stored_rows
 from hir_core.capture import Capture
@@ -107,11 +106,6 @@ def photograph_ball(
             frames.append({"file_path": name, "transform_matrix": pose.tolist()})
     document = {"camera_angle_x": float(view), "frames": frames}
     (folder / "transforms.json").write_text(json.dumps(document), encoding="utf-8")
-
-
-def hir(*words: str | Path) -> None:
-    """Runs a command of this checkout."""
-    subprocess.run([sys.executable, "-m", "hir_core.cli", *words], check=True)
 
 
 def irradiance(radiance: NDArray[np.floating]) -> NDArray[np.float64]:
