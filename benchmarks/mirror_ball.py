@@ -1,6 +1,6 @@
 """`hir light-probe` on photographs of a mirror ball and a grey one that Mitsuba renders in the place of an object.
 
-    python -m benchmarks.mirror_ball CAPTURE… --workspace DIR [--store FILE]
+    python -m benchmarks.mirror_ball CAPTURE… --workspace DIR [--light-only] [--store FILE]
     python -m benchmarks.mirror_ball --table FILE
     python -m benchmarks.mirror_ball CAPTURE --workspace DIR --picture FILE
 
@@ -119,7 +119,7 @@ def irradiance(radiance: NDArray[np.floating]) -> NDArray[np.float64]:
 
 
 def relit(run: Path, source: Path) -> dict[str, Any]:
-    """Unscaled PSNR over the object's pixels under the other lights, and the albedo's."""
+    """PSNR under the other lights, unscaled and scaled."""
     found: dict[str, Any] = {}
     for light in ("relight_0", "relight_1"):
         hir("evaluate", run, source, "--split", light, "--views", str(EVALUATED_VIEWS), "-q")
@@ -147,8 +147,8 @@ def measured_light(source: Path, capture: Capture, folder: Path) -> dict[str, An
     return errors
 
 
-def measured(source: Path, folder: Path, plugins: PluginManager) -> dict[str, Any]:
-    """The line of one capture."""
+def measured(source: Path, folder: Path, light_only: bool, plugins: PluginManager) -> dict[str, Any]:
+    """The line of one capture; `light_only` leaves out the fits."""
     capture = read_capture(source, "train", plugins)
     assert capture.environment is not None, "the capture states no true light"
     thing, probe = folder / "object", folder / "light.exr"
@@ -159,7 +159,7 @@ def measured(source: Path, folder: Path, plugins: PluginManager) -> dict[str, An
         "true": (f'reflectance.known_environment="{capture.environment.path}*{capture.environment.strength}"',),
         "fitted": (),
     }
-    for name, settings in lights.items():
+    for name, settings in () if light_only else lights.items():
         run = folder / f"run_{name}"
         shutil.rmtree(run, ignore_errors=True)
         words = [word for setting in (*settings, "export=[]") for word in ("--set", setting)]
@@ -223,6 +223,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("captures", nargs="*", type=Path)
     parser.add_argument("--workspace", type=Path, help="folder of the photographs, the lights and the runs")
+    parser.add_argument("--light-only", action="store_true", help="measure the light, fit nothing")
     parser.add_argument("--store", type=Path, help="file to which lines are added")
     parser.add_argument("--picture", type=Path, help="write the picture of an earlier measurement, measure nothing")
     parser.add_argument("--table", type=Path, metavar="FILE", help="print the table of stored lines, measure nothing")
@@ -238,7 +239,7 @@ def main() -> None:
         if options.picture is not None:
             draw_picture(source, folder, options.picture, plugins)
             continue
-        row = measured(source, folder, plugins)
+        row = measured(source, folder, options.light_only, plugins)
         if options.store is None:
             print(json.dumps(row, indent=2))
         else:

@@ -13,14 +13,20 @@ from hir_core.scene import EnvironmentMap
 def load_light(source: EnvironmentSource, world_from_source: Array, device: str = "cpu") -> EnvironmentMap:
     """Reads the light of a capture, times its strength, into the world of `world_from_source` (4×4)."""
     radiance = read_hdr(source.path) * np.float32(source.strength)
-    linear = world_from_source[:3, :3]
-    rotation = linear / np.cbrt(np.linalg.det(linear))
-    to_world = rotation @ np.asarray(source.source_from_environment, dtype=np.float64)
+    to_world = world_from_light(world_from_source, source)
     return EnvironmentMap(
         torch.from_numpy(np.ascontiguousarray(radiance)).to(device),
         torch.from_numpy(to_world.astype(np.float32)).to(device),
         "world",
     )
+
+
+def world_from_light(world_from_source: Array, source: EnvironmentSource | None) -> Array:
+    """3×3: turns directions of a lat-long file into the world. Without `source` the file has the capture's own axes."""
+    linear = world_from_source[:3, :3]
+    axes = np.eye(3) if source is None else np.asarray(source.source_from_environment, dtype=np.float64)
+    turned: Array = linear / np.cbrt(np.linalg.det(linear)) @ axes
+    return turned
 
 
 def is_same_light(a: EnvironmentSource | None, b: EnvironmentSource | None) -> bool:

@@ -15,6 +15,7 @@ from hir_core.capture import Capture
 from hir_core.config import ReflectanceSettings
 from hir_core.errors import ConfigError, InputError, StageError
 from hir_core.files.light_setting import parse_light_file
+from hir_core.rendering.light_files import world_from_light
 from hir_core.scene import EnvironmentMap, Material, Scene
 from hir_core.scene.card_irradiance import measuring_views
 from hir_core.stages.reflectance.selection.requested_model import default_spec, forced_spec
@@ -105,8 +106,6 @@ def known_light(text: str, capture: Capture, size: tuple[int, int], device: str)
     except InputError as error:
         raise ConfigError(f"reflectance.known_environment: {error}") from None
     radiance = read_hdr(path) * np.float32(strength)
-    rotation = capture.world_from_source[:3, :3]
-    rotation = rotation / np.cbrt(np.linalg.det(rotation))
-    source = capture.environment.source_from_environment if capture.environment is not None else np.eye(3)
-    rotated = resample_latlong(rotate_latlong(radiance, rotation @ source), *size)
+    to_world = world_from_light(capture.world_from_source, capture.environment)
+    rotated = resample_latlong(rotate_latlong(radiance, to_world), *size)
     return EnvironmentMap(torch.from_numpy(rotated.astype(np.float32)).to(device))

@@ -13,6 +13,7 @@ from hir_exporters.textures.bilinear import sample_bilinear
 from numpy.typing import NDArray
 
 from hir_core.capture import Array, Camera, View
+from hir_core.errors import InputError
 from hir_plugins.commands.light_probe.sphere_fit import Sphere
 
 MAX_FINE_ROWS = 1024
@@ -23,8 +24,6 @@ PHOTOGRAPHER_DEGREES = 5.0, 15.0
 """Directions nearer to the camera than the first show the photographer; from the second on they count fully."""
 SHOWN_ANYWAY = 1e-3
 """Weight of the photographer, who is better than nothing."""
-CLIPPED_WEIGHT = 1e-9
-"""Of a clipped pixel: it counts only where all photographs are clipped."""
 WHOLE_COVERAGE = 0.99
 ITERATIONS = 8
 """Of the point that reflects a direction into a camera; each reduces the error by the radius over the distance."""
@@ -50,29 +49,36 @@ def mirror_ball_light(
     """Radiance of all directions of a lat-long image of `rows` rows, whose axes `world_from_file` (3×3) turns.
 
     Each photograph is radiance × reflectance × `View.gain`. The light is assumed to be far away beside the ball's size.
+    `InputError` where no photograph shows a reflection.
     """
     diameter = max(_diameter_pixels(view.camera, ball) for view in views if view.camera is not None)
     # as many texels as the ball has pixels: each pixel shows the same solid angle
     factor = max(1, min(math.ceil(math.sqrt(math.pi / 8) * diameter / rows), MAX_FINE_ROWS // rows))
     fine = factor * rows
     directions = latlong_directions(fine, 2 * fine).reshape(-1, 3) @ world_from_file.T
-    total, weights, unclipped = np.zeros((len(directions), 3)), np.zeros(len(directions)), np.zeros(len(directions))
+    total, weights = np.zeros((len(directions), 3)), np.zeros(len(directions))
+    bound, is_clipped = np.zeros((len(directions), 3)), np.zeros(len(directions), bool)
     for view in views:
         color, weight, clipped = _seen(view, ball, directions)
-        exposure = float(view.gain.mean())
-        weights += (used := np.where(clipped, CLIPPED_WEIGHT, exposure) * weight)
-        unclipped += np.where(clipped, 0.0, weight)
-        total += used[:, None] * color / (view.gain * reflectance)
-    seen = weights > 0
-    mean = total / np.maximum(weights, 1e-300)[:, None]
+        radiance = color / (view.gain * reflectance)
+        used = np.where(clipped, 0.0, weight * float(view.gain.mean()))
+        weights += used
+        total += used[:, None] * radiance
+        shown = clipped & (weight > 0)
+        is_clipped |= shown
+        bound[shown] = np.maximum(bound[shown], radiance[shown])  # the shortest exposure says most
+    is_clipped &= weights == 0
+    seen = is_clipped | (weights > 0)
+    if not seen.any():
+        raise InputError("no photograph shows a reflection in the ball; it is too small, or its masks are too soft")
+    mean = np.where(is_clipped[:, None], bound, total / np.maximum(weights, 1e-300)[:, None])
     shape = fine, 2 * fine
     solid = np.broadcast_to(latlong_solid_angles(*shape), shape).reshape(-1) / (4 * math.pi)
     known = resample_latlong(seen.astype(np.float64).reshape(*shape, 1), rows, 2 * rows)
-    radiance = resample_latlong(np.where(seen[:, None], mean, 0).reshape(*shape, 3), rows, 2 * rows)
-    filled = _filled(radiance / np.maximum(known, 1e-12), known[..., 0] > 0)
-    clipped = seen & (unclipped == 0)
-    texels = clipped.reshape(rows, factor, 2 * rows, factor).any(axis=(1, 3))
-    return LightProbe(filled.astype(np.float32), texels, float(solid[clipped].sum()), float(solid[~seen].sum()))
+    averaged = resample_latlong(np.where(seen[:, None], mean, 0).reshape(*shape, 3), rows, 2 * rows)
+    filled = _filled(averaged / np.maximum(known, 1e-12), known[..., 0] > 0)
+    texels = np.asarray(is_clipped.reshape(rows, factor, 2 * rows, factor).any(axis=(1, 3)), bool)
+    return LightProbe(filled.astype(np.float32), texels, float(solid[is_clipped].sum()), float(solid[~seen].sum()))
 
 
 def reflecting_pixels(camera: Camera, ball: Sphere, directions: Array) -> tuple[Array, Array, Array]:

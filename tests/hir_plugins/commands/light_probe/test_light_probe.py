@@ -142,12 +142,12 @@ def test_the_light_has_the_brightness_of_the_objects_photographs(tmp_path: Path)
     thing = write(tmp_path / "object", photographs, [4.0] * 3)
     for name, words in (("own", ()), ("object", ("--object", thing))):
         code, said = probe(ball, "-o", tmp_path / f"{name}.exr", "--rows", 16, *words)
-        assert code == 0 and "equally exposed" not in said
+        assert code == 0 and "count as exposed like" not in said
     own, beside = read_hdr(tmp_path / "own.exr"), read_hdr(tmp_path / "object.exr")
     np.testing.assert_allclose(beside, 4 * own, rtol=1e-4)
     unknown = write(tmp_path / "unknown", photographs)
     code, said = probe(ball, "-o", tmp_path / "unknown.exr", "--object", unknown)
-    assert code == 0 and "unknown records no exposures, so the ball and the object count as equally exposed" in said
+    assert code == 0 and "unknown records no exposures, so its photographs count as exposed like those of" in said
 
 
 def matt(light: Callable[[Rows], Rows], reflectance: float = 0.5) -> Callable[[Rows], Rows]:
@@ -262,6 +262,10 @@ def test_bad_input_is_one_sentence(tmp_path: Path) -> None:
     Image.open(good / "0.png").convert("RGB").save(opaque / "0.png")
     (opaque / "transforms.json").write_text(json.dumps(document))
     cases["masks of the photographs"] = (opaque, "-o", tmp_path / "a.hdr")
+    soft = photograph(EYES[0], sky)
+    soft_masks = write(tmp_path / "soft", [Photograph(soft.camera, soft.color, 0.9 * soft.mask)])
+    cases["no photograph shows a reflection"] = (soft_masks, "-o", tmp_path / "a.hdr")
+    cases["does not exist; give the folder"] = (tmp_path / "nowhere", "-o", tmp_path / "a.hdr")
     mixed = write(tmp_path / "mixed", [photograph(eye, sky) for eye in EYES], [1.0] * 3)
     Image.open(mixed / "1.png").save(mixed / "1.png", exif=Image.Exif())
     cases["records no exposure, others do"] = (mixed, "-o", tmp_path / "a.hdr")
