@@ -186,9 +186,8 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
         errors = [row["irradiance_error"][name] for name in ("mirror", "both")]
         cells = [row["capture"], *(f"{error['mean']:.1%} ({error['largest']:.1%})" for error in errors)]
         for name in ("fitted", "measured", "true"):
-            cells.append(
-                ", ".join(f"{row['relit'][name][k]['psnr']['object']:.1f}" for k in ("relight_0", "relight_1"))
-            )
+            found = row["relit"].get(name, {})  # empty where the fits were left out
+            cells.append(", ".join(f"{each['psnr']['object']:.1f}" for each in found.values()) or "–")
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
 
