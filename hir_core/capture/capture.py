@@ -44,6 +44,9 @@ class View:
     """The file that `read` takes the mask from, where it is not the photograph itself; checked like `path`."""
     depth: MeasuredDepth | None = None
     """What a depth sensor measured beside the photograph."""
+    take: str = ""
+    """Name of the photograph's take: in one take the object stays where it is, under one light. Cameras of all takes
+    are in the axes of the object. Empty where there is one take."""
 
     @property
     def gain(self) -> NDArray[np.float32]:
@@ -133,6 +136,17 @@ class Capture:
             world_from_source=new_from_old @ self.world_from_source,
             irradiance=None if self.irradiance is None else self.irradiance.rotated(rotation),
         )
+
+    @property
+    def takes(self) -> tuple[str, ...]:
+        """Names of the takes, in the order of their first photographs; `("",)` for a capture without takes."""
+        return tuple(dict.fromkeys(view.take for view in self.views)) or ("",)
+
+    @property
+    def take_numbers(self) -> list[int]:
+        """For each view the index of its take in `takes`."""
+        number = {name: index for index, name in enumerate(self.takes)}
+        return [number[view.take] for view in self.views]
 
     @property
     def cameras(self) -> list[Camera]:

@@ -36,6 +36,8 @@ def fingerprint(capture: Capture) -> str:
         digest.update(repr(capture.irradiance).encode())
     for view in capture.views:
         digest.update(repr((view.name, view.gain.tolist(), view.distortion, camera_document(view.camera))).encode())
+        if view.take:
+            digest.update(repr(("take", view.take)).encode())
         for path in (view.path, view.mask_path):
             # one that is missing counts too: a photograph's bytes must not pass for its mask's
             digest.update(b"-" if path is None else hash_once(path).encode())

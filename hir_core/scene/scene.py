@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, Literal, TypeVar
 
@@ -191,6 +192,24 @@ class Scene:
     mesh: Mesh
     material: Material | None = None
     environment: EnvironmentMap | None = None
+    """The light; of a capture of several takes that of the first one."""
+    take_radiance: Mapping[str, Float[Tensor, "H W 3"]] = field(default_factory=dict)
+    """Radiance of the light of each take, by its name; empty where all photographs have one light."""
+
+    def in_take(self, take: str) -> Scene:
+        """The scene under the light of a take (`View.take`); a scene of one light stays as it is.
+
+        Raises `InputError` for a take whose light is not known.
+        """
+        if not self.take_radiance or self.environment is None:
+            return self
+        if take not in self.take_radiance:
+            known = ", ".join(repr(name) for name in self.take_radiance)
+            raise InputError(
+                f"the light of the take {take!r} is unknown; the photographs of the fit had the takes {known}. "
+                "Name one of them for each photograph (docs/captures.md)"
+            )
+        return replace(self, environment=replace(self.environment, radiance=self.take_radiance[take]), take_radiance={})
 
     def to(self, device: torch.device | str) -> Scene:
         """The same scene on another device."""
@@ -203,10 +222,12 @@ Part = TypeVar("Part", bound=Topology | Mesh | Material | CameraLamp | Environme
 def _to_device(part: Part, device: torch.device) -> Part:
     """The same dataclass with all tensors, also of nested dataclasses, on a device."""
     moved: dict[str, Any] = {}
-    for field in fields(part):
-        value = getattr(part, field.name)
+    for each in fields(part):
+        value = getattr(part, each.name)
         if isinstance(value, Tensor):
-            moved[field.name] = value.to(device)
+            moved[each.name] = value.to(device)
         elif isinstance(value, Topology | Mesh | Material | CameraLamp | EnvironmentMap):
-            moved[field.name] = _to_device(value, device)
+            moved[each.name] = _to_device(value, device)
+        elif isinstance(value, Mapping):
+            moved[each.name] = {name: tensor.to(device) for name, tensor in value.items()}
     return replace(part, **moved)

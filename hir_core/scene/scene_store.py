@@ -41,6 +41,9 @@ def save_stage_scene(scene: Scene, folder: Path) -> None:
         arrays |= {"environment.radiance": environment.radiance, "environment.to_world": environment.to_world}
         if environment.lamp is not None:
             arrays |= {f"lamp.{name}": getattr(environment.lamp, name) for name in _LAMP}
+    if scene.take_radiance:
+        document["takes"] = list(scene.take_radiance)
+        arrays |= {f"take_{number}.radiance": value for number, value in enumerate(scene.take_radiance.values())}
     with atomic_directory(folder) as new_folder:
         arrays_to_store = {}
         for name, value in arrays.items():
@@ -88,4 +91,7 @@ def _scene_of(document: dict[str, Any], tensors: dict[str, torch.Tensor]) -> Sce
         environment = EnvironmentMap(
             tensors["environment.radiance"], tensors.get("environment.to_world"), document["environment"], lamp
         )
-    return Scene(mesh, material, environment)
+    takes = document.get("takes", [])  # runs of one take and older ones have none
+    if not isinstance(takes, list) or not all(isinstance(name, str) for name in takes):
+        raise TypeError("its takes are no list of names")
+    return Scene(mesh, material, environment, {n: tensors[f"take_{i}.radiance"] for i, n in enumerate(takes)})
