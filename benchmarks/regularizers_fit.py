@@ -62,7 +62,7 @@ def study(
     fitted = load_stage_scene(run / "stages" / "4-reflectance" / "scene")
     solver = TransportGGX(options).prepare(fitted, capture, downsample)
     report = json.loads((run / "run.json").read_text())["stages"]["reflectance"]["report"]
-    indirect = indirect_light(solver, fitted, report["bounces"]) if report["bounces"] else None
+    indirect = [indirect_light(solver, fitted, report["bounces"])] if report["bounces"] else []
     prepared = TransportShading(solver._transport, capture, downsample, options, indirect)
     if specular_map:
         fitted = with_specular_map(fitted)

@@ -69,7 +69,7 @@ def write_capture(recipe: Recipe, shape: Shape, folder: Path, settings: RenderSe
         for i, image in enumerate(renders):
             write_png(folder / split / f"{i:03d}.png", encoded(image, strengths[lit_by]))
         if split == "test":
-            _write_truth(mi, mesh, surface, folder / "truth_test", cameras, side)
+            write_truth(mi, mesh, surface, folder / "truth_test", cameras, side)
         document: dict[str, Any] = {"camera_angle_x": FIELD_OF_VIEW}
         if light.frame == "world":
             document["environment"] = {"file_path": f"env_{lit_by}.hdr", "strength": strengths[lit_by]}
@@ -215,7 +215,7 @@ def encoded(image: NDArray[np.float32], strength: float) -> NDArray[np.float32]:
     return np.concatenate([linear_to_srgb(color.clip(0, 1)), alpha], axis=-1).astype(np.float32)
 
 
-def _write_truth(
+def write_truth(
     mi: Any, mesh: Any, surface: Surface, folder: Path, cameras: list[NDArray[np.float64]], side: int
 ) -> None:
     """Base colour (sRGB), metalness and roughness (linear) at the pixel centres of each test view, with coverage."""

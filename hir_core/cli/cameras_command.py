@@ -31,4 +31,5 @@ def cameras_command(run: Path, file_format: str, output: Path, plugin_files: tup
     if not cameras:
         raise InputError(f"{directory.cameras} has no solved camera; let the initializer stage of the run finish")
     photographs = {view.name: view.path for view in capture.views if view.path is not None}
-    click.echo(str(export_cameras(cameras, photographs, file_format, output)))
+    takes = {view.name: view.take for view in capture.views}
+    click.echo(str(export_cameras(cameras, photographs, file_format, output, takes)))

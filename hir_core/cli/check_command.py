@@ -165,6 +165,9 @@ def summary(capture: Capture, check: CaptureCheck) -> str:
     size = f"{sizes[0][0]}×{sizes[0][1]}" + (f" to {sizes[-1][0]}×{sizes[-1][1]}" if len(sizes) > 1 else "")
     parts = [f"{len(check.views)} photographs of {size} ({capture.reader})"]
     parts += [f"{check.with_camera} cameras", f"{masks} masks"]
+    if check.takes:
+        listed = ", ".join(f"{on_one_line(take.name)} {take.photographs}" for take in check.takes)
+        parts.append(f"{len(check.takes)} takes ({listed})")
     scores = sorted(v.agreement for v in check.views if v.agreement is not None)
     if scores:
         parts.append(f"masks and cameras agree to {scores[len(scores) // 2]:.2f} (worst {scores[0]:.2f})")

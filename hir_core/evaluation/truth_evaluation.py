@@ -119,11 +119,11 @@ def albedo_figures(run: FinishedRun, path: Path, split: str, plugins: PluginMana
 def light_figures(run: FinishedRun, path: Path, capture: Capture, plugins: PluginManager) -> dict[str, Any] | None:
     """Errors of the fitted light against that of the train split.
 
-    None where either is unknown, and where the fitted light is attached to the camera.
+    None where either is unknown, where the fitted light is attached to the camera, and where each take has its own.
     """
     source = training_light(path, plugins)
     fitted = run.scene.environment
-    if source is None or fitted is None or fitted.frame == "camera":
+    if source is None or fitted is None or fitted.frame == "camera" or run.scene.take_radiance:
         return None
     truth = load_light(source, capture.world_from_source)
     return compare_lights(in_world(fitted), in_world(truth)).document()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -108,12 +109,13 @@ def evaluate_run(
     is_relit = not light["fitted"]
     at_own = run.exposures.kind == "fitted" and capture.split != "train" and not is_relit
 
+    in_take = cache(scene.in_take)  # a renderer prepares a scene once
     scale = ChannelScale()
     names = _file_names(capture.views)
     views: list[dict[str, Any]] = []
     for i, (view, name) in enumerate(zip(capture.views, names, strict=True)):
         started = time.perf_counter()
-        fit = render_view(renderer, scene, capture.cameras[i], view.name)
+        fit = render_view(renderer, in_take(view.take), capture.cameras[i], view.name)
         seconds = time.perf_counter() - started
         photograph = masked_photograph(view)
         inside = (photograph.mask > OBJECT_COVERAGE) & ~photograph.saturated

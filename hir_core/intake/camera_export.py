@@ -20,12 +20,19 @@ _Z_UP_FROM_Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 
 _OPENGL_FROM_OPENCV = np.diag([1.0, -1, -1, 1])
 
 
-def export_cameras(cameras: Mapping[str, Camera], photographs: Mapping[str, Path], form: str, output: Path) -> Path:
+def export_cameras(
+    cameras: Mapping[str, Camera],
+    photographs: Mapping[str, Path],
+    form: str,
+    output: Path,
+    takes: Mapping[str, str] | None = None,
+) -> Path:
     """Writes cameras by name, with the paths of their photographs; returns the written file or folder.
 
-    `transforms`: `output`/transforms.json (nerfstudio's fields; +Z up, cameras look along -z). `colmap`: the folder
-    `output`/sparse/0 with cameras.txt, images.txt and an empty points3D.txt; +Y up as in the run. A missing photograph
-    or an unknown `form` raises `ConfigError`.
+    `transforms`: `output`/transforms.json (nerfstudio's fields; +Z up, cameras look along -z), with the `takes` that
+    have a name. `colmap`: the folder `output`/sparse/0 with cameras.txt, images.txt and an empty points3D.txt; +Y up as
+    in the run. Images are named by their files, or by their paths in the photographs' common folder if files of two
+    folders have one name. A missing photograph or an unknown `form` raises `ConfigError`.
     """
     missing = sorted(set(cameras) - set(photographs))
     if missing:
@@ -35,12 +42,12 @@ def export_cameras(cameras: Mapping[str, Camera], photographs: Mapping[str, Path
         )
     files = {name: os.path.relpath(photographs[name], output) for name in cameras}
     if form == "transforms":
-        frames = [_frame(cameras[name], files[name]) for name in sorted(cameras)]
+        frames = [_frame(cameras[name], files[name], (takes or {}).get(name, "")) for name in sorted(cameras)]
         write_json(output / "transforms.json", {"camera_model": "OPENCV", "frames": frames})
         return output / "transforms.json"
     if form == "colmap":
         folder = output / "sparse" / "0"
-        lines, pictures = _colmap_lines(cameras, {name: photographs[name].name for name in cameras})
+        lines, pictures = _colmap_lines(cameras, _image_names({name: photographs[name] for name in cameras}))
         first = "# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n"
         write_text_atomic(folder / "cameras.txt", first + "\n".join(lines) + "\n")
         header = "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n# POINTS2D[] as (X, Y, POINT3D_ID)\n"
@@ -50,11 +57,20 @@ def export_cameras(cameras: Mapping[str, Camera], photographs: Mapping[str, Path
     raise ConfigError(f"cameras cannot be written as {form!r}; use {' or '.join(FORMATS)}")
 
 
-def _frame(camera: Camera, file: str) -> dict[str, object]:
+def _image_names(photographs: Mapping[str, Path]) -> dict[str, str]:
+    files = {name: path.name for name, path in photographs.items()}
+    if len(set(files.values())) == len(set(photographs.values())):
+        return files
+    common = os.path.commonpath([path.parent for path in photographs.values()])
+    return {name: path.relative_to(common).as_posix() for name, path in photographs.items()}
+
+
+def _frame(camera: Camera, file: str, take: str) -> dict[str, object]:
     pose = _Z_UP_FROM_Y_UP @ np.linalg.inv(camera.world_to_camera) @ _OPENGL_FROM_OPENCV
     k = camera.intrinsics
     frame = {
         "file_path": Path(file).as_posix(),
+        **({"take": take} if take else {}),
         "w": camera.width,
         "h": camera.height,
         "fl_x": float(k[0, 0]),

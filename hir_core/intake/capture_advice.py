@@ -7,10 +7,14 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from hir_core.intake.check_result import GAP_SIDE_PIXELS, CaptureCheck
+from hir_core.intake.check_result import GAP_SIDE_PIXELS, CaptureCheck, ViewCheck
 from hir_core.intake.mask_agreement import MAX_BELOW_MEDIAN, MIN_AGREEMENT
 
 _MIN_HEADLIGHT_SCORE = 0.5
+
+MIN_PHOTOGRAPHS_OF_TAKE = 6
+"""Below it a take is said to be under-observed: its light has as many parameters as that of a whole capture. A choice
+that was not measured."""
 
 MAX_MASK_GAP = 0.5
 """Above it the given cameras are a little wrong; in the unit of `CaptureCheck.mask_gap`."""
@@ -45,6 +49,18 @@ def advice_for(check: CaptureCheck) -> list[str]:
         advice.append(f"{len(views)} photographs are few: take 30 to 80 from all sides for an accurate shape")
     if 0 < check.with_camera < len(views):
         advice.append(f"{len(views) - check.with_camera} of {len(views)} photographs have no camera: they are left out")
+    few = [take for take in check.takes if take.photographs < MIN_PHOTOGRAPHS_OF_TAKE]
+    if few:
+        advice.append(
+            f"the take {few[0].name} has {few[0].photographs} photographs, so its light is under-observed: take "
+            f"{MIN_PHOTOGRAPHS_OF_TAKE} or more, better 30, or leave the take out"
+        )
+    unmasked = sum(v.mask_share is None for v in views)
+    if len(check.takes) > 1 and check.with_camera < len(views) and unmasked:
+        advice.append(
+            f"{unmasked} of {len(views)} photographs have no mask: to estimate cameras of several takes, all need one, "
+            "because takes are joined by features of the object alone"
+        )
     scores = [v.agreement for v in views if v.agreement is not None]
     if scores:
         middle = float(np.median(scores))
@@ -85,8 +101,7 @@ def advice_for(check: CaptureCheck) -> list[str]:
         advice.append(
             f"{len(clipped)} photographs have more than 5 % clipped pixels, such as {clipped[0]}: reduce the exposure"
         )
-    brightness = np.array([v.brightness for v in views if v.brightness > 0])
-    if len(brightness) and brightness.max() > 4 * np.median(brightness):
+    if any(_brightness_range(views, take) > 4 for take in {v.take for v in views}):
         advice.append(
             "the photographs' brightness differs by more than a factor of 4: hir reconstruct fits their exposures, "
             "and one fixed exposure would be more accurate"
@@ -108,3 +123,9 @@ def advice_for(check: CaptureCheck) -> list[str]:
             "the light moves with the camera (a flash, or a turntable): set light_frame = camera, or lamp for a flash"
         )
     return advice
+
+
+def _brightness_range(views: Sequence[ViewCheck], take: str) -> float:
+    """Brightest photograph of a take over its median: the light of another take may be another."""
+    brightness = np.array([v.brightness for v in views if v.brightness > 0 and v.take == take])
+    return float(brightness.max() / np.median(brightness)) if len(brightness) else 0.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -10,7 +11,7 @@ import numpy as np
 from hir_core.capture import Array, Camera, Capture, Pixels, View
 from hir_core.capture.exif import camera_record
 from hir_core.intake.capture_advice import advice_for
-from hir_core.intake.check_result import GAP_SIDE_PIXELS, CaptureCheck, ViewCheck
+from hir_core.intake.check_result import GAP_SIDE_PIXELS, CaptureCheck, TakeCheck, ViewCheck
 from hir_core.intake.light_motion import headlight_score
 from hir_core.intake.mask_agreement import mask_agreement
 from hir_core.intake.picture_statistics import find_duplicates, sharpness
@@ -40,7 +41,10 @@ def check_capture(capture: Capture, surface: tuple[Array, Array] | None = None) 
     cameras = [camera for _, camera in small if camera is not None]
     headlight = None
     if surface is not None and len(cameras) == len(small) and len(cameras) >= 3:
-        headlight = headlight_score([p for p, _ in small], cameras, *surface)
+        # the light of each take is another; the take of most photographs stands for all
+        take = Counter(capture.take_numbers).most_common(1)[0][0]
+        chosen = [i for i, number in enumerate(capture.take_numbers) if number == take]
+        headlight = headlight_score([small[i][0] for i in chosen], [cameras[i] for i in chosen], *surface)
     check = CaptureCheck(
         views=views,
         duplicates=tuple(
@@ -50,9 +54,15 @@ def check_capture(capture: Capture, surface: tuple[Array, Array] | None = None) 
         directions_covered=directions_covered(cameras),
         flashes=sum(camera_record(view.path).flash is True for view in capture.views if view.path is not None),
         headlight=headlight,
+        takes=_takes(capture),
         mask_gap=None if agreement.gap is None else agreement.gap * _gap_scale([(size, p) for p, _, size, *_ in read]),
     )
     return replace(check, advice=tuple(advice_for(check)))
+
+
+def _takes(capture: Capture) -> tuple[TakeCheck, ...]:
+    counts = Counter(view.take for view in capture.views)
+    return tuple(TakeCheck(name, counts[name]) for name in capture.takes if capture.takes != ("",))
 
 
 def _gap_scale(sizes: Sequence[tuple[tuple[int, int], Pixels]]) -> float:
@@ -98,4 +108,5 @@ def _view_check(
         mask_share=None if pixels.mask is None else float(pixels.mask.mean()),
         touches_border=border,
         agreement=agreement,
+        take=view.take,
     )

@@ -27,6 +27,16 @@ class ViewCheck:
     """Whether the object touches the image's border."""
     agreement: float | None = None
     """Intersection over union of the mask and the re-projected hull of all masks; None without camera or mask."""
+    take: str = ""
+    """Name of the photograph's take; empty where there is one take."""
+
+
+@dataclass(frozen=True)
+class TakeCheck:
+    """One take: photographs of the object in one position, under one light."""
+
+    name: str
+    photographs: int
 
 
 @dataclass(frozen=True)
@@ -47,5 +57,7 @@ class CaptureCheck:
     mask_gap: float | None = None
     """Median width of the strip along a mask's outline that lies beside the hull of other masks, in pixels of masks
     reduced to 256 to 511 on the longer side; None without cameras, for few masks, and where none agree."""
+    takes: tuple[TakeCheck, ...] = ()
+    """The takes in their order; empty where there is one without a name."""
     advice: tuple[str, ...] = field(default=())
     """One sentence for each problem."""

@@ -32,7 +32,8 @@ def find_reader(path: Path, plugins: PluginManager, name: str = "auto") -> tuple
         tried.append(registered.component.name)
     raise CaptureError(
         f"{path} is no capture that an installed reader knows ({', '.join(tried) or 'none is installed'}); give a "
-        "folder with two photographs or more, or with the cameras of another program (docs/captures.md)"
+        "folder with two photographs or more, with takes.toml and a folder for each take, or with the cameras of "
+        "another program (docs/captures.md)"
     )
 
 

@@ -37,6 +37,7 @@ TRAITS: Mapping[str, Mapping[str, str]] = {
         "solver": "`prepare` returns a `ReflectanceSolver`",
         "exposures": "the solver fits models with recorded and with fitted exposures (`ModelSpec.exposures`)",
         "camera_lamp": "shades the lamp of `EnvironmentMap`; a solver fits models with one (`ModelSpec.lamp`)",
+        "takes": "the solver fits one light for each take of the capture (`View.take`)",
         "regularizers": "the solver minimises regularizers in its own fit (`ReflectanceSolver.with_terms`)",
         "reference": "unbiased; other renderers are compared with it",
     },

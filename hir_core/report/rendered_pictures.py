@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -95,6 +96,8 @@ def write_pictures(
             for name, picture in relit_pictures(run, camera, truth, fit, plugins).items():
                 write_png(folder / f"{name}.png", picture)
         _write_asset_pictures(folder, directory.scene)
+        for number, radiance in enumerate(run.scene.take_radiance.values()):
+            write_png(folder / f"light_take_{number}.png", np.clip(light_picture(radiance.cpu().numpy()), 0, 1))
         errors = load_map_errors(directory.stage("reflectance"))
         if errors is not None and measured:
             cameras = [_small(camera) for _, camera, _ in measured[::2]]
@@ -123,7 +126,7 @@ class _PathTracer:
     """Renders the scene of a run with as many samples as its figures need."""
 
     def __init__(self, run: FinishedRun, plugins: PluginManager, max_noise_share: float) -> None:
-        self._scene, self._max_noise_share = run.scene, max_noise_share
+        self._in_take, self._max_noise_share = cache(run.scene.in_take), max_noise_share
         _, self._quick = reference_renderer(
             plugins, bounces=run.bounces, max_samples=FEW_SAMPLES, light=run.scene.environment
         )
@@ -138,7 +141,7 @@ class _PathTracer:
         return whole, whole
 
     def _rendered(self, renderer: ReflectanceRenderer, camera: Camera, view: View, label: str) -> Image:
-        fit = render_view(renderer, self._scene, camera, view.name + label)
+        fit = render_view(renderer, self._in_take(view.take), camera, view.name + label)
         fit[..., :3] *= view.gain
         return fit
 

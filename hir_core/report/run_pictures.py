@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -44,22 +45,28 @@ def render_pictures(
     with `size`² pixels. `exr` adds linear premultiplied files. `InputError` where a view does not exist.
     """
     run = open_finished_run(directory)
-    cameras = {}
+    cameras, takes = {}, {}
     run_cameras = run.cameras()
+    run_takes = {}
+    if views and run.scene.take_radiance:
+        run_takes = {v.name: v.take for v in run.views_of_split(run.capture_path, "train", plugins).views}
     for name in views:
         if name not in run_cameras:
             raise InputError(
                 f"{directory.path} has no view {name!r}; its views are: {', '.join(list(run_cameras)[:8])}, …"
             )
         cameras[file_stem(name)] = run_cameras[name]
+        takes[file_stem(name)] = run_takes.get(name)
     cameras |= {f"orbit_{i:03d}": camera for i, camera in enumerate(orbit_cameras(orbit, elevation, size))}
     scene = run.scene
     if relight:
         path, strength = parse_light_file(relight)
         scene = run.with_light(load_light(EnvironmentSource(path, strength), np.eye(4)))
     _, path_tracer = reference_renderer(plugins, renderer, options, run.bounces, light=scene.environment)
+    in_take = cache(scene.in_take)
     for name, camera in cameras.items():
-        image = render_view(path_tracer, scene, camera, name)
+        take = takes.get(name)
+        image = render_view(path_tracer, scene if take is None else in_take(take), camera, name)
         color, coverage = unassociate(image)
         encoded = np.asarray(linear_to_srgb(np.clip(color, 0, 1)), dtype=np.float32)
         write_png(folder / f"{name}.png", np.concatenate([encoded, coverage[..., None]], axis=-1))

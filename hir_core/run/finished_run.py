@@ -20,6 +20,7 @@ from hir_core.run.run_directory import RunDirectory
 from hir_core.scene import EnvironmentMap, Scene
 from hir_core.scene.asset_conversion import scene_from_asset
 from hir_core.scene.frames import move_scene
+from hir_core.scene.scene_store import load_take_radiance
 
 if TYPE_CHECKING:
     from hir_core.plugins.manager import PluginManager
@@ -82,7 +83,7 @@ class FinishedRun:
 
     def with_light(self, light: EnvironmentMap) -> Scene:
         """The scene under another light, which is in the working frame."""
-        return replace(self.scene, environment=light)
+        return replace(self.scene, environment=light, take_radiance={})
 
     @property
     def _reader_name(self) -> str:
@@ -96,6 +97,7 @@ def open_finished_run(directory: RunDirectory, device: str = "cpu") -> FinishedR
         raise InputError(f"{directory.path} has no finished scene; finish it with: hir reconstruct … --resume")
     frames = _frames(document, str(directory.path / "run.json"))
     scene = move_scene(scene_from_asset(load_scene(directory.scene)), frames.working_from_asset)
+    scene = replace(scene, take_radiance=load_take_radiance(directory.stage("reflectance") / "scene"))
     return FinishedRun(directory, document, scene.to(device), frames)
 
 

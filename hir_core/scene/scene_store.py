@@ -91,7 +91,22 @@ def _scene_of(document: dict[str, Any], tensors: dict[str, torch.Tensor]) -> Sce
         environment = EnvironmentMap(
             tensors["environment.radiance"], tensors.get("environment.to_world"), document["environment"], lamp
         )
+    return Scene(mesh, material, environment, _take_radiance(document, tensors))
+
+
+def load_take_radiance(folder: Path) -> dict[str, torch.Tensor]:
+    """The light of each take in a scene that `save_stage_scene` wrote; empty for one light, and without a scene."""
+    if not (folder / "scene.json").is_file():
+        return {}
+    document = read_json(folder / "scene.json")
+    try:
+        return _take_radiance(document, _arrays(folder)) if document.get("takes") else {}
+    except (KeyError, TypeError) as error:
+        raise InputError(f"{folder} is not a complete scene of a stage ({error}); run without --resume") from error
+
+
+def _take_radiance(document: dict[str, Any], tensors: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
     takes = document.get("takes", [])  # runs of one take and older ones have none
     if not isinstance(takes, list) or not all(isinstance(name, str) for name in takes):
         raise TypeError("its takes are no list of names")
-    return Scene(mesh, material, environment, {n: tensors[f"take_{i}.radiance"] for i, n in enumerate(takes)})
+    return {name: tensors[f"take_{number}.radiance"] for number, name in enumerate(takes)}

@@ -22,7 +22,7 @@ from hir_core.run.stage_context import StageContext, forward_warnings
 from hir_core.scene import Mesh, Scene
 from hir_core.scene.frames import move_scene, unit_similarity
 from hir_core.scene.scan import Scan
-from hir_core.stages.held_out_views import MIN_VIEWS
+from hir_core.stages.held_out_views import MIN_VIEWS, model_selection_folds
 
 MAX_DISTANCE_FROM_ORIGIN = 1e4
 """Largest distance of the cameras from the origin, in their own extent: float32 is then exact to 6e-4 of the extent."""
@@ -108,6 +108,11 @@ def initialize(
         context.warn(
             f"there are only {len(capture.views)} photographs: the shape is a guess where they do not look, and with "
             f"fewer than {MIN_VIEWS} no view is held out, so no models are compared; take 20 or more around the object"
+        )
+    elif not model_selection_folds(len(capture.views), capture.take_numbers):
+        context.warn(
+            f"the {len(capture.takes)} takes have too few photographs each to hold some out, so no models are "
+            "compared; take 20 or more of one take around the object"
         )
     if scanned is not None and not _has_surface_of(scene.mesh, scanned):
         scan = None  # an initializer made another surface, to which the texture does not belong

@@ -113,8 +113,8 @@ class ColmapOptions:
     max_features: int = 4096
     """Features per photograph in the first attempt; later attempts use twice as many."""
     matching: Literal["auto", "exhaustive", "sequential", "vocabulary"] = "auto"
-    """Which pairs of photographs are matched. `auto`: all pairs up to 150 photographs, above that the pairs that a
-    vocabulary tree, trained on the capture itself, finds similar. `sequential` suits a video."""
+    """Which pairs of photographs are matched. `auto`: all pairs up to 150 photographs (300 of several takes), above
+    that the pairs that a vocabulary tree, trained on the capture itself, finds similar. `sequential` suits a video."""
     mapper: Literal["incremental", "global"] = "incremental"
     """`incremental` registers one photograph after the other, `global` all at once: faster for hundreds of them."""
     camera: Literal["auto", "single", "each"] = "auto"
@@ -186,11 +186,12 @@ class StereoOptions:
     max_image_size: int = 400
     """Photographs are reduced by a whole factor until their longer side is at most this, in pixels."""
     max_photographs: int = 48
-    """At most this many photographs are used, those whose directions cover the others' best: time grows with them."""
+    """At most this many photographs are used, those whose directions cover the others' best: time grows with them. Each
+    take has a share in proportion to its photographs."""
     levels: int = 2
     """Number of coarse-to-fine levels. Each doubles the resolution and starts from the surface of the previous one."""
     neighbours: int = 6
-    """Number of photographs that each one is compared with; four more verify the result."""
+    """Number of photographs of its take that each one is compared with; four more verify the result."""
     steps: int = 64
     """Maximum number of depth hypotheses per pixel at the first level."""
     window: int = 7

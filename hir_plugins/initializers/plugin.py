@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from hir_core.capture import Capture
 
 MIN_MATCHED_VIEWS = 16
-"""Photographs from which stereo is suggested: on the upper hemisphere they are then about 35 degrees apart. A choice
-that was not measured (docs/studies/default_values.md)."""
+"""Photographs of one take from which stereo is suggested: on the upper hemisphere they are then about 35 degrees
+apart. A choice that was not measured (docs/studies/default_values.md)."""
 
 MIN_MATCHED_SIDE = 128
 """Shorter side of a photograph, in pixels, from which stereo is suggested: the first level has half of them, and its
@@ -142,5 +142,6 @@ def hir_suggest_initializers(capture: Capture) -> list[str] | None:
 def _can_be_matched(capture: Capture) -> bool:
     from hir_core.capture.capture_size import size_of
 
-    size = size_of(capture)
-    return size.views >= MIN_MATCHED_VIEWS and min(size.width, size.height) >= MIN_MATCHED_SIDE
+    size, takes = size_of(capture), capture.take_numbers
+    matched = max(takes.count(take) for take in set(takes))
+    return matched >= MIN_MATCHED_VIEWS and min(size.width, size.height) >= MIN_MATCHED_SIDE

@@ -29,15 +29,15 @@ class ColorKey(MaskSource):
         self._config = config
 
     def masks(self, capture: Capture, scene: Scene | None) -> list[NDArray[np.float32] | None]:
-        """One mask for each view. With `auto`, borders of several colours raise `CaptureError`."""
+        """One mask for each view. With `auto`, borders of several colours in one take raise `CaptureError`."""
         del scene
         images = [view.pixels() for view in capture.views]
         named = self._config.color
         if named == "auto":
-            key = _border_color([linear_to_srgb(p.color_linear) for p in images], capture)
+            keys = _border_colors([linear_to_srgb(p.color_linear) for p in images], capture)
         else:
-            key = np.array(_COLORS[named], dtype=np.float64)
-        return [self._mask(linear_to_srgb(p.color_linear), key) for p in images]
+            keys = [np.array(_COLORS[named], dtype=np.float64)] * len(images)
+        return [self._mask(linear_to_srgb(p.color_linear), key) for p, key in zip(images, keys, strict=True)]
 
     def _mask(self, encoded: NDArray[np.floating], key: NDArray[np.float64]) -> NDArray[np.float32]:
         from scipy.ndimage import binary_dilation, binary_erosion, label, maximum_filter
@@ -52,6 +52,16 @@ class ColorKey(MaskSource):
         mixed = np.clip(distance / np.maximum(farthest, 1e-9), 0, 1)
         edge = binary_dilation(solid, iterations=1) & ~binary_erosion(solid, iterations=2, border_value=1)
         return np.where(edge, mixed, solid).astype(np.float32)
+
+
+def _border_colors(images: list[NDArray[np.floating]], capture: Capture) -> list[NDArray[np.float64]]:
+    """For each photograph the colour (3,) of the borders of its take: another light gives the background another."""
+    numbers = capture.take_numbers
+    keys = [
+        _border_color([image for image, own in zip(images, numbers, strict=True) if own == take], capture)
+        for take in range(len(capture.takes))
+    ]
+    return [keys[take] for take in numbers]
 
 
 def _border_color(images: list[NDArray[np.floating]], capture: Capture) -> NDArray[np.float64]:

@@ -15,7 +15,8 @@ from hir_plugins.readers.parsing.capture_paths import find_photo, unique_names
 from hir_plugins.readers.parsing.colmap_format.colmap_files import read_cameras, read_images, read_points
 from hir_plugins.readers.parsing.lens_camera import make_view
 from hir_plugins.readers.parsing.mask_files import find_mask, matches_of, warn_of_mask_names
-from hir_plugins.readers.parsing.upright import upright_rotation
+from hir_plugins.readers.parsing.takes_file import with_takes
+from hir_plugins.readers.parsing.upright import upright_rotation_of
 
 _MODELS: Final = ("sparse/0", "sparse", "colmap/sparse/0", "colmap/sparse", "dense/sparse", "colmap", "model", ".")
 _IMAGES: Final = ("images", "image", "input", "rgb", "photos", ".")
@@ -37,7 +38,7 @@ class ColmapModelReader(CaptureReader):
         return ["train"]
 
     def read(self, path: Path, split: str = "train") -> Capture:
-        """Registered images with their cameras, and the sparse points."""
+        """Registered images with their cameras, the takes that takes.toml lists, and the sparse points."""
         if split != "train":
             raise CaptureError(f"{path} has no split {split!r}; read 'train', the only split of a COLMAP model")
         model = _model_folder(path)
@@ -59,9 +60,13 @@ class ColmapModelReader(CaptureReader):
             views.append(make_view(name, photo, cameras[image.camera_id], image.world_to_camera, owner, mask))
         warn_of_mask_names(matches_of(views), path)
         capture = Capture(
-            path=path, views=tuple(views), points=read_points(model), world_from_source=np.eye(4), reader="colmap_model"
+            path=path,
+            views=with_takes(views, path),
+            points=read_points(model),
+            world_from_source=np.eye(4),
+            reader="colmap_model",
         )
-        return capture.transformed(upright_rotation([image.world_to_camera for image in images]))
+        return capture.transformed(upright_rotation_of(capture.views))
 
 
 def _model_folder(path: Path) -> Path | None:

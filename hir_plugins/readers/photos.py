@@ -1,4 +1,4 @@
-"""A folder of photographs without cameras, with or without masks."""
+"""A folder of photographs without cameras, or one folder for each take, with or without masks."""
 
 from __future__ import annotations
 
@@ -11,10 +11,18 @@ from hir_core.capture import Capture, View
 from hir_core.errors import CaptureError
 from hir_core.plugins import NoOptions
 from hir_core.plugins.interfaces import CaptureReader
-from hir_plugins.readers.parsing.capture_paths import PHOTO_SUFFIXES, contained_path, unique_names
+from hir_plugins.readers.parsing.capture_paths import contained_path, photos_of, unique_names
 from hir_plugins.readers.parsing.mask_files import find_mask, found_masks, matches_of, warn_of_mask_names
 from hir_plugins.readers.parsing.photo_file import PhotoFile
 from hir_plugins.readers.parsing.picture_decoding import photo_size
+from hir_plugins.readers.parsing.takes_file import (
+    TAKES_FILE,
+    has_takes_file,
+    read_takes,
+    refuse_shared_masks,
+    take_folders,
+    unlisted_photographs,
+)
 
 _FOLDERS: Final = (".", "images", "image", "photos", "input", "rgb", "Images", "JPEG", "DCIM")
 _CAMERA_FILES: Final = (
@@ -41,28 +49,32 @@ _PROJECTS: Final = {
 
 @final
 class PhotosReader(CaptureReader):
-    """Reads the photographs of a folder, rotated by their EXIF orientation; an initializer estimates their cameras."""
+    """Reads the photographs of a folder, rotated by their EXIF orientation; an initializer estimates their cameras.
+
+    takes.toml lists the folders of several takes.
+    """
 
     def __init__(self, config: NoOptions) -> None:
         del config
 
     def matches(self, path: Path) -> bool:
-        """A folder with two photographs and no camera file of another reader."""
+        """A folder with two photographs, or with takes.toml, and no camera file of another reader."""
         if not path.is_dir() or any(any(path.glob(pattern)) for pattern in _CAMERA_FILES):
             return False
-        return len(_photos(path)) >= 2
+        return has_takes_file(path) or len(_photos(path)) >= 2
 
     def splits(self, path: Path) -> list[str]:
         """Only "train"."""
         return ["train"]
 
     def read(self, path: Path, split: str = "train") -> Capture:
-        """All photographs, by name; a warning reports those of an unusual size."""
+        """All photographs, by take and name; a warning reports those of an unusual size."""
         if split != "train":
             raise CaptureError(
                 f"{path} has no split {split!r}; read 'train', the only split of a folder of photographs"
             )
-        photos = _photos(path)
+        takes = _takes(path)
+        photos = [photo for _, photo in takes] if takes else _photos(path)
         if len(photos) < 2:
             raise CaptureError(f"{path} has {len(photos)} photographs; add more, at least 2 and better 30")
         sizes = {photo: photo_size(photo, orient=True) for photo in photos}
@@ -78,6 +90,7 @@ class PhotosReader(CaptureReader):
         _warn_of_unread_cameras(path)
         names = unique_names(photos, path)
         masks = [find_mask(photo, path) for photo in photos]
+        labels = [take for take, _ in takes] or [""] * len(photos)
         if all(masks) and (unmatched := found_masks(photos, path).of_none):
             warnings.warn(
                 f"{len(unmatched)} masks belong to no photograph, such as {unmatched[0]}; name masks like their "
@@ -85,9 +98,10 @@ class PhotosReader(CaptureReader):
                 stacklevel=2,
             )
         views = tuple(
-            View(name, None, PhotoFile(photo, mask, orient=True), path=photo, mask_path=mask)
-            for photo, mask, name in zip(photos, masks, names, strict=True)
+            View(name, None, PhotoFile(photo, mask, orient=True), path=photo, mask_path=mask, take=take)
+            for photo, mask, name, take in zip(photos, masks, names, labels, strict=True)
         )
+        refuse_shared_masks(views)
         warn_of_mask_names(matches_of(views), path)
         return Capture(path=path, views=views, reader="photos")
 
@@ -106,13 +120,36 @@ def _warn_of_unread_cameras(path: Path) -> None:
         return
 
 
+def _takes(path: Path) -> list[tuple[str, Path]]:
+    """The photographs in the folders that takes.toml lists, each with its take; empty without that file."""
+    names = read_takes(path)
+    if not names:
+        return []
+    folders = take_folders(path, names, _FOLDERS)
+    listed = [(name, photo) for name, folder in zip(names, folders, strict=True) for photo in photos_of(folder)]
+    found = [(name, contained_path(path, p.relative_to(path).as_posix(), path)) for name, p in listed]
+    without = [name for name in names if all(take != name for take, _ in found)]
+    if without:
+        raise CaptureError(
+            f"{path / TAKES_FILE} lists the take {without[0]!r}, whose folder holds no photograph; add its photographs"
+        )
+    unlisted = unlisted_photographs(path, folders)
+    if len(unlisted) >= 2:
+        warnings.warn(
+            f"{len(unlisted)} photographs lie in no folder that {path / TAKES_FILE} lists and are left out, such as "
+            f"{unlisted[0]}; list their folder, or move them away",
+            stacklevel=3,
+        )
+    return found
+
+
 def _photos(path: Path) -> list[Path]:
     """Photographs in the folder or its first usual subfolder; links that lead outside raise `CaptureError`."""
     for name in _FOLDERS:
         folder = path / name
         if not folder.is_dir():
             continue
-        photos = sorted(p for p in folder.iterdir() if p.suffix.lower() in PHOTO_SUFFIXES and p.is_file())
+        photos = photos_of(folder)
         if len(photos) >= 2:
             return [contained_path(path, p.relative_to(path).as_posix(), path) for p in photos]
     return []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Final, final
 
@@ -23,6 +24,7 @@ from hir_plugins.readers.parsing.json_fields import number_field, read_json
 from hir_plugins.readers.parsing.lens_camera import LensCamera, make_view
 from hir_plugins.readers.parsing.mask_files import find_mask, matches_of, warn_of_mask_names
 from hir_plugins.readers.parsing.picture_decoding import photo_size
+from hir_plugins.readers.parsing.takes_file import refuse_shared_masks, take_name, with_takes
 
 _RADIAL: Final = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 _FISHEYE: Final = ("k1", "k2", "k3", "k4")
@@ -41,7 +43,10 @@ _SPLIT_LISTS: Final = {"train": "train_filenames", "val": "val_filenames", "test
 
 @final
 class TransformsJsonReader(CaptureReader):
-    """Reads `transforms_<split>.json`, or `transforms.json` as the training split; world +Z up, cameras as OpenGL's."""
+    """Reads `transforms_<split>.json`, or `transforms.json` as the training split; world +Z up, cameras as OpenGL's.
+
+    Of a capture of takes, each frame names its `take`.
+    """
 
     def __init__(self, config: NoOptions) -> None:
         del config
@@ -70,12 +75,18 @@ class TransformsJsonReader(CaptureReader):
             raise CaptureError(f"{path} has no split {split!r} (transforms_{split}.json); installed: {known}")
         content = read_json(source)
         frames = _frames_of_split(content, split, source, own_file=split in files)
+        takes = _takes(content, source)
         folder = source.parent
         photos = [find_photo(folder, _text(f, "file_path", source, i), source) for i, f in frames]
         views = tuple(
             _view(content, frame, source, index, photo, name)
             for (index, frame), photo, name in zip(frames, photos, unique_names(photos, folder), strict=True)
         )
+        if takes:
+            views = tuple(replace(view, take=takes[index]) for (index, _), view in zip(frames, views, strict=True))
+            refuse_shared_masks(views)
+        else:
+            views = with_takes(views, folder, whole=split == "train")
         # by their names alone: photographs of another split have masks, too
         others = (photo for each in files if each != split for photo in folder.glob(f"{each}/*"))
         warn_of_mask_names(matches_of(views), folder, others)
@@ -119,6 +130,21 @@ def _frames_of_split(
     if not chosen:
         raise CaptureError(f"{source} lists no frame of the split {split!r}")
     return chosen
+
+
+def _takes(content: dict[str, object], source: Path) -> list[str]:
+    """The take of each frame of the file, of all splits; empty where no frame has one."""
+    frames = content["frames"]
+    assert isinstance(frames, list)  # `_frames_of_split` comes first
+    values = [frame.get("take") for frame in frames]
+    if all(value is None for value in values):
+        return []
+    if None in values:
+        raise CaptureError(
+            f"{source}, frame {values.index(None)} has no 'take', and other frames have one; name the take of each "
+            "frame, or of none"
+        )
+    return [take_name(value, f"{source}, frame {index}") for index, value in enumerate(values)]
 
 
 def _view(

@@ -13,7 +13,7 @@ TRANSPORT_GGX = Component(
     summary="Cached light transport for frozen geometry: rays are traced once, steps are linear algebra.",
     requires=("torch", "jaxtyping", "mitsuba", "scipy"),
     extra="reconstruct",
-    traits=frozenset({"material", "environment", "solver", "regularizers", "exposures", "camera_lamp"}),
+    traits=frozenset({"material", "environment", "solver", "regularizers", "exposures", "camera_lamp", "takes"}),
 )
 
 MITSUBA_GGX = Component(

@@ -317,6 +317,7 @@ TARGETS = [
     Target("batch_json", "batch.json", _batch, seeds.batch),
     Target("batch_lease", "lease.json", _lease, seeds.batch),
     Target("transforms_json", "transforms_train.json", _capture, seeds.transforms),
+    Target("takes_toml", "takes.toml", _capture, seeds.takes),
     Target("colmap_text", "sparse/0/images.txt", _capture, seeds.colmap_text),
     Target("colmap_cameras", "sparse/0/cameras.txt", _capture, seeds.colmap_text),
     Target("colmap_points", "sparse/0/points3D.txt", _capture, seeds.colmap_text),

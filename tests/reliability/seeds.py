@@ -127,6 +127,14 @@ def settings(folder: Path) -> None:
     (folder / "assignment").write_text("geometry.iterations=100\ninitializers=['colmap']\npreset=paper\n")
 
 
+def takes(folder: Path) -> None:
+    """Photographs in a folder for each take."""
+    for take in ("a", "b"):
+        (folder / take).mkdir()
+        picture(folder / take / "0.png", 4)
+    (folder / "takes.toml").write_text('takes = ["a", "b"]\n')
+
+
 def stage_scene(folder: Path) -> None:
     """The stored result of a stage."""
     import torch

@@ -125,7 +125,7 @@ def _prepare(mesh: Mesh, capture: Capture, settings: GeometrySettings, context: 
     targets = renderer.prepare(capture.views, settings.downsample).to(mesh.positions.device)
     if len(targets) == 0:
         raise StageError("the geometry stage has no views; name a capture with photographs")
-    held_out = held_out_for_geometry(len(targets), settings.held_out)
+    held_out = held_out_for_geometry(len(targets), settings.held_out, capture.take_numbers)
     fit = SilhouetteFit(renderer, targets, settings, context, held_out, [view.name for view in capture.views])
     if settings.depth_weight > 0 and settings.iterations + settings.iterations_per_view > 0:
         train = [capture.views[i] for i in fit.train]

@@ -1,6 +1,7 @@
 """Photo-consistency: a point of the surface must show the same detail in every view that sees it.
 
-The residuals compare detail images (`detail_images`) between neighbouring views at points of the mesh.
+The residuals compare detail images (`detail_images`) between neighbouring views at points of the mesh. Only views of
+one take are compared: under another light the shading has another detail.
 """
 
 from __future__ import annotations
@@ -32,14 +33,18 @@ SHADOW_RAY_OFFSET = 1e-3
 """Distance of the shadow rays' origins from the surface, as a fraction of the object's radius of 1."""
 
 
-def neighbouring_views(cameras: Sequence[Camera], allowed: Sequence[int]) -> list[list[int]]:
-    """For each view the `allowed` ones at the smallest usable angle, seen from the origin, nearest first."""
+def neighbouring_views(cameras: Sequence[Camera], allowed: Sequence[int], takes: Sequence[int] = ()) -> list[list[int]]:
+    """For each view the `allowed` ones of its take at the smallest usable angle, seen from the origin, nearest first.
+
+    `takes` has the number of each view's take; without it all are of one.
+    """
     centers = np.stack([camera.center for camera in cameras])
     directions = centers / np.maximum(np.linalg.norm(centers, axis=1, keepdims=True), 1e-30)
     angles = np.degrees(np.arccos(np.clip(directions @ directions.T, -1, 1)))
     neighbours = []
     for i in range(len(cameras)):
-        by_angle = [j for j in np.argsort(angles[i], kind="stable") if j in set(allowed) and j != i]
+        comparable = {j for j in allowed if j != i and (not takes or takes[j] == takes[i])}
+        by_angle = [j for j in np.argsort(angles[i], kind="stable") if j in comparable]
         usable = [int(j) for j in by_angle if LEAST_ANGLE_DEG < angles[i, j] < MOST_ANGLE_DEG]
         neighbours.append(usable[:NEIGHBOURS_PER_VIEW])
     return neighbours

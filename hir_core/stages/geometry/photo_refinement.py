@@ -1,11 +1,11 @@
 """Photo-consistency refinement: vertices move until photographs agree about the surface; silhouettes keep the outline.
 
 Silhouettes do not constrain hollows. After they fit, points of the surface are compared between neighbouring views
-(`photo_consistency`), from coarse photographs to fine ones. From the mesh of the coarsest level two candidates are
-optimised: a smooth one, and a fine one with less smoothing. Views that took no part judge how far the result goes from
-the smooth one towards the fine one, and from the initial mesh towards that (`confirmed_share`). Both shares are
-continuous in the errors, so that noise in a few views changes the mesh a little. A last pass refines with the judging
-views too.
+of one take (`photo_consistency`), from coarse photographs to fine ones. From the mesh of the coarsest level two
+candidates are optimised: a smooth one, and a fine one with less smoothing. Views that took no part judge how far the
+result goes from the smooth one towards the fine one, and from the initial mesh towards that (`confirmed_share`). Both
+shares are continuous in the errors, so that noise in a few views changes the mesh a little. A last pass refines with
+the judging views too.
 """
 
 from __future__ import annotations
@@ -80,10 +80,10 @@ def refine_by_photo_consistency(
     take no part in the fit; others that judge with them join its last pass. Without them, or without overlapping views,
     the mesh is returned as it is and the report says why.
     """
-    views = capture.views
-    judges = judging_views(len(views), held_out)
+    views, takes = capture.views, capture.take_numbers
+    judges = judging_views(len(views), held_out, takes)
     train = [i for i in range(len(views)) if i not in set(judges)]
-    neighbours = neighbouring_views(capture.cameras, train)
+    neighbours = neighbouring_views(capture.cameras, train, takes)
     judges = [i for i in judges if neighbours[i]]
     if not judges or not any(neighbours[i] for i in train):
         return mesh, PhotoConsistencySkipped("too few views that overlap and could be held out")
@@ -113,7 +113,7 @@ def refine_by_photo_consistency(
     result = mesh
     if movement.share > 0:
         everything = [i for i in range(len(views)) if i not in set(held_out)]
-        near = neighbouring_views(capture.cameras, everything)
+        near = neighbouring_views(capture.cameras, everything, takes)
         selected, curve = fit_pass(selected, finest, near, everything, iou, settings, context, last, last.end)
         reports.append(_pass_report(last, curve))
         result = interpolated(mesh, selected, movement.share)

@@ -23,6 +23,7 @@ from hir_core.optimization.clipped_pixels import without_clipped_excess
 from hir_core.optimization.weighted_energies import Energies
 from hir_core.plugins.interfaces import FitT, RefinementT, Solved
 from hir_core.rendering.reference_renderer import check_light, reference_renderer
+from hir_core.rendering.take_radiance import radiance_in_takes
 from hir_core.scene import Scene
 from hir_core.scene.srgb import linear_to_srgb
 from hir_core.stages.held_out_views import held_out_for_model_selection
@@ -57,7 +58,7 @@ def refine_by_path_tracing(
     The steps use the training views alone. With too few views for a comparison the scene is unchanged, with a warning.
     """
     options = settings.path_tracing
-    training, held_out = held_out_for_model_selection(len(capture.views))
+    training, held_out = held_out_for_model_selection(len(capture.views), capture.take_numbers)
     if not held_out:
         context.warn("too few views to hold some out: path-traced refinement was skipped")
         return scene, RefinementReport(False, 0, "too few views")
@@ -70,7 +71,7 @@ def refine_by_path_tracing(
     prepared = renderer.prepare(scene, capture, settings.downsample)
     device = str(scene.mesh.positions.device)
     compared = [object_pixels(capture, [view], settings.downsample, device) for view in held_out]
-    before = view_errors(scene, prepared, compared, context.seed)
+    before = view_errors(scene, prepared, capture, compared, context.seed)
     assert scene.material is not None
     fitted, _ = fit_by_gradient(
         scene,
@@ -90,7 +91,7 @@ def refine_by_path_tracing(
         fit_specular=bool((scene.material.specular_albedo > 0).any()),
         checkpoint="path_tracing",
     )
-    after = view_errors(fitted, prepared, compared, context.seed)
+    after = view_errors(fitted, prepared, capture, compared, context.seed)
     report = _compared(before, after, options.renderer, options.iterations)
     if not report.accepted:
         context.warn(
@@ -115,7 +116,7 @@ def refine_albedo(
     solved from all views. `report` receives the share that is done.
     """
     report(0.0)
-    training, held_out = held_out_for_model_selection(len(capture.views))
+    training, held_out = held_out_for_model_selection(len(capture.views), capture.take_numbers)
     if not held_out:
         return solved, RefinementReport(False, 0, "too few views")
     name = settings.path_tracing.renderer
@@ -131,7 +132,7 @@ def refine_albedo(
         return solved, RefinementReport(False, len(held_out), "the solver has no closed form for the albedo")
     device = str(solved.scene.mesh.positions.device)
     compared = [object_pixels(capture, [view], settings.downsample, device) for view in held_out]
-    before, after = (view_errors(each.scene, traced, compared, context.seed) for each in (without, refined))
+    before, after = (view_errors(each.scene, traced, capture, compared, context.seed) for each in (without, refined))
     result = _compared(before, after, name)
     if result.accepted:
         whole = solver.refine(solved, traced, range(len(capture.views)), lambda share: report(0.85 + 0.15 * share))
@@ -157,29 +158,27 @@ def _compared(
 
 
 def view_errors(
-    scene: Scene, prepared: PreparedReflectance, views: Sequence[ObjectPixels], seed: int
+    scene: Scene, prepared: PreparedReflectance, capture: Capture, views: Sequence[ObjectPixels], seed: int
 ) -> NDArray[np.float64]:
     """Mean squared sRGB error of each view, over pixels drawn from `seed`; no error where a clipped pixel is brighter.
 
     The errors of two independent renderings are multiplied, so that the mean does not contain the path tracer's noise.
     """
-    assert scene.material is not None and scene.environment is not None
     samples = [_sample(pixels, (seed, number)) for number, pixels in enumerate(views)]
     index, color, saturated = (torch.cat([part[k] for part in samples]) for k in range(3))
     with torch.no_grad():
         torch.manual_seed(seed)
-        one, other = (_residual(scene, prepared, index, color, saturated) for _ in range(2))
+        one, other = (_residual(scene, prepared, capture, index, color, saturated) for _ in range(2))
     squares = (one * other).mean(dim=1)
     means = np.array([float(part.mean()) for part in squares.split([len(part[0]) for part in samples])])
     return np.maximum(means, 0.0)
 
 
 def _residual(
-    scene: Scene, prepared: PreparedReflectance, index: Tensor, color: Tensor, saturated: Tensor
+    scene: Scene, prepared: PreparedReflectance, capture: Capture, index: Tensor, color: Tensor, saturated: Tensor
 ) -> Float[Tensor, "P 3"]:
     """sRGB error in float64 of the mean of `COMPARED_RENDERINGS`."""
-    assert scene.material is not None and scene.environment is not None
-    renderings = [prepared.radiance(scene.material, scene.environment, index) for _ in range(COMPARED_RENDERINGS)]
+    renderings = [radiance_in_takes(prepared, scene, capture, index) for _ in range(COMPARED_RENDERINGS)]
     difference = linear_to_srgb(torch.stack(renderings).mean(dim=0).clamp(0, 1)) - linear_to_srgb(color.clamp(0, 1))
     return without_clipped_excess(difference, saturated).double()
 

@@ -48,6 +48,7 @@ from hir_core.stages.reflectance.selection.fit_sequence import FitSequence
 from hir_core.stages.reflectance.selection.model_selection import select_model
 from hir_core.stages.reflectance.selection.requested_model import default_spec, forced_spec
 from hir_core.stages.reflectance.stage_progress import StageProgress
+from hir_core.stages.reflectance.take_support import check_takes
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +88,7 @@ def fit_reflectance(
         )
     _check_exposure(capture, settings.downsample)
     by_solver = offers_solver and settings.method != "gradient"
+    check_takes(capture, settings, by_solver and "takes" in traits)
     capture = with_recorded_exposures(capture)
     exposures = exposures_to_compare(capture, settings, settings.renderer, by_solver and "exposures" in traits)
     fits_lamp = by_solver and "camera_lamp" in traits
@@ -157,8 +159,9 @@ def _fit_by_solver(
 
     progress = StageProgress(context)
     fits = FitSequence(solver, progress.selecting, context.checkpoints, context.checkpoint_seconds)
+    shape = other_solver if other_shape is not None else None
     selection = select_model(
-        fits, settings, len(views), progress, other_solver if other_shape is not None else None, exposures, fits_lamp
+        fits, settings, len(views), progress, shape, exposures, fits_lamp, takes=capture.take_numbers
     )
     solver = fits.solver
     fit, spec = selection.fit, selection.spec
@@ -219,6 +222,7 @@ def _fit_by_solver(
             hypotheses=hypothesis_reports(selection),
             comparisons=comparison_reports(selection),
             shape=shape_report(selection),
+            takes=list(fitted.take_radiance) or None,
             exposures=exposure_report(selection.exposures, used),
             regularizers=_reported(energies, fitted, "solver" if takes_terms else "gradient steps", context),
             solver=solved.report,

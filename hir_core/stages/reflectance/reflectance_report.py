@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
@@ -189,6 +189,8 @@ class ReflectanceReport:
     comparisons: tuple[ComparisonReport, ...] = ()
     shape: ShapeReport | None = None
     """Which shape the material was fitted on; None where nothing was compared."""
+    takes: Sequence[str] | None = None
+    """Takes of the photographs, each of which has its own light; None where all have one."""
     exposures: ExposureReport | None = None
     """None where all photographs have the same."""
     light_scale: LightScaleReport = ASSUMED

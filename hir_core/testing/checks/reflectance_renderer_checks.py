@@ -556,6 +556,68 @@ def exposures_are_fitted(subject: Subject) -> None:
     )
 
 
+@contract("reflectance_renderer", traits={"solver", "takes"}, slow=True)
+def each_take_has_its_light(subject: Subject) -> None:
+    """A sphere is photographed in two takes, under two lights whose bright sides and colours differ. The photographs of
+    both takes are explained with an error below a tenth of that of the same photographs without takes, and each light
+    of `Scene.take_radiance` is nearer to the true light of its take than to the other one.
+    """
+    from hir_core.plugins.model_spec import ModelSpec
+    from hir_core.testing.captures import StoredPixels
+    from hir_core.testing.scenes import constant_material, looking_at, sphere, uneven_light
+
+    first = uneven_light(16)
+    tint = first.radiance.new_tensor([1.3, 1.0, 0.6])
+    second = replace(first, radiance=first.radiance.roll(16, dims=1).flip(0) * tint)
+    lights = {"standing": first, "upside down": second}
+    scene = Scene(sphere(24, 36), constant_material("paper", 0.4, 0.0, 0.5), first)
+    angles = np.linspace(0, 2 * np.pi, 6, endpoint=False)
+    eyes = [(4 * np.sin(a), 1.5 * np.cos(3 * a), 4 * np.cos(a)) for a in angles]
+    capture = _capture([looking_at(eye, SIZE) for eye in (*eyes, *eyes)])
+    prepared = subject.create().prepare(scene, capture)
+    assert scene.material is not None
+    views = []
+    for i, view in enumerate(capture.views):
+        name = list(lights)[i // len(eyes)]
+        pixels = _grid()
+        pixels[:, 0] = i
+        shown, _ = _mean(subject, lambda p=pixels, n=name: prepared.radiance(scene.material, lights[n], p))  # type: ignore[misc]
+        color = 0.5 * shown.cpu().numpy().reshape(SIZE, SIZE, 3)
+        stored = StoredPixels(color.astype(np.float32), (color.sum(axis=2) > 0).astype(np.float32))
+        views.append(replace(view, read=stored, take=name))
+    errors = {}
+    for labelled in (True, False):
+        own = replace(capture, views=tuple(v if labelled else replace(v, take="") for v in views))
+        solver: ReflectanceSolver[Any, Any] = subject.create().prepare(scene, own)  # type: ignore[assignment]
+        seeded(0)
+        everything = range(len(views))
+        fit = solver.fit(ModelSpec(), None, everything, 1.0, lambda share: None)
+        errors[labelled] = float(np.mean(solver.errors(fit, everything)))
+        if not labelled:
+            break
+        found = solver.scene(fit, everything, lambda share: None).scene
+        require(list(found.take_radiance) == list(lights), f"`Scene.take_radiance` has {list(found.take_radiance)}")
+        for name, light in found.take_radiance.items():
+            wrong = next(other for other in lights if other != name)
+            near, far = (_light_distance(light, lights[each].radiance) for each in (name, wrong))
+            require(near < far, f"the light of the take {name!r} is nearer to that of {wrong!r}: {near:.3f}, {far:.3f}")
+    require(
+        errors[True] < errors[False] / 10,
+        f"the mean squared error is {errors[True]:.2e} with a light a take, {errors[False]:.2e} with one",
+    )
+
+
+def _light_distance(found: Tensor, truth: Tensor) -> float:
+    """Mean difference of two lights of the same size, each divided by its mean, after a blur that matt surfaces see."""
+    import torch
+
+    def blurred(light: Tensor) -> Tensor:
+        small = torch.nn.functional.adaptive_avg_pool2d(light.detach().cpu().permute(2, 0, 1)[None].double(), (4, 8))
+        return small / small.mean()
+
+    return float((blurred(found) - blurred(truth)).abs().mean())
+
+
 def _exposed(subject: Subject, scene: Scene, capture: Capture, factors: np.ndarray) -> Capture:
     """Photographs of a scene by the renderer itself, times factors; green is recorded."""
     from hir_core.testing.captures import StoredPixels

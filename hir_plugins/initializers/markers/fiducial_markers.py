@@ -39,6 +39,9 @@ class FiducialMarkers(Initializer):
     Corners are found to a fraction of a pixel, intersected over all photographs, and photographs that disagree are left
     out. Needs cameras; the order is structure from motion, markers, surface. The markers of a card from `hir card` also
     give the irradiance on it (`Capture.irradiance`).
+
+    Of several takes the photographs of the first one are used: markers beside the object move against it between takes.
+    Then the card gives no irradiance.
     """
 
     def __init__(self, config: FiducialMarkersOptions) -> None:
@@ -62,10 +65,13 @@ class FiducialMarkers(Initializer):
                 f"{SETTING}.paper_reflectance is {self._config.paper_reflectance:g}; give 0.02 to 1, such as 0.85 for "
                 "office paper, or 0 for no brightness from the card"
             )
-        cameras = capture.cameras
+        takes = capture.takes
+        first = replace(capture, views=tuple(view for view in capture.views if view.take == takes[0]))
+        in_first = zip(capture.views, capture.cameras, strict=True)
+        cameras = [camera for view, camera in in_first if view.take == takes[0]]
         dictionary = self._config.dictionary
-        found = find_dictionary(capture.views) if dictionary == "auto" else dictionary
-        seen, repeated = seen_markers(capture.views, found) if found is not None else ({}, set())
+        found = find_dictionary(first.views) if dictionary == "auto" else dictionary
+        seen, repeated = seen_markers(first.views, found) if found is not None else ({}, set())
         if repeated:
             warnings.warn(
                 f"markers {sorted(repeated)} lie twice in one photograph and are not used; print every number once",
@@ -73,7 +79,8 @@ class FiducialMarkers(Initializer):
             )
         corners = {n: c for n, each in seen.items() if (c := corners_in_space(each, cameras)) is not None}
         if not corners:
-            raise CaptureError(f"{capture.path}: {_nothing_found(len(seen), found)}")
+            where = f" in the photographs of the first take, {takes[0]}," if len(takes) > 1 else ""
+            raise CaptureError(f"{capture.path}:{where} {_nothing_found(len(seen), found)}")
         scale = scale_of_markers(corners, side)
         if scale.relative_deviation > MAX_RELATIVE_DEVIATION:
             warnings.warn(
@@ -82,7 +89,14 @@ class FiducialMarkers(Initializer):
                 stacklevel=2,
             )
         paper = self._config.paper_reflectance
-        irradiance = measured_irradiance(capture, corners, paper) if paper > 0 else None
+        irradiance = measured_irradiance(first, corners, paper) if paper > 0 else None
+        if irradiance is not None and len(takes) > 1:
+            warnings.warn(
+                "the card gives metres and the horizontal, but its brightness is not used, because the capture has "
+                f"several takes ({', '.join(takes)}); reconstruct one take to use it",
+                stacklevel=2,
+            )
+            irradiance = None
         turn, level = self._level(corners)
         self._report = {
             "scale_from": f"{scale.markers} markers ({found}) of {side:g} m, "

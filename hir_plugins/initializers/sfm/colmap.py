@@ -14,7 +14,7 @@ from hir_exporters.conventions import srgb_to_linear
 
 from hir_core.capture import Array, Camera, Capture, OrientedPoints, View
 from hir_core.capture.lens import camera_lens, resample
-from hir_core.errors import CaptureError
+from hir_core.errors import CaptureError, ConfigError
 from hir_core.plugins.interfaces import Initializer
 from hir_core.run.determinism import threads
 from hir_core.scene import Scene
@@ -25,7 +25,7 @@ from hir_plugins.initializers.sfm.structure_from_motion import largest_reconstru
 from hir_plugins.initializers.sfm.triangulation import triangulate
 from hir_plugins.initializers.surface.object_bounds import object_bounding_sphere
 from hir_plugins.readers.parsing.colmap_format.colmap_lenses import lens_camera
-from hir_plugins.readers.parsing.upright import upright_rotation
+from hir_plugins.readers.parsing.upright import upright_rotation_of
 
 _MIN_CONTRAST = 2.0 / 255
 """Range of linear values below which a photograph has one colour."""
@@ -56,7 +56,11 @@ class Colmap(Initializer):
         original = capture
         capture = replace(capture, views=tuple(replace(v, camera=None, distortion=()) for v in capture.views))
         images, masked = write_images(capture.views, workspace, self._config.max_image_size, known=False)
-        model = largest_reconstruction(images, masked and self._config.use_masks, workspace, self._config)
+        masked = masked and self._config.use_masks
+        takes = capture.takes
+        if len(takes) > 1:
+            _check_takes(capture, masked, self._config)
+        model = largest_reconstruction(images, masked, workspace, self._config, len(takes))
         if model is None or model.num_reg_images() < 3:
             raise CaptureError(
                 f"{capture.path}: COLMAP could not register the photographs; take more of them, sharp, with texture, "
@@ -76,6 +80,7 @@ class Colmap(Initializer):
                 f"{', '.join(unregistered[:10])}",
                 stacklevel=2,
             )
+        _warn_of_missing_takes(solved)
         if posed:
             solved = replace(solved, world_from_source=_solved_from_source(solved, original, self._config.seed))
         object_from_solved, radius = _object_frame(solved)
@@ -100,11 +105,15 @@ class Colmap(Initializer):
     def _scale(self, solved: Capture) -> MetricScale | None:
         if self._config.scale_bar:
             return scale_of_bar(read_marks(self.files(solved)[0]), self._config.scale_bar_length, solved.views)
-        return scale_of_gps(solved.views, self._config.seed) if self._config.gps else None
+        # of several takes the first: the object moved between the positions of two
+        first = next(view.take for view in solved.views if view.camera is not None)
+        views = [view for view in solved.views if view.take == first]
+        return scale_of_gps(views, self._config.seed) if self._config.gps else None
 
     def _with_points(self, capture: Capture, workspace: Path) -> Capture:
         images, masked = write_images(capture.views, workspace, self._config.max_image_size, known=True)
-        model = triangulate(images, capture.cameras, masked and self._config.use_masks, workspace, self._config)
+        masked = masked and self._config.use_masks
+        model = triangulate(images, capture.cameras, masked, workspace, self._config, len(capture.takes))
         cloud = sparse_points(model)
         if cloud is None:
             warnings.warn(
@@ -176,10 +185,41 @@ def _check_photographs(capture: Capture) -> None:
         )
 
 
+def _check_takes(capture: Capture, masked: bool, options: ColmapOptions) -> None:
+    """Raises where features cannot join several takes."""
+    named = f"the takes {', '.join(capture.takes)}"
+    if not options.use_masks:
+        raise ConfigError(
+            f"initializer.colmap.use_masks is false, but {named} are joined by features of the object alone; set it to "
+            "true"
+        )
+    if not masked:
+        raise CaptureError(
+            f"{capture.path}: {named} are joined by features of the object alone, which needs masks of all "
+            "photographs; put masks beside them (docs/captures.md), or give cameras in the axes of the object"
+        )
+    if options.matching == "sequential":
+        raise ConfigError(
+            f"initializer.colmap.matching is 'sequential', which does not compare {named} with each other; set it to "
+            "'auto'"
+        )
+
+
+def _warn_of_missing_takes(solved: Capture) -> None:
+    """A warning for each take of which no photograph has a camera."""
+    for take in solved.takes:
+        views = [view for view in solved.views if view.take == take]
+        if len(solved.takes) > 1 and all(view.camera is None for view in views):
+            warnings.warn(
+                f"no photograph of the take {take} could be registered, so its {len(views)} photographs are left out; "
+                "add photographs to both takes that show the same side of the object",
+                stacklevel=3,
+            )
+
+
 def _object_frame(capture: Capture) -> tuple[Array, float]:
     """4×4 rigid transform to an upright world with the object at the origin, and the object's radius."""
-    poses = [view.camera.world_to_camera for view in capture.views if view.camera is not None]
-    rotation = upright_rotation(poses)
+    rotation = upright_rotation_of(capture.views)
     center, radius = object_bounding_sphere(capture)
     translation = np.eye(4)
     translation[:3, 3] = -(rotation[:3, :3] @ center)

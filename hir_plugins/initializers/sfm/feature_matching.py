@@ -18,6 +18,10 @@ from hir_plugins.initializers.sfm.sfm_images import SfmImage, camera_groups
 
 _MAX_EXHAUSTIVE_IMAGES = 150
 """Above this number of images, a vocabulary tree proposes the pairs."""
+_MAX_EXHAUSTIVE_IMAGES_OF_TAKES = 300
+"""As above for several takes: a tree proposes images of the same take first, and only pairs of two takes join them."""
+_PROPOSED_IMAGES = 40
+"""For each image, and each take, that a vocabulary tree proposes."""
 
 _EMBEDDING_DIMENSIONS = 64
 """Dimensions of a descriptor in the vocabulary tree, of 128: the value of COLMAP's own vocabularies."""
@@ -88,14 +92,15 @@ def _initial_parameters(group: Sequence[SfmImage], options: ColmapOptions) -> st
     return ", ".join(repr(float(p)) for p in camera.params)
 
 
-def match_features(database: Path, folder: Path, count: int, options: ColmapOptions) -> None:
-    """Matches features of image pairs and verifies them geometrically."""
+def match_features(database: Path, folder: Path, count: int, options: ColmapOptions, takes: int = 1) -> None:
+    """Matches features of image pairs, of `count` images in `takes`, and verifies them geometrically."""
     matching = pycolmap.FeatureMatchingOptions()
     matching.use_gpu = False
     matching.num_threads = options.threads
     method = options.matching
     if method == "auto":
-        method = "exhaustive" if count <= _MAX_EXHAUSTIVE_IMAGES else "vocabulary"
+        limit = _MAX_EXHAUSTIVE_IMAGES if takes == 1 else _MAX_EXHAUSTIVE_IMAGES_OF_TAKES
+        method = "exhaustive" if count <= limit else "vocabulary"
     common: dict[str, Any] = {
         "matching_options": matching,
         "verification_options": verification_options(options),
@@ -109,7 +114,7 @@ def match_features(database: Path, folder: Path, count: int, options: ColmapOpti
         run = lambda token: pycolmap.match_sequential(str(database), cancellation_token=token, **common)  # noqa: E731
     else:
         pairing = pycolmap.VocabTreePairingOptions()
-        pairing.num_images = min(count, 40)
+        pairing.num_images = min(count, _PROPOSED_IMAGES * takes)
         pairing.vocab_tree_path = str(_vocabulary(database, folder, options))
         run = lambda token: pycolmap.match_vocabtree(  # noqa: E731
             str(database), pairing_options=pairing, cancellation_token=token, **common

@@ -16,26 +16,31 @@ from hir_plugins.initializers.sfm.feature_matching import Attempt, extract_featu
 from hir_plugins.initializers.sfm.sfm_images import SfmImage
 
 
-def attempts(options: ColmapOptions, masked: bool) -> list[Attempt]:
-    """Attempts from fast to thorough. Photographs with masks are first solved from features on the object."""
+def attempts(options: ColmapOptions, masked: bool, takes: int = 1) -> list[Attempt]:
+    """Attempts from fast to thorough. Photographs with masks are first solved from features on the object.
+
+    The background is never used for several takes: the object moved before it.
+    """
     first = options.max_features
     planned = [
         Attempt(first, 0.0066, 30, masked),
         Attempt(2 * first, 0.004, 20, masked),
     ]
-    if masked:
+    if masked and takes == 1:
         planned.append(Attempt(2 * first, 0.0066, 30, False))
     return planned if options.retry else planned[:1]
 
 
 def solve_attempt(
-    images: Sequence[SfmImage], folder: Path, attempt: Attempt, options: ColmapOptions
+    images: Sequence[SfmImage], folder: Path, attempt: Attempt, options: ColmapOptions, takes: int = 1
 ) -> list[pycolmap.Reconstruction]:
     """Reconstructions of one attempt, the largest first."""
-    return _map(build_database(images, folder, attempt, options), folder, attempt, options)
+    return _map(build_database(images, folder, attempt, options, takes), folder, attempt, options)
 
 
-def build_database(images: Sequence[SfmImage], folder: Path, attempt: Attempt, options: ColmapOptions) -> Path:
+def build_database(
+    images: Sequence[SfmImage], folder: Path, attempt: Attempt, options: ColmapOptions, takes: int = 1
+) -> Path:
     """The database in `folder` with features and matches; the database of an interrupted run is continued."""
     folder.mkdir(parents=True, exist_ok=True)
     database = folder / "database.db"
@@ -49,7 +54,7 @@ def build_database(images: Sequence[SfmImage], folder: Path, attempt: Attempt, o
     pycolmap.set_random_seed(options.seed)
     pycolmap.logging.minloglevel = int(pycolmap.logging.ERROR)
     extract_features(images, folder, database, attempt, options)
-    match_features(database, folder, len(images), options)
+    match_features(database, folder, len(images), options, takes)
     return database
 
 
@@ -88,27 +93,28 @@ def _map(database: Path, folder: Path, attempt: Attempt, options: ColmapOptions)
 
 
 def largest_reconstruction(
-    images: Sequence[SfmImage], masked: bool, workspace: Path, options: ColmapOptions
+    images: Sequence[SfmImage], masked: bool, workspace: Path, options: ColmapOptions, takes: int = 1
 ) -> pycolmap.Reconstruction | None:
-    """The largest reconstruction of all attempts; None if there is none.
+    """The largest reconstruction of all attempts; None if there is none. `takes` is the number of the capture's takes.
 
     No further attempt is made once `options.min_registered_share` of the images are registered.
     """
     best: pycolmap.Reconstruction | None = None
-    for number, attempt in enumerate(attempts(options, masked)):
+    planned = attempts(options, masked, takes)
+    for number, attempt in enumerate(planned):
         if number and masked and not attempt.masked:
             warnings.warn(
                 "features inside the masks register few photographs; the background is used too, which gives wrong "
                 "cameras if the object stands on a turntable",
                 stacklevel=3,
             )
-        models = solve_attempt(images, workspace / f"attempt-{number + 1}", attempt, options)
+        models = solve_attempt(images, workspace / f"attempt-{number + 1}", attempt, options, takes)
         if models and (best is None or models[0].num_reg_images() > best.num_reg_images()):
             best = models[0]
         fragments = [m.num_reg_images() for m in models]
         if best is not None and best.num_reg_images() >= options.min_registered_share * len(images):
             break
-        if number + 1 < len(attempts(options, masked)):
+        if number + 1 < len(planned):
             warnings.warn(
                 f"{attempt.features} features per photograph register only {fragments[:5] or 'none'} of "
                 f"{len(images)} photographs in one model; trying more",

@@ -17,11 +17,16 @@ from hir_plugins.initializers.sfm.structure_from_motion import attempts, build_d
 
 
 def triangulate(
-    images: Sequence[SfmImage], cameras: Sequence[Camera], masked: bool, workspace: Path, options: ColmapOptions
+    images: Sequence[SfmImage],
+    cameras: Sequence[Camera],
+    masked: bool,
+    workspace: Path,
+    options: ColmapOptions,
+    takes: int = 1,
 ) -> pycolmap.Reconstruction:
-    """A reconstruction with the given cameras, one for each image, and triangulated points."""
+    """A reconstruction with the given cameras, one for each image of `takes`, and triangulated points."""
     folder = workspace / "triangulation"
-    database = build_database(images, folder, attempts(options, masked)[0], options)
+    database = build_database(images, folder, attempts(options, masked)[0], options, takes)
     posed = reconstruction_of_poses({image.file: cameras[image.view] for image in images}, database)
     models = folder / "models"
     shutil.rmtree(models, ignore_errors=True)

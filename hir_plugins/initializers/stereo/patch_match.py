@@ -31,8 +31,12 @@ def patch_match(
 ) -> list[DepthMap]:
     """Depth of each photograph, checked for geometric consistency; `near` names the neighbours of each.
 
+    A photograph without neighbours, such as the only one of its take, has no depth.
+
     The sphere of `center` and `radius` bounds the depth range. COLMAP's workspace is written below `folder`.
     """
+    if not any(near):
+        return [_empty_map(photograph) for photograph in photographs]
     workspace = write_workspace(photographs, near, folder / "patch_match")
     options = pycolmap.PatchMatchOptions()
     distances = [np.linalg.norm(p.camera.center - center) for p in photographs]
@@ -42,7 +46,10 @@ def patch_match(
     run_cancellable(
         lambda token: pycolmap.patch_match_stereo(str(workspace), options=options, cancellation_token=token)
     )
-    return [read_depth(workspace, index, photograph) for index, photograph in enumerate(photographs)]
+    return [
+        read_depth(workspace, index, photograph) if near[index] else _empty_map(photograph)
+        for index, photograph in enumerate(photographs)
+    ]
 
 
 def write_workspace(photographs: Sequence[StereoPhotograph], near: Sequence[Sequence[int]], workspace: Path) -> Path:
@@ -60,7 +67,8 @@ def write_workspace(photographs: Sequence[StereoPhotograph], near: Sequence[Sequ
     model.write(str(workspace / "sparse"))
     lines = []
     for index, others in enumerate(near):
-        lines += [_name(index), ", ".join(_name(j) for j in others[:MAX_NEIGHBOURS])]
+        if others:  # COLMAP skips an empty line, and would read the next name as a list of neighbours
+            lines += [_name(index), ", ".join(_name(j) for j in others[:MAX_NEIGHBOURS])]
     (workspace / "stereo" / "patch-match.cfg").write_text("\n".join(lines) + "\n", encoding="utf-8")
     return workspace
 
@@ -79,6 +87,11 @@ def read_depth(workspace: Path, index: int, photograph: StereoPhotograph) -> Dep
     known = (depth > 0) & np.isfinite(depth) & (photograph.inside > 0.5)
     inverse = torch.from_numpy(np.where(known, 1 / np.where(known, depth, 1), 0).astype(np.float32))
     return DepthMap(photograph.camera, inverse, (inverse > 0).float())
+
+
+def _empty_map(photograph: StereoPhotograph) -> DepthMap:
+    unknown = torch.zeros(photograph.inside.shape)
+    return DepthMap(photograph.camera, unknown, unknown)
 
 
 def _name(index: int) -> str:

@@ -149,6 +149,7 @@ def measure_depths(
 ) -> StereoMeasurement:
     """Consistent depth maps of all views, from coarse to fine; each level starts from the surface of the previous one.
 
+    Photographs are compared within their take; the depths of all takes are carved together.
     Without a volume, the sweep starts at a sphere around the object. With a `folder` for its workspace, COLMAP's
     PatchMatch replaces the sweep, at the finest level only.
     """
@@ -159,13 +160,18 @@ def measure_depths(
         front = _sphere_mesh(center, 1.05 * radius)
     side = max(max(c.width, c.height) for c in capture.cameras)
     shrink = -(-side // options.max_image_size)
-    used = evenly_distributed_views(capture.cameras, center, options.max_photographs)
-    photographs = [
-        cut
-        for view in (capture.views[i] for i in used)
-        if (cut := crop_to_object(view, shrink, 2 ** (options.levels - 1), center, radius)) is not None
+    take_numbers = capture.take_numbers
+    used = evenly_distributed_views(capture.cameras, center, options.max_photographs, take_numbers)
+    cropped = [
+        (cut, take_numbers[i])
+        for i in used
+        if (cut := crop_to_object(capture.views[i], shrink, 2 ** (options.levels - 1), center, radius)) is not None
     ]
-    near = choose_neighbours([p.camera for p in photographs], center, options.neighbours)
+    photographs, takes = [cut for cut, _ in cropped], [take for _, take in cropped]
+    cameras = [p.camera for p in photographs]
+    near = choose_neighbours(cameras, center, options.neighbours, takes)
+    more = choose_neighbours(cameras, center, options.neighbours + _VERIFICATION_NEIGHBOURS, takes)
+    of_any_take = choose_neighbours(cameras, center, options.neighbours)
     bound = SweptSurface(*front)
     current, carving, mesh = bound, None, front if volume is not None else None
     independence: ViewIndependence | None = None
@@ -179,7 +185,7 @@ def measure_depths(
                 views = [p.at_level(2**level, current, bound, device) for p in photographs]
                 if dense:
                     views = [replace(v, inverse=_enlarged(d, v)) for v, d in zip(views, dense, strict=True)]
-                steps = _steps(views, near, center)
+                steps = _steps(views, near, of_any_take, center)
                 solid = bound if level == options.levels - 1 else None
                 swept = [_sweep_view(views, i, near[i], steps[i], solid, options) for i in range(len(views))]
                 maps = consistent_depths(views, swept, near, steps, options.window, options.min_views)
@@ -191,16 +197,13 @@ def measure_depths(
             current = SweptSurface(*mesh)
             if options.verify_carving:
                 seen = [p.at_level(2**level, current, bound, device) for p in photographs]
-                more = choose_neighbours(
-                    [p.camera for p in photographs], center, options.neighbours + _VERIFICATION_NEIGHBOURS
-                )
-                steps = _steps(seen, more, center)
+                steps = _steps(seen, more, of_any_take, center)
                 if independence is None:
-                    independence = view_independence(volume, result, seen, steps, center)
+                    independence = view_independence(volume, result, seen, steps, center, takes)
                 carving = verify_carving(volume, result, seen, more, options.window, steps, allowed=independence.share)
                 mesh = _carved_mesh(volume, carving.volume)
                 current = SweptSurface(*mesh)
-    point_spacing = 1.5 * pixel_size([p.camera for p in photographs], center)
+    point_spacing = 1.5 * pixel_size(cameras, center)
     points = oriented_points(maps, [p.color_linear for p in photographs], point_spacing)
     return StereoMeasurement(maps, points, mesh, carving, independence)
 
@@ -227,11 +230,16 @@ def _sweep_view(
     return sweep(view, [views[j] for j in near], step, SweepSettings(options.window, inward, outward), thickness)
 
 
-def _steps(views: list[SweptView], near: list[list[int]], center: Array) -> list[float]:
-    """Step of inverse depth for one pixel of parallax, for each view; infinite without neighbours."""
+def _steps(views: list[SweptView], near: list[list[int]], of_any_take: list[list[int]], center: Array) -> list[float]:
+    """Step of inverse depth for one pixel of parallax, for each view; infinite without neighbours.
+
+    The only view of its take is not compared with others, but the surface that it sees is: its step is that of the
+    neighbours of any take.
+    """
+    neighbours = [own or others for own, others in zip(near, of_any_take, strict=True)]
     return [
         inverse_depth_step(view.camera, [views[j].camera for j in others], center) if others else float("inf")
-        for view, others in zip(views, near, strict=True)
+        for view, others in zip(views, neighbours, strict=True)
     ]
 
 

@@ -107,8 +107,13 @@ class SweptSurface:
         return inverse.reshape(camera.height, camera.width).astype(np.float32)
 
 
-def choose_neighbours(cameras: Sequence[Camera], center: Array, count: int) -> list[list[int]]:
-    """For each camera at most `count` others whose directions to the object differ by about 10°, the best first."""
+def choose_neighbours(
+    cameras: Sequence[Camera], center: Array, count: int, takes: Sequence[int] = ()
+) -> list[list[int]]:
+    """For each camera at most `count` others whose directions to the object differ by about 10°, the best first.
+
+    `takes` has the number of each photograph's take; with it, only photographs of one take are neighbours.
+    """
     toward = directions_from(cameras, center)
     angle = np.degrees(np.arccos(np.clip(toward @ toward.T, -1, 1)))
     # a small baseline is inaccurate, a large one changes the appearance: a ratio of 2 either way costs the same
@@ -116,7 +121,15 @@ def choose_neighbours(cameras: Sequence[Camera], center: Array, count: int) -> l
     cost[angle < 1.5] = np.inf
     cost[angle > 50] = np.inf
     np.fill_diagonal(cost, np.inf)
+    if len(takes):
+        cost[~same_take(takes)] = np.inf
     return [[int(j) for j in np.argsort(row, kind="stable")[:count] if np.isfinite(row[j])] for row in cost]
+
+
+def same_take(takes: Sequence[int]) -> NDArray[np.bool_]:
+    """Which photographs (N, N) are of one take; another take shows a surface point under another light."""
+    number = np.asarray(takes)
+    return np.asarray(number[:, None] == number[None, :])
 
 
 def directions_from(cameras: Sequence[Camera], center: Array) -> Array:
@@ -125,13 +138,31 @@ def directions_from(cameras: Sequence[Camera], center: Array) -> Array:
     return np.asarray(toward / np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-30))
 
 
-def evenly_distributed_views(cameras: Sequence[Camera], center: Array, count: int) -> list[int]:
+def evenly_distributed_views(
+    cameras: Sequence[Camera], center: Array, count: int, takes: Sequence[int] = ()
+) -> list[int]:
     """At most `count` cameras, in their order, whose directions cover the others': each one added is the farthest from
     those before it.
+
+    Each take has a share of them in proportion to its photographs, chosen by itself: only these are compared.
     """
     if len(cameras) <= count:
         return list(range(len(cameras)))
     toward = directions_from(cameras, center)
+    if len(set(takes)) <= 1:
+        return _farthest_directions(toward, count)
+    members = [np.flatnonzero(np.asarray(takes) == take) for take in dict.fromkeys(takes)]
+    exact = [count * len(own) / len(cameras) for own in members]
+    shares = [int(share) for share in exact]
+    # largest remainder
+    for each in sorted(range(len(members)), key=lambda i: shares[i] - exact[i])[: count - sum(shares)]:
+        shares[each] += 1
+    chosen = (own[_farthest_directions(toward[own], n)] for own, n in zip(members, shares, strict=True) if n)
+    return sorted(int(i) for part in chosen for i in part)
+
+
+def _farthest_directions(toward: Array, count: int) -> list[int]:
+    """Indices of `count` of the directions (N, 3), in their order."""
     chosen, nearest = [0], toward @ toward[0]
     while len(chosen) < count:
         farthest = int(nearest.argmin())

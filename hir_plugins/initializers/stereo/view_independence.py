@@ -22,7 +22,7 @@ from torch import Tensor
 from torch.nn.functional import grid_sample
 
 from hir_core.capture import Array, Camera
-from hir_plugins.initializers.stereo.stereo_photographs import directions_from
+from hir_plugins.initializers.stereo.stereo_photographs import directions_from, same_take
 from hir_plugins.initializers.stereo.surface_sweep import SweptView, pixel_to_pixel, reproject
 from hir_plugins.initializers.surface.volume import Volume
 
@@ -46,12 +46,6 @@ _DEPTH_TOLERANCE_STEPS = 3.0
 """Within which the other photograph sees the same point."""
 
 
-NO_DISTANT_PHOTOGRAPHS = (
-    f"stereo: no two photographs are {LEAST_ANGLE_DEG:.0f}° to {MOST_ANGLE_DEG:.0f}° apart, so reflections cannot be "
-    "told from texture; if the object is metal, leave stereo out: --set 'initializers=[\"visual_hull\"]'"
-)
-
-
 @dataclass(frozen=True)
 class ViewIndependence:
     """How far carved regions explain distant photographs."""
@@ -64,19 +58,25 @@ class ViewIndependence:
 
 
 def view_independence(
-    whole: Volume, carving: Volume, views: Sequence[SweptView], steps: Sequence[float], center: Array
+    whole: Volume,
+    carving: Volume,
+    views: Sequence[SweptView],
+    steps: Sequence[float],
+    center: Array,
+    takes: Sequence[int] = (),
 ) -> ViewIndependence:
     """The share of each connected carved region that is kept, on the grid of the volume.
 
-    `views` contain the carved surface (`inverse`) and the whole one (`bound`). Without photographs between 35° and 60°
-    apart nothing can be compared: everything is kept, with a warning. A region that too few pixels show follows the
-    mean of all; where that is so of all regions nothing is kept.
+    `views` contain the carved surface (`inverse`) and the whole one (`bound`). Photographs are compared within their
+    take, of which `takes` has the numbers. Without two of one take between 35° and 60° apart nothing can be compared:
+    everything is kept, with a warning. A region that too few pixels show follows the mean of all; where that is so of
+    all regions nothing is kept.
     """
     removed = (whole.values > 0) & (carving.values <= 0)
     regions, count = label(binary_dilation(removed))
-    pairs = _distant_pairs([view.camera for view in views], center)
+    pairs = _distant_pairs([view.camera for view in views], center, takes)
     if count and not pairs:
-        warnings.warn(NO_DISTANT_PHOTOGRAPHS, stacklevel=2)
+        warnings.warn(_no_distant_photographs(several_takes=len(set(takes)) > 1), stacklevel=2)
     if not count or not pairs:
         return ViewIndependence(np.ones(whole.values.shape, np.float32), None)
     nearest = distance_transform_edt(regions == 0, return_distances=False, return_indices=True)
@@ -105,9 +105,20 @@ def view_independence(
     return ViewIndependence(kept[regions], overall)
 
 
-def _distant_pairs(cameras: Sequence[Camera], center: Array) -> list[tuple[int, int]]:
+def _no_distant_photographs(several_takes: bool) -> str:
+    photographs = "photographs of one take" if several_takes else "photographs"
+    return (
+        f"stereo: no two {photographs} are {LEAST_ANGLE_DEG:.0f}° to {MOST_ANGLE_DEG:.0f}° apart, so reflections "
+        "cannot be told from texture; if the object is metal, leave stereo out: "
+        "--set 'initializers=[\"visual_hull\"]'"
+    )
+
+
+def _distant_pairs(cameras: Sequence[Camera], center: Array, takes: Sequence[int]) -> list[tuple[int, int]]:
     toward = directions_from(cameras, center)
     angle = np.degrees(np.arccos(np.clip(toward @ toward.T, -1, 1)))
+    if len(takes):
+        angle[~same_take(takes)] = np.inf
     pairs = []
     for i, row in enumerate(angle):
         distant = np.flatnonzero((row > LEAST_ANGLE_DEG) & (row < MOST_ANGLE_DEG))

@@ -1,4 +1,8 @@
-"""Colours of a mesh's vertices: a weighted median over the photographs in which a vertex is visible."""
+"""Colours of a mesh's vertices: a weighted median over the photographs in which a vertex is visible.
+
+A median over takes of different light would jump between them from vertex to vertex; it is taken within each take, and
+the takes are averaged.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +24,8 @@ _CHUNK_VERTICES = 8192
 def vertex_colors(
     positions: Array, faces: NDArray[np.int64], views: Sequence[View], downsample: int = 1
 ) -> NDArray[np.float32]:
-    """Linear colours (V, 3): the median over the views in which a vertex is visible, weighted by the view's cosine.
+    """Linear colours (V, 3): the median over the views in which a vertex is visible, weighted by the view's cosine; of
+    several takes the mean of their medians, weighted by the sums of their cosines.
 
     An invisible vertex gets the mean of its neighbours, ring by ring from the visible ones. If no vertex is visible,
     all are grey (0.5).
@@ -39,11 +44,15 @@ def vertex_colors(
         weights[i, visible] = cosine[visible]
     colors = np.zeros((len(positions), 3), dtype=np.float32)
     known = np.zeros(len(positions), dtype=bool)
+    takes = list(dict.fromkeys(view.take for view in posed))
+    members = [[i for i, view in enumerate(posed) if view.take == take] for take in takes]
     for start in range(0, len(positions), _CHUNK_VERTICES):
         part = slice(start, start + _CHUNK_VERTICES)
-        colors[part], known[part] = _weighted_median(
-            samples[:, part].astype(np.float32), weights[:, part].astype(np.float32)
-        )
+        of_takes = [
+            (np.ascontiguousarray(samples[own, part], np.float32), np.ascontiguousarray(weights[own, part], np.float32))
+            for own in members
+        ]
+        colors[part], known[part] = _mean_of_takes(of_takes)
     return _fill_unseen(colors, known, faces)
 
 
@@ -100,6 +109,20 @@ class VertexVisibility:
 def _colors_at(image: NDArray[np.float32], pixels: Array) -> NDArray[np.float32]:
     """Colours (N, 3) of an image (H, W, 3) at pixel coordinates (N, 2), centres at .5."""
     return sample_bilinear(image, pixels[:, 0] - 0.5, pixels[:, 1] - 0.5).astype(np.float32)
+
+
+def _mean_of_takes(
+    takes: Sequence[tuple[NDArray[np.float32], NDArray[np.float32]]],
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Mean (N, 3) of the medians of each take's samples (V, N, 3), weighted by the sums of its weights (V, N); and
+    where any weight is positive."""
+    medians, seen = zip(*(_weighted_median(*take) for take in takes), strict=True)
+    if len(takes) == 1:
+        return medians[0], seen[0]
+    totals = np.stack([weights.sum(axis=0) for _, weights in takes])
+    known = np.any(seen, axis=0)
+    shares = totals / np.where(known, totals.sum(axis=0), 1)
+    return (shares[..., None] * np.stack(medians)).sum(axis=0).astype(np.float32), known
 
 
 def _weighted_median(

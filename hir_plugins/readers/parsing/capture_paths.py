@@ -69,6 +69,11 @@ def find_photo(folder: Path, name: str, owner: Path) -> Path:
     raise CaptureError(f"{owner} names the image {name!r}, which is not in {folder}; add the file or remove its entry")
 
 
+def photos_of(folder: Path) -> list[Path]:
+    """The photographs directly in a folder, by name; whether links lead out of the capture is not checked."""
+    return sorted(p for p in folder.iterdir() if p.suffix.lower() in PHOTO_SUFFIXES and p.is_file())
+
+
 def photos_in_first_folder(capture: Path, folders: Sequence[str]) -> list[Path]:
     """The photographs, by name, of the first of `folders` that exists; if none exists, `CaptureError` is raised."""
     for name in folders:
@@ -79,9 +84,11 @@ def photos_in_first_folder(capture: Path, folders: Sequence[str]) -> list[Path]:
 
 
 def unique_names(paths: Iterable[Path], folder: Path) -> list[str]:
-    """One name for each file: its stem, or its relative path with `_` for `/` if stems repeat.
+    """One name for each file: its stem, or its relative path with `_` for `/` if stems repeat, with the suffix if that
+    repeats, too.
 
-    A file name that is not text (on Linux any bytes may be one) raises `CaptureError`.
+    A file name that is not text (on Linux any bytes may be one) raises `CaptureError`, and so do two files that get one
+    name.
     """
     listed = list(paths)
     for path in listed:
@@ -89,4 +96,9 @@ def unique_names(paths: Iterable[Path], folder: Path) -> list[str]:
     stems = [path.stem for path in listed]
     if len(set(stems)) == len(stems):
         return stems
-    return [path.relative_to(folder).with_suffix("").as_posix().replace("/", "_") for path in listed]
+    relative = [path.relative_to(folder) for path in listed]
+    files = [path.as_posix().replace("/", "_") for path in relative]
+    for names in ([path.with_suffix("").as_posix().replace("/", "_") for path in relative], files):
+        if len(set(names)) == len(set(listed)):  # a file may be listed twice
+            return names
+    raise CaptureError(f"{folder}: two photographs would have one name; rename their files or folders")

@@ -20,7 +20,8 @@ from hir_plugins.readers.parsing.capture_paths import PHOTO_SUFFIXES, contained_
 from hir_plugins.readers.parsing.lens_camera import LensCamera, make_view
 from hir_plugins.readers.parsing.mask_files import FOLDERS as MASK_FOLDERS
 from hir_plugins.readers.parsing.mask_files import find_mask, matches_of, warn_of_mask_names
-from hir_plugins.readers.parsing.upright import upright_rotation
+from hir_plugins.readers.parsing.takes_file import with_takes
+from hir_plugins.readers.parsing.upright import upright_rotation_of
 
 Source = TypeVar("Source")
 
@@ -135,8 +136,8 @@ class PosedPhotosReader(CaptureReader, Generic[Source]):
             for camera, photo, name in zip(cameras, photos, unique_names(photos, path), strict=True)
         ]
         warn_of_mask_names(matches_of(views), path)
-        capture = Capture(path, tuple(views), reader=self.name, metres_from=self.metres_source(source))
-        upright = np.eye(4) if self.is_upright else upright_rotation([c.world_to_camera for c in cameras])
+        capture = Capture(path, with_takes(views, path), reader=self.name, metres_from=self.metres_source(source))
+        upright = np.eye(4) if self.is_upright else upright_rotation_of(capture.views)
         return capture.transformed(upright)
 
 

@@ -6,7 +6,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hir_core.capture import Array
+from hir_core.capture import Array, View
+
+
+def upright_rotation_of(views: Sequence[View]) -> Array:
+    """`upright_rotation` of the views with cameras, of the first take that has any.
+
+    In another take the object may lie on another side, and cameras in its axes have another up direction.
+    """
+    posed = [(view.take, view.camera.world_to_camera) for view in views if view.camera is not None]
+    return upright_rotation([pose for take, pose in posed if take == posed[0][0]])
 
 
 def upright_rotation(world_to_cameras: Sequence[Array]) -> Array:

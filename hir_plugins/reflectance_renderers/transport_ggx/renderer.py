@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import final
 
 import torch
@@ -19,6 +20,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.operator.radiance_probes im
     PROBE_COLUMNS,
     PROBE_ROWS,
 )
+from hir_plugins.reflectance_renderers.transport_ggx.operator.take_lights import TakeLights
 from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import visible_points
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.solver import TransportSolver
@@ -82,8 +84,10 @@ class TransportGGX(ReflectanceRenderer):
         return {"cache_cells": options.cache_cells // 2} if options.cache_cells // 2 >= default.cache_cells // 4 else {}
 
     def prepare(self, scene: Scene, capture: Capture, downsample: int = 1) -> TransportSolver:
-        """Caches transport for the scene's mesh and for lights of the size of the scene's light."""
-        return TransportSolver(self._transport(scene), scene, capture, downsample, self._options)
+        """Caches transport for the scene's mesh and for lights of the size of the scene's light, one for each take."""
+        transport = self._transport(scene)
+        takes = TakeLights.of(capture, transport.surface.positions.device)
+        return TransportSolver(replace(transport, takes=takes), scene, capture, downsample, self._options)
 
     def render(self, scene: Scene, camera: Camera) -> Float[Tensor, "H W 4"]:
         """Direct light with visibility; premultiplied colour and coverage of `supersampling`² rays a pixel."""

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import final
 
+import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
@@ -12,6 +14,7 @@ from hir_core.capture import Capture
 from hir_core.plugins.interfaces import PreparedReflectance
 from hir_core.scene import EnvironmentMap, Material
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
+from hir_plugins.reflectance_renderers.transport_ggx.operator.take_lights import ONE_LIGHT
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.textures.texture_shading import Indirect, shade
 
@@ -25,11 +28,26 @@ class TransportShading(PreparedReflectance):
     capture: Capture
     downsample: int
     options: TransportGGXOptions
-    indirect: Indirect | None = None
+    indirect: Sequence[Indirect] = ()
+    """Of the light of each take; empty for none."""
 
     def radiance(
         self, material: Material, environment: EnvironmentMap, pixels: Int[Tensor, "B 3"]
     ) -> Float[Tensor, "B 3"]:
-        """Radiance through pixels (view, x, y); 0 where they miss. Differentiable in material and light."""
+        """Radiance through pixels (view, x, y); 0 where they miss. Differentiable in material and light.
+
+        All pixels have the light `environment`; indirect light is that of each pixel's take.
+        """
         cameras = {v: c.downsampled(self.downsample) for v, c in enumerate(self.capture.cameras)}
-        return shade(self.transport, material, environment, cameras, pixels, self.options, self.indirect)
+        transport = replace(self.transport, takes=ONE_LIGHT)
+
+        def of(part: Tensor, indirect: Indirect | None) -> Tensor:
+            return shade(transport, material, environment, cameras, part, self.options, indirect)
+
+        of_view = self.transport.takes.of_view
+        if of_view is None or not self.indirect:
+            return of(pixels, self.indirect[0] if self.indirect else None)
+        takes = of_view[pixels[:, 0]]
+        rows = [(takes == take).nonzero()[:, 0] for take in range(len(self.indirect))]
+        found = [of(pixels[part], indirect) for part, indirect in zip(rows, self.indirect, strict=True)]
+        return torch.cat(found)[torch.cat(rows).argsort()]

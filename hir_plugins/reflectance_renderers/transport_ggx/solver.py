@@ -136,7 +136,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
 
     def supported(self, spec: ModelSpec) -> ModelSpec | None:
         """Every model; but a BRDF for each texel needs a light that is the same for all photographs."""
-        return replace(spec, per_texel="none") if spec.lamp else spec
+        return replace(spec, per_texel="none") if spec.lamp or self._transport.takes.count > 1 else spec
 
     def simpler(self, spec: ModelSpec) -> ModelSpec | None:
         """The model that is fitted first where there is no earlier fit."""
@@ -341,10 +341,13 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
             )
         rotation = UPRIGHT.to(parameters.light) if on_camera else None
         lamp = None if (own := parameters.camera_lamp) is None else self._cameras.in_scene(own)
-        light = EnvironmentMap(parameters.radiance, rotation, fit.spec.light_frame, lamp)
-        scene = replace(self._scene, material=material, environment=light)
-        indirect = self._indirect_light(parameters, fit.spec.bounces) if fit.spec.bounces else None
-        refinement = AlbedoRefinement(equations, self._options.seed, self._fit_terms(fit.spec))
+        lights = self._transport.lights(parameters.radiance)
+        light = EnvironmentMap(lights[0], rotation, fit.spec.light_frame, lamp)
+        of_takes = dict(zip(self._capture.takes, lights, strict=True)) if len(lights) > 1 else {}
+        scene = replace(self._scene, material=material, environment=light, take_radiance=of_takes)
+        indirect = self._indirect_light(parameters, fit.spec.bounces) if fit.spec.bounces else []
+        takes = [view.take for view in self._capture.views]
+        refinement = AlbedoRefinement(equations, self._options.seed, self._fit_terms(fit.spec), takes)
         return Solved(
             scene, replace(self._shading, indirect=indirect), refinement, figures, exposures=parameters.exposure
         )
@@ -360,12 +363,14 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         scene = solved.refinement.refined(solved.scene, self._transport.surface, traced, views, report)
         return None if scene is None else replace(solved, scene=scene)
 
-    def _indirect_light(self, values: Parameters, bounces: int) -> Indirect:
-        texels = self._transport.pyramid.texels
+    def _indirect_light(self, values: Parameters, bounces: int) -> list[Indirect]:
+        """Of the light of each take."""
+        texels, count = self._transport.pyramid.texels, self._transport.takes.count
         with torch.no_grad():
             sources, irradiance = self._transport.sources(values.radiance, values.base_color, bounces)
             _, direct = self._transport.sources(values.radiance, values.base_color, 0)
-        return Indirect(irradiance - direct, sources[texels:])
+        blocks = (irradiance - direct).chunk(count), sources.chunk(count)
+        return [Indirect(reflected, seen[texels:]) for reflected, seen in zip(*blocks, strict=True)]
 
     def _fit_terms(self, spec: ModelSpec) -> FitTerms | None:
         """The regularizers, and the scene whose material and light a fit changes; None without any."""
@@ -374,13 +379,15 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
             return None
         rotation = UPRIGHT.to(light.radiance) if spec.light_frame == "camera" else None
         light = EnvironmentMap(light.radiance, rotation, spec.light_frame)
-        return FitTerms(self._terms, replace(self._scene, environment=light), self._transport.surface)
+        shown = replace(self._scene, environment=light)
+        return FitTerms(self._terms, shown, self._transport.surface, self._transport.takes.count)
 
     def _initial_parameters(self, spec: ModelSpec, initial: Fit | None, photographs: ObservedPixels) -> Parameters:
         """Parameters of a model, from an earlier fit or from the prepared scene."""
         assert self._scene.material is not None and self._scene.environment is not None
         if initial is None:
             light = self._scene.environment.radiance.clamp(1e-6, MAX_RADIANCE).log()
+            light = self._light_of_takes(light, photographs, spec)
             if spec.lamp:
                 light = light - math.log(2)  # the lamp is as bright as the rest
             lamp = initial_lamp(light) if spec.lamp else None
@@ -398,6 +405,21 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
             if spec.bounces and not initial.spec.bounces:
                 base = replace(base, diffuse=without_indirect(self._transport, base, spec.bounces))
         return self._with_exposures(spec, extended_to(spec, base, self._scene.material), photographs, initial)
+
+    def _light_of_takes(self, light: Tensor, photographs: ObservedPixels, spec: ModelSpec) -> Float[Tensor, "H W 3"]:
+        """The logarithm of an initial light, for each take as much brighter as its photographs are."""
+        takes = self._transport.takes
+        if takes.of_view is None:
+            return light
+        light = light.repeat(takes.count, 1, 1)
+        arriving = self._arriving(photographs, spec, light.exp(), None)
+        take = takes.of_view[photographs.points.view]
+        levels = [photographs.color[take == n].mean() / arriving[take == n].mean() for n in range(takes.count)]
+        overall = photographs.color.mean() / arriving.mean()
+        gains = torch.stack([level / overall for level in levels])
+        usable = torch.isfinite(gains) & (gains > 0)
+        gains = torch.where(usable, gains, torch.ones_like(gains)).log()
+        return light + gains.repeat_interleave(len(light) // takes.count)[:, None, None]
 
     def _at_measured_scale(self, fit: Fit) -> Parameters:
         """The parameters of a fit, as bright as a card measured the light; unchanged with a lamp, which lit the card in

@@ -38,6 +38,24 @@ def test_a_wrong_mask_is_named_in_a_sentence(tmp_path: Path, capsys: pytest.Capt
     assert "24 photographs of 256×256 (transforms_json), 24 cameras, 24 masks" in printed
 
 
+def test_takes_are_listed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    capture = tmp_path / "capture"
+    shutil.copytree(SAMPLE, capture)
+    file = capture / "transforms_train.json"
+    content = json.loads(file.read_text())
+    for i, frame in enumerate(content["frames"]):
+        frame["take"] = "upside_down" if i % 8 == 0 else "standing"
+    file.write_text(json.dumps(content))
+    assert hir("check", capture, "-q") == 0
+    printed = capsys.readouterr().out
+    assert "24 masks, 2 takes (upside_down 3, standing 21)" in printed
+    assert "→ the take upside_down has 3 photographs, so its light is under-observed" in printed
+    assert hir("check", capture, "--json") == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["takes"] == [{"name": "upside_down", "photographs": 3}, {"name": "standing", "photographs": 21}]
+    assert [view["take"] for view in document["views"]][:2] == ["upside_down", "standing"]
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

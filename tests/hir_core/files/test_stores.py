@@ -159,6 +159,11 @@ def test_fingerprint_sees_what_a_fit_sees_and_nothing_else(tmp_path: Path) -> No
     assert fingerprint(replace(capture, views=capture.views[:2])) != before
     moved = replace(capture.views[0], camera=a_camera(0.100001))
     assert fingerprint(replace(capture, views=(moved, *capture.views[1:]))) != before
+    labelled = replace(capture, views=(replace(capture.views[0], take="standing"), *capture.views[1:]))
+    assert fingerprint(labelled) != before
+    assert fingerprint(labelled) != fingerprint(
+        replace(capture, views=(replace(capture.views[0], take="lying"), *capture.views[1:]))
+    )
     (tmp_path / "1.png").write_bytes(b"other")
     assert fingerprint(capture) != before
 

@@ -60,3 +60,24 @@ def test_what_cannot_be_written_is_said(solved: tuple[dict[str, Camera], dict[st
         export_cameras(cameras, photographs, "bundler", tmp_path)
     with pytest.raises(ConfigError, match="p1"):
         export_cameras(cameras, {k: v for k, v in photographs.items() if k != "p1"}, "colmap", tmp_path)
+
+
+def test_takes_survive_the_way_out_and_in(solved: tuple[dict[str, Camera], dict[str, Path]], tmp_path: Path) -> None:
+    takes = {"p0": "standing", "p1": "upside_down", "p2": "standing"}
+    export_cameras(*solved, "transforms", tmp_path, takes)
+    assert {view.name: view.take for view in TransformsJsonReader(NoOptions()).read(tmp_path).views} == takes
+
+
+def test_photographs_of_one_name_in_two_folders_are_different_images(
+    solved: tuple[dict[str, Camera], dict[str, Path]], tmp_path: Path
+) -> None:
+    cameras, photographs = solved
+    moved = {}
+    for name, folder in (("p0", "standing"), ("p1", "standing"), ("p2", "upside_down")):
+        moved[name] = tmp_path / "images" / folder / ("002.png" if name == "p1" else "001.png")
+        moved[name].parent.mkdir(exist_ok=True)
+        photographs[name].rename(moved[name])
+    export_cameras(cameras, moved, "colmap", tmp_path)
+    (tmp_path / "takes.toml").write_text('takes = ["standing", "upside_down"]')
+    capture = ColmapModelReader(NoOptions()).read(tmp_path)
+    assert {view.path: view.take for view in capture.views} == {path: path.parent.name for path in moved.values()}

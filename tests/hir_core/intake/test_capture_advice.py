@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from hir_core.intake.capture_advice import advice_for
-from hir_core.intake.check_result import CaptureCheck, ViewCheck
+from hir_core.intake.check_result import CaptureCheck, TakeCheck, ViewCheck
 
 VIEWS = tuple(ViewCheck(f"{i:02}", 64, 48, 0.0, 0.3, 1.0, 0.2, agreement=0.9) for i in range(25))
 GOOD = CaptureCheck(VIEWS, (), len(VIEWS), 0.6, 0, 0.1)
@@ -39,6 +39,7 @@ def test_a_good_capture_needs_no_advice() -> None:
         (replace(GOOD, duplicates=(("03", "04"),)), "photographs that repeat another one: 1, such as 03 and 04"),
         (replace(GOOD, directions_covered=0.1), "cover few directions"),
         (replace(GOOD, flashes=13), "the flash fired in 13 photographs"),
+        (replace(GOOD, takes=(TakeCheck("a", 20), TakeCheck("b", 5))), "the take b has 5 photographs, so its light"),
         (replace(GOOD, headlight=0.8), "the light moves with the camera (a flash"),
     ],
 )
@@ -49,3 +50,18 @@ def test_each_problem_has_one_sentence(check: CaptureCheck, sentence: str) -> No
 
 def test_a_black_photograph_is_not_only_blurred() -> None:
     assert any("1 photographs are black, such as 02" in s for s in advice_for(with_view(sharpness=0, brightness=0)))
+
+
+def test_takes_without_cameras_need_masks() -> None:
+    bare = tuple(replace(v, mask_share=None, agreement=None) for v in VIEWS[:3])
+    check = replace(GOOD, views=(*bare, *VIEWS[3:]), with_camera=0)
+    assert advice_for(check) == []
+    [advice] = advice_for(replace(check, takes=(TakeCheck("a", 10), TakeCheck("b", 15))))
+    assert "3 of 25 photographs have no mask" in advice and "takes" in advice
+
+
+def test_the_light_of_another_take_may_be_brighter() -> None:
+    bright = tuple(replace(v, take="b", brightness=10 * v.brightness) for v in VIEWS[:6])
+    dark = tuple(replace(v, take="a") for v in VIEWS[6:])
+    assert advice_for(replace(GOOD, views=(*bright, *dark))) == []
+    assert len(advice_for(replace(GOOD, views=(*bright, *VIEWS[6:-1], replace(bright[0], take=""))))) == 1

@@ -115,6 +115,24 @@ def test_a_light_at_the_camera_is_distinguished_from_the_sun() -> None:
     assert headlight_score(lit_ball(cameras[:2], True), cameras[:2], 0.5 * normals, normals) is None
 
 
+def test_the_light_is_followed_in_one_take(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Shading of two takes differs though both lights stand still."""
+    cameras = dome(16, 3.0, np.zeros(3), 160.0, 64)
+    pictures = lit_ball(cameras, False)
+    views = [
+        replace(make_view("x", c, np.ones((64, 64), np.float32)), read=StoredPixels(p), take="ab"[i < 6])
+        for i, (c, p) in enumerate(zip(cameras, pictures, strict=True))
+    ]
+    used: list[int] = []
+    score = "hir_core.intake.capture_check.headlight_score"
+    monkeypatch.setattr(score, lambda pixels, cameras, *surface: used.append(len(cameras)))
+    check = check_capture(Capture(Path("made"), tuple(views)), (np.zeros((1, 3)), np.ones((1, 3))))
+    assert used == [10], "the take of most photographs"
+    assert [(take.name, take.photographs) for take in check.takes] == [("b", 6), ("a", 10)]
+    assert [view.take for view in check.views] == [view.take for view in views]
+    assert check_capture(Capture(Path("made"), tuple(replace(v, take="") for v in views))).takes == ()
+
+
 def test_coverage_of_directions() -> None:
     cameras = dome(60, 3.0, np.zeros(3), 100.0, 32)
     assert directions_covered(cameras) == pytest.approx(1.0, abs=0.02)

@@ -226,6 +226,19 @@ def test_a_scan_is_kept_while_the_surface_is_its_own(
     assert (scan is not None) == kept
 
 
+def test_takes_that_are_too_small_to_hold_views_out_are_said(stage: tuple[StageContext, list[str]]) -> None:
+    context, warned = stage
+    config = replace(RunConfig(), initializers=("replaces",), masks=())
+    capture = capture_of(8, CAMERA)
+    initialize(capture, config, context)
+    assert warned == []
+    initialize(replace(capture, views=tuple(replace(view, take=view.name) for view in capture.views)), config, context)
+    assert warned == [
+        "the 8 takes have too few photographs each to hold some out, so no models are compared; "
+        "take 20 or more of one take around the object"
+    ]
+
+
 def test_the_chain_is_computed_once_and_with_the_masks_of_the_run(stage: tuple[StageContext, list[str]]) -> None:
     """A suggestion sees the masks that the stage will give, and the stage runs the chain that it is given."""
     context, _ = stage

@@ -247,6 +247,18 @@ class Exposed(EquallyExposed):
         return self.inner.prepare(scene, capture, downsample)
 
 
+class OneLight(EquallyExposed):
+    """Takes have no lights of their own."""
+
+    def prepare(self, scene: Scene, capture: Capture, downsample: int = 1) -> PreparedReflectance:
+        views = tuple(replace(view, take="") for view in capture.views)
+        return self.inner.prepare(scene, replace(capture, views=views), downsample)
+
+
+def of_takes(implementation: type) -> Component:
+    return replace(reflectance(implementation), name="of takes", traits=frozenset({"solver", "takes", "lambertian"}))
+
+
 def solving(implementation: type) -> Component:
     return replace(reflectance(implementation), name="solving", traits=frozenset({"solver", "exposures", "lambertian"}))
 
@@ -261,5 +273,6 @@ BROKEN_REFLECTANCE: dict[str, Component] = {
     "gradient_by_light": reflectance(HalfLight),
     "agrees_with_the_reference": reflectance(Biased),
     "exposures_are_fitted": solving(EquallyExposed),
+    "each_take_has_its_light": of_takes(OneLight),
     "lamp_is_near_the_camera": with_lamp(WithoutLamp),
 }

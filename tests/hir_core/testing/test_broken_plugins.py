@@ -97,6 +97,7 @@ def test_sound_ones_break_none(kind: str, component: Component, plugins: PluginM
     [
         ("reflectance_renderer", broken_renderers.reflectance()),
         ("reflectance_renderer", broken_renderers.solving(broken_renderers.Exposed)),
+        ("reflectance_renderer", broken_renderers.of_takes(broken_renderers.Exposed)),
         ("reflectance_renderer", broken_renderers.with_lamp(broken_renderers.Traced)),
         ("initializer", broken_initializers.cameras()),
     ],

@@ -12,13 +12,14 @@ import pytest
 from numpy.typing import NDArray
 
 from hir_core.capture import Array, Camera, Capture, View
-from hir_core.errors import CaptureError
+from hir_core.errors import CaptureError, ConfigError
 from hir_core.plugins import NoOptions
 from hir_plugins.initializers.options import ColmapOptions
 from hir_plugins.initializers.sfm.colmap import Colmap
 from hir_plugins.initializers.sfm.feature_matching import verification_options
+from hir_plugins.initializers.sfm.structure_from_motion import attempts
 from hir_plugins.readers.photos import PhotosReader
-from tests.fixtures.silhouette_captures import StoredPixels, look_at, make_view
+from tests.fixtures.silhouette_captures import StoredPixels, coverage, hits_boxes, look_at, make_view
 
 
 def room(camera: Camera, seed: int) -> NDArray[np.float32]:
@@ -185,6 +186,73 @@ def test_other_ways_of_matching_and_mapping(
     solved, _ = Colmap(options).initialize(arc[0], None, tmp_path)
     rotations, positions = aligned([c.world_to_camera for c in solved.cameras], [c.world_to_camera for c in arc[1]])
     assert rotations.max() < 0.5 and positions.max() < 0.03
+
+
+CUBE = hits_boxes(np.array([[[-0.6, -0.6, -0.6], [0.6, 0.6, 0.6]]]))
+
+
+@pytest.fixture(scope="module")
+def two_takes() -> tuple[Capture, list[Camera]]:
+    """The cube before the walls of one room, and turned over before those of another, in the axes of the cube."""
+    upright = cameras_on_an_arc(6)
+    turned = [replace(c, world_to_camera=np.diag([-1.0, -1, 1, 1]) @ c.world_to_camera) for c in upright]
+    views = []
+    for take, cameras in enumerate((upright, turned)):
+        for i, camera in enumerate(cameras):
+            mask = (coverage(camera, CUBE, samples=1) > 0.5).astype(np.float32)
+            color = np.where(mask[..., None] > 0, room(camera, 0), room(camera, 1 + take)).astype(np.float32)
+            views.append(replace(make_view(f"{take}{i}", camera, mask, color), camera=None, take="ab"[take]))
+    return Capture(Path("made-in-memory"), tuple(views)), upright + turned
+
+
+def test_takes_are_joined_by_the_object(
+    two_takes: tuple[Capture, list[Camera]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    capture, true = two_takes
+    located: list[str] = []
+    gps = "hir_plugins.initializers.sfm.colmap.scale_of_gps"
+    monkeypatch.setattr(gps, lambda views, seed: located.extend(view.take for view in views))
+    options = ColmapOptions(threads=1, focal_length=300.0, refine_intrinsics=False)
+    solved, _ = Colmap(options).initialize(capture, None, tmp_path)
+    rotations, positions = aligned([c.world_to_camera for c in solved.cameras], [c.world_to_camera for c in true])
+    assert rotations.max() < 1 and positions.max() < 0.05
+    assert solved.takes == ("a", "b") and solved.take_numbers == capture.take_numbers
+    ups = np.array([c.world_to_camera[:3, :3].T @ [0, -1, 0] for c in solved.cameras])
+    assert ups[:6, 1].min() > 0.9 and ups[6:, 1].max() < -0.9, "upright as in the first take"
+    assert located == ["a"] * 6, "positions of two takes are those of two worlds"
+
+
+def test_a_take_that_is_not_joined_is_named(two_takes: tuple[Capture, list[Camera]], tmp_path: Path) -> None:
+    """The second take shows another cube."""
+    capture, cameras = two_takes
+    views = list(capture.views)
+    for i in range(6, 12):
+        other = replace(views[i].read(), color_linear=room(cameras[i], 9))
+        views[i] = replace(views[i], read=StoredPixels(other))
+    options = ColmapOptions(threads=1, focal_length=300.0, refine_intrinsics=False, retry=False)
+    with (
+        pytest.warns(UserWarning, match="no photograph of the take b could be registered, so its 6 photographs"),
+        pytest.warns(UserWarning, match="6 of 12 photographs could not be registered"),
+    ):
+        solved, _ = Colmap(options).initialize(replace(capture, views=tuple(views)), None, tmp_path)
+    assert [view.camera is not None for view in solved.views] == [True] * 6 + [False] * 6
+
+
+def test_what_cannot_join_takes_is_refused(two_takes: tuple[Capture, list[Camera]], tmp_path: Path) -> None:
+    capture, _ = two_takes
+    bare = replace(capture.views[3], read=StoredPixels(replace(capture.views[3].read(), mask=None)))
+    one_bare = replace(capture, views=(*capture.views[:3], bare, *capture.views[4:]))
+    with pytest.raises(CaptureError, match=r"the takes a, b are joined .* needs masks of all photographs"):
+        Colmap(ColmapOptions()).initialize(one_bare, None, tmp_path)
+    with pytest.raises(ConfigError, match="use_masks is false"):
+        Colmap(ColmapOptions(use_masks=False)).initialize(capture, None, tmp_path)
+    with pytest.raises(ConfigError, match="matching is 'sequential'"):
+        Colmap(ColmapOptions(matching="sequential")).initialize(capture, None, tmp_path)
+
+
+def test_the_background_never_joins_takes() -> None:
+    assert [a.masked for a in attempts(ColmapOptions(), masked=True)] == [True, True, False]
+    assert [a.masked for a in attempts(ColmapOptions(), masked=True, takes=2)] == [True, True]
 
 
 @pytest.mark.slow

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hir_core.capture import Capture
+from hir_core.capture import Capture, View
 from hir_core.capture.pixels import Pixels
-from hir_core.errors import ConfigError
+from hir_core.errors import CaptureError, ConfigError
 from hir_plugins.initializers.markers.fiducial_markers import FiducialMarkers
 from hir_plugins.initializers.markers.grey_card import GreyCard
 from hir_plugins.initializers.markers.marker_views import PAPER, marker_capture
@@ -144,3 +144,29 @@ def test_a_curved_card_gives_no_irradiance(plain: Capture) -> None:
     curved = {n: c + np.array([0, 0, 0.3 * SIDE * (i == 0)]) for i, (n, c) in enumerate(flat.items())}
     assert measured_irradiance(plain, curved, PAPER) is None
     assert measured_irradiance(plain, {n: flat[n] for n in MARKERS[:2]}, PAPER) is None
+
+
+def test_of_several_takes_the_card_gives_metres_alone(plain: Capture, tmp_path: Path) -> None:
+    """The first take shows the card where it lay; in the second the object, and so the cameras, moved against it."""
+    views = list(plain.views)
+    for i, view in enumerate(views):
+        camera = view.camera
+        assert camera is not None
+        turned = replace(camera, world_to_camera=camera.world_to_camera @ np.diag([1.0, -1, -1, 1]))
+        views[i] = replace(view, take="standing") if i % 2 else replace(view, take="upside_down", camera=turned)
+    views.sort(key=lambda view: view.take)
+    with pytest.warns(UserWarning, match=r"its brightness is not used, .* several takes \(standing, upside_down\)"):
+        found, report = solved(replace(plain, views=tuple(views)), tmp_path)
+    assert found.irradiance is None and "card" not in report
+    scale = np.linalg.norm(found.world_from_source[0, :3])
+    assert scale == pytest.approx(0.05 / SIDE, rel=0.005)
+    np.testing.assert_allclose(found.world_from_source[:3, :3] / scale, np.eye(3), atol=0.02)
+    views.reverse()
+    hidden = [replace(view, read=black(view)) if view.take == "upside_down" else view for view in views]
+    with pytest.raises(CaptureError, match="in the photographs of the first take, upside_down, no marker"):
+        solved(replace(plain, views=tuple(hidden)), tmp_path)
+
+
+def black(view: View) -> Callable[[], Pixels]:
+    shape = view.pixels().color_linear.shape
+    return stored(np.zeros(shape), None, np.zeros(shape[:2], bool))

@@ -13,17 +13,23 @@ import torch
 from numpy.typing import NDArray
 from PIL import Image
 
-from hir_core.capture import Array, Camera, Capture
+from hir_core.capture import Array, Camera, Capture, View
 from hir_core.errors import CaptureError, MissingExtraError
 from hir_core.mesh.mesh_validity import inspect_mesh
 from hir_core.scene import Mesh, Scene, Topology
-from hir_plugins.initializers.hull.visual_hull import VisualHull
+from hir_plugins.initializers.hull.visual_hull import VisualHull, hull_volume
 from hir_plugins.initializers.options import PoissonOptions, StereoOptions, VisualHullOptions
 from hir_plugins.initializers.poisson.poisson import Poisson, poisson_surface
 from hir_plugins.initializers.stereo.depth_consistency import DepthMap, oriented_points
 from hir_plugins.initializers.stereo.depth_fusion import carve_depths, signed_distance_volume, smoothed_carving
+from hir_plugins.initializers.stereo.patch_match import patch_match, write_workspace
 from hir_plugins.initializers.stereo.stereo import Stereo, measure_depths
-from hir_plugins.initializers.stereo.stereo_photographs import SweptSurface, choose_neighbours
+from hir_plugins.initializers.stereo.stereo_photographs import (
+    SweptSurface,
+    choose_neighbours,
+    crop_to_object,
+    evenly_distributed_views,
+)
 from hir_plugins.initializers.stereo.surface_sweep import (
     SweepSettings,
     SweptView,
@@ -36,7 +42,7 @@ from hir_plugins.initializers.stereo.surface_sweep import (
 )
 from hir_plugins.initializers.surface.isosurface import extract_surface, keep_large_components
 from hir_plugins.initializers.surface.volume import Volume
-from tests.fixtures.silhouette_captures import dome, hits_boxes, look_at, make_view
+from tests.fixtures.silhouette_captures import StoredPixels, dome, hits_boxes, look_at, make_view
 from tests.hir_plugins.initializers.test_colmap import room
 
 CUBE = hits_boxes(np.array([[[-0.6] * 3, [0.6] * 3]]))
@@ -169,6 +175,69 @@ def test_neighbours_are_near_but_not_too_near() -> None:
     ]
     chosen = choose_neighbours(cameras, np.zeros(3), 4)
     assert chosen[0] == [2, 3] and chosen[4] == []
+
+
+def test_neighbours_are_of_the_same_take(painted_cube: Capture) -> None:
+    cameras, takes = painted_cube.cameras, [0, 1, 0, 1, 0, 1, 0, 2]
+    chosen = choose_neighbours(cameras, np.zeros(3), 4, takes)
+    assert all(takes[j] == takes[i] for i in range(8) for j in chosen[i])
+    assert [len(own) for own in chosen] == [3, 2, 3, 2, 3, 2, 3, 0]
+    assert choose_neighbours(cameras, np.zeros(3), 4, [0] * 8) == choose_neighbours(cameras, np.zeros(3), 4)
+
+
+def test_each_take_has_its_share_of_the_photographs() -> None:
+    cameras = dome(60, 3.0, np.zeros(3), 200.0, 64)
+    takes = [0 if i % 3 else 1 for i in range(60)]
+    chosen = evenly_distributed_views(cameras, np.zeros(3), 31, takes)
+    assert chosen == sorted(set(chosen)) and [sum(takes[i] == take for i in chosen) for take in (0, 1)] == [21, 10]
+    second = [i for i in range(60) if takes[i] == 1]
+    alone = evenly_distributed_views([cameras[i] for i in second], np.zeros(3), 10)
+    assert [i for i in chosen if takes[i] == 1] == [second[i] for i in alone]
+    few = evenly_distributed_views(cameras, np.zeros(3), 3, [*range(20), *[20] * 40])
+    assert len(few) == 3 and min(few) < 20
+
+
+def test_photographs_of_another_light_do_not_change_the_depths(painted_cube: Capture) -> None:
+    """A second take from the same places, with inverted brightness."""
+    options = StereoOptions(
+        max_image_size=96, neighbours=4, window=5, levels=1, max_resolution=48, verify_carving=False, device="cpu"
+    )
+    volume = hull_volume(painted_cube, VisualHullOptions(max_resolution=48))
+    first = [replace(view, take="upright") for view in painted_cube.views]
+
+    def under_other_light(view: View) -> View:
+        pixels = view.read()
+        inverted = (0.5 * (1 - pixels.color_linear) * [1.0, 0.7, 0.4]).astype(np.float32)
+        return replace(view, take="turned over", read=StoredPixels(replace(pixels, color_linear=inverted)))
+
+    alone = measure_depths(replace(painted_cube, views=tuple(first)), volume, options)
+    mixed = [view for pair in zip(first, map(under_other_light, first), strict=True) for view in pair]
+    together = measure_depths(replace(painted_cube, views=tuple(mixed)), volume, options)
+    for found, expected in zip(together.maps[::2], alone.maps, strict=True):
+        assert torch.equal(found.inverse, expected.inverse) and torch.equal(found.weight, expected.weight)
+    measured = [float((each.inverse > 0).float().mean()) for each in together.maps]
+    assert np.mean(measured[1::2]) > 0.8 * np.mean(measured[::2]) > 0.1
+    assert together.points is not None and np.isfinite(together.points.positions).all()
+
+
+def test_takes_of_one_photograph_each_have_no_depth(painted_cube: Capture) -> None:
+    options = StereoOptions(max_image_size=64, neighbours=4, window=5, levels=1, max_resolution=32, device="cpu")
+    capture = replace(painted_cube, views=tuple(replace(view, take=view.name) for view in painted_cube.views))
+    volume = hull_volume(capture, VisualHullOptions(max_resolution=32))
+    measured = measure_depths(capture, volume, options)
+    assert measured.points is None and measured.carving is not None and measured.carving.is_empty
+    assert not any(bool((each.inverse > 0).any()) for each in measured.maps)
+
+
+def test_colmap_is_not_asked_for_a_photograph_without_neighbours(painted_cube: Capture, tmp_path: Path) -> None:
+    cropped = (crop_to_object(view, 2, 1, np.zeros(3), 1.1) for view in painted_cube.views[:4])
+    photographs = [photograph for photograph in cropped if photograph is not None]
+    workspace = write_workspace(photographs, [[1, 2], [0], [], [2]], tmp_path)
+    lines = (workspace / "stereo" / "patch-match.cfg").read_text().splitlines()
+    assert lines == ["00000.png", "00001.png, 00002.png", "00001.png", "00000.png", "00003.png", "00002.png"]
+    maps = patch_match(photographs, [[]] * 4, np.zeros(3), 1.1, tmp_path)
+    assert [each.inverse.shape for each in maps] == [each.inside.shape for each in photographs]
+    assert not any(bool(each.inverse.any() or each.weight.any()) for each in maps)
 
 
 def hollow_volume() -> tuple[Volume, list[DepthMap]]:

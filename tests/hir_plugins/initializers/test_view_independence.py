@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -111,6 +112,10 @@ def test_stereo_is_suggested_where_photographs_can_be_matched() -> None:
     assert hir_suggest_initializers(capture) == ["camera_refinement", "visual_hull", "stereo"]
     few = Capture(capture.path, capture.views[:15])
     assert hir_suggest_initializers(few) == ["camera_refinement", "visual_hull"]
+    thirty = Capture(capture.path, tuple(replace(v, take=f"{i % 2}") for i, v in enumerate(capture.views[:30])))
+    assert hir_suggest_initializers(thirty) == ["camera_refinement", "visual_hull"]
+    more = Capture(capture.path, tuple(replace(v, take=f"{i % 2}") for i, v in enumerate(capture.views[:32])))
+    assert hir_suggest_initializers(more) == ["camera_refinement", "visual_hull", "stereo"]
 
 
 def test_photographs_that_are_near_each_other_cannot_tell_and_say_so() -> None:
@@ -123,6 +128,13 @@ def test_photographs_that_are_near_each_other_cannot_tell_and_say_so() -> None:
     views = [swept_view(capture, i) for i in near]
     with pytest.warns(UserWarning, match="35° to 60° apart"):
         found = view_independence(whole, carved, views, [0.01] * len(views), np.zeros(3))
+    assert found.explained is None and (found.share == 1).all()
+    # one that is 47° away is compared, unless it is of another take
+    distant = int(np.argmin(np.abs(toward @ toward[0] - np.cos(np.radians(47)))))
+    views, takes = [*views, swept_view(capture, distant)], [0] * len(near) + [1]
+    assert view_independence(whole, carved, views, [0.01] * len(views), np.zeros(3)).explained == 0
+    with pytest.warns(UserWarning, match="no two photographs of one take are 35° to 60° apart"):
+        found = view_independence(whole, carved, views, [0.01] * len(views), np.zeros(3), takes)
     assert found.explained is None and (found.share == 1).all()
 
 

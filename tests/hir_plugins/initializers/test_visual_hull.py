@@ -19,6 +19,7 @@ from hir_core.scene import Scene
 from hir_plugins.initializers.hull.visual_hull import VisualHull
 from hir_plugins.initializers.options import VisualHullOptions
 from hir_plugins.initializers.surface.silhouette_fields import signed_distance
+from hir_plugins.initializers.surface.vertex_colors import vertex_colors
 from hir_plugins.readers.transforms_json import TransformsJsonReader
 from tests.fixtures.silhouette_captures import (
     coverage,
@@ -208,6 +209,28 @@ def test_vertices_take_the_colour_that_views_agree_on() -> None:
     x, colors = scene.mesh.positions[:, 0].numpy(), scene.mesh.vertex_colors.numpy()
     assert np.abs(colors[x > 0.06] - [0.8, 0.05, 0.05]).max() < 1e-3
     assert np.abs(colors[x < -0.06] - [0.05, 0.05, 0.6]).max() < 1e-3
+
+
+def test_vertices_take_the_mean_of_the_takes_colours() -> None:
+    """Two takes of 20 and 10 photographs, under red light and under blue: their median would be the first one's."""
+    cameras = dome(30, 3.0, np.zeros(3), 120.0, 64)
+    lights = [np.array([0.8, 0.1, 0.1]), np.array([0.1, 0.1, 0.6])]
+    views = []
+    for i, camera in enumerate(cameras):
+        take = int(i % 3 == 0)
+        color = np.broadcast_to(lights[take], (64, 64, 3)).astype(np.float32)
+        view = make_view(f"{i}", camera, coverage(camera, BALL), color)
+        views.append(replace(view, take=["upright", "turned over"][take]))
+    mesh = hull(Capture(Path("made-in-memory"), tuple(views))).mesh
+    assert mesh.vertex_colors is not None
+    colors = mesh.vertex_colors.numpy()
+    share = (colors[:, 0] - 0.1) / 0.7  # of the red light
+    np.testing.assert_allclose(colors, share[:, None] * lights[0] + (1 - share[:, None]) * lights[1], atol=1e-3)
+    assert share.mean() == pytest.approx(2 / 3, abs=0.05) and ((share > 0.2) & (share < 1)).mean() > 0.95
+    red = replace(views[1], take="")
+    alone = vertex_colors(mesh.positions.double().numpy(), mesh.faces.numpy(), [red])
+    named = vertex_colors(mesh.positions.double().numpy(), mesh.faces.numpy(), [views[1]])
+    np.testing.assert_array_equal(alone, named)
 
 
 @pytest.mark.slow

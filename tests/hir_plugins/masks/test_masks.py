@@ -144,6 +144,21 @@ def test_a_key_finds_the_disk_and_keeps_its_holes_closed(background: tuple[float
     assert mask[32, 32] == 1 and mask[0, 0] == 0
 
 
+def test_each_take_has_its_own_background_colour() -> None:
+    camera = look_at(np.array([0, 0, 4.0]), np.zeros(3), 100.0, 64, 64)
+    disk = coverage(camera, hits_sphere(np.zeros(3), 0.6))
+    views = []
+    for i, background in enumerate([[0.8, 0.8, 0.8], [0.8, 0.8, 0.8], [0.5, 0.3, 0.1]]):
+        color = np.where(disk[..., None] > 0.5, [0.1, 0.2, 0.6], background).astype(np.float32)
+        views.append(replace(make_view(f"{i}", camera, np.zeros_like(disk), color), take=f"light {i // 2}"))
+    for mask in ColorKey(ColorKeyOptions()).masks(Capture(Path("x"), tuple(views)), None):
+        assert mask is not None
+        assert ((mask > 0.5) != (disk > 0.5)).mean() < 0.01
+    one_take = Capture(Path("x"), tuple(replace(view, take="") for view in views))
+    with pytest.raises(CaptureError, match="several colours"):
+        ColorKey(ColorKeyOptions()).masks(one_take, None)
+
+
 def test_a_wild_border_is_an_error() -> None:
     color = np.random.default_rng(0).uniform(size=(32, 32, 3)).astype(np.float32)
     camera = look_at(np.array([0, 0, 4.0]), np.zeros(3), 100.0, 32, 32)

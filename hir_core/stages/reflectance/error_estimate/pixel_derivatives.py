@@ -17,6 +17,7 @@ from torch import Tensor
 from hir_core.capture import Capture
 from hir_core.mesh.ray_casting import MeshQueries
 from hir_core.plugins.interfaces import PreparedReflectance
+from hir_core.rendering.take_radiance import radiance_in_takes
 from hir_core.scene import Material, Mesh, Scene, Texture
 from hir_core.scene.bilinear import texture_texels
 from hir_core.scene.srgb import linear_to_srgb
@@ -57,8 +58,8 @@ def pixel_derivatives(
 
     `capture` has the exposures of the fit applied. Pixels whose ray misses the mesh are left out.
     """
-    material, light = scene.material, scene.environment
-    assert material is not None and light is not None
+    material = scene.material
+    assert material is not None
     drawn = _drawn(capture, downsample, pixels_per_view, seed, str(scene.mesh.positions.device))
     uv, hit = _coordinates(scene.mesh, capture, downsample, drawn.index)
     index, color, saturated = drawn.index[hit], drawn.color[hit], drawn.saturated[hit]
@@ -66,7 +67,7 @@ def pixel_derivatives(
     def radiance(changed: Material) -> Float[Tensor, "P 3"]:
         torch.manual_seed(seed)
         with torch.no_grad():
-            return prepared.radiance(changed, light, index).clamp_min(0)
+            return radiance_in_takes(prepared, scene, capture, index, changed).clamp_min(0)
 
     linear = radiance(material)
 

@@ -140,14 +140,16 @@ def select_model(
     other_shape: OtherShape[FitT, RefinementT] | None = None,
     exposures: Sequence[Exposures] = ("equal",),
     fits_lamp: bool = False,
+    takes: Sequence[int] = (),
 ) -> Selection[FitT]:
     """Fits training views and decides on held-out views.
 
     A model that the settings name is fitted without a comparison. Where `other_shape` is selected its solver replaces
     that of `fits`. Of several `exposures`, the simplest first, those are selected that held-out views ask for; without
-    held-out views the first. `fits_lamp`: whether the solver fits a lamp near the camera.
+    held-out views the first. `fits_lamp`: whether the solver fits a lamp near the camera. `takes`: the number of each
+    view's take, of which each leaves views to the fit.
     """
-    folds = model_selection_folds(views)
+    folds = model_selection_folds(views, takes)
     forced = forced_spec(settings)
     folded = FoldedFits(fits, folds) if folds else None
     shown = ExposureSelection(exposures[0])

@@ -19,6 +19,10 @@ function summary(check) {
     check.with_camera ? `${check.with_camera} with cameras` : "cameras will be estimated",
     masks ? `${masks} with masks` : "masks will be found",
   ];
+  const takes = check.takes ?? []; // checks of older versions have none
+  if (takes.length) {
+    parts.push(`${takes.length} takes (${takes.map((take) => `${take.name} ${take.photographs}`).join(", ")})`);
+  }
   const scores = views.map((view) => view.agreement).filter((score) => score !== null).sort((a, b) => a - b);
   if (scores.length) {
     const middle = scores[Math.floor(scores.length / 2)];

@@ -43,6 +43,8 @@ class FitTerms:
     terms: Sequence[WeightedTerm]
     scene: Scene
     surface: Surface
+    takes: int = 1
+    """Number of lights, one below another in the parameters."""
 
     def prepared(self, start: Parameters, model: str, huber_srgb: float) -> PreparedTerms:
         """For one fit, from its start values; `huber_srgb` is the residual from which its loss is linear."""
@@ -74,11 +76,12 @@ class FitTerms:
 
         return _refiner(terms, total)
 
-    def _shown(self, view: str, parameters: Parameters, model: str) -> Scene:
-        """The parameters as a scene; differentiable in them."""
+    def _shown(self, view: str, parameters: Parameters, model: str, take: int = 0) -> Scene:
+        """The parameters as a scene under the light of one take; differentiable in them."""
         light = self.scene.environment
         assert light is not None and self.scene.material is not None
-        light = replace(light, radiance=parameters.radiance)
+        stacked = parameters.radiance
+        light = replace(light, radiance=stacked.split(len(stacked) // self.takes)[take])
         if view == "light":
             return replace(self.scene, environment=light)
         material = material_at_vertices(parameters, model)
@@ -124,22 +127,29 @@ class PreparedTerms:
     def __call__(self, parameters: Parameters, step: int) -> dict[str, Float[Tensor, ""]]:
         """Each term times its weight, by name. A lagged one has been evaluated some steps before."""
         shown = {
-            kind: self._terms._shown(kind, parameters, self._model)
+            kind: [self._terms._shown(kind, parameters, self._model, take) for take in self._takes_of(kind)]
             for kind in {_view_of(term) for term in self._terms.terms}
         }
         values = {}
         for term, energy in zip(self._terms.terms, self._energies, strict=True):
-            scene = shown[_view_of(term)]
-            value = self._lagged_value(term.name, energy, scene, step) if _is_lagged(term) else energy(scene)
+            of_takes = [
+                self._lagged_value(f"{term.name} {take}", energy, scene, step) if _is_lagged(term) else energy(scene)
+                for take, scene in enumerate(shown[_view_of(term)])
+            ]
+            value = of_takes[0] if len(of_takes) == 1 else torch.stack(of_takes).mean()
             values[f"regularizer {term.name}"] = self._huber * term.weight * value
         return values
+
+    def _takes_of(self, kind: str) -> range:
+        """The takes whose lights a term sees: a term of the light all, one of the material the first."""
+        return range(self._terms.takes if kind == "light" else 1)
 
     def of_widths(self, parameters: Parameters, step: int) -> Callable[[Parameters], float]:
         """The sum of the terms that depend on α, as a function of parameters that differ from these in the width."""
         parts: list[tuple[WeightedTerm, Energy]] = []
         for term, energy in zip(self._terms.terms, self._energies, strict=True):
             if _is_lagged(term):
-                energy = self._evaluated(term.name, energy, self._shown_to(term, parameters), step).at
+                energy = self._evaluated(f"{term.name} 0", energy, self._shown_to(term, parameters), step).at
             parts.append((term, energy))
         if self._of_roughness is None:
             slopes = {term.name: value_and_gradients(e, self._shown_to(term, parameters))[1] for term, e in parts}

@@ -201,7 +201,10 @@ def objective(
     """The terms of the solver's own: the error of the pixels and the smoothness."""
     difference = _difference(transport, batch, matrices, parameters, settings)
     pixels = torch.nn.functional.huber_loss(difference, torch.zeros_like(difference), delta=settings.huber_srgb)
-    return {PIXEL_TERM: pixels, "smoothness": smoothness_energy(parameters, settings.smoothness, edges)}
+    return {
+        PIXEL_TERM: pixels,
+        "smoothness": smoothness_energy(parameters, settings.smoothness, edges, transport.takes.count),
+    }
 
 
 def sample_loss(transport: Transport, batches: MiniBatches, parameters: Parameters, settings: FitSettings) -> float:

@@ -38,6 +38,7 @@ class Parameters:
     """
 
     light: Float[Tensor, "H W 3"]
+    """Of several takes their lights, one below another (`operator/take_lights.py`)."""
     diffuse: Float[Tensor, "V 3"]
     """Of ρd; of the base colour where there is a metalness."""
     specular: Float[Tensor, "#V C"] | None

@@ -33,19 +33,23 @@ class SmoothnessWeights:
     """Of 4·m·(1 − m): a surface is metal or it is not."""
 
 
-def light_energy(light: Float[Tensor, "H W 3"], smoothness: float, chroma: float) -> Float[Tensor, ""]:
+def light_energy(light: Float[Tensor, "H W 3"], smoothness: float, chroma: float, takes: int = 1) -> Float[Tensor, ""]:
     """Prior of the logarithm of a light: smooth and white. A tint that light or surface could explain goes to the
-    surface."""
-    rough = (light - light.roll(1, 1)).square().mean() + (light[1:] - light[:-1]).square().mean()
+    surface.
+
+    Of the lights of several takes, one below another, each is smooth in itself.
+    """
+    image = light.reshape(takes, -1, *light.shape[1:])
+    rough = (image - image.roll(1, 2)).square().mean() + (image[:, 1:] - image[:, :-1]).square().mean()
     saturation = (light - light.mean(dim=-1, keepdim=True)).square().mean()
     return smoothness * rough + chroma * saturation
 
 
 def smoothness_energy(
-    parameters: Parameters, weights: SmoothnessWeights, edges: Int[Tensor, "E 2"]
+    parameters: Parameters, weights: SmoothnessWeights, edges: Int[Tensor, "E 2"], takes: int = 1
 ) -> Float[Tensor, ""]:
     """All smoothness priors of a fit, over the edges between vertices."""
-    energy = light_energy(parameters.light, weights.light, weights.light_chroma)
+    energy = light_energy(parameters.light, weights.light, weights.light_chroma, takes)
     if parameters.lamp is not None:
         intensity = parameters.lamp[:3]
         energy = energy + weights.light_chroma * (intensity - intensity.mean()).square().mean()

@@ -28,7 +28,7 @@ def pixel_irradiance(
     """
     parts = list(_parts(transport, points, samples, rotation, seed))
     columns, values = (torch.cat(part) for part in zip(*parts, strict=True))
-    return LinearMap.from_rows(columns, values, transport.pyramid.texels + len(transport.irradiance_cache))
+    return LinearMap.from_rows(columns, values, transport.takes.count * transport.source_count)
 
 
 def irradiance_of(
@@ -69,6 +69,7 @@ def _rows(
     lookup = (rotation[points.view][:, None] @ directions[..., None]).reshape(-1, 3)
     solid_angle = math.pi / (samples * height.clamp_min(0.05))
     index, weight = transport.pyramid.lookup(lookup, solid_angle.reshape(-1))
+    index = transport.takes.stacked_columns(index.reshape(count, -1), points.view, transport.source_count)
     visible = torch.from_numpy(~occluded).to(device, torch.float32)
     weight = weight * (visible * math.pi / samples)[:, None]
-    return index.reshape(count, -1).int(), weight.reshape(count, -1)
+    return index.int(), weight.reshape(count, -1)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -24,6 +24,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid impo
 from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
 from hir_plugins.reflectance_renderers.transport_ggx.operator.ray_tracer import RayTracer
 from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes import Lobes, trace_lobes
+from hir_plugins.reflectance_renderers.transport_ggx.operator.take_lights import ONE_LIGHT, TakeLights
 from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import Surface, SurfacePoints, refine
 
 RAY_OFFSET = 1e-3
@@ -46,20 +47,43 @@ class Transport:
     offset: float
     cell_average: LinearMap
     """Matrix (C, V) that averages vertex values over each cache cell."""
+    takes: TakeLights = ONE_LIGHT
+    """The lights of the photographs. Of several lights T the images are one below another, (T·H, W, 3), and S sources
+    and C cells stand for T blocks of them."""
+
+    @property
+    def source_count(self) -> int:
+        """Pyramid texels and cache cells of one light."""
+        return self.pyramid.texels + len(self.irradiance_cache)
+
+    def lights(self, radiance: Float[Tensor, "H W 3"]) -> tuple[Float[Tensor, "H W 3"], ...]:
+        """The image of each take's light."""
+        return radiance.split(len(radiance) // self.takes.count)
+
+    def cells_at(self, points: SurfacePoints) -> Int[Tensor, "P 3"]:
+        """The cache cells of the corners around each point, in the block of its take."""
+        cells = self.irradiance_cache.of_vertex[self.surface.faces[points.face]]
+        return self.takes.stacked_columns(cells, points.view, len(self.irradiance_cache))
 
     def interpolation(self, points: SurfacePoints) -> tuple[LinearMap, LinearMap]:
         """Matrices that interpolate vertex values and cache cells at points."""
         corners = self.surface.faces[points.face]
         weights = points.barycentric
         vertices = LinearMap.from_rows(corners, weights, len(self.surface.positions))
-        return vertices, LinearMap.from_rows(
-            self.irradiance_cache.of_vertex[corners], weights, len(self.irradiance_cache)
-        )
+        cells = self.takes.count * len(self.irradiance_cache)
+        return vertices, LinearMap.from_rows(self.cells_at(points), weights, cells)
 
     def sources(
         self, radiance: Float[Tensor, "H W 3"], albedo: Float[Tensor, "V 3"], bounces: int
     ) -> tuple[Float[Tensor, "S 3"], Float[Tensor, "C 3"]]:
         """Radiance of all that a ray can hit (pyramid texels, then cache cells), and the irradiance of every cell."""
+        found = [self._sources(light, albedo, bounces) for light in self.lights(radiance)]
+        return _stacked([sources for sources, _ in found]), _stacked([irradiance for _, irradiance in found])
+
+    def _sources(
+        self, radiance: Float[Tensor, "H W 3"], albedo: Float[Tensor, "V 3"], bounces: int
+    ) -> tuple[Float[Tensor, "S 3"], Float[Tensor, "C 3"]]:
+        """The block of one light."""
         pyramid = self.pyramid.flatten(radiance)
         direct = self.diffuse.sky @ pyramid[self.level]
         if not bounces:
@@ -84,13 +108,14 @@ class Transport:
 
     def vector_irradiance(self, radiance: Float[Tensor, "H W 3"]) -> Float[Tensor, "C 3 3"]:
         """Vector irradiance of each cell from direct light (Gershun 1939): axes first, then colours."""
-        vectors = self._vector_sky @ self.pyramid.flatten(radiance)[self.level]
-        return vectors.reshape(3, len(self.irradiance_cache), 3).transpose(0, 1)
+        cells = len(self.irradiance_cache)
+        vectors = [self._vector_sky @ self.pyramid.flatten(light)[self.level] for light in self.lights(radiance)]
+        return _stacked([each.reshape(3, cells, 3).transpose(0, 1) for each in vectors])
 
     def sky_only(self, radiance: Float[Tensor, "H W 3"]) -> Float[Tensor, "S 3"]:
         """Radiance of all that a ray can hit, without light reflected by the surface."""
-        pyramid = self.pyramid.flatten(radiance)
-        return torch.cat([pyramid, pyramid.new_zeros(len(self.irradiance_cache), pyramid.shape[1])])
+        black = radiance.new_zeros(len(self.irradiance_cache), radiance.shape[2])
+        return _stacked([torch.cat([self.pyramid.flatten(light), black]) for light in self.lights(radiance)])
 
     def lobes(
         self,
@@ -102,7 +127,13 @@ class Transport:
     ) -> Lobes:
         """The specular lobe of each point."""
         cells = self.face_cells, len(self.irradiance_cache)
-        return trace_lobes(self.tracer, points, *cells, alpha, samples, self.pyramid, self.offset, rotation, seed)
+        lobes = trace_lobes(self.tracer, points, *cells, alpha, samples, self.pyramid, self.offset, rotation, seed)
+        columns = self.takes.stacked_columns(lobes.columns, points.view, self.source_count)
+        return replace(lobes, columns=columns, sources=self.takes.count * self.source_count)
+
+
+def _stacked(blocks: list[Tensor]) -> Tensor:
+    return blocks[0] if len(blocks) == 1 else torch.cat(blocks)
 
 
 def build_transport(

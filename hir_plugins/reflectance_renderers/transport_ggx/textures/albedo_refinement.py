@@ -37,6 +37,8 @@ class AlbedoRefinement:
     """Of the noise of the path tracer; each view has its own."""
     terms: FitTerms | None = None
     """Regularizers that have their say in the albedo."""
+    takes: Sequence[str] = ()
+    """The take of each view; needed where the scene has the lights of several."""
     _cache: dict[int, Tensor] = field(default_factory=dict)
     """Path-traced radiance of each view's pixels, of `_cached`."""
     _cached: tuple[PreparedReflectance, Scene] | None = None
@@ -87,7 +89,9 @@ class AlbedoRefinement:
         if view not in self._cache:
             assert scene.material is not None and scene.environment is not None
             torch.manual_seed(view + (self.seed << 32))
-            radiance = traced.radiance(scene.material, scene.environment, rows.pixel)
+            light = scene.in_take(self.takes[view]).environment if self.takes else scene.environment
+            assert light is not None
+            radiance = traced.radiance(scene.material, light, rows.pixel)
             # one non-finite pixel would reach every texel through conjugate gradients; this one asks for no change
             self._cache[view] = torch.where(torch.isfinite(radiance), radiance, rows.color)
         return replace(rows, offset=self._cache[view] - rows.radiance(albedo, metalness))

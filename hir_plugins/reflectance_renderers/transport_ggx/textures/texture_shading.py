@@ -112,7 +112,7 @@ def irradiance_at(
     """Irradiance of points from that of the cache cells; with `vectors` (vector irradiance) for shading normals that
     differ from `mesh_normal`.
     """
-    cells = transport.irradiance_cache.of_vertex[transport.surface.faces[points.face]]
+    cells = transport.cells_at(points)
     arriving = (irradiance[cells] * points.barycentric[..., None]).sum(1)
     if vectors is None:
         return arriving

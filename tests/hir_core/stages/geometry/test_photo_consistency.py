@@ -23,7 +23,7 @@ from hir_core.stages.geometry.photo_consistency import (
     photo_consistency_residuals,
     sample_pairs,
 )
-from hir_core.stages.geometry.photo_consistency_report import PhotoConsistencyReport
+from hir_core.stages.geometry.photo_consistency_report import PhotoConsistencyReport, PhotoConsistencySkipped
 from hir_core.stages.geometry.photo_evaluation import confirmed_share, interpolated, mean_known
 from hir_core.stages.geometry.photo_pass import plan_passes
 from hir_core.stages.held_out_views import held_out_for_geometry, judging_views
@@ -211,6 +211,68 @@ def test_gradient_is_that_of_finite_differences(hollow: tuple[Positions, Faces])
     (gradient,) = torch.autograd.grad(difference[here].square().sum(), mesh.positions)
     expected = (plus[ahead].square().sum() - minus[behind].square().sum()) / (2 * step)
     assert float((gradient * swelling).sum()) == pytest.approx(float(expected), rel=0.02)
+
+
+def _with_second_take(capture: Capture, views: list[int]) -> Capture:
+    """The named views are of a second take: darker, of another tint, and their detail is inverted."""
+
+    def under_other_light(color: np.ndarray) -> np.ndarray:
+        return np.where(color > 0, 0.3 * (1 - color), 0) * [1.0, 0.6, 0.3]
+
+    changed = []
+    for i, view in enumerate(capture.views):
+        pixels = view.pixels()
+        other = replace(view, take="turned over", read=_Photograph(under_other_light(pixels.color_linear), pixels.mask))
+        changed.append(other if i in views else replace(view, take="upright"))
+    return replace(capture, views=tuple(changed))
+
+
+def test_photographs_of_different_takes_are_not_compared() -> None:
+    capture = _photographed(*_hollow(4), around(48, 64))
+    both = _with_second_take(capture, list(range(1, 48, 2)))
+    everything, takes = range(48), both.take_numbers
+    near = neighbouring_views(both.cameras, everything, takes)
+    assert all(takes[j] == takes[i] for i in everything for j in near[i]) and all(near)
+    of_all = neighbouring_views(both.cameras, everything)
+    assert any(takes[j] != takes[i] for i in everything for j in of_all[i])
+
+    def mean_residual(photographed: Capture, neighbours: list[list[int]]) -> float:
+        details = DetailImages.of(photographed.views, 1)
+        pairs = sample_pairs(details, neighbours, everything, 300, np.random.default_rng(0))
+        return float(photo_consistency_residuals(mesh_of(*_hollow(4)), details, pairs)[0].abs().mean())
+
+    under_one_light = mean_residual(capture, near)
+    assert mean_residual(both, near) < 1.2 * under_one_light
+    assert mean_residual(both, of_all) > 2 * under_one_light
+
+
+def test_one_take_has_the_neighbours_of_a_capture_without_takes(capture: Capture) -> None:
+    allowed = range(0, 48, 3)
+    one = replace(capture, views=tuple(replace(view, take="upright") for view in capture.views))
+    near = neighbouring_views(capture.cameras, allowed)
+    assert neighbouring_views(one.cameras, allowed, one.take_numbers) == near
+
+
+def test_a_take_of_one_photograph_takes_part_by_its_silhouette_alone(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    both = _with_second_take(_photographed(*_hollow(4), around(24, 64)), [9])
+    assert neighbouring_views(both.cameras, range(24), both.take_numbers)[9] == []
+    settings = replace(SETTINGS, iterations=20, triangles=1500, photo_consistency_iterations=10)
+    fitted, report = fit_geometry(Scene(mesh_of(*icosphere(3))), both, settings, _context(tmp_path))
+    assert torch.isfinite(fitted.scene.mesh.positions).all()
+    assert isinstance(report.photo_consistency, PhotoConsistencyReport)
+    assert both.views[9].name not in [*report.photo_consistency.judging_views, *report.views.held_out]
+    assert np.isfinite(report.photo_consistency.movement.gain)
+    assert np.isfinite([level.error for level in report.photo_consistency.levels]).all()
+
+
+def test_takes_of_one_photograph_each_are_not_compared(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    capture = _photographed(*_hollow(3), around(12, 48))
+    views = tuple(replace(view, take=view.name) for view in capture.views)
+    settings = replace(SETTINGS, iterations=5, triangles=600, photo_consistency_iterations=5)
+    start = Scene(mesh_of(*icosphere(2)))
+    fitted, report = fit_geometry(start, replace(capture, views=views), settings, _context(tmp_path))
+    assert report.photo_consistency == PhotoConsistencySkipped("too few views that overlap and could be held out")
+    assert report.views.held_out == [] and torch.isfinite(fitted.scene.mesh.positions).all()
 
 
 def test_views_without_comparable_pixels_do_not_change_the_gain() -> None:

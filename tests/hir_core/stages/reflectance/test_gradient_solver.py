@@ -153,7 +153,8 @@ def test_the_albedo_is_refined_under_a_reference_renderer() -> None:
     refined = solver.refine(solved, reference, range(VIEWS), silent)
     assert refined is not None
     before, after = (
-        view_errors(each.scene, reference, [object_pixels(capture, [1], 1, "cpu")], 0)[0] for each in (solved, refined)
+        view_errors(each.scene, reference, capture, [object_pixels(capture, [1], 1, "cpu")], 0)[0]
+        for each in (solved, refined)
     )
     assert after < 0.3 * before
     assert solved.scene.environment is not None and refined.scene.environment is not None

@@ -109,8 +109,10 @@ def without_indirect(transport: Transport, base: Parameters, bounces: int) -> Fl
         albedo = original
         for _ in range(INDIRECT_ITERATIONS):
             _, irradiance = transport.sources(base.radiance, albedo, bounces)
-            share = direct / irradiance.clamp_min(1e-12)
-            share = torch.where(irradiance > 0, share, torch.ones_like(share))
+            # of several lights the mean: one albedo is seen under all
+            received = [each.reshape(transport.takes.count, -1, 3).mean(dim=0) for each in (direct, irradiance)]
+            share = received[0] / received[1].clamp_min(1e-12)
+            share = torch.where(received[1] > 0, share, torch.ones_like(share))
             share = share[transport.irradiance_cache.of_vertex]
             if base.metalness is not None:
                 share = share + base.metal_share * (1 - share)

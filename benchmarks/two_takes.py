@@ -1,0 +1,249 @@
+"""Two takes of an object under two lights, the second one upside down, against one take of as many photographs.
+
+    python -m benchmarks.two_takes RECIPE… --workspace DIR [--seeds 0] [--store FILE]
+    python -m benchmarks.two_takes --table FILE
+
+For each object of the materials benchmark: photographs from above alone, as of an object that stands on a table; and
+half of them from above and half of the object turned over, under another light. Both captures are reconstructed with
+the default settings and evaluated from all sides under two other lights. Rendered by Mitsuba's path tracer with the
+`principled` BSDF; the table is not there. One line is stored for each object and seed, with commit, date and machine.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from hir_exporters.textures.image_files import write_hdr, write_png
+from numpy.typing import NDArray
+
+from benchmarks.hir_command import hir
+from benchmarks.materials.lights import LIGHTS, light_image
+from benchmarks.materials.materials import MATERIALS
+from benchmarks.materials.recipes import Recipe, recipes
+from benchmarks.materials.render import (
+    DISTANCE,
+    FIELD_OF_VIEW,
+    bright_value,
+    encoded,
+    mitsuba_mesh,
+    render_view,
+    write_obj,
+    write_truth,
+)
+from benchmarks.materials.shapes import make_shape
+from benchmarks.stored_rows import add_rows, stored_rows
+from hir_core.evaluation.truth_evaluation import true_mesh
+from hir_core.mesh.ray_casting import MeshQueries
+from hir_core.metrics.surface_metrics import sample_surface
+from hir_core.run.finished_run import open_finished_run
+from hir_core.run.machine import describe_machine, source_commit
+from hir_core.run.run_directory import RunDirectory
+
+SIDE, SAMPLES = 192, 128
+PHOTOGRAPHS = 40
+TESTED, RELIT = 6, 6
+TURNED_OVER = np.diag([1.0, -1.0, -1.0, 1.0])
+"""Half a turn about x: from the axes of the room to those of an object that lies upside down in it."""
+TAKES = "standing", "upside down"
+RELIGHTS = "relight_0", "relight_1"
+NEAR = 0.02
+"""Distance, in radii of the truth, within which a point of the true surface counts as reconstructed."""
+Image = NDArray[np.float32]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    world = [each.name for each in recipes() if LIGHTS[each.light].frame == "world"]
+    parser.add_argument("recipes", nargs="*", choices=[*world, []], metavar="RECIPE")
+    parser.add_argument("--workspace", type=Path, help="folder for captures and runs")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0])
+    parser.add_argument("--store", type=Path, default=Path("two_takes.jsonl"), help="file of stored lines")
+    parser.add_argument("--variant", default="llvm_ad_rgb", help="Mitsuba's variant")
+    parser.add_argument("--table", type=Path, metavar="FILE", help="print the table of stored lines, measure nothing")
+    given = parser.parse_args()
+    if given.table is not None:
+        print(table(stored_rows(given.table)))
+        return
+    if not given.recipes or given.workspace is None:
+        parser.error("name recipes and --workspace, or --table")
+    import mitsuba as mi
+
+    mi.set_variant(given.variant)
+    for recipe in (each for each in recipes() if each.name in given.recipes):
+        folder = given.workspace / recipe.name
+        if not (folder / "two" / "transforms_train.json").exists():
+            make_captures(recipe, folder)
+        for seed in given.seeds:
+            add_rows(given.store, [measured(recipe, folder, seed)])
+
+
+def make_captures(recipe: Recipe, folder: Path) -> None:
+    """`one` and `two`: captures with the same object, lights of evaluation and test views."""
+    import mitsuba as mi
+
+    shape, rng = make_shape(recipe.shape), np.random.default_rng(recipe.seed)
+    surface = MATERIALS[recipe.material].draw(shape.positions.astype(np.float64), shape.parts, rng)
+    mesh = mitsuba_mesh(mi, shape, surface)
+    other = str(
+        rng.choice([n for n in LIGHTS if LIGHTS[n].frame == "world" and n not in (recipe.light, *recipe.relights)])
+    )
+    lights = {TAKES[0]: light_image(recipe.light, rng), TAKES[1]: light_image(other, rng)[::-1, ::-1].copy()}
+    lights |= dict(zip(RELIGHTS, (light_image(name, rng) for name in recipe.relights), strict=True))
+
+    def rendered(light: str, poses: Sequence[NDArray[np.float64]]) -> list[Image]:
+        image = lights[light]
+        return [
+            render_view(mi, mesh, surface, image, False, 0.0, pose, SIDE, SAMPLES, i) for i, pose in enumerate(poses)
+        ]
+
+    above = [from_above(i, PHOTOGRAPHS) for i in range(PHOTOGRAPHS)]
+    half = [from_above(i, PHOTOGRAPHS // 2) for i in range(PHOTOGRAPHS // 2)]
+    below = [TURNED_OVER @ pose for pose in half]
+    tested = [from_above(i, TESTED, 0.37) for i in range(TESTED)]
+    around = [from_above(i, RELIT // 2, 0.61) for i in range(RELIT // 2)]
+    around += [TURNED_OVER @ pose for pose in around]
+    photographs = {"one": [(TAKES[0], above)], "two": [(TAKES[0], half), (TAKES[1], below)]}
+    relit = {name: rendered(name, around) for name in RELIGHTS}
+    strengths = {name: recipe.exposure / bright_value(images) for name, images in relit.items()}
+    for name, takes in photographs.items():
+        capture = folder / name
+        shutil.rmtree(capture, ignore_errors=True)
+        capture.mkdir(parents=True)
+        write_obj(capture / "reference.obj", shape)
+        frames: list[dict[str, Any]] = []
+        strength = 0.0
+        for take, poses in takes:
+            images = rendered(take, poses)
+            # one exposure for each take: its brightest pixels are as bright as the recipe says
+            strength = recipe.exposure / bright_value(images)
+            strengths[take] = strength
+            label = {"take": take} if len(takes) > 1 else {}
+            frames += _written(capture, "train", images, strength, poses, len(frames), label)
+        _write_transforms(capture, "train", frames)
+        label = {"take": TAKES[0]} if len(takes) > 1 else {}
+        frames = _written(capture, "test", rendered(TAKES[0], tested), strengths[TAKES[0]], tested, 0, label)
+        _write_transforms(capture, "test", frames)
+        for light in RELIGHTS:
+            write_hdr(capture / f"env_{light}.hdr", lights[light])
+            frames = _written(capture, light, relit[light], strengths[light], around, 0, {})
+            source = {"file_path": f"env_{light}.hdr", "strength": strengths[light]}
+            _write_transforms(capture, light, frames, {"environment": source})
+        write_truth(mi, mesh, surface, capture / "truth", around, SIDE)
+        albedo = [
+            {"file_path": f"./truth/{i:03d}_base_color", "transform_matrix": p.tolist()} for i, p in enumerate(around)
+        ]
+        _write_transforms(capture, "albedo", albedo)
+
+
+def from_above(i: int, count: int, offset: float = 0.0) -> NDArray[np.float64]:
+    """Camera-to-world of a spiral from 5° to 75° above the horizon."""
+    z = np.sin(np.radians(5 + 70 * (i + 0.5) / count))
+    azimuth = 2 * np.pi * (i * 0.618034 + offset)
+    back = np.array([np.sqrt(1 - z * z) * np.cos(azimuth), np.sqrt(1 - z * z) * np.sin(azimuth), z])
+    right = np.cross([0.0, 0.0, 1.0], back)
+    right /= np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3] = np.stack([right, np.cross(back, right), back, DISTANCE * back], axis=1)
+    return pose
+
+
+def _written(
+    capture: Path,
+    split: str,
+    images: Sequence[Image],
+    strength: float,
+    poses: Sequence[NDArray[np.float64]],
+    first: int,
+    label: dict[str, str],
+) -> list[dict[str, Any]]:
+    """Writes photographs and returns their frames."""
+    (capture / split).mkdir(exist_ok=True)
+    frames = []
+    for i, (image, pose) in enumerate(zip(images, poses, strict=True), first):
+        write_png(capture / split / f"{i:03d}.png", encoded(image, strength))
+        frames.append({"file_path": f"./{split}/{i:03d}", "transform_matrix": pose.tolist()} | label)
+    return frames
+
+
+def _write_transforms(
+    capture: Path, split: str, frames: list[dict[str, Any]], more: dict[str, Any] | None = None
+) -> None:
+    document = {"camera_angle_x": FIELD_OF_VIEW} | (more or {}) | {"frames": frames}
+    (capture / f"transforms_{split}.json").write_text(json.dumps(document, indent=1), encoding="utf-8")
+
+
+def measured(recipe: Recipe, folder: Path, seed: int) -> dict[str, Any]:
+    """The line of one object; earlier runs are replaced."""
+    return {
+        "recipe": recipe.name,
+        "half": recipe.half,
+        "seed": seed,
+        **{name: _figures(folder / name, folder / f"run_{name}_{seed}", seed) for name in ("one", "two")},
+        "commit": source_commit(),
+        "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M"),
+        "machine": describe_machine(),
+    }
+
+
+def _figures(capture: Path, run: Path, seed: int) -> dict[str, Any]:
+    shutil.rmtree(run, ignore_errors=True)
+    seconds = hir("reconstruct", capture, "-o", run, "-q", "--seed", str(seed), "--set", "export=[]")
+    hir("evaluate", run, "--split", "test", "-q", "--albedo", "albedo")
+    for light in RELIGHTS:
+        hir("evaluate", run, "--split", light, "-q")
+    found = {s: json.loads((run / "evaluation" / s / "metrics.json").read_text()) for s in ("test", *RELIGHTS)}
+    report = json.loads((run / "run.json").read_text())["stages"]["reflectance"]["report"]
+    return {
+        "seconds": round(seconds, 1),
+        "model": report["model"],
+        "unseen": found["test"]["psnr"],
+        "relit_scaled": {light: found[light]["psnr_scaled"] for light in RELIGHTS},
+        "relit": {light: found[light]["psnr"] for light in RELIGHTS},
+        "albedo_scaled": round(found["test"]["albedo"]["psnr_scaled"], 2),
+        "complete": round(completeness(run, capture / "reference.obj"), 4),
+    }
+
+
+def completeness(run: Path, truth: Path) -> float:
+    """Share of the true surface that is nearer than `NEAR` radii to the reconstructed one."""
+    finished = open_finished_run(RunDirectory(run))
+    positions, faces = true_mesh(truth, finished)
+    low, high = positions.min(axis=0), positions.max(axis=0)
+    points, _ = sample_surface(positions, faces, 50_000, seed=1)
+    mesh = finished.scene.mesh
+    distance, _ = MeshQueries(mesh.positions.detach().numpy(), mesh.faces.numpy()).nearest(points)
+    return float((distance < NEAR * 0.5 * np.linalg.norm(high - low)).mean())
+
+
+def table(rows: Sequence[dict[str, Any]]) -> str:
+    """Markdown: one take → two takes, dB of the frame; means and standard deviations over the rows at the end."""
+    lines = [
+        "| object | seed | unseen | relit, scaled (mean of two lights) | base colour, scaled | complete | seconds |",
+        "|---|---|---|---|---|---|---|",
+    ]
+
+    def values(row: dict[str, Any], name: str) -> tuple[float, float, float, float, float]:
+        part = row[name]
+        relit = float(np.mean([part["relit_scaled"][light]["frame"] for light in RELIGHTS]))
+        return part["unseen"]["frame"], relit, part["albedo_scaled"], part["complete"], part["seconds"]
+
+    both = np.array([[values(row, name) for name in ("one", "two")] for row in rows])
+    for row, (one, two) in zip(rows, both, strict=True):
+        cells = [
+            f"{a:{form}} → {b:{form}}" for a, b, form in zip(one, two, (".1f", ".1f", ".1f", ".3f", ".0f"), strict=True)
+        ]
+        lines.append(f"| {row['recipe']} | {row['seed']} | " + " | ".join(cells) + " |")
+    gain = both[:, 1] - both[:, 0]
+    cells = [f"{m:+.2f} ± {s:.2f}" for m, s in zip(gain.mean(axis=0), gain.std(axis=0), strict=True)]
+    return "\n".join([*lines, "| two − one | | " + " | ".join(cells) + " |"])
+
+
+if __name__ == "__main__":
+    main()
