@@ -44,7 +44,9 @@ def light_scale_report(fitted: Scene, capture: Capture, light_is_known: bool) ->
         return LightScaleReport(source, "from the known light") if light_is_known else UNDER_LAMP
     if capture.irradiance is None or not shown or fitted.environment is None:
         return LightScaleReport(source, "from the known light") if light_is_known else ASSUMED
-    red, green, blue = (round(1 / float(each), 4) for each in measured_over_found(fitted.environment, capture))
+    light = fitted.in_take(capture.views[measuring_views(capture)[0]].take).environment
+    assert light is not None
+    red, green, blue = (round(1 / float(each), 4) for each in measured_over_found(light, capture))
     deviation = capture.irradiance.relative_deviation
     worst = max(abs(each - 1) for each in (red, green, blue))
     sentence = (

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from hir_core.capture import Capture
 from hir_core.config import ReflectanceSettings
-from hir_core.errors import CaptureError, ConfigError
+from hir_core.errors import ConfigError
 
 
 def check_takes(capture: Capture, settings: ReflectanceSettings, fits_takes: bool) -> None:
-    """Raises `ConfigError` or `CaptureError` where the settings or the capture need one light.
+    """Raises `ConfigError` where the settings need one light.
 
     `fits_takes`: the fit is that of a solver with the trait `takes`.
     """
@@ -29,8 +29,4 @@ def check_takes(capture: Capture, settings: ReflectanceSettings, fits_takes: boo
     if settings.path_tracing.iterations:
         raise ConfigError(
             f"{photographs}, but gradient steps by path tracing have one; set reflectance.path_tracing.iterations to 0"
-        )
-    if capture.irradiance is not None:
-        raise CaptureError(
-            f"{photographs}, but a card measured one light; leave out the card, or use the photographs of its take"
         )

@@ -41,7 +41,6 @@ class FiducialMarkers(Initializer):
     give the irradiance on it (`Capture.irradiance`).
 
     Of several takes the photographs of the first one are used: markers beside the object move against it between takes.
-    Then the card gives no irradiance.
     """
 
     def __init__(self, config: FiducialMarkersOptions) -> None:
@@ -90,13 +89,6 @@ class FiducialMarkers(Initializer):
             )
         paper = self._config.paper_reflectance
         irradiance = measured_irradiance(first, corners, paper) if paper > 0 else None
-        if irradiance is not None and len(takes) > 1:
-            warnings.warn(
-                "the card gives metres and the horizontal, but its brightness is not used, because the capture has "
-                f"several takes ({', '.join(takes)}); reconstruct one take to use it",
-                stacklevel=2,
-            )
-            irradiance = None
         turn, level = self._level(corners)
         self._report = {
             "scale_from": f"{scale.markers} markers ({found}) of {side:g} m, "

@@ -135,8 +135,8 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         return self._shading.radiance(material, environment, pixels)
 
     def supported(self, spec: ModelSpec) -> ModelSpec | None:
-        """Every model; but a BRDF for each texel needs a light that is the same for all photographs."""
-        return replace(spec, per_texel="none") if spec.lamp or self._transport.takes.count > 1 else spec
+        """Every model; but a BRDF for each texel needs distant light alone."""
+        return replace(spec, per_texel="none") if spec.lamp else spec
 
     def simpler(self, spec: ModelSpec) -> ModelSpec | None:
         """The model that is fitted first where there is no earlier fit."""
@@ -407,7 +407,9 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         return self._with_exposures(spec, extended_to(spec, base, self._scene.material), photographs, initial)
 
     def _light_of_takes(self, light: Tensor, photographs: ObservedPixels, spec: ModelSpec) -> Float[Tensor, "H W 3"]:
-        """The logarithm of an initial light, for each take as much brighter as its photographs are."""
+        """The logarithm of an initial light, for each take as much brighter as its photographs are beside all, or
+        beside those of the take for whose light a card measured the brightness.
+        """
         takes = self._transport.takes
         if takes.of_view is None:
             return light
@@ -415,8 +417,10 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         arriving = self._arriving(photographs, spec, light.exp(), None)
         take = takes.of_view[photographs.points.view]
         levels = [photographs.color[take == n].mean() / arriving[take == n].mean() for n in range(takes.count)]
+        with_card = measuring_views(self._capture)
         overall = photographs.color.mean() / arriving.mean()
-        gains = torch.stack([level / overall for level in levels])
+        reference = levels[self._capture.take_numbers[with_card[0]]] if with_card else overall
+        gains = torch.stack([level / reference for level in levels])
         usable = torch.isfinite(gains) & (gains > 0)
         gains = torch.where(usable, gains, torch.ones_like(gains)).log()
         return light + gains.repeat_interleave(len(light) // takes.count)[:, None, None]

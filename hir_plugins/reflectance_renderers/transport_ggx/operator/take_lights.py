@@ -6,6 +6,7 @@ that belongs to a photograph reads the block of its take, and the rest of a fit 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -28,6 +29,10 @@ class TakeLights:
         """The takes of a capture."""
         count = len(capture.takes)
         return cls(count, torch.tensor(capture.take_numbers, device=device)) if count > 1 else ONE_LIGHT
+
+    def views_of(self, take: int, views: Sequence[int]) -> list[int]:
+        """Those of `views` that belong to a take."""
+        return list(views) if self.of_view is None else [view for view in views if int(self.of_view[view]) == take]
 
     def stacked_columns(self, columns: Int[Tensor, "P N"], view: Int[Tensor, " P"], size: int) -> Int[Tensor, "P N"]:
         """Columns of one take's block, of `size` columns, as columns of the stacked blocks."""

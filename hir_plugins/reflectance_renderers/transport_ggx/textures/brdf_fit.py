@@ -6,26 +6,28 @@ For a known light the nine parameters of a point depend only on its own photogra
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import final
 
 import drjit as dr
 import mitsuba as mi
+import torch
 from hir_exporters.metallic_parameters import DEFAULT_DIELECTRIC_F0
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from hir_plugins.reflectance_renderers.brdf_torch import Model
 from hir_plugins.reflectance_renderers.drjit_arrays import to_color, to_float, to_torch
-from hir_plugins.reflectance_renderers.transport_ggx.operator.probe_lookup import ProbeTable, lobe_of, patch_around
+from hir_plugins.reflectance_renderers.transport_ggx.operator.probe_lookup import lobe_of, patch_around
 from hir_plugins.reflectance_renderers.transport_ggx.operator.radiance_probes import alpha_of, level_of
 from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes import tangent_frame
 from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit_state import (
     MIN_SPECULAR_ALBEDO,
     BrdfState,
     FitArrays,
+    ObservedPoints,
     PointBrdfs,
     Priors,
-    ShadingPoints,
     vectors_of,
 )
 from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit_steps import (
@@ -36,7 +38,6 @@ from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit_steps imp
     step,
 )
 from hir_plugins.reflectance_renderers.transport_ggx.textures.metallic_steps import metallic_step
-from hir_plugins.reflectance_renderers.transport_ggx.textures.observations import Observations
 
 INITIAL_DAMPING, MIN_DAMPING, MAX_DAMPING = 0.01, 1e-4, 1e4
 DAMPING_DECREASE, DAMPING_INCREASE = 0.3, 6
@@ -49,23 +50,25 @@ class PointBrdfFit:
 
     def __init__(
         self,
-        points: ShadingPoints,
-        observations: Observations,
-        probes: ProbeTable,
+        takes: Sequence[ObservedPoints],
         model: Model,
         priors: Priors,
         dielectric_f0: float = DEFAULT_DIELECTRIC_F0,
     ) -> None:
-        self.arrays = FitArrays(points, observations, probes, model, priors, dielectric_f0)
-        self._frame = tangent_frame(points.normal)
-        self._device = points.position.device
+        """`takes`: the same points under the light of each take; at least one."""
+        self.takes = [FitArrays(observed, model, priors, dielectric_f0) for observed in takes]
+        self._frame = tangent_frame(takes[0].points.normal)
+        self._device = takes[0].points.position.device
 
     def solve(self, start: PointBrdfs) -> tuple[PointBrdfs, Float[Tensor, " P"]]:
         """The BRDFs that fit the photographs of each point best, near `start` where they are ambiguous; the cost."""
-        arrays = self.arrays
+        arrays = self.takes[0]
         initial = state = self.state(start)
         # opaque: a literal would compile another kernel
-        current, damping = normal_equations(arrays, state, initial), dr.opaque(mi.Float, INITIAL_DAMPING, arrays.count)
+        current, damping = (
+            normal_equations(self.takes, state, initial),
+            dr.opaque(mi.Float, INITIAL_DAMPING, arrays.count),
+        )
         dr.eval(current)
         for _ in range(arrays.priors.iterations):
             if arrays.metallic:
@@ -73,7 +76,7 @@ class PointBrdfFit:
             else:
                 trial = step(arrays, state, current, damping)
             dr.eval(trial)
-            candidate = normal_equations(arrays, trial, initial)
+            candidate = normal_equations(self.takes, trial, initial)
             better = candidate.cost < current.cost  # false if either is NaN: the state stays
             state, current = dr.select(better, (trial, candidate), (state, current))
             damping = dr.select(
@@ -84,9 +87,18 @@ class PointBrdfFit:
             dr.eval(state, current, damping)
         return self._values(state), to_torch(current.cost, (arrays.count,), self._device)
 
-    def predict(self, values: PointBrdfs, toward: Float[Tensor, "P 3"]) -> Float[Tensor, "P 3"]:
-        """Linear radiance of each point in a direction."""
-        arrays, state, eye = self.arrays, self.state(values), vectors_of(toward)
+    def predict(
+        self, values: PointBrdfs, toward: Float[Tensor, "P 3"], take: Int[Tensor, " P"] | None = None
+    ) -> Float[Tensor, "P 3"]:
+        """Linear radiance of each point in a direction, under the light of its take, without `take` of the first."""
+        found = self._predict(self.takes[0], values, toward)
+        for number, arrays in enumerate(self.takes[1:], 1):
+            if take is not None and bool((take == number).any()):
+                found = torch.where((take == number)[:, None], self._predict(arrays, values, toward), found)
+        return found
+
+    def _predict(self, arrays: FitArrays, values: PointBrdfs, toward: Float[Tensor, "P 3"]) -> Float[Tensor, "P 3"]:
+        state, eye = self.state(values), vectors_of(toward)
         normal = shading_normal(arrays, state.along, state.across)
         lobe = lobe_of(normal, eye, state.level, arrays.coupled)
         patch = patch_around(arrays.probes, arrays.first, lobe)
@@ -96,7 +108,7 @@ class PointBrdfFit:
         """The BRDFs as Dr.Jit arrays."""
         tangent, bitangent = self._frame
         # the albedos of `metallic` follow from its base colour and must stay consistent
-        least = 0.0 if self.arrays.metallic else MIN_SPECULAR_ALBEDO
+        least = 0.0 if self.takes[0].metallic else MIN_SPECULAR_ALBEDO
         state = BrdfState(
             vectors_of(values.albedo.clamp(0, 1)),
             vectors_of(values.specular.clamp(least, 1)),

@@ -42,6 +42,15 @@ class ShadingPoints:
 
 
 @dataclass(frozen=True, eq=False)
+class ObservedPoints:
+    """Points under the light of one take, and the photographs of that take."""
+
+    points: ShadingPoints
+    observations: Observations
+    probes: ProbeTable
+
+
+@dataclass(frozen=True, eq=False)
 class PointBrdfs:
     """The BRDF of each point."""
 
@@ -100,20 +109,19 @@ class Priors:
 
 @final
 class FitArrays:
-    """Points, photographs and probes as Dr.Jit arrays: the constants of a fit.
+    """Points, photographs and probes of one take as Dr.Jit arrays: the constants of a fit.
 
     No dataclass: Dr.Jit would traverse it and make its arrays part of the state of loops.
     """
 
     def __init__(
         self,
-        points: ShadingPoints,
-        observations: Observations,
-        probes: ProbeTable,
+        observed: ObservedPoints,
         model: Model,
         priors: Priors,
         dielectric_f0: float = DEFAULT_DIELECTRIC_F0,
     ) -> None:
+        points, observations = observed.points, observed.observations
         tangent, bitangent = tangent_frame(points.normal)
         self.count = len(points.position)
         self.coupled = 0.0 if model == "paper" else 1.0
@@ -129,7 +137,7 @@ class FitArrays:
         self.vectors = [vectors_of(points.vectors[:, :, channel]) for channel in range(3)]
         self.first = to_uint(points.cell, mi) * TEXELS_PER_PROBE
         """First texel of each point's probe."""
-        self.probes = probes.values
+        self.probes = observed.probes.values
         self.color = linear_to_srgb(to_float(observations.color, mi))
         self.ceiling = linear_to_srgb(to_float(observations.ceiling, mi))
         """sRGB value from which each photograph is clipped."""

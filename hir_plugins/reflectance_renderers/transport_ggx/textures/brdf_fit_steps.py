@@ -6,6 +6,8 @@ normal, so the 9×9 system of a point reduces to three of 2×2 and one of 3×3.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import drjit as dr
 import mitsuba as mi
 
@@ -36,9 +38,17 @@ MAX_LEVEL_STEP, MAX_NORMAL_STEP = 1.5, 0.4
 EPSILON = 1e-9
 
 
-@dr.syntax
-def normal_equations(fit: FitArrays, x: BrdfState, initial: BrdfState) -> NormalEquations:
+def normal_equations(takes: Sequence[FitArrays], x: BrdfState, initial: BrdfState) -> NormalEquations:
     """The normal equations of all photographs of each point at a state, and of the prior towards `initial`."""
+    total = _of_photographs(takes[0], x)
+    for fit in takes[1:]:
+        total = _sum(total, _of_photographs(fit, x))
+    return _with_prior(takes[0], total, x, initial)
+
+
+@dr.syntax
+def _of_photographs(fit: FitArrays, x: BrdfState) -> NormalEquations:
+    """The normal equations of the photographs of one take."""
     normal = shading_normal(fit, x.along, x.across)
     normal_1 = shading_normal(fit, x.along + NORMAL_DIFFERENCE, x.across)
     normal_2 = shading_normal(fit, x.along, x.across + NORMAL_DIFFERENCE)
@@ -102,6 +112,26 @@ def normal_equations(fit: FitArrays, x: BrdfState, initial: BrdfState) -> Normal
             e1 += dr.dot(trust * to_1, off)
             e2 += dr.dot(trust * to_2, off)
         view += 1
+    return NormalEquations(
+        cost, (dd, df, ff), (da, d1, d2, fa, f1, f2), (aa, a1, a2, t11, t12, t22), (de, fe, ae, e1, e2)
+    )
+
+
+def _sum(one: NormalEquations, other: NormalEquations) -> NormalEquations:
+    def added(a: tuple[DrJitArray, ...], b: tuple[DrJitArray, ...]) -> tuple[DrJitArray, ...]:
+        return tuple(x + y for x, y in zip(a, b, strict=True))
+
+    return NormalEquations(
+        one.cost + other.cost,
+        added(one.colors, other.colors),
+        added(one.mixed, other.mixed),
+        added(one.shared, other.shared),
+        added(one.errors, other.errors),
+    )
+
+
+def _with_prior(fit: FitArrays, total: NormalEquations, x: BrdfState, initial: BrdfState) -> NormalEquations:
+    (dd, df, ff), (aa, a1, a2, t11, t12, t22), (de, fe, ae, e1, e2) = total.colors, total.shared, total.errors
     prior = fit.priors
     albedo, specular, level = x.albedo - initial.albedo, x.specular - initial.specular, x.level - initial.level
     penalty = prior.albedo * dr.squared_norm(albedo) + prior.specular * dr.squared_norm(specular)
@@ -109,9 +139,9 @@ def normal_equations(fit: FitArrays, x: BrdfState, initial: BrdfState) -> Normal
     if fit.metallic:
         penalty += prior.metalness * dr.square(x.metalness - initial.metalness)
     return NormalEquations(
-        cost + 0.5 * penalty,
+        total.cost + 0.5 * penalty,
         (dd + prior.albedo, df, ff + prior.specular),
-        (da, d1, d2, fa, f1, f2),
+        total.mixed,
         (aa + prior.level, a1, a2, t11 + prior.normal_offset, t12, t22 + prior.normal_offset),
         (
             de + prior.albedo * albedo,

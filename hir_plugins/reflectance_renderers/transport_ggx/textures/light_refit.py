@@ -42,7 +42,7 @@ def refit_light(
 ) -> LitSurface:
     """The surface under the light for which pixels with the BRDFs `values` are nearest to their photographs."""
     transport, parameters = lit.transport, lit.parameters
-    colors, exposure = PixelColors.of(pixels), parameters.exposure
+    colors, exposure, takes = PixelColors.of(pixels), parameters.exposure, transport.takes.count
     with torch.no_grad():
         points = pixels.points.with_normals(offset_normals(pixels.points.normal, values.normal_offset))
         alpha = values.alpha.clamp(MIN_ALPHA, 1)
@@ -64,7 +64,7 @@ def refit_light(
         zero = torch.zeros_like(difference)
         return {
             "pixels": torch.nn.functional.huber_loss(difference, zero, delta=LIGHT_HUBER_SRGB),
-            "light": light_energy(light, options.light_smoothness, options.light_whiteness),
+            "light": light_energy(light, options.light_smoothness, options.light_whiteness, takes),
         }
 
     adam = torch.optim.Adam([light], LEARNING_RATE, betas=ADAM_BETAS)

@@ -53,6 +53,8 @@ def observe(
 
     `face_normal` are the normals of the points' faces, `exposure` holds factors of each view and channel.
     """
+    if not views:
+        return _nothing(position)
     capture = images.capture
     color = position.new_zeros(len(views), len(position), 3)
     weight = position.new_zeros(len(views), len(position))
@@ -73,6 +75,12 @@ def observe(
         color[number, rows] = torch.where(seen[:, None], value.clamp_min(0) / factor, 0.0)
         weight[number, rows] = torch.where(seen, cosine[rows], 0.0)
     return Observations(color, weight, eyes, ceiling)
+
+
+def _nothing(position: Float[Tensor, "P 3"]) -> Observations:
+    """One photograph that shows none of the points."""
+    color, weight = position.new_zeros(1, len(position), 3), position.new_zeros(1, len(position))
+    return Observations(color, weight, position.new_ones(1, 3), position.new_full((1, 3), torch.inf))
 
 
 @dataclass(frozen=True, eq=False)

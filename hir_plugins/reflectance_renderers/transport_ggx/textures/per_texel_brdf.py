@@ -25,11 +25,12 @@ from hir_plugins.reflectance_renderers.transport_ggx.operator.radiance_probes im
 from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit import PointBrdfFit
 from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit_state import (
     FROZEN_WEIGHT,
+    ObservedPoints,
     PointBrdfs,
     Priors,
     ShadingPoints,
 )
-from hir_plugins.reflectance_renderers.transport_ggx.textures.observations import ImageCache, Observations, observe
+from hir_plugins.reflectance_renderers.transport_ggx.textures.observations import ImageCache, observe
 
 OBSERVATIONS_PER_CHUNK = 3_000_000
 """Points times photographs in memory: some 60 MB, with the equations of the points."""
@@ -53,7 +54,8 @@ class LitSurface:
     views: Sequence[int]
     spec: ModelSpec
     parameters: Parameters
-    probes: ProbeTable
+    probes: Sequence[ProbeTable]
+    """Of the light of each take."""
     sources: Float[Tensor, "S 3"]
     irradiance: Float[Tensor, "C 3"]
     vectors: Float[Tensor, "C 3 3"]
@@ -66,7 +68,11 @@ class LitSurface:
         with torch.no_grad():
             sources, irradiance = transport.sources(parameters.radiance, parameters.base_color, spec.bounces)
             vectors = transport.vector_irradiance(parameters.radiance)
-            probes = ProbeTable(build_probes(transport, sources[transport.level], sources[transport.pyramid.texels :]))
+            texels = transport.pyramid.texels
+            probes = [
+                ProbeTable(build_probes(transport, block[transport.level], block[texels:]))
+                for block in sources.chunk(transport.takes.count)
+            ]
         return cls(transport, images, views, spec, parameters, probes, sources, irradiance, vectors)
 
     @property
@@ -85,31 +91,35 @@ class LitSurface:
 
     def solve(
         self, face: Tensor, barycentric: Tensor, position: Tensor, normal: Tensor, all_parameters: bool
-    ) -> tuple[PointBrdfFit, PointBrdfs, Observations]:
-        """The BRDFs of points; without `all_parameters` only their albedos are solved."""
+    ) -> tuple[PointBrdfFit, PointBrdfs, Float[Tensor, " P"]]:
+        """The BRDFs of points, and the number of photographs that see each; without `all_parameters` only their albedos
+        are solved.
+        """
         surface = self.transport.surface
         corners = surface.faces[face]
         cell = self.transport.irradiance_cache.of_vertex[corners]
-        irradiance = (self.irradiance[cell] * barycentric[..., None]).sum(dim=1)
-        vectors = (self.vectors[cell] * barycentric[..., None, None]).sum(dim=1)
         nearest = cell.gather(1, barycentric.argmax(dim=1, keepdim=True))[:, 0]
-        observations = observe(
-            self.transport, self.images, self.views, self.parameters.exposure, position, surface.face_normals[face]
-        )
-        points = ShadingPoints(position, normal, nearest, irradiance, vectors)
-        fit = PointBrdfFit(
-            points, observations, self.probes, self.model, self._priors(all_parameters), self.dielectric_f0
-        )
+        exposure, face_normals, takes = self.parameters.exposure, surface.face_normals[face], []
+        for number, probes in enumerate(self.probes):
+            at = cell + number * len(self.transport.irradiance_cache)
+            irradiance = (self.irradiance[at] * barycentric[..., None]).sum(dim=1)
+            vectors = (self.vectors[at] * barycentric[..., None, None]).sum(dim=1)
+            points = ShadingPoints(position, normal, nearest, irradiance, vectors)
+            views = self.transport.takes.views_of(number, self.views)
+            observed = observe(self.transport, self.images, views, exposure, position, face_normals)
+            takes.append(ObservedPoints(points, observed, probes))
+        fit = PointBrdfFit(takes, self.model, self._priors(all_parameters), self.dielectric_f0)
         start = self._start(corners, barycentric)
+        count = sum((each.observations.count for each in takes), torch.zeros_like(position[:, 0]))
         brdfs, cost = fit.solve(start)
         if all_parameters:
-            second = _glossy(observations, irradiance, start)
+            second = _glossy(takes, start)
             if self.model == "metallic":
                 second = self._other_metalness(second, start)
             glossy, glossy_cost = fit.solve(second)
             brdfs = glossy.where(glossy_cost < cost, brdfs)
-            brdfs = brdfs.where(observations.count >= MIN_OBSERVATIONS, start)
-        return fit, brdfs, observations
+            brdfs = brdfs.where(count >= MIN_OBSERVATIONS, start)
+        return fit, brdfs, count
 
     def _priors(self, all_parameters: bool) -> Priors:
         if self.model != "metallic":
@@ -149,10 +159,16 @@ class LitSurface:
         )
 
 
-def _glossy(observations: Observations, irradiance: Float[Tensor, "P 3"], start: PointBrdfs) -> PointBrdfs:
+def _glossy(takes: Sequence[ObservedPoints], start: PointBrdfs) -> PointBrdfs:
     """The second initial guess: a share of each point's mean colour in a wide lobe."""
-    total = (observations.color * observations.weight[..., None]).sum(dim=0)
-    mean = total / observations.weight.sum(dim=0).clamp_min(1e-6)[:, None]
+    seen = [each.observations for each in takes]
+    total = sum(((each.color * each.weight[..., None]).sum(dim=0) for each in seen), torch.zeros_like(start.albedo))
+    weights = [each.weight.sum(dim=0)[:, None] for each in seen]
+    weight = sum(weights, torch.zeros_like(start.alpha))
+    mean, irradiance = total / weight.clamp_min(1e-6), takes[0].points.irradiance
+    if len(takes) > 1:
+        arriving = (w * each.points.irradiance for w, each in zip(weights, takes, strict=True))
+        irradiance = sum(arriving, torch.zeros_like(mean)) / weight.clamp_min(1e-6)
     albedo = mean / (irradiance / torch.pi).clamp_min(0.05)
     return PointBrdfs(
         ((1 - GLOSSY_SPECULAR_SHARE) * albedo).clamp(0.02, 0.95),
@@ -169,7 +185,8 @@ def predict_pixels(lit: LitSurface, pixels: ObservedPixels, all_parameters: bool
     for rows in _parts(len(pixels), len(lit.views)):
         points = pixels.points.take(rows)
         fit, brdfs, _ = lit.solve(points.face, points.barycentric, points.position, points.normal, all_parameters)
-        radiance.append(fit.predict(brdfs, points.to_eye))
+        of_view = lit.transport.takes.of_view
+        radiance.append(fit.predict(brdfs, points.to_eye, None if of_view is None else of_view[points.view]))
     return torch.cat(radiance)
 
 
@@ -188,11 +205,11 @@ def texel_brdfs(
     """The BRDFs of the N texels of an atlas, and the number of photographs that see each."""
     brdfs, count, done = [], [], 0
     for rows in _parts(len(texels.face), len(lit.views)):
-        _, values, observations = lit.solve(
+        _, values, seen = lit.solve(
             texels.face[rows], texels.barycentric[rows], texels.position[rows], texels.normal[rows], True
         )
         brdfs.append(values)
-        count.append(observations.count)
+        count.append(seen)
         done += len(rows)
         report(done / len(texels.face))
     return PointBrdfs.join(brdfs), torch.cat(count)

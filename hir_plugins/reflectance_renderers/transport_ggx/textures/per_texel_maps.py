@@ -89,7 +89,7 @@ def solve_per_texel_maps(
                 return Material.metallic(texture, metal, maps.alpha, normal, maps.observed, lit.dielectric_f0)
             return Material(lit.model, texture, maps.specular, maps.alpha, normal, maps.observed)
 
-        shown = Scene(scene.mesh, material_of(start), EnvironmentMap(lit.parameters.radiance))
+        shown = Scene(scene.mesh, material_of(start), EnvironmentMap(transport.lights(lit.parameters.radiance)[0]))
         refiner = None if terms is None else terms.of_textures(shown, TEXEL_HUBER_SRGB)
         weights = TEXEL_HUBER_SRGB, TEXEL_PRIOR_WEIGHT, TEXEL_SMOOTHNESS_WEIGHT
         solved = solve_texels(equations, start, *weights, metalness, refiner)[0] if equations else start

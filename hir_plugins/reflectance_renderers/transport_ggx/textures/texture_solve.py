@@ -123,7 +123,9 @@ def solve_scene(
                 roughness=_padded(mesh, surface, at_vertices.roughness),
                 metalness=metalness,
             )
-            shown = Scene(scene.mesh, textured, EnvironmentMap(parameters.radiance, None, spec.light_frame))
+            shown = Scene(
+                scene.mesh, textured, EnvironmentMap(transport.lights(parameters.radiance)[0], None, spec.light_frame)
+            )
             refiner = terms.of_textures(shown, TEXEL_HUBER_SRGB)
         solved, observed_texels = solve_texels(
             equations, start, TEXEL_HUBER_SRGB, TEXEL_PRIOR_WEIGHT, TEXEL_SMOOTHNESS_WEIGHT, metalness, refiner

@@ -9,10 +9,12 @@ import pytest
 import torch
 
 from hir_core.capture import Capture
+from hir_core.capture.measured_irradiance import MeasuredIrradiance
 from hir_core.errors import ConfigError
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.rendering.take_radiance import radiance_in_takes
 from hir_core.scene import EnvironmentMap, Scene
+from hir_core.scene.card_irradiance import card_irradiance
 from hir_core.stages.atlas import unwrap_mesh
 from hir_plugins.reflectance_renderers.mitsuba_ggx.options import MitsubaGGXOptions
 from hir_plugins.reflectance_renderers.mitsuba_ggx.renderer import MitsubaGGX
@@ -191,8 +193,46 @@ def test_a_brighter_take_starts_from_a_brighter_light(made: tuple[Scene, Capture
     assert ratios[1] == pytest.approx(0.25 * ratios[0], rel=0.01)
 
 
-def test_per_texel_brdfs_are_left_out(made: tuple[Scene, Capture]) -> None:
-    assert prepared(*made).supported(replace(GLOSSY, per_texel="brdf")) == GLOSSY
+def test_the_brdfs_of_texels_are_solved_under_the_light_of_each_take(made: tuple[Scene, Capture]) -> None:
+    """Held-out views of both takes are predicted, and the scene shows what the photographs show."""
+    scene, capture = made
+    solver = prepared(scene, capture, steps=60)
+    training, held_out = [0, 1, 2, 4, 5, 6], [3, 7]
+    spec = replace(GLOSSY, per_texel="brdf")
+    assert solver.supported(spec) == spec
+    fit = solver.fit(spec, None, training, 1.0, lambda share: None)
+    errors = solver.errors(fit, held_out)
+    assert len(errors) == 2 and float(errors.max()) < 0.01
+    # the light of the other take would show another colour
+    swapped = replace(fit.parameters, light=torch.cat(fit.parameters.light.chunk(2)[::-1]))
+    assert float(solver.errors(replace(fit, parameters=swapped), held_out).min()) > 4 * float(errors.max())
+    solved = solver.scene(fit, training, lambda share: None)
+    at = solver._pixels.compared(range(8))
+    shown = radiance_in_takes(solved.prepared, solved.scene, capture, at.pixel)
+    for take in (0, 1):
+        own = at.pixel[:, 0] // 4 == take
+        torch.testing.assert_close(shown[own].mean(dim=0), at.color[own].mean(dim=0), rtol=0.1, atol=0.0)
+
+
+def test_a_card_in_one_take_gives_the_scale_of_all_lights(made: tuple[Scene, Capture]) -> None:
+    """Twice the irradiance on the card means twice as bright lights and half the albedo."""
+    scene, capture = made
+    up = (0.0, 1.0, 0.0)
+    card = {view.name: (2.0, 2.0, 2.0) for view in capture.views if view.take == TAKES[1]}
+    found = []
+    for factor in (1.0, 2.0):
+        values = {name: (factor * r, factor * g, factor * b) for name, (r, g, b) in card.items()}
+        measured = replace(capture, irradiance=MeasuredIrradiance(up, values))
+        solver = prepared(scene, measured)
+        fit = solver.fit(ModelSpec(), None, range(8), 0.5, lambda share: None)
+        parameters = solver._at_measured_scale(fit)
+        lights = solver._transport.lights(parameters.radiance)
+        shown = card_irradiance(EnvironmentMap(lights[1]), measured).mean()
+        assert float(shown) == pytest.approx(2 * factor, rel=1e-3)
+        found.append((torch.stack([light.mean() for light in lights]), parameters.base_color.mean()))
+    (lights_one, albedo_one), (lights_two, albedo_two) = found
+    torch.testing.assert_close(lights_two / lights_one, torch.full((2,), 2.0), rtol=0.1, atol=0.0)
+    assert float(albedo_two / albedo_one) == pytest.approx(0.5, rel=0.1)
 
 
 @pytest.mark.parametrize(

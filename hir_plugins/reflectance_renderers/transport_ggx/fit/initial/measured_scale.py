@@ -26,12 +26,16 @@ def at_measured_scale(
 ) -> Parameters:
     """The parameters with a light that brings the card what it measured, and albedos that show the same photographs.
 
-    F0 of a dielectric stays: it does not depend on the light. Unchanged without a card.
+    F0 of a dielectric stays: it does not depend on the light. Unchanged without a card. Of several takes the one with
+    the card gives the scale of all.
     """
-    if not measuring_views(capture):
+    views = measuring_views(capture)
+    if not views:
         return parameters
     with torch.no_grad():
-        gain = measured_over_found(EnvironmentMap(parameters.radiance, to_world, frame), capture)
+        stacked = parameters.radiance
+        radiance = stacked.split(len(stacked) // len(capture.takes))[capture.take_numbers[views[0]]]
+        gain = measured_over_found(EnvironmentMap(radiance, to_world, frame), capture)
         solved = parameters.closed_form_diffuse
         return replace(
             parameters,
