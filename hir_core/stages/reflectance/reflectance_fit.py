@@ -26,6 +26,7 @@ from hir_core.run.stage_context import StageContext, forward_warnings
 from hir_core.scene import Scene
 from hir_core.scene.energy_conservation import with_conserved_energy
 from hir_core.scene.map_errors import MapErrors
+from hir_core.stages.reflectance.camera_response import response_warning
 from hir_core.stages.reflectance.error_estimate.error_estimate import estimated_map_errors
 from hir_core.stages.reflectance.gradient_fit import fit_by_gradient, gradient_steps, object_pixels
 from hir_core.stages.reflectance.initial_material_and_light import initial_scene
@@ -176,10 +177,14 @@ def _fit_by_solver(
         report_share = progress.phase("all views", f"{spec.name}, all views")
         fit = solver.fit(spec, fit, views, 1.0, report_share, fits.checkpoint(spec, views, 1.0))
     solved = solver.scene(fit, views, progress.phase("textures"))
+    exposed = capture
     used = PhotographExposures.of(
         spec.exposures, capture, None if solved.exposures is None else solved.exposures.cpu().numpy()
     )
     capture = used.applied_to(capture)
+    found_exposures = exposure_report(selection.exposures, used, exposed)
+    if found_exposures is not None and (warning := response_warning(found_exposures.response)):
+        context.warn(warning)
     refinement = None
     if settings.path_tracing.refine_albedo:  # before gradient steps, whose effect it would undo
         report_share = progress.phase("path tracing")
@@ -223,7 +228,7 @@ def _fit_by_solver(
             comparisons=comparison_reports(selection),
             shape=shape_report(selection),
             takes=list(fitted.take_radiance) or None,
-            exposures=exposure_report(selection.exposures, used),
+            exposures=found_exposures,
             regularizers=_reported(energies, fitted, "solver" if takes_terms else "gradient steps", context),
             solver=solved.report,
             gradient=gradient,

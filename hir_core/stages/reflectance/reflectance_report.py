@@ -8,10 +8,12 @@ from typing import Any, Literal
 
 import numpy as np
 
+from hir_core.capture import Capture
 from hir_core.capture.photograph_exposures import Exposures, PhotographExposures
 from hir_core.plugins.interfaces import FitT
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene import Scene
+from hir_core.stages.reflectance.camera_response import ResponseReport, camera_response
 from hir_core.stages.reflectance.light_scale import ASSUMED, LightScaleReport
 from hir_core.stages.reflectance.selection.exposure_selection import ExposureSelection
 from hir_core.stages.reflectance.selection.hypotheses import described, forcing_settings
@@ -98,6 +100,8 @@ class ExposureReport:
     standard_error_db: float | None
     sentence: str
     """All of it in words."""
+    response: ResponseReport | None = None
+    """Of fitted exposures beside recorded ones; None where these are missing or too much alike."""
 
 
 @dataclass(frozen=True)
@@ -302,8 +306,8 @@ def shape_report(selection: Selection[FitT]) -> ShapeReport | None:
     )
 
 
-def exposure_report(selection: ExposureSelection, used: PhotographExposures) -> ExposureReport | None:
-    """How the exposures of photographs differ; None where they are equal."""
+def exposure_report(selection: ExposureSelection, used: PhotographExposures, capture: Capture) -> ExposureReport | None:
+    """How the exposures of photographs differ; None where they are equal. `capture` as the fit saw it."""
     if used.kind == "equal":
         return None
     stops = np.log2(np.array(list(used.factors.values())))
@@ -313,6 +317,9 @@ def exposure_report(selection: ExposureSelection, used: PhotographExposures) -> 
     gain, error = selection.gain_db, selection.standard_error_db
     if gain is not None and error is not None:
         sentence += f"; with {selection.before} exposures: {gain:.1f} ± {error:.1f} dB worse"
+    response = None
+    if used.kind == "fitted":
+        response = camera_response(used.factors, capture.views)
     return ExposureReport(
         used.kind,
         round(brightness, 3),
@@ -322,6 +329,7 @@ def exposure_report(selection: ExposureSelection, used: PhotographExposures) -> 
         None if gain is None else round(gain, 3),
         None if error is None else round(error, 3),
         sentence,
+        response,
     )
 
 

@@ -13,6 +13,7 @@ from hir_exporters.textures.pillow_images import MAX_PIXELS, open_image
 from numpy.typing import NDArray
 
 from hir_core.errors import CaptureError, InputError, MissingExtraError
+from hir_plugins.readers.parsing.color_profiles import in_srgb, profile_name
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -41,7 +42,10 @@ def photo_size(path: Path, orient: bool = False) -> tuple[int, int]:
 
 
 def read_encoded(path: Path, orient: bool = False) -> EncodedPixels:
-    """Pixels (H, W, C) as stored: uint8 or uint16 in sRGB, or float32 linear (.exr, .hdr, raw); C = 1, 2, 3 or 4."""
+    """Pixels (H, W, C): uint8 or uint16 in sRGB, or float32 linear (.exr, .hdr, raw); C = 1, 2, 3 or 4.
+
+    Colours of 8 bits with another profile than sRGB are converted; with 16 bits they raise `CaptureError`.
+    """
     suffix = path.suffix.lower()
     if suffix in _LINEAR_SUFFIXES:
         try:
@@ -54,6 +58,11 @@ def read_encoded(path: Path, orient: bool = False) -> EncodedPixels:
         deep = _has_sixteen_bit_color(path, image)
         orientation = _orientation(path, image) if orient else 1
         pixels = None if deep else _decode_or_refuse(path, lambda: _decoded(image))
+        if deep and (profile := _decode_or_refuse(path, lambda: profile_name(image))):
+            raise CaptureError(
+                f"{path} has 16 bits per channel in the colour profile {profile!r}, which is not converted; export the "
+                "photographs in sRGB, or with 8 bits per channel"
+            )
     if pixels is None:
         pixels = _read_sixteen_bit_color(path)
     return _apply_orientation(pixels, orientation)
@@ -102,7 +111,7 @@ def _decoded(image: Image.Image) -> EncodedPixels:
     if image.mode not in ("L", "LA", "RGB", "RGBA"):
         transparent = image.mode in ("PA", "RGBa", "La") or "transparency" in image.info
         image = image.convert("RGBA" if transparent else "RGB")
-    pixels = np.asarray(image)
+    pixels = np.asarray(in_srgb(image))
     return pixels[..., None] if pixels.ndim == 2 else pixels
 
 

@@ -165,7 +165,7 @@ def test_terminal_and_report_say_how_exposures_differ() -> None:
     selection, _ = selected(DIFFERENT)
     capture = capture_with(None)
     factors = np.array([[2, 1, 1], [0.5, 1, 1], [1, 1, 1]], np.float32)
-    report = exposure_report(selection.exposures, PhotographExposures.of("fitted", capture, factors))
+    report = exposure_report(selection.exposures, PhotographExposures.of("fitted", capture, factors), capture)
     assert report is not None and report.white_balance_stops == 2 and report.brightness_stops == 0
     sentence = (
         "fitted for each photograph: brightness differs by 0.00 stops, white balance by 2.00; with equal exposures: "
@@ -174,7 +174,7 @@ def test_terminal_and_report_say_how_exposures_differ() -> None:
     document = {"stages": {"reflectance": {"report": {"exposures": vars(report), "model": "metal"}}}}
     assert decisions(document) == {"exposure": sentence}
     assert f"Exposures are {sentence}." in str(model_selection(document, ()))
-    assert exposure_report(selection.exposures, PhotographExposures()) is None
+    assert exposure_report(selection.exposures, PhotographExposures(), capture) is None
 
 
 FACTORS = np.exp2(np.random.default_rng(5).uniform(-0.6, 0.6, (24, 3)) * [0.3, 1, 0.3])
