@@ -22,7 +22,7 @@ from hir_plugins.masks.folder import Folder
 from hir_plugins.masks.grabcut import GrabCut
 from hir_plugins.masks.options import ColorKeyOptions, FolderOptions, GrabCutOptions
 from hir_plugins.readers.parsing.mask_files import find_mask, match_mask
-from hir_plugins.readers.parsing.photo_file import PhotoFile
+from hir_plugins.readers.parsing.photographs.photo_file import PhotoFile
 from tests.fixtures.silhouette_captures import StoredPixels, coverage, dome, hits_sphere, look_at, make_view
 
 

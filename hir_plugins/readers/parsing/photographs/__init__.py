@@ -1,0 +1,1 @@
+"""Photographs of all formats: decoding, colour profiles, the pixels of a file."""
