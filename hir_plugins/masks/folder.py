@@ -15,8 +15,8 @@ from hir_core.errors import CaptureError
 from hir_core.plugins.interfaces import MaskSource
 from hir_plugins.masks.options import FolderOptions
 from hir_plugins.readers.parsing.capture_paths import PHOTO_SUFFIXES, contained_path
+from hir_plugins.readers.parsing.decoding.photo_file import read_mask
 from hir_plugins.readers.parsing.mask_files import find_mask, match_mask
-from hir_plugins.readers.parsing.photographs.photo_file import read_mask
 
 if TYPE_CHECKING:
     from hir_core.scene import Scene

@@ -14,8 +14,8 @@ import numpy as np
 
 from hir_core.errors import CaptureError
 from hir_plugins.readers.parsing.camera_axes import OPENCV_FROM_OPENGL, rigid_transform
+from hir_plugins.readers.parsing.decoding.picture_decoding import photo_size
 from hir_plugins.readers.parsing.lens_camera import LensCamera
-from hir_plugins.readers.parsing.photographs.picture_decoding import photo_size
 from hir_plugins.readers.parsing.posed_photos import PhotoFinder, PosedPhoto, PosedPhotosReader
 from hir_plugins.readers.parsing.text_files import file_head, read_text
 

@@ -12,9 +12,9 @@ from hir_core.errors import CaptureError
 from hir_core.plugins import NoOptions
 from hir_core.plugins.interfaces import CaptureReader
 from hir_plugins.readers.parsing.capture_paths import contained_path, photos_of, unique_names
+from hir_plugins.readers.parsing.decoding.photo_file import PhotoFile
+from hir_plugins.readers.parsing.decoding.picture_decoding import photo_size
 from hir_plugins.readers.parsing.mask_files import find_mask, found_masks, matches_of, warn_of_mask_names
-from hir_plugins.readers.parsing.photographs.photo_file import PhotoFile
-from hir_plugins.readers.parsing.photographs.picture_decoding import photo_size
 from hir_plugins.readers.parsing.takes_file import (
     TAKES_FILE,
     has_takes_file,

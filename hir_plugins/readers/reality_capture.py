@@ -20,9 +20,9 @@ from hir_core.capture import Array
 from hir_core.errors import CaptureError
 from hir_plugins.readers.parsing.camera_axes import OPENCV_FROM_OPENGL, rigid_inverse, rigid_transform
 from hir_plugins.readers.parsing.capture_paths import PHOTO_SUFFIXES
+from hir_plugins.readers.parsing.decoding.picture_decoding import photo_size
 from hir_plugins.readers.parsing.lens_camera import LensCamera
 from hir_plugins.readers.parsing.number_text import finite_number, finite_numbers
-from hir_plugins.readers.parsing.photographs.picture_decoding import photo_size
 from hir_plugins.readers.parsing.posed_photos import PhotoFinder, PosedPhoto, PosedPhotosReader
 from hir_plugins.readers.parsing.text_files import file_head, read_text
 from hir_plugins.readers.parsing.xml_files import read_xml

@@ -19,11 +19,11 @@ from hir_plugins.readers.parsing.camera_axes import (
     rigid_transform,
 )
 from hir_plugins.readers.parsing.capture_paths import contained_path, find_photo, unique_names
+from hir_plugins.readers.parsing.decoding.picture_decoding import photo_size
 from hir_plugins.readers.parsing.depth_file import MILLIMETRE, depth_map
 from hir_plugins.readers.parsing.json_fields import number_field, read_json
 from hir_plugins.readers.parsing.lens_camera import LensCamera, make_view
 from hir_plugins.readers.parsing.mask_files import find_mask, matches_of, warn_of_mask_names
-from hir_plugins.readers.parsing.photographs.picture_decoding import photo_size
 from hir_plugins.readers.parsing.takes_file import refuse_shared_masks, take_name, with_takes
 
 _RADIAL: Final = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")

@@ -16,7 +16,7 @@ from hir_core.capture import Capture, Pixels, View
 from hir_core.errors import CaptureError, ConfigError
 from hir_core.plugins import NoOptions
 from hir_core.plugins.interfaces import CaptureReader
-from hir_plugins.readers.parsing.photographs.photo_file import SATURATED_LEVEL
+from hir_plugins.readers.parsing.decoding.photo_file import SATURATED_LEVEL
 
 VIDEO_SUFFIXES: Final = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm")
 

@@ -59,7 +59,7 @@ def test_pillow_alone_would_start_ghostscript(ghostscript: Path, tmp_path: Path)
 def test_a_postscript_file_named_png_starts_no_program(ghostscript: Path, tmp_path: Path) -> None:
     from hir_core.capture.exif import camera_record, gps_position
     from hir_core.report.embedded_pictures import picture_uri
-    from hir_plugins.readers.parsing.photographs.picture_decoding import photo_size, read_encoded
+    from hir_plugins.readers.parsing.decoding.picture_decoding import photo_size, read_encoded
 
     path = tmp_path / "003.png"
     path.write_bytes(EPS)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hir_core.capture import DepthPixels, MeasuredDepth
 from hir_core.errors import CaptureError
-from hir_plugins.readers.parsing.photographs.picture_decoding import read_encoded
+from hir_plugins.readers.parsing.decoding.picture_decoding import read_encoded
 
 MILLIMETRE: Final = 0.001
 ARKIT_LEVELS: Final = 2

@@ -12,8 +12,8 @@ from hir_core.capture import Array, Camera, MeasuredDepth, View
 from hir_core.capture.lens import camera_lens, fisheye_lens
 from hir_core.errors import CaptureError
 from hir_plugins.readers.parsing.camera_axes import MAX_DISTANCE, camera_matrix
-from hir_plugins.readers.parsing.photographs.photo_file import PhotoFile
-from hir_plugins.readers.parsing.photographs.picture_decoding import photo_size
+from hir_plugins.readers.parsing.decoding.photo_file import PhotoFile
+from hir_plugins.readers.parsing.decoding.picture_decoding import photo_size
 
 
 @dataclass(frozen=True)

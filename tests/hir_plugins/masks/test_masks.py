@@ -21,8 +21,8 @@ from hir_plugins.masks.color_key import ColorKey
 from hir_plugins.masks.folder import Folder
 from hir_plugins.masks.grabcut import GrabCut
 from hir_plugins.masks.options import ColorKeyOptions, FolderOptions, GrabCutOptions
+from hir_plugins.readers.parsing.decoding.photo_file import PhotoFile
 from hir_plugins.readers.parsing.mask_files import find_mask, match_mask
-from hir_plugins.readers.parsing.photographs.photo_file import PhotoFile
 from tests.fixtures.silhouette_captures import StoredPixels, coverage, dome, hits_sphere, look_at, make_view
 
 

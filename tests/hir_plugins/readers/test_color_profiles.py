@@ -12,8 +12,8 @@ import pytest
 from PIL import Image, ImageCms
 
 from hir_core.errors import CaptureError
-from hir_plugins.readers.parsing.photographs.color_profiles import MAX_PROFILE_BYTES
-from hir_plugins.readers.parsing.photographs.picture_decoding import read_encoded
+from hir_plugins.readers.parsing.decoding.color_profiles import MAX_PROFILE_BYTES
+from hir_plugins.readers.parsing.decoding.picture_decoding import read_encoded
 
 P3 = np.array([[0.680, 0.320], [0.265, 0.690], [0.150, 0.060]])
 """Chromaticities (x, y) of the primaries of Display P3 (SMPTE EG 432-1), whose white is that of sRGB."""

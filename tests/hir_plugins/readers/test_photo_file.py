@@ -13,8 +13,8 @@ from hir_exporters.conventions import linear_to_srgb, srgb_to_linear
 from PIL import Image, ImageOps
 
 from hir_core.errors import CaptureError
-from hir_plugins.readers.parsing.photographs.photo_file import PhotoFile, read_mask
-from hir_plugins.readers.parsing.photographs.picture_decoding import photo_size, read_encoded
+from hir_plugins.readers.parsing.decoding.photo_file import PhotoFile, read_mask
+from hir_plugins.readers.parsing.decoding.picture_decoding import photo_size, read_encoded
 
 GRADIENT = np.stack(np.meshgrid(np.arange(48), np.arange(32), indexing="xy"), axis=-1)
 RGB = np.concatenate([GRADIENT * 5, np.full((32, 48, 1), 70)], axis=2).astype(np.uint8)

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from hir_core.capture import DepthPixels, MeasuredDepth, Pixels
 from hir_core.errors import CaptureError
+from hir_plugins.readers.parsing.decoding.photo_file import linear_pixels, read_mask
+from hir_plugins.readers.parsing.decoding.picture_decoding import decode_picture
 from hir_plugins.readers.parsing.depth_file import confidence_shares
-from hir_plugins.readers.parsing.photographs.photo_file import linear_pixels, read_mask
-from hir_plugins.readers.parsing.photographs.picture_decoding import decode_picture
 from hir_plugins.readers.parsing.record3d_format.lzfse_blocks import decompress, measured_blocks
 from hir_plugins.readers.parsing.record3d_format.metadata import MAX_DEPTH_PIXELS, RecordingMetadata
 from hir_plugins.readers.parsing.record3d_format.recording_files import RecordingFile

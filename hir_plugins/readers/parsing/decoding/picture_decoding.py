@@ -13,7 +13,7 @@ from hir_exporters.textures.pillow_images import MAX_PIXELS, open_image
 from numpy.typing import NDArray
 
 from hir_core.errors import CaptureError, InputError, MissingExtraError
-from hir_plugins.readers.parsing.photographs.color_profiles import in_srgb, profile_name
+from hir_plugins.readers.parsing.decoding.color_profiles import in_srgb, profile_name
 
 if TYPE_CHECKING:
     from PIL import Image

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hir_core.capture import Pixels
 from hir_core.capture.lens import Lens, undistort
 from hir_core.errors import CaptureError
-from hir_plugins.readers.parsing.photographs.picture_decoding import EncodedPixels, read_encoded
+from hir_plugins.readers.parsing.decoding.picture_decoding import EncodedPixels, read_encoded
 
 SATURATED_LEVEL = 254 / 255
 """Pixels with an encoded value of at least this, in any channel, are clipped."""
