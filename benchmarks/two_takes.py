@@ -1,12 +1,14 @@
 """Two takes of an object under two lights, the second one upside down, against one take of as many photographs.
 
-    python -m benchmarks.two_takes RECIPE… --workspace DIR [--seeds 0] [--store FILE]
+    python -m benchmarks.two_takes RECIPE… --workspace DIR [--seeds 0] [--side 192] [--estimated] [--store FILE]
     python -m benchmarks.two_takes --table FILE
 
 For each object of the materials benchmark: photographs from above alone, as of an object that stands on a table; and
 half of them from above and half of the object turned over, under another light. Both captures are reconstructed with
 the default settings and evaluated from all sides under two other lights. Rendered by Mitsuba's path tracer with the
-`principled` BSDF; the table is not there. One line is stored for each object and seed, with commit, date and machine.
+`principled` BSDF; the table is not there. With `--estimated` the two takes are reconstructed a second time, with
+cameras from structure from motion on the masked photographs; use more pixels then. One line is stored for each object
+and seed, with commit, date and machine.
 """
 
 from __future__ import annotations
@@ -53,6 +55,12 @@ TURNED_OVER = np.diag([1.0, -1.0, -1.0, 1.0])
 """Half a turn about x: from the axes of the room to those of an object that lies upside down in it."""
 TAKES = "standing", "upside down"
 RELIGHTS = "relight_0", "relight_1"
+ESTIMATED = (
+    "--set",
+    'initializers=["colmap", "visual_hull"]',
+    "--set",
+    "initializer.colmap.known_cameras=solve",
+)
 NEAR = 0.02
 """Distance, in radii of the truth, within which a point of the true surface counts as reconstructed."""
 Image = NDArray[np.float32]
@@ -64,6 +72,8 @@ def main() -> None:
     parser.add_argument("recipes", nargs="*", choices=[*world, []], metavar="RECIPE")
     parser.add_argument("--workspace", type=Path, help="folder for captures and runs")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
+    parser.add_argument("--side", type=int, default=SIDE, help="pixels of a photograph")
+    parser.add_argument("--estimated", action="store_true", help="estimate the cameras of the two takes, too")
     parser.add_argument("--store", type=Path, default=Path("two_takes.jsonl"), help="file of stored lines")
     parser.add_argument("--variant", default="llvm_ad_rgb", help="Mitsuba's variant")
     parser.add_argument("--table", type=Path, metavar="FILE", help="print the table of stored lines, measure nothing")
@@ -79,12 +89,12 @@ def main() -> None:
     for recipe in (each for each in recipes() if each.name in given.recipes):
         folder = given.workspace / recipe.name
         if not (folder / "two" / "transforms_train.json").exists():
-            make_captures(recipe, folder)
+            make_captures(recipe, folder, given.side)
         for seed in given.seeds:
-            add_rows(given.store, [measured(recipe, folder, seed)])
+            add_rows(given.store, [measured(recipe, folder, seed, given.estimated)])
 
 
-def make_captures(recipe: Recipe, folder: Path) -> None:
+def make_captures(recipe: Recipe, folder: Path, side: int = SIDE) -> None:
     """`one` and `two`: captures with the same object, lights of evaluation and test views."""
     import mitsuba as mi
 
@@ -100,7 +110,7 @@ def make_captures(recipe: Recipe, folder: Path) -> None:
     def rendered(light: str, poses: Sequence[NDArray[np.float64]]) -> list[Image]:
         image = lights[light]
         return [
-            render_view(mi, mesh, surface, image, False, 0.0, pose, SIDE, SAMPLES, i) for i, pose in enumerate(poses)
+            render_view(mi, mesh, surface, image, False, 0.0, pose, side, SAMPLES, i) for i, pose in enumerate(poses)
         ]
 
     above = [from_above(i, PHOTOGRAPHS) for i in range(PHOTOGRAPHS)]
@@ -135,7 +145,7 @@ def make_captures(recipe: Recipe, folder: Path) -> None:
             frames = _written(capture, light, relit[light], strengths[light], around, 0, {})
             source = {"file_path": f"env_{light}.hdr", "strength": strengths[light]}
             _write_transforms(capture, light, frames, {"environment": source})
-        write_truth(mi, mesh, surface, capture / "truth", around, SIDE)
+        write_truth(mi, mesh, surface, capture / "truth", around, side)
         albedo = [
             {"file_path": f"./truth/{i:03d}_base_color", "transform_matrix": p.tolist()} for i, p in enumerate(around)
         ]
@@ -179,22 +189,27 @@ def _write_transforms(
     (capture / f"transforms_{split}.json").write_text(json.dumps(document, indent=1), encoding="utf-8")
 
 
-def measured(recipe: Recipe, folder: Path, seed: int) -> dict[str, Any]:
+def measured(recipe: Recipe, folder: Path, seed: int, estimated: bool) -> dict[str, Any]:
     """The line of one object; earlier runs are replaced."""
+    more = {}
+    if estimated:
+        run = folder / f"run_estimated_{seed}"
+        more["estimated"] = _figures(folder / "two", run, seed, *ESTIMATED)
     return {
         "recipe": recipe.name,
         "half": recipe.half,
         "seed": seed,
         **{name: _figures(folder / name, folder / f"run_{name}_{seed}", seed) for name in ("one", "two")},
+        **more,
         "commit": source_commit(),
         "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M"),
         "machine": describe_machine(),
     }
 
 
-def _figures(capture: Path, run: Path, seed: int) -> dict[str, Any]:
+def _figures(capture: Path, run: Path, seed: int, *settings: str) -> dict[str, Any]:
     shutil.rmtree(run, ignore_errors=True)
-    seconds = hir("reconstruct", capture, "-o", run, "-q", "--seed", str(seed), "--set", "export=[]")
+    seconds = hir("reconstruct", capture, "-o", run, "-q", "--seed", str(seed), "--set", "export=[]", *settings)
     hir("evaluate", run, "--split", "test", "-q", "--albedo", "albedo")
     for light in RELIGHTS:
         hir("evaluate", run, "--split", light, "-q")
@@ -223,7 +238,9 @@ def completeness(run: Path, truth: Path) -> float:
 
 
 def table(rows: Sequence[dict[str, Any]]) -> str:
-    """Markdown: one take → two takes, dB of the frame; means and standard deviations over the rows at the end."""
+    """Markdown: one take → two takes, dB of the frame, and in brackets with estimated cameras; means and standard
+    deviations over the rows at the end.
+    """
     lines = [
         "| object | seed | unseen | relit, scaled (mean of two lights) | base colour, scaled | complete | seconds |",
         "|---|---|---|---|---|---|---|",
@@ -235,10 +252,12 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
         return part["unseen"]["frame"], relit, part["albedo_scaled"], part["complete"], part["seconds"]
 
     both = np.array([[values(row, name) for name in ("one", "two")] for row in rows])
+    forms = ".1f", ".1f", ".1f", ".3f", ".0f"
     for row, (one, two) in zip(rows, both, strict=True):
-        cells = [
-            f"{a:{form}} → {b:{form}}" for a, b, form in zip(one, two, (".1f", ".1f", ".1f", ".3f", ".0f"), strict=True)
-        ]
+        cells = [f"{a:{form}} → {b:{form}}" for a, b, form in zip(one, two, forms, strict=True)]
+        if "estimated" in row:
+            more = values(row, "estimated")
+            cells = [f"{cell} ({c:{form}})" for cell, c, form in zip(cells, more, forms, strict=True)]
         lines.append(f"| {row['recipe']} | {row['seed']} | " + " | ".join(cells) + " |")
     gain = both[:, 1] - both[:, 0]
     cells = [f"{m:+.2f} ± {s:.2f}" for m, s in zip(gain.mean(axis=0), gain.std(axis=0), strict=True)]
