@@ -107,8 +107,8 @@ class Capture:
     environment: EnvironmentSource | None = None
     """The true light where the files contain it: for evaluation only, never used by a fit."""
     irradiance: MeasuredIrradiance | None = None
-    """What a card of known reflectance beside the object shows of the light; set by an initializer, used by fits. Of
-    several takes the views of one show it."""
+    """What a card of known reflectance beside the object shows of the light; set by an initializer, used by fits. With
+    several takes, all views that show it belong to one take."""
     reader: str = ""
     metres_from: str = ""
     """What measured the metres of the files' world, such as ARKit; empty where their unit is unknown."""

@@ -9,11 +9,12 @@ from hir_core.capture.capture import Capture
 
 @dataclass(frozen=True)
 class CaptureSize:
-    """Number of photographs and size of the largest one, in pixels."""
+    """Number of photographs, size of the largest one in pixels, and number of takes."""
 
     views: int
     width: int
     height: int
+    takes: int = 1
 
     @property
     def pixels(self) -> int:
@@ -28,4 +29,4 @@ def size_of(capture: Capture) -> CaptureSize:
         height, width = capture.views[0].pixels().color_linear.shape[:2]
         sizes = [(width, height)]
     width, height = max(sizes, key=lambda s: s[0] * s[1], default=(0, 0))
-    return CaptureSize(len(capture.views), width, height)
+    return CaptureSize(len(capture.views), width, height, len(capture.takes))

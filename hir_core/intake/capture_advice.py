@@ -50,7 +50,7 @@ def advice_for(check: CaptureCheck) -> list[str]:
     if 0 < check.with_camera < len(views):
         advice.append(f"{len(views) - check.with_camera} of {len(views)} photographs have no camera: they are left out")
     few = [take for take in check.takes if take.photographs < MIN_PHOTOGRAPHS_OF_TAKE]
-    if few:
+    if few and len(check.takes) > 1:
         advice.append(
             f"the take {few[0].name} has {few[0].photographs} photographs, so its light is under-observed: take "
             f"{MIN_PHOTOGRAPHS_OF_TAKE} or more, better 30, or leave the take out"

@@ -121,8 +121,9 @@ def textures(directory: RunDirectory, baked: Mapping[str, Any]) -> Markup:
         elif path.exists():
             regular_file_within(directory.path, path)
             tiles.append({"name": name, "value": None, "picture": picture_uri(path), "caption": caption})
-    lights = sorted(directory.report.glob("light_take_*.png"))
-    tiles += _tiles(directory, {path.stem: f"Light of take {i + 1} as a panorama" for i, path in enumerate(lights)})
+    count = len(list(directory.report.glob("light_take_*.png")))
+    captions = {f"light_take_{number}": f"Light of take {number + 1} as a panorama" for number in range(count)}
+    tiles += _tiles(directory, captions)
     return render("textures.html", tiles=tiles)
 
 

@@ -60,7 +60,7 @@ def relit_pictures(
     target = true.color_linear * true.mask[..., None]
     light = turned(run.scene.environment, TURN_DEGREES)
     _, renderer = reference_renderer(plugins, bounces=run.bounces, max_samples=SAMPLES)
-    after = render_view(renderer, replace(run.scene, environment=light), small, f"{RELIT}_{MATERIAL}")
+    after = render_view(renderer, run.with_light(light), small, f"{RELIT}_{MATERIAL}")
     before = render_view(renderer, replace(textured, environment=light), small, f"{RELIT}_{VERTICES}")
     unlit = UnlitRenderer(textured).render(small)
     return {

@@ -96,7 +96,8 @@ def write_pictures(
             for name, picture in relit_pictures(run, camera, truth, fit, plugins).items():
                 write_png(folder / f"{name}.png", picture)
         _write_asset_pictures(folder, directory.scene)
-        for number, radiance in enumerate(run.scene.take_radiance.values()):
+        lights = list(run.scene.take_radiance.values())
+        for number, radiance in enumerate(lights if len(lights) > 1 else []):
             write_png(folder / f"light_take_{number}.png", np.clip(light_picture(radiance.cpu().numpy()), 0, 1))
         errors = load_map_errors(directory.stage("reflectance"))
         if errors is not None and measured:

@@ -56,7 +56,8 @@ def render_pictures(
                 f"{directory.path} has no view {name!r}; its views are: {', '.join(list(run_cameras)[:8])}, …"
             )
         cameras[file_stem(name)] = run_cameras[name]
-        takes[file_stem(name)] = run_takes.get(name)
+        if run_takes:
+            takes[file_stem(name)] = run_takes[name]
     cameras |= {f"orbit_{i:03d}": camera for i, camera in enumerate(orbit_cameras(orbit, elevation, size))}
     scene = run.scene
     if relight:

@@ -197,12 +197,15 @@ class Scene:
     """Radiance of the light of each take, by its name; empty where all photographs have one light."""
 
     def in_take(self, take: str) -> Scene:
-        """The scene under the light of a take (`View.take`); a scene of one light stays as it is.
+        """The scene under the light of a take (`View.take`); a scene of one light without a name stays as it is, and an
+        empty name is that of the only take.
 
         Raises `InputError` for a take whose light is not known.
         """
         if not self.take_radiance or self.environment is None:
             return self
+        if not take and len(self.take_radiance) == 1:
+            take = next(iter(self.take_radiance))
         if take not in self.take_radiance:
             known = ", ".join(repr(name) for name in self.take_radiance)
             raise InputError(

@@ -101,7 +101,7 @@ def load_take_radiance(folder: Path) -> dict[str, torch.Tensor]:
     document = read_json(folder / "scene.json")
     try:
         return _take_radiance(document, _arrays(folder)) if document.get("takes") else {}
-    except (KeyError, TypeError) as error:
+    except (KeyError, TypeError, AttributeError) as error:
         raise InputError(f"{folder} is not a complete scene of a stage ({error}); run without --resume") from error
 
 

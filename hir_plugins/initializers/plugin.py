@@ -143,5 +143,5 @@ def _can_be_matched(capture: Capture) -> bool:
     from hir_core.capture.capture_size import size_of
 
     size, takes = size_of(capture), capture.take_numbers
-    matched = max(takes.count(take) for take in set(takes))
+    matched = max((takes.count(take) for take in set(takes)), default=0)
     return matched >= MIN_MATCHED_VIEWS and min(size.width, size.height) >= MIN_MATCHED_SIDE

@@ -84,7 +84,8 @@ class TransformsJsonReader(CaptureReader):
         )
         if takes:
             views = tuple(replace(view, take=takes[index]) for (index, _), view in zip(frames, views, strict=True))
-            refuse_shared_masks(views)
+            # a mask that a frame names may serve photographs of one camera under two lights
+            refuse_shared_masks(v for (_, frame), v in zip(frames, views, strict=True) if "mask_path" not in frame)
         else:
             views = with_takes(views, folder, whole=split == "train")
         # by their names alone: photographs of another split have masks, too

@@ -31,7 +31,7 @@ class ResponseReport:
     """1 for a response of sRGB."""
     standard_error: float
     recorded_stops: float
-    """From the shortest to the longest recorded exposure."""
+    """From the shortest to the longest recorded exposure of a take."""
     differs: bool
     """Whether the exponent is not 1, by more than noise and by more than `MIN_DIFFERENCE`."""
     sentence: str
@@ -39,27 +39,31 @@ class ResponseReport:
 
 
 def camera_response(fitted: Mapping[str, Factors], views: Sequence[View]) -> ResponseReport | None:
-    """`fitted`: factors by name of the photograph, beside its own gain.
+    """`fitted`: factors by name of the photograph, beside its own gain; of several takes those within each count.
 
     None where too few photographs record exposures, or where these are too much alike.
     """
     pairs = [
-        (recorded, fitted[view.name] * view.gain)
+        (view.take, np.log2(recorded), np.log2(fitted[view.name] * view.gain).mean())
         for view in views
         if view.name in fitted and (recorded := recorded_exposure(view))
     ]
-    if len(pairs) < MIN_PHOTOGRAPHS:
+    takes = {take for take, _, _ in pairs}
+    free = len(pairs) - len(takes) - 1
+    if len(pairs) < MIN_PHOTOGRAPHS or free < 1:
         return None
-    x = np.log2(np.array([value for value, _ in pairs], dtype=np.float64))
-    y = np.log2(np.array([factors for _, factors in pairs], dtype=np.float64)).mean(axis=1)
-    stops = float(np.ptp(x))
+    x, y = np.zeros(0), np.zeros(0)
+    stops = 0.0
+    for take in sorted(takes):
+        # how bright one take is beside another is part of their lights
+        recorded, factor = np.array([(a, b) for own, a, b in pairs if own == take], dtype=np.float64).T
+        x, y = np.append(x, recorded - recorded.mean()), np.append(y, factor - factor.mean())
+        stops = max(stops, float(np.ptp(recorded)))
     if stops < MIN_STOPS:
         return None
-    centred = x - x.mean()
-    square = float(centred @ centred)
-    exponent = float(centred @ y) / square
-    residual = y - y.mean() - exponent * centred
-    free = len(pairs) - 2
+    square = float(x @ x)
+    exponent = float(x @ y) / square
+    residual = y - exponent * x
     error = float(np.sqrt(residual @ residual / free / square))
     limit = max(MIN_DIFFERENCE, float(student.ppf(0.5 + CONFIDENCE / 2, free)) * error)
     differs = abs(exponent - 1) > limit

@@ -89,7 +89,7 @@ def fit_reflectance(
         )
     _check_exposure(capture, settings.downsample)
     by_solver = offers_solver and settings.method != "gradient"
-    check_takes(capture, settings, by_solver and "takes" in traits)
+    check_takes(capture, settings, by_solver and "takes" in traits, "regularizers" in traits)
     capture = with_recorded_exposures(capture)
     exposures = exposures_to_compare(capture, settings, settings.renderer, by_solver and "exposures" in traits)
     fits_lamp = by_solver and "camera_lamp" in traits
@@ -123,6 +123,8 @@ def fit_reflectance(
         material, clamped = with_conserved_energy(fitted.material)
         fitted = replace(fitted, material=material)
         report = replace(report, clamped_share=round(clamped, 5))
+    if capture.takes != ("",) and not fitted.take_radiance and fitted.environment is not None:
+        fitted = replace(fitted, take_radiance={capture.takes[0]: fitted.environment.radiance})
     light_scale = light_scale_report(fitted, capture, bool(settings.known_environment))
     if warning := disagreement_warning(light_scale):
         context.warn(warning)
@@ -168,8 +170,8 @@ def _fit_by_solver(
     fit, spec = selection.fit, selection.spec
     if not selection.compared and forced_spec(settings) is None:
         context.warn(
-            f"{len(views)} views are too few to hold some out, so no models were compared; the model is {spec.name}. "
-            "Take at least 6 photographs to have the model selected"
+            f"{len(views)} views{_of_takes(capture)} are too few to hold some out, so no models were compared; the "
+            f"model is {spec.name}. Take at least 6 photographs in each take to have the model selected"
         )
     if warning := near_tie_warning(selection):
         context.warn(warning)
@@ -177,12 +179,12 @@ def _fit_by_solver(
         report_share = progress.phase("all views", f"{spec.name}, all views")
         fit = solver.fit(spec, fit, views, 1.0, report_share, fits.checkpoint(spec, views, 1.0))
     solved = solver.scene(fit, views, progress.phase("textures"))
-    exposed = capture
+    photographed = capture
     used = PhotographExposures.of(
         spec.exposures, capture, None if solved.exposures is None else solved.exposures.cpu().numpy()
     )
     capture = used.applied_to(capture)
-    found_exposures = exposure_report(selection.exposures, used, exposed)
+    found_exposures = exposure_report(selection.exposures, used, photographed)
     if found_exposures is not None and (warning := response_warning(found_exposures.response)):
         context.warn(warning)
     refinement = None
@@ -236,6 +238,10 @@ def _fit_by_solver(
             path_tracing=path_tracing,
         ),
     )
+
+
+def _of_takes(capture: Capture) -> str:
+    return f" of {len(capture.takes)} takes" if len(capture.takes) > 1 else ""
 
 
 def _fit_by_gradient(

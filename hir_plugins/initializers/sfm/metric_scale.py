@@ -76,6 +76,12 @@ def scale_of_bar(marks: Sequence[ScaleBarMark], length: float, views: Sequence[V
             "initializer.colmap.scale_bar_length is missing; set it to the distance of the bar's ends in metres"
         )
     cameras = {Path(view.name).stem: view for view in views if view.camera is not None}
+    takes = sorted({cameras[mark.view].take for mark in marks if mark.view in cameras})
+    if len(takes) > 1:
+        raise CaptureError(
+            f"the scale bar is marked in photographs of the takes {', '.join(takes)}, between which it moved against "
+            "the object; mark it in those of one take"
+        )
     ends = []
     for end in ("a", "b"):
         rays = [_ray(cameras[mark.view], mark.pixel) for mark in marks if mark.end == end and mark.view in cameras]

@@ -44,7 +44,7 @@ def vertex_colors(
         weights[i, visible] = cosine[visible]
     colors = np.zeros((len(positions), 3), dtype=np.float32)
     known = np.zeros(len(positions), dtype=bool)
-    takes = list(dict.fromkeys(view.take for view in posed))
+    takes = list(dict.fromkeys(view.take for view in posed)) or [""]
     members = [[i for i, view in enumerate(posed) if view.take == take] for take in takes]
     for start in range(0, len(positions), _CHUNK_VERTICES):
         part = slice(start, start + _CHUNK_VERTICES)

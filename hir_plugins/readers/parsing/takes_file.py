@@ -5,6 +5,7 @@ from __future__ import annotations
 import tomllib
 import warnings
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -21,6 +22,8 @@ MAX_NAME_LENGTH: Final = 100
 MAX_TAKES: Final = 100
 MAX_BYTES: Final = 64 << 10
 """Largest accepted size of takes.toml."""
+MAX_DOTS: Final = 1_000
+"""In takes.toml; the names of folders may have some."""
 
 _EXAMPLE: Final = 'takes = ["standing", "upside_down"]'
 
@@ -28,7 +31,7 @@ _EXAMPLE: Final = 'takes = ["standing", "upside_down"]'
 def take_name(value: object, owner: str) -> str:
     """The name of a take, from untrusted input; anything but a short, printable text raises `CaptureError`."""
     if not isinstance(value, str) or not value.strip() or len(value) > MAX_NAME_LENGTH or not value.isprintable():
-        shown = repr(value) if len(repr(value)) <= MAX_NAME_LENGTH else f"{repr(value)[:MAX_NAME_LENGTH]}…"
+        shown = repr(value[:MAX_NAME_LENGTH]) if isinstance(value, str) else f"of type {type(value).__name__}"
         raise CaptureError(
             f"{owner}: the take {shown} is not a name; write a text of 1 to {MAX_NAME_LENGTH} printable characters, "
             "such as 'standing'"
@@ -83,6 +86,8 @@ def take_folders(capture: Path, names: Sequence[str], folders: Iterable[str]) ->
                     f"{file} lists the take {missing[0]!r}, which is not a folder in {capture / parent}; add the "
                     "folder, or correct its name"
                 )
+            if len({folder.resolve() for folder in found}) < len(found):
+                raise CaptureError(f"{file} lists one folder under two names; list each folder once")
             return found
     raise CaptureError(
         f"{file} lists the take {names[0]!r}, which is not a folder in {capture}; add the folder, or correct its name"
@@ -94,7 +99,11 @@ def unlisted_photographs(capture: Path, folders: Sequence[Path]) -> list[Path]:
     parents = list(dict.fromkeys((capture, folders[0].parent)))
     beside = [p for parent in parents for p in sorted(parent.iterdir()) if p.is_dir() and not p.is_symlink()]
     others = [p for p in dict.fromkeys((*parents, *beside)) if p not in folders and not _is_mask_folder(p)]
-    return [photo for folder in others for photo in photos_of(folder)]
+    found: list[Path] = []
+    for folder in others:
+        with suppress(PermissionError):  # such as lost+found: what cannot be listed is no photograph of the capture
+            found += photos_of(folder)
+    return found
 
 
 def with_takes(views: Sequence[View], capture: Path, whole: bool = True) -> tuple[View, ...]:
@@ -153,7 +162,10 @@ def _table(file: Path) -> dict[str, Any]:
         if file.stat().st_size > MAX_BYTES:
             raise CaptureError(f"{file} is larger than {MAX_BYTES >> 10} kB; it is not a list of takes")
         refuse_special_file(file)
-        return tomllib.loads(file.read_text(encoding="utf-8"))
+        text = file.read_text(encoding="utf-8")
+        if text.count(".") > MAX_DOTS:  # a key of many parts takes time and memory that grow with their square
+            raise CaptureError(f"{file} has more than {MAX_DOTS} dots; it is not a list of takes")
+        return tomllib.loads(text)
     except CaptureError:
         raise
     except InputError as error:

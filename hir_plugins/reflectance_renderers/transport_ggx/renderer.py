@@ -66,7 +66,7 @@ class TransportGGX(ReflectanceRenderer):
         # a block is drawn at another width beside all others, and while its matrices are transposed they exist twice
         fit = (resident + 2 * min(resident, options.block_pixels)) * lobes + fitted * PIXEL_BYTES
         textures = min(options.texture_pixels, size.pixels) * EQUATION_BYTES
-        per_texel = 2 * PROBE_BYTES * options.cache_cells + 2 * OBSERVATION_BYTES * OBSERVATIONS_PER_CHUNK
+        per_texel = 2 * PROBE_BYTES * options.cache_cells * size.takes + 2 * OBSERVATION_BYTES * OBSERVATIONS_PER_CHUNK
         per_texel += min(MAX_CACHE_BYTES, PHOTOGRAPH_PIXEL_BYTES * size.pixels)
         return max(fit, textures, per_texel) + options.cache_cells * 4 * options.diffuse_rows**2 * 4
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import final
 
 import torch
@@ -31,6 +32,10 @@ class TransportShading(PreparedReflectance):
     indirect: Sequence[Indirect] = ()
     """Of the light of each take; empty for none."""
 
+    @cached_property
+    def _of_one_light(self) -> Transport:
+        return self.transport if self.transport.takes.count == 1 else replace(self.transport, takes=ONE_LIGHT)
+
     def radiance(
         self, material: Material, environment: EnvironmentMap, pixels: Int[Tensor, "B 3"]
     ) -> Float[Tensor, "B 3"]:
@@ -39,7 +44,7 @@ class TransportShading(PreparedReflectance):
         All pixels have the light `environment`; indirect light is that of each pixel's take.
         """
         cameras = {v: c.downsampled(self.downsample) for v, c in enumerate(self.capture.cameras)}
-        transport = replace(self.transport, takes=ONE_LIGHT)
+        transport = self._of_one_light
 
         def of(part: Tensor, indirect: Indirect | None) -> Tensor:
             return shade(transport, material, environment, cameras, part, self.options, indirect)

@@ -41,7 +41,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import 
     MIN_VIEW_COSINE,
     ObservedPixels,
 )
-from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import MAX_RADIANCE, Parameters
+from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import MAX_RADIANCE, Parameters, mean_of_takes
 from hir_plugins.reflectance_renderers.transport_ggx.fit.photograph_pixels import PhotographPixels
 from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import (
     PixelColors,
@@ -162,8 +162,9 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
             report(1.0)
             assert self._scene.material is not None
             parameters = extended_to(spec, initial.parameters, self._scene.material)
-            exposure = None if spec.exposures == "equal" else initial.parameters.log_exposure
-            return Fit(spec, replace(parameters, log_exposure=exposure), tuple(views))
+            if spec.exposures == "equal":
+                parameters = replace(parameters, log_exposure=None, exposure_take=None)
+            return Fit(spec, parameters, tuple(views))
         if spec.per_texel != "none":
             # per-texel values are solved when they are used
             base = initial
@@ -343,7 +344,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         lamp = None if (own := parameters.camera_lamp) is None else self._cameras.in_scene(own)
         lights = self._transport.lights(parameters.radiance)
         light = EnvironmentMap(lights[0], rotation, fit.spec.light_frame, lamp)
-        of_takes = dict(zip(self._capture.takes, lights, strict=True)) if len(lights) > 1 else {}
+        of_takes = dict(zip(self._capture.takes, lights, strict=True)) if self._capture.takes != ("",) else {}
         scene = replace(self._scene, material=material, environment=light, take_radiance=of_takes)
         indirect = self._indirect_light(parameters, fit.spec.bounces) if fit.spec.bounces else []
         takes = [view.take for view in self._capture.views]
@@ -415,10 +416,14 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
             return light
         light = light.repeat(takes.count, 1, 1)
         arriving = self._arriving(photographs, spec, light.exp(), None)
-        take = takes.of_view[photographs.points.view]
-        levels = [photographs.color[take == n].mean() / arriving[take == n].mean() for n in range(takes.count)]
+        color, view = photographs.color, photographs.points.view
+        if spec.exposures == "recorded":
+            recorded = self._recorded().to(color)
+            color = color / (recorded / recorded.log().mean().exp())[view]
+        take = takes.of_view[view]
+        levels = [color[take == n].mean() / arriving[take == n].mean() for n in range(takes.count)]
         with_card = measuring_views(self._capture)
-        overall = photographs.color.mean() / arriving.mean()
+        overall = color.mean() / arriving.mean()
         reference = levels[self._capture.take_numbers[with_card[0]]] if with_card else overall
         gains = torch.stack([level / reference for level in levels])
         usable = torch.isfinite(gains) & (gains > 0)
@@ -443,17 +448,14 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         did not have, from the photographs beside its prediction.
         """
         if spec.exposures == "equal":
-            return replace(parameters, log_exposure=None)
+            return replace(parameters, log_exposure=None, exposure_take=None)
         if spec.exposures == "recorded":
-            recorded = [view.recorded_exposure for view in self._capture.views]
-            if None in recorded:
-                raise StageError("the photographs record no exposures; use reflectance.exposures=fitted or equal")
-            log_exposure = torch.tensor(recorded).to(parameters.light).log()[:, None].repeat(1, 3)
-            return replace(parameters, log_exposure=log_exposure)
+            return replace(parameters, log_exposure=self._recorded().to(parameters.light).log(), exposure_take=None)
+        take = self._transport.takes.of_view
         if initial is None:
             eyes = np.stack([camera.center for camera in self._capture.cameras]).astype(np.float64)
             found = initial_exposures(self._transport.surface, photographs, eyes)
-            return replace(parameters, log_exposure=found)
+            return replace(parameters, log_exposure=found, exposure_take=take)
         found = parameters.light.new_zeros(len(self._capture.views), 3)
         known = initial.views if initial.parameters.log_exposure is not None else ()
         if initial.parameters.exposure is not None:
@@ -464,7 +466,19 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         mean, lamp = found.mean(dim=0), parameters.lamp
         if lamp is not None:
             lamp = torch.cat([lamp[:3] + mean, lamp[3:]])
-        return replace(parameters, log_exposure=found, light=parameters.light + mean, lamp=lamp)
+        light = parameters.light + mean
+        if take is not None:
+            views = [int((take == number).nonzero()[0]) for number in range(self._transport.takes.count)]
+            of_takes = mean_of_takes(found, take)[views]
+            rows = len(parameters.light) // self._transport.takes.count
+            light = parameters.light + of_takes.repeat_interleave(rows, dim=0)[:, None]
+        return replace(parameters, log_exposure=found, exposure_take=take, light=light, lamp=lamp)
+
+    def _recorded(self) -> Float[Tensor, "views 3"]:
+        recorded = [view.recorded_exposure for view in self._capture.views]
+        if None in recorded:
+            raise StageError("the photographs record no exposures; use reflectance.exposures=fitted or equal")
+        return torch.tensor(recorded)[:, None].repeat(1, 3)
 
     def _exposures_of(self, fit: Fit, views: Sequence[int]) -> Float[Tensor, "views 3"]:
         """Logarithms of the photographs' brightness beside the radiance that a fit predicts."""

@@ -133,3 +133,7 @@ def test_a_scene_under_the_light_of_a_take() -> None:
     assert list(scene.to("cpu").take_radiance) == list(lights)
     with pytest.raises(InputError, match="the take '' is unknown"):
         scene.in_take("")
+    one = replace(scene, take_radiance={"day": lights["day"]})
+    assert one.in_take("").environment is not None
+    with pytest.raises(InputError, match="the take 'evening' is unknown"):
+        one.in_take("evening")

@@ -178,7 +178,7 @@ def test_photographs_of_no_take_are_named(tmp_path: Path) -> None:
         ("", "does not list two takes"),
         (TAKES + "order = 3", "the key 'order' is unknown"),
         ('takes = ["standing", "standing"]', "the take 'standing' twice"),
-        ('takes = ["standing", 3]', "the take 3 is not a name"),
+        ('takes = ["standing", 3]', "the take of type int is not a name"),
         ('takes = ["standing", ""]', "the take '' is not a name"),
         ('takes = ["standing", "../other"]', "is not the name of a folder"),
         ('takes = ["standing", ".."]', "is not the name of a folder"),
@@ -190,6 +190,7 @@ def test_photographs_of_no_take_are_named(tmp_path: Path) -> None:
         ("takes = " + 2000 * "[", "is not valid TOML"),
         (f"takes = {[str(i) for i in range(101)]}", "lists 101 takes; list at most 100"),
         ("#" * MAX_BYTES + TAKES, "is larger than"),
+        ("a" + ".a" * 20_000 + " = 1", "has more than 1000 dots"),
     ],
 )
 def test_a_broken_list_is_one_clear_error(tmp_path: Path, text: str, says: str) -> None:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 MAX_PROFILE_BYTES: Final = 4 << 20
 """Largest accepted profile; those of cameras and phones have 0.5 to 10 kB."""
 TESTED_LEVELS: Final = 7
-"""Levels of each channel whose colours tell a profile from sRGB."""
+"""Levels of each channel whose colours distinguish a profile from sRGB."""
 MAX_CHANGE: Final = 3
 """Change of 8-bit values up to which a profile counts as sRGB: profiles of sRGB differ by rounding."""
 

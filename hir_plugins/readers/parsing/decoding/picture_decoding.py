@@ -69,7 +69,7 @@ def read_encoded(path: Path, orient: bool = False) -> EncodedPixels:
 
 
 def decode_picture(content: bytes, name: str) -> EncodedPixels:
-    """Pixels (H, W, C) of an image of 8 bits in memory, as stored; `name` stands in messages."""
+    """Pixels (H, W, C) of an image of 8 bits in memory, in sRGB; `name` stands in messages."""
     try:
         with open_image(content, name=name) as image:
             return _decode_or_refuse(name, lambda: _decoded(image))

@@ -126,23 +126,23 @@ class PreparedTerms:
 
     def __call__(self, parameters: Parameters, step: int) -> dict[str, Float[Tensor, ""]]:
         """Each term times its weight, by name. A lagged one has been evaluated some steps before."""
-        shown = {
-            kind: [self._terms._shown(kind, parameters, self._model, take) for take in self._takes_of(kind)]
-            for kind in {_view_of(term) for term in self._terms.terms}
-        }
+        takes = {(_view_of(term), take) for term in self._terms.terms for take in self._takes_of(term)}
+        shown = {(view, take): self._terms._shown(view, parameters, self._model, take) for view, take in sorted(takes)}
         values = {}
         for term, energy in zip(self._terms.terms, self._energies, strict=True):
-            of_takes = [
-                self._lagged_value(f"{term.name} {take}", energy, scene, step) if _is_lagged(term) else energy(scene)
-                for take, scene in enumerate(shown[_view_of(term)])
-            ]
+            of_takes = []
+            for take in self._takes_of(term):
+                scene, key = shown[_view_of(term), take], f"{term.name} {take}"
+                lagged = _is_lagged(term)
+                of_takes.append(self._lagged_value(key, energy, scene, step) if lagged else energy(scene))
             value = of_takes[0] if len(of_takes) == 1 else torch.stack(of_takes).mean()
             values[f"regularizer {term.name}"] = self._huber * term.weight * value
         return values
 
-    def _takes_of(self, kind: str) -> range:
-        """The takes whose lights a term sees: a term of the light all, one of the material the first."""
-        return range(self._terms.takes if kind == "light" else 1)
+    def _takes_of(self, term: WeightedTerm) -> range:
+        """The takes whose lights a term sees: one that depends on the light all, another one the first."""
+        depends = "environment" in term.traits or "material" not in term.traits
+        return range(self._terms.takes if depends else 1)
 
     def of_widths(self, parameters: Parameters, step: int) -> Callable[[Parameters], float]:
         """The sum of the terms that depend on α, as a function of parameters that differ from these in the width."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 
 import torch
 from hir_exporters.metallic_parameters import MAX_DIELECTRIC_F0
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from hir_core.scene import CameraLamp
@@ -55,6 +55,9 @@ class Parameters:
     metalness: Float[Tensor, "#V 1"] | None = None
     """Logit of metalness; one infinite row for a metal, which is not optimised. None for other BRDFs."""
 
+    exposure_take: Int[Tensor, " views"] | None = None
+    """Index of each view's take, where exposures are fitted beside a light for each take; None elsewhere."""
+
     lamp: Float[Tensor, " 7"] | None = None
     """Of a lamp near the camera: logarithm of its intensity (3), its place (3) and its emission lobe; None for none.
     Lengths are in units of the mean distance between cameras and object (`operator/camera_lamp.py`)."""
@@ -70,11 +73,12 @@ class Parameters:
     def exposure(self) -> Float[Tensor, "views 3"] | None:
         """Factor of each photograph and channel: brightness and white balance.
 
-        The geometric mean over photographs is 1, because a common factor belongs to the light.
+        The geometric mean over photographs is 1, because a common factor belongs to the light; over those of each take,
+        where exposures are fitted and each take has its light.
         """
         if self.log_exposure is None:
             return None
-        centered = self.log_exposure - self.log_exposure.mean(dim=0)
+        centered = self.log_exposure - mean_of_takes(self.log_exposure, self.exposure_take)
         return centered.clamp(-MAX_LOG_EXPOSURE, MAX_LOG_EXPOSURE).exp()
 
     @property
@@ -145,6 +149,14 @@ class Parameters:
 
     def _values(self) -> list[Tensor | None]:
         return [getattr(self, field.name) for field in fields(self)]
+
+
+def mean_of_takes(values: Float[Tensor, "views C"], take: Int[Tensor, " views"] | None) -> Float[Tensor, "#views C"]:
+    """The mean of the values of each view's take, in a row for each view; without takes one row for all."""
+    if take is None:
+        return values.mean(dim=0, keepdim=True)
+    total = values.new_zeros(int(take.max()) + 1, values.shape[1]).index_add(0, take, values)
+    return (total / torch.bincount(take).clamp_min(1)[:, None])[take]
 
 
 def logit_of_alpha(alpha: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:

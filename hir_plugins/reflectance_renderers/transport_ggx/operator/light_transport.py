@@ -48,15 +48,15 @@ class Transport:
     cell_average: LinearMap
     """Matrix (C, V) that averages vertex values over each cache cell."""
     takes: TakeLights = ONE_LIGHT
-    """The lights of the photographs. Of several lights T the images are one below another, (T·H, W, 3), and S sources
-    and C cells stand for T blocks of them."""
+    """The lights of the photographs. Of T lights the images are one below another: TH is T·H rows, TS is T·S sources,
+    TC is T·C cells."""
 
     @property
     def source_count(self) -> int:
         """Pyramid texels and cache cells of one light."""
         return self.pyramid.texels + len(self.irradiance_cache)
 
-    def lights(self, radiance: Float[Tensor, "H W 3"]) -> tuple[Float[Tensor, "H W 3"], ...]:
+    def lights(self, radiance: Float[Tensor, "TH W 3"]) -> tuple[Float[Tensor, "H W 3"], ...]:
         """The image of each take's light."""
         return radiance.split(len(radiance) // self.takes.count)
 
@@ -74,8 +74,8 @@ class Transport:
         return vertices, LinearMap.from_rows(self.cells_at(points), weights, cells)
 
     def sources(
-        self, radiance: Float[Tensor, "H W 3"], albedo: Float[Tensor, "V 3"], bounces: int
-    ) -> tuple[Float[Tensor, "S 3"], Float[Tensor, "C 3"]]:
+        self, radiance: Float[Tensor, "TH W 3"], albedo: Float[Tensor, "V 3"], bounces: int
+    ) -> tuple[Float[Tensor, "TS 3"], Float[Tensor, "TC 3"]]:
         """Radiance of all that a ray can hit (pyramid texels, then cache cells), and the irradiance of every cell."""
         found = [self._sources(light, albedo, bounces) for light in self.lights(radiance)]
         return _stacked([sources for sources, _ in found]), _stacked([irradiance for _, irradiance in found])
@@ -106,13 +106,13 @@ class Transport:
         matrix = torch.cat([sky / cosine * directions[:, axis] for axis in range(3)])
         return LinearMap(matrix, matrix.T.contiguous())
 
-    def vector_irradiance(self, radiance: Float[Tensor, "H W 3"]) -> Float[Tensor, "C 3 3"]:
+    def vector_irradiance(self, radiance: Float[Tensor, "TH W 3"]) -> Float[Tensor, "TC 3 3"]:
         """Vector irradiance of each cell from direct light (Gershun 1939): axes first, then colours."""
         cells = len(self.irradiance_cache)
         vectors = [self._vector_sky @ self.pyramid.flatten(light)[self.level] for light in self.lights(radiance)]
         return _stacked([each.reshape(3, cells, 3).transpose(0, 1) for each in vectors])
 
-    def sky_only(self, radiance: Float[Tensor, "H W 3"]) -> Float[Tensor, "S 3"]:
+    def sky_only(self, radiance: Float[Tensor, "TH W 3"]) -> Float[Tensor, "TS 3"]:
         """Radiance of all that a ray can hit, without light reflected by the surface."""
         black = radiance.new_zeros(len(self.irradiance_cache), radiance.shape[2])
         return _stacked([torch.cat([self.pyramid.flatten(light), black]) for light in self.lights(radiance)])

@@ -1,7 +1,7 @@
 """The lights of several takes: which one lit each photograph, and where its values are in stacked arrays.
 
 Everything that is linear in the light has one block of rows for each take, the first take first. So a row of a matrix
-that belongs to a photograph reads the block of its take, and the rest of a fit does not know of takes.
+that belongs to a photograph reads the block of its take, and the rest of a fit is independent of takes.
 """
 
 from __future__ import annotations

@@ -54,7 +54,7 @@ def observe(
     `face_normal` are the normals of the points' faces, `exposure` holds factors of each view and channel.
     """
     if not views:
-        return _nothing(position)
+        return _no_observations(position)
     capture = images.capture
     color = position.new_zeros(len(views), len(position), 3)
     weight = position.new_zeros(len(views), len(position))
@@ -77,7 +77,7 @@ def observe(
     return Observations(color, weight, eyes, ceiling)
 
 
-def _nothing(position: Float[Tensor, "P 3"]) -> Observations:
+def _no_observations(position: Float[Tensor, "P 3"]) -> Observations:
     """One photograph that shows none of the points."""
     color, weight = position.new_zeros(1, len(position), 3), position.new_zeros(1, len(position))
     return Observations(color, weight, position.new_ones(1, 3), position.new_full((1, 3), torch.inf))

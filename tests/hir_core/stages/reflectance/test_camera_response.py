@@ -53,6 +53,19 @@ def test_a_gain_of_the_photograph_counts() -> None:
     assert found is not None and found.exponent == pytest.approx(1, abs=1e-3)
 
 
+def test_the_brightness_of_a_take_is_no_response() -> None:
+    """Fitted exposures have a mean of 1 in each take, whatever is recorded."""
+    half = len(STOPS) // 2
+    stops = np.concatenate([STOPS[::2], STOPS[::2] + 3])
+    taken = [replace(view, take=str(i >= half)) for i, view in enumerate(views(stops))]
+    fitted_factors = factors(1.0, stops=np.concatenate([STOPS[::2], STOPS[::2]]))
+    found = camera_response(fitted_factors, taken)
+    assert found is not None and found.exponent == pytest.approx(1, abs=1e-3) and not found.differs
+    assert found.recorded_stops == pytest.approx(np.ptp(STOPS[::2]), abs=1e-3)
+    one_take = camera_response(fitted_factors, views(stops))
+    assert one_take is not None and one_take.exponent < 0.9
+
+
 def test_too_little_is_none() -> None:
     assert camera_response(factors(0.7), [replace(view, recorded_exposure=None) for view in views()]) is None
     few = np.linspace(-1, 1, MIN_PHOTOGRAPHS - 1)

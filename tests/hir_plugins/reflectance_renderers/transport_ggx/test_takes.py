@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
-from hir_core.capture import Capture
+from hir_core.capture import Capture, View
 from hir_core.capture.measured_irradiance import MeasuredIrradiance
 from hir_core.errors import ConfigError
+from hir_core.plugins.interfaces import WeightedTerm
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.rendering.take_radiance import radiance_in_takes
 from hir_core.scene import EnvironmentMap, Scene
@@ -24,6 +27,8 @@ from hir_plugins.reflectance_renderers.transport_ggx.operator.take_lights import
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGGX
 from hir_plugins.reflectance_renderers.transport_ggx.solver import TransportSolver
+from hir_plugins.regularizers.material_options import TotalVariationOptions
+from hir_plugins.regularizers.total_variation import TotalVariation
 from tests.fixtures.made_captures import (
     ROWS,
     TEXELS,
@@ -168,6 +173,8 @@ def test_refinement_by_path_tracing_renders_each_take_under_its_light(made: tupl
         torch.manual_seed(3)
         expected = traced.radiance(solved.scene.material, light, rows.pixel)
         torch.testing.assert_close(cached.mean(dim=0), expected.mean(dim=0), rtol=0.05, atol=0.0)
+        other = traced.radiance(solved.scene.material, lights_of(solved.scene)[1 - view // 4], rows.pixel)
+        assert float((other.mean(dim=0) / expected.mean(dim=0)).log().abs().max()) > 0.1
 
 
 def lights_of(scene: Scene) -> list[EnvironmentMap]:
@@ -212,6 +219,70 @@ def test_the_brdfs_of_texels_are_solved_under_the_light_of_each_take(made: tuple
     for take in (0, 1):
         own = at.pixel[:, 0] // 4 == take
         torch.testing.assert_close(shown[own].mean(dim=0), at.color[own].mean(dim=0), rtol=0.1, atol=0.0)
+
+
+def exposed(capture: Capture, factors: Sequence[float]) -> Capture:
+    """The photographs, darker or brighter; each records its exposure."""
+
+    def with_exposure(view: View, factor: float) -> View:
+        pixels = view.read()
+        shown = replace(pixels, color_linear=pixels.color_linear * np.float32(factor))
+        return replace(view, read=lambda: shown, recorded_exposure=0.01 * factor)
+
+    views = (with_exposure(view, factor) for view, factor in zip(capture.views, factors, strict=True))
+    return replace(capture, views=tuple(views))
+
+
+@pytest.mark.parametrize("kind", ["fitted", "recorded"])
+def test_the_brightness_of_a_take_belongs_to_its_light_or_is_recorded(kind: str, made: tuple[Scene, Capture]) -> None:
+    """Photographs of the second take are exposed a quarter as long, and alternate by a stop within each take.
+
+    Fitted exposures have a mean of 1 in each take, so its light is a quarter as bright; recorded ones leave it.
+    """
+    scene, capture = made
+    within = np.array([0.7, 1.4, 0.7, 1.4]) / np.sqrt(0.7 * 1.4)
+    factors = np.concatenate([within, 0.25 * within])
+    ratios, errors = {}, {}
+    for name, given in (("equal", np.ones(8)), (kind, factors)):
+        solver = prepared(scene, exposed(capture, 0.5 * given), steps=120)
+        spec = ModelSpec(exposures=name)  # type: ignore[arg-type]
+        fit = solver.fit(spec, None, range(8), 1.0, lambda share: None)
+        first, second = solver._transport.lights(fit.parameters.radiance)
+        ratios[name], errors[name] = float(second.mean() / first.mean()), float(solver.errors(fit, range(8)).mean())
+        if name == "fitted":
+            exposure = fit.parameters.exposure
+            assert exposure is not None
+            for take in (0, 1):
+                own = exposure[4 * take : 4 * take + 4].log()
+                torch.testing.assert_close(own.mean(dim=0), torch.zeros(3), atol=1e-5, rtol=0.0)
+                np.testing.assert_allclose(own.mean(dim=1), np.log(within), atol=0.12)
+            again = solver.fit(replace(GLOSSY, exposures="fitted"), fit, range(8), 0.2, lambda share: None)
+            later, after = solver._transport.lights(again.parameters.radiance)
+            assert float(after.mean() / later.mean()) == pytest.approx(ratios[name], rel=0.2)
+    assert ratios[kind] == pytest.approx(ratios["equal"] * (0.25 if kind == "fitted" else 1), rel=0.15)
+    assert errors[kind] < 2 * errors["equal"] + 1e-4
+
+
+@pytest.mark.parametrize("lagged", [False, True])
+def test_a_regularizer_of_light_and_material_acts_on_the_light_of_each_take(
+    lagged: bool, made: tuple[Scene, Capture]
+) -> None:
+    """Total variation of the second light alone changes the term, and has a gradient there."""
+    scene, capture = made
+    traits = frozenset({"material", "environment", "vertex_maps"} | ({"lagged"} if lagged else set()))
+    term = WeightedTerm("variation", 1.0, traits, TotalVariation(TotalVariationOptions(environment=1.0)).prepare)
+    solver = prepared(scene, capture).with_terms([term])
+    terms = solver._fit_terms(ModelSpec())
+    assert terms is not None and terms.takes == 2
+    parameters = solver._initial_parameters(ModelSpec(), None, solver._pixels.of(range(8)))
+    energies = terms.prepared(parameters, "diffuse", 0.1)
+    light = parameters.light.clone().requires_grad_()
+    uneven = light + torch.cat([torch.zeros(ROWS, 2 * ROWS, 3), torch.randn(ROWS, 2 * ROWS, 3)])
+    (value,) = energies(replace(parameters, light=uneven), 0).values()
+    (plain,) = energies(parameters, 0).values()
+    assert float(value.detach()) > float(plain.detach()) + 1e-3
+    value.backward()
+    assert light.grad is not None and float(light.grad[ROWS:].abs().max()) > 0
 
 
 def test_a_card_in_one_take_gives_the_scale_of_all_lights(made: tuple[Scene, Capture]) -> None:

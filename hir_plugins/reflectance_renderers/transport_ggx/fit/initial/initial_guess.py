@@ -160,7 +160,14 @@ def extended_to(spec: ModelSpec, base: Parameters, material: Material) -> Parame
         normal_offset = base.diffuse.new_zeros(base.diffuse.shape)
     if spec.brdf == "diffuse":
         return Parameters(
-            base.light, base.diffuse, None, None, base.log_exposure, normal_offset=normal_offset, lamp=base.lamp
+            base.light,
+            base.diffuse,
+            None,
+            None,
+            base.log_exposure,
+            normal_offset=normal_offset,
+            exposure_take=base.exposure_take,
+            lamp=base.lamp,
         )
     specular, width = base.specular, base.width
     vertices = len(base.diffuse)
@@ -181,6 +188,7 @@ def extended_to(spec: ModelSpec, base: Parameters, material: Material) -> Parame
         base.log_exposure,
         normal_offset=normal_offset,
         metalness=base.metalness,
+        exposure_take=base.exposure_take,
         lamp=base.lamp,
     )
 
