@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from typing import Any
@@ -84,7 +85,10 @@ class RunRecords:
         if not isinstance(stages, dict) or not all(isinstance(s, dict) for s in stages.values()):
             self._on_message("the times of earlier stages are lost: timings.json is damaged")
             return {}
-        return stages
+        sound = {name: entry for name, entry in stages.items() if _is_complete(entry)}
+        if lost := [name for name in stages if name not in sound]:
+            self._on_message(f"the times of the stages {', '.join(lost)} are lost: timings.json is damaged")
+        return sound
 
     def _write(self) -> None:
         for problem in self._plugins.problems[len(self._document["plugin_problems"]) :]:
@@ -97,3 +101,17 @@ class RunRecords:
 def current_time() -> str:
     """ISO 8601 in UTC, to the second."""
     return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def _is_complete(entry: Mapping[str, Any]) -> bool:
+    """Whether the times of a stage have all that reports read, as `StageRunner` writes it."""
+
+    def is_number(value: object) -> bool:
+        return isinstance(value, int | float) and math.isfinite(value)
+
+    milestones = entry.get("milestones")
+    return (
+        all(is_number(entry.get(key)) for key in ("seconds", "processor_seconds", "peak_memory_bytes"))
+        and isinstance(milestones, list)
+        and all(isinstance(each, list) and len(each) == 2 and is_number(each[1]) for each in milestones)
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import random
 import shutil
 import time
@@ -102,6 +103,30 @@ def test_random_bits_of_files_that_every_call_writes_change_nothing(
             changed = flip_random_bit(run / name, draw)
             again = quick(tiny_capture, run, deterministic=True, resume=True)
             assert again.reused == STAGE_NAMES and files_of(run) == whole, changed
+
+
+def test_times_of_stages_that_are_damaged_are_left_out(
+    tiny_capture: Path,
+    quick,  # type: ignore[no-untyped-def]
+    finished: Run,
+    tmp_path: Path,
+) -> None:
+    """A document that is sound JSON with other keys or values: a resumed run ends, and names what it lost."""
+    run = tmp_path / "run"
+    shutil.copytree(finished.path, run)
+    document = json.loads((run / "timings.json").read_text())
+    stages = document["stages"]
+    stages["initializer"]["secondt"] = stages["initializer"].pop("seconds")
+    stages["geometry"]["milestones"] = [["MODEL", "soon"]]
+    stages["atlas"]["seconds"] = float("inf")
+    stages["bake"]["peak_memory_bytes"] = "much"
+    (run / "timings.json").write_text(json.dumps(document))
+    said: list[str] = []
+    again = quick(tiny_capture, run, deterministic=True, resume=True, on_message=said.append)
+    assert again.reused == STAGE_NAMES and files_of(run) == files_of(finished.path)
+    assert any("times of" in text and "lost" in text for text in said)
+    kept = json.loads((run / "timings.json").read_text())["stages"]
+    assert not {"initializer", "geometry", "atlas", "bake"} & set(kept)
 
 
 @pytest.mark.slow

@@ -563,6 +563,7 @@ def each_take_has_its_light(subject: Subject) -> None:
     of `Scene.take_radiance` is nearer to the true light of its take than to the other one.
     """
     from hir_core.plugins.model_spec import ModelSpec
+    from hir_core.scene import Scene
     from hir_core.testing.captures import StoredPixels
     from hir_core.testing.scenes import constant_material, looking_at, sphere, uneven_light
 

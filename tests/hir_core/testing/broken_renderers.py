@@ -256,7 +256,7 @@ class OneLight(EquallyExposed):
 
 
 def of_takes(implementation: type) -> Component:
-    return replace(reflectance(implementation), name="of takes", traits=frozenset({"solver", "takes", "lambertian"}))
+    return replace(reflectance(implementation), name="of_takes", traits=frozenset({"solver", "takes", "lambertian"}))
 
 
 def solving(implementation: type) -> Component:

@@ -101,7 +101,7 @@ def test_sound_ones_break_none(kind: str, component: Component, plugins: PluginM
         ("reflectance_renderer", broken_renderers.with_lamp(broken_renderers.Traced)),
         ("initializer", broken_initializers.cameras()),
     ],
-    ids=["reflectance_renderer", "solver", "lamp", "cameras"],
+    ids=["reflectance_renderer", "solver", "takes", "lamp", "cameras"],
 )
 def test_slow_sound_ones_break_none(kind: str, component: Component, plugins: PluginManager) -> None:
     check_component(as_registered(kind, component), plugins=plugins)
