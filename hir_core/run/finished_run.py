@@ -44,6 +44,12 @@ class FinishedRun:
         return bounces if isinstance(bounces, int) else None
 
     @property
+    def takes(self) -> list[str]:
+        """Names of the takes that the fit gave a light each; empty for one light."""
+        takes = self.document.get("stages", {}).get("reflectance", {}).get("report", {}).get("takes")
+        return [str(take) for take in takes] if isinstance(takes, list) else []
+
+    @property
     def capture_path(self) -> Path:
         """The folder of photographs that the run was made from."""
         return Path(self.document["capture"]["path"])
@@ -97,8 +103,14 @@ def open_finished_run(directory: RunDirectory, device: str = "cpu") -> FinishedR
         raise InputError(f"{directory.path} has no finished scene; finish it with: hir reconstruct … --resume")
     frames = _frames(document, str(directory.path / "run.json"))
     scene = move_scene(scene_from_asset(load_scene(directory.scene)), frames.working_from_asset)
-    scene = replace(scene, take_radiance=load_take_radiance(directory.stage("reflectance") / "scene"))
-    return FinishedRun(directory, document, scene.to(device), frames)
+    run = FinishedRun(directory, document, scene, frames)
+    lights = load_take_radiance(directory.stage("reflectance") / "scene")
+    if missing := [take for take in run.takes if take not in lights]:
+        raise InputError(
+            f"{directory.stage('reflectance')} lacks the light of the take {missing[0]!r}; finish the run again with "
+            "--resume"
+        )
+    return replace(run, scene=replace(scene, take_radiance=lights).to(device))
 
 
 def _frames(document: Mapping[str, Any], source: str) -> CoordinateFrames:

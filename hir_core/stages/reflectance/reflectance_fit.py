@@ -169,9 +169,10 @@ def _fit_by_solver(
     solver = fits.solver
     fit, spec = selection.fit, selection.spec
     if not selection.compared and forced_spec(settings) is None:
+        takes = f" of {len(capture.takes)} takes" if len(capture.takes) > 1 else ""
         context.warn(
-            f"{len(views)} views{_of_takes(capture)} are too few to hold some out, so no models were compared; the "
-            f"model is {spec.name}. Take at least 6 photographs in each take to have the model selected"
+            f"{len(views)} views{takes} are too few to hold some out, so no models were compared; the model is "
+            f"{spec.name}. Take at least 6 photographs{' in each take' if takes else ''} to have the model selected"
         )
     if warning := near_tie_warning(selection):
         context.warn(warning)
@@ -238,10 +239,6 @@ def _fit_by_solver(
             path_tracing=path_tracing,
         ),
     )
-
-
-def _of_takes(capture: Capture) -> str:
-    return f" of {len(capture.takes)} takes" if len(capture.takes) > 1 else ""
 
 
 def _fit_by_gradient(

@@ -454,7 +454,13 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         take = self._transport.takes.of_view
         if initial is None:
             eyes = np.stack([camera.center for camera in self._capture.cameras]).astype(np.float64)
-            found = initial_exposures(self._transport.surface, photographs, eyes)
+            # under another light a place has another colour, so places are compared within a take
+            parts = [photographs]
+            if take is not None:
+                numbers = take[photographs.points.view]
+                parts = [photographs.take((numbers == n).nonzero()[:, 0]) for n in range(self._transport.takes.count)]
+            of_takes = [initial_exposures(self._transport.surface, part, eyes) for part in parts]
+            found = torch.stack(of_takes).sum(dim=0)
             return replace(parameters, log_exposure=found, exposure_take=take)
         found = parameters.light.new_zeros(len(self._capture.views), 3)
         known = initial.views if initial.parameters.log_exposure is not None else ()

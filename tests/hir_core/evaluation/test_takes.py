@@ -89,6 +89,14 @@ def test_views_are_evaluated_under_the_light_of_their_take(run: RunDirectory, ca
         (capture / "transforms_test.json").write_text(json.dumps(document))
 
 
+def test_a_run_without_the_lights_of_its_takes_is_refused(run: RunDirectory, tmp_path: Path) -> None:
+    """The light of the first take, which the asset has, would be wrong for the others."""
+    shutil.copytree(run.path, tmp_path / "run")
+    shutil.rmtree(tmp_path / "run" / "stages" / run.stage("reflectance").name / "scene")
+    with pytest.raises(InputError, match="lacks the light of the take 'day'; finish the run again with --resume"):
+        open_finished_run(RunDirectory(tmp_path / "run"))
+
+
 def test_another_light_replaces_those_of_all_takes(run: RunDirectory) -> None:
     found = evaluate_run(run, EvaluationRequest(split="relight_0", options=CHEAP), PluginManager.discover())
     assert found["light"]["fitted"] is False and np.isfinite(found["psnr"]["object"])

@@ -23,6 +23,7 @@ from hir_core.scene import Material, Mesh, Scene, Topology
 from hir_plugins.reflectance_renderers.transport_ggx.fit.closed_form_albedo import AlbedoRefiner
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
 from hir_plugins.reflectance_renderers.transport_ggx.fit.proximal_step import proximal_step
+from hir_plugins.reflectance_renderers.transport_ggx.operator.take_lights import light_of_each_take
 from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import Surface, refined_mesh
 
 if TYPE_CHECKING:
@@ -80,8 +81,7 @@ class FitTerms:
         """The parameters as a scene under the light of one take; differentiable in them."""
         light = self.scene.environment
         assert light is not None and self.scene.material is not None
-        stacked = parameters.radiance
-        light = replace(light, radiance=stacked.split(len(stacked) // self.takes)[take])
+        light = replace(light, radiance=light_of_each_take(parameters.radiance, self.takes)[take])
         if view == "light":
             return replace(self.scene, environment=light)
         material = material_at_vertices(parameters, model)

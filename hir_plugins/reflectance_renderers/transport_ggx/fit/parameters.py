@@ -37,7 +37,7 @@ class Parameters:
     dielectric part, from which the albedos of both lobes follow.
     """
 
-    light: Float[Tensor, "H W 3"]
+    light: Float[Tensor, "TH W 3"]
     """Of several takes their lights, one below another (`operator/take_lights.py`)."""
     diffuse: Float[Tensor, "V 3"]
     """Of ρd; of the base colour where there is a metalness."""
@@ -82,7 +82,7 @@ class Parameters:
         return centered.clamp(-MAX_LOG_EXPOSURE, MAX_LOG_EXPOSURE).exp()
 
     @property
-    def radiance(self) -> Float[Tensor, "H W 3"]:
+    def radiance(self) -> Float[Tensor, "TH W 3"]:
         """The light."""
         return self.light.clamp_max(torch.log(torch.tensor(MAX_RADIANCE)).item()).exp()
 

@@ -33,7 +33,7 @@ class SmoothnessWeights:
     """Of 4·m·(1 − m): a surface is metal or it is not."""
 
 
-def light_energy(light: Float[Tensor, "H W 3"], smoothness: float, chroma: float, takes: int = 1) -> Float[Tensor, ""]:
+def light_energy(light: Float[Tensor, "TH W 3"], smoothness: float, chroma: float, takes: int = 1) -> Float[Tensor, ""]:
     """Prior of the logarithm of a light: smooth and white. A tint that light or surface could explain goes to the
     surface.
 

@@ -24,7 +24,11 @@ from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid impo
 from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
 from hir_plugins.reflectance_renderers.transport_ggx.operator.ray_tracer import RayTracer
 from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes import Lobes, trace_lobes
-from hir_plugins.reflectance_renderers.transport_ggx.operator.take_lights import ONE_LIGHT, TakeLights
+from hir_plugins.reflectance_renderers.transport_ggx.operator.take_lights import (
+    ONE_LIGHT,
+    TakeLights,
+    light_of_each_take,
+)
 from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import Surface, SurfacePoints, refine
 
 RAY_OFFSET = 1e-3
@@ -58,7 +62,7 @@ class Transport:
 
     def lights(self, radiance: Float[Tensor, "TH W 3"]) -> tuple[Float[Tensor, "H W 3"], ...]:
         """The image of each take's light."""
-        return radiance.split(len(radiance) // self.takes.count)
+        return light_of_each_take(radiance, self.takes.count)
 
     def cells_at(self, points: SurfacePoints) -> Int[Tensor, "P 3"]:
         """The cache cells of the corners around each point, in the block of its take."""

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from hir_core.capture import Capture
@@ -39,6 +39,11 @@ class TakeLights:
         if self.of_view is None:
             return columns
         return columns + (self.of_view[view] * size)[:, None].to(columns)
+
+
+def light_of_each_take(stacked: Float[Tensor, "TH W 3"], takes: int) -> tuple[Float[Tensor, "H W 3"], ...]:
+    """The images of the lights of several takes, which are one below another."""
+    return stacked.split(len(stacked) // takes)
 
 
 ONE_LIGHT = TakeLights()

@@ -56,9 +56,9 @@ class LitSurface:
     parameters: Parameters
     probes: Sequence[ProbeTable]
     """Of the light of each take."""
-    sources: Float[Tensor, "S 3"]
-    irradiance: Float[Tensor, "C 3"]
-    vectors: Float[Tensor, "C 3 3"]
+    sources: Float[Tensor, "TS 3"]
+    irradiance: Float[Tensor, "TC 3"]
+    vectors: Float[Tensor, "TC 3 3"]
 
     @classmethod
     def of(

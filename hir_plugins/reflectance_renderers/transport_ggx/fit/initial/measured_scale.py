@@ -19,6 +19,7 @@ from hir_core.scene import EnvironmentMap
 from hir_core.scene.card_irradiance import measured_over_found, measuring_views
 from hir_plugins.reflectance_renderers.transport_ggx.fit.final_albedo import ALBEDO_HIGH, ALBEDO_LOW
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
+from hir_plugins.reflectance_renderers.transport_ggx.operator.take_lights import light_of_each_take
 
 
 def at_measured_scale(
@@ -33,8 +34,8 @@ def at_measured_scale(
     if not views:
         return parameters
     with torch.no_grad():
-        stacked = parameters.radiance
-        radiance = stacked.split(len(stacked) // len(capture.takes))[capture.take_numbers[views[0]]]
+        lights = light_of_each_take(parameters.radiance, len(capture.takes))
+        radiance = lights[capture.take_numbers[views[0]]]
         gain = measured_over_found(EnvironmentMap(radiance, to_world, frame), capture)
         solved = parameters.closed_form_diffuse
         return replace(
