@@ -459,8 +459,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
             if take is not None:
                 numbers = take[photographs.points.view]
                 parts = [photographs.take((numbers == n).nonzero()[:, 0]) for n in range(self._transport.takes.count)]
-            of_takes = [initial_exposures(self._transport.surface, part, eyes) for part in parts]
-            found = torch.stack(of_takes).sum(dim=0)
+            found = torch.stack([initial_exposures(self._transport.surface, part, eyes) for part in parts]).sum(dim=0)
             return replace(parameters, log_exposure=found, exposure_take=take)
         found = parameters.light.new_zeros(len(self._capture.views), 3)
         known = initial.views if initial.parameters.log_exposure is not None else ()
