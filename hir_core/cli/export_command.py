@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin, get_type_hints
 
@@ -56,6 +57,7 @@ PIVOTS = ("source", "base", "centre")
 @click.option("--metallic", metavar="FILE|NUMBER", help="Metalness of a MESH, 0 to 1.")
 @click.option("--normal", metavar="FILE", help="Normal map of a MESH: tangent space, +Y (green up).")
 @click.option("--light", type=FOLDER, metavar="FILE", help="Light for a MESH: a lat-long .hdr or .exr.")
+@click.option("--take", metavar="NAME", help="Export the light of this take of a RUN; the first take by default.")
 @click.option(
     "--set",
     "assignments",
@@ -86,6 +88,7 @@ def export_command(
     metallic: str | None,
     normal: str | None,
     light: Path | None,
+    take: str | None,
     assignments: tuple[str, ...],
     verify: bool,
     plugin_files: tuple[str, ...],
@@ -115,6 +118,8 @@ def export_command(
     options = _options(plugins, assignments, chosen, shortcuts)
     # not while another thread imports pxr: two extension modules that load at once can wait for each other for ever
     asset = _asset(source, {n: text for n, text in maps.items() if text is not None}, light)
+    if take is not None:
+        asset = _in_take(asset, source, take)
     matrix = placement(asset, scale, height, pivot)
     asset = placed_asset(asset, matrix)
 
@@ -211,6 +216,21 @@ def _asset(source: Path, maps: dict[str, str], light: Path | None) -> Asset:
         options = ", ".join([*(f"--{name.replace('_', '-')}" for name in maps), *(["--light"] if light else [])])
         raise InputError(f"{source} is not a mesh file; {options} can only be used with a mesh file such as model.obj")
     return load_scene(scene_folder(source))
+
+
+def _in_take(asset: Asset, run: Path, take: str) -> Asset:
+    """The asset under the light of a take, whose radiance is in the same axes as that of the first."""
+    from hir_core.files.stored_take_lights import read_take_lights
+    from hir_core.run.run_directory import RunDirectory
+
+    if not (run / "run.json").is_file():
+        raise InputError(f"{run} is no run, so it has no takes; remove --take")
+    lights = read_take_lights(RunDirectory(run).stage("reflectance") / "scene")
+    if not lights or asset.environment is None:
+        raise InputError(f"{run} was not made from several takes and has one light; remove --take")
+    if take not in lights:
+        raise InputError(f"{run} has no take {take!r}; its takes are {', '.join(repr(name) for name in lights)}")
+    return replace(asset, environment=replace(asset.environment, radiance=lights[take]))
 
 
 def scene_folder(run: Path) -> Path:

@@ -13,6 +13,7 @@ from hir_exporters.textures.image_files import read_exr, write_exr
 from hir_core.errors import InputError
 from hir_core.files.array_files import read_arrays, write_arrays
 from hir_core.files.json_documents import read_json, write_json
+from hir_core.files.stored_take_lights import TAKES, read_take_lights, take_array_name
 from hir_core.scene.scene import CameraLamp, EnvironmentMap, Material, Mesh, Scene, Topology
 
 _MATERIAL = ("diffuse_albedo", "specular_albedo", "roughness", "normal", "observed", "metalness")
@@ -42,8 +43,8 @@ def save_stage_scene(scene: Scene, folder: Path) -> None:
         if environment.lamp is not None:
             arrays |= {f"lamp.{name}": getattr(environment.lamp, name) for name in _LAMP}
     if scene.take_radiance:
-        document["takes"] = list(scene.take_radiance)
-        arrays |= {f"take_{number}.radiance": value for number, value in enumerate(scene.take_radiance.values())}
+        document[TAKES] = list(scene.take_radiance)
+        arrays |= {take_array_name(number): value for number, value in enumerate(scene.take_radiance.values())}
     with atomic_directory(folder) as new_folder:
         arrays_to_store = {}
         for name, value in arrays.items():
@@ -62,7 +63,7 @@ def load_stage_scene(folder: Path, device: str = "cpu") -> Scene:
     """The scene that `save_stage_scene` wrote; `InputError` where it is damaged."""
     document = read_json(folder / "scene.json")
     try:
-        return _scene_of(document, _arrays(folder)).to(device)
+        return _scene_of(document, _arrays(folder), load_take_radiance(folder)).to(device)
     except (KeyError, TypeError, AttributeError) as error:
         raise InputError(f"{folder} is not a complete scene of a stage ({error}); run without --resume") from error
 
@@ -74,7 +75,9 @@ def _arrays(folder: Path) -> dict[str, torch.Tensor]:
     return tensors
 
 
-def _scene_of(document: dict[str, Any], tensors: dict[str, torch.Tensor]) -> Scene:
+def _scene_of(
+    document: dict[str, Any], tensors: dict[str, torch.Tensor], take_radiance: dict[str, torch.Tensor]
+) -> Scene:
     mesh = Mesh(
         tensors["positions"],
         Topology(tensors["faces"], tensors.get("uv_faces")),
@@ -91,22 +94,9 @@ def _scene_of(document: dict[str, Any], tensors: dict[str, torch.Tensor]) -> Sce
         environment = EnvironmentMap(
             tensors["environment.radiance"], tensors.get("environment.to_world"), document["environment"], lamp
         )
-    return Scene(mesh, material, environment, _take_radiance(document, tensors))
+    return Scene(mesh, material, environment, take_radiance)
 
 
 def load_take_radiance(folder: Path) -> dict[str, torch.Tensor]:
-    """The light of each take in a scene that `save_stage_scene` wrote; empty for one light, and without a scene."""
-    if not (folder / "scene.json").is_file():
-        return {}
-    document = read_json(folder / "scene.json")
-    try:
-        return _take_radiance(document, _arrays(folder)) if document.get("takes") else {}
-    except (KeyError, TypeError, AttributeError) as error:
-        raise InputError(f"{folder} is not a complete scene of a stage ({error}); run without --resume") from error
-
-
-def _take_radiance(document: dict[str, Any], tensors: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-    takes = document.get("takes", [])  # runs of one take and older ones have none
-    if not isinstance(takes, list) or not all(isinstance(name, str) for name in takes):
-        raise TypeError("its takes are no list of names")
-    return {name: tensors[f"take_{number}.radiance"] for number, name in enumerate(takes)}
+    """As `read_take_lights`, as tensors."""
+    return {name: torch.from_numpy(radiance) for name, radiance in read_take_lights(folder).items()}

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 from hir_exporters.conventions import linear_to_srgb, srgb_to_linear
-from hir_exporters.textures.image_files import read_ldr, write_png
+from hir_exporters.textures.image_files import read_hdr, read_ldr, write_png
 
 from hir_core.errors import InputError
 from hir_core.evaluation import EvaluationRequest, evaluate_run
@@ -23,6 +23,7 @@ from hir_core.run.finished_run import open_finished_run
 from hir_core.run.run_directory import RunDirectory
 from hir_core.scene import EnvironmentMap, Mesh, Scene, Topology
 from hir_core.scene.scene_store import load_stage_scene, load_take_radiance, save_stage_scene
+from tests.fixtures.command_line import hir
 
 TAKES = "day", "evening"
 FACTORS = np.array([0.5, 0.3, 0.2])
@@ -115,6 +116,27 @@ def test_pictures_show_each_photograph_under_its_light(run: RunDirectory, captur
         np.testing.assert_allclose(ratio, 1, atol=0.2)
     assert len(list(run.report.glob("light_take_*.png"))) == 2
     assert "Light of take 2" in (run.path / "report.html").read_text(encoding="utf-8")
+
+
+def test_an_export_has_the_light_of_the_chosen_take(
+    run: RunDirectory, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lights = load_take_radiance(run.stage("reflectance") / "scene")
+    files = {}
+    for name, arguments in {"first": [], "day": ["--take", "day"], "evening": ["--take", "evening"]}.items():
+        arguments = [*arguments, "-f", "glb", "-f", "hdr", "--no-verify", "-q", "-o", tmp_path / name]
+        assert hir("export", run.path, *arguments) == 0
+        (files[name],) = (tmp_path / name).glob("*.hdr")
+    mean = {name: read_hdr(file).mean(axis=(0, 1)) for name, file in files.items()}
+    np.testing.assert_allclose(mean["first"], lights["day"].mean(dim=(0, 1)), rtol=0.03)
+    np.testing.assert_allclose(mean["day"], mean["first"], rtol=1e-3)
+    np.testing.assert_allclose(mean["evening"], lights["evening"].mean(dim=(0, 1)), rtol=0.03)
+    capsys.readouterr()
+    assert hir("export", run.path, "--take", "night", "-f", "hdr", "-o", tmp_path / "none") == 2
+    assert "has no take 'night'; its takes are 'day', 'evening'" in capsys.readouterr().err
+    assert hir("export", run.path / "scene", "--take", "day", "-f", "hdr", "-o", tmp_path / "none") == 2
+    assert "is no run, so it has no takes; remove --take" in capsys.readouterr().err
+    assert not (tmp_path / "none").exists()
 
 
 def test_the_lights_of_a_stage_come_back(tmp_path: Path) -> None:
