@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import t as student
 
 from hir_core.capture import View
 from hir_core.capture.photograph_exposures import Factors, recorded_exposure
@@ -61,11 +60,13 @@ def camera_response(fitted: Mapping[str, Factors], views: Sequence[View]) -> Res
         stops = max(stops, float(np.ptp(recorded)))
     if stops < MIN_STOPS:
         return None
+    from scipy.special import stdtrit
+
     square = float(x @ x)
     exponent = float(x @ y) / square
     residual = y - exponent * x
     error = float(np.sqrt(residual @ residual / free / square))
-    limit = max(MIN_DIFFERENCE, float(student.ppf(0.5 + CONFIDENCE / 2, free)) * error)
+    limit = max(MIN_DIFFERENCE, float(stdtrit(free, 0.5 + CONFIDENCE / 2)) * error)
     differs = abs(exponent - 1) > limit
     sentence = (
         f"the brightness of the photographs follows their recorded exposures to the power of {exponent:.2f} ± "
