@@ -7,7 +7,6 @@ from pathlib import Path
 import click
 
 from hir_core.cli.app import cli
-from hir_core.plugins.engine_commands import ENGINE_COMMANDS
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "command-line.md"
 
@@ -20,13 +19,14 @@ Written by `python tools/write_command_page.py` from the commands themselves. Ex
 
 
 def page() -> str:
-    """Help of every built-in command."""
+    """Help of every command of the engine and of the built-in plugins."""
     parts = [INTRODUCTION]
     context = click.Context(cli, info_name="hir", max_content_width=110, terminal_width=110)
-    for name in ENGINE_COMMANDS:
+    for name in cli.list_commands(context):
         command = cli.get_command(context, name)
         assert command is not None
-        parts += _help(command, name, context)
+        if (command.callback or cli.callback).__module__.startswith(("hir_core.", "hir_plugins.")):
+            parts += _help(command, name, context)
     return "\n".join(parts)
 
 

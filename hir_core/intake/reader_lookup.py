@@ -43,6 +43,11 @@ def read_capture(path: Path, split: str, plugins: PluginManager, reader: str = "
     name, selected = find_reader(path, plugins, reader)
     known = selected.splits(path)
     if split not in known:
+        if list(known) == ["train"]:
+            raise CaptureError(
+                f"{path} has no split {split!r}, only 'train', the photographs of the fit; "
+                "docs/evaluation.md says how to keep photographs for a test"
+            )
         raise CaptureError(f"{path} has no split {split!r}; use one of: {', '.join(known) or 'none'}")
     try:
         return replace(selected.read(path, split), reader=name)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from typing import Final, Literal
@@ -38,11 +38,19 @@ MODULES: Final = {
         "cv2": "opencv-python-headless",
         "skimage": "scikit-image",
         "matplotlib": "matplotlib",
+        "lzfse": "lzfse",
     },
-    "batch": {"ray": "ray", "fsspec": "fsspec"},
-    "evaluate": {"lpips": "lpips", "flip_evaluator": "flip-evaluator"},
 }
-"""Modules of each extra, with the distributions that contain them."""
+"""Modules of the extras that a reconstruction needs, with the distributions that contain them."""
+
+OPTIONAL_MODULES: Final = {
+    "photos": {"pillow_heif": "pillow-heif", "rawpy": "rawpy"},
+    "rembg": {"rembg": "rembg"},
+    "evaluate": {"lpips": "lpips", "flip_evaluator": "flip-evaluator"},
+    "batch": {"ray": "ray", "fsspec": "fsspec"},
+    "compress": {"DracoPy": "DracoPy", "meshopt": "meshopt"},
+}
+"""As `MODULES`, of extras for single features; without them the installation is sound."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +59,7 @@ class Finding:
 
     name: str
     state: Literal["ok", "missing", "broken", "absent"]
-    """`absent` is no fault: an optional device, such as a GPU."""
+    """`absent` is no fault: an optional device, such as a GPU, or a package of an optional extra."""
     detail: str
     advice: str = ""
 
@@ -64,6 +72,10 @@ def examine(problems: list[str]) -> list[Finding]:
     ]
     for extra, modules in MODULES.items():
         findings += [examine_module(module, package, extra) for module, package in modules.items()]
+    for extra, modules in OPTIONAL_MODULES.items():
+        for module, package in modules.items():
+            found = examine_module(module, package, extra)
+            findings.append(replace(found, state="absent") if found.state == "missing" else found)
     if find_spec("mitsuba") is not None:
         findings.append(examine_renderer("llvm_ad_rgb", "renderer (cpu)"))
         findings.append(examine_renderer("cuda_ad_rgb", "renderer (cuda)"))

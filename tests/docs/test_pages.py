@@ -10,7 +10,6 @@ import click
 import pytest
 
 from hir_core.cli.app import cli
-from hir_core.plugins.engine_commands import ENGINE_COMMANDS
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -18,12 +17,14 @@ COMMAND_PAGE = (ROOT / "docs" / "command-line.md").read_text(encoding="utf-8")
 
 
 def commands() -> list[tuple[str, click.Command]]:
-    """Every built-in command with its path."""
+    """Every command of the engine and of the built-in plugins, with its path."""
     context = click.Context(cli, info_name="hir")
     found = []
-    for name in ENGINE_COMMANDS:
+    for name in cli.list_commands(context):
         command = cli.get_command(context, name)
         assert command is not None
+        if not (command.callback or cli.callback).__module__.startswith(("hir_core.", "hir_plugins.")):
+            continue
         found.append((name, command))
         if isinstance(command, click.Group):
             found += [(f"{name} {sub}", child) for sub, child in command.commands.items()]

@@ -56,7 +56,7 @@ class ExplanationReport:
 
 @dataclass(frozen=True)
 class ComparisonReport:
-    """One refinement, or one hypothesis that was questioned again; dB rounded to 0.001."""
+    """One refinement, or one hypothesis that was compared again; dB rounded to 0.001."""
 
     model: str
     """Name of the candidate."""

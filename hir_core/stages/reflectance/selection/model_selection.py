@@ -5,7 +5,7 @@
 2. Each hypothesis starts from its own initial guess; successive halving drops those that cannot catch up.
 3. Of those that tie on held-out views the simplest is selected, after a second fold of held-out views.
 4. The shape from silhouettes alone replaces the refined one where the selected hypothesis fits held-out views better.
-5. Refinements are compared within it. Hypotheses that were near are then questioned again with the same refinements.
+5. Refinements are compared within it. Hypotheses that were near are then compared again with the same refinements.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ from hir_core.stages.reflectance.selection.refinement_selection import (
     Comparison,
     RefinementSelection,
     expected_cost,
-    question_cost,
+    runner_up_cost,
 )
 from hir_core.stages.reflectance.selection.requested_model import default_spec, forced_spec
 from hir_core.stages.reflectance.selection.shape_selection import (
@@ -66,7 +66,7 @@ from hir_core.stages.reflectance.selection.successive_halving import (
 )
 
 MAX_QUESTIONED = 2
-"""Hypotheses that are questioned again at the end, the nearest first."""
+"""Hypotheses that are compared again at the end, the nearest first."""
 
 
 EQUAL = ExposureSelection("equal")
@@ -175,7 +175,7 @@ def select_model(
     finalists = halving.run()
     chosen, pooled = _decide(folded, halving, finalists)
     rivals = [each for each in finalists if each is not chosen and can_catch_up(each, 1)][:MAX_QUESTIONED]
-    later_cost = expected_cost(chosen.spec) + sum(question_cost(each.spec) for each in rivals)
+    later_cost = expected_cost(chosen.spec) + sum(runner_up_cost(each.spec) for each in rivals)
     shape = None
     if other_shape is not None and chosen.last.held_out_db < SUFFICIENT_DB:
         folded.expect(shape_cost(chosen.spec) + later_cost)
@@ -185,13 +185,13 @@ def select_model(
     refinement = RefinementSelection(folded, first, fitted, observer.compared)
     if len(exposures) > 1:
         fitted_before = shown.exposures == "fitted"
-        shown = refinement.question_exposures(shown) if fitted_before else refinement.compare_exposures(shown)
+        shown = refinement.compare_exposures_again(shown) if fitted_before else refinement.compare_exposures(shown)
     refinement.refine_vertices()
     winner, finals = chosen, {chosen.spec: refinement.fit.errors}
     for rival in rivals:
         if refinement.fit.held_out_db >= SUFFICIENT_DB:
             break
-        fit = refinement.question(rival.last, simpler=complexity(rival.spec) < complexity(winner.spec))
+        fit = refinement.compare_runner_up(rival.last, simpler=complexity(rival.spec) < complexity(winner.spec))
         finals[rival.spec] = fit.errors
         if refinement.fit is fit:
             winner = rival
@@ -266,7 +266,7 @@ def _decide(
     """The simplest of the finalists that tie with the best one, and the errors of those on the views of all folds.
 
     Near ties are fitted on the other folds, too; but not where the simplest hypothesis is a special case of all that
-    tie with it: it is selected in any case, and the others are questioned again with the same refinements.
+    tie with it: it is selected in any case, and the others are compared again with the same refinements.
     """
     errors: Errors = {each.spec: each.last.errors for each in finalists}
     tied = _tied(finalists, errors)

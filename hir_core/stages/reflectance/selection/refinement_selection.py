@@ -72,7 +72,7 @@ class RefinementSelection(Generic[FitT, RefinementT]):
         """The selected model."""
         return self.fit.spec
 
-    def question_exposures(self, selection: ExposureSelection) -> ExposureSelection:
+    def compare_exposures_again(self, selection: ExposureSelection) -> ExposureSelection:
         """Selects simpler exposures unless fitted ones gain, with every held-out view at an exposure of its own."""
         candidate, _, _ = self._against_control(replace(self.spec, exposures=selection.before))
         own = at_own_exposures(self._fits, candidate)
@@ -112,7 +112,7 @@ class RefinementSelection(Generic[FitT, RefinementT]):
                 replace(self.spec, normals="map"), required_standard_errors=REQUIRED_STANDARD_ERRORS_OF_NORMALS
             )
 
-    def question(self, rival: FoldedFit[FitT], simpler: bool) -> FoldedFit[FitT]:
+    def compare_runner_up(self, rival: FoldedFit[FitT], simpler: bool) -> FoldedFit[FitT]:
         """Gives a rival the refinements and the effort of the selected model, and selects it where it is better.
 
         A `simpler` rival is selected in a tie, too. Returns the fit of the rival.
@@ -251,6 +251,6 @@ def expected_cost(spec: ModelSpec) -> float:
     return cost
 
 
-def question_cost(spec: ModelSpec) -> float:
-    """Of a rival that is questioned after a selection that accepts one refinement."""
+def runner_up_cost(spec: ModelSpec) -> float:
+    """Of a rival that is compared again after a selection that accepts one refinement."""
     return fit_cost(spec, 2 * COMPARISON.effort, COMPARISON.pixel_share)

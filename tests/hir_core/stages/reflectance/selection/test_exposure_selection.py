@@ -81,7 +81,7 @@ def test_a_fit_with_exposures_is_compared_at_own_exposures_with_one_without() ->
     assert selection.exposures.gain_db == pytest.approx(0, abs=0.2)
 
 
-def test_fitted_exposures_are_questioned_again_with_the_selected_material() -> None:
+def test_fitted_exposures_are_compared_again_with_the_selected_material() -> None:
     class Imitating(ExposedSolver):
         """Exposures imitate the reflections that a diffuse model lacks."""
 
