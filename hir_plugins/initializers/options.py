@@ -87,9 +87,10 @@ class MeshFileOptions:
     path: str = ""
     """File of the mesh: glTF, OBJ, PLY, STL, OFF or another format that trimesh reads; relative to the working folder
     or to the capture."""
-    axes: Literal["auto", "source", "world"] = "auto"
-    """Axes of the file. `source`: the axes of the capture's own files. `world`: right-handed with +Y up, as in a run's
-    results. `auto`: `world` for glTF, `source` for all other formats."""
+    axes: Literal["auto", "source", "source_y_up", "world"] = "auto"
+    """Axes of the file. `source`: the axes of the capture's own files. `source_y_up`: those of a capture that is +Z up,
+    turned to +Y up, as programs write glTF. `world`: right-handed with +Y up, as in a run's results. `auto`: `source`;
+    for glTF the one of the three in which the photographs agree best about the colours of the mesh."""
     transform: tuple[float, ...] = ()
     """A 4×4 similarity transform in row order (16 numbers), applied to the file's vertices first."""
     align: Literal["none", "points"] = "none"

@@ -25,9 +25,10 @@ PRESET = "delight"
 @click.option("-o", "--output", "run", type=FOLDER, required=True, metavar="RUN", help="Folder of the run.")
 @click.option(
     "--axes",
-    type=click.Choice(["auto", "source", "world"]),
+    type=click.Choice(["auto", "source", "source_y_up", "world"]),
     default="auto",
-    help="Axes of the scan: source are those of the cameras' file, world is +Y up; auto takes world for glTF.",
+    help="Axes of the scan: source are those of the cameras' file, source_y_up are these turned from +Z up to +Y up, "
+    "world are those of a run's results; auto takes source, and compares all three for glTF.",
 )
 @click.option(
     "--align/--no-align",

@@ -21,6 +21,7 @@ from hir_core.scene import Mesh, Scene, Topology
 from hir_core.scene.scan import Scan
 from hir_plugins.initializers.existing_mesh.mesh_alignment import align_mesh
 from hir_plugins.initializers.existing_mesh.mesh_loading import LoadedMesh, files_of_mesh, load_mesh
+from hir_plugins.initializers.existing_mesh.scan_axes import axes_of_gltf, world_from_axes
 from hir_plugins.initializers.options import MeshFileOptions
 from hir_plugins.initializers.surface.object_bounds import object_bounding_sphere
 from hir_plugins.initializers.surface.silhouette_fields import working_downsample
@@ -49,7 +50,7 @@ class MeshFile(Initializer):
         del scene, workspace
         path = self._path(capture)
         loaded = load_mesh(path)
-        to_world = self._world_from_file(path, capture)
+        to_world = self._world_from_file(path, loaded, capture)
         positions: Array = loaded.positions @ to_world[:3, :3].T + to_world[:3, 3]
         corners = loaded.faces
         if np.linalg.det(to_world[:3, :3]) < 0:
@@ -89,7 +90,8 @@ class MeshFile(Initializer):
         return self._scan
 
     def report(self) -> Mapping[str, object]:
-        """The mean distance between the mesh and the points that it was aligned with."""
+        """The mean distance between the mesh and the points that it was aligned with; the axes of a glTF mesh, where
+        photographs decided them."""
         return self._report
 
     def _aligned(self, positions: Array, faces: NDArray[np.int64], capture: Capture) -> Array:
@@ -115,7 +117,7 @@ class MeshFile(Initializer):
             "path of a mesh file"
         )
 
-    def _world_from_file(self, path: Path, capture: Capture) -> Array:
+    def _world_from_file(self, path: Path, loaded: LoadedMesh, capture: Capture) -> Array:
         transform = np.eye(4)
         if self._config.transform:
             if len(self._config.transform) != 16:
@@ -134,11 +136,20 @@ class MeshFile(Initializer):
                 raise ConfigError(
                     "initializer.mesh_file.transform is not a similarity (rotation, one scale, translation)"
                 )
-        axes = self._config.axes
+        axes: str = self._config.axes
         if axes == "auto":
-            # glTF is +Y up by its specification, and Blender and others convert to it on export
-            axes = "world" if path.suffix.lower() in (".glb", ".gltf") else "source"
-        return transform if axes == "world" else capture.world_from_source @ transform
+            axes = "source"
+            if path.suffix.lower() in (".glb", ".gltf"):
+                placed = loaded.positions @ transform[:3, :3].T + transform[:3, 3]
+                compared = self._config.align == "none"
+                axes = self._axes_of_gltf(placed, loaded.faces, capture) if compared else "world"
+        return world_from_axes(axes, capture) @ transform
+
+    def _axes_of_gltf(self, positions: Array, faces: NDArray[np.int64], capture: Capture) -> str:
+        comparison = axes_of_gltf(positions, faces, capture)
+        if comparison.disagreement:
+            self._report = {"axes": comparison.axes, "colour_disagreement": dict(comparison.disagreement)}
+        return comparison.axes
 
 
 def _texture(path: Path, loaded: LoadedMesh) -> NDArray[np.uint8] | None:

@@ -40,7 +40,7 @@ def vertex_colors(
         camera = view.camera.downsampled(downsample)
         visible, cosine, pixels = visibility.from_camera(camera)
         image = view.pixels(downsample).color_linear
-        samples[i, visible] = np.clip(_colors_at(image, pixels[visible]), 0, 6e4)
+        samples[i, visible] = np.clip(colors_at(image, pixels[visible]), 0, 6e4)
         weights[i, visible] = cosine[visible]
     colors = np.zeros((len(positions), 3), dtype=np.float32)
     known = np.zeros(len(positions), dtype=bool)
@@ -72,17 +72,26 @@ def vertex_normals(positions: Array, faces: NDArray[np.int64]) -> Array:
 
 
 class VertexVisibility:
-    """Which points of a mesh a camera visibility; in a frame of the mesh's size, for Embree works in float32."""
+    """Which vertices of a mesh a camera sees; in a frame of the mesh's size, for Embree works in float32.
 
-    def __init__(self, positions: Array, faces: NDArray[np.int64], normals: Array) -> None:
+    `vertices` has the indices of those that are asked for, all by default; V is their number.
+    """
+
+    def __init__(
+        self,
+        positions: Array,
+        faces: NDArray[np.int64],
+        normals: Array,
+        vertices: NDArray[np.int64] | slice = slice(None),
+    ) -> None:
         self._center = positions.mean(axis=0)
         self._size = float(np.ptp(positions, axis=0).max()) or 1.0
-        self._unit = (positions - self._center) / self._size
-        self._positions, self._normals = positions, normals
-        edges = self._unit[faces] - self._unit[np.roll(faces, -1, axis=1)]
+        unit = (positions - self._center) / self._size
+        self._positions, self._normals, self._unit = positions[vertices], normals[vertices], unit[vertices]
+        edges = unit[faces] - unit[np.roll(faces, -1, axis=1)]
         # larger than the sagitta of a facet, or a curved surface would occlude itself
         self._offset = max(1e-5, 0.2 * float(np.median(np.linalg.norm(edges, axis=2))))
-        self._queries = MeshQueries(self._unit, faces)
+        self._queries = MeshQueries(unit, faces)
 
     def from_camera(self, camera: Camera) -> tuple[NDArray[np.bool_], Array, Array]:
         """Visible or not (V,), cosine between normal and view direction (V,), and pixels (V, 2) of the vertices."""
@@ -106,7 +115,7 @@ class VertexVisibility:
         return visible, cosine, pixels
 
 
-def _colors_at(image: NDArray[np.float32], pixels: Array) -> NDArray[np.float32]:
+def colors_at(image: NDArray[np.float32], pixels: Array) -> NDArray[np.float32]:
     """Colours (N, 3) of an image (H, W, 3) at pixel coordinates (N, 2), centres at .5."""
     return sample_bilinear(image, pixels[:, 0] - 0.5, pixels[:, 1] - 0.5).astype(np.float32)
 
