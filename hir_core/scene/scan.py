@@ -19,6 +19,9 @@ from hir_core.files.json_documents import read_json, write_json
 
 DOCUMENT, TEXTURE = "scan.json", "scan_texture.png"
 
+UV_TOLERANCE = 1e-3
+"""Texture coordinates of a scan may leave 0…1 by this: programs round the border."""
+
 
 @dataclass(frozen=True, eq=False)
 class Scan:

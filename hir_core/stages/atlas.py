@@ -17,6 +17,7 @@ from hir_core.errors import ConfigError, StageError
 from hir_core.mesh.texel_rasterization import TexelSurface, dilate, texel_surface, texture_of_vertices
 from hir_core.mesh.uv_charts import cut_and_pack
 from hir_core.scene import Material, Mesh, Scene, Topology
+from hir_core.scene.scan import UV_TOLERANCE
 
 if TYPE_CHECKING:
     from hir_core.run.stage_context import StageContext
@@ -53,13 +54,13 @@ def unwrap(
 ) -> tuple[Scene, AtlasReport]:
     """The scene with texture coordinates and a diffuse texture of its vertex colours.
 
-    Texture coordinates that the mesh already has are kept where they lie in 0…1 and do not overlap. `mesh_name` is
-    what messages call the mesh.
+    Texture coordinates that the mesh already has are kept where they lie in 0…1 and do not overlap; those that leave it
+    by `UV_TOLERANCE` or less are moved to the border. `mesh_name` is what messages call the mesh.
     """
     size = settings.texture_size or texture_size(scene.mesh, capture.cameras)
     if size < 1 or size > _SETTING_MAX:
         raise ConfigError(f"atlas.texture_size is {size}; it must lie between 1 and {_SETTING_MAX} (0 derives it)")
-    mesh, charts = scene.mesh, None
+    mesh, charts = _with_rounded_border(scene.mesh), None
     problem = _problem_of_coordinates(mesh)
     if problem:
         if settings.texture_coordinates == "keep":
@@ -122,6 +123,14 @@ def _face_pixels(positions: NDArray[np.float64], faces: NDArray[np.int64], camer
     middle = (a + b + c) / 3
     inside = (middle > 0).all(axis=1) & (middle < [camera.width, camera.height]).all(axis=1)
     return np.where(inside & (depth[faces] > 0).all(axis=1), np.maximum(area, 0), 0)
+
+
+def _with_rounded_border(mesh: Mesh) -> Mesh:
+    """The mesh with coordinates in 0…1 where they leave it by no more than rounding; else the same mesh."""
+    if mesh.uvs is None or not mesh.uvs.numel():
+        return mesh
+    beyond = max(-float(mesh.uvs.min()), float(mesh.uvs.max()) - 1)  # NaN is not greater
+    return replace(mesh, uvs=mesh.uvs.clamp(0, 1)) if 0 < beyond <= UV_TOLERANCE else mesh
 
 
 def _problem_of_coordinates(mesh: Mesh) -> str:

@@ -36,6 +36,8 @@ class LoopbackServer(ThreadingHTTPServer):
 
     def __init__(self, port: int = 0) -> None:
         self.token = secrets.token_urlsafe(24)
+        self._entrance = secrets.token_urlsafe(24)
+        self._entrance_lock = threading.Lock()
         self._free = threading.BoundedSemaphore(MAX_CONNECTIONS)
         super().__init__(("127.0.0.1", port), self.handler)
 
@@ -44,9 +46,24 @@ class LoopbackServer(ThreadingHTTPServer):
         return f"http://127.0.0.1:{self.server_port}/{self.token}/"
 
     @property
+    def entrance(self) -> str:
+        """An address that leads to `address` once. A browser is started with this one: all users of a machine can read
+        the arguments of its programs."""
+        return f"http://127.0.0.1:{self.server_port}/{self._entrance}"
+
+    def enter(self, path: str) -> bool:
+        """Whether a request has the path of the entrance, for the first time."""
+        with self._entrance_lock:
+            found = bool(self._entrance) and compare_digest(path.encode(), f"/{self._entrance}".encode())
+            if found:
+                self._entrance = ""
+        return found
+
+    @property
     def hosts(self) -> tuple[str, ...]:
-        """Accepted values of the Host header."""
-        return tuple(f"{name}:{self.server_port}" for name in ("127.0.0.1", "localhost"))
+        """Accepted values of the Host header; browsers leave out port 80."""
+        names = ("127.0.0.1", "localhost")
+        return tuple(f"{name}:{self.server_port}" for name in names) + (names if self.server_port == 80 else ())
 
     def process_request(self, request: socket.socket, client_address: tuple[str, int]) -> None:  # type: ignore[override]
         if not self._free.acquire(blocking=False):
@@ -69,16 +86,19 @@ class LoopbackServer(ThreadingHTTPServer):
 
 
 class LoopbackHandler(BaseHTTPRequestHandler):
-    """What all requests have in common: 403 for another host, 404 for an address without the token."""
+    """What all requests have in common: the entrance, 403 for another host, 404 without the token."""
 
     timeout = TIMEOUT_SECONDS
     server: LoopbackServer
 
     def admitted(self) -> bool:
-        """Whether the request may be answered; where it may not, it has been refused."""
+        """Whether the request may be answered; else it has been refused, or sent on from the entrance."""
         hosts = self.headers.get_all("Host", [])
         if len(hosts) != 1 or hosts[0].lower() not in self.server.hosts:
             self.answer(403, b"")
+            return False
+        if self.command == "GET" and self.server.enter(self.path):
+            self.begin_answer(302, "text/html", {"Location": f"/{self.server.token}/", "Content-Length": "0"})
             return False
         token = self.path.partition("?")[0][: len(self.server.token) + 2]
         if not compare_digest(token.encode(), f"/{self.server.token}/".encode()):

@@ -14,7 +14,7 @@ from hir_core.capture.lens import camera_lens, resample
 from hir_core.errors import CaptureError
 from hir_core.plugins.interfaces import MaskSource
 from hir_plugins.masks.options import FolderOptions
-from hir_plugins.readers.parsing.capture_paths import PHOTO_SUFFIXES, contained_path
+from hir_plugins.readers.parsing.capture_paths import contained_path, is_photo_name
 from hir_plugins.readers.parsing.decoding.photo_file import read_mask
 from hir_plugins.readers.parsing.mask_files import find_mask, match_mask
 
@@ -57,7 +57,7 @@ class Folder(MaskSource):
         folder = contained_path(capture, self._config.path, Path("mask_source.folder.path"))
         if not folder.is_dir():
             raise CaptureError(f"mask_source.folder.path: {folder} is not a folder; name the folder of the masks")
-        files = sorted(f for f in folder.rglob("*") if f.suffix.lower() in PHOTO_SUFFIXES)
+        files = sorted(f for f in folder.rglob("*") if is_photo_name(f.name))
         return match_mask(view.path, files)
 
     def _mask(self, view: View, path: Path) -> NDArray[np.float32]:

@@ -14,7 +14,7 @@ from hir_core.plugins import NoOptions
 from hir_core.plugins.interfaces import CaptureReader
 from hir_plugins.readers.parsing.camera_axes import rigid_transform
 from hir_plugins.readers.parsing.capture_paths import contained_path, find_photo, unique_names
-from hir_plugins.readers.parsing.lens_camera import LensCamera, make_view
+from hir_plugins.readers.parsing.lens_camera import HALF_PIXEL, LensCamera, make_view
 from hir_plugins.readers.parsing.mask_files import find_mask, matches_of, warn_of_mask_names
 from hir_plugins.readers.parsing.upright import upright_rotation
 
@@ -51,7 +51,7 @@ class BlendedMvsReader(CaptureReader):
             contained_path(path, source.relative_to(path).as_posix(), path)
             pose, k = _camera(source)
             # pixel centres are integers in the files and at .5 in `Camera`
-            lens = LensCamera(k[0, 0], k[1, 1], k[0, 2] + 0.5, k[1, 2] + 0.5)
+            lens = LensCamera(k[0, 0], k[1, 1], k[0, 2] + HALF_PIXEL, k[1, 2] + HALF_PIXEL)
             views.append(make_view(name, photo, lens, pose, str(source), find_mask(photo, path)))
             poses.append(pose)
         warn_of_mask_names(matches_of(views), path)

@@ -70,8 +70,16 @@ def _names(path: Path, source: Path, count: int) -> list[str]:
     for file in dict.fromkeys(lists):
         if file.is_file():
             lines = [line.strip() for line in read_text(file).splitlines() if line.strip()]
-            # a line may end with the focal length from EXIF: "a.jpg 0 2844.4"
-            names = [re.sub(r"\s+0(\s+[-+.\deE]+)?$", "", line) for line in lines]
+            names = [_without_focal_length(line) for line in lines]
             if len(names) == count:
                 return names
     raise CaptureError(f"{source} has {count} cameras; put list.txt with the names of as many images beside it")
+
+
+def _without_focal_length(line: str) -> str:
+    """The name of an image; its line may end with a zero and the focal length from EXIF: "a.jpg 0 2844.4"."""
+    words = line.rsplit(maxsplit=2)
+    if len(words) == 3 and words[1] == "0" and re.fullmatch(r"[-+.\deE]+", words[2]):
+        return words[0]
+    words = line.rsplit(maxsplit=1)
+    return words[0] if len(words) == 2 and words[1] == "0" else line

@@ -1,7 +1,8 @@
 """Meshroom (AliceVision): a `.sfm` file in JSON, such as `cameras.sfm`, or a `.json` of its ConvertSfMFormat.
 
 Sources: the change log of AliceVision's sfmDataIO (principal points are offsets from the middle since version 1.2.1,
-focal lengths in millimetres since 1.2.2) and its camera models.
+focal lengths in millimetres since 1.2.2), its camera models, and its undistortion of images (pixel centres are at
+integers).
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from hir_core.capture import Array
 from hir_core.errors import CaptureError
 from hir_plugins.readers.parsing.camera_axes import rigid_transform
 from hir_plugins.readers.parsing.json_fields import read_json
-from hir_plugins.readers.parsing.lens_camera import LensCamera
+from hir_plugins.readers.parsing.lens_camera import HALF_PIXEL, LensCamera
 from hir_plugins.readers.parsing.posed_photos import PhotoFinder, PosedPhoto, PosedPhotosReader
 from hir_plugins.readers.parsing.text_files import file_head
 
@@ -102,9 +103,11 @@ def _lens(table: Mapping[str, object], version: tuple[int, ...], owner: str) -> 
     cx, cy = _numbers(table.get("principalPoint"), 2, owner, "principalPoint")
     if version >= _CENTERED_SINCE:
         cx, cy = cx + width / 2, cy + height / 2
-    kind = str(table.get("distortionType") or table.get("type") or "pinhole").lower()
-    if kind == "pinhole" and str(table.get("type")).lower() in _FISHEYE:
-        kind = "fisheye4"
+    cx, cy = cx + HALF_PIXEL, cy + HALF_PIXEL
+    projection = str(table.get("type") or "pinhole").lower()
+    if projection not in (*_RADIAL, *_FISHEYE):  # such as equidistant, whose distortion has the names of a pinhole's
+        raise CaptureError(f"{owner}: the projection {projection!r} is not supported; undistort the photographs")
+    kind = "fisheye4" if projection in _FISHEYE else str(table.get("distortionType") or projection).lower()
     parameters = table.get("distortionParams") or []
     count = len(parameters) if isinstance(parameters, list) else 0
     values = _numbers(parameters, count, owner, "distortionParams").tolist()

@@ -1,4 +1,7 @@
-"""OpenMVG: `sfm_data.json` with views, intrinsics and extrinsics (OpenMVG documentation, "SfM data")."""
+"""OpenMVG: `sfm_data.json` with views, intrinsics and extrinsics (OpenMVG documentation, "SfM data").
+
+Pixel centres are at integers (its undistortion of images).
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ from hir_core.capture import Array
 from hir_core.errors import CaptureError
 from hir_plugins.readers.parsing.camera_axes import rigid_transform
 from hir_plugins.readers.parsing.json_fields import number_field, read_json
-from hir_plugins.readers.parsing.lens_camera import LensCamera
+from hir_plugins.readers.parsing.lens_camera import HALF_PIXEL, LensCamera
 from hir_plugins.readers.parsing.posed_photos import PhotoFinder, PosedPhoto, PosedPhotosReader
 
 _FILES: Final = ("sfm_data.json", "sfm_data_expanded.json")
@@ -79,6 +82,7 @@ def _lens(table: Mapping[str, object], owner: str) -> LensCamera:
     if not focal or not width or not height or not isinstance(point, list) or len(point) != 2:
         raise CaptureError(f"{owner}: its intrinsic needs width, height, focal_length and principal_point")
     cx, cy = (number_field({"principal_point": value}, "principal_point", owner, 0.0) or 0.0 for value in point)
+    cx, cy = cx + HALF_PIXEL, cy + HALF_PIXEL
     key = next((name for name in table if name.startswith("disto") or name == "fisheye"), None)
     if key is None:
         return LensCamera(focal, focal, cx, cy, width, height)

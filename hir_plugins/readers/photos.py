@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import warnings
 from collections import Counter
 from pathlib import Path
 from typing import Final, final
 
+from hir_exporters.reading.base_color_texture import named_files
+
 from hir_core.capture import Capture, View
-from hir_core.errors import CaptureError
+from hir_core.errors import CaptureError, HirError
 from hir_core.plugins import NoOptions
 from hir_core.plugins.interfaces import CaptureReader
 from hir_plugins.readers.parsing.capture_paths import contained_path, photos_of, unique_names
@@ -35,6 +38,10 @@ _CAMERA_FILES: Final = (
     "cams",
     "blended_images",
 )
+
+MESH_SUFFIXES: Final = (".obj", ".ply", ".gltf", ".glb")
+MAX_MESHES: Final = 20
+"""Meshes beside the photographs whose textures are looked for."""
 
 _PROJECTS: Final = {
     ".psx": "Metashape's cameras as XML",
@@ -74,7 +81,7 @@ class PhotosReader(CaptureReader):
                 f"{path} has no split {split!r}; read 'train', the only split of a folder of photographs"
             )
         takes = _takes(path)
-        photos = [photo for _, photo in takes] if takes else _photos(path)
+        photos = [photo for _, photo in takes] if takes else _without_textures(_photos(path), path)
         if len(photos) < 2:
             raise CaptureError(f"{path} has {len(photos)} photographs; add more, at least 2 and better 30")
         sizes = {photo: photo_size(photo, orient=True) for photo in photos}
@@ -141,6 +148,24 @@ def _takes(path: Path) -> list[tuple[str, Path]]:
             stacklevel=3,
         )
     return found
+
+
+def _without_textures(photos: list[Path], path: Path) -> list[Path]:
+    """The photographs without pictures that a mesh beside them names: a scan's texture is none. A warning names one."""
+    folders = dict.fromkeys([path, *(photo.parent for photo in photos)])
+    meshes = [f for folder in folders for f in sorted(folder.iterdir()) if f.suffix.lower() in MESH_SUFFIXES]
+    textures: set[Path] = set()
+    for mesh in meshes[:MAX_MESHES]:
+        with contextlib.suppress(HirError):  # whoever reads the mesh says what is wrong with it
+            textures |= {file.resolve() for file in named_files(mesh)}
+    found = [photo for photo in photos if photo.resolve() in textures]
+    if found:
+        warnings.warn(
+            f"{len(found)} pictures are textures of a mesh in the same folder and no photographs, such as "
+            f"{found[0].name}; they are left out",
+            stacklevel=3,
+        )
+    return [photo for photo in photos if photo not in found]
 
 
 def _photos(path: Path) -> list[Path]:

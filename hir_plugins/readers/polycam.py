@@ -38,7 +38,7 @@ class PolycamReader(PosedPhotosReader[tuple[Path, str]]):
         """The folder of the cameras, and the name of that of the images."""
         for cameras, images in _FOLDERS:
             folder = path / "keyframes" / cameras
-            if folder.is_dir() and next(folder.glob("*.json"), None) is not None:
+            if folder.is_dir() and next(folder.glob("[!.]*.json"), None) is not None:
                 return folder, images
         return None
 
@@ -46,7 +46,7 @@ class PolycamReader(PosedPhotosReader[tuple[Path, str]]):
         """In the order of the time stamps."""
         cameras_folder, images = source
         cameras = []
-        for file in sorted(cameras_folder.glob("*.json"), key=lambda f: (len(f.stem), f.stem)):
+        for file in sorted(cameras_folder.glob("[!.]*.json"), key=lambda f: (len(f.stem), f.stem)):
             table = read_json(file)
             owner = str(file)
             values = {key: number_field(table, key, owner) for key in _INTRINSICS}
@@ -66,7 +66,7 @@ class PolycamReader(PosedPhotosReader[tuple[Path, str]]):
             photo = find_photo(finder.capture, f"keyframes/{images}/{file.stem}", file)
             name = photo.relative_to(finder.capture).as_posix()
             depth = depth_beside(finder.capture, file.stem)
-            cameras.append(PosedPhoto(name, owner, lens, OPENCV_FROM_OPENGL @ rigid_inverse(pose), depth))
+            cameras.append(PosedPhoto(name, owner, lens, OPENCV_FROM_OPENGL @ rigid_inverse(pose), depth, photo))
         return cameras
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from hir_core.capture import Array
 from hir_core.errors import CaptureError
 from hir_plugins.readers.parsing.camera_axes import OPENCV_FROM_OPENGL, rigid_inverse, rigid_transform
-from hir_plugins.readers.parsing.capture_paths import PHOTO_SUFFIXES
+from hir_plugins.readers.parsing.capture_paths import PHOTO_SUFFIXES, contained_path
 from hir_plugins.readers.parsing.decoding.picture_decoding import photo_size
 from hir_plugins.readers.parsing.lens_camera import LensCamera
 from hir_plugins.readers.parsing.number_text import finite_number, finite_numbers
@@ -89,7 +89,8 @@ def _from_sidecar(path: Path, file: Path) -> PosedPhoto | None:
     if any(lens) and not model.startswith("brown"):
         raise CaptureError(f"{owner}: the lens model {model!r} is not supported; align with the model Brown3")
     name = photo.relative_to(path).as_posix()
-    return PosedPhoto(name, owner, _lens(photo, focal / FILM_WIDTH_MM, aspect, u, v, lens, owner), pose)
+    photo = contained_path(path, name, file)
+    return PosedPhoto(name, owner, _lens(photo, focal / FILM_WIDTH_MM, aspect, u, v, lens, owner), pose, photo=photo)
 
 
 def _table(path: Path) -> Path | None:
@@ -110,7 +111,7 @@ def _from_table(source: Path, finder: PhotoFinder) -> list[PosedPhoto]:
             f"{source} has no column {missing[0]!r}; export the registration as Internal/External camera parameters"
         )
     cameras = []
-    for row in csv.reader(line for line in lines[start + 1 :] if line.strip()):
+    for row in _rows(lines[start + 1 :], source):
         owner = f"{source}, {row[0]!r}"
         value = {key: finite_number(text, owner) for key, text in zip(header[1:], row[1:], strict=False)}
         if any(name not in value for name in _COLUMNS):
@@ -124,6 +125,14 @@ def _from_table(source: Path, finder: PhotoFinder) -> list[PosedPhoto]:
         world_to_camera = OPENCV_FROM_OPENGL @ rigid_inverse(rigid_transform(pose, owner))
         cameras.append(PosedPhoto(row[0], owner, camera, world_to_camera))
     return cameras
+
+
+def _rows(lines: list[str], source: Path) -> list[list[str]]:
+    """The fields of each line that has any."""
+    try:
+        return list(csv.reader(line for line in lines if line.strip()))
+    except csv.Error as error:
+        raise CaptureError(f"{source} is not a CSV file ({error}); export the registration again") from None
 
 
 def _rotation(heading: float, pitch: float, roll: float) -> Array:

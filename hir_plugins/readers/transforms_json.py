@@ -26,6 +26,8 @@ from hir_plugins.readers.parsing.lens_camera import LensCamera, make_view
 from hir_plugins.readers.parsing.mask_files import find_mask, matches_of, warn_of_mask_names
 from hir_plugins.readers.parsing.takes_file import refuse_shared_masks, take_name, with_takes
 
+MIN_ANGLE: Final = 1e-6
+"""Smallest angle of view, in radians."""
 _RADIAL: Final = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 _FISHEYE: Final = ("k1", "k2", "k3", "k4")
 _MODELS: Final = (
@@ -192,13 +194,13 @@ def _lens(table: dict[str, object], owner: str, photo: Path) -> LensCamera:
     fx, fy = number_field(table, "fl_x", owner), number_field(table, "fl_y", owner)
     if fx is None:
         angle = number_field(table, "camera_angle_x", owner)
-        if angle is None or not 0 < angle < math.pi:
+        if angle is None or not MIN_ANGLE < angle < math.pi:
             raise CaptureError(f"{owner} has no focal length; write 'fl_x', or a 'camera_angle_x' between 0 and π")
         fx = 0.5 * width / math.tan(0.5 * angle)
     if fy is None:
         angle = number_field(table, "camera_angle_y", owner)
         # one angle alone means square pixels
-        fy = 0.5 * height / math.tan(0.5 * angle) if angle and 0 < angle < math.pi else fx
+        fy = 0.5 * height / math.tan(0.5 * angle) if angle and MIN_ANGLE < angle < math.pi else fx
     cx, cy = number_field(table, "cx", owner, width / 2), number_field(table, "cy", owner, height / 2)
     assert cx is not None and cy is not None
     return LensCamera(fx, fy, cx, cy, width, height, coefficients, "fisheye" if fisheye else "radial")

@@ -19,7 +19,7 @@ from urllib.parse import unquote
 from hir_exporters.errors import HirError, InputError
 from hir_exporters.files.regular_files import check_regular_file
 from hir_exporters.files.untrusted_json import parse_json
-from hir_exporters.reading.gltf_geometry.default_material import split_document, with_default_material
+from hir_exporters.reading.gltf_geometry.texture_coordinates import split_document, with_texture_coordinates
 from hir_exporters.textures.ktx2 import IDENTIFIER, check_ktx2
 from hir_exporters.textures.pillow_images import open_image
 
@@ -46,8 +46,12 @@ _TEXTURES: Final = ("map_", "norm", "bump", "disp", "decal", "refl")
 _ADDRESS: Final = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:")
 
 
-def load_mesh_scene(path: Path, file: Any = None, kind: str = "", **options: Any) -> trimesh.Scene:
+def load_mesh_scene(
+    path: Path, file: Any = None, kind: str = "", stored_uvs: bool = False, **options: Any
+) -> trimesh.Scene:
     """The scene of a mesh file; `options` are those of trimesh's loader.
+
+    With `stored_uvs` meshes of a glTF have the attribute `STORED_UVS` where their texture coordinates are floats.
 
     `file` and `kind` are a stream and its format that replace the content of a checked file. Raises `InputError` where
     the file or one that it names is refused; trimesh's own errors are of many types.
@@ -58,7 +62,7 @@ def load_mesh_scene(path: Path, file: Any = None, kind: str = "", **options: Any
     source = path if file is None else file
     kind = kind or path.suffix[1:].lower()
     if kind in ("glb", "gltf"):
-        source = io.BytesIO(with_default_material(path.read_bytes() if file is None else file.read()))
+        source = io.BytesIO(with_texture_coordinates(path.read_bytes() if file is None else file.read(), stored_uvs))
     return trimesh.load_scene(source, file_type=kind, resolver=_contained_resolver(path), **options)
 
 

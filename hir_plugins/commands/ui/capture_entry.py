@@ -242,7 +242,11 @@ def stored_entry(folder: Path) -> CaptureEntry | None:
     if not isinstance(preset, str) or not isinstance(settings, list) or not isinstance(scan, str):
         return None
     path = folder / UPLOADED / name if source is None else Path(source)
-    return CaptureEntry(folder, name, path, preset, tuple(str(line) for line in settings), scan, scans_in(path))
+    try:
+        scans = scans_in(path)
+    except (OSError, ValueError):  # a null character, half a character
+        return None
+    return CaptureEntry(folder, name, path, preset, tuple(str(line) for line in settings), scan, scans)
 
 
 def _document(path: Path) -> dict[str, Any]:

@@ -43,6 +43,7 @@ class CaptureLibrary:
             raise InputError(f"{folder} cannot be written: {error.strerror}; choose another folder") from error
         self.folder = folder.resolve()
         self._changes = threading.Lock()
+        self._starts = threading.Lock()
         self._uploads: dict[str, Upload] = {}
         for prefix in (UPLOAD_PREFIX, REMOVED_PREFIX):
             for left in self.folder.glob(f"{prefix}*"):
@@ -78,7 +79,7 @@ class CaptureLibrary:
             return self._uploads.get(name)
 
     def add_path(self, text: str) -> CaptureEntry:
-        """The entry of a folder or video on this machine, which is read where it is; its check is started."""
+        """The entry of a folder or video on this machine, which is read where it is; its check is started if it can."""
         check_text_path(text)
         try:
             path = Path(text.strip()).expanduser()
@@ -96,7 +97,7 @@ class CaptureLibrary:
             same = [e for e in self._entries.values() if e.source == path]
             entry = same[0] if same else self._added(path.stem if path.is_file() else path.name, path)
         if not entry.is_busy:
-            self.start_check(entry)
+            self._check_if_possible(entry)
         return entry
 
     def begin_upload(self, document: Mapping[str, Any]) -> str:
@@ -113,7 +114,7 @@ class CaptureLibrary:
         return name
 
     def finish_upload(self, name: str) -> CaptureEntry:
-        """The capture that the upload has become; its check is started."""
+        """The capture that the upload has become; its check is started if it can."""
         with self._changes:
             upload = self._uploads.get(name)
             if upload is None:
@@ -127,7 +128,7 @@ class CaptureLibrary:
                 raise
             del self._uploads[name]
             entry = self._entries[folder.name] = new_entry(folder, upload.manifest.name, None)
-        self.start_check(entry)
+        self._check_if_possible(entry)
         return entry
 
     def cancel_upload(self, name: str) -> None:
@@ -138,11 +139,18 @@ class CaptureLibrary:
             upload.discard()
 
     def start_check(self, entry: CaptureEntry) -> None:
-        """Starts the check, if not too many run."""
-        running = [e for e in self.entries if e is not entry and e.state == "checking"]
-        if len(running) >= MAX_CHECKS:
-            raise InputError(f"{running[0].name} is being checked; check {entry.name} when it is done")
-        entry.start_check()
+        """Starts the check; `InputError` where too many run."""
+        with self._starts:
+            running = self._others(entry, "checking")
+            if len(running) >= MAX_CHECKS:
+                raise InputError(f"{running[0].name} is being checked; check {entry.name} when it is done")
+            entry.start_check()
+
+    def _check_if_possible(self, entry: CaptureEntry) -> None:
+        """Starts the check of a capture that was added; where too many run, the page has a button for it."""
+        with self._starts:
+            if len(self._others(entry, "checking")) < MAX_CHECKS:
+                entry.start_check()
 
     def remove(self, entry: CaptureEntry) -> None:
         """Deletes the folder of a capture: dropped photographs, check and run. A folder elsewhere is not touched."""
@@ -157,10 +165,14 @@ class CaptureLibrary:
 
     def start_run(self, entry: CaptureEntry, preset: str, assignments: list[str], scan: str | None = None) -> None:
         """Starts or resumes the reconstruction; one at a time, because each uses all cores."""
-        running = next((e for e in self.entries if e is not entry and e.state == "running"), None)
-        if running is not None:
-            raise InputError(f"{running.name} is being reconstructed; stop it, or wait until it is finished")
-        entry.start_run(preset, assignments, scan)
+        with self._starts:
+            running = self._others(entry, "running")
+            if running:
+                raise InputError(f"{running[0].name} is being reconstructed; stop it, or wait until it is finished")
+            entry.start_run(preset, assignments, scan)
+
+    def _others(self, entry: CaptureEntry, state: str) -> list[CaptureEntry]:
+        return [e for e in self.entries if e is not entry and e.state == state]
 
     def _added(self, name: str, source: Path) -> CaptureEntry:
         folder = self._new_folder(capture_name(name))

@@ -41,7 +41,7 @@ def ui_command(folder: Path, port: int, browser: bool, quiet: bool, verbose: boo
             if browser:
                 import webbrowser
 
-                webbrowser.open(ui.address)
+                webbrowser.open(ui.entrance)
             ui.serve_forever()
 
 

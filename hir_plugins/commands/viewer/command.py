@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import contextlib
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from hir_core.terminal.command_options import FOLDER, verbosity_options
+
+if TYPE_CHECKING:
+    from hir_plugins.commands.viewer.page_server import PageServer
 
 
 @click.command("view")
@@ -41,12 +45,12 @@ def view_command(
             click.echo(f"{save}  {save.stat().st_size / 1e6:.2f} MB")
         return
 
-    def ready(address: str) -> None:
-        click.echo(f"{address}  (press Ctrl-C to stop)")
+    def ready(server: PageServer) -> None:
+        click.echo(f"{server.address}  (press Ctrl-C to stop)")
         if browser:
             import webbrowser
 
-            webbrowser.open(address)
+            webbrowser.open(server.entrance)
 
     with contextlib.suppress(KeyboardInterrupt):
         serve(page, port, ready)

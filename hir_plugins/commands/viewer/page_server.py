@@ -29,12 +29,12 @@ class PageServer(LoopbackServer):
         super().__init__(port)
 
 
-def serve(page: str, port: int = 0, on_ready: Callable[[str], None] | None = None) -> None:
+def serve(page: str, port: int = 0, on_ready: Callable[[PageServer], None] | None = None) -> None:
     """Serves the page on the loopback interface until interrupted; port 0 takes a free one.
 
-    `on_ready` receives the page's address. Raises `InputError` if the port cannot be used.
+    `on_ready` receives the server with its addresses. Raises `InputError` if the port cannot be used.
     """
     with bound_server(partial(PageServer, page), port) as server:
         if on_ready is not None:
-            on_ready(server.address)
+            on_ready(server)
         server.serve_forever()

@@ -9,7 +9,6 @@ from typing import final
 
 import numpy as np
 import torch
-from hir_exporters.conventions import flip_v
 from hir_exporters.mesh.vertex_welding import weld
 from hir_exporters.reading.base_color_texture import read_base_color_texture
 from numpy.typing import NDArray
@@ -18,7 +17,7 @@ from hir_core.capture import Array, Capture, similarity_scale
 from hir_core.errors import CaptureError, ConfigError, HirError
 from hir_core.plugins.interfaces import Initializer
 from hir_core.scene import Mesh, Scene, Topology
-from hir_core.scene.scan import Scan
+from hir_core.scene.scan import UV_TOLERANCE, Scan
 from hir_plugins.initializers.existing_mesh.mesh_alignment import align_mesh
 from hir_plugins.initializers.existing_mesh.mesh_loading import LoadedMesh, files_of_mesh, load_mesh
 from hir_plugins.initializers.existing_mesh.scan_axes import axes_of_gltf, world_from_axes
@@ -26,9 +25,6 @@ from hir_plugins.initializers.options import MeshFileOptions
 from hir_plugins.initializers.surface.object_bounds import object_bounding_sphere
 from hir_plugins.initializers.surface.silhouette_fields import working_downsample
 from hir_plugins.initializers.surface.vertex_colors import vertex_colors
-
-UV_TOLERANCE = 1e-3
-"""Texture coordinates may leave 0…1 by this for a texture to be kept: programs round the border."""
 
 _UNTIL_THEN = "until then the report compares with the colours of the photographs at the vertices"
 
@@ -65,8 +61,7 @@ class MeshFile(Initializer):
         if not len(faces):
             raise CaptureError(f"{path} has no triangle with an area; export the mesh again")
         positions = positions[first]
-        # trimesh has the origin at the bottom left for all formats
-        uvs = None if loaded.uvs is None else flip_v(loaded.uvs.astype(np.float32)).astype(np.float32)
+        uvs = loaded.uvs
         colors = loaded.colors
         if colors is not None:
             colors = colors[first]

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from hir_exporters.conventions import srgb_to_linear
+from hir_exporters.conventions import flip_v, srgb_to_linear
 from hir_exporters.reading.base_color_texture import named_files
+from hir_exporters.reading.gltf_geometry.texture_coordinates import STORED_UVS
 from hir_exporters.reading.mesh_references import load_mesh_scene
 from numpy.typing import NDArray
 
@@ -28,8 +29,8 @@ class LoadedMesh:
     """(V, 3), one for each pair of position and texture coordinate; in the axes of the file."""
     faces: NDArray[np.int64]
     """(F, 3), indices of vertices."""
-    uvs: NDArray[np.float64] | None
-    """(V, 2) as in the file, with the origin at the bottom left; None where a part has none."""
+    uvs: NDArray[np.float32] | None
+    """(V, 2), with the origin at the top left, the stored numbers of a glTF; None where a part has none."""
     colors: NDArray[np.float32] | None
     """Linear (V, 3); None where the file has no colours at its vertices."""
 
@@ -41,7 +42,7 @@ def load_mesh(path: Path) -> LoadedMesh:
     if path.stat().st_size > _MAX_BYTES:
         raise CaptureError(f"{path} is larger than {_MAX_BYTES >> 30} GB; simplify it first")
     try:
-        scene = load_mesh_scene(path, process=False)
+        scene = load_mesh_scene(path, stored_uvs=True, process=False)
         placed = [scene.graph[node] for node in scene.graph.nodes_geometry]
         meshes = [(scene.geometry[name], to_world) for to_world, name in placed]
         parts = [_part(mesh, to_world) for mesh, to_world in meshes if isinstance(mesh, trimesh.Trimesh)]
@@ -93,12 +94,17 @@ def _joined(parts: list[LoadedMesh]) -> LoadedMesh:
     )
 
 
-def _texture_coordinates(part: trimesh.Trimesh) -> NDArray[np.float64] | None:
+def _texture_coordinates(part: trimesh.Trimesh) -> NDArray[np.float32] | None:
     """UV per vertex (V, 2); None without them, or without a finite one for each vertex."""
-    uv = getattr(part.visual, "uv", None)
-    if uv is None or len(uv) != len(part.vertices) or not np.isfinite(uv).all():
+    stored = part.vertex_attributes.get(STORED_UVS)
+    from_trimesh = getattr(part.visual, "uv", None)
+    if stored is not None:
+        uvs = np.asarray(stored, np.float32)
+    elif from_trimesh is not None:
+        uvs = flip_v(np.asarray(from_trimesh, np.float32)).astype(np.float32)  # its origin is at the bottom left
+    else:
         return None
-    return np.asarray(uv, np.float64)
+    return uvs if len(uvs) == len(part.vertices) and np.isfinite(uvs).all() else None
 
 
 def _vertex_colors(part: trimesh.Trimesh) -> NDArray[np.float32] | None:

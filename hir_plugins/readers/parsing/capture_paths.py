@@ -61,6 +61,8 @@ def find_photo(folder: Path, name: str, owner: Path) -> Path:
     path = contained_path(folder, name, owner)
     if path.is_file():
         return path
+    if path == folder or not path.name:
+        raise CaptureError(f"{owner}: {name!r} names a folder, not an image; name a file of the capture")
     for suffix in PHOTO_SUFFIXES:
         for ending in (suffix, suffix.upper()):
             candidate = path.with_name(path.name + ending)
@@ -69,16 +71,21 @@ def find_photo(folder: Path, name: str, owner: Path) -> Path:
     raise CaptureError(f"{owner} names the image {name!r}, which is not in {folder}; add the file or remove its entry")
 
 
+def is_photo_name(name: str) -> bool:
+    """Whether a file is a photograph, by its name; hidden files are not, such as `._a.jpg`, which macOS writes."""
+    return Path(name).suffix.lower() in PHOTO_SUFFIXES and not name.startswith(".")
+
+
 def photos_of(folder: Path) -> list[Path]:
     """The photographs directly in a folder, by name; whether links lead out of the capture is not checked."""
-    return sorted(p for p in folder.iterdir() if p.suffix.lower() in PHOTO_SUFFIXES and p.is_file())
+    return sorted(p for p in folder.iterdir() if is_photo_name(p.name) and p.is_file())
 
 
 def photos_in_first_folder(capture: Path, folders: Sequence[str]) -> list[Path]:
     """The photographs, by name, of the first of `folders` that exists; if none exists, `CaptureError` is raised."""
     for name in folders:
         if (capture / name).is_dir():
-            photos = sorted(p for p in (capture / name).iterdir() if p.suffix.lower() in PHOTO_SUFFIXES)
+            photos = sorted(p for p in (capture / name).iterdir() if is_photo_name(p.name))
             return [contained_path(capture, p.relative_to(capture).as_posix(), capture) for p in photos]
     raise CaptureError(f"{capture} has none of the folders {', '.join(folders)}; put the images into one of them")
 

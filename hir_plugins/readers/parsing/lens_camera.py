@@ -15,6 +15,9 @@ from hir_plugins.readers.parsing.camera_axes import MAX_DISTANCE, camera_matrix
 from hir_plugins.readers.parsing.decoding.photo_file import PhotoFile
 from hir_plugins.readers.parsing.decoding.picture_decoding import photo_size
 
+HALF_PIXEL = 0.5
+"""Added to principal points of formats that have pixel centres at integers: ours are at .5."""
+
 
 @dataclass(frozen=True)
 class LensCamera:

@@ -9,7 +9,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from hir_core.capture import View
-from hir_plugins.readers.parsing.capture_paths import PHOTO_SUFFIXES
+from hir_plugins.readers.parsing.capture_paths import PHOTO_SUFFIXES, is_photo_name
 
 FOLDERS = ("masks", "mask", "Masks", "Mask", "object_mask", "silhouettes")
 """Usual folders of masks, beside the folder of photographs or in the capture's folder."""
@@ -34,7 +34,7 @@ class MaskIndex:
         self._by_plain_name: dict[str, list[Path]] = {}
         self._by_number: dict[int, list[Path]] = {}
         for mask in sorted(masks):
-            if mask.suffix.lower() in PHOTO_SUFFIXES:
+            if is_photo_name(mask.name):
                 self._by_stem.setdefault(mask.stem, []).append(mask)
                 plain = _name_without_affixes(mask.stem)
                 self._by_plain_name.setdefault(plain, []).append(mask)
@@ -89,10 +89,10 @@ def found_masks(photos: Sequence[Path], capture: Path, others: Iterable[Path] = 
     """
     folders = {photo.parent: photo for photo in photos}
     listed = [file for photo in folders.values() for each in _mask_folders(photo, capture) for file in _listed(each)]
-    masks = [file for file in dict.fromkeys(listed) if file.suffix.lower() in PHOTO_SUFFIXES]
+    masks = [file for file in dict.fromkeys(listed) if is_photo_name(file.name)]
     if not masks:
         return FoundMasks((), ())
-    beside = [file for folder in folders for file in _listed(folder) if file.suffix.lower() in PHOTO_SUFFIXES]
+    beside = [file for folder in folders for file in _listed(folder) if is_photo_name(file.name)]
     known = dict.fromkeys((*photos, *beside, *others))
     matched = {find_mask(photo, capture) for photo in known}
     rest = [file for file in masks if file not in known]

@@ -16,7 +16,7 @@ from hir_core.capture import Array, Capture, MeasuredDepth
 from hir_core.errors import CaptureError
 from hir_core.plugins import NoOptions
 from hir_core.plugins.interfaces import CaptureReader
-from hir_plugins.readers.parsing.capture_paths import PHOTO_SUFFIXES, contained_path, unique_names
+from hir_plugins.readers.parsing.capture_paths import contained_path, is_photo_name, unique_names
 from hir_plugins.readers.parsing.lens_camera import LensCamera, make_view
 from hir_plugins.readers.parsing.mask_files import FOLDERS as MASK_FOLDERS
 from hir_plugins.readers.parsing.mask_files import find_mask, matches_of, warn_of_mask_names
@@ -44,6 +44,8 @@ class PosedPhoto:
     world_to_camera: Array
     """4×4, OpenCV axes."""
     depth: MeasuredDepth | None = None
+    photo: Path | None = None
+    """The file of the photograph, where the format says which it is; None looks for the name."""
 
 
 class PhotoFinder:
@@ -126,7 +128,15 @@ class PosedPhotosReader(CaptureReader, Generic[Source]):
             raise CaptureError(
                 f"{path} has no photograph with a camera; align the photographs and export the cameras again"
             )
-        photos = [finder.find(camera.name, camera.owner) for camera in cameras]
+        photos = [camera.photo or finder.find(camera.name, camera.owner) for camera in cameras]
+        owners: dict[Path, str] = {}
+        for camera, photo in zip(cameras, photos, strict=True):
+            if photo in owners:
+                raise CaptureError(
+                    f"{camera.owner} and {owners[photo]} have the same photograph, {photo}; give photographs of "
+                    "different folders different names, align them again and export the cameras"
+                )
+            owners[photo] = camera.owner
         views = [
             make_view(
                 *(name, photo, camera.lens, camera.world_to_camera, camera.owner),
@@ -151,7 +161,7 @@ def _photos(capture: Path) -> list[Path]:
         listed += len(files)
         if listed > MAX_FILES:
             raise CaptureError(f"{capture} has more than {MAX_FILES} files; give the capture a folder of its own")
-        found += [Path(folder) / file for file in sorted(files) if Path(file).suffix.lower() in PHOTO_SUFFIXES]
+        found += [Path(folder) / file for file in sorted(files) if is_photo_name(file)]
     return found
 
 

@@ -41,6 +41,22 @@ def test_a_folder_of_photographs(tmp_path: Path) -> None:
     assert capture.views[1].pixels().color_linear.shape == (24, 32, 3)
 
 
+def test_a_texture_of_a_scan_is_no_photograph(tmp_path: Path) -> None:
+    for name in ("a.jpg", "b.jpg", "scan_tex.png", "._a.jpg"):
+        photo(tmp_path / name) if name[0] != "." else (tmp_path / name).write_bytes(b"\0\5")
+    (tmp_path / "scan.obj").write_text(
+        "mtllib scan.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nusemtl m\nf 1/1 2/2 3/3\n"
+    )
+    (tmp_path / "scan.mtl").write_text("newmtl m\nmap_Kd scan_tex.png\n")
+    with pytest.warns(
+        UserWarning, match="1 pictures are textures of a mesh .* such as scan_tex.png; they are left out"
+    ):
+        capture = READER.read(tmp_path)
+    assert [view.name for view in capture.views] == ["a", "b"]
+    (tmp_path / "scan.obj").write_bytes(b"f " + b"1 " * 20_000)  # whoever reads the mesh says so
+    assert len(READER.read(tmp_path).views) == 3
+
+
 def test_a_folder_with_cameras_belongs_to_another_reader(tmp_path: Path) -> None:
     for name in "ab":
         photo(tmp_path / f"{name}.jpg")

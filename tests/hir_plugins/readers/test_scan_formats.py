@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -85,7 +86,8 @@ def table_of_realityscan(folder: Path) -> None:
 
 
 def sfm(folder: Path, version: str = "1.2.6") -> None:
-    offset = (OFFSET if version >= "1.2.1" else OFFSET + np.array([WIDTH / 2, HEIGHT / 2])).tolist()
+    offset = OFFSET - 0.5  # pixel centres are at integers
+    offset = (offset if version >= "1.2.1" else offset + np.array([WIDTH / 2, HEIGHT / 2])).tolist()
     lens: dict[str, Any] = {"type": "brown", "distortionParams": [*K, ALONG_Y, ALONG_X], "principalPoint": offset}
     lens |= {"focalLength": FOCAL / WIDTH * 36, "sensorWidth": 36} if version >= "1.2.2" else {"pxFocalLength": FOCAL}
     transform = {"rotation": ROTATION.T.ravel().tolist(), "center": CENTER.tolist()}
@@ -111,7 +113,7 @@ def exported_sfm(folder: Path) -> None:
 
 
 def mvg(folder: Path, nested: bool = False) -> None:
-    middle = [WIDTH / 2 + OFFSET[0], HEIGHT / 2 + OFFSET[1]]
+    middle = [WIDTH / 2 + OFFSET[0] - 0.5, HEIGHT / 2 + OFFSET[1] - 0.5]  # pixel centres are at integers
     pinhole = {"width": WIDTH, "height": HEIGHT, "focal_length": FOCAL, "principal_point": middle}
     lens = {**({"value0": pinhole} if nested else pinhole), "disto_t2": [*K, ALONG_Y, ALONG_X]}
     view = {"local_path": "images", "filename": "a.png", "id_intrinsic": 0, "id_pose": 0}
@@ -295,7 +297,9 @@ REFUSED: list[tuple[Callable[[Path], None], str, str, str, str]] = [
     (xmp, "images/a.xmp", "xcr:PrincipalPointU", 'xcr:Skew="0.1" xcr:PrincipalPointU', "skew"),
     (table, "scan.csv", ",heading", ",omega", "no column 'heading'"),
     (table, "scan.csv", ",90,", ",up,", "'up' is not a finite number"),
+    (table, "scan.csv", "a.png,", '"a.png,' + "x" * 140_000, "not a CSV file .field larger"),
     (sfm, "cameras.sfm", '"brown"', '"3declassicld"', "'3declassicld' is not supported"),
+    (sfm, "cameras.sfm", '"brown"', '"equidistant", "distortionType": "radialk3"', "'equidistant' is not supported"),
     (sfm, "cameras.sfm", '"sensorWidth": 36', '"sensorWidth": 0', "0 mm wide"),
     (sfm, "cameras.sfm", '"poseId": "7", "intrinsicId"', '"rigId": "5", "poseId": "7", "intrinsicId"', "rig"),
     (sfm, "cameras.sfm", '"poseId": "7", "pose"', '"poseId": "9", "pose"', "no photograph with a camera"),
@@ -328,6 +332,46 @@ def test_two_photographs_of_one_name_are_refused_unless_the_path_says_which(pict
     metashape(picture)  # names a
     with pytest.raises(CaptureError, match="keep only one"):
         read_capture(picture, "train", PLUGINS)
+
+
+def test_a_sidecar_belongs_to_the_photograph_beside_it(picture: Path) -> None:
+    """Also where a folder below has another of that name, such as thumbnails."""
+    xmp(picture)
+    for name in ("a.png", "a.xmp"):
+        shutil.move(picture / "images" / name, picture / name)
+    shutil.copy(picture / "a.png", picture / "images" / "a.png")
+    assert [view.path for view in read_capture(picture, "train", PLUGINS).views] == [picture / "a.png"]
+
+
+def test_two_cameras_of_one_photograph_are_refused(picture: Path) -> None:
+    """As of two folders of a camera that number alike, of which one was copied."""
+    metashape(picture)
+    content = (picture / "cameras.xml").read_text()
+    camera = content[content.index("<camera id") : content.index("</camera>") + len("</camera>")]
+    edited(picture, "cameras.xml", "</group>", camera.replace('id="0"', 'id="5"', 1) + "</group>")
+    with pytest.raises(CaptureError, match=r"have the same photograph, .*a\.png; give photographs of"):
+        read_capture(picture, "train", PLUGINS)
+
+
+def test_hidden_files_are_not_read(picture: Path) -> None:
+    """`._NAME`, which macOS writes beside each file on some disks."""
+    keyframes(picture)
+    for file in [f for f in picture.rglob("*") if f.is_file()]:
+        file.with_name(f"._{file.name}").write_bytes(b"\0\5\x16\7")
+    assert [view.name for view in read_capture(picture, "train", PLUGINS).views] == ["a"]
+
+
+@pytest.mark.parametrize(
+    ("line", "name"),
+    [("a b.jpg", "a b.jpg"), ("a.jpg 0", "a.jpg"), ("a 0 1.5e3", "a"), ("a 1 80", "a 1 80"), ("a 0 x", "a 0 x")],
+)
+def test_names_in_the_list_of_bundler(line: str, name: str) -> None:
+    from hir_plugins.readers.bundler import _without_focal_length
+
+    assert _without_focal_length(line) == name
+    start = time.process_time()
+    _without_focal_length("a" + " " * 1_000_000 + "b")
+    assert time.process_time() - start < 5, "linear in the length"
 
 
 @pytest.mark.skipif(not hasattr(os, "symlink"), reason="no symbolic links")

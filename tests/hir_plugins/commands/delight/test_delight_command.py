@@ -6,6 +6,7 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+import pygltflib
 import pytest
 import trimesh
 from hir_exporters.textures.image_files import write_png
@@ -46,12 +47,25 @@ def indices(file: Path) -> NDArray[np.int64]:
     return np.asarray(mesh.faces, np.int64)
 
 
+def stored_uvs(file: Path) -> NDArray[np.float32]:
+    """Texture coordinates (V, 2) of a .glb of one primitive, with the bits that the file has."""
+    gltf = pygltflib.GLTF2().load(str(file))
+    assert gltf is not None
+    accessor = gltf.accessors[gltf.meshes[0].primitives[0].attributes.TEXCOORD_0]
+    assert accessor.componentType == pygltflib.FLOAT
+    view = gltf.bufferViews[accessor.bufferView]
+    assert view.byteStride in (None, 8)
+    start = (view.byteOffset or 0) + (accessor.byteOffset or 0)
+    return np.frombuffer(gltf.binary_blob(), np.float32, 2 * accessor.count, start).reshape(-1, 2)
+
+
 def shuffled(file: Path, target: Path) -> Path:
     """The same mesh with its vertices in another order, as another program may write it."""
     mesh = trimesh.load(file, process=False, force="mesh")
     assert isinstance(mesh, trimesh.Trimesh)
     order = np.random.default_rng(0).permutation(len(mesh.vertices))
-    uv = np.asarray(mesh.visual.uv)[order]  # type: ignore[union-attr]
+    uv = np.asarray(mesh.visual.uv)[order].astype(np.float32)  # type: ignore[union-attr]
+    uv[:, 1] -= np.float32(1e-4) * np.random.default_rng(1).random(len(uv), np.float32)  # bits that 1 - v would round
     visual = trimesh.visual.TextureVisuals(uv=uv)
     trimesh.Trimesh(mesh.vertices[order], np.argsort(order)[mesh.faces], visual=visual, process=False).export(target)
     return target
@@ -62,7 +76,9 @@ def test_mesh_and_coordinates_stay(finished: Run, tiny_capture: Path, tmp_path: 
     assert delight(scan, tiny_capture, tmp_path / "run", "--set", 'export=["glb"]') == 0
     exported = next((tmp_path / "run" / "exports").glob("*.glb"))
     (positions, uvs), (old_positions, old_uvs) = corners(exported), corners(scan)
-    assert uvs.tobytes() == old_uvs.tobytes()
+    np.testing.assert_allclose(uvs, old_uvs, atol=1e-6)
+    assert stored_uvs(exported).tobytes() == stored_uvs(scan).tobytes(), "trimesh reads 1 - v, which rounds"
+    assert (1 - (1 - stored_uvs(scan)[:, 1]) != stored_uvs(scan)[:, 1]).any(), "rounding would show"
     # the file has one vertex for each pair of position and texture coordinate, so its indices stay, too
     assert indices(exported).tobytes() == indices(scan).tobytes()
     np.testing.assert_allclose(positions, old_positions, atol=1e-6)

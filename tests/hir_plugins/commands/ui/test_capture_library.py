@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import io
+import json
 import os
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import closing
@@ -42,6 +44,66 @@ def send(library: CaptureLibrary, name: str, files: dict[str, bytes]) -> Capture
     for index, content in enumerate(files.values()):
         arriving.receive(index, io.BytesIO(content), len(content))
     return library.finish_upload(upload)
+
+
+def test_a_capture_is_added_while_others_are_checked(
+    library: CaptureLibrary, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It waits for the button; a start by the button says why it has to wait."""
+    monkeypatch.setattr(CaptureEntry, "state", property(lambda entry: "checking" if entry.id in "ab" else "new"))
+    started: list[str] = []
+    monkeypatch.setattr(CaptureEntry, "start_check", lambda entry: started.append(entry.id))
+    for name in "abc":
+        (tmp_path / name).mkdir()
+        library.add_path(str(tmp_path / name))
+    assert started == ["a", "b"] and [entry.id for entry in library.entries] == ["a", "b", "c"]
+    with pytest.raises(InputError, match="a is being checked; check c when it is done"):
+        library.start_check(library.entries[2])
+
+
+def test_one_of_two_starts_at_a_time_wins(
+    library: CaptureLibrary, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two tabs of a browser may start two captures in the same moment."""
+    running: set[str] = set()
+
+    def start(entry: CaptureEntry, *_: object) -> None:
+        time.sleep(0.2)
+        running.add(entry.id)
+
+    monkeypatch.setattr(CaptureEntry, "start_check", lambda entry: None)
+    monkeypatch.setattr(CaptureEntry, "start_run", start)
+    monkeypatch.setattr(CaptureEntry, "state", property(lambda entry: "running" if entry.id in running else "new"))
+    for name in "ab":
+        (tmp_path / name).mkdir()
+    entries = [library.add_path(str(tmp_path / name)) for name in "ab"]
+    barrier = threading.Barrier(2)
+    refused: list[str] = []
+
+    def press(entry: CaptureEntry) -> None:
+        barrier.wait()
+        try:
+            library.start_run(entry, "fast", [])
+        except InputError as error:
+            refused.append(str(error))
+
+    threads = [threading.Thread(target=press, args=(entry,)) for entry in entries]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(running) == len(refused) == 1 and "is being reconstructed" in refused[0]
+
+
+def test_a_damaged_record_hides_one_capture(tmp_path: Path) -> None:
+    with closing(CaptureLibrary(tmp_path / "library")) as library:
+        library.begin_upload({"name": "x", "files": [{"path": "a.png", "size": 1}]})
+        send(library, "good", {"a.png": b"x"})
+        (library.folder / "bad").mkdir()
+        record = json.loads((library.folder / "good" / "capture.json").read_text())
+        (library.folder / "bad" / "capture.json").write_text(json.dumps({**record, "name": "bad", "source": "/a\0b"}))
+    with closing(CaptureLibrary(tmp_path / "library")) as library:
+        assert [entry.id for entry in library.entries] == ["good"]
 
 
 def test_a_path_is_checked_where_it_is_and_found_by_the_next_session(tiny_capture: Path, tmp_path: Path) -> None:

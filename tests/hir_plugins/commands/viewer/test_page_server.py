@@ -52,6 +52,25 @@ def test_the_page_has_a_random_address(server: PageServer) -> None:
         assert other.token != server.token and len(server.token) >= 32
 
 
+def test_the_entrance_leads_to_the_page_once(server: PageServer) -> None:
+    """A browser is started with it, and its arguments are public."""
+    path = server.entrance.removeprefix(f"http://127.0.0.1:{server.server_port}")
+    assert server.token not in server.entrance
+    assert get(server, path, host="evil.example")[0] == 403
+    connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=10)
+    connection.request("GET", path)
+    answer = connection.getresponse()
+    assert (answer.status, answer.headers["Location"]) == (302, f"/{server.token}/")
+    connection.close()
+    assert get(server, path) == (404, "") and get(server, "/") == (404, "")
+
+
+def test_port_80_is_not_named_by_browsers(server: PageServer) -> None:
+    assert server.hosts == (f"127.0.0.1:{server.server_port}", f"localhost:{server.server_port}")
+    server.server_port = 80
+    assert "127.0.0.1" in server.hosts and "localhost" in server.hosts
+
+
 def test_another_host_gets_nothing(server: PageServer) -> None:
     """A web page whose name resolves to 127.0.0.1 sends its own name."""
     for host in ("evil.example", f"evil.example:{server.server_port}", "127.0.0.1", "127.0.0.1:1", "localhost.evil:80"):

@@ -274,7 +274,10 @@ def test_a_page_is_served_on_the_loopback_interface() -> None:
     address: list[str] = []
     ready = threading.Event()
     threading.Thread(
-        target=serve, args=("<p>ä</p>",), kwargs={"on_ready": lambda at: (address.append(at), ready.set())}, daemon=True
+        target=serve,
+        args=("<p>ä</p>",),
+        kwargs={"on_ready": lambda started: (address.append(started.address), ready.set())},
+        daemon=True,
     ).start()
     assert ready.wait(10) and address[0].startswith("http://127.0.0.1:")
     with urllib.request.urlopen(address[0]) as answer:
