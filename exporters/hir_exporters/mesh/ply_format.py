@@ -28,18 +28,23 @@ _SCALARS = {
 
 
 def encode_ply(mesh: AssetMesh) -> bytes:
-    """Bytes of mesh.ply: float32 `x y z nx ny nz s t`, then `tx ty tz tw` if there are tangents; int32 triangles."""
-    columns = [mesh.positions, mesh.normals, flip_v(mesh.uvs)]
-    names: tuple[str, ...] = _COLUMNS
+    """Bytes of mesh.ply: float32 `x y z nx ny nz`, float64 `s t`, then float32 `tx ty tz tw` if there are tangents;
+    int32 triangles. 1 - v is exact in float64, so texture coordinates keep their bits.
+    """
+    columns = dict(
+        zip(_COLUMNS, [*mesh.positions.T, *mesh.normals.T, *flip_v(mesh.uvs.astype(np.float64)).T], strict=True)
+    )
     if mesh.tangents is not None:
-        columns.append(mesh.tangents)
-        names += _TANGENT_COLUMNS
+        columns |= dict(zip(_TANGENT_COLUMNS, mesh.tangents.T, strict=True))
+    types = {name: ("double", "<f8") if name in ("s", "t") else ("float", "<f4") for name in columns}
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(mesh.positions)}"]
-    header += [f"property float {name}" for name in names]
+    header += [f"property {kind} {name}" for name, (kind, _) in types.items()]
     header += [f"element face {len(mesh.faces)}", "property list uchar int vertex_indices", "end_header", ""]
     faces = np.empty(len(mesh.faces), _FACE)
     faces["count"], faces["corners"] = 3, mesh.faces
-    vertices = np.concatenate(columns, axis=1).astype("<f4")
+    vertices = np.empty(len(mesh.positions), np.dtype([(name, kind) for name, (_, kind) in types.items()]))
+    for name, values in columns.items():
+        vertices[name] = values
     return "\n".join(header).encode("ascii") + vertices.tobytes() + faces.tobytes()
 
 
@@ -63,10 +68,15 @@ def decode_ply(data: bytes, source: str) -> AssetMesh:
     return AssetMesh(
         positions=_columns(vertices, "x", "y", "z"),
         normals=_columns(vertices, "nx", "ny", "nz"),
-        uvs=flip_v(_columns(vertices, "s", "t")).astype(np.float32),
+        uvs=_texture_coordinates(vertices),
         faces=np.ascontiguousarray(faces["corners"], dtype=np.int32),
         tangents=_columns(vertices, *_TANGENT_COLUMNS) if with_tangents else None,
     )
+
+
+def _texture_coordinates(vertices: NDArray[np.void]) -> NDArray[np.float32]:
+    with np.errstate(over="ignore"):  # as in `_columns`
+        return flip_v(np.stack([vertices[name].astype(np.float64) for name in ("s", "t")], axis=1)).astype(np.float32)
 
 
 def _columns(vertices: NDArray[np.void], *names: str) -> NDArray[np.float32]:

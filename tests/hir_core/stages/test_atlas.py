@@ -214,6 +214,23 @@ def test_coordinates_that_cannot_be_kept_name_the_file_and_the_remedy(change, wo
         unwrap(Scene(mesh), capture, settings, context(tmp_path, []), "scan.obj")
 
 
+@pytest.mark.parametrize(("beyond", "kept"), [(1e-6, True), (9e-4, True), (2e-3, False)])
+def test_coordinates_that_a_program_rounded_are_moved_to_the_border(beyond: float, kept: bool, tmp_path: Path) -> None:
+    mesh, _ = unwrap_mesh(bumpy_sphere(), 64)
+    assert mesh.uvs is not None
+    low, high = mesh.uvs.min(dim=0).values, mesh.uvs.max(dim=0).values
+    stretched = (mesh.uvs - low) / (high - low) * (1 + 2 * beyond) - beyond
+    settings = AtlasSettings(texture_size=64, texture_coordinates="keep")
+    scene = Scene(replace(mesh, uvs=stretched))
+    if not kept:
+        with pytest.raises(StageError, match="outside 0…1"):
+            unwrap(scene, capture_of(), settings, context(tmp_path, []))
+        return
+    found, report = unwrap(scene, capture_of(), settings, context(tmp_path, []))
+    assert report.charts is None and found.mesh.uvs is not None
+    torch.testing.assert_close(found.mesh.uvs, stretched.clamp(0, 1), rtol=0, atol=0)
+
+
 def test_stage_bakes_vertex_colours(tmp_path: Path) -> None:
     mesh = icosphere(3)
     mesh = replace(mesh, vertex_colors=mesh.positions * 0.4 + 0.5)
