@@ -44,8 +44,6 @@ MODULES: Final = {
 """Modules of the extras that a reconstruction needs, with the distributions that contain them."""
 
 OPTIONAL_MODULES: Final = {
-    "photos": {"pillow_heif": "pillow-heif", "rawpy": "rawpy"},
-    "rembg": {"rembg": "rembg"},
     "evaluate": {"lpips": "lpips", "flip_evaluator": "flip-evaluator"},
     "batch": {"ray": "ray", "fsspec": "fsspec"},
     "compress": {"DracoPy": "DracoPy", "meshopt": "meshopt"},

@@ -43,7 +43,7 @@ class CaptureLibrary:
             raise InputError(f"{folder} cannot be written: {error.strerror}; choose another folder") from error
         self.folder = folder.resolve()
         self._changes = threading.Lock()
-        self._starts = threading.Lock()
+        self._starting = threading.Lock()
         self._uploads: dict[str, Upload] = {}
         for prefix in (UPLOAD_PREFIX, REMOVED_PREFIX):
             for left in self.folder.glob(f"{prefix}*"):
@@ -140,7 +140,7 @@ class CaptureLibrary:
 
     def start_check(self, entry: CaptureEntry) -> None:
         """Starts the check; `InputError` where too many run."""
-        with self._starts:
+        with self._starting:
             running = self._others(entry, "checking")
             if len(running) >= MAX_CHECKS:
                 raise InputError(f"{running[0].name} is being checked; check {entry.name} when it is done")
@@ -148,7 +148,7 @@ class CaptureLibrary:
 
     def _check_if_possible(self, entry: CaptureEntry) -> None:
         """Starts the check of a capture that was added; where too many run, the page has a button for it."""
-        with self._starts:
+        with self._starting:
             if len(self._others(entry, "checking")) < MAX_CHECKS:
                 entry.start_check()
 
@@ -165,7 +165,7 @@ class CaptureLibrary:
 
     def start_run(self, entry: CaptureEntry, preset: str, assignments: list[str], scan: str | None = None) -> None:
         """Starts or resumes the reconstruction; one at a time, because each uses all cores."""
-        with self._starts:
+        with self._starting:
             running = self._others(entry, "running")
             if running:
                 raise InputError(f"{running[0].name} is being reconstructed; stop it, or wait until it is finished")

@@ -63,7 +63,7 @@ def axes_of_gltf(positions: Array, faces: NDArray[np.int64], capture: Capture) -
     views = compared_views(capture)
     if not views or np.allclose(candidates["source_y_up"], candidates["world"], atol=1e-6):
         return AxesComparison("world", {}, True)
-    vertices = _spread(len(positions), MAX_VERTICES)
+    vertices = _evenly_spaced(len(positions), MAX_VERTICES)
     visibility = VertexVisibility(positions, faces, vertex_normals(positions, faces), vertices)
     factor = working_downsample(capture)
     images = [linear_to_srgb(np.clip(view.pixels(factor).color_linear, 0, 1)).astype(np.float32) for view in views]
@@ -96,7 +96,7 @@ def compared_views(capture: Capture) -> list[View]:
     posed = [view for view in capture.views if view.camera is not None]
     takes = [view.take for view in posed]
     members = [view for view in posed if view.take == max(takes, key=takes.count)] if posed else []
-    return [members[i] for i in _spread(len(members), MAX_VIEWS)]
+    return [members[i] for i in _evenly_spaced(len(members), MAX_VIEWS)]
 
 
 def colour_disagreement(
@@ -123,6 +123,6 @@ def colour_disagreement(
     return float(within / max(overall, 1e-6))
 
 
-def _spread(count: int, limit: int) -> NDArray[np.int64]:
+def _evenly_spaced(count: int, limit: int) -> NDArray[np.int64]:
     """Indices of at most `limit` of `count` elements, evenly spaced."""
     return np.unique(np.linspace(0, max(count - 1, 0), min(count, limit)).round().astype(np.int64))
