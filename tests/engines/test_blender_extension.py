@@ -243,10 +243,10 @@ def session(
             "exported first": ["imported", unexported],
             "light": ["world_radiance", exported_run, DIRECTIONS, work],
             "missing": ["missing_run", work / "photos"],
-            "gltf": refit("gltf", "WORLD", False),
+            "gltf": refit("gltf", "GLTF", False),
             "turned": refit("turned", "SOURCE", True),
             "turned y": refit("turned_y", "SOURCE_TURNED", True),
-            "broken": refit("broken", "WORLD", False, "broken=1"),
+            "broken": refit("broken", "GLTF", False, "broken=1"),
             "refused": ["refused", work / "photos"],
             "modal": ["modal", stand_in, work / "modal"],
         },
@@ -290,7 +290,7 @@ def test_a_folder_without_a_run_is_refused(session: dict[str, Any]) -> None:
     assert "is not the folder of a run: it has no run.json" in session["missing"]["error"]
 
 
-@pytest.mark.parametrize(("case", "axes"), [("gltf", "world"), ("turned", "source"), ("turned y", "source")])
+@pytest.mark.parametrize(("case", "axes"), [("gltf", "auto"), ("turned", "source"), ("turned y", "source")])
 def test_materials_are_refitted(session: dict[str, Any], case: str, axes: str) -> None:
     found = session[case]
     assert found["result"] == ["FINISHED"] and found["unchanged"]
@@ -367,7 +367,7 @@ def test_hir_itself_refits_a_mesh(extension: Path, finished: Any, tiny_capture: 
         program,
         {
             "imported": ["imported", finished.directory.path],
-            "refit": ["refitted", scan, tiny_capture, run, "WORLD", False, settings, DIRECTIONS, tmp_path],
+            "refit": ["refitted", scan, tiny_capture, run, "GLTF", False, settings, DIRECTIONS, tmp_path],
         },
     )
     assert answers["imported"]["result"] == ["FINISHED"]

@@ -38,7 +38,7 @@ class RefitMaterials(HirProcessOperator, bpy.types.Operator):
         items=[
             ("SOURCE_TURNED", "Import turned +Y up", "OBJ or FBX with the importer's defaults; axes of the cameras"),
             ("SOURCE", "Import kept the axes", "PLY, STL, or forward Y and up Z; axes of the cameras"),
-            ("WORLD", "glTF", "glTF, in the axes of hir"),
+            ("GLTF", "glTF", "glTF; the photographs show in which axes it was written"),
         ],
         default="SOURCE_TURNED",
     )

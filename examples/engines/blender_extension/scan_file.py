@@ -5,7 +5,7 @@ import bpy
 from .hir_process import HirError
 
 AXES = {
-    "WORLD": (True, "world"),
+    "GLTF": (True, "auto"),
     "SOURCE_TURNED": (True, "source"),
     "SOURCE": (False, "source"),
 }
