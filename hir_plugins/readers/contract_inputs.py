@@ -16,6 +16,7 @@ from hir_exporters.textures.image_files import write_png
 
 from hir_core.capture import Array, Camera, Capture
 from hir_core.capture.rotations import quaternion_from_rotation
+from hir_plugins.readers.parsing.lens_camera import HALF_PIXEL
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 """Conversion between OpenCV's camera axes and OpenGL's; its own inverse."""
@@ -194,7 +195,7 @@ def meshroom(capture: Capture, folder: Path) -> Path:
         k = camera.intrinsics
         path = f"D:/scans/images/{view.name}.png"
         views.append({"viewId": str(i), "poseId": str(i), "intrinsicId": str(i), "path": path})
-        offset = [str(k[0, 2] - camera.width / 2), str(k[1, 2] - camera.height / 2)]
+        offset = [str(k[0, 2] - HALF_PIXEL - camera.width / 2), str(k[1, 2] - HALF_PIXEL - camera.height / 2)]
         lens = {"type": "pinhole", "focalLength": str(k[0, 0] * 36 / camera.width), "sensorWidth": "36"}
         size = {"width": str(camera.width), "height": str(camera.height)}
         intrinsics.append({"intrinsicId": str(i), **size, **lens, "pixelRatio": "1", "principalPoint": offset})
@@ -214,7 +215,8 @@ def open_mvg(capture: Capture, folder: Path) -> Path:
         k, size = camera.intrinsics, {"width": camera.width, "height": camera.height}
         data = {"local_path": "", "filename": f"{view.name}.png", **size, "id_intrinsic": i, "id_pose": i}
         views.append({"key": i, "value": {"ptr_wrapper": {"id": i, "data": data}}})
-        lens = {**size, "focal_length": k[0, 0], "principal_point": [k[0, 2], k[1, 2]], "disto_k3": [0.0, 0.0, 0.0]}
+        center = [k[0, 2] - HALF_PIXEL, k[1, 2] - HALF_PIXEL]
+        lens = {**size, "focal_length": k[0, 0], "principal_point": center, "disto_k3": [0.0, 0.0, 0.0]}
         intrinsics.append({"key": i, "value": {"polymorphic_id": 1, "ptr_wrapper": {"id": i, "data": lens}}})
         pose = {"rotation": camera.world_to_camera[:3, :3].tolist(), "center": camera.center.tolist()}
         extrinsics.append({"key": i, "value": pose})

@@ -8,6 +8,7 @@ whose files define no up direction turn the project's world upright by an angle 
 from __future__ import annotations
 
 import warnings
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -94,8 +95,8 @@ def axes_of_gltf(positions: Array, faces: NDArray[np.int64], capture: Capture) -
 def compared_views(capture: Capture) -> list[View]:
     """Photographs with cameras of the take that has most of them, spread over it."""
     posed = [view for view in capture.views if view.camera is not None]
-    takes = [view.take for view in posed]
-    members = [view for view in posed if view.take == max(takes, key=takes.count)] if posed else []
+    largest = Counter(view.take for view in posed).most_common(1)
+    members = [view for view in posed if view.take == largest[0][0]]
     return [members[i] for i in _evenly_spaced(len(members), MAX_VIEWS)]
 
 
