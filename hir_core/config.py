@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 from annotated_types import Interval
+from hir_exporters.files.regular_files import refuse_special_file
 
-from hir_core.errors import ConfigError
+from hir_core.errors import ConfigError, InputError
 from hir_core.plugins.options import build_options
 
 if TYPE_CHECKING:
@@ -21,6 +22,9 @@ Tables = dict[str, dict[str, Any]]
 """Options of components, keyed by component."""
 
 
+MAX_SETTINGS_BYTES = 1 << 20
+MAX_SETTINGS_DOTS = 5_000
+"""In a file of settings: a key of many parts takes time and memory that grow with their square."""
 MAX_SETTINGS_DEPTH = 32
 """Settings are a few tables deep; a far deeper file would exceed Python's recursion limit."""
 
@@ -313,8 +317,17 @@ def _default_preset(plugins: PluginManager) -> str:
 def read_toml(path: Path) -> dict[str, Any]:
     """A TOML file as a table; `ConfigError` names the file and the line."""
     try:
+        refuse_special_file(path)
         with path.open("rb") as stream:
-            table = tomllib.load(stream)
+            text = stream.read(MAX_SETTINGS_BYTES + 1).decode("utf-8")
+        if len(text) > MAX_SETTINGS_BYTES or text.count(".") > MAX_SETTINGS_DOTS:
+            raise ConfigError(
+                f"{path} is no file of settings: it is larger than {MAX_SETTINGS_BYTES >> 10} kB, or has "
+                f"more than {MAX_SETTINGS_DOTS} dots"
+            )
+        table = tomllib.loads(text)
+    except InputError as error:
+        raise ConfigError(str(error)) from None
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
     except (ValueError, RecursionError) as error:  # also of an integer of more than 4300 digits

@@ -63,7 +63,7 @@ def _exposure(table: Mapping[int, object]) -> float:
     time, aperture, sensitivity = (
         _number(value) for value in (table.get(_EXPOSURE_TIME), table.get(_F_NUMBER), _first(iso))
     )
-    return time * sensitivity / aperture**2 if time and aperture and sensitivity else 0.0
+    return _ratio(time * sensitivity, aperture * aperture)
 
 
 def _first(value: object) -> object:
@@ -76,9 +76,15 @@ def _focal_over_width(table: Mapping[int, object]) -> float:
     unit = _UNIT_MM.get(int(_number(table.get(_PLANE_UNIT)) or 2), 25.4)
     if focal and across and resolution:
         # the width at capture, which a later resize leaves in the record, divided by the sensor's pixels per unit
-        return focal / (across / resolution * unit)
+        return _ratio(focal, across / resolution * unit)
     equivalent = _number(table.get(_FOCAL_35MM))
     return equivalent / 36.0 if equivalent else 0.0
+
+
+def _ratio(numerator: float, denominator: float) -> float:
+    """0 where it is not a positive finite number, as of an aperture of 1e-200."""
+    ratio = numerator / denominator if denominator > 0 else 0.0
+    return ratio if math.isfinite(ratio) else 0.0
 
 
 def _number(value: object) -> float:

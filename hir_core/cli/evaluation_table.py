@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hir_core.files.file_names import on_one_line
+
 if TYPE_CHECKING:
     from rich.table import Table
 
@@ -76,6 +78,7 @@ OTHER_TABLES: dict[str, Columns] = {
 
 def table_of(results: Sequence[Mapping[str, Any]], columns: Columns) -> Table:
     """One row per run; with several runs the best value of each column is bold."""
+    from rich.markup import escape
     from rich.table import Table
 
     table = Table(box=None, padding=(0, 2, 0, 0))
@@ -93,7 +96,7 @@ def table_of(results: Sequence[Mapping[str, Any]], columns: Columns) -> Table:
             value = value_at(r, key)
             text = "–" if value is None else f"{value:.{digits}f}"
             cells.append(f"[bold]{text}[/bold]" if value is not None and round(value, digits) == best[key] else text)
-        table.add_row(Path(r["run"]).name, r["split"], *cells)
+        table.add_row(escape(on_one_line(Path(r["run"]).name)), escape(on_one_line(r["split"])), *cells)
     return table
 
 

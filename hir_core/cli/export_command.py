@@ -215,7 +215,12 @@ def _asset(source: Path, maps: dict[str, str], light: Path | None) -> Asset:
     if maps or light is not None:
         options = ", ".join([*(f"--{name.replace('_', '-')}" for name in maps), *(["--light"] if light else [])])
         raise InputError(f"{source} is not a mesh file; {options} can only be used with a mesh file such as model.obj")
-    return load_scene(scene_folder(source))
+    folder = scene_folder(source)
+    if folder != source:
+        from hir_core.run.run_directory import refuse_links
+
+        refuse_links(source)
+    return load_scene(folder)
 
 
 def _in_take(asset: Asset, run: Path, take: str) -> Asset:

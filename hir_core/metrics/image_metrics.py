@@ -30,9 +30,13 @@ PSNR_MAX: Final = 100.0
 
 
 def composite(color_linear: Image, coverage: Image) -> Image:
-    """Picture (H, W, 3) in 0…1 over black: sRGB of the clipped colour (H, W, 3, unassociated) times coverage (H, W)."""
-    color = np.clip(np.nan_to_num(color_linear, nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0)
-    alpha = np.clip(np.nan_to_num(coverage, nan=0.0), 0.0, 1.0)
+    """Picture (H, W, 3) in 0…1 over black: sRGB of the clipped colour (H, W, 3, unassociated) times coverage (H, W).
+
+    `InputError` for NaN: black in its place would have figures like any other picture.
+    """
+    if np.isnan(color_linear).any() or np.isnan(coverage).any():
+        raise InputError("a picture contains pixels that are no number; no figure can be computed from it")
+    color, alpha = np.clip(color_linear, 0.0, 1.0), np.clip(coverage, 0.0, 1.0)
     return np.asarray(linear_to_srgb(color) * alpha[..., None], dtype=np.float32)
 
 

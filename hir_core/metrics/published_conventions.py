@@ -14,6 +14,7 @@ import numpy as np
 from hir_exporters.conventions import linear_to_srgb
 from numpy.typing import NDArray
 
+from hir_core.errors import InputError
 from hir_core.metrics.image_metrics import Image, Perceptual
 
 Array = NDArray[np.float64]
@@ -74,8 +75,11 @@ def eroded(coverage: Image) -> NDArray[np.bool_]:
 
 
 def masked(picture: Image, mask: NDArray[np.bool_]) -> Array:
-    """Black outside."""
-    return np.where(mask[..., None], np.nan_to_num(np.asarray(picture, np.float64)), 0.0)
+    """Black outside. A pixel inside that is not finite raises `InputError`."""
+    inside = np.where(mask[..., None], np.asarray(picture, np.float64), 0.0)
+    if not np.isfinite(inside).all():
+        raise InputError("the compared pictures contain pixels that are not finite; mask or replace them first")
+    return inside
 
 
 def best_scale(fit: Array, truth: Array) -> Array:

@@ -7,12 +7,19 @@ import torch
 from hir_exporters.textures.image_files import read_hdr
 
 from hir_core.capture import Array, EnvironmentSource
+from hir_core.errors import InputError
 from hir_core.scene import EnvironmentMap
 
 
 def load_light(source: EnvironmentSource, world_from_source: Array, device: str = "cpu") -> EnvironmentMap:
-    """Reads the light of a capture, times its strength, into the world of `world_from_source` (4×4)."""
-    radiance = read_hdr(source.path) * np.float32(source.strength)
+    """Reads the light of a capture, times its strength, into the world of `world_from_source` (4×4).
+
+    `InputError` where the product is not finite.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        radiance = read_hdr(source.path) * np.float32(source.strength)
+    if not np.isfinite(radiance).all():
+        raise InputError(f"{source.path}: its radiance times {source.strength:g} is too large; give a lower strength")
     to_world = world_from_light(world_from_source, source)
     return EnvironmentMap(
         torch.from_numpy(np.ascontiguousarray(radiance)).to(device),
@@ -33,8 +40,9 @@ def is_same_light(a: EnvironmentSource | None, b: EnvironmentSource | None) -> b
     """Whether two splits have the same light. File contents are compared too, because captures often copy a file."""
     if a is None or b is None:
         return a is b
-    return (
-        a.strength == b.strength
-        and np.allclose(a.source_from_environment, b.source_from_environment)
-        and (a.path == b.path or a.path.read_bytes() == b.path.read_bytes())
-    )
+    if a.strength != b.strength or not np.allclose(a.source_from_environment, b.source_from_environment):
+        return False
+    try:
+        return a.path == b.path or a.path.read_bytes() == b.path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{error.filename} cannot be read: {error.strerror}; add the light of the capture") from error

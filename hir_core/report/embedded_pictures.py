@@ -181,7 +181,7 @@ def picture_uri(path: Path, side: int = EMBEDDED_SIDE) -> str:
     try:
         with open_image(path) as opened:
             picture = opened.convert("RGB")
-    except (InputError, OSError) as error:
+    except (InputError, OSError, RuntimeError, SyntaxError, ValueError) as error:  # decoders, on damaged pictures
         raise InputError(f"{path} cannot be read ({error}); write it again with: hir report") from error
     picture.thumbnail((side, side), Image.Resampling.LANCZOS)
     stream = io.BytesIO()

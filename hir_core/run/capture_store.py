@@ -76,6 +76,8 @@ def camera_from_document(document: Mapping[str, Any], source: str) -> Camera:
     finite = all(np.isfinite(a).all() for a in (intrinsics, pose, np.array(distortion)))
     if intrinsics.shape != (3, 3) or pose.shape != (4, 4) or width < 1 or height < 1 or not finite:
         raise InputError(f"{source}: a camera needs a finite K (3×3), world_to_camera (4×4) and a size of at least 1×1")
+    if not abs(np.linalg.det(pose)) > 0 or not abs(np.linalg.det(intrinsics)) > 0:
+        raise InputError(f"{source}: the pose or the K of a camera cannot be inverted; run again with --resume")
     return Camera(intrinsics, pose, width, height, distortion)
 
 

@@ -86,7 +86,7 @@ def examine_module(module: str, package: str, extra: str) -> Finding:
     command = f"pip install 'hir[{extra}]' (in a checkout: pip install -e '.[{extra}]')"
     if find_spec(module) is None:
         return Finding(package, "missing", f"for hir[{extra}]", command)
-    code, output = _try([sys.executable, "-c", f"import {module}"])
+    code, output = _try([sys.executable, "-P", "-c", f"import {module}"])
     if code != 0:
         return Finding(package, "broken", last_line(output), _library_advice(output) or command)
     try:
@@ -97,7 +97,7 @@ def examine_module(module: str, package: str, extra: str) -> Finding:
 
 def examine_renderer(variant: str, name: str) -> Finding:
     """Renders 4×4 pixels in a subprocess, because Mitsuba aborts the process if LLVM is too old."""
-    code, output = _try([sys.executable, "-c", TINY_RENDER, variant])
+    code, output = _try([sys.executable, "-P", "-c", TINY_RENDER, variant])
     if code == 0:
         return Finding(name, "ok", variant)
     if variant.startswith("cuda"):

@@ -6,6 +6,7 @@ import sys
 from types import TracebackType
 from typing import Self
 
+from hir_core.files.file_names import on_one_line
 from hir_core.plugins.progress import Progress, Throttle
 
 SHOWN_SCALARS = ("psnr", "held_out_psnr", "loss", "iou", "silhouette", "error")
@@ -52,7 +53,7 @@ class ProgressBar:
 
     def message(self, sentence: str) -> None:
         """Prints one line above the bar."""
-        self._console.print(sentence, markup=False)
+        self._console.print(on_one_line(sentence), markup=False)
 
     def update(self, progress: Progress) -> None:
         """Updates the bar; a new stage starts a new bar."""

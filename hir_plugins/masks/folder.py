@@ -28,6 +28,7 @@ class Folder(MaskSource):
 
     def __init__(self, config: FolderOptions) -> None:
         self._config = config
+        self._listed: dict[Path, list[Path]] = {}
 
     def masks(self, capture: Capture, scene: Scene | None) -> list[NDArray[np.float32] | None]:
         """One mask for each view; None without a file. A named folder that matches no view raises `CaptureError`."""
@@ -57,8 +58,10 @@ class Folder(MaskSource):
         folder = contained_path(capture, self._config.path, Path("mask_source.folder.path"))
         if not folder.is_dir():
             raise CaptureError(f"mask_source.folder.path: {folder} is not a folder; name the folder of the masks")
-        files = sorted(f for f in folder.rglob("*") if is_photo_name(f.name))
-        return match_mask(view.path, files)
+        if folder not in self._listed:
+            self._listed[folder] = sorted(f for f in folder.rglob("*") if is_photo_name(f.name))
+        mask = match_mask(view.path, self._listed[folder])
+        return None if mask is None else contained_path(capture, mask.relative_to(capture).as_posix(), folder)
 
     def _mask(self, view: View, path: Path) -> NDArray[np.float32]:
         height, width = view.read().color_linear.shape[:2]

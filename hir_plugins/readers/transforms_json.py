@@ -26,6 +26,7 @@ from hir_plugins.readers.parsing.lens_camera import LensCamera, make_view
 from hir_plugins.readers.parsing.mask_files import find_mask, matches_of, warn_of_mask_names
 from hir_plugins.readers.parsing.takes_file import refuse_shared_masks, take_name, with_takes
 
+MIN_DEPTH_UNIT: Final = 1e-9
 MIN_ANGLE: Final = 1e-6
 """Smallest angle of view, in radians."""
 _RADIAL: Final = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
@@ -169,7 +170,7 @@ def _depth(frame: dict[str, object], source: Path, owner: str) -> MeasuredDepth 
     if not name:
         return None
     unit = number_field(frame, "depth_unit_scale_factor", owner, MILLIMETRE)
-    if unit is None or unit <= 0:
+    if unit is None or not MIN_DEPTH_UNIT <= unit <= 1 / MIN_DEPTH_UNIT:
         raise CaptureError(f"{owner}: depth_unit_scale_factor is {unit}; give the metres of one unit of the depth maps")
     return depth_map(
         find_photo(source.parent, str(name), source),

@@ -23,6 +23,12 @@ ALLOWED = {
 def calls(file: Path) -> Iterator[str]:
     """`Image.open` and `trimesh.load`, whatever name they were imported with."""
     tree = ast.parse(file.read_text(encoding="utf-8"))
+    names = {"Image": "Image", "PIL.Image": "Image", "trimesh": "trimesh"}
+    for node in ast.walk(tree):
+        for alias in node.names if isinstance(node, ast.Import | ast.ImportFrom) else ():
+            module = alias.name if isinstance(node, ast.Import) else f"{node.module}.{alias.name}"
+            if alias.asname and module in ("PIL.Image", "trimesh"):
+                names[alias.asname] = names[module]
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] in ("PIL", "trimesh"):
             for alias in node.names:
@@ -31,11 +37,27 @@ def calls(file: Path) -> Iterator[str]:
                 if node.module == "trimesh" and alias.name.startswith("load"):
                     yield "trimesh.load"
         elif isinstance(node, ast.Attribute):
-            owner = ast.unparse(node.value)
-            if owner in ("Image", "PIL.Image") and node.attr == "open":
+            owner = names.get(ast.unparse(node.value))
+            if owner == "Image" and node.attr == "open":
                 yield "Image.open"
             elif owner == "trimesh" and node.attr.startswith("load"):
                 yield "trimesh.load"
+
+
+@pytest.mark.parametrize(
+    ("code", "found"),
+    [
+        ("from PIL import Image as I\nI.open(f)", ["Image.open"]),
+        ("import PIL.Image as P\nP.open(f)", ["Image.open"]),
+        ("from PIL.Image import open as o", ["Image.open"]),
+        ("import trimesh as t\nt.load_scene(f)", ["trimesh.load"]),
+        ("from trimesh import load_mesh", ["trimesh.load"]),
+        ("import PIL.Image\nPIL.Image.new()", []),
+    ],
+)
+def test_other_names_are_found(code: str, found: list[str], tmp_path: Path) -> None:
+    (tmp_path / "a.py").write_text(code)
+    assert list(calls(tmp_path / "a.py")) == found
 
 
 @pytest.mark.parametrize("name", ALLOWED)

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import base64
+import contextlib
+import io
 import json
 import os
 import time
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hir_exporters.errors import HirError
 from hir_exporters.reading.gltf_readback import read_gltf
 from hir_exporters.reading.mesh_import import load_mesh_asset
+from hir_exporters.reading.mesh_references import load_mesh_scene
+from PIL import Image
 
 from tests.reliability.test_hostile_files import triangle_gltf
 
@@ -124,6 +130,14 @@ def _many_instances(folder: Path) -> Path:
     return folder / "a.gltf"
 
 
+def _many_instances_of_many_primitives(folder: Path) -> Path:
+    """9,999 nodes of a mesh of 1,000 primitives."""
+    document = triangle_gltf(nodes=[{"mesh": 0}] * 9_999, scenes=[{"nodes": list(range(9_999))}])
+    document["meshes"] = [{"primitives": [{"attributes": {"POSITION": 0}}] * 1_000}]
+    (folder / "a.gltf").write_text(json.dumps(document))
+    return folder / "a.gltf"
+
+
 def _vast_accessor(folder: Path) -> Path:
     accessor = {"componentType": 5126, "count": 10**10, "type": "VEC3"}
     (folder / "a.gltf").write_text(json.dumps(triangle_gltf(accessors=[accessor])))
@@ -159,12 +173,60 @@ REFUSED = {
     _pipe_as_library: "not a regular file",
     _pipe_as_buffer: "not a regular file",
     _many_instances: "200000 nodes",
+    _many_instances_of_many_primitives: "more than 10000 primitives",
     _vast_accessor: "elements",
     _many_corners: "corners",
     _many_corners_on_many_lines: "corners",
     _long_index: "too many digits",
     _negative_refraction: "index of refraction is -1",
 }
+
+
+@pytest.mark.parametrize("kind", ["two places", "two codes"])
+def test_no_library_decodes_another_picture_than_the_checked_one(
+    kind: str, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An EPS would start Ghostscript. trimesh prefers `bufferView` to `uri`, and what follows `base64,` last."""
+    from PIL import EpsImagePlugin
+
+    from hir_plugins.initializers.existing_mesh.mesh_loading import load_mesh
+
+    eps = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 8 8\n%%EndComments\nshowpage\n"
+    stream = io.BytesIO()
+    Image.new("RGB", (2, 2)).save(stream, "PNG")
+    png, triangle = base64.b64encode(stream.getvalue()).decode(), triangle_gltf()
+    uvs = np.zeros((3, 2), np.float32).tobytes()
+    first = base64.b64decode(triangle["buffers"][0]["uri"].partition(",")[2])  # type: ignore[index]
+    content = first + uvs + eps
+    picture = {"uri": f"data:image/png;base64,{png}", "bufferView": 2}
+    if kind == "two codes":
+        picture = {"uri": f"data:image/png,{png}base64,{base64.b64encode(eps).decode()}"}
+    uri = "data:application/octet-stream;base64," + base64.b64encode(content).decode()
+    document = triangle | {
+        "buffers": [{"uri": uri, "byteLength": len(content)}],
+        "bufferViews": [
+            {"buffer": 0, "byteLength": 36},
+            {"buffer": 0, "byteOffset": 36, "byteLength": 24},
+            {"buffer": 0, "byteOffset": 60, "byteLength": len(eps)},
+        ],
+        "images": [picture | {"mimeType": "image/png"}],
+        "textures": [{"source": 0}],
+        "materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0, "TEXCOORD_0": 1}, "material": 0}]}],
+        "accessors": [*triangle["accessors"], {"bufferView": 1, "componentType": 5126, "count": 3, "type": "VEC2"}],  # type: ignore[misc]
+    }
+    (folder / "a.gltf").write_text(json.dumps(document))
+    started: list[object] = []
+    monkeypatch.setattr(EpsImagePlugin, "Ghostscript", lambda *given, **named: started.append(given))
+    for read in (load_mesh_asset, load_mesh, lambda path: surface_of(path)):
+        with contextlib.suppress(HirError):
+            read(folder / "a.gltf")
+    assert not started
+
+
+def surface_of(path: Path) -> object:
+    """As `hir check --mesh` and `hir evaluate --mesh` read it."""
+    return load_mesh_scene(path).to_mesh()
 
 
 @pytest.mark.parametrize("make", REFUSED, ids=lambda f: f.__name__.strip("_"))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hir_exporters.errors import HirError
 
@@ -75,3 +76,41 @@ def test_a_pipe_in_a_run_does_not_block(place: str, run: Path) -> None:
 def test_the_folder_of_a_run_may_itself_be_a_link(run: Path) -> None:
     (run.parent / "link").symlink_to(run)
     assert open_run(run.parent / "link").read_run()["seed"] == 0
+
+
+def test_a_linked_light_of_a_run_is_not_exported(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from hir_core.cli.app import main
+
+    outside = run.parent / "private.exr"
+    outside.write_bytes(b"private")
+    (run / "scene").mkdir(exist_ok=True)
+    (run / "scene" / "scene.json").write_text("{}")
+    (run / "stages" / "4-reflectance" / "scene").mkdir(parents=True)
+    (run / "stages" / "4-reflectance" / "scene" / "take_0.radiance.exr").symlink_to(outside)
+    for command in (
+        ["export", str(run), "--take", "a", "-f", "hdr", "-o", str(run.parent / "out")],
+        ["view", str(run)],
+    ):
+        with pytest.raises(SystemExit) as ended:
+            main(command)
+        assert ended.value.code == 2 and "take_0.radiance.exr is a symbolic link" in capsys.readouterr().err
+
+
+def test_a_camera_that_cannot_be_inverted_is_one_sentence(run: Path) -> None:
+    from hir_core.run.capture_store import camera_from_document
+
+    sound = {"K": np.eye(3).tolist(), "world_to_camera": np.eye(4).tolist(), "width": 4, "height": 4}
+    assert camera_from_document(sound, "cameras.json").width == 4
+    for name, size in (("K", 3), ("world_to_camera", 4)):
+        with pytest.raises(HirError, match=r"cameras.json: .*cannot be inverted"):
+            camera_from_document(sound | {name: np.zeros((size, size)).tolist()}, "cameras.json")
+
+
+@pytest.mark.parametrize("content", ['{"captures": {}, "n": ' + "9" * 401 + "}", '{"reason": "\\ud800"}'])
+def test_a_manifest_with_nonsense_is_one_sentence(content: str, tmp_path: Path) -> None:
+    from hir_plugins.commands.batch.scheduling.manifest import Manifest
+    from hir_plugins.commands.batch.storage.storage_path import StoragePath
+
+    (tmp_path / "batch.json").write_text(content)
+    with pytest.raises(HirError, match="is not JSON"):
+        Manifest(StoragePath(str(tmp_path / "batch.json")), {}).read()

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -33,25 +34,39 @@ class SubprocessCrashError(HirError):
     """The subprocess gave no result: a signal, native code or an error other than `HirError` ended it."""
 
 
-def run_in_subprocess(target: str, arguments: Mapping[str, ArrayLike]) -> Arrays:
+@dataclass(frozen=True)
+class Limits:
+    """What a subprocess that reads a stranger's file may use."""
+
+    seconds: float
+    memory_bytes: int
+    """Of address space; not limited where the system cannot."""
+
+
+def run_in_subprocess(target: str, arguments: Mapping[str, ArrayLike], limits: Limits | None = None) -> Arrays:
     """Calls `target`, written `module:function`, with arrays, numbers and strings by name; returns arrays by name.
 
     Raises `InputError` with the message of a `HirError` that the function raised, `SubprocessCrashError` where the
-    subprocess ended without a result.
+    subprocess ended without a result or exceeded `limits`.
     """
     with tempfile.TemporaryDirectory(prefix="hir-subprocess-") as folder:
         input_file, result_file = Path(folder) / "arguments.npz", Path(folder) / "result.npz"
         arrays: dict[str, Any] = {name: np.asarray(value) for name, value in arguments.items()}
         np.savez(input_file, **arrays)
         # -P: the current folder may contain a numpy.py. The subprocess finds modules where this process does.
-        process = subprocess.run(
-            [sys.executable, "-P", "-m", "hir_exporters.files.subprocess_call", target, input_file, result_file],
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(folder for folder in sys.path if folder)},
-            capture_output=True,
-            text=True,
-            errors="replace",
-            check=False,
-        )
+        memory = str(limits.memory_bytes) if limits else "0"
+        try:
+            process = subprocess.run(
+                [sys.executable, "-P", "-m", __name__, target, input_file, result_file, memory],
+                env={**os.environ, "PYTHONPATH": os.pathsep.join(folder for folder in sys.path if folder)},
+                capture_output=True,
+                text=True,
+                errors="replace",
+                check=False,
+                timeout=limits.seconds if limits else None,
+            )
+        except subprocess.TimeoutExpired:
+            raise SubprocessCrashError(f"it took more than {limits.seconds if limits else 0:g} seconds") from None
         if process.returncode == _INPUT_ERROR_EXIT_CODE:
             raise InputError(process.stdout.strip().splitlines()[-1])
         if process.returncode:
@@ -65,9 +80,25 @@ def _load_arrays(file: Path) -> Arrays:
         return {name: arrays[name] for name in arrays.files}
 
 
+def _limit_memory(size: int) -> None:
+    """Lets the system refuse memory above `size` bytes of address space, where it can; 0 changes nothing."""
+    if not size:
+        return
+    try:
+        import resource
+    except ImportError:  # not on Windows
+        return
+    _, most = resource.getrlimit(resource.RLIMIT_AS)
+    size = size if most == resource.RLIM_INFINITY else min(size, most)
+    resource.setrlimit(resource.RLIMIT_AS, (size, most))
+
+
 def main() -> int:
-    """Entry point of the subprocess; its arguments are the target, the .npz to read and the .npz to write."""
-    target, input_file, result_file = sys.argv[1:4]
+    """Entry point of the subprocess. Arguments: the target, the .npz to read, the .npz to write, and the bytes of
+    memory that it may use, 0 for all.
+    """
+    target, input_file, result_file, memory = sys.argv[1:5]
+    _limit_memory(int(memory))
     module, _, name = target.partition(":")
     try:
         result = getattr(import_module(module), name)(**_load_arrays(Path(input_file)))

@@ -19,7 +19,7 @@ from urllib.parse import unquote
 from hir_exporters.errors import HirError, InputError
 from hir_exporters.files.regular_files import check_regular_file
 from hir_exporters.files.untrusted_json import parse_json
-from hir_exporters.reading.gltf_geometry.texture_coordinates import split_document, with_texture_coordinates
+from hir_exporters.reading.gltf_geometry.geometry_alone import geometry_alone, split_document
 from hir_exporters.textures.ktx2 import IDENTIFIER, check_ktx2
 from hir_exporters.textures.pillow_images import open_image
 
@@ -30,7 +30,7 @@ SUFFIXES: Final = (".obj", ".ply", ".glb", ".gltf", ".stl", ".off")
 """Formats that `load_mesh_scene` reads."""
 
 MAX_NODES: Final = 10_000
-"""Nodes of a glTF scene; trimesh needs about a millisecond for each."""
+"""Nodes of a glTF scene, and primitives of all its nodes together; trimesh needs about a millisecond for each."""
 
 MAX_ELEMENTS: Final = 50_000_000
 """Elements of one glTF accessor, and corners of all instances of all meshes together."""
@@ -51,7 +51,8 @@ def load_mesh_scene(
 ) -> trimesh.Scene:
     """The scene of a mesh file; `options` are those of trimesh's loader.
 
-    With `stored_uvs` meshes of a glTF have the attribute `STORED_UVS` where their texture coordinates are floats.
+    The materials of a glTF are empty there: read them from the document. With `stored_uvs` its meshes have the
+    attribute `STORED_UVS` where their texture coordinates are floats.
 
     `file` and `kind` are a stream and its format that replace the content of a checked file. Raises `InputError` where
     the file or one that it names is refused; trimesh's own errors are of many types.
@@ -62,7 +63,7 @@ def load_mesh_scene(
     source = path if file is None else file
     kind = kind or path.suffix[1:].lower()
     if kind in ("glb", "gltf"):
-        source = io.BytesIO(with_texture_coordinates(path.read_bytes() if file is None else file.read(), stored_uvs))
+        source = io.BytesIO(geometry_alone(path.read_bytes() if file is None else file.read(), stored_uvs))
     return trimesh.load_scene(source, file_type=kind, resolver=_contained_resolver(path), **options)
 
 
@@ -183,7 +184,10 @@ def _check_size(path: Path, document: dict[str, Any]) -> None:
         sum(accessors[p.get("indices", p["attributes"]["POSITION"])]["count"] for p in mesh["primitives"])
         for mesh in meshes
     ]
-    if sum(corners[node["mesh"]] for node in nodes if node.get("mesh") is not None) > MAX_ELEMENTS:
+    placed = [node["mesh"] for node in nodes if node.get("mesh") is not None]
+    if sum(len(meshes[mesh]["primitives"]) for mesh in placed) > MAX_NODES:
+        raise InputError(f"{path} places more than {MAX_NODES} primitives; join its meshes first")
+    if sum(corners[mesh] for mesh in placed) > MAX_ELEMENTS:
         raise InputError(f"{path} has more than {MAX_ELEMENTS} corners in all instances; simplify it first")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from hir_exporters.errors import InputError
+from hir_exporters.files.regular_files import refuse_special_file
 
 MAX_LAYERS = 1000
 """Files that compose more layers are refused."""
@@ -37,5 +38,6 @@ def check_inside(path: Path, target: str, name: str) -> None:
     from pxr import Ar
 
     outer = Ar.SplitPackageRelativePathOuter(target)[0]
+    refuse_special_file(Path(outer))
     if not Path(outer).resolve().is_relative_to(path.parent.resolve()):
         raise InputError(f"{path} names {name!r}, which is outside its folder; put the file beside it")

@@ -9,14 +9,17 @@ import os
 from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from hir_exporters.errors import InputError
-from hir_exporters.files.subprocess_call import Arrays, SubprocessCrashError, run_in_subprocess
+from hir_exporters.files.subprocess_call import Arrays, Limits, SubprocessCrashError, run_in_subprocess
 from hir_exporters.materials.surfaces import MetallicSurface, SpecularSurface
 from hir_exporters.reading.readback import ReadBack
 from hir_exporters.reading.usd_readback import read_usd
 from hir_exporters.usd_library import require_usd
+
+LIMITS: Final = Limits(seconds=300, memory_bytes=8 << 30)
+"""A few lines of USD may compose to millions of prims."""
 
 
 def read_untrusted_usd(path: Path) -> ReadBack:
@@ -26,10 +29,12 @@ def read_untrusted_usd(path: Path) -> ReadBack:
         raise InputError(f"{path} does not exist")
     require_usd(path, InputError)
     try:
-        arrays = run_in_subprocess("hir_exporters.reading.usd_import:read_usd_arrays", {"path": os.fspath(path)})
+        target = "hir_exporters.reading.usd_import:read_usd_arrays"
+        arrays = run_in_subprocess(target, {"path": os.fspath(path)}, LIMITS)
     except SubprocessCrashError as error:
         raise InputError(
-            f"{path} cannot be read as USD: it crashed OpenUSD ({error}); the file is damaged, write it again"
+            f"{path} cannot be read as USD: OpenUSD ended without a result ({error}); the file is damaged or too "
+            "large, write it again"
         ) from error
     return _read_back(arrays)
 

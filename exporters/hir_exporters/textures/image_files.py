@@ -99,6 +99,9 @@ def read_exr(
         low, high = header["dataWindow"]
         width, height = (int(edge) for edge in high.astype(np.int64) - low.astype(np.int64) + 1)
         _check_size(source, height, width, max_pixels)
+        channels_of_file = len(header["channels"])
+        if height * width * channels_of_file > 4 * max_pixels:  # the binding reads all of them
+            raise InputError(f"{source} has {channels_of_file} channels of {width} x {height}; save RGB or RGBA alone")
         if any((c.xSampling, c.ySampling) != (1, 1) for c in header["channels"] if c.name in "RGBAY"):
             raise InputError(f"{source} has subsampled channels; save it with full-size channels")
         with suppress_native_output():  # OpenEXR prints a line for each missing row of a truncated file

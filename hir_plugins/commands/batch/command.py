@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final, TextIO
 
 import click
 
+from hir_core.files.file_names import on_one_line
 from hir_core.terminal.command_options import FOLDER, plugin_option, settings_options, verbosity_options
 
 if TYPE_CHECKING:
@@ -150,7 +151,7 @@ def batch_command(
         click.echo(f"{'results':>8}  {batch.destination.root}")
         click.echo(f"{'summary':>8}  {batch.destination.page}")
     for job in failed:
-        click.echo(f"hir: {job.name}: {job.reason} (log: {batch.destination.log(job.name)})", err=True)
+        click.echo(on_one_line(f"hir: {job.name}: {job.reason} (log: {batch.destination.log(job.name)})"), err=True)
     if failed:
         raise click.exceptions.Exit(EXIT_SOME_FAILED)
 

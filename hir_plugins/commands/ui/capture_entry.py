@@ -13,7 +13,7 @@ from hir_core.errors import HirError, InputError
 from hir_core.files.contained_files import regular_file_within
 from hir_core.files.file_checksums import regular_files
 from hir_core.files.json_documents import read_json, write_json
-from hir_core.run.run_directory import LAST_STAGE, STAGE_NAMES, RunDirectory
+from hir_core.run.run_directory import LAST_STAGE, STAGE_NAMES, RunDirectory, refuse_links
 from hir_core.terminal.run_results import decisions
 from hir_plugins.commands.ui.hir_process import HirProcess
 from hir_plugins.commands.ui.scan_files import scan_file, scans_in
@@ -230,10 +230,20 @@ def new_entry(folder: Path, name: str, source: Path | None) -> CaptureEntry:
     return entry
 
 
+def stored_entries(library: Path) -> dict[str, CaptureEntry]:
+    """The entries of an earlier session in the folder of `hir ui`, by id."""
+    found = (stored_entry(path) for path in sorted(library.iterdir()) if path.is_dir())
+    return {entry.id: entry for entry in found if entry is not None}
+
+
 def stored_entry(folder: Path) -> CaptureEntry | None:
-    """The entry of an earlier session; None where the folder is something else."""
+    """The entry of an earlier session; None where the folder is something else.
+
+    A symbolic link, pipe or device in it is an `InputError`: runs and checks write to files of known names.
+    """
     if folder.is_symlink() or not (folder / RECORD).is_file():
         return None
+    refuse_links(folder)
     record = _document(folder / RECORD)
     name, source = record.get("name"), record.get("source")
     preset, settings, scan = record.get("preset"), record.get("settings"), record.get("scan", "")
@@ -246,7 +256,14 @@ def stored_entry(folder: Path) -> CaptureEntry | None:
         scans = scans_in(path)
     except (OSError, ValueError):  # a null character, half a character
         return None
-    return CaptureEntry(folder, name, path, preset, tuple(str(line) for line in settings), scan, scans)
+    # plugins execute code: a file does not name them, whoever wants them types them again
+    lines = tuple(str(line) for line in settings if not names_plugins(str(line)))
+    return CaptureEntry(folder, name, path, preset, lines, scan, scans)
+
+
+def names_plugins(assignment: str) -> bool:
+    """Whether `KEY=VALUE` sets the plugins of a run."""
+    return assignment.partition("=")[0].partition(".")[0].strip() == "plugins"
 
 
 def _document(path: Path) -> dict[str, Any]:

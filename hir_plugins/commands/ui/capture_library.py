@@ -14,7 +14,7 @@ from filelock import FileLock, Timeout
 
 from hir_core.errors import InputError
 from hir_core.files.file_names import check_text_path
-from hir_plugins.commands.ui.capture_entry import UPLOADED, CaptureEntry, new_entry, stored_entry
+from hir_plugins.commands.ui.capture_entry import UPLOADED, CaptureEntry, new_entry, stored_entries
 from hir_plugins.commands.ui.upload import Upload, capture_name, parse_manifest
 
 MAX_UPLOADS: Final = 4
@@ -49,9 +49,11 @@ class CaptureLibrary:
             for left in self.folder.glob(f"{prefix}*"):
                 if not left.is_symlink():
                     shutil.rmtree(left, ignore_errors=True)
-        folders = sorted(path for path in self.folder.iterdir() if path.is_dir())
-        found = [entry for path in folders if (entry := stored_entry(path)) is not None]
-        self._entries = {entry.id: entry for entry in found}
+        try:
+            self._entries = stored_entries(self.folder)
+        except BaseException:
+            self._lock.release()
+            raise
 
     def close(self) -> None:
         """Stops what runs, removes unfinished uploads, and lets others use the folder."""

@@ -18,6 +18,8 @@ from hir_exporters.scene_format import load_scene
 from hir_exporters.textures.image_files import read_exr, read_hdr
 from numpy.typing import NDArray
 
+from hir_core.run.run_directory import refuse_links
+
 COMPRESSIONS: Final = (b"KHR_draco_mesh_compression", b"EXT_meshopt_compression")
 """glTF extensions whose decoders the page does not contain."""
 
@@ -72,6 +74,8 @@ def _scene_folder(source: Path) -> DisplayedAsset:
         raise InputError(
             f"{source} contains no finished scene; give a run directory, a scene folder or a file such as a .glb"
         )
+    if folder != source:
+        refuse_links(source)
     return _as_glb(load_scene(folder))
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from hir_exporters.conventions import flip_v, srgb_to_linear
 from hir_exporters.reading.base_color_texture import named_files
-from hir_exporters.reading.gltf_geometry.texture_coordinates import STORED_UVS
+from hir_exporters.reading.gltf_geometry.geometry_alone import STORED_UVS
 from hir_exporters.reading.mesh_references import load_mesh_scene
 from numpy.typing import NDArray
 

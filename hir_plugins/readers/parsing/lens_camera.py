@@ -15,6 +15,9 @@ from hir_plugins.readers.parsing.camera_axes import MAX_DISTANCE, camera_matrix
 from hir_plugins.readers.parsing.decoding.photo_file import PhotoFile
 from hir_plugins.readers.parsing.decoding.picture_decoding import photo_size
 
+MAX_SIDES = 1e4
+"""Largest focal length, and largest distance of the principal point, in sides of the image: 0.006° across."""
+
 HALF_PIXEL = 0.5
 """Added to principal points of formats that have pixel centres at integers: ours are at .5."""
 
@@ -89,7 +92,8 @@ def _intrinsics(lens: LensCamera, width: int, height: int, owner: str) -> tuple[
             "images that the cameras were estimated with, neither cropped nor rotated"
         )
     numbers = (lens.fx * scale_x, lens.fy * scale_y, lens.cx * scale_x, lens.cy * scale_y)
-    if not np.isfinite(numbers).all() or numbers[0] <= 0 or numbers[1] <= 0:
+    largest = MAX_SIDES * max(width, height)
+    if not (np.abs(numbers) <= largest).all() or numbers[0] <= 0 or numbers[1] <= 0:  # also of NaN
         raise CaptureError(
             f"{owner}: the focal length {lens.fx:g}, {lens.fy:g} or the centre {lens.cx:g}, {lens.cy:g} is not "
             "possible; export the cameras again"

@@ -100,8 +100,12 @@ def test_a_render_is_unassociated_before_it_is_encoded() -> None:
 
 
 def test_nothing_non_finite_leaves() -> None:
-    wild = np.array([[[np.nan, np.inf, -np.inf]]], np.float32)
-    assert np.isfinite(metrics.composite(wild, np.array([[np.nan]], np.float32))).all()
+    one, nan = np.ones((1, 1), np.float32), np.full((1, 1), np.nan, np.float32)
+    clipped = metrics.composite(np.array([[[0.5, np.inf, -np.inf]]], np.float32), one)
+    np.testing.assert_allclose(clipped[0, 0, 1:], [1, 0], atol=1e-6)
+    for color, coverage in ((np.full((1, 1, 3), np.nan, np.float32), one), (np.ones((1, 1, 3), np.float32), nan)):
+        with pytest.raises(InputError, match="no number"):
+            metrics.composite(color, coverage)
     empty = np.zeros((0, 3), np.float32)
     assert metrics.psnr(empty, empty) is None
     assert metrics.mean([]) is None and metrics.mean([None, 2.0]) == 2.0

@@ -1,13 +1,15 @@
 """A function in a process of its own: values there and back, and what its end becomes."""
 
 import os
+import sys
+import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from hir_exporters.errors import ExportError, InputError
-from hir_exporters.files.subprocess_call import SubprocessCrashError, run_in_subprocess
+from hir_exporters.files.subprocess_call import Limits, SubprocessCrashError, run_in_subprocess
 
 HERE = "tests.hir_exporters.files.test_subprocess_call"
 
@@ -26,6 +28,15 @@ def broken() -> dict[str, Any]:
 
 def ended() -> dict[str, Any]:
     os.abort()
+
+
+def sleeping() -> dict[str, Any]:
+    time.sleep(60)
+    return {}
+
+
+def hungry() -> dict[str, Any]:
+    return {"a": np.ones(1 << 30, np.uint8)[:1]}
 
 
 @pytest.fixture(autouse=True)
@@ -61,3 +72,17 @@ def test_its_end_is_one_sentence(name: str, error: type[Exception], words: str) 
 def test_nothing_that_needs_unpickling_comes_back() -> None:
     with pytest.raises(SubprocessCrashError, match=r"allow_pickle|Object arrays"):
         run_in_subprocess(f"{HERE}:echoed", {"a": np.array([{}], object)})
+
+
+def test_a_subprocess_ends_where_it_takes_too_long() -> None:
+    started = time.monotonic()
+    with pytest.raises(SubprocessCrashError, match="more than 1 seconds"):
+        run_in_subprocess(f"{HERE}:sleeping", {}, Limits(seconds=1, memory_bytes=8 << 30))
+    assert time.monotonic() - started < 30
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the system does not limit memory")
+def test_a_subprocess_gets_no_more_memory() -> None:
+    assert run_in_subprocess(f"{HERE}:hungry", {})["a"].tolist() == [1]
+    with pytest.raises(SubprocessCrashError, match=r"MemoryError|allocate"):
+        run_in_subprocess(f"{HERE}:hungry", {}, Limits(seconds=60, memory_bytes=1 << 30))

@@ -8,6 +8,8 @@ from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
 from typing import Any, Final, get_args
 
+from hir_exporters.files.untrusted_json import parse_json
+
 from hir_core.errors import InputError
 from hir_plugins.commands.batch.scheduling.capture_job import CaptureJob, JobState
 from hir_plugins.commands.batch.storage import object_store
@@ -35,7 +37,7 @@ class Manifest:
         if content is None:
             return {}
         try:
-            document = json.loads(content)
+            document = parse_json(content)
         except (ValueError, RecursionError) as error:
             raise InputError(f"{self._path} is not JSON ({error}); move it away to start over") from None
         captures = document.get("captures") if isinstance(document, dict) else None

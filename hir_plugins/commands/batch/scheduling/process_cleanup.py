@@ -28,7 +28,7 @@ def processes_end_with_this_one() -> Iterator[None]:
     """Processes that are started in the block end soon after it, or after this process if it is killed."""
     mark = uuid.uuid4().hex
     helper = subprocess.Popen(
-        [sys.executable, "-m", __name__, mark],
+        [sys.executable, "-P", "-m", __name__, mark],  # -P: the current folder may be one of a stranger's files
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,

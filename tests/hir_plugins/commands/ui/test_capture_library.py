@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import shutil
 import subprocess
 import sys
 import threading
@@ -104,6 +105,31 @@ def test_a_damaged_record_hides_one_capture(tmp_path: Path) -> None:
         (library.folder / "bad" / "capture.json").write_text(json.dumps({**record, "name": "bad", "source": "/a\0b"}))
     with closing(CaptureLibrary(tmp_path / "library")) as library:
         assert [entry.id for entry in library.entries] == ["good"]
+
+
+def test_a_stored_capture_names_no_plugins(tmp_path: Path) -> None:
+    """Their code would be executed by a press of Start, in a folder that somebody else may have sent."""
+    with closing(CaptureLibrary(tmp_path / "library")) as library:
+        entry = send(library, "sent", {"a.png": b"x"})
+        record = json.loads((entry.folder / "capture.json").read_text())
+        record["settings"] = ['plugins=["evil.py"]', ' plugins = ["evil.py"]', "geometry.iterations=5"]
+        (entry.folder / "capture.json").write_text(json.dumps(record))
+    with closing(CaptureLibrary(tmp_path / "library")) as library:
+        assert library.entries[0].settings == ("geometry.iterations=5",)
+
+
+@pytest.mark.parametrize("name", ["reconstruct.txt", "run", "check"])
+def test_a_link_in_a_stored_capture_is_refused(name: str, tmp_path: Path) -> None:
+    (tmp_path / "outside").write_text("precious")
+    with closing(CaptureLibrary(tmp_path / "library")) as library:
+        folder = send(library, "sent", {"a.png": b"x"}).folder
+    shutil.rmtree(folder / name, ignore_errors=True)
+    (folder / name).symlink_to(tmp_path / "outside")
+    with pytest.raises(InputError, match="is a symbolic link"):
+        CaptureLibrary(tmp_path / "library")
+    (folder / name).unlink()
+    CaptureLibrary(tmp_path / "library").close()
+    assert (tmp_path / "outside").read_text() == "precious"
 
 
 def test_a_path_is_checked_where_it_is_and_found_by_the_next_session(tiny_capture: Path, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""What trimesh needs to keep a glTF's texture coordinates: a material beside them, and an attribute of their own."""
+"""A glTF as trimesh gets it: without pictures, and with what it needs to keep the texture coordinates."""
 
 from __future__ import annotations
 
@@ -26,24 +26,23 @@ def split_document(data: bytes) -> tuple[bytes, bytes]:
     return data[_HEADER_BYTES : _HEADER_BYTES + length], data[_HEADER_BYTES + length :]
 
 
-def with_texture_coordinates(data: bytes, stored: bool = False) -> bytes:
-    """The same .gltf or .glb, in which primitives with texture coordinates and no material name the default one.
+def geometry_alone(data: bytes, stored_uvs: bool = False) -> bytes:
+    """The same .gltf or .glb with empty materials and no pictures, which trimesh would find and decode in ways of its
+    own. Primitives with texture coordinates have a material, because trimesh keeps them only beside one.
 
-    Those of `stored` floats are an attribute `STORED_UVS`, too.
+    With `stored_uvs`, texture coordinates that are floats are an attribute `STORED_UVS`, too.
     """
     text, chunks = split_document(data)
     document: dict[str, Any] = parse_json(text)
     primitives = [primitive for mesh in document.get("meshes", []) for primitive in mesh["primitives"]]
     mapped = [primitive for primitive in primitives if "TEXCOORD_0" in primitive["attributes"]]
-    bare = [primitive for primitive in mapped if "material" not in primitive]
-    if not bare and not (stored and mapped):
-        return data
-    if bare:
-        materials = document.setdefault("materials", [])
-        for primitive in bare:
-            primitive["material"] = len(materials)
-        materials.append({})
-    for primitive in mapped if stored else ():
+    for name in ("materials", "textures", "images", "samplers"):
+        document.pop(name, None)
+    document["materials"] = [{}]
+    for primitive in primitives:
+        if "material" in primitive or "TEXCOORD_0" in primitive["attributes"]:
+            primitive["material"] = 0
+    for primitive in mapped if stored_uvs else ():
         accessor = primitive["attributes"]["TEXCOORD_0"]
         if document["accessors"][accessor].get("componentType") == _FLOAT:
             primitive["attributes"][STORED_UVS] = accessor
