@@ -36,13 +36,20 @@ class MaskedPhotograph:
 
 
 def masked_photograph(view: View) -> MaskedPhotograph:
-    """The photograph with its mask; `CaptureError` where it has none: the background would count as object."""
+    """The photograph with its mask; `CaptureError` where it has none: the background would count as object.
+
+    A pixel that is not finite is no part of the object and black, as fits leave it out.
+    """
     pixels = view.pixels()
     if pixels.mask is None:
         raise CaptureError(
             f"view {view.name} has no mask, so background and object cannot be separated; add an alpha channel"
         )
-    return MaskedPhotograph(pixels.color_linear, pixels.mask, pixels.saturated)
+    color, mask = pixels.color_linear, pixels.mask
+    finite = np.isfinite(color).all(axis=2)
+    if not finite.all():
+        color, mask = np.where(finite[..., None], color, np.float32(0)), np.where(finite, mask, np.float32(0))
+    return MaskedPhotograph(color, mask, pixels.saturated)
 
 
 def difference_picture(fit: Image, truth: Image) -> Image:

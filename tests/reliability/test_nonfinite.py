@@ -18,6 +18,7 @@ from hir_core.optimization.checkpoints import load_checkpoint
 from hir_core.optimization.optimization_loop import MAX_CONSECUTIVE_NONFINITE_STEPS, Checkpointing, optimize
 from hir_core.optimization.schedules import Schedule
 from hir_core.plugins.manager import PluginManager
+from hir_core.rendering.photographs import masked_photograph
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import Material, Scene
 from hir_core.scene.frames import unit_similarity
@@ -150,6 +151,9 @@ def test_a_photograph_of_nan_is_named_or_its_pixels_left_out(
     sick = replace(capture, views=tuple(views))
     with pytest.raises(StageError, match=f"view {views[3].name} has 7 pixels"):
         object_pixels(sick, list(range(8)), 1, "cpu")
+    shown = masked_photograph(views[3])
+    lost = np.isnan(views[3].pixels().color_linear).any(axis=2)
+    assert lost.sum() == 7 and not shown.mask[lost].any() and np.isfinite(shown.picture).all()
     transport = build_transport(sphere(), 500, 100, (4, 8), 4, "cpu")
     with pytest.warns(UserWarning, match=f"view {views[3].name}: "):
         found = observe_pixels(transport, sick, 3, 10_000, 1, 0)

@@ -124,8 +124,8 @@ def test_messages_and_names_stay_on_one_line(capsys: pytest.CaptureFixture[str])
     printed = capsys.readouterr()
     assert "view a\\nhir: forged line\\x1b[31m" in " ".join((printed.out + printed.err).split())
     console = Console(width=200, file=io.StringIO())
-    console.print(table_of([{"run": "two\nlines[/red]", "split": "test"}], IMAGE_COLUMNS))
-    assert "two\\nlines[/red]" in console.file.getvalue()  # type: ignore[attr-defined]
+    console.print(table_of([{"run": "two\nlines[red]", "split": "test"}], IMAGE_COLUMNS))
+    assert "two\\nlines[red]" in console.file.getvalue()  # type: ignore[attr-defined]
 
 
 def test_masks_are_read_inside_the_capture_alone(tmp_path: Path) -> None:
