@@ -84,24 +84,27 @@ class _Observation:
     """(H, W), 0 where it cannot be used."""
 
 
-def with_depth_scale(capture: Capture) -> tuple[Capture, DepthScale | None]:
-    """The capture with depths in the scale of its cameras, and the factor; None without depth maps."""
+def with_depth_scale(capture: Capture, seed: int = 0) -> tuple[Capture, DepthScale | None]:
+    """The capture with depths in the scale of its cameras, and the factor; None without depth maps.
+
+    `seed` draws the rays of outlines.
+    """
     if all(view.depth is None for view in capture.views):
         return capture, None
-    scale = depth_scale(capture.views)
+    scale = depth_scale(capture.views, seed)
     if scale.factor == 1:
         return capture, scale
     views = (v if v.depth is None else replace(v, depth=v.depth.scaled(scale.factor)) for v in capture.views)
     return replace(capture, views=tuple(views)), scale
 
 
-def depth_scale(views: Sequence[View]) -> DepthScale:
+def depth_scale(views: Sequence[View], seed: int = 0) -> DepthScale:
     """The factor, and 1 with the reason where views with cameras, masks and depths do not determine it."""
     seen = _observations(views)
     if len(seen) < _MIN_VIEWS:
         return _undetermined(0, None, f"only {len(seen)} photographs have a mask and depths")
     center, radius = _extent(seen)
-    random = np.random.default_rng(0)
+    random = np.random.default_rng(seed)
     found = []
     for i, view in enumerate(seen):
         rays = outline_rays(view.camera, view.mask, _RAYS_PER_VIEW, random)

@@ -46,7 +46,7 @@ def masked_photograph(view: View) -> MaskedPhotograph:
             f"view {view.name} has no mask, so background and object cannot be separated; add an alpha channel"
         )
     color, mask = pixels.color_linear, pixels.mask
-    finite = np.isfinite(color).all(axis=2)
+    finite: NDArray[np.bool_] = np.all(np.isfinite(color), axis=2)
     if not finite.all():
         color, mask = np.where(finite[..., None], color, np.float32(0)), np.where(finite, mask, np.float32(0))
     return MaskedPhotograph(color, mask, pixels.saturated)

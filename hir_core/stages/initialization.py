@@ -83,7 +83,7 @@ def initialize(
             masked = True
         if not scaled and _has_trait(name, "makes_surface", context.plugins):
             # cameras are final where a surface is made from them
-            capture, depth_scale = with_depth_scale(capture)
+            capture, depth_scale = with_depth_scale(capture, context.seed)
             scaled = True
         context.report(Progress("initializer", i, len(chain), 0.0, message=name))
         initializer: Initializer = context.plugins.create(

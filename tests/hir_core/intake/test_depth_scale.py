@@ -74,6 +74,11 @@ def test_noise_of_one_percent_does_not_hide_the_factor(name: str) -> None:
     assert abs(found.factor * 1.01 - 1) < 2 * found.standard_error
 
 
+def test_the_seed_draws_the_rays() -> None:
+    found = [depth_scale(views_of("bowl", 1.01, 0.01), seed).factor for seed in (0, 0, 1)]
+    assert found[0] == found[1] != found[2] and abs(found[2] - found[0]) < 0.003
+
+
 def test_an_uncertain_factor_is_nearer_to_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """The mean of prior and measurement, weighted by their inverse variances."""
     views = views_of("ball", 1.02)

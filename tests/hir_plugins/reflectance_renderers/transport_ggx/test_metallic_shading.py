@@ -41,7 +41,7 @@ def pixels() -> torch.Tensor:
 
 @pytest.mark.parametrize("m", [0.0, 0.5, 1.0])
 def test_agrees_with_the_path_tracer(m: float) -> None:
-    """Direct light on a ball against 1024 paths a pixel: mean difference below 1 %."""
+    """Direct light on a ball against 1024 paths a pixel: mean difference below 1 %, mean absolute one below 3 %."""
     made = scene(m)
     assert made.material is not None and made.environment is not None
     shown = TransportGGX(OPTIONS).prepare(made, capture()).radiance(made.material, made.environment, pixels())
