@@ -150,7 +150,7 @@ def test_usd_composes_no_layer_outside_its_folder(capture: Path) -> None:
 def test_a_usd_that_ends_openusd_is_refused(tmp_path: Path) -> None:
     """The fuzzer's finding: read in this process, it would end the tests (\"Dereferenced an invalid SdfPrimSpec\")."""
     (tmp_path / "x.usdz").write_bytes((Path(__file__).parent / "ends_openusd.usdz").read_bytes())
-    with pytest.raises(HirError, match="it crashed OpenUSD") as found:
+    with pytest.raises(HirError, match="OpenUSD ended without a result") as found:
         load_mesh_asset(tmp_path / "x.usdz")
     assert "\n" not in str(found.value)
 
