@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from hir_exporters.conventions import direction_to_latlong_uv
+from hir_exporters.conventions import direction_to_latlong_uv, flip_v
 from hir_exporters.format_options import GltfConfig
 from hir_exporters.formats import create_exporter
 from hir_exporters.light.environment_map import sample_latlong
@@ -313,7 +313,7 @@ def test_the_scan_that_hir_gets(session: dict[str, Any], case: str, y_up: bool) 
     found = session[case]
     file = session["work"] / case.replace(" ", "_") / "scan.glb"
     scan = load_mesh(file)
-    positions, uv = np.array(found["positions"]), np.array(found["uv"])
+    positions, uv = np.array(found["positions"]), flip_v(np.array(found["uv"]))  # Blender's v points up
     if y_up:
         positions = positions[:, [0, 2, 1]] * [1, 1, -1]
     corners = scan.faces.reshape(-1)
