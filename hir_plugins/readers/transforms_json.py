@@ -27,6 +27,7 @@ from hir_plugins.readers.parsing.mask_files import find_mask, matches_of, warn_o
 from hir_plugins.readers.parsing.takes_file import refuse_shared_masks, take_name, with_takes
 
 MIN_DEPTH_UNIT: Final = 1e-9
+"""Smallest length of one unit of a depth map; the largest is its inverse."""
 MIN_ANGLE: Final = 1e-6
 """Smallest angle of view, in radians."""
 _RADIAL: Final = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")

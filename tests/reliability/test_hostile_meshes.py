@@ -182,6 +182,11 @@ REFUSED = {
 }
 
 
+def surface_of(path: Path) -> object:
+    """As `hir check --mesh` and `hir evaluate --mesh` read it."""
+    return load_mesh_scene(path).to_mesh()
+
+
 @pytest.mark.parametrize("kind", ["two places", "two codes"])
 def test_no_library_decodes_another_picture_than_the_checked_one(
     kind: str, folder: Path, monkeypatch: pytest.MonkeyPatch
@@ -218,15 +223,10 @@ def test_no_library_decodes_another_picture_than_the_checked_one(
     (folder / "a.gltf").write_text(json.dumps(document))
     started: list[object] = []
     monkeypatch.setattr(EpsImagePlugin, "Ghostscript", lambda *given, **named: started.append(given))
-    for read in (load_mesh_asset, load_mesh, lambda path: surface_of(path)):
+    for read in (load_mesh_asset, load_mesh, surface_of):
         with contextlib.suppress(HirError):
             read(folder / "a.gltf")
     assert not started
-
-
-def surface_of(path: Path) -> object:
-    """As `hir check --mesh` and `hir evaluate --mesh` read it."""
-    return load_mesh_scene(path).to_mesh()
 
 
 @pytest.mark.parametrize("make", REFUSED, ids=lambda f: f.__name__.strip("_"))

@@ -40,7 +40,7 @@ class Limits:
 
     seconds: float
     memory_bytes: int
-    """Of address space; not limited where the system cannot."""
+    """Of address space. Windows and macOS do not limit it."""
 
 
 def run_in_subprocess(target: str, arguments: Mapping[str, ArrayLike], limits: Limits | None = None) -> Arrays:
@@ -65,8 +65,8 @@ def run_in_subprocess(target: str, arguments: Mapping[str, ArrayLike], limits: L
                 check=False,
                 timeout=limits.seconds if limits else None,
             )
-        except subprocess.TimeoutExpired:
-            raise SubprocessCrashError(f"it took more than {limits.seconds if limits else 0:g} seconds") from None
+        except subprocess.TimeoutExpired as error:
+            raise SubprocessCrashError(f"it took more than {error.timeout:g} seconds") from None
         if process.returncode == _INPUT_ERROR_EXIT_CODE:
             raise InputError(process.stdout.strip().splitlines()[-1])
         if process.returncode:
@@ -81,13 +81,11 @@ def _load_arrays(file: Path) -> Arrays:
 
 
 def _limit_memory(size: int) -> None:
-    """Lets the system refuse memory above `size` bytes of address space, where it can; 0 changes nothing."""
-    if not size:
+    """Lets Linux refuse memory above `size` bytes of address space; 0 changes nothing."""
+    if not size or not sys.platform.startswith("linux"):
         return
-    try:
-        import resource
-    except ImportError:  # not on Windows
-        return
+    import resource
+
     _, most = resource.getrlimit(resource.RLIMIT_AS)
     size = size if most == resource.RLIM_INFINITY else min(size, most)
     resource.setrlimit(resource.RLIMIT_AS, (size, most))

@@ -29,7 +29,7 @@ _SCALARS = {
 
 def encode_ply(mesh: AssetMesh) -> bytes:
     """Bytes of mesh.ply: float32 `x y z nx ny nz`, float64 `s t`, then float32 `tx ty tz tw` if there are tangents;
-    int32 triangles. 1 - v is exact in float64, so texture coordinates keep their bits.
+    int32 triangles. 1 - v is exact in float64 where v is 0 or at least 2⁻²⁹, so texture coordinates keep their bits.
     """
     columns = dict(
         zip(_COLUMNS, [*mesh.positions.T, *mesh.normals.T, *flip_v(mesh.uvs.astype(np.float64)).T], strict=True)

@@ -65,7 +65,7 @@ from hir_core.stages.reflectance.selection.successive_halving import (
     can_catch_up,
 )
 
-MAX_QUESTIONED = 2
+MAX_RUNNERS_UP = 2
 """Hypotheses that are compared again at the end, the nearest first."""
 
 
@@ -174,7 +174,7 @@ def select_model(
     halving = SuccessiveHalving(folded, specs, later_cost=later_cost, fitted=fitted)
     finalists = halving.run()
     chosen, pooled = _decide(folded, halving, finalists)
-    rivals = [each for each in finalists if each is not chosen and can_catch_up(each, 1)][:MAX_QUESTIONED]
+    rivals = [each for each in finalists if each is not chosen and can_catch_up(each, 1)][:MAX_RUNNERS_UP]
     later_cost = expected_cost(chosen.spec) + sum(runner_up_cost(each.spec) for each in rivals)
     shape = None
     if other_shape is not None and chosen.last.held_out_db < SUFFICIENT_DB:
