@@ -72,7 +72,7 @@ class GeometrySettings:
     triangles: Annotated[int, Interval(ge=0)] = 0
     """Target number of triangles; 0 derives it from the images' resolution."""
     held_out: Annotated[float, Interval(ge=0, le=1)] = 0.08
-    """Fraction of the train views that are held out to decide when to stop; none with fewer than ten views."""
+    """Fraction of the train views that are held out; none with fewer than ten views. Six or more choose the state."""
     prune: bool = True
     """Remove floating components of the start mesh that no mask needs."""
     robust: bool = True

@@ -29,14 +29,16 @@ def model_selection(document: Document, seconds: Sequence[float]) -> Markup:
     parts = []
     if explanation:
         text = f"{explanation['sentence']} ({explanation.get('held_out_views') or 0} held-out views)."
-        near = " The margin is within noise." if explanation.get("near_tie") else ""
-        parts.append(notice(text[:1].upper() + text[1:] + near))
+        parts.append(notice(text[:1].upper() + text[1:] + _within_noise(explanation, "margin")))
     if hypotheses:
         parts.append(_hypotheses(hypotheses))
     if shape := report.get("shape"):
-        parts.append(notice(f"Shape from {shape['sentence']} ({shape['held_out_views']} held-out views)."))
+        sentence = f"Shape from {shape['sentence']} ({shape['held_out_views']} held-out views)."
+        parts.append(notice(sentence + _within_noise(shape, "difference")))
+    if lamp := report.get("lamp"):
+        parts.append(notice(_lamp_sentence(lamp)))
     if exposures := report.get("exposures"):
-        parts.append(notice(f"Exposures are {exposures['sentence']}."))
+        parts.append(notice(f"Exposures are {exposures['sentence']}." + _within_noise(exposures, "difference")))
     if scale := report.get("light_scale"):
         parts.append(notice(f"The scale between albedo and light is {scale['sentence']}."))
     if comparisons:
@@ -79,7 +81,7 @@ def _candidates(comparisons: Sequence[Document], seconds: Sequence[float]) -> Ma
             Cell(f"{entry['held_out_db']:.2f} dB", "number"),
             Cell(gain, "number"),
             Cell("–" if time is None else duration(time), "number"),
-            Cell(decision),
+            Cell(f"{decision}, within noise" if entry.get("near_tie") else decision),
         )
         rows.append(Row(str(entry["model"]), cells, decision))
     return table("model_selection", ("", "held-out views", "", "gain, dB", "time", ""), rows)
@@ -89,4 +91,16 @@ def _refinement_sentence(text: str, refinement: Document) -> str:
     gain = f"{number(refinement['gain_db'], 2)} ± {number(refinement['standard_error_db'], 2)} dB"
     decision = "accepted" if refinement["accepted"] else "rejected"
     change = f"held-out views {refinement['before_db']:.2f} → {refinement['after_db']:.2f} dB ({gain})"
-    return f"{text.format(renderer=refinement['renderer'])}: {change}: {decision}."
+    sentence = f"{text.format(renderer=refinement['renderer'])}: {change}: {decision}."
+    return sentence + _within_noise(refinement, "gain")
+
+
+def _lamp_sentence(lamp: Document) -> str:
+    gain = f"{number(lamp['gain_db'], 1)} ± {number(lamp['standard_error_db'], 1)} dB"
+    took_part = "are among the hypotheses" if lamp["took_part"] else "are not among the hypotheses"
+    sentence = f"Models with a lamp near the camera {took_part}: a short fit gains {gain} over {lamp['compared_with']}"
+    return f"{sentence} ({lamp['held_out_views']} held-out views)." + _within_noise(lamp, "gain")
+
+
+def _within_noise(decision: Document, of: str) -> str:
+    return f" The {of} is within noise." if decision.get("near_tie") else ""

@@ -55,6 +55,14 @@ def held_out_for_model_selection(views: int, takes: Sequence[int] = ()) -> Fold:
     return folds[0] if folds else (list(range(views)), [])
 
 
+def folds_of_a_comparison(folds: Sequence[Fold]) -> range:
+    """Numbers of the first folds that together have `MIN_HELD_OUT_VIEWS`; all where these are fewer."""
+    count = min(1, len(folds))
+    while count < len(folds) and sum(len(held_out) for _, held_out in folds[:count]) < MIN_HELD_OUT_VIEWS:
+        count += 1
+    return range(count)
+
+
 def held_out_for_geometry(views: int, share: float, takes: Sequence[int] = ()) -> list[int]:
     """Indices of a share of the views, spaced evenly over each take in the capture's order; none of fewer than ten
     views. Of several takes at most half is held out."""

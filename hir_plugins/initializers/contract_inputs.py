@@ -84,6 +84,16 @@ def with_markers(truth: TinyCapture, capture: Capture, folder: Path) -> tuple[Ca
     return marker_capture(folder, cameras, sheet), {"side": sheet.side}
 
 
+def with_color_checker(truth: TinyCapture, capture: Capture, folder: Path) -> tuple[Capture, dict[str, object]]:
+    """Larger photographs from the same places, of a ColorChecker."""
+    from hir_plugins.initializers.color_chart.chart_views import ColorCheckerSheet
+    from hir_plugins.initializers.markers.marker_views import marker_capture
+
+    del capture
+    cameras = [larger(camera, 4) for camera in truth.capture.cameras]
+    return marker_capture(folder, cameras, ColorCheckerSheet(side=0.35)), {}
+
+
 def larger(camera: Camera, factor: int) -> Camera:
     """The camera with `factor` times as many pixels each way."""
     intrinsics = np.diag([factor, factor, 1.0]) @ camera.intrinsics

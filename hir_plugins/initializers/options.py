@@ -178,6 +178,14 @@ class FiducialMarkersOptions:
 
 
 @dataclass(frozen=True)
+class ColorCheckerOptions:
+    """Options of a ColorChecker beside the object."""
+
+    reflectance_factor: Annotated[float, Interval(ge=0.5, le=1.5)] = 1.0
+    """Multiplies the known reflectances of the greys: below 1 for a chart that is dirty or faded."""
+
+
+@dataclass(frozen=True)
 class StereoOptions:
     """Options of multi-view stereo."""
 

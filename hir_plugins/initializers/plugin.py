@@ -8,6 +8,7 @@ from hir_core.plugins import Component, hookimpl
 from hir_plugins.initializers.options import (
     CameraRefinementOptions,
     ColmapOptions,
+    ColorCheckerOptions,
     FiducialMarkersOptions,
     MeshFileOptions,
     PoissonOptions,
@@ -26,6 +27,9 @@ apart. A choice that was not measured (docs/studies/default_values.md)."""
 MIN_MATCHED_SIDE = 128
 """Shorter side of a photograph, in pixels, from which stereo is suggested: the first level has half of them, and its
 windows are 7 pixels wide."""
+
+SEARCHED_PHOTOGRAPHS = 6
+"""In which a ColorChecker is looked for; a quarter of a second each."""
 
 VISUAL_HULL = Component(
     name="visual_hull",
@@ -80,6 +84,17 @@ FIDUCIAL_MARKERS = Component(
     testing="hir_plugins.initializers.contract_inputs:with_markers",
 )
 
+COLOR_CHECKER = Component(
+    name="color_checker",
+    target="hir_plugins.initializers.color_chart.color_checker:ColorChecker",
+    config=ColorCheckerOptions,
+    summary="Brightness and white balance from a ColorChecker beside the object.",
+    requires=("torch", "jaxtyping", "cv2"),
+    extra="reconstruct",
+    traits=frozenset({"needs_cameras"}),
+    testing="hir_plugins.initializers.contract_inputs:with_color_checker",
+)
+
 CAMERA_REFINEMENT = Component(
     name="camera_refinement",
     target="hir_plugins.initializers.refinement.camera_refinement:CameraRefinement",
@@ -114,7 +129,17 @@ POISSON = Component(
 
 @hookimpl
 def hir_register_initializers() -> list[Component]:
-    return [CAMERA_REFINEMENT, VISUAL_HULL, SENSOR_DEPTH, MESH_FILE, COLMAP, FIDUCIAL_MARKERS, STEREO, POISSON]
+    return [
+        CAMERA_REFINEMENT,
+        VISUAL_HULL,
+        SENSOR_DEPTH,
+        MESH_FILE,
+        COLMAP,
+        FIDUCIAL_MARKERS,
+        COLOR_CHECKER,
+        STEREO,
+        POISSON,
+    ]
 
 
 @hookimpl
@@ -123,13 +148,15 @@ def hir_suggest_initializers(capture: Capture) -> list[str] | None:
     points, are missing. A capture with cameras and depth maps gets `sensor_depth` in place of the hull. Cameras of a
     capture with masks are checked, and refined where masks and cameras disagree.
 
-    Without `stereo` where photographs are too few or too small to be matched.
+    Without `stereo` where photographs are too few or too small to be matched. With `color_checker` where two of six
+    photographs show one.
     """
     if not capture.views:
         return None
     posed = all(view.camera is not None for view in capture.views)
     measured = posed and any(view.depth is not None for view in capture.views)
-    surface = ["sensor_depth" if measured else "visual_hull"]
+    surface = ["color_checker"] if _shows_color_checker(capture) else []
+    surface.append("sensor_depth" if measured else "visual_hull")
     if _can_be_matched(capture):
         surface.append("stereo")
     first = capture.views[0]
@@ -137,6 +164,18 @@ def hir_suggest_initializers(capture: Capture) -> list[str] | None:
     if posed and masked:
         return ["camera_refinement", *surface]
     return surface if posed and capture.points is not None else ["colmap", *surface]
+
+
+def _shows_color_checker(capture: Capture) -> bool:
+    """Photographs without their background show none, and are not searched."""
+    from hir_plugins.initializers.color_chart.chart_detection import (
+        can_detect,
+        is_cut_out,
+        shows_chart,
+    )
+
+    first = [view for view in capture.views if view.take == capture.takes[0]]
+    return can_detect() and not is_cut_out(first[0].pixels()) and shows_chart(first, SEARCHED_PHOTOGRAPHS)
 
 
 def _can_be_matched(capture: Capture) -> bool:

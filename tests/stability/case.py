@@ -23,7 +23,7 @@ Area = Literal["initialization", "geometry", "reflectance", "export"]
 
 @dataclass(frozen=True)
 class Case:
-    """A row of docs/stability.md, and a test."""
+    """A test, and an input of a row of docs/stability.md."""
 
     area: Area
     function: str

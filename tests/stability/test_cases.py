@@ -9,7 +9,7 @@ import pytest
 
 from tests.stability import table
 from tests.stability.case import Case, examine
-from tests.stability.table import PAGE, TITLES, all_cases
+from tests.stability.table import PAGE, TITLES, all_cases, rows_of
 
 ALL = all_cases()
 
@@ -24,14 +24,18 @@ def test_hard_case(case: Case) -> None:
 def test_cases_are_distinct_and_all_kinds_of_work_have_some() -> None:
     assert len({case.name for case in ALL}) == len(ALL)
     counts = Counter(case.area for case in ALL)
-    assert len(ALL) >= 120 and min(counts.values()) >= 10 and len(counts) == 4, counts
+    assert len(rows_of(ALL)) >= 90 and min(counts.values()) >= 10 and len(counts) == 4, counts
 
 
-def test_page_has_a_row_for_every_case() -> None:
+def test_page_has_a_row_for_every_formula() -> None:
+    """Which input of a row has the largest error may differ between processors."""
     rows = [line for line in PAGE.read_text(encoding="utf-8").splitlines() if line.startswith("| `")]
-    assert len(rows) == len(ALL), "run: make stability"
-    for case, row in zip(sorted(ALL, key=lambda c: list(TITLES).index(c.area)), rows, strict=True):
-        assert case.input_text in row and case.expected in row, f"run: make stability ({case.name})"
+    expected = rows_of(sorted(ALL, key=lambda c: list(TITLES).index(c.area)))
+    assert len(rows) == len(expected), "run: make stability"
+    for cases, row in zip(expected, rows, strict=True):
+        others = f" (and {len(cases) - 1} more) |" if len(cases) > 1 else " |"
+        found = any(f"| {case.input_text}{others}" in row and case.expected in row for case in cases)
+        assert found, f"run: make stability ({cases[0].name})"
 
 
 def test_help_of_the_page_writer_writes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

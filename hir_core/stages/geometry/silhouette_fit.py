@@ -1,4 +1,7 @@
-"""Fits one mesh of fixed topology to the masks; held-out views choose the result and end the level."""
+"""Fits one mesh of fixed topology to the masks; held-out views choose the result and end the level.
+
+Fewer than `MIN_HELD_OUT_VIEWS` choose nothing: the level takes all its steps, and its last state is the result.
+"""
 
 from __future__ import annotations
 
@@ -26,6 +29,7 @@ from hir_core.scene.silhouette_targets import SilhouetteTargets, intersection_ov
 from hir_core.stages.geometry.best_state import BestState
 from hir_core.stages.geometry.measured_depths.depth_term import DepthRays
 from hir_core.stages.geometry.robust_view_weights import RobustViewWeights
+from hir_core.stages.held_out_views import MIN_HELD_OUT_VIEWS
 
 HELD_OUT_INTERVAL_STEPS = 25
 """Held-out views are evaluated this often."""
@@ -72,7 +76,7 @@ class SilhouetteFit:
 
 
 def fit_level(mesh: Mesh, fit: SilhouetteFit, level: int, levels: int) -> tuple[Mesh, OptimizationReport, float | None]:
-    """The mesh of the lowest held-out error (the last one without held-out views), the report, and that error."""
+    """The mesh of the lowest held-out error (the last one with too few views), the report, and that error."""
     settings, context = fit.settings, fit.context
     scene = Scene(mesh)
     energies = prepare_energies(scene, settings.regularizers, context.plugins, context.seed)
@@ -106,6 +110,12 @@ def fit_level(mesh: Mesh, fit: SilhouetteFit, level: int, levels: int) -> tuple[
         return terms | {"depth": settings.depth_weight / radius**2 * fit.depth.energy(current, step)}
 
     best = BestState(parameter)
+    views_choose = len(fit.held_out) >= MIN_HELD_OUT_VIEWS
+
+    def held_out_error() -> float:
+        with torch.no_grad():
+            errors = fit.errors(mesh.with_positions(decode(parameter)), fit.held_out)
+        return float(np.median(list(errors.values())))
 
     def locate(step: int, term: str) -> str:
         current = mesh.with_positions(decode(parameter).detach())
@@ -117,12 +127,10 @@ def fit_level(mesh: Mesh, fit: SilhouetteFit, level: int, levels: int) -> tuple[
     def after_step(step: int) -> bool:
         if not fit.held_out or (step + 1) % HELD_OUT_INTERVAL_STEPS:
             return False
-        with torch.no_grad():
-            errors = fit.errors(mesh.with_positions(decode(parameter)), fit.held_out)
-        error = float(np.median(list(errors.values())))
+        error = held_out_error()
         done = level * steps + step + 1
         context.report(Progress("geometry", done, levels * steps, 0.0, {"held_out": np.array([error])}))
-        return best.update(parameter, error) and step > EARLIEST_STOP * steps
+        return views_choose and best.update(parameter, error) and step > EARLIEST_STOP * steps
 
     report = optimize(
         loss,
@@ -138,6 +146,9 @@ def fit_level(mesh: Mesh, fit: SilhouetteFit, level: int, levels: int) -> tuple[
         total_steps=levels * steps,
     )
     warn_of_skipped_steps(report, context.warn)
+    error = best.error
+    if error is None and fit.held_out:
+        error = held_out_error()
     with torch.no_grad():
-        chosen = best.tensor if fit.held_out and best.error is not None else parameter
-        return mesh.with_positions(decode(chosen).detach()), report, best.error
+        chosen = parameter if best.error is None else best.tensor
+        return mesh.with_positions(decode(chosen).detach()), report, error

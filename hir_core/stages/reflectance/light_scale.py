@@ -64,5 +64,6 @@ def disagreement_warning(report: LightScaleReport) -> str | None:
     return (
         f"the light brings the card {', '.join(f'{each:.2f}' for each in ratio)} times the measured irradiance (red, "
         "green, blue): photograph the card beside the object, facing up, without shadow or gloss, and set "
-        "initializer.fiducial_markers.paper_reflectance to that of its paper"
+        "initializer.fiducial_markers.paper_reflectance to that of its paper (for a ColorChecker: "
+        "initializer.color_checker.reflectance_factor)"
     )

@@ -1,7 +1,7 @@
 """Path-traced refinement after a fast fit, accepted only where held-out views gain.
 
 Either the diffuse albedo is solved in closed form under path-traced radiance, or gradient steps run through the path
-tracer.
+tracer. As many folds are compared as give `MIN_HELD_OUT_VIEWS` held-out views.
 """
 
 from __future__ import annotations
@@ -26,12 +26,13 @@ from hir_core.rendering.reference_renderer import check_light, reference_rendere
 from hir_core.rendering.take_radiance import radiance_in_takes
 from hir_core.scene import Scene
 from hir_core.scene.srgb import linear_to_srgb
-from hir_core.stages.held_out_views import held_out_for_model_selection
+from hir_core.stages.held_out_views import Fold, folds_of_a_comparison, model_selection_folds
 from hir_core.stages.reflectance.gradient_fit import ObjectPixels, fit_by_gradient, object_pixels
 from hir_core.stages.reflectance.reflectance_report import RefinementReport
 from hir_core.stages.reflectance.selection.held_out_comparison import (
     REQUIRED_STANDARD_ERRORS,
     critical_value,
+    is_within_noise,
     mean_decibels,
     paired_gain,
 )
@@ -55,11 +56,12 @@ def refine_by_path_tracing(
 ) -> tuple[Scene, RefinementReport]:
     """The scene after `path_tracing.iterations` gradient steps, or unchanged where held-out views do not gain.
 
-    The steps use the training views alone. With too few views for a comparison the scene is unchanged, with a warning.
+    The steps use the training views of the fold that is compared; after several folds they are repeated with all views.
+    With too few views for a comparison the scene is unchanged, with a warning.
     """
     options = settings.path_tracing
-    training, held_out = held_out_for_model_selection(len(capture.views), capture.take_numbers)
-    if not held_out:
+    folds = _compared_folds(capture)
+    if not folds:
         context.warn("too few views to hold some out: path-traced refinement was skipped")
         return scene, RefinementReport(False, 0, "too few views")
     began = time.perf_counter()
@@ -70,29 +72,37 @@ def refine_by_path_tracing(
     )
     prepared = renderer.prepare(scene, capture, settings.downsample)
     device = str(scene.mesh.positions.device)
-    compared = [object_pixels(capture, [view], settings.downsample, device) for view in held_out]
-    before = view_errors(scene, prepared, capture, compared, context.seed)
     assert scene.material is not None
-    fitted, _ = fit_by_gradient(
-        scene,
-        prepared,
-        object_pixels(capture, training, settings.downsample, device),
-        replace(
-            settings.gradient,
-            learning_rate=options.learning_rate,
-            learning_rate_end=FINAL_LEARNING_RATE,
-            batch="pixels",
-        ),
-        energies,
-        context,
-        steps=options.iterations,
-        conserve_energy=settings.conserve_energy,
-        fit_light=not settings.known_environment,
-        fit_specular=bool((scene.material.specular_albedo > 0).any()),
-        checkpoint="path_tracing",
+    fit_specular = bool((scene.material.specular_albedo > 0).any())
+    gradient = replace(
+        settings.gradient, learning_rate=options.learning_rate, learning_rate_end=FINAL_LEARNING_RATE, batch="pixels"
     )
-    after = view_errors(fitted, prepared, capture, compared, context.seed)
+
+    def steps(views: Sequence[int], checkpoint: str) -> Scene:
+        fitted, _ = fit_by_gradient(
+            scene,
+            prepared,
+            object_pixels(capture, views, settings.downsample, device),
+            gradient,
+            energies,
+            context,
+            steps=options.iterations,
+            conserve_energy=settings.conserve_energy,
+            fit_light=not settings.known_environment,
+            fit_specular=fit_specular,
+            checkpoint=checkpoint,
+        )
+        return fitted
+
+    before, after, fitted = [], [], scene
+    for number, (training, held_out) in enumerate(folds):
+        compared = [object_pixels(capture, [view], settings.downsample, device) for view in held_out]
+        fitted = steps(training, f"path_tracing_{number}")
+        before.append(view_errors(scene, prepared, capture, compared, context.seed))
+        after.append(view_errors(fitted, prepared, capture, compared, context.seed))
     report = _compared(before, after, options.renderer, options.iterations)
+    if report.accepted and len(folds) > 1:
+        fitted = steps(range(len(capture.views)), "path_tracing")
     if not report.accepted:
         context.warn(
             f"path tracing for {time.perf_counter() - began:.0f} s changed held-out views by {report.gain_db:+.2f} ± "
@@ -112,12 +122,12 @@ def refine_albedo(
 ) -> tuple[Solved[RefinementT], RefinementReport]:
     """The scene with its albedo solved under path-traced radiance, or unchanged where held-out views do not gain.
 
-    They compare two albedos that are solved from the other views, with path tracing and without; an accepted one is
-    solved from all views. `report` receives the share that is done.
+    They compare two albedos that are solved from the other views of each fold, with path tracing and without; an
+    accepted one is solved from all views. `report` receives the share that is done.
     """
     report(0.0)
-    training, held_out = held_out_for_model_selection(len(capture.views), capture.take_numbers)
-    if not held_out:
+    folds = _compared_folds(capture)
+    if not folds:
         return solved, RefinementReport(False, 0, "too few views")
     name = settings.path_tracing.renderer
     options = dict(context.options.get("reflectance_renderer", {}).get(name, {}))
@@ -126,13 +136,20 @@ def refine_albedo(
         options.setdefault("samples", PATHS_PER_PIXEL)
     _, renderer = reference_renderer(context.plugins, name, options, bounces, light=solved.scene.environment)
     traced = renderer.prepare(solved.scene, capture, settings.downsample)
-    without = solver.refine(solved, None, training, lambda share: None)
-    refined = solver.refine(solved, traced, training, lambda share: report(0.75 * share))
-    if without is None or refined is None:
-        return solved, RefinementReport(False, len(held_out), "the solver has no closed form for the albedo")
     device = str(solved.scene.mesh.positions.device)
-    compared = [object_pixels(capture, [view], settings.downsample, device) for view in held_out]
-    before, after = (view_errors(each.scene, traced, capture, compared, context.seed) for each in (without, refined))
+    before, after = [], []
+    for number, (training, held_out) in enumerate(folds):
+        begin, width = 0.75 * number / len(folds), 0.75 / len(folds)
+        without = solver.refine(solved, None, training, lambda share: None)
+        refined = solver.refine(
+            solved, traced, training, lambda share, begin=begin, width=width: report(begin + width * share)
+        )
+        if without is None or refined is None:
+            judges = sum(len(fold[1]) for fold in folds)
+            return solved, RefinementReport(False, judges, "the solver has no closed form for the albedo")
+        compared = [object_pixels(capture, [view], settings.downsample, device) for view in held_out]
+        before.append(view_errors(without.scene, traced, capture, compared, context.seed))
+        after.append(view_errors(refined.scene, traced, capture, compared, context.seed))
     result = _compared(before, after, name)
     if result.accepted:
         whole = solver.refine(solved, traced, range(len(capture.views)), lambda share: report(0.85 + 0.15 * share))
@@ -141,13 +158,23 @@ def refine_albedo(
     return solved, result
 
 
+def _compared_folds(capture: Capture) -> list[Fold]:
+    folds = model_selection_folds(len(capture.views), capture.take_numbers)
+    return [folds[number] for number in folds_of_a_comparison(folds)]
+
+
 def _compared(
-    before: NDArray[np.float64], after: NDArray[np.float64], renderer: str, steps: int | None = None
+    before_of_folds: Sequence[NDArray[np.float64]],
+    after_of_folds: Sequence[NDArray[np.float64]],
+    renderer: str,
+    steps: int | None = None,
 ) -> RefinementReport:
+    before, after = np.concatenate(before_of_folds), np.concatenate(after_of_folds)
     gain, standard_error = paired_gain(before, after)
     return RefinementReport(
         accepted=bool(gain > critical_value(REQUIRED_STANDARD_ERRORS, len(before)) * standard_error),
         held_out_views=len(before),
+        near_tie=is_within_noise(gain, standard_error, len(before)),
         renderer=renderer,
         steps=steps,
         before_db=round(mean_decibels(before), 3),

@@ -16,6 +16,7 @@ from hir_core.scene import Scene
 from hir_core.stages.reflectance.camera_response import ResponseReport, camera_response
 from hir_core.stages.reflectance.light_scale import ASSUMED, LightScaleReport
 from hir_core.stages.reflectance.selection.exposure_selection import ExposureSelection
+from hir_core.stages.reflectance.selection.held_out_comparison import is_within_noise
 from hir_core.stages.reflectance.selection.hypotheses import described, forcing_settings
 from hir_core.stages.reflectance.selection.model_selection import Selection
 
@@ -64,7 +65,10 @@ class ComparisonReport:
     held_out_db: float
     gain_db: float
     standard_error_db: float
+    held_out_views: int
     accepted: bool
+    near_tie: bool
+    """Whether the gain is within noise, two standard errors."""
 
 
 @dataclass(frozen=True)
@@ -79,8 +83,24 @@ class ShapeReport:
     """Of the mesh of the silhouettes."""
     standard_error_db: float
     held_out_views: int
+    near_tie: bool
+    """Whether the gain is within noise, two standard errors."""
     sentence: str
     """All of it in words."""
+
+
+@dataclass(frozen=True)
+class LampReport:
+    """Whether hypotheses with a lamp near the camera took part: a short fit of the simplest of them, in dB."""
+
+    took_part: bool
+    compared_with: str
+    """The hypothesis without a lamp that was nearest to it."""
+    gain_db: float
+    standard_error_db: float
+    held_out_views: int
+    near_tie: bool
+    """Whether the gain is within noise, two standard errors."""
 
 
 @dataclass(frozen=True)
@@ -98,6 +118,9 @@ class ExposureReport:
     gain_db: float | None
     """Over `compared_with` on held-out views, with the simplest model; None where the settings name the exposures."""
     standard_error_db: float | None
+    held_out_views: int | None
+    near_tie: bool | None
+    """Whether the gain is within noise, two standard errors; None where nothing was compared."""
     sentence: str
     """All of it in words."""
     response: ResponseReport | None = None
@@ -119,6 +142,8 @@ class RefinementReport:
     after_db: float | None = None
     gain_db: float | None = None
     standard_error_db: float | None = None
+    near_tie: bool | None = None
+    """Whether the gain is within noise, two standard errors; None where nothing was compared."""
 
 
 @dataclass(frozen=True)
@@ -191,6 +216,8 @@ class ReflectanceReport:
     """What kind of material under what kind of light explains the photographs; None where none were compared."""
     hypotheses: tuple[HypothesisReport, ...] = ()
     comparisons: tuple[ComparisonReport, ...] = ()
+    lamp: LampReport | None = None
+    """None where no hypothesis with a lamp was considered."""
     shape: ShapeReport | None = None
     """Which shape the material was fitted on; None where nothing was compared."""
     takes: Sequence[str] | None = None
@@ -282,7 +309,9 @@ def comparison_reports(selection: Selection[FitT]) -> tuple[ComparisonReport, ..
             round(c.held_out_db, 3),
             round(c.gain_db, 3),
             round(c.standard_error_db, 3),
+            c.held_out_views,
             c.accepted,
+            is_within_noise(c.gain_db, c.standard_error_db, c.held_out_views),
         )
         for c in selection.comparisons
     )
@@ -296,13 +325,30 @@ def shape_report(selection: Selection[FitT]) -> ShapeReport | None:
     selected = "silhouettes alone" if shape.accepted else "silhouettes and photo-consistency"
     side = "worse" if (shape.gain_db >= 0) == shape.accepted else "better, within noise"
     other = "with photo-consistency" if shape.accepted else "silhouettes alone"
+    views = len(shape.fit.errors)
     return ShapeReport(
         shape.accepted,
         tuple(round(value, 3) for value in shape.curve_db),
         round(shape.gain_db, 3),
         round(shape.standard_error_db, 3),
-        len(shape.fit.errors),
+        views,
+        is_within_noise(shape.gain_db, shape.standard_error_db, views),
         f"{selected}; {other}: {abs(shape.gain_db):.1f} ± {shape.standard_error_db:.1f} dB {side}",
+    )
+
+
+def lamp_report(selection: Selection[FitT]) -> LampReport | None:
+    """The short comparison with a lamp for run.json; None where there was none."""
+    lamp = selection.lamp
+    if lamp is None:
+        return None
+    return LampReport(
+        lamp.takes_part,
+        described(lamp.nearest),
+        round(lamp.gain_db, 3),
+        round(lamp.standard_error_db, 3),
+        lamp.held_out_views,
+        is_within_noise(lamp.gain_db, lamp.standard_error_db, lamp.held_out_views),
     )
 
 
@@ -314,8 +360,10 @@ def exposure_report(selection: ExposureSelection, used: PhotographExposures, cap
     brightness, balance = float(np.ptp(stops[:, 1])), float(np.ptp(stops[:, [0, 2]] - stops[:, 1:2], axis=0).max())
     words = {"recorded": "as EXIF data record them", "fitted": "fitted for each photograph"}[used.kind]
     sentence = f"{words}: brightness differs by {brightness:.2f} stops, white balance by {balance:.2f}"
-    gain, error = selection.gain_db, selection.standard_error_db
-    if gain is not None and error is not None:
+    gain, error, views = selection.gain_db, selection.standard_error_db, selection.held_out_views
+    near_tie = None
+    if gain is not None and error is not None and views is not None:
+        near_tie = is_within_noise(gain, error, views)
         sentence += f"; with {selection.before} exposures: {gain:.1f} ± {error:.1f} dB worse"
     response = None
     if used.kind == "fitted":
@@ -328,6 +376,8 @@ def exposure_report(selection: ExposureSelection, used: PhotographExposures, cap
         selection.before,
         None if gain is None else round(gain, 3),
         None if error is None else round(error, 3),
+        views,
+        near_tie,
         sentence,
         response,
     )

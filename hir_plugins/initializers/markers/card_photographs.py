@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from hir_core.capture import Array, Camera, Capture, View
 from hir_core.capture.measured_irradiance import MeasuredIrradiance
@@ -19,24 +17,12 @@ from hir_plugins.initializers.markers.grey_card import (
     patch_points,
 )
 from hir_plugins.initializers.markers.marker_geometry import Corners
+from hir_plugins.initializers.markers.patch_colors import INSET, MIN_COSINE, POINTS, patch_color
 
 MIN_CARD_MARKERS = 3
 """Of four: fewer do not show whether the card is flat."""
 MAX_BEND = 0.05
 """Distance of a corner from where a flat card has it, in sides of a marker."""
-POINTS, INSET = 9, 0.2
-"""Samples along a side of a patch, and the border that is left out, as a fraction of its side: lenses blur edges."""
-BLOCKS = 3
-"""Along a side of a patch; means over a block have less noise than samples."""
-MIN_PATCH_PIXELS = 6.0
-"""Shortest side of a patch in a photograph."""
-MIN_COSINE = 0.35
-"""Between the card's normal and the direction to the camera: at grazing angles paper is glossy."""
-MAX_UNEVENNESS = 0.1
-"""Standard deviation over the mean of a patch's blocks: more is a shadow's edge, gloss, or something in front."""
-MAX_OBJECT_COVERAGE = 0.01
-DARKEST = 1e-4
-"""Linear colours below are noise."""
 
 
 def measured_irradiance(
@@ -61,12 +47,23 @@ def measured_irradiance(
             stacklevel=2,
         )
         return None
+    return irradiance_of_patches(capture.views, seen, reflectance, normal)
+
+
+def irradiance_of_patches(
+    views: Sequence[View], seen: Array, reflectance: Array, normal: Array
+) -> MeasuredIrradiance | None:
+    """π × colour / reflectance, the median over the patches of each photograph; None where none shows a patch.
+
+    `seen`: linear colours (views, patches, 3), NaN where a patch is not seen well. `reflectance`: (patches, 3), NaN for
+    an unknown one. `normal`: of the card in the world, on its printed side.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # of photographs without a patch
         found = np.pi * np.nanmedian(seen / reflectance, axis=1)
     values = {
         view.name: (float(color[0]), float(color[1]), float(color[2]))
-        for view, color in zip(capture.views, found / np.array([v.gain for v in capture.views]), strict=True)
+        for view, color in zip(views, found / np.array([v.gain for v in views]), strict=True)
         if np.isfinite(color).all()
     }
     return MeasuredIrradiance((float(normal[0]), float(normal[1]), float(normal[2])), values) if values else None
@@ -99,16 +96,8 @@ def _patch_colors(view: View, world_from_card: Array, normal: Array) -> Array:
     pixels = view.pixels()
     for patch in range(len(PATCHES)):
         at = _projected(camera, world_from_card, patch_points(patch, POINTS, INSET))
-        if at is None or _shortest_side(at) < MIN_PATCH_PIXELS:
-            continue
-        hidden = pixels.mask is not None and _sampled(pixels.mask, at).max() > MAX_OBJECT_COVERAGE
-        if hidden or _sampled(pixels.saturated.astype(np.float32), at).max() > 0:
-            continue
-        color = _sampled(pixels.color_linear, at)
-        blocks = color.reshape(BLOCKS, POINTS // BLOCKS, BLOCKS, POINTS // BLOCKS, 3).mean(axis=(1, 3)).reshape(-1, 3)
-        mean = blocks.mean(axis=0)
-        if (mean > DARKEST).all() and (blocks.std(axis=0) < MAX_UNEVENNESS * mean).all():
-            found[patch] = np.median(blocks, axis=0)
+        if at is not None and (color := patch_color(pixels, at)) is not None:
+            found[patch] = color
     return found
 
 
@@ -133,17 +122,3 @@ def _projected(camera: Camera, world_from_card: Array, points: Array) -> Array |
     at, depth = camera.project(world)
     inside = (at > 0.5).all() and (at < [camera.width - 0.5, camera.height - 0.5]).all()
     return at if (depth > 0).all() and inside else None
-
-
-def _shortest_side(at: Array) -> float:
-    """Of a patch in pixels, from its grid of samples."""
-    grid = at.reshape(POINTS, POINTS, 2)
-    sides = np.linalg.norm(grid[0, -1] - grid[0, 0]), np.linalg.norm(grid[-1, 0] - grid[0, 0])
-    return float(min(sides)) / (1 - 2 * INSET)
-
-
-def _sampled(image: NDArray[np.float32], at: Array) -> Array:
-    """Bilinear values at pixel positions whose centres are at ½."""
-    position = (at - 0.5).astype(np.float32)
-    sampled = cv2.remap(image, position[:, None, 0], position[:, None, 1], cv2.INTER_LINEAR)
-    return np.asarray(sampled[:, 0], dtype=np.float64)

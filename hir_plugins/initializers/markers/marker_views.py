@@ -1,4 +1,4 @@
-"""Photographs of a sheet of markers by formula, for tests."""
+"""Photographs of a sheet of markers, or of a chart of colours, by formula, for tests."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ PAPER, INK, TABLE = 0.8, 0.01, 0.1
 
 
 class Sheet(Protocol):
-    """What is printed: a `MarkerSheet` or a `GreyCard`."""
+    """What is printed: a `MarkerSheet`, a `GreyCard` or a `ColorCheckerSheet`."""
 
     @property
     def side(self) -> float:
-        """Of a marker's black square, in metres."""
+        """Of a marker's black square, or of a patch, in metres."""
         ...
 
     @property
@@ -33,8 +33,8 @@ class Sheet(Protocol):
         """Width and height in metres."""
         ...
 
-    def picture(self, pixels_per_metre: float) -> NDArray[np.uint8]:
-        """The sheet (H, W), 255 is paper."""
+    def picture(self, pixels_per_metre: float) -> NDArray[np.uint8] | Array:
+        """The sheet: (H, W) of 8 bits, where 255 is paper, or (H, W, 3) of linear reflectances."""
         ...
 
 
@@ -60,17 +60,19 @@ def _world_from_sheet(sheet: Sheet, height: float, turn: Array) -> Array:
     return placed
 
 
-def _photograph(name: str, camera: Camera, printed: NDArray[np.uint8], sheet: Sheet, world_from_sheet: Array) -> View:
+def _photograph(
+    name: str, camera: Camera, printed: NDArray[np.uint8] | Array, sheet: Sheet, world_from_sheet: Array
+) -> View:
     shown: Array = np.full((camera.height, camera.width), TABLE)
     normal = np.cross(world_from_sheet[:, 1], world_from_sheet[:, 0])
     if normal @ (camera.center - world_from_sheet[:, 2]) > 0:  # the camera sees the printed side
         shown = _warped(printed, sheet, camera, world_from_sheet)
-    color = np.repeat(shown[..., None], 3, axis=2).astype(np.float32)
+    color = (np.repeat(shown[..., None], 3, axis=2) if shown.ndim == 2 else shown).astype(np.float32)
     return View(name, camera, StoredPixels(color, None))
 
 
-def _warped(printed: NDArray[np.uint8], sheet: Sheet, camera: Camera, world_from_sheet: Array) -> Array:
-    """The sheet as the camera sees it (H, W), linear."""
+def _warped(printed: NDArray[np.uint8] | Array, sheet: Sheet, camera: Camera, world_from_sheet: Array) -> Array:
+    """The sheet as the camera sees it (H, W) or (H, W, 3), linear."""
     width, height = SUPERSAMPLES * camera.width, SUPERSAMPLES * camera.height
     pose = camera.world_to_camera
     camera_from_sheet = pose[:3, :3] @ world_from_sheet
@@ -79,6 +81,7 @@ def _warped(printed: NDArray[np.uint8], sheet: Sheet, camera: Camera, world_from
     centres = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1.0]])  # indices of pixels to positions of their centres
     finer = np.diag([SUPERSAMPLES, SUPERSAMPLES, 1.0])
     homography = np.linalg.inv(centres) @ finer @ camera.intrinsics @ camera_from_sheet @ metres @ centres
-    picture = INK + (PAPER - INK) * printed / 255.0
-    fine = cv2.warpPerspective(picture, homography, (width, height), borderMode=cv2.BORDER_CONSTANT, borderValue=TABLE)
+    picture = INK + (PAPER - INK) * printed / 255.0 if printed.ndim == 2 else np.asarray(printed, np.float64)
+    table = (TABLE,) * 3
+    fine = cv2.warpPerspective(picture, homography, (width, height), borderMode=cv2.BORDER_CONSTANT, borderValue=table)
     return np.asarray(cv2.resize(fine, (camera.width, camera.height), interpolation=cv2.INTER_AREA), dtype=np.float64)

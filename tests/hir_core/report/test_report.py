@@ -254,7 +254,29 @@ def test_model_selection_shows_hypotheses_and_the_margin() -> None:
     assert "Metal, light in the world; next: diffuse, light on the camera, 5.0 ± 0.4 dB worse (6 held-out" in page
     assert re.findall(r">(selected|dropped|rejected)<", page) == ["selected", "dropped"]
     assert ">24.00<" in page and ">5.00 ± 0.40<" in page and "within noise" not in page
-    assert "within noise" in section(near_tie=True)
+    assert "The margin is within noise" in section(near_tie=True)
+
+
+LAMP = {
+    "took_part": False,
+    "compared_with": "diffuse, light in the world",
+    "gain_db": 0.3,
+    "standard_error_db": 0.4,
+    "held_out_views": 6,
+    "near_tie": True,
+}
+
+
+def test_decisions_within_noise_are_named() -> None:
+    def section(**report: object) -> str:
+        return model_selection_table.model_selection({"stages": {"reflectance": {"report": report}}}, [])
+
+    page = section(lamp=LAMP)
+    assert "lamp near the camera are not among the hypotheses: a short fit gains 0.3 ± 0.4 dB over diffuse" in page
+    assert "The gain is within noise." in page and "within noise" not in section(lamp=LAMP | {"near_tie": False})
+    assert ">accepted, within noise<" in section(comparisons=[comparison_entry("a") | {"near_tie": True}])
+    refined = section(albedo_refinement=REFINEMENT | {"near_tie": True}, model="diffuse")
+    assert "accepted. The gain is within noise." in refined
 
 
 HOSTILE = "<script>alert(1)</script>\"'onload='x"
@@ -281,6 +303,7 @@ def test_hostile_strings_of_all_documents_are_escaped(finished: Run, tmp_path: P
         "hypotheses": [dict(HYPOTHESES[1])],
         "explanation": dict(EXPLANATION),
         "albedo_refinement": REFINEMENT | {"renderer": HOSTILE},
+        "lamp": LAMP | {"compared_with": HOSTILE},
     }
     document["stages"]["bake"]["report"] |= {"diffuse_albedo": HOSTILE, "model": HOSTILE}
     document["stages"]["export"]["report"] = {HOSTILE: {"verified": {"not_read": HOSTILE, "rendered": HOSTILE}}}

@@ -7,6 +7,7 @@ import pytest
 
 from hir_core.stages.held_out_views import (
     MIN_VIEWS_OF_FOLD,
+    folds_of_a_comparison,
     held_out_for_geometry,
     held_out_for_model_selection,
     judging_views,
@@ -41,6 +42,13 @@ def test_views_of_one_take_are_held_out_as_without_takes(views: int) -> None:
         assert held_out == held_out_for_geometry(views, share, takes)
         assert len(held_out) == (round(views * share) if views >= 10 else 0)
         assert judging_views(views, held_out) == judging_views(views, held_out, takes)
+
+
+@pytest.mark.parametrize(("views", "folds"), [(3, 0), (6, 2), (11, 2), (12, 1), (48, 1)])
+def test_folds_of_a_comparison_have_six_judges(views: int, folds: int) -> None:
+    found = model_selection_folds(views)
+    assert folds_of_a_comparison(found) == range(folds)
+    assert not folds or sum(len(held_out) for _, held_out in found[:folds]) >= 6
 
 
 @pytest.mark.parametrize("takes", TAKES.values(), ids=TAKES)

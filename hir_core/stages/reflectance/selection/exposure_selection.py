@@ -38,6 +38,7 @@ class ExposureSelection:
     gain_db: float | None = None
     """Mean over held-out views; None where nothing was compared."""
     standard_error_db: float | None = None
+    held_out_views: int | None = None
 
 
 def select_exposures(
@@ -80,7 +81,7 @@ class _ExposureComparison(Generic[FitT, RefinementT]):
         candidate = self._best_with(exposures)
         before, gain = self.selected.exposures, paired_gain(control.errors, candidate.errors)
         accepted = gains_by_exposures(control, candidate)
-        self.selected = ExposureSelection(exposures if accepted else before, before, *gain)
+        self.selected = ExposureSelection(exposures if accepted else before, before, *gain, len(control.errors))
         if accepted:
             self._best = candidate
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hir_core.plugins.interfaces import FitT, RefinementT
 from hir_core.plugins.model_spec import ModelSpec
-from hir_core.stages.held_out_views import MIN_HELD_OUT_VIEWS, Fold
+from hir_core.stages.held_out_views import Fold, folds_of_a_comparison
 from hir_core.stages.reflectance.selection.fit_sequence import FitSequence
 from hir_core.stages.reflectance.selection.held_out_comparison import mean_decibels
 
@@ -37,12 +37,9 @@ class FoldedFits(Generic[FitT, RefinementT]):
     def __init__(self, fits: FitSequence[FitT, RefinementT], folds: Sequence[Fold]) -> None:
         self._fits = fits
         self._folds = list(folds)
-        count = 1
-        while count < len(folds) and sum(len(held_out) for _, held_out in folds[:count]) < MIN_HELD_OUT_VIEWS:
-            count += 1
-        self.first = range(count)
+        self.first = folds_of_a_comparison(folds)
         """The folds of every fit."""
-        self.further = range(count, len(folds))
+        self.further = range(len(self.first), len(folds))
         """Folds that are left for near ties."""
 
     def fit(

@@ -57,6 +57,11 @@ def is_near_tie(margin: float, standard_error: float, views: int) -> bool:
     return not is_significant(margin, standard_error, views, NEAR_TIE_STANDARD_ERRORS)
 
 
+def is_within_noise(gain: float, standard_error: float, views: int) -> bool:
+    """Whether a gain, of either sign, may be none: the decision that rests on it is a near tie."""
+    return bool(abs(gain) <= critical_value(NEAR_TIE_STANDARD_ERRORS, views) * standard_error)
+
+
 def differs(gain: float, standard_error: float, views: int) -> bool:
     """Whether a gain of one hypothesis over another is more than noise."""
     return is_significant(gain, standard_error, views, REQUIRED_STANDARD_ERRORS_OF_HYPOTHESES)

@@ -9,6 +9,7 @@ freedom, which imitates a light that few steps have not found yet.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from hir_core.plugins.interfaces import FitT, RefinementT
 from hir_core.plugins.model_spec import ModelSpec
@@ -19,14 +20,30 @@ from hir_core.stages.reflectance.selection.held_out_comparison import differs, p
 from hir_core.stages.reflectance.selection.hypotheses import contains
 
 
-def lamp_is_ahead(fits: FoldedFits[FitT, RefinementT], others: Sequence[ModelSpec], lamp: ModelSpec) -> bool:
-    """Whether the hypothesis with a lamp takes part, after a short fit of each.
+@dataclass(frozen=True)
+class LampComparison:
+    """The simplest hypothesis with a lamp, compared with the nearest one without; in dB."""
+
+    takes_part: bool
+    """Whether hypotheses with a lamp are fitted like all others."""
+    nearest: ModelSpec
+    """The best of the others."""
+    gain_db: float
+    """Of the lamp, mean over held-out views."""
+    standard_error_db: float
+    held_out_views: int
+
+
+def compare_lamp(fits: FoldedFits[FitT, RefinementT], others: Sequence[ModelSpec], lamp: ModelSpec) -> LampComparison:
+    """A short fit of the hypothesis with a lamp and of each of the others, which are at least one.
 
     All are of one kind of material, and are fitted with the budget of the first round, as they are there.
     """
     fits.expect((1 + len(others)) * fit_cost(lamp, BUDGET.effort, BUDGET.pixel_share))
     found, *rest = (fits.fit(spec, None, BUDGET.effort, BUDGET.pixel_share) for spec in (lamp, *others))
-    return is_ahead_of(found, rest)
+    nearest = max(rest, key=lambda fit: fit.held_out_db)
+    gain, standard_error = paired_gain(nearest.errors, found.errors)
+    return LampComparison(is_ahead_of(found, rest), nearest.spec, gain, standard_error, len(found.errors))
 
 
 def is_ahead_of(lamp: FoldedFit[FitT], others: Sequence[FoldedFit[FitT]]) -> bool:

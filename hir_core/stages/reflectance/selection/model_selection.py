@@ -44,7 +44,7 @@ from hir_core.stages.reflectance.selection.hypotheses import (
     lamp_hypotheses,
     simplest_of,
 )
-from hir_core.stages.reflectance.selection.lamp_selection import lamp_is_ahead
+from hir_core.stages.reflectance.selection.lamp_selection import LampComparison, compare_lamp
 from hir_core.stages.reflectance.selection.refinement_selection import (
     Comparison,
     RefinementSelection,
@@ -113,6 +113,8 @@ class Selection(Generic[FitT]):
     shape: ShapeComparison[FitT] | None = None
     """None where there was one shape."""
     exposures: ExposureSelection = EQUAL
+    lamp: LampComparison | None = None
+    """Whether hypotheses with a lamp took part; None where the settings or the solver leave them out."""
 
     @property
     def runner_up(self) -> Margin | None:
@@ -153,9 +155,10 @@ def select_model(
     forced = forced_spec(settings)
     folded = FoldedFits(fits, folds) if folds else None
     shown = ExposureSelection(exposures[0])
-    admitted = hypotheses(settings)
-    if forced is None and folded is not None and fits_lamp:
-        admitted += _with_lamp(folded, fits, settings, exposures[0])
+    admitted, lamp = hypotheses(settings), None
+    if forced is None and folded is not None and fits_lamp and (lamps := lamp_hypotheses(settings)):
+        lamp = _compare_lamp(folded, fits, settings, lamps[0], exposures[0])
+        admitted += lamps if lamp.takes_part else []
     if folded is not None and len(exposures) > 1:
         compared = _supported(fits, admitted if forced is None else [simplest_of(forced)])
         later_cost = _hypotheses_cost(compared) if forced is None else fit_cost(forced, 1.0)
@@ -212,24 +215,23 @@ def select_model(
         tuple(refinement.comparisons),
         shape,
         shown,
+        lamp,
     )
 
 
-def _with_lamp(
+def _compare_lamp(
     folded: FoldedFits[FitT, RefinementT],
     fits: FitSequence[FitT, RefinementT],
     settings: ReflectanceSettings,
+    lamp: ModelSpec,
     exposures: Exposures,
-) -> list[ModelSpec]:
-    """The hypotheses with a lamp, where the simplest of them is ahead of those without; else none."""
-    lamps = lamp_hypotheses(settings)
-    if not lamps:
-        return []
+) -> LampComparison:
+    """The simplest hypothesis with a lamp against those without."""
     own, *others = (
         replace(each, exposures=exposures)
-        for each in simplest_under_each_light(_supported(fits, [lamps[0], *hypotheses(settings)]))
+        for each in simplest_under_each_light(_supported(fits, [lamp, *hypotheses(settings)]))
     )
-    return lamps if lamp_is_ahead(folded, others, own) else []
+    return compare_lamp(folded, others, own)
 
 
 def _hypotheses_cost(specs: Sequence[ModelSpec]) -> float:

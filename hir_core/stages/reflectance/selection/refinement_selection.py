@@ -42,6 +42,7 @@ class Comparison:
     """Mean over held-out views, against the model that was selected before."""
     standard_error_db: float
     """Of `gain_db`."""
+    held_out_views: int
     accepted: bool
 
 
@@ -81,7 +82,7 @@ class RefinementSelection(Generic[FitT, RefinementT]):
         self._record(replace(own, spec=candidate.spec), -gain, standard_error, accepted=not needed)
         if not needed:
             self.fit, self._has_control = candidate, False
-        return ExposureSelection(self.spec.exposures, selection.before, gain, standard_error)
+        return ExposureSelection(self.spec.exposures, selection.before, gain, standard_error, len(own.errors))
 
     def compare_exposures(self, selection: ExposureSelection) -> ExposureSelection:
         """Selects fitted exposures where held-out views gain, all at exposures of their own.
@@ -99,7 +100,7 @@ class RefinementSelection(Generic[FitT, RefinementT]):
         if accepted:
             self.fit, self._has_control = candidate, False
         self._record(candidate, *gain, accepted=accepted)
-        return ExposureSelection(self.spec.exposures, selection.exposures, *gain)
+        return ExposureSelection(self.spec.exposures, selection.exposures, *gain, len(control.errors))
 
     def refine_vertices(self) -> None:
         """Compares everything that is fitted at vertices."""
@@ -208,7 +209,7 @@ class RefinementSelection(Generic[FitT, RefinementT]):
         return fit
 
     def _record(self, fit: FoldedFit[FitT], gain: float, standard_error: float, accepted: bool) -> None:
-        self.comparisons.append(Comparison(fit.spec, fit.held_out_db, gain, standard_error, accepted))
+        self.comparisons.append(Comparison(fit.spec, fit.held_out_db, gain, standard_error, len(fit.errors), accepted))
         self._compared(self.comparisons[-1])
 
 

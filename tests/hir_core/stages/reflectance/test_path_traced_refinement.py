@@ -68,6 +68,7 @@ def test_a_gain_is_accepted(observe_pixels: tuple[Capture, Scene], tmp_path: Pat
     assert report.accepted and not warnings
     assert report.gain_db is not None and report.before_db is not None and report.after_db is not None
     assert report.gain_db > 2 and report.after_db > report.before_db and report.steps == 25
+    assert report.held_out_views == 8 and not report.near_tie, "four of nine views judge in each of two folds"
     assert fitted.material is not None
     assert float((fitted.material.diffuse_albedo - dull.diffuse_albedo).min()) > 0
 

@@ -82,6 +82,17 @@ def test_a_better_albedo_is_accepted_and_a_worse_one_is_rejected(
     assert not report.accepted and report.gain_db is not None and report.gain_db < -5 and same is truth
 
 
+def test_few_photographs_judge_in_two_folds(shadowed: tuple[Scene, Capture], tmp_path: Path) -> None:
+    truth, capture = shadowed
+    assert truth.material is not None
+    dark = replace(truth, material=replace(truth.material, diffuse_albedo=0.8 * truth.material.diffuse_albedo))
+    eight = Capture(capture.path, capture.views[::2])
+    better, report = compared(dark, scripted(1.25), eight, tmp_path)
+    assert report.accepted and report.held_out_views == 8 and not report.near_tie and better is not dark
+    _, report = compared(truth, scripted(1.0), eight, tmp_path)
+    assert not report.accepted and report.near_tie and report.gain_db == 0
+
+
 def test_too_few_views_and_a_solver_without_refinement(shadowed: tuple[Scene, Capture], tmp_path: Path) -> None:
     truth, capture = shadowed
     few = Capture(capture.path, capture.views[:3])

@@ -11,7 +11,12 @@ import pytest
 from hir_core.config import ReflectanceSettings
 from hir_core.errors import ConfigError
 from hir_core.plugins.model_spec import ModelSpec
-from hir_core.stages.reflectance.reflectance_report import explanation_report, hypothesis_reports, near_tie_warning
+from hir_core.stages.reflectance.reflectance_report import (
+    explanation_report,
+    hypothesis_reports,
+    lamp_report,
+    near_tie_warning,
+)
 from hir_core.stages.reflectance.selection.fit_sequence import FitSequence
 from hir_core.stages.reflectance.selection.hypotheses import (
     INTERREFLECTIONS,
@@ -54,6 +59,9 @@ def test_a_lamp_is_selected_where_it_explains_most(kind: str) -> None:
     assert report is not None and report.chosen == f"{kind}, lamp near the camera"
     assert {each.light_frame for each in hypothesis_reports(selection)} == {"world", "camera", "lamp"}
     assert "lamp near the camera" in selection.spec.name
+    lamp = lamp_report(selection)
+    assert lamp is not None and lamp.took_part and lamp.compared_with == "diffuse, light on the camera"
+    assert lamp.gain_db == pytest.approx(6, abs=0.3) and lamp.held_out_views == 6 and not lamp.near_tie
 
 
 @pytest.mark.parametrize("best", ["world", "camera"])
@@ -68,6 +76,8 @@ def test_photographs_without_a_flash_pay_for_one_short_fit(best: str) -> None:
     (with_lamp, solver), (without, plain) = select_with_lamp(error), select_with_lamp(error, fits_lamp=False)
     assert with_lamp.spec == without.spec and with_lamp.hypothesis == without.hypothesis
     assert hypothesis_reports(with_lamp) == hypothesis_reports(without)
+    lamp = lamp_report(with_lamp)
+    assert lamp is not None and not lamp.took_part and lamp_report(without) is None
     lamps = [spec for spec, _ in solver.fitted if spec.lamp]
     assert set(lamps) == {hypothesis("diffuse", "lamp")}
     folds = len({views for spec, views in plain.fitted})
@@ -86,6 +96,8 @@ def test_a_lead_within_noise_over_what_a_lamp_contains_is_none(rival: str, noise
 
     selection, _ = select_with_lamp(error, noise)
     assert any(each.spec.lamp for each in selection.contestants) is takes_part
+    lamp = lamp_report(selection)
+    assert lamp is not None and lamp.took_part is takes_part and lamp.near_tie is (noise > 0.1)
 
 
 def test_a_lamp_that_gains_nothing_is_no_warning() -> None:

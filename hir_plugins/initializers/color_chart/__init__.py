@@ -1,0 +1,1 @@
+"""Initializer: the light that a ColorChecker beside the object shows."""
