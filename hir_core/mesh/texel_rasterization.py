@@ -71,20 +71,36 @@ def dilate(texture: Float[Tensor, "H W C"], covered: Bool[Tensor, "H W"], iterat
     """Extends charts by one ring of texels in each iteration, so that bilinear filtering at seams reads the chart.
 
     Each new texel is the mean of its known neighbours. Differentiable in `texture`; covered texels stay as they are.
+    Only the rings are computed: a texture of 4096² has 50 million values, its rings a tenth of them.
     """
-    values = (texture * covered[..., None]).permute(2, 0, 1)
-    known = covered.to(texture.dtype)[None]
-    for _ in range(iterations):
-        total, count = _neighbours(values), _neighbours(known)
-        mean = total / count.clamp_min(1)
-        values = torch.where(known > 0, values, mean)
-        known = ((known + count) > 0).to(texture.dtype)
-    filled = torch.where(known[..., None][0] > 0, values.permute(1, 2, 0), texture)
-    return torch.where(covered[..., None], texture, filled)
+    height, width, channels = texture.shape
+    ring = _rings(covered)
+    values = torch.nn.functional.pad(texture * covered[..., None], (0, 0, 1, 1, 1, 1)).reshape(-1, channels)
+    grown = torch.nn.functional.pad((ring > 0) & (ring <= iterations), (1, 1, 1, 1)).reshape(-1).nonzero()[:, 0]
+    padded = torch.nn.functional.pad(ring, (1, 1, 1, 1), value=_BEYOND).reshape(-1)
+    order = padded[grown].argsort(stable=True)
+    grown, number = grown[order], padded[grown][order]
+    row = width + 2
+    around = torch.tensor([-row - 1, -row, -row + 1, -1, 1, row - 1, row, row + 1], device=texture.device)
+    rings, counts = number.unique_consecutive(return_counts=True)
+    for each, texels in zip(rings, grown.split(counts.tolist()), strict=True):
+        near = texels[:, None] + around
+        known = (padded[near] < each)[..., None]
+        mean = (values[near] * known).sum(dim=1) / known.sum(dim=1)
+        values = values.index_copy(0, texels, mean.to(values.dtype))
+    found = values.reshape(height + 2, width + 2, channels)[1:-1, 1:-1]
+    return torch.where((ring <= iterations)[..., None] & ~covered[..., None], found, texture)
 
 
-def _neighbours(image: Float[Tensor, "C H W"]) -> Float[Tensor, "C H W"]:
-    """Sum over the eight neighbours, 0 beyond the border."""
-    padded = torch.nn.functional.pad(image, (1, 1, 1, 1))
-    rows = padded[:, :-2] + padded[:, 1:-1] + padded[:, 2:]
-    return rows[:, :, :-2] + rows[:, :, 1:-1] + rows[:, :, 2:] - image
+_BEYOND = 1 << 30
+"""The ring of texels that no dilation reaches."""
+
+
+def _rings(covered: Bool[Tensor, "H W"]) -> Int[Tensor, "H W"]:
+    """How many steps to one of eight neighbours lead to the nearest covered texel; `_BEYOND` where none is covered."""
+    import cv2
+
+    if not bool(covered.any()):
+        return torch.full(covered.shape, _BEYOND, dtype=torch.int32, device=covered.device)
+    distance = cv2.distanceTransform((~covered).cpu().numpy().astype(np.uint8), cv2.DIST_C, cv2.DIST_MASK_3)
+    return torch.from_numpy(np.rint(distance).astype(np.int32)).to(covered.device)

@@ -59,11 +59,11 @@ def harmonic_vertices(
     from scipy.sparse.csgraph import connected_components
     from scipy.sparse.linalg import spsolve
 
-    total = np.zeros(count)
-    np.add.at(total, corners, weights)
+    flat = corners.ravel()
+    total = np.bincount(flat, weights.ravel(), count)
     result = np.zeros((count, values.shape[1]))
     for channel in range(values.shape[1]):
-        np.add.at(result[:, channel], corners, weights * values[:, None, channel])
+        result[:, channel] = np.bincount(flat, (weights * values[:, None, channel]).ravel(), count)
     known = total > 1e-9
     result[known] /= total[known, None]
 
@@ -89,17 +89,23 @@ def harmonic_vertices(
 
 
 def _relax(texture: Tensor, covered: Tensor, free: Tensor) -> Tensor:
-    """Averages free texels with their four covered neighbours, within charts."""
-    weight = covered.to(texture.dtype)[..., None]
-    count = _four(weight).clamp_min(1)
+    """Averages free texels with their four covered neighbours, within charts.
+
+    Only free texels are computed: most textures have few.
+    """
+    height, width, channels = texture.shape
+    values = torch.nn.functional.pad(texture * covered[..., None], (0, 0, 1, 1, 1, 1)).reshape(-1, channels)
+    known = torch.nn.functional.pad(covered, (1, 1, 1, 1)).reshape(-1)
+    texels = torch.nn.functional.pad(free, (1, 1, 1, 1)).reshape(-1).nonzero()[:, 0]
+    steps = (-1, 1, -(width + 2), width + 2)
+    count = sum(known[texels + step].to(values.dtype) for step in steps)
+    assert isinstance(count, Tensor)
+    texels, count = texels[count > 0], count[count > 0][:, None]
+    near = [texels + step for step in steps]
     for _ in range(_RELAXATIONS):
-        mean = _four(texture * weight) / count
-        isolated = _four(weight) == 0
-        texture = torch.where(free[..., None] & ~isolated, mean, texture)
-    return texture
-
-
-def _four(image: Tensor) -> Tensor:
-    padded = torch.nn.functional.pad(image.permute(2, 0, 1), (1, 1, 1, 1))
-    near = padded[:, :-2, 1:-1] + padded[:, 2:, 1:-1] + padded[:, 1:-1, :-2] + padded[:, 1:-1, 2:]
-    return near.permute(1, 2, 0)
+        total = values.index_select(0, near[0])
+        for each in near[1:]:
+            total += values.index_select(0, each)
+        values[texels] = total / count
+    relaxed = values.reshape(height + 2, width + 2, channels)[1:-1, 1:-1]
+    return torch.where(covered[..., None], relaxed, texture)

@@ -13,6 +13,7 @@ from hir_exporters.textures.uv_rasterization import rasterize_triangles
 from hir_core.capture import Capture, View
 from hir_core.config import AtlasSettings
 from hir_core.errors import StageError
+from hir_core.mesh import texture_inpainting
 from hir_core.mesh.texel_rasterization import dilate, texel_surface
 from hir_core.mesh.texture_inpainting import fill_unobserved
 from hir_core.run.stage_context import StageContext
@@ -134,6 +135,43 @@ def test_dilation_fills_rings_with_means_and_keeps_the_chart() -> None:
     texture.requires_grad_()
     gradient = torch.autograd.grad(dilate(texture, covered, 2).sum(), texture)[0]
     assert float(gradient[3, 3]) == pytest.approx(25)
+
+
+def plain_dilation(texture: np.ndarray, covered: np.ndarray, iterations: int) -> np.ndarray:
+    values, known = texture.copy(), covered.copy()
+    for _ in range(iterations):
+        before, reached = values.copy(), known.copy()
+        for y, x in np.argwhere(~reached):
+            rows, columns = slice(max(0, y - 1), y + 2), slice(max(0, x - 1), x + 2)
+            near = before[rows, columns][reached[rows, columns]]
+            if len(near):
+                values[y, x], known[y, x] = near.mean(axis=0), True
+    return values
+
+
+@pytest.mark.parametrize(("size", "share", "iterations"), [((17, 23), 0.05, 3), ((9, 6), 0.4, 8), ((5, 5), 0.02, 0)])
+def test_dilation_is_that_of_a_plain_loop(size: tuple[int, int], share: float, iterations: int) -> None:
+    random = np.random.default_rng(0)
+    texture, covered = random.random((*size, 3)), random.random(size) < share
+    grown = dilate(torch.from_numpy(texture), torch.from_numpy(covered), iterations)
+    np.testing.assert_allclose(grown, plain_dilation(texture, covered, iterations), atol=1e-12)
+
+
+def test_relaxation_is_that_of_a_plain_loop() -> None:
+    random = np.random.default_rng(1)
+    covered = random.random((14, 11)) < 0.7
+    free = covered & (random.random(covered.shape) < 0.6)
+    texture = random.random((14, 11, 2))
+    expected = texture.copy()
+    for _ in range(40):
+        before = expected.copy()
+        for y, x in np.argwhere(free):
+            around = [(y - 1, x), (y + 1, x), (y, x - 1), (y, x + 1)]
+            near = [before[p] for p in around if min(p) >= 0 and p[0] < 14 and p[1] < 11 and covered[p]]
+            if near:
+                expected[y, x] = np.mean(near, axis=0)
+    relaxed = texture_inpainting._relax(*(torch.from_numpy(each) for each in (texture, covered, free)))
+    np.testing.assert_allclose(relaxed, expected, atol=1e-12)
 
 
 def test_fill_is_smooth_across_seams_and_keeps_what_was_seen() -> None:

@@ -24,6 +24,10 @@ from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import
 AlbedoRefiner: TypeAlias = Callable[[Tensor, Tensor], Tensor]
 """(albedo in closed form (N, 3), curvature (N, 3) of the mean error of the pixels there) → refined albedo."""
 
+Differences: TypeAlias = Callable[[Tensor], Callable[[Tensor, Tensor], None]]
+"""Weights (N, 3) of the albedos → a function of (x, image), both (N, 3), that adds the gradient of half the weighted
+squared differences of x to `image` in place."""
+
 _REWEIGHTING_ITERATIONS = 3
 _CONJUGATE_GRADIENT_ITERATIONS = 12
 
@@ -86,42 +90,42 @@ def solve_albedo(
     start: Float[Tensor, "N 3"],
     huber_srgb: float,
     prior: float,
-    differences: Callable[[Float[Tensor, "N 3"], Float[Tensor, "N 3"]], Float[Tensor, "N 3"]] | None = None,
+    differences: Differences | None = None,
     smoothness: float = 0.0,
     refiner: AlbedoRefiner | None = None,
 ) -> tuple[Float[Tensor, "N 3"], Float[Tensor, " N"], Float[Tensor, " N"]]:
     """Albedo in 0…1, the number of pixels that see each, and the weight of these pixels in units of the prior's.
 
-    `prior` and `smoothness` are the weights of `start` and of `differences`. The latter is the gradient of half the
-    squared differences, for given weights. Both are fractions of the mean weight of an albedo's pixels: for the mean
-    light of all albedos and the mean importance of its own pixels, because black pixels weigh a thousand times as much
-    as white ones. `refiner` gets the solution and the curvature there of the mean error over pixels and channels.
+    `prior` and `smoothness` are the weights of `start` and of `differences`. Both are fractions of the mean weight of
+    an albedo's pixels: for the mean light of all albedos and the mean importance of its own pixels, because black
+    pixels weigh a thousand times as much as white ones. `refiner` gets the solution and the curvature there of the mean
+    error over pixels and channels.
     """
     albedo = start.clone()
     count, scale = _prior_scale(equations, start)
-    information = torch.zeros_like(count)
+    information, prior_weight = torch.zeros_like(count), prior * scale
+    add_differences = differences(smoothness * scale) if differences is not None and smoothness > 0 else None
     for _ in range(_REWEIGHTING_ITERATIONS):
         robust = [_robust_weight(rows, albedo, huber_srgb) for rows in equations]
         diagonal, right = torch.zeros_like(start), torch.zeros_like(start)
         for w, rows in zip(robust, equations, strict=True):
-            diagonal = diagonal + rows.squared_gains(w)
-            right = right + rows.transposed(w, rows.target)
+            diagonal += rows.squared_gains(w)
+            right += rows.transposed(w, rows.target)
 
-        def apply(x: Tensor, robust: list[Tensor] = robust) -> Tensor:
-            image = prior * scale * x
+        def apply(x: Tensor, image: Tensor, robust: list[Tensor] = robust) -> None:
+            torch.mul(prior_weight, x, out=image)
             for w, rows in zip(robust, equations, strict=True):
-                image = image + _normal_product(rows, w, x)
-            if differences is not None and smoothness > 0:
-                image = image + differences(x, smoothness * scale)
-            return image
+                _add_normal_product(rows, w, x, image)
+            if add_differences is not None:
+                add_differences(x, image)
 
-        preconditioner = 1 / (diagonal + prior * scale)
-        albedo = _conjugate_gradients(apply, right + prior * scale * start, albedo, preconditioner)
-        albedo = albedo.clamp(0, 1)
-        information = (diagonal / (prior * scale)).mean(dim=1)
+        preconditioner = (diagonal + prior_weight).reciprocal_()
+        albedo = _conjugate_gradients(apply, right.addcmul_(prior_weight, start), albedo, preconditioner)
+        albedo = albedo.clamp_(0, 1)
+        information = (diagonal / prior_weight).mean(dim=1)
     if refiner is not None:
         channels = sum(rows.gain.numel() for rows in equations)
-        albedo = refiner(albedo, (diagonal + prior * scale) / channels)
+        albedo = refiner(albedo, (diagonal + prior_weight) / channels)
     return albedo, count, information
 
 
@@ -142,10 +146,15 @@ def _prior_scale(
     return count[:, 0], (light[known].mean(dim=0) * each).clamp_min(1e-12)
 
 
-def _normal_product(rows: AlbedoEquations, weight: Tensor, x: Float[Tensor, "N 3"]) -> Float[Tensor, "N 3"]:
+def _add_normal_product(
+    rows: AlbedoEquations, weight: Tensor, x: Float[Tensor, "N 3"], image: Float[Tensor, "N 3"]
+) -> None:
+    """Adds the product with the transpose of the rows times the rows to `image`, in place."""
     if rows.metal is None:
-        return rows.lookup.transposed @ (weight * rows.gain * rows.gain * (rows.lookup.matrix @ x))
-    return rows.transposed(weight, rows.radiance(x))
+        seen = weight * rows.gain * rows.gain * (rows.lookup.matrix @ x)
+        torch.addmm(image, rows.lookup.transposed, seen, out=image)
+    else:
+        image.add_(rows.transposed(weight, rows.radiance(x)))
 
 
 def _robust_weight(rows: AlbedoEquations, albedo: Tensor, huber_srgb: float) -> Float[Tensor, "P 3"]:
@@ -156,21 +165,30 @@ def _robust_weight(rows: AlbedoEquations, albedo: Tensor, huber_srgb: float) -> 
 
 
 def _conjugate_gradients(
-    apply: Callable[[Tensor], Tensor], right: Tensor, start: Tensor, preconditioner: Tensor
+    apply: Callable[[Tensor, Tensor], None], right: Tensor, start: Tensor, preconditioner: Tensor
 ) -> Tensor:
-    """Conjugate gradients with a Jacobi preconditioner; each column is a system of its own."""
-    x = start
-    residual = right - apply(x)
+    """Conjugate gradients with a Jacobi preconditioner; each column is a system of its own.
+
+    `apply(x, image)` writes the product with the matrix to `image`. All steps work in place: of a texture of 4096² each
+    array has 200 MB, and its allocation takes longer than the arithmetic.
+    """
+    x, image, product = start.clone(), torch.empty_like(start), torch.empty_like(start)
+
+    def dot(a: Tensor, b: Tensor) -> Tensor:
+        return torch.mul(a, b, out=product).sum(0)
+
+    apply(x, image)
+    residual = right - image
     z = preconditioner * residual
-    direction = z
-    rho = (residual * z).sum(0)
+    direction = z.clone()
+    rho = dot(residual, z)
     for _ in range(_CONJUGATE_GRADIENT_ITERATIONS):
-        image = apply(direction)
-        step = rho / (direction * image).sum(0).clamp_min(1e-30)
-        x = x + step * direction
-        residual = residual - step * image
-        z = preconditioner * residual
-        new = (residual * z).sum(0)
-        direction = z + (new / rho.clamp_min(1e-30)) * direction
+        apply(direction, image)
+        step = rho / dot(direction, image).clamp_min(1e-30)
+        x.addcmul_(direction, step)
+        residual.addcmul_(image, step, value=-1)
+        torch.mul(preconditioner, residual, out=z)
+        new = dot(residual, z)
+        direction.mul_(new / rho.clamp_min(1e-30)).add_(z)
         rho = new
     return x

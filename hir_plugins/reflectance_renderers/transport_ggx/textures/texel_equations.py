@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -91,8 +92,8 @@ def solve_texels(
         metal,
     )
 
-    def differences(x: Float[Tensor, "N 3"], weight: Float[Tensor, "N 3"]) -> Float[Tensor, "N 3"]:
-        return _differences(*(values.reshape(height, width, 3) for values in (x, weight))).reshape(-1, 3)
+    def differences(weight: Tensor) -> Callable[[Tensor, Tensor], None]:
+        return _neighbour_differences(weight.reshape(height, width, 3))
 
     texture, count, information = solve_albedo(
         [rows], start.reshape(-1, 3), huber_srgb, prior, differences, smoothness, refiner
@@ -102,13 +103,23 @@ def solve_texels(
     return texture.reshape(height, width, 3), observed.reshape(height, width)
 
 
-def _differences(x: Float[Tensor, "H W C"], weight: Float[Tensor, "H W C"]) -> Float[Tensor, "H W C"]:
-    """The gradient of ½ Σ w_ij (x_i − x_j)² over neighbours, w_ij the smaller of their weights."""
-    total = torch.zeros_like(x)
+def _neighbour_differences(weight: Float[Tensor, "H W C"]) -> Callable[[Tensor, Tensor], None]:
+    """A function of (x, image), both (HW, C), that adds the gradient of ½ Σ w_ij (x_i − x_j)² over neighbours.
+
+    w_ij is the smaller of their weights.
+    """
+    pairs = []
     for dim in (0, 1):
-        if (last := x.shape[dim] - 1) > 0:
-            step = x.narrow(dim, 1, last) - x.narrow(dim, 0, last)
-            step = step * torch.minimum(weight.narrow(dim, 1, last), weight.narrow(dim, 0, last))
+        if (last := weight.shape[dim] - 1) > 0:
+            smaller = torch.minimum(weight.narrow(dim, 1, last), weight.narrow(dim, 0, last))
+            pairs.append((dim, last, smaller, torch.empty_like(smaller)))
+
+    def add(x: Tensor, image: Tensor) -> None:
+        values, total = x.view(weight.shape), image.view(weight.shape)
+        for dim, last, smaller, step in pairs:
+            torch.sub(values.narrow(dim, 1, last), values.narrow(dim, 0, last), out=step)
+            step.mul_(smaller)
             total.narrow(dim, 1, last).add_(step)
             total.narrow(dim, 0, last).sub_(step)
-    return total
+
+    return add
