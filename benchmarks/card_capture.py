@@ -4,6 +4,7 @@
     python -m benchmarks.card_capture MATERIALS/HALF/NAME OUTPUT [--side 640]
     hir reconstruct OUTPUT -o RUN --set initializer.fiducial_markers.side=0.05
 
+With `--chart` a ColorChecker lies in place of the card, and `hir reconstruct` needs no setting.
 Training photographs show object, card and surroundings, with a mask of the object; the other splits are those of the
 capture. The card's paper has a reflectance of 0.85; how dark its greys are printed is not told.
 """
@@ -26,10 +27,11 @@ from benchmarks.materials.materials import MATERIALS
 from benchmarks.materials.recipes import recipes
 from benchmarks.materials.render import DEPTH, LATLONG_TO_WORLD, bright_value, mitsuba_mesh, sensor, spiral_camera
 from benchmarks.materials.shapes import make_shape
-from hir_plugins.initializers.markers.grey_card import HEIGHT, WIDTH, GreyCard
+from hir_plugins.initializers.color_chart.chart_views import ColorCheckerSheet
+from hir_plugins.initializers.markers.grey_card import GreyCard
 
 MARKER_SIDE = 0.4
-"""In the capture's unit, about the object's radius."""
+"""Of a marker or of a patch of the chart; in the capture's unit, about the object's radius."""
 FIELD_OF_VIEW = 1.15
 SPIRAL_VIEWS = 40
 """Of the spiral of the materials benchmark. Those from below the card are left out, which would hide the object."""
@@ -42,6 +44,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("capture", type=Path)
     parser.add_argument("output", type=Path)
+    parser.add_argument("--chart", action="store_true", help="a ColorChecker in place of the card")
     parser.add_argument("--side", type=int, default=640, help="pixels of a photograph")
     parser.add_argument("--samples", type=int, default=48, help="paths for each pixel")
     parser.add_argument("--variant", default="llvm_ad_rgb", help="Mitsuba's variant")
@@ -62,7 +65,7 @@ def main() -> None:
         "type": "scene",
         "integrator": {"type": "path", "max_depth": DEPTH},
         "object": mesh,
-        "card": _card(mi, floor),
+        "card": _card(mi, floor, given.chart),
         "light": {
             "type": "envmap",
             "bitmap": mi.Bitmap(read_hdr(given.output / "env_train.hdr")),
@@ -91,17 +94,17 @@ def main() -> None:
     )
 
 
-def _card(mi: Any, floor: float) -> dict[str, Any]:
+def _card(mi: Any, floor: float, is_chart: bool) -> dict[str, Any]:
     """A rectangle at the height of the object's lowest point, printed side up."""
-    printed = GreyCard(1.0).picture(128)[::-1].astype(np.float32) / 255  # v of a rectangle grows upwards
-    reflectance = (INK + (PAPER - INK) * printed**1.8).astype(np.float32)
-    transform = mi.ScalarTransform4f
-    to_world = transform().translate([CENTER[0], CENTER[1], floor]) @ transform().scale(
-        [WIDTH * MARKER_SIDE / 2, HEIGHT * MARKER_SIDE / 2, 1]
-    )
+    sheet = ColorCheckerSheet(MARKER_SIDE) if is_chart else GreyCard(MARKER_SIDE)
+    picture = sheet.picture(128 / MARKER_SIDE)[::-1]  # v of a rectangle grows upwards
+    if not is_chart:
+        picture = np.repeat((INK + (PAPER - INK) * (picture / 255.0) ** 1.8)[..., None], 3, axis=2)
+    transform, (width, height) = mi.ScalarTransform4f, sheet.size
+    to_world = transform().translate([CENTER[0], CENTER[1], floor]) @ transform().scale([width / 2, height / 2, 1])
     texture = {
         "type": "bitmap",
-        "bitmap": mi.Bitmap(np.repeat(reflectance[..., None], 3, axis=2)),
+        "bitmap": mi.Bitmap(np.ascontiguousarray(picture, np.float32)),
         "raw": True,
         "filter_type": "bilinear",
     }

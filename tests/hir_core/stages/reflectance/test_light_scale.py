@@ -96,8 +96,9 @@ def test_light_that_contradicts_the_card_is_said() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["diffuse", "dielectric", "metal"])
-@pytest.mark.parametrize(("brightness", "albedo"), [(0.5, 1.6), (2.0, 0.4)], ids=["dark light", "bright light"])
+@pytest.mark.parametrize(
+    ("kind", "brightness", "albedo"), [("diffuse", 2.0, 0.4), ("dielectric", 0.5, 1.6), ("metal", 2.0, 0.4)]
+)
 def test_albedo_and_light_have_the_scale_of_the_card(
     kind: str, brightness: float, albedo: float, tmp_path: Path
 ) -> None:
