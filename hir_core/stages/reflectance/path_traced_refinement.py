@@ -31,6 +31,7 @@ from hir_core.stages.reflectance.gradient_fit import ObjectPixels, fit_by_gradie
 from hir_core.stages.reflectance.reflectance_report import RefinementReport
 from hir_core.stages.reflectance.selection.held_out_comparison import (
     REQUIRED_STANDARD_ERRORS,
+    SUFFICIENT_DB,
     critical_value,
     is_within_noise,
     mean_decibels,
@@ -190,6 +191,7 @@ def view_errors(
     """Mean squared sRGB error of each view, over pixels drawn from `seed`; no error where a clipped pixel is brighter.
 
     The errors of two independent renderings are multiplied, so that the mean does not contain the path tracer's noise.
+    What is left of it is nearly the error of an almost exact view: no error is below that of `SUFFICIENT_DB`.
     """
     samples = [_sample(pixels, (seed, number)) for number, pixels in enumerate(views)]
     index, color, saturated = (torch.cat([part[k] for part in samples]) for k in range(3))
@@ -198,7 +200,7 @@ def view_errors(
         one, other = (_residual(scene, prepared, capture, index, color, saturated) for _ in range(2))
     squares = (one * other).mean(dim=1)
     means = np.array([float(part.mean()) for part in squares.split([len(part[0]) for part in samples])])
-    return np.maximum(means, 0.0)
+    return np.maximum(means, 10 ** (-SUFFICIENT_DB / 10))
 
 
 def _residual(
