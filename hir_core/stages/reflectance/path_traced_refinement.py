@@ -140,11 +140,12 @@ def refine_albedo(
     device = str(solved.scene.mesh.positions.device)
     before, after = [], []
     for number, (training, held_out) in enumerate(folds):
-        begin, width = 0.75 * number / len(folds), 0.75 / len(folds)
+
+        def report_fold(share: float, number: int = number) -> None:
+            report(0.75 * (number + share) / len(folds))
+
         without = solver.refine(solved, None, training, lambda share: None)
-        refined = solver.refine(
-            solved, traced, training, lambda share, begin=begin, width=width: report(begin + width * share)
-        )
+        refined = solver.refine(solved, traced, training, report_fold)
         if without is None or refined is None:
             judges = sum(len(fold[1]) for fold in folds)
             return solved, RefinementReport(False, judges, "the solver has no closed form for the albedo")

@@ -121,7 +121,7 @@ def grey_colors(chart: SeenChart, pixels: Pixels) -> Array:
 
 
 def _detector() -> Any:
-    detector = cv2.mcc.CCheckerDetector_create()
+    detector = cv2.mcc.CCheckerDetector.create()
     detector.setColorChartType(cv2.mcc.MCC24)
     return detector
 
