@@ -10,12 +10,11 @@ from typing import Any
 import cv2
 import numpy as np
 from hir_exporters.conventions import linear_to_srgb, srgb_to_linear
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy.typing import NDArray
 
 from hir_core.capture import Array, Pixels, View
 from hir_plugins.initializers.markers.patch_colors import (
-    INSET,
     MAX_OBJECT_COVERAGE,
     POINTS,
     patch_color,
@@ -23,6 +22,13 @@ from hir_plugins.initializers.markers.patch_colors import (
 )
 
 COLUMNS, ROWS = 6, 4
+PLACES = np.stack([each.ravel() for each in np.meshgrid(np.arange(COLUMNS), np.arange(ROWS))], axis=1).astype(
+    np.float64
+)
+"""Column and row (24, 2) of each patch."""
+HALF_OF_PATCH = 0.28
+"""In distances between patches: as much of a patch is read to each side of its centre. Patches are at least 0.8 wide on
+charts of all sizes."""
 GREYS = slice(19, 23)
 """The four greys between white and black. White is often clipped, and it was made otherwise before November 2014; black
 shows the lens's flare."""
@@ -31,35 +37,48 @@ MAX_COLOR_DIFFERENCE = 0.12
 other rectangles is not the chart. Saturated colours under a room's light and a phone's own colours differ by less."""
 DETECTED_SIDE = 1600
 """Longer side in pixels to which photographs are reduced for the detector: its time grows with the pixels."""
+REFINEMENTS = 3
+SAME_COLOR = 14
+"""Largest difference in 8-bit sRGB within a patch."""
+MIN_AREA_OF_CELL = 0.3
+"""Least area of a patch in a photograph, as a share of its cell with the gaps around it."""
+MIN_PATCHES = 10
+"""Of 24, whose centres are found and agree."""
+MIN_GREYS = 2
+"""Of these: they give the white balance by which the colours are compared."""
+MAX_ERROR_OF_PITCH = 0.08
+"""Largest distance of a patch's centre from where the others have it, in distances between patches."""
 WHITE_QUANTILE = 0.99
 """Of the linear values: it is shown as white."""
 
 
 @dataclass(frozen=True, eq=False)
 class SeenChart:
-    """The chart in one photograph; pixels without lens distortion, pixel centres at ½."""
+    """The chart in one photograph."""
 
-    patches: Float[NDArray[np.float64], "24 4 2"]
-    """Corners of each patch, row by row from dark skin to black."""
+    homography: Float[NDArray[np.float64], "3 3"]
+    """From (column, row) of a patch, its centre at whole numbers and dark skin at (0, 0), to pixels without lens
+    distortion whose centres are at ½."""
+    known: Bool[NDArray[np.bool_], " 24"]
+    """Patches that are seen whole; the object may hide the others."""
 
-    @property
-    def corners(self) -> Float[NDArray[np.float64], "4 2"]:
-        """Centres of the patches at the corners of the chart, clockwise from dark skin as seen from its front.
-
-        From a homography through the centres of all patches.
-        """
-        x, y = np.meshgrid(np.arange(COLUMNS), np.arange(ROWS))
-        flat = np.stack([x.ravel(), y.ravel()], axis=1).astype(np.float64)
-        homography, _ = cv2.findHomography(flat, self.patches.mean(axis=1))
-        at_corners = np.array([[[0, 0], [COLUMNS - 1, 0], [COLUMNS - 1, ROWS - 1], [0, ROWS - 1]]], np.float64)
-        return np.asarray(cv2.perspectiveTransform(at_corners, homography)[0])
+    def at(self, places: Array) -> Array:
+        """Pixels (N, 2) of places (N, 2) in columns and rows."""
+        return _projected(self.homography, places)
 
     def grid(self, patch: int) -> Array:
         """Pixels (`POINTS`², 2) inside a patch, away from its edges."""
-        along = np.linspace(INSET, 1 - INSET, POINTS)
-        x, y = (each.ravel()[:, None] for each in np.meshgrid(along, along))
-        a, b, c, d = self.patches[patch]
-        return np.asarray((1 - y) * ((1 - x) * a + x * b) + y * ((1 - x) * d + x * c))
+        row, column = divmod(patch, COLUMNS)
+        along = np.linspace(-HALF_OF_PATCH, HALF_OF_PATCH, POINTS)
+        x, y = np.meshgrid(along + column, along + row)
+        return self.at(np.stack([x.ravel(), y.ravel()], axis=1))
+
+    @property
+    def pitch(self) -> float:
+        """Mean distance in pixels between the centres of neighbouring patches."""
+        rows = self.at(PLACES).reshape(ROWS, COLUMNS, 2)
+        steps = [np.linalg.norm(np.diff(rows, axis=axis), axis=2).mean() for axis in (0, 1)]
+        return float(np.mean(steps))
 
 
 def can_detect() -> bool:
@@ -93,9 +112,15 @@ def find_chart(view: View) -> SeenChart | None:
     if not detector.process(np.ascontiguousarray(picture[..., ::-1]), 1):
         return None
     for found in detector.getListColorChecker():
-        patches = (found.getColorCharts().astype(np.float64).reshape(-1, 4, 2) + 0.5) / scale
-        chart = SeenChart(patches)
-        if len(patches) == COLUMNS * ROWS and _has_its_colors(chart, pixels):
+        centers = found.getColorCharts().astype(np.float64).reshape(-1, 4, 2).mean(axis=1)
+        if len(centers) != COLUMNS * ROWS:
+            continue
+        refined = _refined(picture, centers)
+        if refined is None:
+            continue
+        to_photograph = np.array([[1 / scale, 0, 0.5 / scale], [0, 1 / scale, 0.5 / scale], [0, 0, 1]])
+        chart = SeenChart(to_photograph @ refined[0], refined[1])
+        if _has_its_colors(chart, pixels):
             return chart
     return None
 
@@ -111,12 +136,12 @@ def shows_chart(views: Sequence[View], count: int) -> bool:
     return False
 
 
-def grey_colors(chart: SeenChart, pixels: Pixels) -> Array:
-    """Linear colours (4, 3) of the greys, from light to dark; NaN where a patch is not seen well."""
-    found = np.full((GREYS.stop - GREYS.start, 3), np.nan)
-    for row, patch in enumerate(range(GREYS.start, GREYS.stop)):
-        if (color := patch_color(pixels, chart.grid(patch))) is not None:
-            found[row] = color
+def patch_colors(chart: SeenChart, pixels: Pixels) -> Array:
+    """Linear colours (24, 3) of the patches; NaN where a patch is not seen well."""
+    found = np.full((COLUMNS * ROWS, 3), np.nan)
+    for patch in np.flatnonzero(chart.known):
+        if (color := patch_color(pixels, chart.grid(int(patch)))) is not None:
+            found[patch] = color
     return found
 
 
@@ -127,14 +152,82 @@ def _detector() -> Any:
 
 
 def _has_its_colors(chart: SeenChart, pixels: Pixels) -> bool:
-    height, width = pixels.saturated.shape
-    if (chart.patches < 0.5).any() or (chart.patches > [width - 0.5, height - 0.5]).any():
+    patches = np.flatnonzero(chart.known)
+    colors = np.array([sampled(pixels.color_linear, chart.grid(int(i))).mean(axis=0) for i in patches])
+    reference = reference_colors()[patches]
+    grey = (patches >= GREYS.start) & (patches < GREYS.stop)
+    if grey.sum() < MIN_GREYS or not (np.isfinite(colors).all() and (colors[grey] > 0).all()):
         return False
-    colors = np.array([sampled(pixels.color_linear, chart.grid(i)).mean(axis=0) for i in range(COLUMNS * ROWS)])
-    reference = reference_colors()
-    if not (np.isfinite(colors).all() and (colors[GREYS] > 0).all()):
+    balanced = colors / np.median(colors[grey] / reference[grey], axis=0)
+    difference = linear_to_srgb(balanced.clip(0, 1)) - linear_to_srgb(reference)
+    return float(np.abs(difference).mean()) < MAX_COLOR_DIFFERENCE
+
+
+def _refined(picture: NDArray[np.uint8], centers: Array) -> tuple[Array, NDArray[np.bool_]] | None:
+    """A homography through the centres of the patches, and those that it explains; None where these are too few.
+
+    The detector is wrong by up to a patch. Each of its places is a seed: the area of its colour around it is the patch.
+    """
+    smooth = np.ascontiguousarray(cv2.medianBlur(picture, 3))
+    homography, _ = cv2.findHomography(PLACES, centers)
+    for _ in range(REFINEMENTS):
+        if homography is None or not np.isfinite(homography).all():
+            return None
+        seeds = _projected(homography, PLACES)
+        cells = _cell_areas(homography)
+        found = np.full((len(PLACES), 2), np.nan)
+        for patch, (seed, cell) in enumerate(zip(seeds, cells, strict=True)):
+            if (center := _center_of_color(smooth, seed, cell)) is not None:
+                found[patch] = center
+        known = np.isfinite(found[:, 0])
+        if known.sum() < MIN_PATCHES:
+            return None
+        limit = MAX_ERROR_OF_PITCH * float(np.sqrt(np.median(cells)))
+        homography, agrees = cv2.findHomography(PLACES[known], found[known], cv2.RANSAC, limit)
+    if homography is None or agrees.sum() < MIN_PATCHES:
+        return None
+    known[known] = agrees[:, 0] > 0
+    return np.asarray(homography), known
+
+
+def _center_of_color(picture: NDArray[np.uint8], seed: Array, cell: float) -> Array | None:
+    """The centre of the area that has the colour of the seed; None where it is not as large as a patch."""
+    height, width = picture.shape[:2]
+    x, y = np.rint(seed).astype(int)
+    if not (0 <= x < width and 0 <= y < height):
+        return None
+    reach = int(1.5 * np.sqrt(cell)) + 2
+    left, top = max(0, x - reach), max(0, y - reach)
+    window = np.ascontiguousarray(picture[top : y + reach + 1, left : x + reach + 1])
+    area = np.zeros((window.shape[0] + 2, window.shape[1] + 2), np.uint8)
+    flags = 4 | cv2.FLOODFILL_MASK_ONLY | cv2.FLOODFILL_FIXED_RANGE | (1 << 8)
+    count, *_ = cv2.floodFill(window, area, (int(x - left), int(y - top)), 0, *2 * [(SAME_COLOR,) * 3], flags)
+    if not MIN_AREA_OF_CELL * cell < count < cell:
+        return None
+    rows, columns = np.nonzero(area[1:-1, 1:-1])
+    return np.array([columns.mean() + left, rows.mean() + top])
+
+
+def _cell_areas(homography: Array) -> Array:
+    """Area in pixels (24,) of the cell of each patch, from its centre to those of its neighbours."""
+    half = 0.5 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    corners = _projected(homography, (PLACES[:, None] + half).reshape(-1, 2)).reshape(-1, 4, 2)
+    x, y = corners[..., 0], corners[..., 1]
+    return np.asarray(0.5 * np.abs((x * np.roll(y, -1, axis=1) - y * np.roll(x, -1, axis=1)).sum(axis=1)))
+
+
+def _projected(homography: Array, places: Array) -> Array:
+    return np.asarray(cv2.perspectiveTransform(places[None].astype(np.float64), homography)[0])
+
+
+def _has_its_colors(chart: SeenChart, pixels: Pixels) -> bool:
+    patches = np.flatnonzero(chart.known)
+    colors = np.array([sampled(pixels.color_linear, chart.grid(i)).mean(axis=0) for i in patches])
+    reference = reference_colors()[patches]
+    grey = (patches >= GREYS.start) & (patches < GREYS.stop)
+    if grey.sum() < MIN_GREYS or not (np.isfinite(colors).all() and (colors[grey] > 0).all()):
         return False
-    balanced = colors / np.median(colors[GREYS] / reference[GREYS], axis=0)
+    balanced = colors / np.median(colors[grey] / reference[grey], axis=0)
     difference = linear_to_srgb(balanced.clip(0, 1)) - linear_to_srgb(reference)
     return float(np.abs(difference).mean()) < MAX_COLOR_DIFFERENCE
 

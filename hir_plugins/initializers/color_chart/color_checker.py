@@ -15,24 +15,25 @@ from hir_core.errors import CaptureError, ConfigError
 from hir_core.plugins.interfaces import Initializer
 from hir_core.scene import Scene
 from hir_plugins.initializers.color_chart.chart_detection import (
+    COLUMNS,
     GREYS,
-    SeenChart,
+    PLACES,
+    ROWS,
     can_detect,
     find_chart,
-    grey_colors,
+    patch_colors,
     reference_colors,
 )
+from hir_plugins.initializers.color_chart.chart_geometry import chart_in_space, chart_normal
 from hir_plugins.initializers.markers.card_photographs import irradiance_of_patches
-from hir_plugins.initializers.markers.marker_detection import MIN_VIEWS, SeenMarker
-from hir_plugins.initializers.markers.marker_geometry import corners_in_space, front_of_markers
+from hir_plugins.initializers.markers.marker_detection import MIN_VIEWS
 from hir_plugins.initializers.markers.patch_colors import MIN_COSINE
 from hir_plugins.initializers.options import ColorCheckerOptions
 
-MAX_ERROR_OF_SIDE = 0.35
-"""How far a patch's centre may lie from its projection, in sides of a patch: OpenCV finds the chart to about a tenth of
-a side. More is a chart that moved against the object, or a wrong detection."""
 MAX_RESPONSE_DIFFERENCE = 0.1
-"""Of the exponent of the camera's response from 1, below which nothing is said."""
+"""Of the exponent of the camera's response from 1, below which nothing is said; nor within three standard errors."""
+MIN_PATCHES_OF_RESPONSE = 10
+"""Of 22, in a photograph: the exponent and the slopes of the light over the chart are fitted to them."""
 
 
 @final
@@ -74,24 +75,21 @@ class ColorChecker(Initializer):
                 "and two are needed; show it whole, flat and in focus, with patches of 20 pixels or more, and keep the "
                 "background in the photographs"
             )
-        side = float(np.median([_side_of_patches(chart) for chart in charts.values()]))
-        seen = [SeenMarker(i, 0, chart.corners) for i, chart in charts.items()]
-        corners = corners_in_space(seen, cameras, MAX_ERROR_OF_SIDE * side)
-        front = None if corners is None else front_of_markers({0: corners})
-        if corners is None or front is None:
+        pose = chart_in_space(charts, cameras)
+        if pose is None:
             warnings.warn(
                 f"the ColorChecker in {len(charts)} photographs is not in one place beside the object, so its "
                 "brightness was not used; it must not move relative to the object",
                 stacklevel=2,
             )
             return capture, scene
-        middle = corners.mean(axis=0)
-        colors = np.full((len(views), GREYS.stop - GREYS.start, 3), np.nan)
+        front, middle = chart_normal(pose), pose @ np.array([(COLUMNS - 1) / 2, (ROWS - 1) / 2, 1])
+        colors = np.full((len(views), len(PLACES), 3), np.nan)
         for i, chart in charts.items():
             if _faces(cameras[i], middle, front):
-                colors[i] = grey_colors(chart, views[i].pixels())
+                colors[i] = patch_colors(chart, views[i].pixels())
         reflectance = self._config.reflectance_factor * reference_colors()[GREYS]
-        irradiance = irradiance_of_patches(views, colors, reflectance, front)
+        irradiance = irradiance_of_patches(views, colors[:, GREYS], reflectance, front)
         if irradiance is None:
             warnings.warn(
                 "the greys of the ColorChecker are clipped, hidden or uneven in all photographs, so it says nothing "
@@ -99,12 +97,12 @@ class ColorChecker(Initializer):
                 stacklevel=2,
             )
             return capture, scene
-        exponent = response_exponent(colors, reflectance)
-        if exponent is not None and abs(exponent - 1) > MAX_RESPONSE_DIFFERENCE:
+        response = response_exponent(colors)
+        if response is not None and abs(response[0] - 1) > max(MAX_RESPONSE_DIFFERENCE, 3 * response[1]):
             warnings.warn(
-                f"the greys of the ColorChecker follow their reflectances to the power of {exponent:.2f}, so the "
-                "camera's response is not that of sRGB; develop raw files without a contrast curve, or choose a "
-                "neutral picture style",
+                f"the patches of the ColorChecker follow their reflectances to the power of {response[0]:.2f} ± "
+                f"{response[1]:.2f}, so the camera's response is not that of sRGB; develop raw files without a "
+                "contrast curve, or choose a neutral picture style",
                 stacklevel=2,
             )
         self._report = {
@@ -112,7 +110,7 @@ class ColorChecker(Initializer):
                 "photographs": len(irradiance.values),
                 "irradiance": [round(value, 5) for value in irradiance.mean],
                 "relative_deviation": round(irradiance.relative_deviation, 5),
-                "response_exponent": None if exponent is None else round(exponent, 4),
+                "response_exponent": None if response is None else [round(value, 4) for value in response],
                 "used": capture.irradiance is None,
             }
         }
@@ -123,26 +121,32 @@ class ColorChecker(Initializer):
         return self._report
 
 
-def response_exponent(colors: Array, reflectance: Array) -> float | None:
-    """The power of the reflectances (greys, 3) that the colours (views, greys, 3) are; 1 for a response of sRGB.
+def response_exponent(colors: Array) -> tuple[float, float] | None:
+    """The power of their reflectances that the patches' colours (views, 24, 3) are, and its standard error.
 
-    The median over the photographs in which all greys are seen well; None where there is none.
+    1 for a response of sRGB. In each photograph the logarithms of the brightness are linear in those of the
+    reflectances, and in column and row: the object shades a part of the chart. The median over photographs that show
+    `MIN_PATCHES_OF_RESPONSE`; None where fewer than two do.
     """
-    whole = np.isfinite(colors).all(axis=(1, 2))
-    if not whole.any():
+    compared = np.setdiff1d(np.arange(len(PLACES)), (GREYS.start - 1, GREYS.stop))  # without white and black
+    reference = reference_colors()[compared]
+    found = []
+    for seen in colors[:, compared]:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # of photographs without a grey
+            balance = np.nanmedian((seen / reference)[np.isin(compared, np.arange(GREYS.start, GREYS.stop))], axis=0)
+        known = np.isfinite(seen).all(axis=1)
+        if known.sum() < MIN_PATCHES_OF_RESPONSE or not np.isfinite(balance).all():
+            continue
+        brightness = np.log((seen[known] / balance).mean(axis=1))
+        terms = np.column_stack([np.log(reference[known].mean(axis=1)), PLACES[compared][known], np.ones(known.sum())])
+        found.append(float(np.linalg.lstsq(terms, brightness, rcond=None)[0][0]))
+    if len(found) < MIN_VIEWS:
         return None
-    x = np.log(reflectance.mean(axis=1))
-    y = np.log(colors[whole].mean(axis=2))
-    x = x - x.mean()
-    return float(np.median((y - y.mean(axis=1, keepdims=True)) @ x / (x @ x)))
+    return float(np.median(found)), float(np.std(found, ddof=1) / np.sqrt(len(found)))
 
 
 def _faces(camera: Camera, middle: Array, front: Array) -> bool:
     """Whether the camera sees the chart from its front, not at a grazing angle."""
     toward = camera.center - middle
     return bool(toward @ front >= MIN_COSINE * np.linalg.norm(toward))
-
-
-def _side_of_patches(chart: SeenChart) -> float:
-    """Median length of the patches' sides, in pixels."""
-    return float(np.median(np.linalg.norm(chart.patches - np.roll(chart.patches, 1, axis=1), axis=2)))

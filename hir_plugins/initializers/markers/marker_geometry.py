@@ -33,9 +33,7 @@ class MarkerScale:
     """Standard deviation of the measured sides over their mean."""
 
 
-def corners_in_space(
-    seen: Sequence[SeenMarker], cameras: Sequence[Camera], max_error_pixels: float = MAX_ERROR_PIXELS
-) -> Corners | None:
+def corners_in_space(seen: Sequence[SeenMarker], cameras: Sequence[Camera]) -> Corners | None:
     """The corners of one marker in the world by least squares over its photographs; None where they contradict.
 
     Photographs that disagree are left out one by one, the worst first, while two and more than half remain: a few of
@@ -47,7 +45,7 @@ def corners_in_space(
         if corners is None:
             return None
         errors = np.array([_projection_error(cameras[each.view], corners, each.corners) for each in kept])
-        if errors.max() <= max_error_pixels:
+        if errors.max() <= MAX_ERROR_PIXELS:
             return corners
         del kept[int(errors.argmax())]
     return None
