@@ -168,10 +168,10 @@ def _refined(picture: NDArray[np.uint8], centers: Array) -> tuple[Array, NDArray
 
     The detector is wrong by up to a patch. Each of its places is a seed: the area of its colour around it is the patch.
     """
-    smooth = np.ascontiguousarray(cv2.medianBlur(picture, 3))
-    homography, _ = cv2.findHomography(PLACES, centers)
+    smooth = np.ascontiguousarray(cv2.medianBlur(picture, 3), np.uint8)
+    homography, agrees = _homography(PLACES, centers, float("inf"))
     for _ in range(REFINEMENTS):
-        if homography is None or not np.isfinite(homography).all():
+        if homography is None:
             return None
         seeds = _projected(homography, PLACES)
         cells = _cell_areas(homography)
@@ -183,11 +183,20 @@ def _refined(picture: NDArray[np.uint8], centers: Array) -> tuple[Array, NDArray
         if known.sum() < MIN_PATCHES:
             return None
         limit = MAX_ERROR_OF_PITCH * float(np.sqrt(np.median(cells)))
-        homography, agrees = cv2.findHomography(PLACES[known], found[known], cv2.RANSAC, limit)
+        homography, agrees = _homography(PLACES[known], found[known], limit)
     if homography is None or agrees.sum() < MIN_PATCHES:
         return None
-    known[known] = agrees[:, 0] > 0
-    return np.asarray(homography), known
+    known[known] = agrees
+    return homography, known
+
+
+def _homography(places: Array, seen: Array, limit: float) -> tuple[Array | None, NDArray[np.bool_]]:
+    """The homography that most places agree with to `limit` pixels, None where there is none, and these places."""
+    method = cv2.RANSAC if np.isfinite(limit) else 0
+    found, agrees = cv2.findHomography(places, seen, method, limit if np.isfinite(limit) else 0)
+    if found is None or not np.isfinite(found).all():
+        return None, np.zeros(len(places), bool)
+    return np.asarray(found, np.float64), np.asarray(agrees).reshape(-1) > 0
 
 
 def _center_of_color(picture: NDArray[np.uint8], seed: Array, cell: float) -> Array | None:
@@ -201,7 +210,8 @@ def _center_of_color(picture: NDArray[np.uint8], seed: Array, cell: float) -> Ar
     window = np.ascontiguousarray(picture[top : y + reach + 1, left : x + reach + 1])
     area = np.zeros((window.shape[0] + 2, window.shape[1] + 2), np.uint8)
     flags = 4 | cv2.FLOODFILL_MASK_ONLY | cv2.FLOODFILL_FIXED_RANGE | (1 << 8)
-    count, *_ = cv2.floodFill(window, area, (int(x - left), int(y - top)), 0, *2 * [(SAME_COLOR,) * 3], flags)
+    tolerance = (SAME_COLOR,) * 3
+    count, *_ = cv2.floodFill(window, area, (int(x - left), int(y - top)), 0, tolerance, tolerance, flags)
     if not MIN_AREA_OF_CELL * cell < count < cell:
         return None
     rows, columns = np.nonzero(area[1:-1, 1:-1])
@@ -218,18 +228,6 @@ def _cell_areas(homography: Array) -> Array:
 
 def _projected(homography: Array, places: Array) -> Array:
     return np.asarray(cv2.perspectiveTransform(places[None].astype(np.float64), homography)[0])
-
-
-def _has_its_colors(chart: SeenChart, pixels: Pixels) -> bool:
-    patches = np.flatnonzero(chart.known)
-    colors = np.array([sampled(pixels.color_linear, chart.grid(i)).mean(axis=0) for i in patches])
-    reference = reference_colors()[patches]
-    grey = (patches >= GREYS.start) & (patches < GREYS.stop)
-    if grey.sum() < MIN_GREYS or not (np.isfinite(colors).all() and (colors[grey] > 0).all()):
-        return False
-    balanced = colors / np.median(colors[grey] / reference[grey], axis=0)
-    difference = linear_to_srgb(balanced.clip(0, 1)) - linear_to_srgb(reference)
-    return float(np.abs(difference).mean()) < MAX_COLOR_DIFFERENCE
 
 
 def _shown(pixels: Pixels) -> NDArray[np.uint8]:
