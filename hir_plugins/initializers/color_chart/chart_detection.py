@@ -22,7 +22,7 @@ from hir_plugins.initializers.markers.patch_colors import (
 )
 
 COLUMNS, ROWS = 6, 4
-PLACES = np.stack([each.ravel() for each in np.meshgrid(np.arange(COLUMNS), np.arange(ROWS))], axis=1).astype(
+GRID_POSITIONS = np.stack([each.ravel() for each in np.meshgrid(np.arange(COLUMNS), np.arange(ROWS))], axis=1).astype(
     np.float64
 )
 """Column and row (24, 2) of each patch."""
@@ -62,9 +62,9 @@ class SeenChart:
     known: Bool[NDArray[np.bool_], " 24"]
     """Patches that are seen whole; the object may hide the others."""
 
-    def at(self, places: Array) -> Array:
-        """Pixels (N, 2) of places (N, 2) in columns and rows."""
-        return _projected(self.homography, places)
+    def at(self, positions: Array) -> Array:
+        """Pixels (N, 2) of positions (N, 2) in columns and rows."""
+        return _projected(self.homography, positions)
 
     def grid(self, patch: int) -> Array:
         """Pixels (`POINTS`², 2) inside a patch, away from its edges."""
@@ -76,7 +76,7 @@ class SeenChart:
     @property
     def pitch(self) -> float:
         """Mean distance in pixels between the centres of neighbouring patches."""
-        rows = self.at(PLACES).reshape(ROWS, COLUMNS, 2)
+        rows = self.at(GRID_POSITIONS).reshape(ROWS, COLUMNS, 2)
         steps = [np.linalg.norm(np.diff(rows, axis=axis), axis=2).mean() for axis in (0, 1)]
         return float(np.mean(steps))
 
@@ -166,16 +166,17 @@ def _has_its_colors(chart: SeenChart, pixels: Pixels) -> bool:
 def _refined(picture: NDArray[np.uint8], centers: Array) -> tuple[Array, NDArray[np.bool_]] | None:
     """A homography through the centres of the patches, and those that it explains; None where these are too few.
 
-    The detector is wrong by up to a patch. Each of its places is a seed: the area of its colour around it is the patch.
+    The detector is wrong by up to a patch. Each of its positions is a seed: the area of one colour around it is the
+    patch.
     """
     smooth = np.ascontiguousarray(cv2.medianBlur(picture, 3), np.uint8)
-    homography, agrees = _homography(PLACES, centers, float("inf"))
+    homography, agrees = _homography(GRID_POSITIONS, centers, float("inf"))
     for _ in range(REFINEMENTS):
         if homography is None:
             return None
-        seeds = _projected(homography, PLACES)
+        seeds = _projected(homography, GRID_POSITIONS)
         cells = _cell_areas(homography)
-        found = np.full((len(PLACES), 2), np.nan)
+        found = np.full((len(GRID_POSITIONS), 2), np.nan)
         for patch, (seed, cell) in enumerate(zip(seeds, cells, strict=True)):
             if (center := _center_of_color(smooth, seed, cell)) is not None:
                 found[patch] = center
@@ -183,19 +184,19 @@ def _refined(picture: NDArray[np.uint8], centers: Array) -> tuple[Array, NDArray
         if known.sum() < MIN_PATCHES:
             return None
         limit = MAX_ERROR_OF_PITCH * float(np.sqrt(np.median(cells)))
-        homography, agrees = _homography(PLACES[known], found[known], limit)
+        homography, agrees = _homography(GRID_POSITIONS[known], found[known], limit)
     if homography is None or agrees.sum() < MIN_PATCHES:
         return None
     known[known] = agrees
     return homography, known
 
 
-def _homography(places: Array, seen: Array, limit: float) -> tuple[Array | None, NDArray[np.bool_]]:
-    """The homography that most places agree with to `limit` pixels, None where there is none, and these places."""
+def _homography(positions: Array, seen: Array, limit: float) -> tuple[Array | None, NDArray[np.bool_]]:
+    """The homography that most positions agree with to `limit` pixels (None where there is none), and which do."""
     method = cv2.RANSAC if np.isfinite(limit) else 0
-    found, agrees = cv2.findHomography(places, seen, method, limit if np.isfinite(limit) else 0)
+    found, agrees = cv2.findHomography(positions, seen, method, limit if np.isfinite(limit) else 0)
     if found is None or not np.isfinite(found).all():
-        return None, np.zeros(len(places), bool)
+        return None, np.zeros(len(positions), bool)
     return np.asarray(found, np.float64), np.asarray(agrees).reshape(-1) > 0
 
 
@@ -221,13 +222,13 @@ def _center_of_color(picture: NDArray[np.uint8], seed: Array, cell: float) -> Ar
 def _cell_areas(homography: Array) -> Array:
     """Area in pixels (24,) of the cell of each patch, from its centre to those of its neighbours."""
     half = 0.5 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    corners = _projected(homography, (PLACES[:, None] + half).reshape(-1, 2)).reshape(-1, 4, 2)
+    corners = _projected(homography, (GRID_POSITIONS[:, None] + half).reshape(-1, 2)).reshape(-1, 4, 2)
     x, y = corners[..., 0], corners[..., 1]
     return np.asarray(0.5 * np.abs((x * np.roll(y, -1, axis=1) - y * np.roll(x, -1, axis=1)).sum(axis=1)))
 
 
-def _projected(homography: Array, places: Array) -> Array:
-    return np.asarray(cv2.perspectiveTransform(places[None].astype(np.float64), homography)[0])
+def _projected(homography: Array, positions: Array) -> Array:
+    return np.asarray(cv2.perspectiveTransform(positions[None].astype(np.float64), homography)[0])
 
 
 def _shown(pixels: Pixels) -> NDArray[np.uint8]:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from hir_core.capture import Array, Camera
-from hir_plugins.initializers.color_chart.chart_detection import PLACES, SeenChart
+from hir_plugins.initializers.color_chart.chart_detection import GRID_POSITIONS, SeenChart
 from hir_plugins.initializers.markers.marker_detection import MIN_VIEWS
 
 MAX_ERROR_OF_PITCH = 0.1
@@ -46,12 +46,12 @@ def _pose(charts: Mapping[int, SeenChart], cameras: Sequence[Camera]) -> Array |
     """The plane whose patches are nearest to the rays through them."""
     matrix, right, count = np.zeros((9, 9)), np.zeros(9), 0
     for i, chart in charts.items():
-        origins, directions = cameras[i].rays(chart.at(PLACES[chart.known]))
-        places = np.column_stack([PLACES[chart.known], np.ones(len(origins))])
-        for place, origin, direction in zip(places, origins, directions, strict=True):
+        origins, directions = cameras[i].rays(chart.at(GRID_POSITIONS[chart.known]))
+        positions = np.column_stack([GRID_POSITIONS[chart.known], np.ones(len(origins))])
+        for position, origin, direction in zip(positions, origins, directions, strict=True):
             across = np.eye(3) - np.outer(direction, direction)
-            matrix += np.kron(across, np.outer(place, place))  # the unknowns are the rows of the pose, one by one
-            right += np.kron(across @ origin, place)
+            matrix += np.kron(across, np.outer(position, position))  # the unknowns are the rows of the pose, one by one
+            right += np.kron(across @ origin, position)
             count += 1
     if np.linalg.eigvalsh(matrix / count)[0] < MIN_EIGENVALUE:
         return None
@@ -60,8 +60,8 @@ def _pose(charts: Mapping[int, SeenChart], cameras: Sequence[Camera]) -> Array |
 
 def _error(chart: SeenChart, camera: Camera, pose: Array) -> float:
     """Median distance of the known patches from their projection, in distances between patches."""
-    places = np.column_stack([PLACES[chart.known], np.ones(int(chart.known.sum()))])
-    at, depth = camera.project(places @ pose.T)
+    positions = np.column_stack([GRID_POSITIONS[chart.known], np.ones(int(chart.known.sum()))])
+    at, depth = camera.project(positions @ pose.T)
     if not (depth > 0).all():
         return float("inf")
-    return float(np.median(np.linalg.norm(at - chart.at(PLACES[chart.known]), axis=1)) / chart.pitch)
+    return float(np.median(np.linalg.norm(at - chart.at(GRID_POSITIONS[chart.known]), axis=1)) / chart.pitch)

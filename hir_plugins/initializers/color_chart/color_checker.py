@@ -17,7 +17,7 @@ from hir_core.scene import Scene
 from hir_plugins.initializers.color_chart.chart_detection import (
     COLUMNS,
     GREYS,
-    PLACES,
+    GRID_POSITIONS,
     ROWS,
     can_detect,
     find_chart,
@@ -78,13 +78,13 @@ class ColorChecker(Initializer):
         pose = chart_in_space(charts, cameras)
         if pose is None:
             warnings.warn(
-                f"the ColorChecker in {len(charts)} photographs is not in one place beside the object, so its "
+                f"the ColorChecker in {len(charts)} photographs is not in one position beside the object, so its "
                 "brightness was not used; it must not move relative to the object",
                 stacklevel=2,
             )
             return capture, scene
         front, middle = chart_normal(pose), pose @ np.array([(COLUMNS - 1) / 2, (ROWS - 1) / 2, 1])
-        colors = np.full((len(views), len(PLACES), 3), np.nan)
+        colors = np.full((len(views), len(GRID_POSITIONS), 3), np.nan)
         for i, chart in charts.items():
             if _faces(cameras[i], middle, front):
                 colors[i] = patch_colors(chart, views[i].pixels())
@@ -128,7 +128,7 @@ def response_exponent(colors: Array) -> tuple[float, float] | None:
     reflectances, and in column and row: the object shades a part of the chart. The median over photographs that show
     `MIN_PATCHES_OF_RESPONSE`; None where fewer than two do.
     """
-    compared = np.setdiff1d(np.arange(len(PLACES)), (GREYS.start - 1, GREYS.stop))  # without white and black
+    compared = np.setdiff1d(np.arange(len(GRID_POSITIONS)), (GREYS.start - 1, GREYS.stop))  # without white and black
     reference = reference_colors()[compared]
     found = []
     for seen in colors[:, compared]:
@@ -139,7 +139,9 @@ def response_exponent(colors: Array) -> tuple[float, float] | None:
         if known.sum() < MIN_PATCHES_OF_RESPONSE or not np.isfinite(balance).all():
             continue
         brightness = np.log((seen[known] / balance).mean(axis=1))
-        terms = np.column_stack([np.log(reference[known].mean(axis=1)), PLACES[compared][known], np.ones(known.sum())])
+        terms = np.column_stack(
+            [np.log(reference[known].mean(axis=1)), GRID_POSITIONS[compared][known], np.ones(known.sum())]
+        )
         found.append(float(np.linalg.lstsq(terms, brightness, rcond=None)[0][0]))
     if len(found) < MIN_VIEWS:
         return None

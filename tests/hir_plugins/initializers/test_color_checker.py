@@ -17,7 +17,7 @@ from hir_core.errors import CaptureError, ConfigError
 from hir_plugins.initializers.color_chart import chart_detection
 from hir_plugins.initializers.color_chart.chart_detection import (
     GREYS,
-    PLACES,
+    GRID_POSITIONS,
     can_detect,
     find_chart,
     is_cut_out,
@@ -119,7 +119,7 @@ def test_another_response_is_said(plain: Capture, tmp_path: Path, gamma: float) 
 def test_the_exponent_of_a_chart_that_is_shaded_on_one_side() -> None:
     reference = reference_colors()
     greys = np.repeat(reference.mean(axis=1, keepdims=True), 3, axis=1)
-    shade = np.exp(0.3 - 0.1 * PLACES[:, :1] + 0.05 * PLACES[:, 1:])
+    shade = np.exp(0.3 - 0.1 * GRID_POSITIONS[:, :1] + 0.05 * GRID_POSITIONS[:, 1:])
     hidden = np.full_like(reference, np.nan)
     for exponent in (1.0, 1.25):
         colors = np.stack([shade * greys**exponent, 0.4 * greys**exponent, hidden])
