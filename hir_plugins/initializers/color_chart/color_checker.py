@@ -78,7 +78,7 @@ class ColorChecker(Initializer):
         pose = chart_in_space(charts, cameras)
         if pose is None:
             warnings.warn(
-                f"the ColorChecker in {len(charts)} photographs is not in one position beside the object, so its "
+                f"the ColorChecker in {len(charts)} photographs is not in one place beside the object, so its "
                 "brightness was not used; it must not move relative to the object",
                 stacklevel=2,
             )
