@@ -13,6 +13,9 @@ from torch import Tensor
 from hir_core.errors import StageError
 from hir_core.scene import Mesh
 
+_BEYOND = 1 << 30
+"""The ring of texels that no dilation reaches."""
+
 
 @dataclass(frozen=True, eq=False)
 class TexelSurface:
@@ -71,7 +74,7 @@ def dilate(texture: Float[Tensor, "H W C"], covered: Bool[Tensor, "H W"], iterat
     """Extends charts by one ring of texels in each iteration, so that bilinear filtering at seams reads the chart.
 
     Each new texel is the mean of its known neighbours. Differentiable in `texture`; covered texels stay as they are.
-    Only the rings are computed: a texture of 4096² has 50 million values, its rings a tenth of them.
+    Only the rings are computed: most texels are in a chart, or in no ring.
     """
     height, width, channels = texture.shape
     ring = _rings(covered)
@@ -87,13 +90,9 @@ def dilate(texture: Float[Tensor, "H W C"], covered: Bool[Tensor, "H W"], iterat
         near = texels[:, None] + around
         known = (padded[near] < each)[..., None]
         mean = (values[near] * known).sum(dim=1) / known.sum(dim=1)
-        values = values.index_copy(0, texels, mean.to(values.dtype))
+        values.index_copy_(0, texels, mean.to(values.dtype))
     found = values.reshape(height + 2, width + 2, channels)[1:-1, 1:-1]
     return torch.where((ring <= iterations)[..., None] & ~covered[..., None], found, texture)
-
-
-_BEYOND = 1 << 30
-"""The ring of texels that no dilation reaches."""
 
 
 def _rings(covered: Bool[Tensor, "H W"]) -> Int[Tensor, "H W"]:

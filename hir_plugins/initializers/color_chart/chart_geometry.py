@@ -10,7 +10,7 @@ from hir_core.capture import Array, Camera
 from hir_plugins.initializers.color_chart.chart_detection import GRID_POSITIONS, SeenChart
 from hir_plugins.initializers.markers.marker_detection import MIN_VIEWS
 
-MAX_ERROR_OF_PITCH = 0.1
+MAX_PROJECTION_ERROR = 0.1
 """How far the patches of a photograph may lie from their projection in the median, in distances between patches. More
 is a chart that moved, or a wrong detection."""
 MIN_EIGENVALUE = 1e-4
@@ -30,7 +30,7 @@ def chart_in_space(charts: Mapping[int, SeenChart], cameras: Sequence[Camera]) -
             return None
         errors = {i: _error(chart, cameras[i], pose) for i, chart in kept.items()}
         worst = max(errors, key=lambda i: errors[i])
-        if errors[worst] <= MAX_ERROR_OF_PITCH:
+        if errors[worst] <= MAX_PROJECTION_ERROR:
             return pose
         del kept[worst]
     return None

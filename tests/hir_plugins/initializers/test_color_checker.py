@@ -24,7 +24,8 @@ from hir_plugins.initializers.color_chart.chart_detection import (
     reference_colors,
     shows_chart,
 )
-from hir_plugins.initializers.color_chart.chart_views import ColorCheckerSheet
+from hir_plugins.initializers.color_chart.chart_geometry import chart_in_space, chart_normal
+from hir_plugins.initializers.color_chart.chart_views import GAP, ColorCheckerSheet
 from hir_plugins.initializers.color_chart.color_checker import ColorChecker, response_exponent
 from hir_plugins.initializers.markers.grey_card import GreyCard
 from hir_plugins.initializers.markers.marker_views import marker_capture
@@ -161,6 +162,17 @@ def test_a_chart_that_moves_is_a_warning(plain: Capture, tmp_path: Path) -> None
     assert found.irradiance is None and not report
 
 
+def test_one_wrong_camera_is_left_out(plain: Capture, tmp_path: Path) -> None:
+    charts = {i: chart for i, view in enumerate(plain.views) if (chart := find_chart(view)) is not None}
+    wrong = dict(enumerate(plain.cameras))
+    first = next(iter(charts))
+    wrong[first] = plain.cameras[(first + 4) % len(plain.cameras)]
+    pose = chart_in_space(charts, [wrong[i] for i in range(len(wrong))])
+    assert pose is not None
+    np.testing.assert_allclose(chart_normal(pose), [0, 1, 0], atol=0.02)
+    np.testing.assert_allclose(np.linalg.norm(pose[:, :2], axis=0), 0.35 * (1 + GAP), rtol=0.01)
+
+
 def test_other_things_are_no_chart(plain: Capture, tmp_path: Path) -> None:
     card = marker_capture(Path("made"), cameras(), GreyCard(0.4))
     swapped = changed(plain, lambda _, color: color[..., [2, 0, 1]])
@@ -196,6 +208,26 @@ def test_it_is_suggested_where_photographs_show_it(plain: Capture) -> None:
     ]
     blank = changed(plain, lambda _, color: np.full_like(color, 0.2))
     assert "color_checker" not in (hir_suggest_initializers(blank) or [])
+
+
+def test_all_photographs_are_searched_where_one_of_a_few_shows_a_chart(
+    plain: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    searched: list[str] = []
+
+    def found_in(names: set[str]) -> bool:
+        def found(view: View) -> View | None:
+            searched.append(view.name)
+            return view if view.name in names else None
+
+        searched.clear()
+        monkeypatch.setattr(chart_detection, "find_chart", found)
+        return shows_chart(plain.views, 3)
+
+    assert not found_in(set()) and searched == ["00", "06", "11"]
+    assert found_in({"00", "11"}) and len(searched) == 3
+    assert found_in({"06", "10"}) and searched[3:] == ["01", "02", "03", "04", "05", "07", "08", "09", "10"]
+    assert not found_in({"06"}) and len(searched) == 12
 
 
 def test_photographs_without_background_are_not_searched(plain: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
