@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
@@ -31,8 +33,25 @@ class Rembg(MaskSource):
         del scene
         if not capture.views:
             return []
-        session = _session(self._config, capture)
+        with _threads_kept():
+            session = _session(self._config, capture)
         return [_mask(view.pixels().color_linear, session) for view in capture.views]
+
+
+@contextlib.contextmanager
+def _threads_kept() -> Iterator[None]:
+    """Restores torch's number of threads after the block.
+
+    rembg imports numba, which sets the OpenMP threads of the whole process to the number of cores. A task of a batch,
+    or a run under OMP_NUM_THREADS, would then use more threads than it may for all that follows.
+    """
+    torch = sys.modules.get("torch")
+    count = torch.get_num_threads() if torch is not None else None
+    try:
+        yield
+    finally:
+        if torch is not None:
+            torch.set_num_threads(count)
 
 
 def _session(options: RembgOptions, capture: Capture) -> Any:

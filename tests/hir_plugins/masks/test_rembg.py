@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +18,9 @@ from hir_plugins.masks.options import RembgOptions
 from hir_plugins.masks.rembg import Rembg
 from tests.fixtures.silhouette_captures import dome, make_view
 
-pytest.importorskip("rembg")
-pytest.importorskip("onnx")
+pytestmark = pytest.mark.skipif(  # not importorskip: importing rembg would change the threads of all other tests
+    find_spec("rembg") is None or find_spec("onnx") is None, reason="rembg or onnx is missing: pip install 'hir[rembg]'"
+)
 
 
 @pytest.fixture(scope="module")
@@ -60,3 +65,26 @@ def test_what_is_no_network_is_named(photographs: Capture) -> None:
     (photographs.path / "broken.onnx").write_bytes(b"not a network")
     with pytest.raises(CaptureError, match="not a network"):
         Rembg(RembgOptions(weights="broken.onnx")).masks(photographs, None)
+
+
+def test_the_number_of_threads_stays(photographs: Capture) -> None:
+    """rembg imports numba, which sets OpenMP's threads to the number of cores, also those of torch."""
+    program = f"""
+import torch
+from hir_core.capture import Capture
+from hir_core.errors import CaptureError
+from hir_plugins.masks.options import RembgOptions
+from hir_plugins.masks.rembg import Rembg
+from tests.fixtures.silhouette_captures import dome, make_view
+import numpy as np, pathlib, sys
+camera = dome(1, 3.0, np.zeros(3), 100.0, 80)[0]
+view = make_view("disc", camera, np.ones((80, 80), np.float32), np.full((80, 80, 3), 0.5, np.float32))
+Rembg(RembgOptions(weights="weights.onnx")).masks(Capture(pathlib.Path({str(photographs.path)!r}), (view,)), None)
+assert "numba" in sys.modules
+print(torch.get_num_threads())
+"""
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "2"}
+    command = [sys.executable, "-W", "ignore", "-c", program]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split()[-1] == "1"
