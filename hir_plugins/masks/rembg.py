@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
+import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
@@ -33,14 +34,14 @@ class Rembg(MaskSource):
         del scene
         if not capture.views:
             return []
-        with _threads_kept():
+        with _numba_imported_quietly():
             session = _session(self._config, capture)
         return [_mask(view.pixels().color_linear, session) for view in capture.views]
 
 
 @contextlib.contextmanager
-def _threads_kept() -> Iterator[None]:
-    """Restores torch's number of threads after the block.
+def _numba_imported_quietly() -> Iterator[None]:
+    """Restores torch's number of threads after the block, and ignores numba's warning of an older TBB (open3d's).
 
     rembg imports numba, which sets the OpenMP threads of the whole process to the number of cores. A task of a batch,
     or a run under OMP_NUM_THREADS, would then use more threads than it may for all that follows.
@@ -48,7 +49,9 @@ def _threads_kept() -> Iterator[None]:
     torch = sys.modules.get("torch")
     count = torch.get_num_threads() if torch is not None else None
     try:
-        yield
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message=".*The TBB threading layer")
+            yield
     finally:
         if torch is not None:
             torch.set_num_threads(count)

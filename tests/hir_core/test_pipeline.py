@@ -135,6 +135,7 @@ def test_finished_run_is_reused_whole_and_a_setting_redoes_what_depends_on_it(
     assert sum("reused" in sentence for sentence in said) == len(STAGE_NAMES) - 1
 
 
+@pytest.mark.slow
 def test_until_leaves_a_run_that_goes_on(tiny_capture: Path, quick: Reconstruct, finished: Run, tmp_path: Path) -> None:
     begun = quick(tiny_capture, tmp_path / "run", until="initializer", deterministic=True)
     # the cameras are there for other programs already
@@ -178,6 +179,7 @@ def test_evaluate_says_what_it_compared(finished: Run, tiny_capture: Path, tmp_p
     assert "http://" not in page.replace("http://www.w3.org", "") and "https://" not in page, "needs nothing beside it"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="signals")
 def test_interrupt_leaves_a_run_that_goes_on(tiny_capture: Path, tmp_path: Path) -> None:
     settings = [word for assignment in QUICK for word in ("--set", assignment)]

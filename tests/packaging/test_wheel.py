@@ -70,6 +70,7 @@ def scene(tmp_path: Path) -> Path:
     return tmp_path / "scene"
 
 
+@pytest.mark.slow
 def test_the_heavy_half_is_not_installed(programs: Path, tmp_path: Path) -> None:
     code = f"import importlib.util as i; print([n for n in {HEAVY!r} if i.find_spec(n)])"
     assert message(programs / "python", "-c", code, folder=tmp_path) == "[]\n"
@@ -102,6 +103,7 @@ def test_a_saved_scene_is_exported(programs: Path, scene: Path, tmp_path: Path) 
     assert (tmp_path / "out" / "flag.glb").read_bytes()[:4] == b"glTF"
 
 
+@pytest.mark.slow
 def test_usd_without_its_library_is_one_sentence_before_any_file(programs: Path, scene: Path, tmp_path: Path) -> None:
     (tmp_path / "other.usda").write_text("#usda 1.0\n")
     for source in (scene, tmp_path / "other.usda"):
@@ -117,6 +119,7 @@ def test_usd_without_its_library_is_one_sentence_before_any_file(programs: Path,
         assert len(done.stderr.strip().splitlines()) == 1 and not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_usd_with_its_extra(programs_with_usd: Path, scene: Path, tmp_path: Path) -> None:
     hir = programs_with_usd / "hir"
     message(hir, "export", scene, "-f", "usdz", "--thumbnail", "-o", tmp_path / "out", folder=tmp_path)

@@ -18,6 +18,7 @@ from tests.reliability import seeds
 FRAMES = 10_000
 
 
+@pytest.mark.slow
 def test_duplicates_among_ten_thousand_photographs_need_little_memory() -> None:
     """The matrix of all pairs has 800 MB, and its computation held three."""
     rng = np.random.default_rng(0)

@@ -71,6 +71,7 @@ def test_logs_rotate(tmp_path: Path) -> None:
     write_log(tmp_path / "missing" / "log.txt", "a folder that is gone loses the line, not the run")
 
 
+@pytest.mark.slow
 def test_5000_steps_of_the_loop_keep_their_memory() -> None:
     x = torch.zeros(1000, 3, requires_grad=True)
     sizes: list[int] = []

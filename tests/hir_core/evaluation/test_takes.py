@@ -60,6 +60,7 @@ def run(capture: Path, tmp_path_factory: pytest.TempPathFactory, quick: Callable
     return RunDirectory(made.path)
 
 
+@pytest.mark.slow
 def test_each_take_has_its_light_in_the_files_of_the_run(run: RunDirectory) -> None:
     report = run.read_run()["stages"]["reflectance"]["report"]
     assert report["takes"] == list(TAKES)

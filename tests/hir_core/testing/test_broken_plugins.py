@@ -191,7 +191,13 @@ BROKEN_PLUGINS = {
 """Code of a plugin that breaks the contract of plugins as a whole, and no other."""
 
 
-@pytest.mark.parametrize("check", BROKEN_PLUGINS)
+@pytest.mark.parametrize(
+    "check",
+    [
+        pytest.param(check, marks=[pytest.mark.slow] if check == "plugin_imports_quickly" else [])
+        for check in BROKEN_PLUGINS
+    ],
+)
 def test_plugin_breaks_its_contract_and_no_other(check: str, tmp_path: Path) -> None:
     path = tmp_path / f"broken_{check}.py"
     path.write_text(f"from hir_core.plugins import hookimpl\n{BROKEN_PLUGINS[check]}")

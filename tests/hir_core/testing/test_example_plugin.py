@@ -67,6 +67,7 @@ def test_its_preset_page_ranges_and_units_are_shown(python: Path, tmp_path: Path
     assert "light_chroma" in shown
 
 
+@pytest.mark.slow
 def test_it_keeps_every_contract(python: Path, tmp_path: Path) -> None:
     arguments = [python, "-m", "hir_core.cli", "check-plugin", "hir-plugin-example", "--json"]
     results = json.loads(message(*arguments, folder=tmp_path))["results"]

@@ -13,7 +13,7 @@ from tests.docs.checkout import tool
 table = tool("write_fault_table")
 LIMIT_S = 60.0
 
-SLOW = ("initializer_other_frame", "light_turned_back", "light_fixed_to_the_world")
+SLOW = ("initializer_other_frame", "light_turned_back", "light_fixed_to_the_world", "slow_import")
 MARKS = {fault: [pytest.mark.gpu] for fault in table.NEEDS_CUDA} | {fault: [pytest.mark.slow] for fault in SLOW}
 CASES = [pytest.param(fault, id=fault, marks=MARKS.get(fault, [])) for fault in table.FAULTS]
 

@@ -68,6 +68,7 @@ def schema() -> Any:
     return message("config", "schema")
 
 
+@pytest.mark.slow
 def test_every_listed_component_has_a_form(listed: Any, schema: Any) -> None:
     rows = listed["components"]
     assert {row["kind"] for row in rows} == set(KINDS)

@@ -85,6 +85,7 @@ def test_web_glb_is_smaller_and_needs_no_extension(tmp_path: Path) -> None:
     assert any("reduce texture_size" in warning for warning in report.warnings)
 
 
+@pytest.mark.slow
 def test_ranges_and_units_are_in_its_errors_and_details(capsys: pytest.CaptureFixture[str]) -> None:
     _, path = loaded("web_glb")
     assert hir("plugins", "web.glb", "--plugin", path) == 0

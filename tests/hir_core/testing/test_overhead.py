@@ -63,6 +63,7 @@ print(time.process_time() - before)
 """
 
 
+@pytest.mark.slow
 def test_200_plugins_add_to_the_help_at_most_twice_what_python_takes_to_import_them(tmp_path: Path) -> None:
     """Processor time, the least of some processes, for the machine does other things too."""
     crowd, empty = tmp_path / "crowd", tmp_path / "empty"

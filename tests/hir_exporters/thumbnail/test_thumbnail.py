@@ -132,6 +132,7 @@ def test_without_light_the_object_is_seen(constant_asset: Asset) -> None:
     assert picture[SIDE // 2, SIDE // 2, :3].min() > 60
 
 
+@pytest.mark.slow
 def test_all_formats_have_the_same_picture(textured_asset: Asset, tmp_path: Path) -> None:
     """Also where a format reduces the asset. It is rendered once, and again for another asset."""
     for suffix, config in (

@@ -123,6 +123,7 @@ def test_it_can_be_switched_off(true_capture: Capture, tmp_path: Path) -> None:
     assert result is wrong and not said and initializer.report() == {"cameras": "kept: when is never"}
 
 
+@pytest.mark.slow
 def test_wrong_masks_are_not_explained_by_cameras(true_capture: Capture, tmp_path: Path) -> None:
     """A random half of each mask is missing: cameras cannot mend that, and one sentence says so."""
     rng = np.random.default_rng(1)

@@ -173,6 +173,7 @@ def test_one_wrong_camera_is_left_out(plain: Capture, tmp_path: Path) -> None:
     np.testing.assert_allclose(np.linalg.norm(pose[:, :2], axis=0), 0.35 * (1 + GAP), rtol=0.01)
 
 
+@pytest.mark.slow
 def test_other_things_are_no_chart(plain: Capture, tmp_path: Path) -> None:
     card = marker_capture(Path("made"), cameras(), GreyCard(0.4))
     swapped = changed(plain, lambda _, color: color[..., [2, 0, 1]])

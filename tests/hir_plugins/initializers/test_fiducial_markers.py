@@ -70,7 +70,13 @@ def test_the_world_is_scaled_to_metres(on_sheet: Capture, tmp_path: Path) -> Non
     np.testing.assert_allclose(found.world_from_source[:3, :3], 0.05 * np.eye(3), atol=0.05 * 0.01)
 
 
-@pytest.mark.parametrize("dictionary", ["aruco_5x5", "aruco_6x6", "apriltag_25h9", "apriltag_36h11"])
+@pytest.mark.parametrize(
+    "dictionary",
+    [
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("aruco_5x5", "aruco_6x6", "apriltag_25h9")),
+        "apriltag_36h11",
+    ],
+)
 def test_the_dictionary_is_found(tmp_path: Path, dictionary: str) -> None:
     capture = photographs(replace(SHEET, dictionary=dictionary))
     assert find_dictionary(capture.views) == dictionary
@@ -109,6 +115,7 @@ def test_a_wrong_camera_is_left_out(on_sheet: Capture, tmp_path: Path) -> None:
     np.testing.assert_allclose(np.linalg.norm(found.world_from_source[0, :3]), 0.05, rtol=0.005)
 
 
+@pytest.mark.slow
 def test_lens_distortion_is_removed_first(on_sheet: Capture, tmp_path: Path) -> None:
     """Photographs as a lens with strong distortion takes them."""
     import cv2

@@ -115,6 +115,7 @@ def test_what_stands_on_the_card_or_shades_it_is_left_out(plain: Capture, tmp_pa
         np.testing.assert_allclose(found.irradiance.mean, np.pi * LIGHT, rtol=0.01)
 
 
+@pytest.mark.slow
 def test_noise_is_averaged(tmp_path: Path) -> None:
     found, _ = solved(photographs(0.5, noise=0.03), tmp_path)
     assert found.irradiance is not None

@@ -121,8 +121,12 @@ def hull_distance() -> float:
 
 @pytest.mark.parametrize(
     ("sensor", "factor", "times_better"),
-    [(exact, 1, 4), (noisy, 1, 4), (exact, 4, 3), (noisy, 4, 3)],
-    ids=["exact", "noisy", "coarse", "coarse and noisy"],
+    [
+        pytest.param(exact, 1, 4, id="exact", marks=pytest.mark.slow),
+        pytest.param(noisy, 1, 4, id="noisy", marks=pytest.mark.slow),
+        pytest.param(exact, 4, 3, id="coarse", marks=pytest.mark.slow),
+        pytest.param(noisy, 4, 3, id="coarse and noisy"),
+    ],
 )
 def test_depths_show_the_inside_of_a_bowl(
     sensor: Sensor, factor: int, times_better: float, hull_distance: float
@@ -136,6 +140,7 @@ def test_depths_show_the_inside_of_a_bowl(
     assert mesh.volume == pytest.approx(trimesh.Trimesh(positions, faces, process=False).volume, rel=0.35)
 
 
+@pytest.mark.slow
 def test_depths_of_low_confidence_are_as_good_as_none() -> None:
     """The same wrong depths without their low confidence destroy the object."""
     absent, doubted, believed = (
@@ -145,6 +150,7 @@ def test_depths_of_low_confidence_are_as_good_as_none() -> None:
     assert distance_of_truth(doubted) < 0.5 * distance_of_truth(believed)
 
 
+@pytest.mark.slow
 def test_confidence_is_a_weight() -> None:
     """Slightly wrong depths of medium confidence do less harm than those of full confidence."""
     absent, medium, full = (
@@ -154,6 +160,7 @@ def test_confidence_is_a_weight() -> None:
     assert absent < medium < full and medium - absent < 0.7 * (full - absent)
 
 
+@pytest.mark.slow
 def test_a_moved_and_scaled_world_gives_the_moved_and_scaled_surface() -> None:
     found = capture(exact, 2)
     transform = np.diag([7.0, 7.0, 7.0, 1.0])

@@ -427,6 +427,7 @@ def test_stereo_leaves_a_convex_thing_as_its_outlines_show_it(painted: bool) -> 
     assert np.quantile(moved, 0.99) < 0.016
 
 
+@pytest.mark.slow
 def test_what_colmap_measures_is_carved_like_our_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Everything around COLMAP's PatchMatch; PatchMatch itself needs CUDA: its place is taken by the true depth."""
     capture = bowl_capture(dent=True)

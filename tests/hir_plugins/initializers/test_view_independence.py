@@ -73,6 +73,7 @@ def farthest_from(hull: Scene, scene: Scene) -> float:
     return float(np.quantile(np.abs(shell.signed_distance(scene.mesh.positions.double().numpy())), 0.99))
 
 
+@pytest.mark.slow
 def test_a_mirror_is_not_carved(monkeypatch: pytest.MonkeyPatch) -> None:
     capture = ball(mirror=True)
     hull = hull_of(capture)
@@ -89,6 +90,7 @@ def test_a_mirror_is_not_carved(monkeypatch: pytest.MonkeyPatch) -> None:
     assert carved is not None and farthest_from(hull, carved) > 0.05
 
 
+@pytest.mark.slow
 def test_a_painted_ball_stays_a_ball() -> None:
     capture = ball(mirror=False)
     hull = hull_of(capture)

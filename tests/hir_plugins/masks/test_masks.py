@@ -176,6 +176,7 @@ def test_stanford_orb_keeps_masks_beside_each_split(tmp_path: Path) -> None:
     assert find_mask(tmp_path / "train" / "0001.png", tmp_path) == tmp_path / "train_mask" / "0001.png"
 
 
+@pytest.mark.slow
 def test_grabcut_finds_a_ball_before_a_room() -> None:
     """A ball of one colour range before noise of another; its points are known, as a reconstruction would give them."""
     rng = np.random.default_rng(0)

@@ -156,6 +156,7 @@ def test_the_tankard_in_llff_agrees_with_its_opencv_cameras(shared: Path) -> Non
     assert mask is not None and 0.02 < mask.mean() < 0.9
 
 
+@pytest.mark.slow
 def test_the_command_line_says_which_masks_were_matched_by_number(tmp_path: Path) -> None:
     """Python's warnings are off there: without being forwarded the sentence would be lost."""
     import subprocess

@@ -152,6 +152,7 @@ def test_no_seed_moves_a_mesh_to_which_photographs_add_nothing(tmp_path) -> None
     assert max(each.share for each in found) < 0.2, found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("carved", [True, False], ids=["carved", "smooth"])
 def test_the_fine_candidate_is_selected_where_there_is_something_to_carve(carved: bool, tmp_path) -> None:  # type: ignore[no-untyped-def]
     """Grooves a few triangles wide, which a smooth surface bridges; without them a less smooth one only gets rough."""

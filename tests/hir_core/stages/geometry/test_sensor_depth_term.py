@@ -122,6 +122,7 @@ def test_rays_end_on_the_surface_that_was_measured() -> None:
     assert depth_rays(views_of(mesh, 2, confidence=0.2), 1.0, seed=0) is None, "as those of low confidence"
 
 
+@pytest.mark.slow
 def test_depths_hold_what_no_outline_shows(tmp_path: Path) -> None:
     """The inside of a bowl, from a first mesh that is right: without depths the stage smooths it."""
     true = bowl()

@@ -39,7 +39,7 @@ from tests.fixtures.scenes import square
 # -- material -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("alpha", [1e-3, 0.03, 0.3, 1.0])
+@pytest.mark.parametrize("alpha", [1e-3, *(pytest.param(alpha, marks=pytest.mark.slow) for alpha in (0.03, 0.3, 1.0))])
 def test_lobes_from_a_mirrors_to_a_matt_ones(alpha: float, tmp_path: Path) -> None:
     """A light of 16 rows cannot distinguish lobes below 0.1; a lobe of 1 may be fitted as diffuse."""
     truth = Scene(ball(), make_material((0.3, 0.2, 0.1), 0.5, alpha), lamps())
@@ -159,6 +159,7 @@ def test_fully_clipped_views_are_refused(tmp_path: Path) -> None:
         fitted(truth.mesh, capture, tmp_path, options={"steps": 50})
 
 
+@pytest.mark.slow
 def test_one_view_that_is_not_clipped_gives_a_finite_scene(tmp_path: Path) -> None:
     """Seven of eight views are clipped everywhere: they must neither break the fit nor count as observations."""
     truth = Scene(ball(), make_material(BROWN), lamps())
@@ -220,6 +221,7 @@ def mean_direction(light: EnvironmentMap) -> Tensor:
     return torch.nn.functional.normalize(weight.reshape(-1) @ texel_directions(rows, columns), dim=0)
 
 
+@pytest.mark.slow
 def test_a_light_with_one_bright_texel(tmp_path: Path) -> None:
     radiance = torch.full((ROWS, 2 * ROWS, 3), 0.1)
     radiance[4, 9] = 40.0
@@ -232,6 +234,7 @@ def test_a_light_with_one_bright_texel(tmp_path: Path) -> None:
     assert float(values.log().std(dim=0).max()) < 0.1, "no shading in the albedo"
 
 
+@pytest.mark.slow
 def test_a_light_that_is_upside_down(tmp_path: Path) -> None:
     upright = sky()
     found = []
@@ -291,7 +294,9 @@ def test_seams_do_not_show(tmp_path: Path) -> None:
     assert float(steps[0].max()) < 1.5 * float(steps[1].max())
 
 
-@pytest.mark.parametrize("texels", [64, 512, pytest.param(4096, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "texels", [64, pytest.param(512, marks=pytest.mark.slow), pytest.param(4096, marks=pytest.mark.slow)]
+)
 def test_textures_of_any_size(texels: int, tmp_path: Path) -> None:
     """A texture that is finer than the photographs gets the colours of the vertices between their pixels."""
     mesh = ball(texels)

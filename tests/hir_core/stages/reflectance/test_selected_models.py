@@ -113,6 +113,7 @@ def test_indirect_light_is_selected_where_there_are_more_bounces_than_in_the_mod
     assert float((values.mean(dim=0) - color).abs().max()) < 0.1
 
 
+@pytest.mark.slow
 def test_without_a_specular_part_diffuse_is_selected(tmp_path: Path) -> None:
     """All hypotheses are allowed."""
     truth = Scene(ball(), make_material(BROWN), lamps())
@@ -127,7 +128,7 @@ def test_without_a_specular_part_diffuse_is_selected(tmp_path: Path) -> None:
     assert unseen_db(scene, truth) > 40
 
 
-@pytest.mark.parametrize("frame", ["world", "camera"])
+@pytest.mark.parametrize("frame", [pytest.param("world", marks=pytest.mark.slow), "camera"])
 def test_the_frame_of_the_light_is_selected(frame: str, tmp_path: Path) -> None:
     truth = Scene(ball(), make_material(BROWN), replace(sky(), frame=frame))
     scene, report = fitted(

@@ -43,6 +43,7 @@ def run(
     return run_task(spec, (messages if messages is not None else []).append, run_function)
 
 
+@pytest.mark.slow
 def test_four_tasks_on_a_store_give_the_bytes_of_a_single_run(
     tiny: Path, config: RunConfig, memory: StoragePath, tmp_path: Path
 ) -> None:

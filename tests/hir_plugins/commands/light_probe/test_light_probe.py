@@ -178,6 +178,7 @@ def matt_photograph(eye: Sequence[float], light: Callable[[Rows], Rows]) -> Phot
     return Photograph(camera, color.reshape(SIDE, SIDE, 3), outline.mask)
 
 
+@pytest.mark.slow
 def test_a_grey_ball_gives_clipped_lamps_their_brightness(tmp_path: Path) -> None:
     mirror = write(tmp_path / "mirror", [photograph(eye, with_sun) for eye in EYES])
     grey = write(tmp_path / "grey", [matt_photograph(eye, with_sun) for eye in EYES[:2]])

@@ -66,6 +66,7 @@ def test_a_dropped_folder_is_copied_and_checked(server: UiServer, browser: Brows
     assert browser.problems == []
 
 
+@pytest.mark.slow
 def test_a_failure_is_a_sentence_and_can_be_mended(server: UiServer, browser: BrowserSession, dropped: Path) -> None:
     """By keyboard alone: a path, its check, a setting with a misspelled name, and the mended setting."""
     browser.evaluate("document.querySelector('#path').focus()")
@@ -171,6 +172,7 @@ def test_a_capture_is_removed_after_a_question(server: UiServer, browser: Browse
     assert browser.problems == []
 
 
+@pytest.mark.slow
 def test_the_mesh_of_a_scan_is_asked_for(server: UiServer, browser: BrowserSession, dropped: Path) -> None:
     """Only by the preset for scans; a mesh among the photographs is offered, and a wrong name is a sentence."""
     (dropped / "scan.obj").write_text("v 0 0 0\n")

@@ -158,6 +158,7 @@ def test_the_scene_of_a_fit_has_the_light_of_each_take(made: tuple[Scene, Captur
     )
 
 
+@pytest.mark.slow
 def test_refinement_by_path_tracing_renders_each_take_under_its_light(made: tuple[Scene, Capture]) -> None:
     scene, capture = made
     solver = prepared(scene, capture)
@@ -201,6 +202,7 @@ def test_a_brighter_take_starts_from_a_brighter_light(made: tuple[Scene, Capture
     assert ratios[1] == pytest.approx(0.25 * ratios[0], rel=0.01)
 
 
+@pytest.mark.slow
 def test_the_brdfs_of_texels_are_solved_under_the_light_of_each_take(made: tuple[Scene, Capture]) -> None:
     """Held-out views of both takes are predicted, and the scene shows what the photographs show."""
     scene, capture = made
