@@ -79,7 +79,6 @@ def test_a_folder_with_other_things_is_left_alone(tmp_path: Path, constant_asset
         (["mesh"], "link.ply", "link to outside"),
         (["mesh"], "none.ply", "none.ply"),
         (["mesh"], "a" * 5000, "cannot be opened: File name too long"),
-        (["mesh"], "a\0.ply", "outside the scene"),
         (["mesh"], "scene.json", "not a PLY"),
         (["material"], 3, "material is not"),
         (["material", "model"], "phong", "phong"),

@@ -115,7 +115,6 @@ def test_scale_and_position_of_the_world_do_not_matter(
     assert iou > 0.98
 
 
-@pytest.mark.slow
 def test_wrong_masks_are_named_and_do_not_change_the_mesh(capture: Capture, tmp_path: Path) -> None:
     wrong = {3: "empty", 9: "shifted", 16: "half"}
     views = list(capture.views)
