@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import sys
 import traceback
@@ -13,7 +14,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import click
-from hir_exporters.errors import HirError
+from hir_exporters.errors import HirError, InputError
 
 from hir_core import __version__
 from hir_core.files.file_names import on_one_line
@@ -96,16 +97,29 @@ def main(arguments: Sequence[str] | None = None, plugins: PluginManager | None =
     except BrokenPipeError:
         sys.stderr.close()  # the reader of the output is closed; otherwise Python prints an error at exit
         code = 1
-    except (KeyboardInterrupt, Exception) as error:
+    except (KeyboardInterrupt, Exception) as raised:
+        failure = _of_user(raised)
         # an import of native code that is interrupted raises an ImportError
-        interrupted = isinstance(error, (KeyboardInterrupt, click.Abort)) or (arguments is None and was_interrupted())
-        code = INTERRUPTED if interrupted else INPUT_ERROR if isinstance(error, HirError) else 1
+        interrupted = isinstance(failure, (KeyboardInterrupt, click.Abort)) or (arguments is None and was_interrupted())
+        code = INTERRUPTED if interrupted else INPUT_ERROR if isinstance(failure, HirError) else 1
         if verbose and not interrupted:
             traceback.print_exc()
         if interrupted and arguments is None:
             _exit_at_once(command_line)  # an orderly shutdown of compilers and thread pools takes seconds
-        click.echo(_sentence(error, code, command_line), err=True)
+        click.echo(_sentence(failure, code, command_line), err=True)
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _of_user(error: BaseException) -> BaseException:
+    """An `InputError` in place of the system's error of a path that is too long; other errors as they are.
+
+    Every argument and option can be such a path, and each way to ask for a file fails on it.
+    """
+    if isinstance(error, OSError) and error.errno == errno.ENAMETOOLONG:
+        return InputError(
+            f"the path {str(error.filename)[:200]!r}… is longer than the system allows; give a shorter one"
+        )
+    return error
 
 
 def _sentence(error: BaseException, code: int, command_line: Sequence[str]) -> str:

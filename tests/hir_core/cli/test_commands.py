@@ -17,6 +17,7 @@ from tests.fixtures.command_line import hir
 
 ROOT = Path(__file__).resolve().parents[3]
 SAMPLE = ROOT / "examples" / "sample_capture"
+LONG = "{tmp}/" + "a" * 5000
 
 
 @pytest.mark.parametrize(
@@ -75,6 +76,12 @@ SAMPLE = ROOT / "examples" / "sample_capture"
         (["report", "{tmp}"], "it is not a run; make one with: hir reconstruct"),
         (["render", "{tmp}", "-o", "{tmp}/out"], "choose what to render"),
         (["dance"], "No such command 'dance'"),
+        (["check", LONG], "is longer than the system allows"),
+        (["reconstruct", LONG, "-o", "{tmp}/run"], "is longer than the system allows"),
+        (["reconstruct", SAMPLE, "-o", LONG], "is longer than the system allows"),
+        (["evaluate", LONG], "is longer than the system allows"),
+        (["report", LONG], "is longer than the system allows"),
+        (["ui", LONG], "is longer than the system allows"),
     ],
     ids=lambda value: " ".join(str(v) for v in value[:1]) if isinstance(value, list) else str(value)[:24],
 )
