@@ -3,12 +3,13 @@ PYTHON := .venv/bin/python
 HIR := .venv/bin/hir
 DEMO := demo
 
-.PHONY: demo test test-all lint docs stability kill-test fuzz coverage mutation lower-bounds supply-chain readers bench materials paper-table ablations scaling clean setup setup-test help
+.PHONY: demo test test-all test-gpu lint docs stability kill-test fuzz coverage mutation lower-bounds supply-chain readers bench materials paper-table ablations scaling clean setup setup-test help
 
 help:
 	@echo "make demo      reconstruct and export the sample capture"
 	@echo "make test      lint, then every test that is not marked slow"
-	@echo "make test-all  all tests"
+	@echo "make test-all  all tests but those of CUDA"
+	@echo "make test-gpu  tests of a CUDA device"
 	@echo "make lint      ruff check, ruff format --check, mypy"
 	@echo "make docs      build the documentation site in build/docs"
 	@echo "make parity    render exports in three.js, Babylon.js, Filament, Blender and Godot; write docs/engines/parity.md"
@@ -44,6 +45,9 @@ test: lint
 
 test-all: setup-test # both processes shuffle with one seed, because they must collect the same order
 	@OMP_NUM_THREADS=1 $(PYTHON) -m pytest -m "not gpu" -n 2 --dist worksteal --random-order --random-order-seed=$$(date +%s) --durations=30
+
+test-gpu: setup-test # needs a CUDA device, and a PyTorch with CUDA in the environment
+	@$(PYTHON) -m pytest -m gpu tests/devices tests/hir_core/testing
 
 lint: setup-test
 	@$(PYTHON) -m ruff check .

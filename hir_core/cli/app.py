@@ -17,6 +17,7 @@ import click
 from hir_exporters.errors import HirError, InputError
 
 from hir_core import __version__
+from hir_core.errors import MissingExtraError
 from hir_core.files.file_names import on_one_line
 from hir_core.plugins.engine_commands import ENGINE_COMMANDS
 from hir_core.run.interrupt import remember_interrupts, was_interrupted
@@ -111,13 +112,22 @@ def main(arguments: Sequence[str] | None = None, plugins: PluginManager | None =
 
 
 def _of_user(error: BaseException) -> BaseException:
-    """An `InputError` in place of the system's error of a path that is too long; other errors as they are.
+    """A `HirError` in place of the system's error of a path that is too long, or of a library that is not installed.
 
-    Every argument and option can be such a path, and each way to ask for a file fails on it.
+    Every argument and option can be such a path, and each way to ask for a file fails on it. Wheels need libraries of
+    the system that containers lack, such as open3d libEGL. Other errors stay as they are.
     """
     if isinstance(error, OSError) and error.errno == errno.ENAMETOOLONG:
         return InputError(
             f"the path {str(error.filename)[:200]!r}… is longer than the system allows; give a shorter one"
+        )
+    if isinstance(error, ImportError) and "cannot open shared object file" in str(error):
+        from hir_core.run.installation_check import library_advice
+
+        library, advice = str(error).partition(":")[0], library_advice(str(error)) or "install its package"
+        return MissingExtraError(
+            f"a Python package needs the library {library}, which this system lacks; {advice} "
+            "(`hir doctor` tests every package)"
         )
     return error
 

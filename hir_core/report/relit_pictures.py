@@ -61,7 +61,8 @@ def relit_pictures(
     light = turned(run.scene.environment, TURN_DEGREES)
     _, renderer = reference_renderer(plugins, bounces=run.bounces, max_samples=SAMPLES)
     after = render_view(renderer, run.with_light(light), small, f"{RELIT}_{MATERIAL}")
-    before = render_view(renderer, replace(textured, environment=light), small, f"{RELIT}_{VERTICES}")
+    lit = replace(textured, environment=light).to(light.radiance.device)
+    before = render_view(renderer, lit, small, f"{RELIT}_{VERTICES}")
     unlit = UnlitRenderer(textured).render(small)
     return {
         PHOTOGRAPH: true.picture,

@@ -62,7 +62,8 @@ def render_pictures(
     scene = run.scene
     if relight:
         path, strength = parse_light_file(relight)
-        scene = run.with_light(load_light(EnvironmentSource(path, strength), np.eye(4)))
+        device = str(scene.mesh.positions.device)
+        scene = run.with_light(load_light(EnvironmentSource(path, strength), np.eye(4), device))
     _, path_tracer = reference_renderer(plugins, renderer, options, run.bounces, light=scene.environment)
     in_take = cache(scene.in_take)
     for name, camera in cameras.items():

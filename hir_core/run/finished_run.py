@@ -16,6 +16,7 @@ from hir_core.capture.photograph_exposures import EQUAL_EXPOSURES, PhotographExp
 from hir_core.errors import CaptureError, InputError
 from hir_core.intake.reader_lookup import find_reader, read_capture
 from hir_core.run.capture_store import read_cameras, read_exposures, restore_capture
+from hir_core.run.device import resolve_device
 from hir_core.run.run_directory import RunDirectory
 from hir_core.scene import EnvironmentMap, Scene
 from hir_core.scene.asset_conversion import scene_from_asset
@@ -96,8 +97,11 @@ class FinishedRun:
         return str(self.document["capture"].get("reader", "auto"))
 
 
-def open_finished_run(directory: RunDirectory, device: str = "cpu") -> FinishedRun:
-    """Reads run.json and scene/; `InputError` where the run has no finished scene."""
+def open_finished_run(directory: RunDirectory, device: str | None = None) -> FinishedRun:
+    """Reads run.json and scene/; `InputError` where the run has no finished scene.
+
+    Without `device` the scene is on the device that the run computed on, if PyTorch has it here, else on the processor.
+    """
     document = directory.read_run()
     if not directory.scene.is_dir():
         raise InputError(f"{directory.path} has no finished scene; finish it with: hir reconstruct … --resume")
@@ -110,7 +114,13 @@ def open_finished_run(directory: RunDirectory, device: str = "cpu") -> FinishedR
             f"{directory.stage('reflectance')} lacks the light of the take {missing[0]!r}; finish the run again with "
             "--resume"
         )
-    return replace(run, scene=replace(scene, take_radiance=lights).to(device))
+    return replace(run, scene=replace(scene, take_radiance=lights).to(device or _own_device(directory)))
+
+
+def _own_device(directory: RunDirectory) -> str:
+    machine = directory.read_timings().get("machine")
+    computed_on = machine.get("device") if isinstance(machine, Mapping) else None
+    return resolve_device("auto") if computed_on == "cuda" else "cpu"
 
 
 def _frames(document: Mapping[str, Any], source: str) -> CoordinateFrames:

@@ -88,7 +88,7 @@ def examine_module(module: str, package: str, extra: str) -> Finding:
         return Finding(package, "missing", f"for hir[{extra}]", command)
     code, output = _try([sys.executable, "-P", "-c", f"import {module}"])
     if code != 0:
-        return Finding(package, "broken", last_line(output), _library_advice(output) or command)
+        return Finding(package, "broken", last_line(output), library_advice(output) or command)
     try:
         return Finding(package, "ok", version(package))
     except PackageNotFoundError:
@@ -112,8 +112,8 @@ def last_line(text: str) -> str:
     return lines[-1][:200] if lines else ""
 
 
-def _library_advice(output: str) -> str:
-    """Debian's package of a shared library that could not be opened."""
+def library_advice(output: str) -> str:
+    """The command that installs Debian's package of a shared library that could not be opened; empty if not known."""
     packages = {
         "libusb-1.0": "libusb-1.0-0",
         "libGL.so": "libgl1",

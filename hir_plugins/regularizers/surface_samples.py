@@ -63,8 +63,8 @@ def sample_surface(mesh: Mesh, kind: Literal["vertices", "texels"], size: tuple[
         row, column = surface.covered.nonzero(as_tuple=True)
         centres = torch.stack([(column + 0.5) / size[1], (row + 0.5) / size[0]], dim=1)
         return SurfaceSamples(surface.position.detach(), centres.to(positions))
-    # at a seam a vertex has several texture coordinates; any of them serves
+    # at a seam a vertex has several texture coordinates; any of them serves, if it is the same one on every device
     corner = torch.zeros(len(positions), dtype=torch.long, device=positions.device)
-    corner[mesh.faces.reshape(-1)] = uv_faces.reshape(-1)
+    corner = corner.scatter_reduce(0, mesh.faces.reshape(-1), uv_faces.reshape(-1), "amax")
     used = torch.unique(mesh.faces)
     return SurfaceSamples(positions[used], uvs.detach()[corner[used]], used)

@@ -83,4 +83,5 @@ def _rerender(state: RunState) -> Rerender | None:
     cameras = read_cameras(state.directory.cameras)
     if state.asset is None or state.asset.environment is None or not cameras or state.frames is None:
         return None
-    return Rerender(state.asset, cameras, state.frames.working_from_asset, state.plugins, bounces=state.bounces)
+    frame, bounces = state.frames.working_from_asset, state.bounces
+    return Rerender(state.asset, cameras, frame, state.plugins, bounces=bounces, device=state.device)

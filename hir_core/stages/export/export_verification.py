@@ -171,4 +171,5 @@ def rerender_of_run(
         return None, "the run has no cameras"
     placed = {name: camera.transformed(placement) for name, camera in cameras.items()}
     working_from_asset = opened.frames.working_from_asset @ np.linalg.inv(placement)
-    return Rerender(asset, placed, working_from_asset, plugins, side=256, bounces=opened.bounces), ""
+    device = str(opened.scene.mesh.positions.device)
+    return Rerender(asset, placed, working_from_asset, plugins, side=256, bounces=opened.bounces, device=device), ""

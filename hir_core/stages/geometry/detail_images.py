@@ -49,17 +49,17 @@ class DetailImages:
     names: tuple[str, ...]
 
     @classmethod
-    def of(cls, views: Sequence[View], downsample: int) -> DetailImages:
-        """Reads the photographs; a view without a mask counts as covered everywhere."""
+    def of(cls, views: Sequence[View], downsample: int, device: torch.device | str = "cpu") -> DetailImages:
+        """Reads the photographs; a view without a mask counts as covered everywhere. `device` holds the images."""
         cameras = tuple(view.camera.downsampled(downsample) for view in views if view.camera is not None)
         height, width = max(c.height for c in cameras), max(c.width for c in cameras)
-        images = torch.zeros(len(views), 3, height, width, dtype=torch.float16)
-        inside = torch.zeros(len(views), height, width, dtype=torch.bool)
+        images = torch.zeros(len(views), 3, height, width, dtype=torch.float16, device=device)
+        inside = torch.zeros(len(views), height, width, dtype=torch.bool, device=device)
         pixels = []
         for i, view in enumerate(views):  # one at a time: float32 copies of all views would take twice the memory
             detail, mask = detail_image(view, downsample)
             h, w = mask.shape
-            images[i, :, :h, :w], inside[i, :h, :w] = detail.half(), mask
+            images[i, :, :h, :w], inside[i, :h, :w] = detail.half().to(device), mask.to(device)
             pixels.append(np.argwhere(mask.numpy())[:, ::-1].astype(np.int32))
         return cls(images, inside, tuple(pixels), cameras, tuple(view.name for view in views))
 

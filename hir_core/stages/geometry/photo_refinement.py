@@ -88,7 +88,7 @@ def refine_by_photo_consistency(
     if not judges or not any(neighbours[i] for i in train):
         return mesh, PhotoConsistencySkipped("too few views that overlap and could be held out")
     factors = _downsample_factors(capture, settings.downsample)
-    finest = DetailImages.of(views, factors[-1])
+    finest = DetailImages.of(views, factors[-1], mesh.positions.device)
 
     def evaluated(candidate: Mesh) -> HeldOutEvaluation:
         return evaluate_held_out(candidate, finest, neighbours, judges, held_out, iou, context.seed)
@@ -100,7 +100,8 @@ def refine_by_photo_consistency(
     reports = []
     passes, last = plan_passes(factors, settings.photo_consistency_iterations)
     for downsample, plans in groupby(passes, key=lambda plan: plan.downsample):
-        details = finest if downsample == factors[-1] else DetailImages.of(views, downsample)
+        coarse = downsample != factors[-1]
+        details = DetailImages.of(views, downsample, mesh.positions.device) if coarse else finest
         for plan in plans:
             initial = candidates[plan.smoothness]
             fitted, curve = fit_pass(initial, details, neighbours, train, iou, settings, context, plan, last.end)

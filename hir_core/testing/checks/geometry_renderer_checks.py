@@ -26,11 +26,11 @@ TOLERANCE = 0.05
 
 def exercise(subject: Subject, device: str) -> Exercise:
     """Areas, overlaps, their gradient and coverage of a sphere from two sides."""
+    from hir_core.scene import Scene
     from hir_core.testing.scenes import looking_at, smooth_sphere
 
     cameras = [looking_at((0, 0, DISTANCE), 48), looking_at((3.0, 1.0, 2.0), 48)]
-    sphere = smooth_sphere(2)
-    mesh = sphere.with_positions(sphere.positions.to(device))
+    mesh = Scene(smooth_sphere(2)).to(device).mesh
     targets = _targets(subject, cameras, device)
 
     def run() -> dict[str, np.ndarray]:

@@ -33,7 +33,24 @@ class SampleSequence:
         third, fourth = mi.sample_tea_32(first, second)
         # an odd factor and a shift permute the numbers below a power of two
         order = (self._sample * (third | 1) + fourth) & self._mask
-        return mi.Point2f(mi.radical_inverse_2(order, first), mi.sobol_2(order, second))
+        return mi.Point2f(_van_der_corput(order, first), _sobol(order, second, self._mask.bit_length()))
+
+
+# `mi.radical_inverse_2` and `mi.sobol_2` stay those of the variant that a process asks for first (Mitsuba 3.9)
+def _van_der_corput(number: DrJitArray, scramble: DrJitArray) -> DrJitArray:
+    """The bits of an integer behind the point in reverse order, scrambled; float in [0, 1)."""
+    bits = dr.brev(number) ^ scramble
+    from_one_to_two: DrJitArray = dr.reinterpret_array(mi.Float, (bits >> 9) | 0x3F800000)
+    return from_one_to_two - 1
+
+
+def _sobol(number: DrJitArray, scramble: DrJitArray, bits: int) -> DrJitArray:
+    """The second dimension of the (0, 2)-sequence, scrambled; float in [0, 1). `number` has at most `bits` bits."""
+    direction = 1 << 31
+    for bit in range(bits):
+        scramble = scramble ^ dr.select(((number >> bit) & 1) == 1, mi.UInt32(direction), mi.UInt32(0))
+        direction ^= direction >> 1
+    return dr.minimum(mi.Float(scramble) * 2.0**-32, 1 - 2.0**-24)
 
 
 def lanes(pixels: int, samples: int) -> tuple[DrJitArray, DrJitArray]:

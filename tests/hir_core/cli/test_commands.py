@@ -113,6 +113,15 @@ def test_a_bug_is_called_one_and_exits_1(capsys: pytest.CaptureFixture[str]) -> 
     assert "this is a bug: ZeroDivisionError" in printed and "Traceback" not in printed
 
 
+def test_a_library_of_the_system_that_is_missing_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    def needs_egl() -> None:
+        raise ImportError("libEGL.so.1: cannot open shared object file: No such file or directory")
+
+    assert hir("picture", plugins=plugin_with_command(click.Command("picture", callback=needs_egl))) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "libEGL.so.1" in line and "apt-get install libegl1" in line and "bug" not in line
+
+
 @pytest.mark.parametrize("module", ["torch", "scipy"])
 @pytest.mark.parametrize("name", ["reconstruct", "evaluate", "render", "report", "edit", "bench", "delight"])
 def test_missing_extra_names_the_command(
