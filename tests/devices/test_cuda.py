@@ -31,7 +31,7 @@ def test_component_agrees_with_the_processor(name: str) -> None:
 
 
 def test_cached_transport_agrees_but_for_rays_that_graze_an_edge() -> None:
-    """They hit on one device and miss on the other: 0.2 % of the largest value at one pixel, on an H200."""
+    """They hit on one device and miss on the other: up to 0.2 % of the largest value, on an H200."""
     (first, second) = _exercised(TRACED)
     for name, processor in first.items():
         difference, largest = np.abs(second[name] - processor), np.abs(processor).max()
