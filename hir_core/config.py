@@ -248,6 +248,8 @@ class RunConfig:
     before it starts. Empty: no limit."""
     checkpoint_seconds: Annotated[float, Interval(ge=0)] = 30.0
     """Seconds between checkpoints of a running stage; a resumed run continues from the last one."""
+    report_side: Annotated[int, Interval(ge=64, le=16384)] = 1024
+    """Photographs of the report with at least twice as many pixels per side are reduced, to no less than this."""
     observers: dict[str, dict[str, Any] | Literal[False]] = field(default_factory=dict)
     """Options of each observer; a table, even an empty one, enables its observer."""
     plugins: tuple[str, ...] = ()

@@ -116,7 +116,7 @@ def reconstruct(
         run_stages(state, runner, last_stage)
         records.finish()
         if directory.scene.is_dir():
-            _write_report(directory, plugins, runner.reused, on_message)
+            _write_report(directory, plugins, state.config.report_side, runner.reused, on_message)
     return Run(directory, tuple(runner.reused))
 
 
@@ -191,13 +191,17 @@ def _capture_document(state: RunState) -> dict[str, Any]:
 
 
 def _write_report(
-    directory: RunDirectory, plugins: PluginManager, reused: Sequence[str], on_message: Callable[[str], None] | None
+    directory: RunDirectory,
+    plugins: PluginManager,
+    side: int,
+    reused: Sequence[str],
+    on_message: Callable[[str], None] | None,
 ) -> None:
     """The report; its pictures are rendered again only where a stage before the export was computed."""
     from hir_core.report import pictures_damage, refresh_page, write_report
 
     if set(reused) >= set(STAGE_NAMES[:-1]):
-        damage = pictures_damage(directory)
+        damage = pictures_damage(directory, side)
         if damage is None:
             refresh_page(directory, plugins)
             return

@@ -33,12 +33,15 @@ def write_report(
     return refresh_page(directory, plugins)
 
 
-def pictures_damage(directory: RunDirectory) -> str | None:
-    """Which picture of `report/` is missing or not as it was written; None where all are."""
+def pictures_damage(directory: RunDirectory, side: int) -> str | None:
+    """Which picture of `report/` is missing, not as it was written, or for another `report_side`; None where all are
+    right."""
     path = directory.report / CHECKSUMS
     if not path.exists():
         return f"{path} is missing"
     try:
+        if read_json(directory.report / "views.json")["side"] != side:
+            return "report_side was changed"
         files = read_json(path)["files"]
         return changed_file(directory.report, {str(name): str(written) for name, written in files.items()})
     except (InputError, KeyError, AttributeError):

@@ -14,6 +14,7 @@ from hir_exporters.scene_format import load_scene
 from hir_exporters.textures.image_files import write_png
 
 from hir_core.capture import block_mean
+from hir_core.config import RunConfig
 from hir_core.files.file_names import file_stem
 from hir_core.metrics import OBJECT_COVERAGE, Image, composite, mean, psnr, psnr_without_noise, unassociate
 from hir_core.rendering.map_error_pictures import map_error_pictures
@@ -34,9 +35,6 @@ if TYPE_CHECKING:
 
 VIEWS = 4
 """Number of photographs in a report, evenly spaced over the capture."""
-
-REDUCED_SIDE = 1024
-"""Photographs with at least twice as many pixels per side are reduced, to no less than this."""
 
 ERROR_SIDE = 512
 """Longest side of a picture of the errors of maps, at most; two stand side by side."""
@@ -59,21 +57,23 @@ def write_pictures(
     plugins: PluginManager,
     on_message: Callable[[str], None] | None = None,
     *,
-    reduced_side: int = REDUCED_SIDE,
+    reduced_side: int = 0,
     max_noise_share: float = MAX_NOISE_SHARE,
 ) -> dict[str, Any]:
     """Replaces the PNG files of `report/` and returns their description for views.json.
 
     `views`: name, figures and file names of each view, and `measured_at` where the photograph was reduced. `stages`:
     mean PSNR of the same views after each stage, at `SMALL_SIDE`. Both are empty for a run without a reflectance stage.
+    `side`: `reduced_side`, which is the run's setting `report_side` unless it is given.
     """
     run = open_finished_run(directory)
+    reduced_side = reduced_side or int(run.document["settings"].get("report_side", RunConfig.report_side))
     if run.scene.material is None or run.scene.environment is None:
         if on_message is not None:
             on_message("report: no photograph is compared because the run has fitted no material and no light")
         with atomic_directory(directory.report) as folder:
             _write_asset_pictures(folder, directory.scene)
-        return {"views": [], "stages": {}}
+        return {"views": [], "stages": {}, "side": reduced_side}
     capture = run.views_of_split(run.capture_path, "train", plugins)
     tracer = _PathTracer(run, plugins, max_noise_share)
     views: list[dict[str, Any]] = []
@@ -104,7 +104,7 @@ def write_pictures(
             cameras = [_small(camera) for _, camera, _ in measured[::2]]
             for name, picture in map_error_pictures(errors, _mesh_of_blocks(directory), cameras).items():
                 write_png(folder / f"{name}.png", picture)
-    return {"views": views, "stages": stage_psnr(directory, measured)}
+    return {"views": views, "stages": stage_psnr(directory, measured), "side": reduced_side}
 
 
 def _small(camera: Camera) -> Camera:

@@ -46,5 +46,5 @@ def settings_options(function: Function) -> Function:
         "--preset",
         default="",
         metavar="NAME",
-        help="Preset of settings, such as fast (default), best or paper; `hir plugins` lists them.",
+        help="Preset of settings, such as draft, fast (default) or best; `hir plugins` lists them.",
     )(function)
