@@ -67,7 +67,7 @@ def write_pictures(
     `side`: `reduced_side`, which is the run's setting `report_side` unless it is given.
     """
     run = open_finished_run(directory)
-    reduced_side = reduced_side or int(run.document["settings"].get("report_side", RunConfig.report_side))
+    reduced_side = reduced_side or run.document.get("settings", {}).get("report_side", RunConfig.report_side)
     if run.scene.material is None or run.scene.environment is None:
         if on_message is not None:
             on_message("report: no photograph is compared because the run has fitted no material and no light")

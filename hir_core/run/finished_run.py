@@ -118,8 +118,10 @@ def open_finished_run(directory: RunDirectory, device: str | None = None) -> Fin
 
 
 def _own_device(directory: RunDirectory) -> str:
-    machine = directory.read_timings().get("machine")
-    computed_on = machine.get("device") if isinstance(machine, Mapping) else None
+    try:
+        computed_on = directory.read_timings()["machine"]["device"]
+    except (InputError, KeyError, TypeError):
+        return "cpu"  # a damaged timings.json does not keep a run from being shown
     return resolve_device("auto") if computed_on == "cuda" else "cpu"
 
 
