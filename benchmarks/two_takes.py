@@ -203,7 +203,7 @@ def measured(recipe: Recipe, folder: Path, seed: int, estimated: bool) -> dict[s
         **more,
         "commit": source_commit(),
         "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M"),
-        "machine": describe_machine(),
+        "machine": describe_machine("cpu"),
     }
 
 
