@@ -22,6 +22,8 @@ import numpy
 assert numpy.isfinite(numpy.array(image)).all()
 """
 
+TORCH_HAS_CUDA: Final = "import sys, torch; sys.exit(0 if torch.cuda.is_available() else 1)"
+
 MODULES: Final = {
     "usd": {"pxr": "usd-core"},
     "reconstruct": {
@@ -101,7 +103,13 @@ def examine_renderer(variant: str, name: str) -> Finding:
     if code == 0:
         return Finding(name, "ok", variant)
     if variant.startswith("cuda"):
-        return Finding(name, "absent", "no CUDA device that Mitsuba can use; runs use the CPU")
+        found_by_torch, _ = _try([sys.executable, "-P", "-c", TORCH_HAS_CUDA])
+        if found_by_torch != 0:
+            return Finding(name, "absent", "no CUDA device; runs use the CPU")
+        advice = (
+            "install NVIDIA's driver with OptiX (NVIDIA_DRIVER_CAPABILITIES=all in a container), or use --device cpu"
+        )
+        return Finding(name, "broken", "PyTorch finds a CUDA device that Mitsuba cannot use", advice)
     advice = "install LLVM 17 or newer: apt-get install libllvm19 (Debian 12), or set DRJIT_LIBLLVM_PATH to its library"
     return Finding(name, "broken", f"{variant}: {last_line(output) or f'ended with {code}'}", advice)
 

@@ -35,7 +35,7 @@ LONG = "{tmp}/" + "a" * 5000
         ),
         (
             ["reconstruct", SAMPLE, "-o", "{tmp}/run", "--preset", "fastest"],
-            "no preset 'fastest'; installed: best, delight, fast, paper",
+            "no preset 'fastest'; installed: best, delight, draft, fast, paper",
         ),
         (
             ["reconstruct", SAMPLE, "-o", "{tmp}/run", "--set", "geometry.iteration=3"],

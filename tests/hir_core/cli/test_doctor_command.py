@@ -41,3 +41,12 @@ def test_a_library_that_cannot_be_opened_is_reported_with_its_package(monkeypatc
     assert found["renderer (cuda)"].state == "absent", "no GPU is no fault"
     assert found["plugin"].state == "broken"
     assert installation_check.last_line(" \n") == ""
+
+
+def test_a_gpu_that_only_pytorch_can_use_is_a_fault_with_its_mend(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run would choose it and fail in the reflectance stage."""
+    monkeypatch.setattr(
+        installation_check, "_try", lambda command: (0 if "torch.cuda" in command[-1] else 1, "no OptiX")
+    )
+    found = installation_check.examine_renderer("cuda_ad_rgb", "renderer (cuda)")
+    assert found.state == "broken" and "OptiX" in found.advice and "--device cpu" in found.advice
