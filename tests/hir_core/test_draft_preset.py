@@ -7,6 +7,9 @@ from pathlib import Path
 import pytest
 
 from hir_core.files.json_documents import read_json
+from hir_core.pipeline import Run
+from hir_core.report import pictures_damage
+from hir_core.run.run_directory import RunDirectory
 from tests.fixtures.command_line import hir
 from tests.fixtures.runs import QUICK
 
@@ -24,6 +27,13 @@ def test_a_draft_is_followed_by_a_run(tiny_capture: Path, tmp_path: Path) -> Non
     assert read_json(run / "report" / "views.json")["side"] == 1024
 
 
+def test_pictures_of_another_size_are_rendered_again(finished: Run) -> None:
+    directory = RunDirectory(finished.path)
+    assert pictures_damage(directory, 1024) is None
+    assert pictures_damage(directory, 512) == "report_side was changed"
+
+
+@pytest.mark.slow
 def test_pictures_of_the_report_follow_their_setting(tiny_capture: Path, tmp_path: Path) -> None:
     """Also where every stage is reused."""
     run = tmp_path / "run"
