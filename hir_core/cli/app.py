@@ -114,8 +114,8 @@ def main(arguments: Sequence[str] | None = None, plugins: PluginManager | None =
 def _of_user(error: BaseException) -> BaseException:
     """A `HirError` in place of the system's error of a path that is too long, or of a library that is not installed.
 
-    Every argument and option can be such a path, and each way to ask for a file fails on it. Wheels need libraries of
-    the system that containers lack, such as open3d libEGL. Other errors stay as they are.
+    Every argument and option can be such a path, and each way to ask for a file fails on it. Containers lack libraries
+    of the system that wheels need: open3d needs libEGL. Other errors stay as they are.
     """
     if isinstance(error, OSError) and error.errno == errno.ENAMETOOLONG:
         return InputError(

@@ -20,7 +20,7 @@ from hir_core.plugins import hookspecs
 from hir_core.plugins.component import API_VERSION, Component
 from hir_core.plugins.engine_commands import ENGINE_COMMANDS
 from hir_core.plugins.loading import GROUP, class_of, entry_points, is_installed, module_from_file
-from hir_core.plugins.options import build_options, with_seed_of_run
+from hir_core.plugins.options import build_options, with_device_of_run, with_seed_of_run
 
 if TYPE_CHECKING:
     import click
@@ -192,14 +192,18 @@ class PluginManager:
             known = ", ".join(r.component.name for r in self.components(kind)) or "none"
             raise PluginError(f"there is no {kind.replace('_', ' ')} named {name!r}; installed: {known}") from None
 
-    def create(self, kind: str, name: str, options: Mapping[str, Any] | None = None, seed: int = 0) -> Any:
+    def create(
+        self, kind: str, name: str, options: Mapping[str, Any] | None = None, seed: int = 0, device: str = ""
+    ) -> Any:
         """Builds a component; `ConfigError` for unknown options, `MissingExtraError` for missing packages.
 
-        `seed` is the run's: the default of options that are declared with `seed_of_run`.
+        `seed` and `device` are the run's: the defaults of options that are declared with `seed_of_run` and
+        `device_of_run`.
         """
         registered = self.find(kind, name)
         kind_of_options = registered.component.config
         values = with_seed_of_run(kind_of_options, options or {}, seed)
+        values = with_device_of_run(kind_of_options, values, device)
         config: Any = build_options(kind_of_options, values, f"{kind} {name!r}")
         self.require_installed(kind, name)
         return class_of(registered.component.target, f"{kind.replace('_', ' ')} {name!r} of {registered.distribution}")(

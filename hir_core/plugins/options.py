@@ -20,8 +20,8 @@ Options = TypeVar("Options")
 
 
 Default = TypeVar("Default")
-SEED_OF_RUN = "seed_of_run"
-"""Key of a field's metadata."""
+SEED_OF_RUN, DEVICE_OF_RUN = "seed_of_run", "device_of_run"
+"""Keys of a field's metadata."""
 Condition = Literal["solver", "fitted light"]
 """What an option of a reflectance renderer needs to take effect: the fit by its solver, or a light that is fitted."""
 
@@ -43,11 +43,26 @@ def seed_of_run() -> int:
     return field(default=0, metadata={SEED_OF_RUN: True})
 
 
+def device_of_run() -> Literal["auto"]:
+    """A dataclass field `device: Literal["auto", "cpu", "cuda"]` of an initializer's options: the run's device
+    (`--device`), where the user gives the component no other. Outside of a run it is `auto`.
+    """
+    return field(default="auto", metadata={DEVICE_OF_RUN: True})
+
+
 def with_seed_of_run(kind: type, values: Mapping[str, Any], seed: int) -> Mapping[str, Any]:
     """`values`, with the run's seed for each field of `seed_of_run` that they do not set."""
+    return {**dict.fromkeys(_fields_with(kind, SEED_OF_RUN), seed), **values} if seed else values
+
+
+def with_device_of_run(kind: type, values: Mapping[str, Any], device: str) -> Mapping[str, Any]:
+    """`values`, with the run's device for each field of `device_of_run` that they do not set."""
+    return {**dict.fromkeys(_fields_with(kind, DEVICE_OF_RUN), device), **values} if device else values
+
+
+def _fields_with(kind: type, key: str) -> list[str]:
     declared = getattr(kind, "__dataclass_fields__", {})
-    seeds = {name: seed for name, option in declared.items() if SEED_OF_RUN in option.metadata}
-    return {**seeds, **values} if seed else values
+    return [name for name, option in declared.items() if key in option.metadata]
 
 
 def build_options(kind: type[Options], values: Mapping[str, Any], owner: str, beside: tuple[str, ...] = ()) -> Options:

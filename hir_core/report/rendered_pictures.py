@@ -14,7 +14,6 @@ from hir_exporters.scene_format import load_scene
 from hir_exporters.textures.image_files import write_png
 
 from hir_core.capture import block_mean
-from hir_core.config import RunConfig
 from hir_core.files.file_names import file_stem
 from hir_core.metrics import OBJECT_COVERAGE, Image, composite, mean, psnr, psnr_without_noise, unassociate
 from hir_core.rendering.map_error_pictures import map_error_pictures
@@ -57,7 +56,7 @@ def write_pictures(
     plugins: PluginManager,
     on_message: Callable[[str], None] | None = None,
     *,
-    reduced_side: int = 0,
+    reduced_side: int | None = None,
     max_noise_share: float = MAX_NOISE_SHARE,
 ) -> dict[str, Any]:
     """Replaces the PNG files of `report/` and returns their description for views.json.
@@ -67,7 +66,7 @@ def write_pictures(
     `side`: `reduced_side`, which is the run's setting `report_side` unless it is given.
     """
     run = open_finished_run(directory)
-    reduced_side = reduced_side or run.document.get("settings", {}).get("report_side", RunConfig.report_side)
+    reduced_side = reduced_side or run.report_side
     if run.scene.material is None or run.scene.environment is None:
         if on_message is not None:
             on_message("report: no photograph is compared because the run has fitted no material and no light")

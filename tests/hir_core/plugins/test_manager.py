@@ -16,7 +16,7 @@ from annotated_types import Interval, Unit
 from hir_core.errors import ConfigError, MissingExtraError, PluginError
 from hir_core.plugins import Component, hookimpl
 from hir_core.plugins.manager import KINDS, PluginManager
-from hir_core.plugins.options import build_options, options_schema, seed_of_run, with_seed_of_run
+from hir_core.plugins.options import build_options, device_of_run, options_schema, seed_of_run, with_seed_of_run
 
 
 @dataclass(frozen=True)
@@ -399,6 +399,21 @@ def test_a_component_gets_the_seed_of_the_run_unless_it_is_given_one() -> None:
     assert manager.create("regularizer", "thing", {"fixed": 2}, seed=5).config == DrawingOptions(5, 2)
     assert manager.create("regularizer", "thing", {"seed": 3}, seed=5).config == DrawingOptions(3, 0)
     assert manager.create("regularizer", "thing", {"seed": 0}, seed=5).config == DrawingOptions(0, 0)
+
+
+@dataclass(frozen=True)
+class PlacedOptions:
+    """Options of an initializer that computes on a device of its own choice."""
+
+    device: str = device_of_run()
+
+
+def test_an_initializer_gets_the_device_of_the_run_unless_it_is_given_one() -> None:
+    manager = PluginManager()
+    manager.register(plugin_of(component(config=PlacedOptions)), "made-here", "1")
+    assert manager.create("regularizer", "thing").config == PlacedOptions("auto")
+    assert manager.create("regularizer", "thing", device="cpu").config == PlacedOptions("cpu")
+    assert manager.create("regularizer", "thing", {"device": "cuda"}, device="cpu").config == PlacedOptions("cuda")
 
 
 def test_every_seed_of_a_built_in_component_is_by_default_that_of_the_run() -> None:
