@@ -1,14 +1,14 @@
 """Two takes of an object under two lights, the second one upside down, against one take of as many photographs.
 
-    python -m benchmarks.two_takes RECIPE… --workspace DIR [--seeds 0] [--side 192] [--estimated] [--store FILE]
+    python -m benchmarks.two_takes RECIPE… --workspace DIR [--runs one two] [--side 192] [--store FILE]
     python -m benchmarks.two_takes --table FILE
 
 For each object of the materials benchmark: photographs from above alone, as of an object that stands on a table; and
 half of them from above and half of the object turned over, under another light. Both captures are reconstructed with
 the default settings and evaluated from all sides under two other lights. Rendered by Mitsuba's path tracer with the
-`principled` BSDF; the table is not there. With `--estimated` the two takes are reconstructed a second time, with
-cameras from structure from motion on the masked photographs; use more pixels then. One line is stored for each object
-and seed, with commit, date and machine.
+`principled` BSDF; the table is not there. The run `estimated` reconstructs the two takes with cameras from structure
+from motion on the masked photographs; use more pixels then. One line is stored for each run, with commit, date and
+machine.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from hir_exporters.textures.image_files import write_hdr, write_png
+from hir_exporters.textures.image_files import read_ldr, write_hdr, write_png
 from numpy.typing import NDArray
 
 from benchmarks.hir_command import hir
@@ -54,6 +54,7 @@ TESTED, RELIT = 6, 6
 TURNED_OVER = np.diag([1.0, -1.0, -1.0, 1.0])
 """Half a turn about x: from the axes of the room to those of an object that lies upside down in it."""
 TAKES = "standing", "upside down"
+RUNS = "one", "two", "estimated"
 RELIGHTS = "relight_0", "relight_1"
 ESTIMATED = (
     "--set",
@@ -73,7 +74,8 @@ def main() -> None:
     parser.add_argument("--workspace", type=Path, help="folder for captures and runs")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
     parser.add_argument("--side", type=int, default=SIDE, help="pixels of a photograph")
-    parser.add_argument("--estimated", action="store_true", help="estimate the cameras of the two takes, too")
+    parser.add_argument("--runs", nargs="+", choices=RUNS, default=["one", "two"])
+    parser.add_argument("--make-only", action="store_true", help="render captures, run nothing")
     parser.add_argument("--store", type=Path, default=Path("two_takes.jsonl"), help="file of stored lines")
     parser.add_argument("--variant", default="llvm_ad_rgb", help="Mitsuba's variant")
     parser.add_argument("--table", type=Path, metavar="FILE", help="print the table of stored lines, measure nothing")
@@ -90,8 +92,9 @@ def main() -> None:
         folder = given.workspace / recipe.name
         if not (folder / "two" / "transforms_train.json").exists():
             make_captures(recipe, folder, given.side)
-        for seed in given.seeds:
-            add_rows(given.store, [measured(recipe, folder, seed, given.estimated)])
+        for seed in () if given.make_only else given.seeds:
+            for name in given.runs:
+                add_rows(given.store, [measured(recipe, folder, seed, name)])
 
 
 def make_captures(recipe: Recipe, folder: Path, side: int = SIDE) -> None:
@@ -189,18 +192,18 @@ def _write_transforms(
     (capture / f"transforms_{split}.json").write_text(json.dumps(document, indent=1), encoding="utf-8")
 
 
-def measured(recipe: Recipe, folder: Path, seed: int, estimated: bool) -> dict[str, Any]:
-    """The line of one object; earlier runs are replaced."""
-    more = {}
-    if estimated:
-        run = folder / f"run_estimated_{seed}"
-        more["estimated"] = _figures(folder / "two", run, seed, *ESTIMATED)
+def measured(recipe: Recipe, folder: Path, seed: int, name: str) -> dict[str, Any]:
+    """The line of one run; an earlier run is replaced."""
+    capture, settings = (folder / "two", ESTIMATED) if name == "estimated" else (folder / name, ())
+    document = json.loads((capture / "transforms_test.json").read_text())
+    side = len(read_ldr(capture / f"{document['frames'][0]['file_path']}.png"))
     return {
         "recipe": recipe.name,
         "half": recipe.half,
         "seed": seed,
-        **{name: _figures(folder / name, folder / f"run_{name}_{seed}", seed) for name in ("one", "two")},
-        **more,
+        "run": name,
+        "side": side,
+        **_figures(capture, folder / f"run_{name}_{seed}", seed, *settings),
         "commit": source_commit(),
         "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M"),
         "machine": describe_machine("cpu"),
@@ -239,29 +242,36 @@ def completeness(run: Path, truth: Path) -> float:
 
 def table(rows: Sequence[dict[str, Any]]) -> str:
     """Markdown: one take → two takes, dB of the frame, and in brackets with estimated cameras; means and standard
-    deviations over the rows at the end.
+    deviations over the objects at the end. What was not run has a dash.
     """
     lines = [
-        "| object | seed | unseen | relit, scaled (mean of two lights) | base colour, scaled | complete | seconds |",
+        "| object | pixels | seed | unseen | relit, scaled (mean of two lights) | base colour, scaled | complete |",
         "|---|---|---|---|---|---|---|",
     ]
+    forms = ".1f", ".1f", ".1f", ".3f"
+    groups: dict[tuple[str, int, int], dict[str, dict[str, Any]]] = {}
+    for row in rows:
+        groups.setdefault((row["recipe"], row["side"], row["seed"]), {})[row["run"]] = row
+    gains = []
+    for (recipe, side, seed), group in sorted(groups.items()):
+        figures = {name: _values(row) for name, row in group.items()}
+        if "one" in figures and "two" in figures:
+            gains.append(figures["two"] - figures["one"])
+        cells = []
+        for i, form in enumerate(forms):
+            one, two, estimated = (f"{figures[name][i]:{form}}" if name in figures else "–" for name in RUNS)
+            cells.append(f"{one} → {two}" + (f" ({estimated})" if "estimated" in figures else ""))
+        lines.append(f"| {recipe} | {side} | {seed} | " + " | ".join(cells) + " |")
+    if gains:
+        mean, spread = np.mean(gains, axis=0), np.std(gains, axis=0)
+        cells = [f"{m:+.2f} ± {s:.2f}" for m, s in zip(mean, spread, strict=True)]
+        lines.append("| two − one | | | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
 
-    def values(row: dict[str, Any], name: str) -> tuple[float, float, float, float, float]:
-        part = row[name]
-        relit = float(np.mean([part["relit_scaled"][light]["frame"] for light in RELIGHTS]))
-        return part["unseen"]["frame"], relit, part["albedo_scaled"], part["complete"], part["seconds"]
 
-    both = np.array([[values(row, name) for name in ("one", "two")] for row in rows])
-    forms = ".1f", ".1f", ".1f", ".3f", ".0f"
-    for row, (one, two) in zip(rows, both, strict=True):
-        cells = [f"{a:{form}} → {b:{form}}" for a, b, form in zip(one, two, forms, strict=True)]
-        if "estimated" in row:
-            more = values(row, "estimated")
-            cells = [f"{cell} ({c:{form}})" for cell, c, form in zip(cells, more, forms, strict=True)]
-        lines.append(f"| {row['recipe']} | {row['seed']} | " + " | ".join(cells) + " |")
-    gain = both[:, 1] - both[:, 0]
-    cells = [f"{m:+.2f} ± {s:.2f}" for m, s in zip(gain.mean(axis=0), gain.std(axis=0), strict=True)]
-    return "\n".join([*lines, "| two − one | | " + " | ".join(cells) + " |"])
+def _values(row: dict[str, Any]) -> NDArray[np.float64]:
+    relit = np.mean([row["relit_scaled"][light]["frame"] for light in RELIGHTS])
+    return np.array([row["unseen"]["frame"], relit, row["albedo_scaled"], row["complete"]], dtype=np.float64)
 
 
 if __name__ == "__main__":
