@@ -29,7 +29,7 @@ from benchmarks.hir_command import hir
 from benchmarks.materials.recipes import Recipe, recipes
 from benchmarks.stored_rows import add_rows, stored_rows
 from hir_core.run.capture_store import read_cameras
-from hir_core.run.machine import describe_machine, source_commit
+from hir_core.run.machine import source_commit
 from hir_core.run.run_directory import RunDirectory
 
 CASES = "plain", "changed", "card", "lamp"
@@ -119,7 +119,7 @@ def measured(recipe: Recipe, case: str, capture: Path, seed: int) -> dict[str, A
         "size_error": size_error(capture, run) if case == "card" else None,
         "commit": source_commit(),
         "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M"),
-        "machine": describe_machine("cpu"),
+        "machine": json.loads((run / "timings.json").read_text())["machine"],
     }
 
 

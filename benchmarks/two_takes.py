@@ -45,7 +45,7 @@ from hir_core.evaluation.truth_evaluation import true_mesh
 from hir_core.mesh.ray_casting import MeshQueries
 from hir_core.metrics.surface_metrics import sample_surface
 from hir_core.run.finished_run import open_finished_run
-from hir_core.run.machine import describe_machine, source_commit
+from hir_core.run.machine import source_commit
 from hir_core.run.run_directory import RunDirectory
 
 SIDE, SAMPLES = 192, 128
@@ -196,6 +196,7 @@ def measured(recipe: Recipe, folder: Path, seed: int, name: str) -> dict[str, An
     """The line of one run; an earlier run is replaced."""
     capture, settings = (folder / "two", ESTIMATED) if name == "estimated" else (folder / name, ())
     document = json.loads((capture / "transforms_test.json").read_text())
+    run = folder / f"run_{name}_{seed}"
     side = len(read_ldr(capture / f"{document['frames'][0]['file_path']}.png"))
     return {
         "recipe": recipe.name,
@@ -203,10 +204,10 @@ def measured(recipe: Recipe, folder: Path, seed: int, name: str) -> dict[str, An
         "seed": seed,
         "run": name,
         "side": side,
-        **_figures(capture, folder / f"run_{name}_{seed}", seed, *settings),
+        **_figures(capture, run, seed, *settings),
         "commit": source_commit(),
         "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M"),
-        "machine": describe_machine("cpu"),
+        "machine": json.loads((run / "timings.json").read_text())["machine"],
     }
 
 
