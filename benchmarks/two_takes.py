@@ -237,7 +237,7 @@ def completeness(run: Path, truth: Path) -> float:
     low, high = positions.min(axis=0), positions.max(axis=0)
     points, _ = sample_surface(positions, faces, 50_000, seed=1)
     mesh = finished.scene.mesh
-    distance, _ = MeshQueries(mesh.positions.detach().numpy(), mesh.faces.numpy()).nearest(points)
+    distance, _ = MeshQueries(mesh.positions.detach().cpu().numpy(), mesh.faces.cpu().numpy()).nearest(points)
     return float((distance < NEAR * 0.5 * np.linalg.norm(high - low)).mean())
 
 

@@ -6,13 +6,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 from numpy.typing import NDArray
 
 from hir_core.capture import Array, Camera
 from hir_plugins.initializers.markers.marker_detection import MIN_VIEWS, SeenMarker
 
-Corners = Float[NDArray[np.float64], "4 3"]
+Corners = NDArray[np.float64]
+"""The corners of a marker in space, 4 3. No jaxtyping: an alias is evaluated, and numpy 2.5's NDArray is no class."""
 MAX_ERROR_PIXELS = 2.0
 """Photographs in which a corner lies farther than this from its projection are wrong detections or wrong cameras."""
 MIN_EIGENVALUE = 1e-4
