@@ -229,6 +229,25 @@ class StereoOptions:
 
 
 @dataclass(frozen=True)
+class HollowsOptions:
+    """Options of the search for hollows."""
+
+    max_hollows: int = 4
+    """At most this many openings are sunk, the one that explains most first; 0 looks for none."""
+    pixels_per_voxel: float = 2.0
+    """Side of a voxel of the result, in pixels of the photographs at the object's distance."""
+    max_resolution: int = 256
+    """Maximum number of voxels along the longest side of the object's box, 16 to 1024."""
+    edge_pixels: float = 2.5
+    """Edge length of the mesh, in pixels at the object's distance; 0 keeps the extracted triangles."""
+    vertex_colors: bool = True
+    """Colour the vertices from the photographs in which they are visible."""
+    seed: int = seed_of_run()
+    """Seed of the choice of pixels, and of the order in which remeshing collapses short edges; the run's, unless it is
+    set."""
+
+
+@dataclass(frozen=True)
 class PoissonOptions:
     """Options of screened Poisson reconstruction (Kazhdan & Hoppe 2013, open3d)."""
 

@@ -10,6 +10,7 @@ from hir_plugins.initializers.options import (
     ColmapOptions,
     ColorCheckerOptions,
     FiducialMarkersOptions,
+    HollowsOptions,
     MeshFileOptions,
     PoissonOptions,
     SensorDepthOptions,
@@ -21,12 +22,12 @@ if TYPE_CHECKING:
     from hir_core.capture import Capture
 
 MIN_MATCHED_VIEWS = 16
-"""Photographs of one take from which stereo is suggested: on the upper hemisphere they are then about 35 degrees
-apart. A choice that was not measured (docs/studies/default_values.md)."""
+"""Photographs of one take from which hollows and stereo are suggested: on the upper hemisphere they are then about 35
+degrees apart. A choice that was not measured (docs/studies/default_values.md)."""
 
 MIN_MATCHED_SIDE = 128
-"""Shorter side of a photograph, in pixels, from which stereo is suggested: the first level has half of them, and its
-windows are 7 pixels wide."""
+"""Shorter side of a photograph, in pixels, from which hollows and stereo are suggested: the first level has half of
+them, and its windows are 7 pixels wide."""
 
 SEARCHED_PHOTOGRAPHS = 6
 """In which a ColorChecker is looked for: 0.6 processor seconds for a photograph of 1,600 pixels."""
@@ -105,6 +106,16 @@ CAMERA_REFINEMENT = Component(
     traits=frozenset({"needs_cameras", "needs_masks", "refines_cameras"}),
 )
 
+HOLLOWS = Component(
+    name="hollows",
+    target="hir_plugins.initializers.hollows.hollows:Hollows",
+    config=HollowsOptions,
+    summary="Sinks openings of the visual hull, such as a mug's, as deep as explains the photographs best.",
+    requires=("torch", "jaxtyping", "open3d", "cv2", "skimage", "scipy"),
+    extra="reconstruct",
+    traits=frozenset({"needs_cameras", "needs_masks", "makes_surface"}),
+)
+
 STEREO = Component(
     name="stereo",
     target="hir_plugins.initializers.stereo.stereo:Stereo",
@@ -137,6 +148,7 @@ def hir_register_initializers() -> list[Component]:
         COLMAP,
         FIDUCIAL_MARKERS,
         COLOR_CHECKER,
+        HOLLOWS,
         STEREO,
         POISSON,
     ]
@@ -144,12 +156,12 @@ def hir_register_initializers() -> list[Component]:
 
 @hookimpl
 def hir_suggest_initializers(capture: Capture) -> list[str] | None:
-    """The visual hull and stereo, which carves it; structure from motion before them if cameras, or both masks and
-    points, are missing. A capture with cameras and depth maps gets `sensor_depth` in place of the hull. Cameras of a
-    capture with masks are checked, and refined where masks and cameras disagree.
+    """The visual hull, hollows and stereo, which carve it; structure from motion before them if cameras, or both masks
+    and points, are missing. A capture with cameras and depth maps gets `sensor_depth` in place of the hull, and no
+    `hollows`. Cameras of a capture with masks are checked, and refined where masks and cameras disagree.
 
-    Without `stereo` where photographs are too few or too small to be matched. With `color_checker` where the
-    photographs show one.
+    Without `hollows` and `stereo` where photographs are too few or too small to be matched. With `color_checker` where
+    the photographs show one.
     """
     if not capture.views:
         return None
@@ -158,7 +170,7 @@ def hir_suggest_initializers(capture: Capture) -> list[str] | None:
     surface = ["color_checker"] if _shows_color_checker(capture) else []
     surface.append("sensor_depth" if measured else "visual_hull")
     if _can_be_matched(capture):
-        surface.append("stereo")
+        surface += ["stereo"] if measured else ["hollows", "stereo"]
     first = capture.views[0]
     masked = first.mask is not None or first.pixels().mask is not None
     if posed and masked:

@@ -111,13 +111,13 @@ def test_evenly_distributed_views_cover_all_directions() -> None:
 
 def test_stereo_is_suggested_where_photographs_can_be_matched() -> None:
     capture = ball(mirror=False)
-    assert hir_suggest_initializers(capture) == ["camera_refinement", "visual_hull", "stereo"]
+    assert hir_suggest_initializers(capture) == ["camera_refinement", "visual_hull", "hollows", "stereo"]
     few = Capture(capture.path, capture.views[:15])
     assert hir_suggest_initializers(few) == ["camera_refinement", "visual_hull"]
     thirty = Capture(capture.path, tuple(replace(v, take=f"{i % 2}") for i, v in enumerate(capture.views[:30])))
     assert hir_suggest_initializers(thirty) == ["camera_refinement", "visual_hull"]
     more = Capture(capture.path, tuple(replace(v, take=f"{i % 2}") for i, v in enumerate(capture.views[:32])))
-    assert hir_suggest_initializers(more) == ["camera_refinement", "visual_hull", "stereo"]
+    assert hir_suggest_initializers(more) == ["camera_refinement", "visual_hull", "hollows", "stereo"]
 
 
 def test_photographs_that_are_near_each_other_cannot_tell_and_say_so() -> None:

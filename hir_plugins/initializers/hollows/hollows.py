@@ -1,0 +1,98 @@
+"""Initializer: sinks the openings of a hull that no outline shows, such as those of a mug, a vase or a box."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import final
+
+import numpy as np
+
+from hir_core.capture import Array, Capture
+from hir_core.errors import StageError
+from hir_core.plugins.interfaces import Initializer
+from hir_core.scene import Scene
+from hir_plugins.initializers.hollows.photo_prediction import blurred_photographs
+from hir_plugins.initializers.hollows.search import Hollow, find_hollow
+from hir_plugins.initializers.hollows.sunk_volume import sunk
+from hir_plugins.initializers.options import HollowsOptions
+from hir_plugins.initializers.stereo.depth_fusion import signed_distance_volume
+from hir_plugins.initializers.stereo.stereo_photographs import SweptSurface
+from hir_plugins.initializers.surface.initial_scene import make_scene
+from hir_plugins.initializers.surface.isosurface import extract_surface, keep_large_components
+from hir_plugins.initializers.surface.mesh_cleaning import clean_mesh, edge_length, pixel_size
+from hir_plugins.initializers.surface.volume import Volume
+
+SEARCH_VOXELS = 64
+"""Along the longest side of the object, where openings are looked for."""
+
+BLUR_VOXELS = 1.0
+"""Standard deviation of the blur of photographs, in voxels of the search: finer detail needs a more exact surface."""
+
+_MIN_COMPONENT = 0.02
+
+
+@final
+class Hollows(Initializer):
+    """Hollows of a surface that photographs show and outlines do not."""
+
+    def __init__(self, config: HollowsOptions) -> None:
+        self._config = config
+        self._report: dict[str, object] = {}
+
+    def initialize(self, capture: Capture, scene: Scene | None, workspace: Path) -> tuple[Capture, Scene | None]:
+        """The unchanged capture, and the surface with its hollows. Without a surface `StageError`."""
+        del workspace
+        if scene is None:
+            raise StageError(
+                "hollows needs a surface; run visual_hull before: "
+                '--set \'initializers=["visual_hull", "hollows", "stereo"]\''
+            )
+        if self._config.max_hollows == 0:
+            return capture, scene
+        positions = scene.mesh.positions.detach().cpu().numpy().astype(np.float64)
+        faces = scene.mesh.faces.cpu().numpy()
+        middle = 0.5 * (positions.min(axis=0) + positions.max(axis=0))
+        extent = float(np.ptp(positions, axis=0).max())
+        # around the origin and of size 1, because rays are cast in single precision
+        unit = np.diag([1 / extent, 1 / extent, 1 / extent, 1.0])
+        unit[:3, 3] = -middle / extent
+        vertices = (positions - middle) / extent
+        moved = capture.transformed(unit)
+        surface = SweptSurface(vertices, faces)
+        search = signed_distance_volume(surface, vertices, 1 / SEARCH_VOXELS)
+        photographs = blurred_photographs(moved, BLUR_VOXELS * search.spacing)
+        found: list[tuple[Volume, Hollow]] = []
+        while len(found) < self._config.max_hollows:
+            hollow = find_hollow(search, photographs, self._config.seed)
+            if hollow is None:
+                break
+            found.append((search, hollow))
+            search = sunk(search, search, hollow.opening, hollow.depth, hollow.wall)
+        self._report = {"hollows": [_described(hollow, volume, extent) for volume, hollow in found]}
+        if not found:
+            return capture, scene
+        pixel = pixel_size(moved.cameras, np.zeros(3))
+        spacing = max(self._config.pixels_per_voxel * pixel, 1 / self._config.max_resolution)
+        volume = signed_distance_volume(surface, vertices, spacing)
+        for coarse, hollow in found:
+            volume = sunk(volume, coarse, hollow.opening, hollow.depth, hollow.wall)
+        carved, triangles = keep_large_components(*extract_surface(volume), min_share=_MIN_COMPONENT)
+        world: Array = carved * extent + middle
+        edge = edge_length(capture, world, self._config.edge_pixels, spacing * extent)
+        world, triangles = clean_mesh(world, triangles, edge, _MIN_COMPONENT, self._config.seed)
+        return capture, make_scene(world, triangles, capture, self._config.vertex_colors)
+
+    def report(self) -> Mapping[str, object]:
+        """The hollows: depth in the capture's unit, and the share of the variance of their pixels that they explain."""
+        return self._report
+
+
+def _described(hollow: Hollow, volume: Volume, extent: float) -> dict[str, object]:
+    return {
+        "depth": round(hollow.depth * volume.spacing * extent, 5),
+        "explained_before": round(hollow.explained_before, 4),
+        "explained": round(hollow.explained, 4),
+        "explained_from_far": round(hollow.explained_from_far, 4),
+        "gain_in_standard_errors": round(hollow.gain, 2),
+    }

@@ -1,0 +1,248 @@
+"""Which openings of a volume are sunk, and how deep: what explains the photographs best decides."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+from scipy.special import stdtrit
+
+from hir_core.mesh.ray_casting import MeshQueries
+from hir_plugins.initializers.hollows.openings import Opening, find_openings, surface_cells
+from hir_plugins.initializers.hollows.photo_prediction import (
+    BlurredPhotograph,
+    Pixels,
+    color_variance,
+    prediction_errors,
+)
+from hir_plugins.initializers.hollows.sunk_volume import reach, sunk, wall_distance
+from hir_plugins.initializers.surface.isosurface import extract_surface
+from hir_plugins.initializers.surface.volume import Volume
+
+HALF_OF_VARIANCE = 0.5
+"""Share of the variance of an opening's pixels that a hollow must explain, as view independence asks of stereo."""
+
+PROMISING = 0.25
+"""That share, before the outline is refined, from which it is."""
+
+DISTANT_DEGREES, THIRD_OF_VARIANCE = 35.0, 1 / 3
+"""Photographs that are this far apart must explain that share: reflections, too, agree between near ones."""
+
+LEAST_DEPTH = 0.45
+"""Of a hollow, as a share of its width (the square root of its area): flatter ones are left to stereo."""
+
+CONFIDENCE = 0.95
+"""That a hollow explains more than the surface before it, by Student's t over photographs."""
+
+LEAST_VIEWS, LEAST_PIXELS, MOST_PIXELS = 6, 12, 80
+"""Photographs that look into an opening; pixels of each."""
+
+MOST_UNKNOWN = 0.25
+
+CANDIDATES = 5
+DEPTHS = 9
+SECTORS = 12
+STEPS = 4, 2, -2, 1, -1
+"""Of the outline in each sector, in voxels, one after the other."""
+
+SAME_SHARE = 0.01
+"""Share of the explained error by which another depth may be worse and counts as equal."""
+
+LIFT = 1.0
+"""In voxels, at which rays to the cameras leave the surface."""
+
+Floats = NDArray[np.floating]
+
+
+@dataclass(frozen=True)
+class Hollow:
+    """An opening, how deep it is sunk, and what that explains."""
+
+    opening: Opening
+    depth: float
+    """In voxels of the search."""
+    wall: Floats
+    """Distance to the outside (X, Y, Z), the opening closed."""
+    explained_before: float
+    explained: float
+    """Share of the variance of the pixels that look into the opening, by all photographs."""
+    explained_from_far: float
+    """By those `DISTANT_DEGREES` apart or more."""
+    gain: float
+    """In standard errors over photographs."""
+    views: int
+    """Photographs that look in."""
+
+    @property
+    def is_confirmed(self) -> bool:
+        """Whether it explains enough, from near and far, is deep enough, and its gain is no noise."""
+        return (
+            self.explained >= HALF_OF_VARIANCE
+            and self.explained_from_far >= THIRD_OF_VARIANCE
+            and self.depth >= LEAST_DEPTH * float(self.opening.region.sum()) ** 0.5
+            and self.gain >= float(stdtrit(self.views - 1, (1 + CONFIDENCE) / 2))
+        )
+
+
+@dataclass(frozen=True)
+class _Window:
+    """The pixels that look into an opening."""
+
+    pixels: dict[int, Pixels]
+    deviations: dict[int, Floats]
+    """Squared deviation of each pixel from the mean of its photograph's."""
+
+    @property
+    def variance(self) -> float:
+        """Mean over photographs."""
+        return float(np.mean([values.mean() for values in self.deviations.values()]))
+
+    def errors(
+        self, surface: MeshQueries, photographs: Sequence[BlurredPhotograph], lift: float, least_degrees: float = 0.0
+    ) -> Floats:
+        """Mean squared error (V,) of each photograph's pixels. Those that nothing predicts do not count, but for more
+        than `MOST_UNKNOWN` of a photograph, which count as unexplained.
+        """
+        found = prediction_errors(self.pixels, surface, photographs, lift, least_degrees)
+        means = []
+        for i, error in found.items():
+            unknown = float(np.isnan(error).mean())
+            excess = max(0.0, unknown - MOST_UNKNOWN)
+            known = error[~np.isnan(error)]
+            least = float(self.deviations[i].mean())
+            means.append((1 - excess) * float(known.mean()) + excess * least if len(known) else least)
+        return np.array(means)
+
+
+def find_hollow(volume: Volume, photographs: Sequence[BlurredPhotograph], seed: int) -> Hollow | None:
+    """The hollow that explains most, or None where no candidate explains enough."""
+    surface = smooth_surface(volume)
+    cells = surface_cells(volume.values > 0)
+    variance, count = color_variance(volume.origin + cells * volume.spacing, surface, photographs, 1.8 * volume.spacing)
+    searches = []
+    for opening in find_openings(volume, cells, variance, count >= 4)[:CANDIDATES]:
+        window = _window(volume, opening.grown(2), photographs, seed)
+        if window is not None:
+            wall = wall_distance(volume.values > 0, opening.grown(sum(step for step in STEPS if step > 0)))
+            before = window.errors(surface, photographs, LIFT * volume.spacing)
+            search = _Search(volume, photographs, window, before, wall)
+            sunk_once = search.best(opening, search.depths(opening)[-1::-2])
+            searches.append((search.saved(sunk_once) * int(opening.region.sum()), search, sunk_once))
+    for saved, search, sunk_once in sorted(searches, key=lambda each: -each[0]):
+        if saved <= 0 or search.explained(sunk_once) < PROMISING:
+            continue
+        hollow = search.hollow(search.refined(sunk_once))
+        if hollow.is_confirmed:
+            return hollow
+    return None
+
+
+def smooth_surface(volume: Volume) -> MeshQueries:
+    """For rays; the steps of voxels are smoothed away."""
+    inside = np.clip(volume.values / volume.spacing, -2, 2)
+    positions, faces = extract_surface(Volume(gaussian_filter(inside, 0.7), volume.origin, volume.spacing))
+    return MeshQueries(positions, faces)
+
+
+def _window(volume: Volume, opening: Opening, photographs: Sequence[BlurredPhotograph], seed: int) -> _Window | None:
+    """None where too few photographs look in."""
+    cells = np.argwhere(opening.region) + opening.corner
+    places = cells @ opening.axes + opening.level * opening.normal
+    points = volume.origin + places * volume.spacing
+    rng = np.random.default_rng(seed)
+    pixels, deviations = {}, {}
+    for i, photograph in enumerate(photographs):
+        if (photograph.camera.center - points.mean(axis=0)) @ opening.normal <= 0:
+            continue
+        column, row, inside = photograph.pixels_of(points)
+        chosen = np.unique(np.stack([column[inside], row[inside]], axis=1), axis=0)
+        chosen = chosen[photograph.valid[chosen[:, 1], chosen[:, 0]]]
+        if len(chosen) < LEAST_PIXELS:
+            continue
+        if len(chosen) > MOST_PIXELS:
+            chosen = chosen[rng.choice(len(chosen), MOST_PIXELS, replace=False)]
+        colors = photograph.colors[chosen[:, 1], chosen[:, 0]].astype(np.float64)
+        pixels[i], deviations[i] = chosen, ((colors - colors.mean(axis=0)) ** 2).sum(axis=1)
+    return _Window(pixels, deviations) if len(pixels) >= LEAST_VIEWS else None
+
+
+@dataclass(frozen=True)
+class _Sunk:
+    """An opening at a depth, and what is left of the errors (V,) of the photographs that look in."""
+
+    opening: Opening
+    depth: float
+    errors: Floats
+
+
+@dataclass(frozen=True)
+class _Search:
+    """Depths and outlines of one opening."""
+
+    volume: Volume
+    photographs: Sequence[BlurredPhotograph]
+    window: _Window
+    before: Floats
+    """Errors (V,) of the volume as it is."""
+    wall: Floats
+    """Distance to the outside (X, Y, Z), the opening closed."""
+
+    def depths(self, opening: Opening) -> list[float]:
+        """To try, in voxels, from shallow to as deep as the volume is."""
+        deepest = max(reach(self.volume.values > 0, opening), 3.0)
+        return [float(depth) for depth in np.unique(np.round(np.geomspace(3, deepest, DEPTHS)))]
+
+    def sunk(self, opening: Opening, depth: float, least_degrees: float = 0.0) -> _Sunk:
+        surface = smooth_surface(sunk(self.volume, self.volume, opening, depth, self.wall))
+        errors = self.window.errors(surface, self.photographs, LIFT * self.volume.spacing, least_degrees)
+        return _Sunk(opening, depth, errors)
+
+    def best(self, opening: Opening, depths: Sequence[float]) -> _Sunk:
+        """At the deepest of the depths that explain the photographs as well as the best one: what no photograph sees is
+        hollow down to the wall.
+        """
+        tried = [self.sunk(opening, depth) for depth in depths]
+        best = min(tried, key=lambda each: each.errors.mean())
+        near = []
+        for each in tried:
+            worse = each.errors - best.errors
+            noise = float(worse.std(ddof=1)) / len(worse) ** 0.5
+            if worse.mean() <= max(noise, SAME_SHARE * self.saved(best)):
+                near.append(each)
+        return max(near, key=lambda each: each.depth)
+
+    def refined(self, found: _Sunk) -> _Sunk:
+        """With an outline that is moved sector by sector, and the depth of that."""
+        sectors = found.opening.sectors(SECTORS)
+        for step in STEPS:
+            for sector in range(SECTORS):
+                moved = self.sunk(found.opening.moved(sectors, [sector], step), found.depth)
+                if moved.errors.mean() < found.errors.mean():
+                    found = moved
+        return self.best(found.opening, self.depths(found.opening))
+
+    def saved(self, found: _Sunk) -> float:
+        """Mean squared error that a hollow explains."""
+        return float((self.before - found.errors).mean())
+
+    def explained(self, found: _Sunk) -> float:
+        """Share of the variance of the pixels."""
+        return 1 - float(found.errors.mean()) / max(self.window.variance, 1e-12)
+
+    def hollow(self, found: _Sunk) -> Hollow:
+        saved = self.before - found.errors
+        noise = float(saved.std(ddof=1)) / len(saved) ** 0.5
+        far = self.sunk(found.opening, found.depth, DISTANT_DEGREES)
+        return Hollow(
+            found.opening,
+            found.depth,
+            self.wall,
+            self.explained(_Sunk(found.opening, 0.0, self.before)),
+            self.explained(found),
+            self.explained(far),
+            float(saved.mean()) / max(noise, 1e-12),
+            len(saved),
+        )

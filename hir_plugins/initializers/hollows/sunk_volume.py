@@ -1,0 +1,59 @@
+"""A volume with an opening sunk into it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.ndimage import distance_transform_edt
+
+from hir_core.capture import Array
+from hir_plugins.initializers.hollows.openings import Flags, Opening
+from hir_plugins.initializers.surface.volume import Volume
+
+WALL = 2.0
+"""Least thickness of what stays, in voxels of the search."""
+
+IN_FRONT = 4.0
+"""Voxels of the search in front of an opening's plane that its columns carve; what is farther ahead stays."""
+
+
+def wall_distance(inside: Flags, opening: Opening) -> Array:
+    """Distance in voxels from each voxel to the outside, where the opening is closed: what its columns have in front of
+    them counts as inside.
+    """
+    closed = inside.copy()
+    outside = np.argwhere(~inside)
+    front = opening.contains(outside) & (outside @ opening.normal > opening.level - 2)
+    closed[tuple(outside[front].T)] = True
+    return np.asarray(distance_transform_edt(np.pad(closed, 1))[1:-1, 1:-1, 1:-1])
+
+
+def reach(inside: Flags, opening: Opening) -> float:
+    """Of the opening's columns into the volume, in voxels."""
+    cells = np.argwhere(inside)
+    cells = cells[opening.contains(cells)]
+    return max(0.0, opening.level - float((cells @ opening.normal).min())) if len(cells) else 0.0
+
+
+def sunk(volume: Volume, search: Volume, opening: Opening, depth: float, wall: Array) -> Volume:
+    """The volume without the columns of an opening down to a depth, but for a wall of `WALL` voxels of the search.
+
+    Opening, depth and wall (X, Y, Z) are in voxels of `search`, which `volume` may sample more finely.
+    """
+    near = np.argwhere(volume.values > -2 * volume.spacing)
+    place = (volume.origin + near * volume.spacing - search.origin) / search.spacing
+    below = opening.level - place @ opening.normal
+    inside = np.minimum(np.minimum(opening.distance(place), depth - below), _sampled(wall, place) - WALL)
+    inside = np.where(below < -IN_FRONT, -1.0, inside)
+    carved = (-inside * search.spacing).astype(np.float32)
+    values = volume.values.copy()
+    values[tuple(near.T)] = np.minimum(values[tuple(near.T)], carved)
+    return replace(volume, values=values)
+
+
+def _sampled(field: Array, place: Array) -> Array:
+    """Trilinear values (N,) of a field (X, Y, Z) at places (N, 3) in its voxels."""
+    from scipy.ndimage import map_coordinates
+
+    return np.asarray(map_coordinates(field, place.T, order=1, mode="nearest"))
