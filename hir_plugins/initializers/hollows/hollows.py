@@ -38,7 +38,7 @@ class Hollows(Initializer):
 
     def __init__(self, config: HollowsOptions) -> None:
         self._config = config
-        self._report: dict[str, object] = {}
+        self._report: dict[str, object] = {"hollows": []}
 
     def initialize(self, capture: Capture, scene: Scene | None, workspace: Path) -> tuple[Capture, Scene | None]:
         """The unchanged capture, and the surface with its hollows. Without a surface `StageError`."""

@@ -113,16 +113,18 @@ def prediction_errors(
     origin, from which on another photograph predicts.
     """
     toward = np.stack([photograph.camera.center for photograph in photographs])
-    toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+    toward /= np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-12)
     degrees = np.degrees(np.arccos(np.clip(toward @ toward.T, -1, 1)))
     owner = np.repeat(list(pixels), [len(chosen) for chosen in pixels.values()])
-    points, own = [], []
+    points, hits, own = [], [], []
     for i, chosen in pixels.items():
         origins, directions = photographs[i].camera.rays(chosen + 0.5)
-        points.append(origins + directions * surface.first_distances(origins, directions)[:, None].astype(np.float64))
+        distance = surface.first_distances(origins, directions).astype(np.float64)
+        reached = np.isfinite(distance)
+        points.append(origins + directions * np.where(reached, distance, 0)[:, None])
+        hits.append(reached)
         own.append(photographs[i].colors[chosen[:, 1], chosen[:, 0]])
-    hit = np.asarray(np.isfinite(np.concatenate(points)).all(axis=1))
-    places = np.where(hit[:, None], np.concatenate(points), 0)
+    places, hit = np.concatenate(points), np.concatenate(hits)
     take = np.array([photographs[i].take for i in owner])
     total, count = np.zeros((len(places), 3)), np.zeros(len(places), np.int64)
     for j, other in enumerate(photographs):

@@ -1,0 +1,227 @@
+"""Openings that no outline shows are sunk where photographs show a hollow, and nowhere else."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from hir_core.capture import Array, Capture
+from hir_core.errors import StageError
+from hir_core.mesh.ray_casting import MeshQueries
+from hir_core.scene import Scene
+from hir_plugins.initializers.hollows.hollows import Hollows
+from hir_plugins.initializers.hollows.openings import Opening, find_openings, surface_cells
+from hir_plugins.initializers.hollows.photo_prediction import (
+    blurred_photographs,
+    color_variance,
+    prediction_errors,
+)
+from hir_plugins.initializers.hollows.sunk_volume import WALL, reach, sunk, wall_distance
+from hir_plugins.initializers.hull.visual_hull import VisualHull
+from hir_plugins.initializers.options import HollowsOptions, VisualHullOptions
+from hir_plugins.initializers.surface.volume import Volume
+from tests.fixtures.silhouette_captures import dome, make_view
+from tests.hir_plugins.initializers.test_stereo import rays_of
+
+SIDE = 80
+Paint = Callable[[Array, Array], Array]
+"""Points and directions toward the camera, both (N, 3) → brightness (N,)."""
+
+
+def cup() -> trimesh.Trimesh:
+    """A cup of radius 0.6 and height 1.2 that opens upwards, with walls of 0.1."""
+    outer = trimesh.creation.annulus(0.5, 0.6, 1.2, sections=64)
+    floor = trimesh.creation.cylinder(0.55, 0.1, sections=64)
+    floor.apply_translation([0, 0, -0.55])
+    whole = trimesh.util.concatenate([outer, floor])
+    whole.apply_transform(trimesh.transformations.rotation_matrix(-np.pi / 2, [1, 0, 0]))
+    return whole
+
+
+def block() -> trimesh.Trimesh:
+    return trimesh.creation.cylinder(
+        0.6, 1.2, sections=64, transform=trimesh.transformations.rotation_matrix(-np.pi / 2, [1, 0, 0])
+    )
+
+
+def waves(vectors: Array, count: int = 24, scale: float = 7.0) -> Array:
+    rng = np.random.default_rng(3)
+    waves, phases = rng.normal(scale=scale, size=(count, 3)), rng.uniform(0, 2 * np.pi, count)
+    return np.clip(0.4 + 0.06 * np.cos(vectors @ waves.T + phases).sum(axis=1), 0.02, 0.95)
+
+
+def painted(points: Array, toward: Array) -> Array:
+    del toward
+    return waves(points)
+
+
+def photographed(mesh: trimesh.Trimesh, paint: Paint, count: int = 24, take: str = "") -> Capture:
+    queries = MeshQueries(np.asarray(mesh.vertices), np.asarray(mesh.faces))
+    views = []
+    for i, camera in enumerate(dome(count, 3.0, np.zeros(3), 1.6 * SIDE, SIDE)):
+        origins, directions = rays_of(camera)
+        distance = queries.first_distances(origins, directions).astype(np.float64)
+        hit = np.isfinite(distance)
+        points = origins + directions * np.where(hit, distance, 0)[:, None]
+        value = np.where(hit, paint(points, -directions), 0).reshape(SIDE, SIDE, 1)
+        color = np.repeat(value, 3, axis=2).astype(np.float32)
+        views.append(make_view(f"{take}{i}", camera, hit.reshape(SIDE, SIDE).astype(np.float32), color))
+    return Capture(Path("made-in-memory"), tuple(replace(view, take=take) for view in views))
+
+
+def hull_of(capture: Capture) -> Scene:
+    hull = VisualHull(VisualHullOptions(max_resolution=64, vertex_colors=False))
+    _, scene = hull.initialize(capture, None, Path("unused"))
+    assert scene is not None
+    return scene
+
+
+def hollowed(capture: Capture, scene: Scene) -> tuple[Scene, list[dict[str, float]]]:
+    initializer = Hollows(HollowsOptions(vertex_colors=False, max_hollows=1))
+    same, found = initializer.initialize(capture, scene, Path("unused"))
+    assert same is capture and found is not None
+    described = initializer.report()["hollows"]
+    assert isinstance(described, list)
+    return found, described
+
+
+def height_inside(scene: Scene) -> float:
+    """Of the surface under the middle of the opening."""
+    queries = MeshQueries(scene.mesh.positions.double().numpy(), scene.mesh.faces.numpy())
+    down = np.array([[0.0, -1.0, 0.0]])
+    return 2.0 - float(queries.first_distances(np.array([[0.0, 2.0, 0.0]]), down)[0])
+
+
+def test_a_cup_is_hollow() -> None:
+    capture = photographed(cup(), painted)
+    hull = hull_of(capture)
+    assert height_inside(hull) > 0.45
+    scene, hollows = hollowed(capture, hull)
+    assert hollows[0]["explained"] > 0.6 > 0.2 > hollows[0]["explained_before"]
+    assert height_inside(scene) < -0.3, "the floor is at -0.5"
+    queries = MeshQueries(np.asarray(cup().vertices), np.asarray(cup().faces))
+    new = MeshQueries(scene.mesh.positions.double().numpy(), scene.mesh.faces.numpy())
+    angle = np.linspace(0, 2 * np.pi, 32, endpoint=False)
+    ring = np.stack([np.cos(angle), np.zeros(32), np.sin(angle)], axis=1)
+    assert (new.signed_distance(0.36 * ring) > 0).mean() > 0.9, "0.14 inside the wall"
+    assert (new.signed_distance(0.56 * ring) < 0).mean() > 0.9, "the wall stays"
+    assert queries.nearest(scene.mesh.positions.double().numpy())[0].mean() < 0.04
+
+
+@pytest.mark.parametrize("paint", ["painted", "mirror"])
+def test_what_is_solid_stays_as_it_is(paint: str) -> None:
+    def reflected(points: Array, toward: Array) -> Array:
+        normals = points * [1, 0, 1]
+        lid = np.abs(points[:, 1]) > 0.599
+        normals[lid] = np.sign(points[lid]) * [0, 1, 0]
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+        return waves(2 * (normals * toward).sum(axis=1, keepdims=True) * normals - toward, scale=4)
+
+    capture = photographed(block(), painted if paint == "painted" else reflected)
+    hull = hull_of(capture)
+    scene, hollows = hollowed(capture, hull)
+    assert scene is hull and hollows == []
+
+
+def test_a_surface_is_needed_and_nothing_may_be_asked_for() -> None:
+    capture = photographed(block(), painted, count=8)
+    with pytest.raises(StageError, match="visual_hull"):
+        Hollows(HollowsOptions()).initialize(capture, None, Path("unused"))
+    hull = hull_of(capture)
+    initializer = Hollows(HollowsOptions(max_hollows=0))
+    assert initializer.initialize(capture, hull, Path("unused"))[1] is hull
+    assert initializer.report() == {"hollows": []}
+
+
+def test_the_true_surface_predicts_photographs_and_a_lid_does_not() -> None:
+    capture = photographed(cup(), painted)
+    photographs = blurred_photographs(capture, 0.02)
+    true, lid = (MeshQueries(np.asarray(mesh.vertices), np.asarray(mesh.faces)) for mesh in (cup(), block()))
+    above = max(range(24), key=lambda i: photographs[i].camera.center[1])
+    pixels = {above: np.argwhere(photographs[above].valid)[::7, ::-1]}
+    errors = {
+        name: prediction_errors(pixels, queries, photographs, 0.02)[above]
+        for name, queries in (("true", true), ("lid", lid))
+    }
+    assert np.nanmedian(errors["true"]) < 1e-3 < 8 * np.nanmedian(errors["true"]) < np.nanmedian(errors["lid"])
+    # another light says nothing about this one's photographs
+    alone = [replace(photograph, take=i) for i, photograph in enumerate(photographs)]
+    assert np.isnan(prediction_errors(pixels, true, alone, 0.02)[above]).all()
+    # nobody looks from more than half a turn away
+    assert np.isnan(prediction_errors(pixels, true, photographs, 0.02, 180.0)[above]).all()
+
+
+def test_variance_is_pooled_within_takes() -> None:
+    first = photographed(block(), painted, take="a")
+    darker = photographed(block(), lambda points, toward: 0.5 * painted(points, toward), take="b")
+    capture = replace(first, views=first.views + darker.views)
+    queries = MeshQueries(np.asarray(block().vertices), np.asarray(block().faces))
+    points, _ = trimesh.sample.sample_surface(block(), 500, seed=1)
+    together, count = color_variance(np.asarray(points), queries, blurred_photographs(capture, 0.02), 0.03)
+    one, half = color_variance(np.asarray(points), queries, blurred_photographs(first, 0.02), 0.03)
+    seen = half >= 4
+    assert seen.mean() > 0.9 and (count[seen] == 2 * half[seen]).all()
+    assert np.isfinite(together).all() and np.median(together[seen]) < 2 * np.median(one[seen])
+
+
+def solid() -> Volume:
+    """A box of 24 × 20 × 24 voxels in one of 32³."""
+    place = np.stack(np.meshgrid(*[np.arange(32.0)] * 3, indexing="ij"), axis=-1)
+    inside = np.minimum(place - [4, 6, 4], [27, 25, 27] - place).min(axis=-1) + 0.5
+    return Volume(np.clip(inside, -4, 4).astype(np.float32) * 0.1, np.array([1.0, 2.0, 3.0]), 0.1)
+
+
+def lid_of_the_box(half: int) -> Opening:
+    region = np.zeros((40, 40), bool)
+    region[20 - half : 20 + half + 1, 20 - half : 20 + half + 1] = True
+    axes = np.array([[1.0, 0, 0], [0, 0, 1.0]])
+    return Opening(axes, np.array([0.0, 1.0, 0.0]), 25.0, np.array([15.5 - 20, 15.5 - 20]), region)
+
+
+def test_a_sunk_opening_is_a_well_with_walls() -> None:
+    volume, opening = solid(), lid_of_the_box(6)
+    wall = wall_distance(volume.values > 0, opening)
+    assert reach(volume.values > 0, opening) == 19
+    shallow, deep = (sunk(volume, volume, opening, depth, wall) for depth in (8.0, 100.0))
+    assert (shallow.values <= volume.values).all() and (deep.values <= shallow.values).all()
+    middle = shallow.values[15, :, 15]
+    assert (middle[18:26] < 0).all() and (middle[7:17] > 0).all()
+    bottom = np.flatnonzero(deep.values[15, :, 15] > 0)
+    assert bottom.tolist() == list(range(6, 6 + len(bottom))) and WALL - 1 <= len(bottom) <= WALL + 1
+    assert (deep.values[5:9, 15, 15] > 0).all(), "the columns beside the opening stay"
+    fine = Volume(volume.values.repeat(2, 0).repeat(2, 1).repeat(2, 2), volume.origin - 0.025, 0.05)
+    carved = sunk(fine, volume, opening, 8.0, wall)
+    assert (carved.values[30, 38:50, 30] < 0).all() and (carved.values[30, 16:32, 30] > 0).all()
+
+
+def test_outlines_move_sector_by_sector() -> None:
+    opening = lid_of_the_box(6)
+    sectors = opening.sectors(12)
+    assert set(sectors[opening.region]) == set(range(12))
+    larger = opening.moved(sectors, [3], 2)
+    changed = larger.region & ~opening.region
+    assert changed.any() and (sectors[changed] == 3).all()
+    assert not (opening.moved(sectors, [3], -2).region & ~opening.region).any()
+    grown = opening.grown(3)
+    points = np.argwhere(np.ones((32, 1, 32))).astype(float)
+    assert (grown.contains(points) >= opening.contains(points)).all()
+    distance = opening.distance(points)
+    clear = np.abs(distance) > 0.6
+    assert clear.mean() > 0.9 and ((distance > 0) == opening.contains(points))[clear].all()
+
+
+def test_openings_are_flat_parts_of_high_variance() -> None:
+    volume = solid()
+    cells = surface_cells(volume.values > 0)
+    lid = (cells[:, 1] == 25) & (np.abs(cells[:, [0, 2]] - 15.5) < 7).all(axis=1)
+    known = np.ones(len(cells), bool)
+    openings = find_openings(volume, cells, np.where(lid, 1.0, 0.01), known)
+    nearest = min(openings, key=lambda opening: abs(int(opening.region.sum()) - int(lid.sum())))
+    assert nearest.normal @ [0, 1, 0] > 0.99 and abs(nearest.level - 25) < 0.6
+    assert nearest.region.sum() == pytest.approx(lid.sum(), rel=0.35)
+    assert find_openings(volume, cells, np.zeros(len(cells)), np.zeros(len(cells), bool)) == []
