@@ -1,11 +1,12 @@
-"""Meshes of the default chain and of the one before it, against true meshes.
+"""Meshes of the default chain and of those before it, against true meshes.
 
     python -m benchmarks.mesh_chains CAPTURE… --store benchmarks/results/mesh_chains.jsonl
     python -m benchmarks.mesh_chains --table benchmarks/results/mesh_chains.jsonl
 
-`former` is the visual hull, fitted at two levels with final edges of four pixels. `default` is what `hir reconstruct`
-does: hull and stereo, then the geometry stage. Captures come from `python -m benchmarks.shape make`. Each row is stored
-with commit, date, machine and processor seconds; a row that is stored already is not measured again.
+`former` is the visual hull, fitted at two levels with final edges of four pixels. `stereo` is hull and stereo, then the
+geometry stage. `default` is what `hir reconstruct` does: hull, hollows and stereo, then the geometry stage. Captures
+come from `python -m benchmarks.shape make`. Each row is stored with commit, date, machine and processor seconds; a row
+that is stored already is not measured again.
 """
 
 from __future__ import annotations
@@ -34,7 +35,11 @@ from hir_core.scene import Scene
 from hir_core.stages.geometry.geometry_fit import fit_geometry
 from hir_plugins.commands.bench.inputs.bench_captures import decode_images, true_mesh
 
-CHAINS = {"former": ("visual_hull",), "default": ("visual_hull", "stereo")}
+CHAINS = {
+    "former": ("visual_hull",),
+    "stereo": ("visual_hull", "stereo"),
+    "default": ("visual_hull", "hollows", "stereo"),
+}
 FORMER_EDGE_PIXELS, FORMER_LEVELS = 4.0, 2
 
 
@@ -44,7 +49,7 @@ def measured(path: Path, method: str, seed: int, plugins: PluginManager) -> dict
     truth = true_mesh(path, capture)
     assert truth is not None, f"{path} has no reference.obj"
     began = time.process_time()
-    mesh, report = _fitted(capture, method, seed, plugins)
+    mesh, reports = _fitted(capture, method, seed, plugins)
     seconds = time.process_time() - began
     arrays = (mesh.mesh.positions.detach().numpy().astype(np.float64), mesh.mesh.faces.numpy())
     figures, state, true_state = (
@@ -65,7 +70,7 @@ def measured(path: Path, method: str, seed: int, plugins: PluginManager) -> dict
         "self_intersecting": state.self_intersecting,
         "triangles": len(arrays[1]),
         "cpu_seconds": round(seconds, 1),
-        "stereo": report,
+        "reports": reports,
         "commit": source_commit(),
         "date": datetime.now(UTC).date().isoformat(),
         "machine": describe_machine("cpu"),
@@ -74,14 +79,14 @@ def measured(path: Path, method: str, seed: int, plugins: PluginManager) -> dict
 
 def _fitted(capture: Capture, method: str, seed: int, plugins: PluginManager) -> tuple[Scene, dict[str, Any]]:
     scene: Scene | None = None
-    report: dict[str, Any] = {}
+    reports: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as folder:
         workspace = Path(folder)
         (workspace / "checkpoints").mkdir()
         for name in CHAINS[method]:
             initializer = plugins.create("initializer", name, {"vertex_colors": False}, seed)
             _, scene = initializer.initialize(capture, scene, workspace)
-            report = dict(initializer.report()) if name == "stereo" else {}
+            reports[name] = dict(initializer.report())
         assert scene is not None
         settings = load_config(plugins).geometry
         context = StageContext(plugins, workspace, seed=seed)
@@ -90,32 +95,32 @@ def _fitted(capture: Capture, method: str, seed: int, plugins: PluginManager) ->
                 fitted, _ = fit_geometry(scene, capture, replace(settings, levels=FORMER_LEVELS), context)
         else:
             fitted, _ = fit_geometry(scene, capture, settings, context)
-    return fitted.scene, {key: report[key] for key in ("confirmed_share", "explained_share") if key in report}
+    return fitted.scene, {name: reports[name] for name in ("hollows", "stereo") if name in reports}
 
 
 def table(rows: Sequence[Mapping[str, Any]]) -> str:
     """A Markdown table of stored rows, one line a capture; several seeds as mean ± standard deviation."""
     lines = [
-        "| half | capture | Chamfer, former → default | normals, ° | genus (true) | CPU s |",
+        "| half | capture | Chamfer, former → stereo → default | normals, ° | genus (true) | CPU s |",
         "|---|---|---|---|---|---|",
     ]
     for half, name in sorted({(row["half"], row["capture"]) for row in rows}):
         both = [[r for r in rows if r["capture"] == name and r["method"] == method] for method in CHAINS]
-        if not all(both):
-            continue
 
         def pair(key: str, form: str, both: list[list[dict[str, Any]]] = both) -> str:
             return " → ".join(_mean_and_deviation([row[key] for row in part], form) for part in both)
 
-        genus = " → ".join("/".join(sorted({str(row["genus"]) for row in part})) for part in both)
+        genus = " → ".join("/".join(sorted({str(row["genus"]) for row in part})) or "–" for part in both)
         lines.append(
             f"| {half} | {name} | {pair('chamfer', '.4f')} | {pair('normals_deg', '.1f')} | "
-            f"{genus} ({both[0][0]['true_genus']}) | {pair('cpu_seconds', '.0f')} |"
+            f"{genus} ({next(row for part in both for row in part)['true_genus']}) | {pair('cpu_seconds', '.0f')} |"
         )
     return "\n".join(lines)
 
 
 def _mean_and_deviation(values: list[float], form: str) -> str:
+    if not values:
+        return "–"
     mean = format(float(np.mean(values)), form)
     return mean if len(values) < 2 else f"{mean} ± {format(float(np.std(values, ddof=1)), form)}"
 

@@ -264,8 +264,8 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
             cells.append(f"{one} → {two}" + (f" ({estimated})" if "estimated" in figures else ""))
         lines.append(f"| {recipe} | {side} | {seed} | " + " | ".join(cells) + " |")
     if gains:
-        mean, spread = np.mean(gains, axis=0), np.std(gains, axis=0)
-        cells = [f"{m:+.2f} ± {s:.2f}" for m, s in zip(mean, spread, strict=True)]
+        mean, deviation = np.mean(gains, axis=0), np.std(gains, axis=0)
+        cells = [f"{m:+.2f} ± {s:.2f}" for m, s in zip(mean, deviation, strict=True)]
         lines.append("| two − one | | | " + " | ".join(cells) + " |")
     return "\n".join(lines)
 

@@ -124,12 +124,12 @@ def prediction_errors(
         points.append(origins + directions * np.where(reached, distance, 0)[:, None])
         hits.append(reached)
         own.append(photographs[i].colors[chosen[:, 1], chosen[:, 0]])
-    places, hit = np.concatenate(points), np.concatenate(hits)
+    positions, hit = np.concatenate(points), np.concatenate(hits)
     take = np.array([photographs[i].take for i in owner])
-    total, count = np.zeros((len(places), 3)), np.zeros(len(places), np.int64)
+    total, count = np.zeros((len(positions), 3)), np.zeros(len(positions), np.int64)
     for j, other in enumerate(photographs):
         asked = np.flatnonzero(hit & (owner != j) & (take == other.take) & (degrees[owner, j] >= least_degrees))
-        index, colors = other.seen(places[asked], surface, lift)
+        index, colors = other.seen(positions[asked], surface, lift)
         total[asked[index]] += colors
         count[asked[index]] += 1
     error = ((total / np.maximum(count, 1)[:, None] - np.concatenate(own)) ** 2).sum(axis=1)

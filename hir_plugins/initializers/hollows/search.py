@@ -126,7 +126,7 @@ def find_hollow(volume: Volume, photographs: Sequence[BlurredPhotograph], seed: 
     for opening in find_openings(volume, cells, variance, count >= 4)[:CANDIDATES]:
         window = _window(volume, opening.grown(2), photographs, seed)
         if window is not None:
-            wall = wall_distance(volume.values > 0, opening.grown(sum(step for step in STEPS if step > 0)))
+            wall = wall_distance(volume.values > 0, opening.grown(max(STEPS)))
             before = window.errors(surface, photographs, LIFT * volume.spacing)
             search = _Search(volume, photographs, window, before, wall)
             sunk_once = search.best(opening, search.depths(opening)[-1::-2])
@@ -150,8 +150,8 @@ def smooth_surface(volume: Volume) -> MeshQueries:
 def _window(volume: Volume, opening: Opening, photographs: Sequence[BlurredPhotograph], seed: int) -> _Window | None:
     """None where too few photographs look in."""
     cells = np.argwhere(opening.region) + opening.corner
-    places = cells @ opening.axes + opening.level * opening.normal
-    points = volume.origin + places * volume.spacing
+    positions = cells @ opening.axes + opening.level * opening.normal
+    points = volume.origin + positions * volume.spacing
     rng = np.random.default_rng(seed)
     pixels, deviations = {}, {}
     for i, photograph in enumerate(photographs):
