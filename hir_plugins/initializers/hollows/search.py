@@ -44,6 +44,9 @@ MOST_UNKNOWN = 0.25
 
 CANDIDATES = 5
 DEPTHS = 9
+WINDOW_MARGIN = 3
+"""Voxels around an opening whose pixels are looked at, too."""
+
 SECTORS = 12
 STEPS = 4, 2, -2, 1, -1
 """Of the outline in each sector, in voxels, one after the other."""
@@ -124,20 +127,33 @@ def find_hollow(volume: Volume, photographs: Sequence[BlurredPhotograph], seed: 
     variance, count = color_variance(volume.origin + cells * volume.spacing, surface, photographs, 1.8 * volume.spacing)
     searches = []
     for opening in find_openings(volume, cells, variance, count >= 4)[:CANDIDATES]:
-        window = _window(volume, opening.grown(2), photographs, seed)
-        if window is not None:
-            wall = wall_distance(volume.values > 0, opening.grown(max(STEPS)))
-            before = window.errors(surface, photographs, LIFT * volume.spacing)
-            search = _Search(volume, photographs, window, before, wall)
+        search = _search(volume, surface, opening, photographs, seed)
+        if search is not None:
             sunk_once = search.best(opening, search.depths(opening)[-1::-2])
             searches.append((search.saved(sunk_once) * int(opening.region.sum()), search, sunk_once))
     for saved, search, sunk_once in sorted(searches, key=lambda each: -each[0]):
         if saved <= 0 or search.explained(sunk_once) < PROMISING:
             continue
-        hollow = search.hollow(search.refined(sunk_once))
+        found = search.refined(sunk_once)
+        # the window of a first outline that was too small does not show how much larger it is
+        wider = _search(volume, surface, found.opening, photographs, seed)
+        if wider is not None:
+            search, found = wider, wider.refined(wider.sunk(found.opening, found.depth))
+        hollow = search.hollow(found)
         if hollow.is_confirmed:
             return hollow
     return None
+
+
+def _search(
+    volume: Volume, surface: MeshQueries, opening: Opening, photographs: Sequence[BlurredPhotograph], seed: int
+) -> _Search | None:
+    """None where too few photographs look in. `surface` is that of the volume."""
+    window = _window(volume, opening.grown(WINDOW_MARGIN), photographs, seed)
+    if window is None:
+        return None
+    wall = wall_distance(volume.values > 0, opening.grown(max(STEPS)))
+    return _Search(volume, photographs, window, window.errors(surface, photographs, LIFT * volume.spacing), wall)
 
 
 def smooth_surface(volume: Volume) -> MeshQueries:
