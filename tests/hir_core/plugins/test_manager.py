@@ -428,6 +428,7 @@ def test_every_seed_of_a_built_in_component_is_by_default_that_of_the_run() -> N
         "camera_refinement",
         "colmap",
         "grabcut",
+        "hollows",
         "mesh_file",
         "poisson",
         "sensor_depth",
