@@ -41,9 +41,11 @@ LEAST_VIEWS, LEAST_PIXELS, MOST_PIXELS = 6, 12, 80
 """Photographs that look into an opening; pixels of each."""
 
 MOST_UNKNOWN = 0.25
+"""Share of a photograph's pixels that no other photograph need predict: few look at the floor of a deep well."""
 
-CANDIDATES = 5
-DEPTHS = 9
+CANDIDATES, DEPTHS = 5, 9
+"""Openings that are tried, and depths of each."""
+
 WINDOW_MARGIN = 3
 """Voxels around an opening whose pixels are looked at, too."""
 
@@ -121,7 +123,9 @@ class _Window:
 
 
 def find_hollow(volume: Volume, photographs: Sequence[BlurredPhotograph], seed: int) -> Hollow | None:
-    """The hollow that explains most, or None where no candidate explains enough."""
+    """The hollow that explains most; None where no candidate explains enough, or the object is thinner than a voxel."""
+    if not (volume.values > 0).any():
+        return None
     surface = smooth_surface(volume)
     cells = surface_cells(volume.values > 0)
     variance, count = color_variance(volume.origin + cells * volume.spacing, surface, photographs, 1.8 * volume.spacing)
@@ -157,10 +161,11 @@ def _search(
 
 
 def smooth_surface(volume: Volume) -> MeshQueries:
-    """For rays; the steps of voxels are smoothed away."""
+    """For rays; the steps of voxels are smoothed away, where that leaves anything."""
     inside = np.clip(volume.values / volume.spacing, -2, 2)
-    positions, faces = extract_surface(Volume(gaussian_filter(inside, 0.7), volume.origin, volume.spacing))
-    return MeshQueries(positions, faces)
+    smoothed = gaussian_filter(inside, 0.7)
+    values = (smoothed if smoothed.max() > 0.02 else inside) * volume.spacing
+    return MeshQueries(*extract_surface(Volume(values, volume.origin, volume.spacing)))
 
 
 def _window(volume: Volume, opening: Opening, photographs: Sequence[BlurredPhotograph], seed: int) -> _Window | None:

@@ -21,6 +21,7 @@ from hir_plugins.initializers.hollows.photo_prediction import (
     color_variance,
     prediction_errors,
 )
+from hir_plugins.initializers.hollows.search import find_hollow
 from hir_plugins.initializers.hollows.sunk_volume import WALL, reach, sunk, wall_distance
 from hir_plugins.initializers.hull.visual_hull import VisualHull
 from hir_plugins.initializers.options import HollowsOptions, VisualHullOptions
@@ -197,6 +198,14 @@ def test_a_sunk_opening_is_a_well_with_walls() -> None:
     fine = Volume(volume.values.repeat(2, 0).repeat(2, 1).repeat(2, 2), volume.origin - 0.025, 0.05)
     carved = sunk(fine, volume, opening, 8.0, wall)
     assert (carved.values[30, 38:50, 30] < 0).all() and (carved.values[30, 16:32, 30] > 0).all()
+
+
+@pytest.mark.parametrize("thickness", [0, 1, 2])
+def test_what_is_thin_has_no_hollow(thickness: int) -> None:
+    values = np.full((32, 32, 32), -0.3, np.float32)
+    values[4:28, 15 : 15 + thickness, 4:28] = 0.02
+    photographs = blurred_photographs(photographed(block(), painted, count=8), 0.02)
+    assert find_hollow(Volume(values, np.full(3, -1.55), 0.1), photographs, 0) is None
 
 
 def test_outlines_move_sector_by_sector() -> None:
