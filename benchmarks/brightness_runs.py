@@ -141,7 +141,7 @@ def _mean_distance(centers: Sequence[Any]) -> float:
 def table(rows: Sequence[dict[str, Any]]) -> str:
     """Markdown: one run a line; relit figures over the frame, as they are and scaled, the mean of both lights."""
     lines = [
-        "| case | object | seed | unseen, frame / object | relit | relit, scaled | size | exposures | light | model | commit |",
+        "| case | object | seed | unseen (object) | relit | scaled | size | exposures | light | model | commit |",
         "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     for row in sorted(rows, key=lambda each: (CASES.index(each["case"]), each["recipe"], each["seed"])):
@@ -151,7 +151,7 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
         ]
         size = "–" if row["size_error"] is None else f"{100 * row['size_error']:+.2f} %"
         cells = [row["case"], row["recipe"], str(row["seed"])]
-        cells += [f"{row['unseen']['frame']:.1f} / {row['unseen']['object']:.1f}", *relit, size]
+        cells += [f"{row['unseen']['frame']:.1f} ({row['unseen']['object']:.1f})", *relit, size]
         cells += [row["exposures"] or "equal", row["light_frame"], row["model"], row["commit"][:7]]
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines)
