@@ -27,7 +27,7 @@ import numpy as np
 from benchmarks.card_capture import MARKER_SIDE
 from benchmarks.hir_command import hir
 from benchmarks.materials.recipes import Recipe, recipes
-from benchmarks.stored_rows import add_rows, stored_rows
+from benchmarks.stored_rows import add_rows, add_run_options, stored_rows
 from hir_core.run.capture_store import read_cameras
 from hir_core.run.machine import source_commit
 from hir_core.run.run_directory import RunDirectory
@@ -41,12 +41,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("case", nargs="?", choices=CASES)
     parser.add_argument("recipes", nargs="*", choices=[*(each.name for each in recipes()), []], metavar="RECIPE")
-    parser.add_argument("--workspace", type=Path, help="folder for captures and runs")
-    parser.add_argument("--seeds", type=int, nargs="+", default=[0])
-    parser.add_argument("--store", type=Path, default=Path("brightness_runs.jsonl"), help="file of stored lines")
-    parser.add_argument("--make-only", action="store_true", help="render captures, run nothing")
-    parser.add_argument("--variant", default="llvm_ad_rgb", help="Mitsuba's variant")
-    parser.add_argument("--table", type=Path, metavar="FILE", help="print the table of stored lines, measure nothing")
+    add_run_options(parser, Path("brightness_runs.jsonl"))
     given = parser.parse_args()
     if given.table is not None:
         print(table(stored_rows(given.table)))

@@ -27,7 +27,7 @@ from hir_core.capture import Array, Capture
 from hir_core.intake.reader_lookup import read_capture
 from hir_core.plugins.manager import PluginManager
 from hir_core.scene import Scene
-from hir_plugins.initializers.stereo.stereo_photographs import SweptSurface
+from hir_plugins.initializers.surface.swept_surface import SweptSurface
 
 Mesh = tuple[Array, NDArray[np.int64]]
 

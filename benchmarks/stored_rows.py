@@ -29,6 +29,16 @@ def study_arguments(
     return options
 
 
+def add_run_options(parser: argparse.ArgumentParser, store: Path) -> None:
+    """Options of a benchmark that renders captures and stores a line for each whole run."""
+    parser.add_argument("--workspace", type=Path, help="folder for captures and runs")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0])
+    parser.add_argument("--store", type=Path, default=store, help="file of stored lines")
+    parser.add_argument("--make-only", action="store_true", help="render captures, run nothing")
+    parser.add_argument("--variant", default="llvm_ad_rgb", help="Mitsuba's variant")
+    parser.add_argument("--table", type=Path, metavar="FILE", help="print the table of stored lines, measure nothing")
+
+
 def stored_rows(store: Path) -> list[dict[str, Any]]:
     """All lines of a file; none where there is no file."""
     return [json.loads(line) for line in store.read_text(encoding="utf-8").splitlines()] if store.exists() else []

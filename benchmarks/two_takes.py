@@ -40,7 +40,7 @@ from benchmarks.materials.render import (
     write_truth,
 )
 from benchmarks.materials.shapes import make_shape
-from benchmarks.stored_rows import add_rows, stored_rows
+from benchmarks.stored_rows import add_rows, add_run_options, stored_rows
 from hir_core.evaluation.truth_evaluation import true_mesh
 from hir_core.mesh.ray_casting import MeshQueries
 from hir_core.metrics.surface_metrics import sample_surface
@@ -71,14 +71,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     world = [each.name for each in recipes() if LIGHTS[each.light].frame == "world"]
     parser.add_argument("recipes", nargs="*", choices=[*world, []], metavar="RECIPE")
-    parser.add_argument("--workspace", type=Path, help="folder for captures and runs")
-    parser.add_argument("--seeds", type=int, nargs="+", default=[0])
     parser.add_argument("--side", type=int, default=SIDE, help="pixels of a photograph")
     parser.add_argument("--runs", nargs="+", choices=RUNS, default=["one", "two"])
-    parser.add_argument("--make-only", action="store_true", help="render captures, run nothing")
-    parser.add_argument("--store", type=Path, default=Path("two_takes.jsonl"), help="file of stored lines")
-    parser.add_argument("--variant", default="llvm_ad_rgb", help="Mitsuba's variant")
-    parser.add_argument("--table", type=Path, metavar="FILE", help="print the table of stored lines, measure nothing")
+    add_run_options(parser, Path("two_takes.jsonl"))
     given = parser.parse_args()
     if given.table is not None:
         print(table(stored_rows(given.table)))

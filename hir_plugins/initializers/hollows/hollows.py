@@ -16,11 +16,10 @@ from hir_plugins.initializers.hollows.photo_prediction import blurred_photograph
 from hir_plugins.initializers.hollows.search import Hollow, find_hollow
 from hir_plugins.initializers.hollows.sunk_volume import sunk
 from hir_plugins.initializers.options import HollowsOptions
-from hir_plugins.initializers.stereo.depth_fusion import signed_distance_volume
-from hir_plugins.initializers.stereo.stereo_photographs import SweptSurface
 from hir_plugins.initializers.surface.initial_scene import make_scene
 from hir_plugins.initializers.surface.isosurface import extract_surface, keep_large_components
 from hir_plugins.initializers.surface.mesh_cleaning import clean_mesh, edge_length, pixel_size
+from hir_plugins.initializers.surface.swept_surface import SweptSurface, signed_distance_volume
 from hir_plugins.initializers.surface.volume import Volume
 
 SEARCH_VOXELS = 64

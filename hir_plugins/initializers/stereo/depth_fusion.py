@@ -9,12 +9,10 @@ from itertools import chain
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, gaussian_filter, label, zoom
+from scipy.ndimage import gaussian_filter, zoom
 from torch import Tensor
 
-from hir_core.capture import Array
 from hir_plugins.initializers.stereo.depth_consistency import DepthMap
-from hir_plugins.initializers.stereo.stereo_photographs import SweptSurface
 from hir_plugins.initializers.stereo.surface_sweep import SweptView, correlations, texture_confidence
 from hir_plugins.initializers.surface.volume import Volume
 
@@ -35,30 +33,6 @@ _CARVED_SHARE = 0.02
 
 _MIN_CORRELATION_GAIN = 0.02
 """Gain in correlation at which half of a carving is kept."""
-
-
-def signed_distance_volume(surface: SweptSurface, positions: Array, spacing: float) -> Volume:
-    """Signed distances of a closed surface, positive inside, exact within two voxels and truncated beyond."""
-    low, high = positions.min(axis=0) - 3 * spacing, positions.max(axis=0) + 3 * spacing
-    size = np.ceil((high - low) / spacing).astype(int) + 1
-    band = np.zeros(size, dtype=bool)
-    cells = np.rint((positions - low) / spacing).astype(int)
-    band[tuple(np.clip(cells, 0, size - 1).T)] = True
-    band = binary_dilation(band, np.ones((3, 3, 3)), iterations=2)
-    values = np.zeros(size, dtype=np.float32)
-    index = np.argwhere(band)
-    values[band] = surface.signed_distance(low + index * spacing)
-    # each region that the band separates is inside or outside as a whole
-    regions, _ = label(~band)
-    firsts = np.unique(regions.reshape(-1), return_index=True)
-    for number, first in zip(*firsts, strict=True):
-        if number:
-            position = low + np.array(np.unravel_index(first, size)) * spacing
-            values[regions == number] = np.sign(surface.signed_distance(position[None])[0]) * 4 * spacing
-    for axis in range(3):
-        side = np.moveaxis(values, axis, 0)
-        side[[0, -1]] = np.minimum(side[[0, -1]], -spacing)
-    return Volume(np.clip(values, -4 * spacing, 4 * spacing), low, spacing)
 
 
 def carve_depths(

@@ -24,13 +24,11 @@ from hir_plugins.initializers.stereo.depth_consistency import DepthMap, consiste
 from hir_plugins.initializers.stereo.depth_fusion import (
     VerifiedCarving,
     carve_depths,
-    signed_distance_volume,
     smoothed_carving,
     verify_carving,
 )
 from hir_plugins.initializers.stereo.patch_match import patch_match, patch_match_available
 from hir_plugins.initializers.stereo.stereo_photographs import (
-    SweptSurface,
     choose_neighbours,
     crop_to_object,
     evenly_distributed_views,
@@ -42,6 +40,7 @@ from hir_plugins.initializers.surface.initial_scene import make_scene
 from hir_plugins.initializers.surface.isosurface import extract_surface, keep_large_components
 from hir_plugins.initializers.surface.mesh_cleaning import clean_mesh, edge_length, pixel_size
 from hir_plugins.initializers.surface.object_bounds import object_bounding_sphere
+from hir_plugins.initializers.surface.swept_surface import SweptSurface, signed_distance_volume
 from hir_plugins.initializers.surface.volume import Volume
 
 _REFINEMENT_STEPS = (12, 6)

@@ -11,8 +11,8 @@ from hir_exporters.conventions import linear_to_srgb
 from numpy.typing import NDArray
 
 from hir_core.capture import Array, Camera, View
-from hir_core.mesh.ray_casting import MeshQueries
 from hir_plugins.initializers.stereo.surface_sweep import SweptView
+from hir_plugins.initializers.surface.swept_surface import SweptSurface
 
 _CROP_MARGIN_PIXELS = 16
 """Pixels around the object that remain after the crop: windows extend beyond its outline."""
@@ -69,42 +69,6 @@ def crop_to_object(view: View, shrink: int, multiple: int, center: Array, radius
     camera = replace(camera, intrinsics=intrinsics, width=right - left, height=bottom - top)
     clipped = pixels.saturated.astype(np.float32)
     return StereoPhotograph(camera, brightness[part], pixels.color_linear[part], inside[part], clipped[part])
-
-
-class SweptSurface:
-    """A mesh for ray casting, in its unit frame because Embree uses float32."""
-
-    def __init__(self, positions: Array, faces: NDArray[np.int64]) -> None:
-        self._center = 0.5 * (positions.min(axis=0) + positions.max(axis=0))
-        self._size = float(np.ptp(positions, axis=0).max()) or 1.0
-        self._queries = MeshQueries((positions - self._center) / self._size, faces)
-
-    def inverse_depth(self, camera: Camera) -> NDArray[np.float32]:
-        """Inverse depth (H, W) of the first intersection; 0 where there is none."""
-        return self._inverse(camera, last=False)
-
-    def thickness(self, camera: Camera, front: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Difference in inverse depth (H, W) between the first and the last intersection."""
-        back = self._inverse(camera, last=True)
-        return np.where((front > 0) & (back > 0), front - back, 0).astype(np.float32)
-
-    def signed_distance(self, points: Array) -> NDArray[np.float32]:
-        """Signed distance (N,), positive inside, in world units."""
-        outside = self._queries.signed_distance((points - self._center) / self._size)
-        return np.asarray(-outside * self._size, dtype=np.float32)
-
-    def _inverse(self, camera: Camera, last: bool) -> NDArray[np.float32]:
-        rows, columns = np.mgrid[0 : camera.height, 0 : camera.width] + 0.5
-        origins, directions = camera.rays(np.stack([columns, rows], axis=-1).reshape(-1, 2))
-        along = directions @ camera.world_to_camera[2, :3]
-        start = (origins - self._center) / self._size
-        beyond = 2 * float(np.linalg.norm(start[0])) + 4
-        rays = (start + directions * beyond, -directions) if last else (start, directions)
-        hit = self._queries.first_distances(*rays).astype(np.float64)
-        depth = (beyond - hit if last else hit) * self._size * along
-        seen = np.isfinite(depth) & (depth > 0)
-        inverse = np.where(seen, 1 / np.where(seen, depth, 1), 0)
-        return inverse.reshape(camera.height, camera.width).astype(np.float32)
 
 
 def choose_neighbours(

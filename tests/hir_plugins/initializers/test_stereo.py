@@ -21,11 +21,10 @@ from hir_plugins.initializers.hull.visual_hull import VisualHull, hull_volume
 from hir_plugins.initializers.options import PoissonOptions, StereoOptions, VisualHullOptions
 from hir_plugins.initializers.poisson.poisson import Poisson, poisson_surface
 from hir_plugins.initializers.stereo.depth_consistency import DepthMap, oriented_points
-from hir_plugins.initializers.stereo.depth_fusion import carve_depths, signed_distance_volume, smoothed_carving
+from hir_plugins.initializers.stereo.depth_fusion import carve_depths, smoothed_carving
 from hir_plugins.initializers.stereo.patch_match import patch_match, write_workspace
 from hir_plugins.initializers.stereo.stereo import Stereo, measure_depths
 from hir_plugins.initializers.stereo.stereo_photographs import (
-    SweptSurface,
     choose_neighbours,
     crop_to_object,
     evenly_distributed_views,
@@ -41,6 +40,7 @@ from hir_plugins.initializers.stereo.surface_sweep import (
     texture_confidence,
 )
 from hir_plugins.initializers.surface.isosurface import extract_surface, keep_large_components
+from hir_plugins.initializers.surface.swept_surface import SweptSurface, signed_distance_volume
 from hir_plugins.initializers.surface.volume import Volume
 from tests.fixtures.silhouette_captures import StoredPixels, dome, hits_boxes, look_at, make_view
 from tests.hir_plugins.initializers.test_colmap import room

@@ -16,9 +16,10 @@ from hir_plugins.initializers.options import StereoOptions, VisualHullOptions
 from hir_plugins.initializers.plugin import hir_suggest_initializers
 from hir_plugins.initializers.stereo import stereo as stereo_module
 from hir_plugins.initializers.stereo.stereo import Stereo
-from hir_plugins.initializers.stereo.stereo_photographs import SweptSurface, directions_from, evenly_distributed_views
+from hir_plugins.initializers.stereo.stereo_photographs import directions_from, evenly_distributed_views
 from hir_plugins.initializers.stereo.surface_sweep import SweptView
 from hir_plugins.initializers.stereo.view_independence import ViewIndependence, view_independence
+from hir_plugins.initializers.surface.swept_surface import SweptSurface
 from hir_plugins.initializers.surface.volume import Volume
 from tests.fixtures.silhouette_captures import dome, make_view
 from tests.hir_plugins.initializers.test_stereo import rays_of
