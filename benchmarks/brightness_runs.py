@@ -113,7 +113,7 @@ def measured(recipe: Recipe, case: str, capture: Path, seed: int) -> dict[str, A
         "relit_scaled": {light: found[light]["psnr_scaled"] for light in splits[1:]},
         "size_error": size_error(capture, run) if case == "card" else None,
         "commit": source_commit(),
-        "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M"),
+        "date": datetime.now(UTC).date().isoformat(),
         "machine": json.loads((run / "timings.json").read_text())["machine"],
     }
 

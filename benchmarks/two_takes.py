@@ -201,7 +201,7 @@ def measured(recipe: Recipe, folder: Path, seed: int, name: str) -> dict[str, An
         "side": side,
         **_figures(capture, run, seed, *settings),
         "commit": source_commit(),
-        "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M"),
+        "date": datetime.now(UTC).date().isoformat(),
         "machine": json.loads((run / "timings.json").read_text())["machine"],
     }
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -87,7 +88,12 @@ def test_the_table_has_means_of_the_gain() -> None:
         unseen = {"frame": 35.0, "object": 30.0}
         return {"unseen": unseen, "relit_scaled": relit, "albedo_scaled": 20.0, "complete": 0.9, "seconds": 60.0}
 
-    rows = [{"recipe": name, "seed": 0, "one": part(0), "two": part(gain)} for name, gain in (("a", 1.0), ("b", 3.0))]
-    rows[0]["estimated"] = part(0.5)
+    rows: list[dict[str, Any]] = []
+    for name, gain in (("a", 1.0), ("b", 3.0)):
+        row: dict[str, Any] = {"recipe": name, "seed": 0, "side": 192}
+        rows += [row | {"run": "one"} | part(0), row | {"run": "two"} | part(gain)]
+    rows.append({"recipe": "a", "seed": 0, "side": 192, "run": "estimated"} | part(0.5))
+    rows.append({"recipe": "c", "seed": 0, "side": 512, "run": "one"} | part(0))
     lines = table(rows).splitlines()
     assert "30.0 → 31.0 (30.5)" in lines[2] and "| +2.00 ± 1.00 |" in lines[-1]
+    assert "30.0 → – |" in lines[4] and len(lines) == 6

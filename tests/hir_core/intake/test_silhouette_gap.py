@@ -118,7 +118,7 @@ def test_hir_check_announces_that_cameras_are_refined(tmp_path: Path, capsys: py
         printed = " ".join(capsys.readouterr().out.split())
         assert ("the given cameras seem a little wrong" in printed) is said
         assert ("hir reconstruct refines them (camera_refinement)" in printed) is said
-        assert ('--set \'initializers=["visual_hull", "stereo"]\' keeps them' in printed) is said
+        assert ('--set \'initializers=["visual_hull", "hollows", "stereo"]\' keeps them' in printed) is said
 
 
 def test_without_an_initializer_that_refines_the_sentence_names_another_remedy(bars: Capture) -> None:

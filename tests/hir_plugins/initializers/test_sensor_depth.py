@@ -199,7 +199,7 @@ def test_the_automatic_chain_contains_it_where_there_is_depth() -> None:
     found = capture(exact, 8)
     assert chain(found)[:2] == ["camera_refinement", "sensor_depth"] and "visual_hull" not in chain(found)
     without = chain(replace(found, views=tuple(replace(v, depth=None) for v in found.views)))
-    assert without == ["camera_refinement", "visual_hull", *chain(found)[2:]]
+    assert without == ["camera_refinement", "visual_hull", "hollows", *chain(found)[2:]]
     assert "sensor_depth" not in chain(replace(found, views=tuple(replace(v, camera=None) for v in found.views)))
 
 
