@@ -234,6 +234,9 @@ class HollowsOptions:
 
     max_hollows: int = 4
     """At most this many openings are sunk, the one that explains most first; 0 looks for none."""
+    max_photographs: int = 64
+    """At most this many photographs are compared, those whose directions cover the others' best: time grows with them.
+    Each take has a share in proportion to its photographs."""
     pixels_per_voxel: float = 2.0
     """Side of a voxel of the result, in pixels of the photographs at the object's distance."""
     max_resolution: int = 256

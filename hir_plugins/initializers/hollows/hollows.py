@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import final
 
@@ -16,6 +17,7 @@ from hir_plugins.initializers.hollows.photo_prediction import blurred_photograph
 from hir_plugins.initializers.hollows.search import Hollow, find_hollow
 from hir_plugins.initializers.hollows.sunk_volume import sunk
 from hir_plugins.initializers.options import HollowsOptions
+from hir_plugins.initializers.stereo.stereo_photographs import evenly_distributed_views
 from hir_plugins.initializers.surface.initial_scene import make_scene
 from hir_plugins.initializers.surface.isosurface import extract_surface, keep_large_components
 from hir_plugins.initializers.surface.mesh_cleaning import clean_mesh, edge_length, pixel_size
@@ -58,6 +60,9 @@ class Hollows(Initializer):
         unit[:3, 3] = -middle / extent
         vertices = (positions - middle) / extent
         moved = capture.transformed(unit)
+        most, takes = self._config.max_photographs, capture.take_numbers
+        used = evenly_distributed_views(moved.cameras, np.zeros(3), most, takes)
+        moved = replace(moved, views=tuple(moved.views[i] for i in used))
         surface = SweptSurface(vertices, faces)
         search = signed_distance_volume(surface, vertices, 1 / SEARCH_VOXELS)
         photographs = blurred_photographs(moved, BLUR_VOXELS * search.spacing)
