@@ -3,9 +3,9 @@
     python -m benchmarks.hollow_search CAPTURE… --store FILE [--seeds 0 1 2]
     python -m benchmarks.hollow_search --table FILE
 
-Captures of the materials and shape benchmarks (`python -m benchmarks.materials make`, `python -m benchmarks.shape make`).
-Voxels of the hull that are empty in truth and 1 voxel or more from its surface should be found, those inside it not.
-Each row is stored with commit, date, machine and processor seconds.
+Captures come from `python -m benchmarks.materials make` and `python -m benchmarks.shape make`. Voxels of the hull that
+are empty in truth and 1 voxel or more from its surface should be found, those inside it not. Each row is stored with
+commit, date, machine and processor seconds.
 """
 
 from __future__ import annotations
