@@ -232,16 +232,16 @@ class StereoOptions:
 class HollowsOptions:
     """Options of the search for hollows."""
 
-    max_hollows: int = 4
+    max_hollows: Annotated[int, Interval(ge=0)] = 4
     """At most this many openings are sunk, the one that explains most first; 0 looks for none."""
-    max_photographs: int = 64
+    max_photographs: Annotated[int, Interval(ge=6)] = 64
     """At most this many photographs are compared, those whose directions cover the others' best: time grows with them.
     Each take has a share in proportion to its photographs."""
-    pixels_per_voxel: float = 2.0
+    pixels_per_voxel: Annotated[float, Interval(gt=0), Unit("pixels")] = 2.0
     """Side of a voxel of the result, in pixels of the photographs at the object's distance."""
-    max_resolution: int = 256
-    """Maximum number of voxels along the longest side of the object's box, 16 to 1024."""
-    edge_pixels: float = 2.5
+    max_resolution: Annotated[int, Interval(ge=16, le=1024), Unit("voxels")] = 256
+    """Maximum number of voxels along the longest side of the object's box."""
+    edge_pixels: Annotated[float, Interval(ge=0), Unit("pixels")] = 2.5
     """Edge length of the mesh, in pixels at the object's distance; 0 keeps the extracted triangles."""
     vertex_colors: bool = True
     """Colour the vertices from the photographs in which they are visible."""

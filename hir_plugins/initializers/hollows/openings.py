@@ -15,6 +15,7 @@ from scipy.ndimage import (
     distance_transform_edt,
     gaussian_filter,
     label,
+    map_coordinates,
 )
 
 from hir_core.capture import Array
@@ -65,14 +66,8 @@ class Opening:
         """Distance of points (N, 3) from the wall of the columns in voxels, positive inside the region."""
         signed = distance_transform_edt(self.region) - distance_transform_edt(~self.region)
         signed = np.where(signed > 0, signed - 0.5, signed + 0.5)
-        place = np.clip(points @ self.axes.T - self.corner, 0, np.array(self.region.shape) - 1.001)
-        low = np.floor(place).astype(np.int64)
-        a, b = (place - low).T
-        i, j = low.T
-        return np.asarray(
-            (1 - a) * ((1 - b) * signed[i, j] + b * signed[i, j + 1])
-            + a * ((1 - b) * signed[i + 1, j] + b * signed[i + 1, j + 1])
-        )
+        cells = (points @ self.axes.T - self.corner).T
+        return np.asarray(map_coordinates(signed, cells, order=1, mode="nearest"))
 
     def moved(self, sectors: NDArray[np.int64], chosen: Sequence[int], step: int) -> Opening:
         """The opening whose edge is `step` cells farther out in the chosen sectors; farther in where it is negative.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from hir_core.capture import Array
 from hir_plugins.initializers.hollows.openings import Flags, Opening
@@ -44,16 +44,10 @@ def sunk(volume: Volume, search: Volume, opening: Opening, depth: float, wall: A
     near = np.argwhere(volume.values > -2 * volume.spacing)
     place = (volume.origin + near * volume.spacing - search.origin) / search.spacing
     below = opening.level - place @ opening.normal
-    inside = np.minimum(np.minimum(opening.distance(place), depth - below), _sampled(wall, place) - WALL)
+    at_wall = map_coordinates(wall, place.T, order=1, mode="nearest")
+    inside = np.minimum(np.minimum(opening.distance(place), depth - below), at_wall - WALL)
     inside = np.where(below < -IN_FRONT, -1.0, inside)
     carved = (-inside * search.spacing).astype(np.float32)
     values = volume.values.copy()
     values[tuple(near.T)] = np.minimum(values[tuple(near.T)], carved)
     return replace(volume, values=values)
-
-
-def _sampled(field: Array, place: Array) -> Array:
-    """Trilinear values (N,) of a field (X, Y, Z) at places (N, 3) in its voxels."""
-    from scipy.ndimage import map_coordinates
-
-    return np.asarray(map_coordinates(field, place.T, order=1, mode="nearest"))

@@ -11,8 +11,9 @@ import pytest
 import trimesh
 
 from hir_core.capture import Array, Capture
-from hir_core.errors import StageError
+from hir_core.errors import ConfigError, StageError
 from hir_core.mesh.ray_casting import MeshQueries
+from hir_core.plugins.options import build_options
 from hir_core.scene import Scene
 from hir_plugins.initializers.hollows.hollows import Hollows
 from hir_plugins.initializers.hollows.openings import Opening, find_openings, surface_cells
@@ -234,3 +235,9 @@ def test_openings_are_flat_parts_of_high_variance() -> None:
     assert nearest.normal @ [0, 1, 0] > 0.99 and abs(nearest.level - 25) < 0.6
     assert nearest.region.sum() == pytest.approx(lid.sum(), rel=0.35)
     assert find_openings(volume, cells, np.zeros(len(cells)), np.zeros(len(cells), bool)) == []
+
+
+@pytest.mark.parametrize(("name", "value"), [("max_hollows", -1), ("max_photographs", 5), ("max_resolution", 0)])
+def test_options_have_limits(name: str, value: int) -> None:
+    with pytest.raises(ConfigError, match=f"option '{name}' is {value}; it must be"):
+        build_options(HollowsOptions, {name: value}, "initializer 'hollows'")
