@@ -27,7 +27,7 @@ import numpy as np
 from benchmarks.card_capture import MARKER_SIDE
 from benchmarks.hir_command import hir
 from benchmarks.materials.recipes import Recipe, recipes
-from benchmarks.stored_rows import add_rows, add_run_options, stored_rows
+from benchmarks.stored_rows import add_rows, run_arguments
 from hir_core.run.capture_store import read_cameras
 from hir_core.run.machine import source_commit
 from hir_core.run.run_directory import RunDirectory
@@ -41,13 +41,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("case", nargs="?", choices=CASES)
     parser.add_argument("recipes", nargs="*", choices=[*(each.name for each in recipes()), []], metavar="RECIPE")
-    add_run_options(parser, Path("brightness_runs.jsonl"))
-    given = parser.parse_args()
-    if given.table is not None:
-        print(table(stored_rows(given.table)))
-        return
-    if not given.recipes or given.workspace is None:
-        parser.error("name a case, recipes and --workspace, or --table")
+    given = run_arguments(parser, Path("brightness_runs.jsonl"), table)
     for recipe in (each for each in recipes() if each.name in given.recipes):
         capture = made_capture(recipe, given.case, given.workspace, given.variant)
         for seed in () if given.make_only else given.seeds:

@@ -18,25 +18,38 @@ def study_arguments(
     parser.add_argument("--store", type=Path, default=store, help="file of stored lines")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
     parser.add_argument("--table", type=Path, metavar="FILE", help="print the table of stored lines, measure nothing")
-    options = parser.parse_args()
-    if options.table is not None:
-        if not options.table.is_file():
-            parser.error(f"{options.table} does not exist; give a file that --store wrote")
-        print(table(stored_rows(options.table)))
-        raise SystemExit(0)
+    options = _parsed(parser, table)
     if not options.captures:
         parser.error("name captures, or --table")
     return options
 
 
-def add_run_options(parser: argparse.ArgumentParser, store: Path) -> None:
-    """Options of a benchmark that renders captures and stores a line for each whole run."""
+def run_arguments(
+    parser: argparse.ArgumentParser, store: Path, table: Callable[[list[dict[str, Any]]], str]
+) -> argparse.Namespace:
+    """Arguments of a benchmark that renders captures of `recipes` and stores a line for each whole run; with
+    `--table FILE` prints its table and ends.
+    """
     parser.add_argument("--workspace", type=Path, help="folder for captures and runs")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
     parser.add_argument("--store", type=Path, default=store, help="file of stored lines")
     parser.add_argument("--make-only", action="store_true", help="render captures, run nothing")
     parser.add_argument("--variant", default="llvm_ad_rgb", help="Mitsuba's variant")
     parser.add_argument("--table", type=Path, metavar="FILE", help="print the table of stored lines, measure nothing")
+    options = _parsed(parser, table)
+    if not options.recipes or options.workspace is None:
+        parser.error("name recipes and --workspace, or --table")
+    return options
+
+
+def _parsed(parser: argparse.ArgumentParser, table: Callable[[list[dict[str, Any]]], str]) -> argparse.Namespace:
+    options = parser.parse_args()
+    if options.table is not None:
+        if not options.table.is_file():
+            parser.error(f"{options.table} does not exist; give a file that --store wrote")
+        print(table(stored_rows(options.table)))
+        raise SystemExit(0)
+    return options
 
 
 def stored_rows(store: Path) -> list[dict[str, Any]]:

@@ -40,7 +40,7 @@ from benchmarks.materials.render import (
     write_truth,
 )
 from benchmarks.materials.shapes import make_shape
-from benchmarks.stored_rows import add_rows, add_run_options, stored_rows
+from benchmarks.stored_rows import add_rows, run_arguments
 from hir_core.evaluation.truth_evaluation import true_mesh
 from hir_core.mesh.ray_casting import MeshQueries
 from hir_core.metrics.surface_metrics import sample_surface
@@ -73,13 +73,7 @@ def main() -> None:
     parser.add_argument("recipes", nargs="*", choices=[*world, []], metavar="RECIPE")
     parser.add_argument("--side", type=int, default=SIDE, help="pixels of a photograph")
     parser.add_argument("--runs", nargs="+", choices=RUNS, default=["one", "two"])
-    add_run_options(parser, Path("two_takes.jsonl"))
-    given = parser.parse_args()
-    if given.table is not None:
-        print(table(stored_rows(given.table)))
-        return
-    if not given.recipes or given.workspace is None:
-        parser.error("name recipes and --workspace, or --table")
+    given = run_arguments(parser, Path("two_takes.jsonl"), table)
     import mitsuba as mi
 
     mi.set_variant(given.variant)

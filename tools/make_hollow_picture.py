@@ -24,6 +24,9 @@ def main() -> None:
     parser.add_argument("--views", type=int, nargs="+", default=[3, 4])
     parser.add_argument("--out", type=Path, default=OUTPUT)
     given = parser.parse_args()
+    for run, split in ((run, split) for run in (given.before, given.after) for split in ("test", given.split)):
+        if not (run / "evaluation" / split).is_dir():
+            parser.error(f"{run} was not evaluated; run: hir evaluate {run} --split {split}")
     sheet = Image.new("RGB", (len(COLUMNS) * SIDE, len(given.views) * SIDE + TITLE), (246, 245, 242))
     draw = ImageDraw.Draw(sheet)
     font = ImageFont.load_default(14)
