@@ -1,14 +1,14 @@
 """Two takes of an object under two lights, the second one upside down, against one take of as many photographs.
 
-    python -m benchmarks.two_takes RECIPE… --workspace DIR [--runs one two] [--side 192] [--store FILE]
+    python -m benchmarks.two_takes RECIPE… --workspace DIR [--runs one two] [--side 192] [--texture fine] [--store FILE]
     python -m benchmarks.two_takes --table FILE
 
 For each object of the materials benchmark: photographs from above alone, as of an object that stands on a table; and
 half of them from above and half of the object turned over, under another light. Both captures are reconstructed with
 the default settings and evaluated from all sides under two other lights. Rendered by Mitsuba's path tracer with the
 `principled` BSDF; the table is not there. The run `estimated` reconstructs the two takes with cameras from structure
-from motion on the masked photographs; use more pixels then. One line is stored for each run, with commit, date and
-machine.
+from motion on the masked photographs; use more pixels and `--texture fine` then, because the materials of the benchmark
+have few features. One line is stored for each run, with commit, date and machine.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import argparse
 import json
 import shutil
 from collections.abc import Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,7 @@ from numpy.typing import NDArray
 
 from benchmarks.hir_command import hir
 from benchmarks.materials.lights import LIGHTS, light_image
-from benchmarks.materials.materials import MATERIALS
+from benchmarks.materials.materials import MATERIALS, Surface, waves
 from benchmarks.materials.recipes import Recipe, recipes
 from benchmarks.materials.render import (
     DISTANCE,
@@ -43,7 +44,8 @@ from benchmarks.materials.shapes import make_shape
 from benchmarks.stored_rows import add_rows, run_arguments
 from hir_core.evaluation.truth_evaluation import true_mesh
 from hir_core.mesh.ray_casting import MeshQueries
-from hir_core.metrics.surface_metrics import sample_surface
+from hir_core.metrics.surface_metrics import sample_surface, visible
+from hir_core.plugins.manager import PluginManager
 from hir_core.run.finished_run import open_finished_run
 from hir_core.run.machine import source_commit
 from hir_core.run.run_directory import RunDirectory
@@ -55,6 +57,8 @@ TURNED_OVER = np.diag([1.0, -1.0, -1.0, 1.0])
 """Half a turn about x: from the axes of the room to those of an object that lies upside down in it."""
 TAKES = "standing", "upside down"
 RUNS = "one", "two", "estimated"
+TEXTURES = "coarse", "fine"
+"""The material as the benchmark draws it, or with dark dots in its base colour."""
 RELIGHTS = "relight_0", "relight_1"
 ESTIMATED = (
     "--set",
@@ -73,25 +77,28 @@ def main() -> None:
     parser.add_argument("recipes", nargs="*", choices=[*world, []], metavar="RECIPE")
     parser.add_argument("--side", type=int, default=SIDE, help="pixels of a photograph")
     parser.add_argument("--runs", nargs="+", choices=RUNS, default=["one", "two"])
+    parser.add_argument("--texture", choices=TEXTURES, default="coarse", help="detail of the base colour")
     given = run_arguments(parser, Path("two_takes.jsonl"), table)
     import mitsuba as mi
 
     mi.set_variant(given.variant)
     for recipe in (each for each in recipes() if each.name in given.recipes):
-        folder = given.workspace / recipe.name
+        folder = given.workspace / (recipe.name if given.texture == "coarse" else f"{recipe.name}_{given.texture}")
         if not (folder / "two" / "transforms_train.json").exists():
-            make_captures(recipe, folder, given.side)
+            make_captures(recipe, folder, given.side, given.texture)
         for seed in () if given.make_only else given.seeds:
             for name in given.runs:
-                add_rows(given.store, [measured(recipe, folder, seed, name)])
+                add_rows(given.store, [measured(recipe, folder, seed, name) | {"texture": given.texture}])
 
 
-def make_captures(recipe: Recipe, folder: Path, side: int = SIDE) -> None:
+def make_captures(recipe: Recipe, folder: Path, side: int = SIDE, texture: str = TEXTURES[0]) -> None:
     """`one` and `two`: captures with the same object, lights of evaluation and test views."""
     import mitsuba as mi
 
     shape, rng = make_shape(recipe.shape), np.random.default_rng(recipe.seed)
     surface = MATERIALS[recipe.material].draw(shape.positions.astype(np.float64), shape.parts, rng)
+    if texture == "fine":
+        surface = with_dots(surface, shape.positions.astype(np.float64), recipe.seed)
     mesh = mitsuba_mesh(mi, shape, surface)
     other = str(
         rng.choice([n for n in LIGHTS if LIGHTS[n].frame == "world" and n not in (recipe.light, *recipe.relights)])
@@ -142,6 +149,12 @@ def make_captures(recipe: Recipe, folder: Path, side: int = SIDE) -> None:
             {"file_path": f"./truth/{i:03d}_base_color", "transform_matrix": p.tolist()} for i, p in enumerate(around)
         ]
         _write_transforms(capture, "albedo", albedo)
+
+
+def with_dots(surface: Surface, points: NDArray[np.float64], seed: int) -> Surface:
+    """The base colour times 0.3 in dots of about a tenth of the object's radius."""
+    dots = waves(points, np.random.default_rng(seed), 8.0)[:, None] > 0.6
+    return replace(surface, base_color=np.where(dots, 0.3 * surface.base_color, surface.base_color))
 
 
 def from_above(i: int, count: int, offset: float = 0.0) -> NDArray[np.float64]:
@@ -215,19 +228,28 @@ def _figures(capture: Path, run: Path, seed: int, *settings: str) -> dict[str, A
         "relit_scaled": {light: found[light]["psnr_scaled"] for light in RELIGHTS},
         "relit": {light: found[light]["psnr"] for light in RELIGHTS},
         "albedo_scaled": round(found["test"]["albedo"]["psnr_scaled"], 2),
-        "complete": round(completeness(run, capture / "reference.obj"), 4),
+        **completeness(run, capture.parent),
     }
 
 
-def completeness(run: Path, truth: Path) -> float:
-    """Share of the true surface that is nearer than `NEAR` radii to the reconstructed one."""
-    finished = open_finished_run(RunDirectory(run))
-    positions, faces = true_mesh(truth, finished)
-    low, high = positions.min(axis=0), positions.max(axis=0)
-    points, _ = sample_surface(positions, faces, 50_000, seed=1)
+def completeness(run: Path, folder: Path) -> dict[str, float]:
+    """Shares of the true surface that are nearer than `NEAR` radii to the reconstructed one: `complete` of all that the
+    photographs of any take see, `underside` of what only those of the object that is turned over see.
+    """
+    finished, plugins = open_finished_run(RunDirectory(run)), PluginManager.discover()
+    truth = true_mesh(folder / "two" / "reference.obj", finished)
+    low, high = truth[0].min(axis=0), truth[0].max(axis=0)
+    points, normals = sample_surface(*truth, 50_000, seed=1)
     mesh = finished.scene.mesh
     distance, _ = MeshQueries(mesh.positions.detach().cpu().numpy(), mesh.faces.cpu().numpy()).nearest(points)
-    return float((distance < NEAR * 0.5 * np.linalg.norm(high - low)).mean())
+    near = distance < NEAR * 0.5 * np.linalg.norm(high - low)
+    one, two = (finished.read_split(folder / name, "train", plugins) for name in ("one", "two"))
+    seen_above = visible(points, normals, truth, one.cameras)
+    anywhere = seen_above | visible(points, normals, truth, two.cameras)
+    return {
+        "complete": round(float(near[anywhere].mean()), 4),
+        "underside": round(float(near[anywhere & ~seen_above].mean()), 4),
+    }
 
 
 def table(rows: Sequence[dict[str, Any]]) -> str:
@@ -235,15 +257,16 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
     deviations over the objects at the end. What was not run has a dash.
     """
     lines = [
-        "| object | pixels | seed | unseen | relit, scaled (mean of two lights) | base colour, scaled | complete |",
-        "|---|---|---|---|---|---|---|",
+        "| object | texture | pixels | seed | unseen | relit, scaled (mean of two lights) | base colour, scaled | "
+        "complete | underside |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
-    forms = ".1f", ".1f", ".1f", ".3f"
-    groups: dict[tuple[str, int, int], dict[str, dict[str, Any]]] = {}
+    forms = ".1f", ".1f", ".1f", ".3f", ".3f"
+    groups: dict[tuple[str, str, int, int], dict[str, dict[str, Any]]] = {}
     for row in rows:
-        groups.setdefault((row["recipe"], row["side"], row["seed"]), {})[row["run"]] = row
+        groups.setdefault((row["recipe"], row["texture"], row["side"], row["seed"]), {})[row["run"]] = row
     gains = []
-    for (recipe, side, seed), group in sorted(groups.items()):
+    for (recipe, texture, side, seed), group in sorted(groups.items()):
         figures = {name: _values(row) for name, row in group.items()}
         if "one" in figures and "two" in figures:
             gains.append(figures["two"] - figures["one"])
@@ -251,17 +274,18 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
         for i, form in enumerate(forms):
             one, two, estimated = (f"{figures[name][i]:{form}}" if name in figures else "–" for name in RUNS)
             cells.append(f"{one} → {two}" + (f" ({estimated})" if "estimated" in figures else ""))
-        lines.append(f"| {recipe} | {side} | {seed} | " + " | ".join(cells) + " |")
-    if gains:
-        mean, deviation = np.mean(gains, axis=0), np.std(gains, axis=0)
+        lines.append(f"| {recipe} | {texture} | {side} | {seed} | " + " | ".join(cells) + " |")
+    if len(gains) > 1:
+        mean, deviation = np.mean(gains, axis=0), np.std(gains, axis=0, ddof=1)
         cells = [f"{m:+.2f} ± {s:.2f}" for m, s in zip(mean, deviation, strict=True)]
-        lines.append("| two − one | | | " + " | ".join(cells) + " |")
+        lines.append("| two − one | | | | " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
 
 def _values(row: dict[str, Any]) -> NDArray[np.float64]:
     relit = np.mean([row["relit_scaled"][light]["frame"] for light in RELIGHTS])
-    return np.array([row["unseen"]["frame"], relit, row["albedo_scaled"], row["complete"]], dtype=np.float64)
+    figures = row["unseen"]["frame"], relit, row["albedo_scaled"], row["complete"], row["underside"]
+    return np.array(figures, dtype=np.float64)
 
 
 if __name__ == "__main__":
