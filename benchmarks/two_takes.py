@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from hir_exporters.textures.image_files import read_ldr, write_hdr, write_png
+from hir_exporters.textures.image_files import write_hdr, write_png
 from numpy.typing import NDArray
 
 from benchmarks.hir_command import hir
@@ -46,9 +46,10 @@ from hir_core.evaluation.truth_evaluation import true_mesh
 from hir_core.mesh.ray_casting import MeshQueries
 from hir_core.metrics.surface_metrics import sample_surface, visible
 from hir_core.plugins.manager import PluginManager
-from hir_core.run.finished_run import open_finished_run
+from hir_core.run.finished_run import FinishedRun, open_finished_run
 from hir_core.run.machine import source_commit
 from hir_core.run.run_directory import RunDirectory
+from hir_plugins.commands.bench.inputs.parameter_errors import parameter_errors
 
 SIDE, SAMPLES = 192, 128
 PHOTOGRAPHS = 40
@@ -78,6 +79,7 @@ def main() -> None:
     parser.add_argument("--side", type=int, default=SIDE, help="pixels of a photograph")
     parser.add_argument("--runs", nargs="+", choices=RUNS, default=["one", "two"])
     parser.add_argument("--texture", choices=TEXTURES, default="coarse", help="detail of the base colour")
+    parser.add_argument("--evaluate-only", action="store_true", help="evaluate runs of before again, fit nothing")
     given = run_arguments(parser, Path("two_takes.jsonl"), table)
     import mitsuba as mi
 
@@ -88,6 +90,8 @@ def main() -> None:
             make_captures(recipe, folder, given.side, given.texture)
         for seed in () if given.make_only else given.seeds:
             for name in given.runs:
+                if not given.evaluate_only:
+                    reconstructed(folder, seed, name)
                 add_rows(given.store, [measured(recipe, folder, seed, name) | {"texture": given.texture}])
 
 
@@ -145,10 +149,6 @@ def make_captures(recipe: Recipe, folder: Path, side: int = SIDE, texture: str =
             source = {"file_path": f"env_{light}.hdr", "strength": strengths[light]}
             _write_transforms(capture, light, frames, {"environment": source})
         write_truth(mi, mesh, surface, capture / "truth", around, side)
-        albedo = [
-            {"file_path": f"./truth/{i:03d}_base_color", "transform_matrix": p.tolist()} for i, p in enumerate(around)
-        ]
-        _write_transforms(capture, "albedo", albedo)
 
 
 def with_dots(surface: Surface, points: NDArray[np.float64], seed: int) -> Surface:
@@ -194,49 +194,57 @@ def _write_transforms(
     (capture / f"transforms_{split}.json").write_text(json.dumps(document, indent=1), encoding="utf-8")
 
 
+def reconstructed(folder: Path, seed: int, name: str) -> None:
+    """Makes the run; an earlier one is replaced."""
+    run = _run(folder, seed, name)
+    settings = ESTIMATED if name == "estimated" else ()
+    shutil.rmtree(run, ignore_errors=True)
+    hir("reconstruct", _capture(folder, name), "-o", run, "-q", "--seed", str(seed), "--set", "export=[]", *settings)
+
+
 def measured(recipe: Recipe, folder: Path, seed: int, name: str) -> dict[str, Any]:
-    """The line of one run; an earlier run is replaced."""
-    capture, settings = (folder / "two", ESTIMATED) if name == "estimated" else (folder / name, ())
-    document = json.loads((capture / "transforms_test.json").read_text())
-    run = folder / f"run_{name}_{seed}"
-    side = len(read_ldr(capture / f"{document['frames'][0]['file_path']}.png"))
+    """The line of one run."""
+    capture, run = _capture(folder, name), _run(folder, seed, name)
+    for split in ("test", *RELIGHTS):
+        hir("evaluate", run, "--split", split, "-q")
+    found = {s: json.loads((run / "evaluation" / s / "metrics.json").read_text()) for s in ("test", *RELIGHTS)}
+    finished, plugins = open_finished_run(RunDirectory(run)), PluginManager.discover()
+    # the pictures of the true material are from the cameras of the first relit split
+    around = finished.read_split(capture, RELIGHTS[0], plugins)
+    errors = parameter_errors(finished.scene, around, capture / "truth").errors
+    timings = json.loads((run / "timings.json").read_text())
     return {
         "recipe": recipe.name,
         "half": recipe.half,
         "seed": seed,
         "run": name,
-        "side": side,
-        **_figures(capture, run, seed, *settings),
-        "commit": source_commit(),
-        "date": datetime.now(UTC).date().isoformat(),
-        "machine": json.loads((run / "timings.json").read_text())["machine"],
-    }
-
-
-def _figures(capture: Path, run: Path, seed: int, *settings: str) -> dict[str, Any]:
-    shutil.rmtree(run, ignore_errors=True)
-    seconds = hir("reconstruct", capture, "-o", run, "-q", "--seed", str(seed), "--set", "export=[]", *settings)
-    hir("evaluate", run, "--split", "test", "-q", "--albedo", "albedo")
-    for light in RELIGHTS:
-        hir("evaluate", run, "--split", light, "-q")
-    found = {s: json.loads((run / "evaluation" / s / "metrics.json").read_text()) for s in ("test", *RELIGHTS)}
-    report = json.loads((run / "run.json").read_text())["stages"]["reflectance"]["report"]
-    return {
-        "seconds": round(seconds, 1),
-        "model": report["model"],
+        "side": around.cameras[0].width,
+        "seconds": round(sum(float(stage["seconds"]) for stage in timings["stages"].values()), 1),
+        "model": finished.document["stages"]["reflectance"]["report"]["model"],
         "unseen": found["test"]["psnr"],
         "relit_scaled": {light: found[light]["psnr_scaled"] for light in RELIGHTS},
         "relit": {light: found[light]["psnr"] for light in RELIGHTS},
-        "albedo_scaled": round(found["test"]["albedo"]["psnr_scaled"], 2),
-        **completeness(run, capture.parent),
+        "base_color_scaled": round(errors["base colour scaled dB"], 2),
+        "metalness_error": round(errors["metalness error"], 4),
+        **completeness(finished, folder, plugins),
+        "commit": source_commit(),
+        "date": datetime.now(UTC).date().isoformat(),
+        "machine": timings["machine"],
     }
 
 
-def completeness(run: Path, folder: Path) -> dict[str, float]:
+def _capture(folder: Path, name: str) -> Path:
+    return folder / ("two" if name == "estimated" else name)
+
+
+def _run(folder: Path, seed: int, name: str) -> Path:
+    return folder / f"run_{name}_{seed}"
+
+
+def completeness(finished: FinishedRun, folder: Path, plugins: PluginManager) -> dict[str, float]:
     """Shares of the true surface that are nearer than `NEAR` radii to the reconstructed one: `complete` of all that the
     photographs of any take see, `underside` of what only those of the object that is turned over see.
     """
-    finished, plugins = open_finished_run(RunDirectory(run)), PluginManager.discover()
     truth = true_mesh(folder / "two" / "reference.obj", finished)
     low, high = truth[0].min(axis=0), truth[0].max(axis=0)
     points, normals = sample_surface(*truth, 50_000, seed=1)
@@ -284,7 +292,7 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
 
 def _values(row: dict[str, Any]) -> NDArray[np.float64]:
     relit = np.mean([row["relit_scaled"][light]["frame"] for light in RELIGHTS])
-    figures = row["unseen"]["frame"], relit, row["albedo_scaled"], row["complete"], row["underside"]
+    figures = row["unseen"]["frame"], relit, row["base_color_scaled"], row["complete"], row["underside"]
     return np.array(figures, dtype=np.float64)
 
 

@@ -51,7 +51,7 @@ def parameter_errors(scene: Scene, capture: Capture, truth: Path) -> ParameterEr
     """
     material = scene.material
     assert material is not None
-    fits = {name: UnlitRenderer(_unlit(scene, values)) for name, values in _parameters(material).items()}
+    fits = {name: UnlitRenderer(scene_showing(values, scene)) for name, values in parameters_of(material).items()}
     scale, colors = ChannelScale(), []
     differences: dict[str, list[Array]] = {name: [] for name in fits if name != "base_color"}
     metal = []
@@ -79,7 +79,7 @@ def parameter_errors(scene: Scene, capture: Capture, truth: Path) -> ParameterEr
     return ParameterErrors(errors, float(np.concatenate(metal).mean()))
 
 
-def _parameters(material: Material) -> dict[str, torch.Tensor]:
+def parameters_of(material: Material) -> dict[str, torch.Tensor]:
     """Base colour, metalness and roughness, each a texture or a constant, by the names of the true pictures."""
     if material.metalness is None:
         base, metalness = material.diffuse_albedo, torch.zeros(1)
@@ -93,8 +93,8 @@ def _has_lobe(material: Material) -> bool:
     return bool((material.specular_albedo > 0).any())
 
 
-def _unlit(scene: Scene, values: torch.Tensor) -> Scene:
-    """The mesh with `values` in place of its diffuse albedo."""
+def scene_showing(values: torch.Tensor, scene: Scene) -> Scene:
+    """The mesh of a scene with `values`, a texture or a constant of one or three channels, for its diffuse albedo."""
     values = values.detach().expand(*values.shape[:-1], 3)
     return replace(scene, material=Material("paper", values, torch.zeros(3), torch.ones(1)))
 
