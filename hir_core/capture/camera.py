@@ -43,6 +43,10 @@ class Camera:
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         return np.broadcast_to(self.center, directions.shape).copy(), directions
 
+    def pinhole(self) -> Camera:
+        """The camera of the undistorted photograph, which has the same intrinsics."""
+        return replace(self, distortion=())
+
     def downsampled(self, factor: int) -> Camera:
         """The camera of the image that `Pixels.downsampled(factor)` makes; a border that fills no block is cut."""
         if factor == 1:

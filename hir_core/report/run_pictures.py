@@ -53,7 +53,8 @@ def render_pictures(
     for name in views:
         if name not in run_cameras:
             raise InputError(
-                f"{directory.path} has no view {name!r}; its views are: {', '.join(list(run_cameras)[:8])}, …"
+                f"{directory.path} has no view {name!r}; its views are: {', '.join(list(run_cameras)[:8])}"
+                + (", …" if len(run_cameras) > 8 else "")
             )
         cameras[file_stem(name)] = run_cameras[name]
         if run_takes:

@@ -63,9 +63,9 @@ class FinishedRun:
         return read_exposures(path) if path.exists() else EQUAL_EXPOSURES
 
     def cameras(self) -> dict[str, Camera]:
-        """The run's own cameras by view name, in the working frame."""
+        """The cameras of the run's undistorted photographs by view name, in the working frame."""
         cameras = read_cameras(self.directory.cameras)
-        return {name: camera.transformed(self.frames.working_from_asset) for name, camera in cameras.items()}
+        return {name: camera.pinhole().transformed(self.frames.working_from_asset) for name, camera in cameras.items()}
 
     def read_split(self, path: Path, split: str, plugins: PluginManager) -> Capture:
         """A split of a capture, moved from the axes of its files to the working frame; it may have no views."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from hir_core.files.array_files import read_arrays, write_arrays
 from hir_core.scene.map_errors import MapErrors
 
 FILE = "map_errors.npz"
-_MAP, _CONSTANT = "map.", "constant."
+_MAP, _CONSTANT, _SPREAD = "map.", "constant.", "spread."
 
 
 def save_map_errors(errors: MapErrors, folder: Path) -> None:
@@ -21,6 +22,7 @@ def save_map_errors(errors: MapErrors, folder: Path) -> None:
     arrays: dict[str, NDArray[Any]] = {"base_color": errors.base_color, "condition": errors.condition}
     arrays |= {_MAP + name: values for name, values in errors.maps.items()}
     arrays |= {_CONSTANT + name: np.array([value], np.float64) for name, value in errors.constants.items()}
+    arrays |= {_SPREAD + name: values for name, values in errors.spread.items()}
     write_arrays(folder / FILE, arrays)
 
 
@@ -30,15 +32,13 @@ def load_map_errors(folder: Path) -> MapErrors | None:
         return None
     arrays = read_arrays(folder / FILE)
     try:
-        return MapErrors(
-            arrays["base_color"],
-            {name.removeprefix(_MAP): each for name, each in arrays.items() if name.startswith(_MAP)},
-            {
-                name.removeprefix(_CONSTANT): float(each[0])
-                for name, each in arrays.items()
-                if name.startswith(_CONSTANT)
-            },
-            arrays["condition"],
-        )
+        constants = {name: float(each[0]) for name, each in _named(arrays, _CONSTANT).items()}
+        maps, spread = _named(arrays, _MAP), _named(arrays, _SPREAD)
+        return MapErrors(arrays["base_color"], maps, constants, arrays["condition"], spread)
     except (KeyError, IndexError) as error:
         raise InputError(f"{folder / FILE} is damaged ({error}); run without --resume") from error
+
+
+def _named(arrays: Mapping[str, NDArray[Any]], prefix: str) -> dict[str, NDArray[Any]]:
+    """The arrays whose names begin with `prefix`, by the rest of their names."""
+    return {name.removeprefix(prefix): each for name, each in arrays.items() if name.startswith(prefix)}

@@ -257,7 +257,7 @@ def _registered_only(capture: Capture, context: StageContext) -> Capture:
         unregistered = [view.name for view in capture.views if view.camera is None]
         context.warn(
             f"{len(unregistered)} of {len(capture.views)} photographs have no camera and are left out: "
-            f"{unregistered[0]}, …"
+            f"{', '.join(unregistered[:8])}{', …' if len(unregistered) > 8 else ''}"
         )
         return replace(capture, views=registered)
     return capture

@@ -137,4 +137,4 @@ def _mean(views: Mapping[str, float]) -> float:
 
 
 def _small(camera: Camera, side: int) -> Camera:
-    return camera.downsampled(max(1, -(-max(camera.width, camera.height) // side)))
+    return camera.pinhole().downsampled(max(1, -(-max(camera.width, camera.height) // side)))

@@ -27,7 +27,8 @@ from hir_core.scene import Scene
 from hir_core.scene.energy_conservation import with_conserved_energy
 from hir_core.scene.map_errors import MapErrors
 from hir_core.stages.reflectance.camera_response import response_warning
-from hir_core.stages.reflectance.error_estimate.error_estimate import estimated_map_errors
+from hir_core.stages.reflectance.error_estimate.common_errors import with_common_errors
+from hir_core.stages.reflectance.error_estimate.error_estimate import PRIOR_WIDTHS, estimated_map_errors
 from hir_core.stages.reflectance.gradient_fit import fit_by_gradient, gradient_steps, object_pixels
 from hir_core.stages.reflectance.initial_material_and_light import initial_scene
 from hir_core.stages.reflectance.light_scale import disagreement_warning, light_scale_report
@@ -132,6 +133,8 @@ def fit_reflectance(
     errors = None
     if settings.map_errors:
         errors = estimated_map_errors(fitted, shading, used.applied_to(capture), settings.downsample, context.seed)
+        if errors is not None and fitted.material is not None and not settings.known_environment:
+            errors = with_common_errors(errors, fitted.material, PRIOR_WIDTHS)
     report = replace(report, light_scale=light_scale, map_errors=None if errors is None else errors.report())
     return FittedReflectance(fitted, used, errors, report)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +16,7 @@ from hir_core.plugins.manager import PluginManager
 from hir_core.rendering.orbit_cameras import orbit_cameras
 from hir_core.report.run_pictures import render_pictures
 from hir_core.run.capture_store import read_cameras
+from hir_core.run.run_directory import RunDirectory
 
 PLUGINS = PluginManager.discover()
 FEW = {"render_samples": 8}
@@ -55,3 +58,19 @@ def test_a_view_by_its_name(finished: Run, tiny_capture: Path, tmp_path: Path) -
     assert (shown & photographed).sum() > 0.9 * (shown | photographed).sum()
     with pytest.raises(InputError, match=r"has no view 'nobody'; its views are: "):
         list(render_pictures(finished.directory, PLUGINS, tmp_path, views=("nobody",)))
+
+
+def test_a_view_with_lens_distortion(finished: Run, tmp_path: Path) -> None:
+    """Of a copy of a run whose photographs were distorted: the picture is that of the undistorted photograph."""
+    straight, curved = tmp_path / "straight", tmp_path / "curved"
+    shutil.copytree(finished.directory.path, tmp_path / "run")
+    directory = RunDirectory(tmp_path / "run")
+    document = json.loads(directory.cameras.read_text())
+    name = document["views"][0]["name"]
+    for folder, distortion in ((straight, []), (curved, [0.05, 0.0, 0.0, 0.0])):
+        document["views"][0]["distortion"] = distortion
+        directory.cameras.write_text(json.dumps(document))
+        folder.mkdir()
+        list(render_pictures(directory, PLUGINS, folder, views=(name,), options=FEW))
+    [first], [second] = straight.iterdir(), curved.iterdir()
+    np.testing.assert_array_equal(read_ldr(first), read_ldr(second))

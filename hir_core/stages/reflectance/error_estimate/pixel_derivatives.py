@@ -80,7 +80,7 @@ def pixel_derivatives(
     gain = (above - below) / STEPS[BASE_COLOR]
     names = map_names(material)
     others = [_encoded_slope(*change_of(name), STEPS[name]) for name in names]
-    diffuse = (gain * _at(_values(material, BASE_COLOR), uv)).mean(dim=1)
+    diffuse = (gain * _at(map_values(material, BASE_COLOR), uv)).mean(dim=1)
     return PixelDerivatives(
         view=index[:, 0],
         uv=uv,
@@ -105,15 +105,15 @@ def map_names(material: Material) -> tuple[str, ...]:
 
 def is_constant(material: Material, name: str) -> bool:
     """Whether a map is one value for the whole surface."""
-    return _values(material, name).ndim == 1
+    return map_values(material, name).ndim == 1
 
 
 def _encoded_slope(below: Tensor, above: Tensor, step: float) -> Tensor:
     return (linear_to_srgb(above) - linear_to_srgb(below)) / step
 
 
-def _values(material: Material, name: str) -> Texture:
-    """A map in 0…1; roughness as √α."""
+def map_values(material: Material, name: str) -> Texture:
+    """A map in 0…1, a texture or a constant; roughness as √α."""
     if name == BASE_COLOR:
         return material.diffuse_albedo if material.metalness is None else material.base_color
     if name == METALNESS:
@@ -127,7 +127,7 @@ def _changed(material: Material, name: str, end: float) -> Material:
 
     The step begins at the map's values, and below them where it would leave 0…1; the same object where nothing changes.
     """
-    values, step = _values(material, name), STEPS[name]
+    values, step = map_values(material, name), STEPS[name]
     low = values.clamp_max(1 - step)
     if end == 0 and bool((low == values).all()):
         return material
@@ -138,7 +138,7 @@ def _changed(material: Material, name: str, end: float) -> Material:
         if name == BASE_COLOR:
             return replace(material, diffuse_albedo=moved)
         return replace(material, specular_albedo=moved)
-    base_color, metalness = (moved if name == each else _values(material, each) for each in (BASE_COLOR, METALNESS))
+    base_color, metalness = (moved if name == each else map_values(material, each) for each in (BASE_COLOR, METALNESS))
     return Material.metallic(
         base_color, metalness, material.roughness, material.normal, material.observed, material.dielectric_f0
     )

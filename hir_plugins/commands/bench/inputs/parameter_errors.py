@@ -51,7 +51,7 @@ def parameter_errors(scene: Scene, capture: Capture, truth: Path) -> ParameterEr
     """
     material = scene.material
     assert material is not None
-    fits = {name: UnlitRenderer(scene_showing(values, scene)) for name, values in parameters_of(material).items()}
+    fits = {name: UnlitRenderer(scene_showing(values, scene)) for name, values in _parameters(material).items()}
     scale, colors = ChannelScale(), []
     differences: dict[str, list[Array]] = {name: [] for name in fits if name != "base_color"}
     metal = []
@@ -79,7 +79,7 @@ def parameter_errors(scene: Scene, capture: Capture, truth: Path) -> ParameterEr
     return ParameterErrors(errors, float(np.concatenate(metal).mean()))
 
 
-def parameters_of(material: Material) -> dict[str, torch.Tensor]:
+def _parameters(material: Material) -> dict[str, torch.Tensor]:
     """Base colour, metalness and roughness, each a texture or a constant, by the names of the true pictures."""
     if material.metalness is None:
         base, metalness = material.diffuse_albedo, torch.zeros(1)

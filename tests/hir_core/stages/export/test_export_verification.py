@@ -90,6 +90,19 @@ def test_a_faithful_file_passes(model: str, tmp_path: Path) -> None:
     json.dumps(dict(found.report))
 
 
+def test_lens_distortion_of_photographs_does_not_hinder(tmp_path: Path) -> None:
+    """The cameras of a run keep the lenses of their photographs; what is rendered are undistorted photographs."""
+    asset, plugins = ball("dielectric"), PluginManager.discover()
+    report: ExportReport = plugins.create("exporter", "glb").write(asset, tmp_path / "ball.glb")
+    straight = {str(i): camera for i, camera in enumerate(orbit_cameras(2, 20.0, 96))}
+    curved = {name: replace(camera, distortion=(0.05, 0.0, 0.0, 0.0)) for name, camera in straight.items()}
+    found = [
+        verify_export(report, asset, {}, Rerender(asset, cameras, np.eye(4), plugins, side=48, samples=16))
+        for cameras in (straight, curved)
+    ]
+    assert found[0] == found[1] and not found[1].warnings and "psnr" in found[1].report
+
+
 def test_a_lamp_that_files_cannot_contain_is_no_fault_of_theirs(tmp_path: Path) -> None:
     asset = ball("dielectric")
     assert asset.environment is not None

@@ -29,7 +29,7 @@ from hir_core.stages.reflectance.error_estimate.error_estimate import (
     PRIOR_WIDTHS,
     estimated_map_errors,
 )
-from hir_core.stages.reflectance.error_estimate.pixel_derivatives import STEPS, _changed, _values, pixel_derivatives
+from hir_core.stages.reflectance.error_estimate.pixel_derivatives import STEPS, _changed, map_values, pixel_derivatives
 from tests.fixtures.made_captures import around
 from tests.fixtures.scenes import icosphere, looking_at
 
@@ -199,7 +199,7 @@ def test_steps_stay_in_the_range_of_a_map(value: float) -> None:
     cases = [(plain, name) for name in ("base_color", "specular", "roughness")]
     cases += [(metallic, name) for name in ("base_color", "metalness", "roughness")]
     for material, name in cases:
-        low, high = (_values(_changed(material, name, end), name) for end in (0.0, 1.0))
+        low, high = (map_values(_changed(material, name, end), name) for end in (0.0, 1.0))
         assert float(low.min()) >= 0 and float(high.max()) <= 1 + 1e-6
         np.testing.assert_allclose((high - low).numpy(), STEPS[name], rtol=1e-3)
 
