@@ -201,7 +201,7 @@ def figures(error: Array, estimate: Array) -> dict[str, Any]:
 
     size, estimate = np.abs(error).ravel(), estimate.ravel()
     ratio = size / np.maximum(estimate, 1e-9)
-    constant = float(np.ptp(estimate)) < 1e-9
+    constant = float(np.ptp(estimate)) < 1e-4 * float(estimate.max())
     return {
         "pixels": len(size),
         "median_error": round(float(np.median(size)), 4),
