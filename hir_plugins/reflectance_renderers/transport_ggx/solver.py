@@ -78,7 +78,7 @@ EXPOSURE_EFFORT = 1.0
 wrong, they would absorb its errors (docs/studies/exposures.md)."""
 TRIAL_EFFORT = 0.25
 TRIAL_PIXEL_SHARE = 0.4
-"""Effort (at most half of the fit's) and share of the pixels of the short fits that choose initial values."""
+"""Effort, at most, and share of the pixels of the short fits that choose initial values."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,9 +220,13 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         if initial is None or (effort < EXPOSURE_EFFORT and initial.parameters.log_exposure is not None):
             settings = replace(settings, exposure_frozen_share=1.0)
         resumes = file is not None and file.has_state()
-        candidates = initial_candidates(parameters, None if initial is None else initial.parameters)
+        before = None if initial is None else initial.parameters
+        scale_is_known = spec.light_is_known or (not spec.lamp and bool(measuring_views(self._capture)))
+        candidates = initial_candidates(spec, parameters, before, scale_is_known)
         if len(candidates) > 1 and not resumes:
-            parameters = self._best_candidate(photographs, candidates, settings, spec, effort)
+            # a scale needs more steps to tell than a metalness
+            most = effort if spec.brdf == "dielectric" else effort / 2
+            parameters = self._best_candidate(photographs, candidates, settings, spec, min(TRIAL_EFFORT, most))
         fitted = joint_optimization.fit(
             self._transport,
             self._pixels.batches(photographs, spec),
@@ -528,7 +532,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
     ) -> Parameters:
         """The candidate from which a short fit reaches the lowest loss."""
         part = self._pixels.subsampled(photographs, TRIAL_PIXEL_SHARE)
-        steps = max(1, round(min(TRIAL_EFFORT, effort / 2) * self._options.steps))
+        steps = max(1, round(effort * self._options.steps))
         short = replace(settings, steps=steps, solve_albedo=False)
         losses = [self._short_fit(part, spec, candidate, short) for candidate in candidates]
         return candidates[losses.index(min(losses))]

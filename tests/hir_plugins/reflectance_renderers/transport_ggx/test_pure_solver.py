@@ -167,7 +167,7 @@ def test_hypotheses_share_the_irradiance_of_their_pixels(
     fits = [solver.fit(kind, None, VIEWS[:4], 1.0, silent, None, 0.5) for kind in kinds]
     errors = [solver.errors(fit, VIEWS[4:]) for fit in fits]
     batches = drawn[:]
-    assert len(batches) == 3, "the pixels of the fit, the sample of its widths, the views left out"
+    assert len(batches) == 4, "the pixels of the fit, those of short fits, the sample of its widths, the views left out"
     solver.fit(kinds[1], fits[1], VIEWS[:4], 1.0, silent, None, 0.5)
     assert drawn == batches
     for kind, fit, error in zip(kinds, fits, errors, strict=True):

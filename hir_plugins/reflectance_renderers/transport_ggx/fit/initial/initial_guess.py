@@ -16,6 +16,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.initial_metalne
     with_metalness,
     without_metalness,
 )
+from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.measured_scale import with_brighter_light
 from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import ObservedPixels
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters, logit_of_alpha
 from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_light import irradiance_of
@@ -31,6 +32,9 @@ INDIRECT_ITERATIONS = 4
 """Iterations of darker albedos and the indirect light that they cause; each reduces the change by the albedo."""
 MIN_INITIAL_SPECULAR_LOGIT = math.log(0.03 / 0.97)
 """Lower limit of logit ρs where a colour or a map starts: near ρs = 0 the logistic function has no slope."""
+BRIGHTER_LIGHTS = (3.0, 9.0)
+"""Factors of the light that are tried where the lobe of a dielectric is new. A mean albedo of 0.3 becomes 0.1 and
+0.033; rubber and black plastic have 0.02 to 0.05 (docs/studies/initial_guess.md)."""
 MOSTLY_METAL = 0.75
 """The second initial metalness that is tried: a narrow lobe with much diffuse light is a minimum of the loss too."""
 
@@ -193,8 +197,19 @@ def extended_to(spec: ModelSpec, base: Parameters, material: Material) -> Parame
     )
 
 
-def initial_candidates(parameters: Parameters, earlier: Parameters | None) -> list[Parameters]:
-    """The initial values, and others from which a fit may find a lower minimum, where a metalness is new."""
-    if earlier is None or parameters.metalness is None or earlier.metalness is not None or parameters.is_metal:
+def initial_candidates(
+    spec: ModelSpec, parameters: Parameters, earlier: Parameters | None, scale_is_known: bool
+) -> list[Parameters]:
+    """The initial values, and others from which a fit may find a lower minimum.
+
+    Where a metalness is new: mostly metal. Where the lobe of a dielectric is new: darker albedos under a brighter
+    light. A diffuse fit says nothing about that scale, but highlights do: F0 is about 0.04 for most dielectrics.
+    """
+    if earlier is None:
+        return [parameters]
+    if spec.brdf == "dielectric" and earlier.width is None and not scale_is_known:
+        gains = (parameters.light.new_full((3,), gain) for gain in BRIGHTER_LIGHTS)
+        return [parameters, *(with_brighter_light(parameters, gain) for gain in gains)]
+    if parameters.metalness is None or earlier.metalness is not None or parameters.is_metal:
         return [parameters]
     return [parameters, replace(parameters, metalness=torch.logit(torch.full_like(parameters.metalness, MOSTLY_METAL)))]

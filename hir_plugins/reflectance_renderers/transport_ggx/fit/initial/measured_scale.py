@@ -36,14 +36,19 @@ def at_measured_scale(
     with torch.no_grad():
         lights = light_of_each_take(parameters.radiance, len(capture.takes))
         radiance = lights[capture.take_numbers[views[0]]]
-        gain = measured_over_found(EnvironmentMap(radiance, to_world, frame), capture)
-        solved = parameters.closed_form_diffuse
-        return replace(
-            parameters,
-            light=parameters.light + gain.log(),
-            diffuse=_divided(parameters.diffuse, gain),
-            closed_form_diffuse=None if solved is None else _divided(solved, gain),
-        )
+        return with_brighter_light(parameters, measured_over_found(EnvironmentMap(radiance, to_world, frame), capture))
+
+
+def with_brighter_light(parameters: Parameters, gain: Float[Tensor, " 3"]) -> Parameters:
+    """All light brighter by a factor for each channel, and albedos as much darker: a diffuse surface looks the same."""
+    solved, lamp = parameters.closed_form_diffuse, parameters.lamp
+    return replace(
+        parameters,
+        light=parameters.light + gain.log(),
+        diffuse=_divided(parameters.diffuse, gain),
+        closed_form_diffuse=None if solved is None else _divided(solved, gain),
+        lamp=None if lamp is None else torch.cat([lamp[:3] + gain.log(), lamp[3:]]),
+    )
 
 
 def _divided(logit: Float[Tensor, "V 3"], gain: Float[Tensor, " 3"]) -> Float[Tensor, "V 3"]:
