@@ -58,7 +58,7 @@ class MapPixels:
 
     fit: Array
     true: Array
-    spread: Array
+    variation: Array
     """The estimated standard error from photographs that differ."""
     error: Array
     """The whole one."""
@@ -68,7 +68,7 @@ class MapPixels:
         scale = ChannelScale()
         scale.add(self.fit.astype(np.float32), self.true.astype(np.float32))
         factor = scale.value.astype(np.float64)
-        return MapPixels(self.fit * factor, self.true, self.spread * factor, self.error * factor)
+        return MapPixels(self.fit * factor, self.true, self.variation * factor, self.error * factor)
 
 
 def main() -> None:
@@ -107,7 +107,7 @@ def measured(run: FinishedRun, plugins: PluginManager) -> list[dict[str, Any]]:
     }
     return [
         shared
-        | {"map": name, "spread_alone": figures(each.fit - each.true, each.spread)}
+        | {"map": name, "variation_alone": figures(each.fit - each.true, each.variation)}
         | figures(each.fit - each.true, each.error)
         for name, each in known_pixels(run, plugins).items()
     ]
@@ -126,7 +126,7 @@ def known_pixels(run: FinishedRun, plugins: PluginManager) -> dict[str, MapPixel
     errors, material, truth = load_map_errors(run.directory.stage("reflectance")), run.scene.material, _truth(run)
     if errors is None or material is None:
         raise InputError(f"{run.directory.path} has no map errors; run it with: --set reflectance.map_errors=true")
-    if not errors.spread:  # of a run whose errors are the spread alone
+    if not errors.variation:  # of a run whose errors are the spread alone
         errors = with_common_errors(errors, material, PRIOR_WIDTHS)
     whole: dict[str, Array] = {"base_color": errors.base_color} | errors.maps
     whole |= {name: np.full((1, 1), value) for name, value in errors.constants.items()}
@@ -134,7 +134,7 @@ def known_pixels(run: FinishedRun, plugins: PluginManager) -> dict[str, MapPixel
     names = [name for name in whole if name in PICTURES or (name == "specular" and true_f0 is not None)]
     shown = {(name, "fit"): map_values(material, name) for name in names}
     shown |= {(name, "error"): _texture(whole[name]) for name in names}
-    shown |= {(name, "spread"): _texture(errors.spread.get(name, whole[name])) for name in names}
+    shown |= {(name, "variation"): _texture(errors.variation.get(name, whole[name])) for name in names}
     shown["", "observed"] = _texture((errors.condition == OBSERVED).astype(np.float32))
     renderers = {key: UnlitRenderer(scene_showing(values, run.scene)) for key, values in shown.items()}
     capture = run.read_split(run.capture_path, "test", plugins)
@@ -153,7 +153,7 @@ def known_pixels(run: FinishedRun, plugins: PluginManager) -> dict[str, MapPixel
                 true = srgb_to_linear(true)
             elif name == "specular":
                 true = np.full_like(true, true_f0)
-            estimates = (values[name, which][0][inside] for which in ("spread", "error"))
+            estimates = (values[name, which][0][inside] for which in ("variation", "error"))
             parts[name].append((fit[inside], true, *estimates))
     found = {}
     for name, pieces in parts.items():
@@ -177,13 +177,15 @@ def fitted_constants(runs: Sequence[MapPixels], level: float = 0.68) -> CommonEr
     """The error below which a share `level` of the true ones lies, as a function of spread and value."""
     from scipy.optimize import minimize
 
-    parts = [np.stack([np.abs(each.fit - each.true).ravel(), each.spread.ravel(), each.fit.ravel()]) for each in runs]
+    parts = [
+        np.stack([np.abs(each.fit - each.true).ravel(), each.variation.ravel(), each.fit.ravel()]) for each in runs
+    ]
 
     def loss(logarithms: Array) -> float:
         constants = CommonError(*(float(each) for each in np.exp(logarithms)))
         losses = []
-        for true, spread, value in parts:
-            above = true - constants.error(spread, value, np.inf)
+        for true, variation, value in parts:
+            above = true - constants.error(variation, value, np.inf)
             losses.append(float(np.maximum(level * above, (level - 1) * above).mean()))
         return float(np.mean(losses))
 
@@ -221,9 +223,9 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
         "|---|---|---|---|---|---|---|---|---|",
     ]
     for row in sorted(rows, key=lambda each: (each["map"], each["half"], each["capture"], each["run"])):
-        spread = row["spread_alone"]
+        variation = row["variation_alone"]
         pairs = [
-            f"{_text(spread[key], form)} → {_text(row[key], form)}"
+            f"{_text(variation[key], form)} → {_text(row[key], form)}"
             for key, form in (
                 ("median_estimate", ".3f"),
                 ("within_1", ".2f"),
@@ -239,9 +241,10 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
     for name in sorted({row["map"] for row in rows}):
         for half in ("tuning", "validation"):
             chosen = [row for row in rows if row["map"] == name and row["half"] == half]
+            alone = [row["variation_alone"] for row in chosen]
             if len(chosen) > 1:
                 means = [
-                    f"{np.mean([r['spread_alone'][key] for r in chosen]):.2f} → {np.mean([r[key] for r in chosen]):.2f}"
+                    " → ".join(f"{np.mean([each[key] for each in part]):.2f}" for part in (alone, chosen))
                     for key in ("within_1", "within_2")
                 ]
                 lines.append(f"| {name} | {half} | mean of {len(chosen)} | | | | {means[0]} | {means[1]} | |")

@@ -14,7 +14,7 @@ from hir_core.files.array_files import read_arrays, write_arrays
 from hir_core.scene.map_errors import MapErrors
 
 FILE = "map_errors.npz"
-_MAP, _CONSTANT, _SPREAD = "map.", "constant.", "spread."
+_MAP, _CONSTANT, _VARIATION = "map.", "constant.", "variation."
 
 
 def save_map_errors(errors: MapErrors, folder: Path) -> None:
@@ -22,7 +22,7 @@ def save_map_errors(errors: MapErrors, folder: Path) -> None:
     arrays: dict[str, NDArray[Any]] = {"base_color": errors.base_color, "condition": errors.condition}
     arrays |= {_MAP + name: values for name, values in errors.maps.items()}
     arrays |= {_CONSTANT + name: np.array([value], np.float64) for name, value in errors.constants.items()}
-    arrays |= {_SPREAD + name: values for name, values in errors.spread.items()}
+    arrays |= {_VARIATION + name: values for name, values in errors.variation.items()}
     write_arrays(folder / FILE, arrays)
 
 
@@ -33,8 +33,8 @@ def load_map_errors(folder: Path) -> MapErrors | None:
     arrays = read_arrays(folder / FILE)
     try:
         constants = {name: float(each[0]) for name, each in _named(arrays, _CONSTANT).items()}
-        maps, spread = _named(arrays, _MAP), _named(arrays, _SPREAD)
-        return MapErrors(arrays["base_color"], maps, constants, arrays["condition"], spread)
+        maps, variation = _named(arrays, _MAP), _named(arrays, _VARIATION)
+        return MapErrors(arrays["base_color"], maps, constants, arrays["condition"], variation)
     except (KeyError, IndexError) as error:
         raise InputError(f"{folder / FILE} is damaged ({error}); run without --resume") from error
 

@@ -26,7 +26,7 @@ class MapErrors:
     """The same of each that is one value for the whole surface."""
     condition: UInt8[NDArray[np.uint8], "H W"]
     """`OUTSIDE`, `OBSERVED`, `UNDER_OBSERVED` (by too few photographs), `IN_SHADOW` or `UNDER_HIGHLIGHTS` in all."""
-    spread: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
+    variation: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
     """By map, `base_color` included: the part of the errors in which photographs differ; a constant has the shape
     (1, 1). Empty where the errors are that part alone.
     """

@@ -28,15 +28,15 @@ Array = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class CommonError:
-    """error² = (spread_factor · spread)² + (share · value)² + floor²."""
+    """error² = (variation_factor · variation)² + (share · value)² + floor²."""
 
-    spread_factor: float
+    variation_factor: float
     share: float
     floor: float
 
-    def error(self, spread: NDArray[np.floating], value: NDArray[np.floating], widest: float) -> NDArray[np.float64]:
+    def error(self, variation: NDArray[np.floating], value: NDArray[np.floating], widest: float) -> NDArray[np.float64]:
         """The whole standard error, at most `widest`, which is that of a map of which nothing is known."""
-        found = np.sqrt((self.spread_factor * spread) ** 2 + (self.share * value) ** 2 + self.floor**2)
+        found = np.sqrt((self.variation_factor * variation) ** 2 + (self.share * value) ** 2 + self.floor**2)
         return np.asarray(np.minimum(found, widest))
 
 
@@ -54,8 +54,8 @@ def with_common_errors(errors: MapErrors, material: Material, widest: dict[str, 
     """The errors of a fit whose light was fitted, too; `errors` is the spread between photographs alone, which the
     result keeps. `widest` has the error of each map where nothing is known.
     """
-    spread: dict[str, Array] = {BASE_COLOR: errors.base_color} | errors.maps
-    spread |= {name: np.full((1, 1), value, np.float32) for name, value in errors.constants.items()}
+    variation: dict[str, Array] = {BASE_COLOR: errors.base_color} | errors.maps
+    variation |= {name: np.full((1, 1), value, np.float32) for name, value in errors.constants.items()}
 
     def whole(name: str) -> Array:
         rows, columns = errors.condition.shape
@@ -63,7 +63,7 @@ def with_common_errors(errors: MapErrors, material: Material, widest: dict[str, 
         value = value if name == BASE_COLOR else value.mean(axis=2)
         if name in errors.constants:
             value = value[:1, :1]
-        return COMMON_ERRORS[name].error(spread[name], value, widest[name]).astype(np.float32)
+        return COMMON_ERRORS[name].error(variation[name], value, widest[name]).astype(np.float32)
 
     def as_map(name: str) -> Array:
         inside = errors.condition != OUTSIDE
@@ -75,7 +75,7 @@ def with_common_errors(errors: MapErrors, material: Material, widest: dict[str, 
         base_color=as_map(BASE_COLOR),
         maps={name: as_map(name) for name in errors.maps},
         constants={name: float(whole(name)[0, 0]) for name in errors.constants},
-        spread=spread,
+        variation=variation,
     )
 
 

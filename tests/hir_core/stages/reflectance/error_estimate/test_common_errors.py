@@ -17,7 +17,7 @@ from hir_core.stages.reflectance.error_estimate.error_estimate import PRIOR_WIDT
 BLOCKS = 4
 
 
-def spread_alone() -> MapErrors:
+def variation_alone() -> MapErrors:
     """Of two columns of the four there is surface."""
     condition = np.full((BLOCKS, BLOCKS), OUTSIDE, np.uint8)
     condition[:, :2] = OBSERVED
@@ -40,7 +40,7 @@ def test_no_error_exceeds_that_of_a_map_of_which_nothing_is_known() -> None:
 
 
 def test_every_map_gets_its_own_value_and_keeps_the_spread() -> None:
-    before, fit = spread_alone(), material()
+    before, fit = variation_alone(), material()
     whole = with_common_errors(before, fit, PRIOR_WIDTHS)
     inside = before.condition != OUTSIDE
     expected = {
@@ -52,26 +52,26 @@ def test_every_map_gets_its_own_value_and_keeps_the_spread() -> None:
     np.testing.assert_allclose(whole.maps["specular"][inside], expected["specular"], rtol=1e-5)
     assert whole.constants["roughness"] == pytest.approx(float(expected["roughness"]), rel=1e-5)
     assert np.isnan(whole.base_color[~inside]).all() and np.isnan(whole.maps["specular"][~inside]).all()
-    np.testing.assert_array_equal(whole.spread["base_color"], before.base_color)
-    assert whole.spread["roughness"] == pytest.approx(0.002)
+    np.testing.assert_array_equal(whole.variation["base_color"], before.base_color)
+    assert whole.variation["roughness"] == pytest.approx(0.002)
 
 
 def test_brighter_blocks_are_less_certain() -> None:
     """A wrong light makes an error that is a share of the base colour."""
     fit = material()
     fit.diffuse_albedo[:8] = 0.1
-    whole = with_common_errors(spread_alone(), fit, PRIOR_WIDTHS)
+    whole = with_common_errors(variation_alone(), fit, PRIOR_WIDTHS)
     dark, bright = whole.base_color[0, 0, 0], whole.base_color[3, 0, 0]
     assert dark < bright
 
 
 def test_both_parts_are_stored_bit_for_bit(tmp_path: Path) -> None:
-    whole = with_common_errors(spread_alone(), material(), PRIOR_WIDTHS)
+    whole = with_common_errors(variation_alone(), material(), PRIOR_WIDTHS)
     save_map_errors(whole, tmp_path)
     read = load_map_errors(tmp_path)
     assert read is not None
-    assert read.spread.keys() == whole.spread.keys()
-    for name, each in whole.spread.items():
-        np.testing.assert_array_equal(read.spread[name], each)
+    assert read.variation.keys() == whole.variation.keys()
+    for name, each in whole.variation.items():
+        np.testing.assert_array_equal(read.variation[name], each)
     np.testing.assert_array_equal(read.base_color, whole.base_color)
     assert read.constants == whole.constants
