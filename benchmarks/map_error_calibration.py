@@ -191,7 +191,8 @@ def fitted_constants(runs: Sequence[MapPixels], level: float = 0.68) -> CommonEr
 
     guesses = [np.log([factor, share, 0.01]) for factor in (1.0, 4.0) for share in (0.02, 0.2)]
     options = {"xatol": 1e-3, "fatol": 1e-8, "maxiter": 2000}
-    found = min((minimize(loss, guess, method="Nelder-Mead", options=options) for guess in guesses), key=lambda f: f.fun)
+    fits = [minimize(loss, guess, method="Nelder-Mead", options=options) for guess in guesses]
+    found = min(fits, key=lambda fit: fit.fun)
     return CommonError(*(round(float(each), 4) for each in np.exp(found.x)))
 
 
