@@ -86,14 +86,24 @@ def test_the_table_has_means_of_the_gain() -> None:
     def part(gain: float) -> dict[str, object]:
         relit = {light: {"frame": 30 + gain, "object": 25 + gain} for light in two_takes.RELIGHTS}
         unseen = {"frame": 35.0, "object": 30.0}
-        return {"unseen": unseen, "relit_scaled": relit, "albedo_scaled": 20.0, "complete": 0.9, "seconds": 60.0}
+        shares = {"complete": 0.9, "underside": 0.5 + gain / 10}
+        return {"unseen": unseen, "relit_scaled": relit, "base_color_scaled": 20.0} | shares
 
     rows: list[dict[str, Any]] = []
     for name, gain in (("a", 1.0), ("b", 3.0)):
-        row: dict[str, Any] = {"recipe": name, "seed": 0, "side": 192}
+        row: dict[str, Any] = {"recipe": name, "texture": "coarse", "seed": 0, "side": 192}
         rows += [row | {"run": "one"} | part(0), row | {"run": "two"} | part(gain)]
-    rows.append({"recipe": "a", "seed": 0, "side": 192, "run": "estimated"} | part(0.5))
-    rows.append({"recipe": "c", "seed": 0, "side": 512, "run": "one"} | part(0))
+    rows.append({"recipe": "a", "texture": "coarse", "seed": 0, "side": 192, "run": "estimated"} | part(0.5))
+    rows.append({"recipe": "c", "texture": "fine", "seed": 0, "side": 512, "run": "one"} | part(0))
     lines = table(rows).splitlines()
-    assert "30.0 → 31.0 (30.5)" in lines[2] and "| +2.00 ± 1.00 |" in lines[-1]
+    assert (
+        "30.0 → 31.0 (30.5)" in lines[2] and "| +2.00 ± 1.41 |" in lines[-1] and "0.500 → 0.600 (0.550) |" in lines[2]
+    )
     assert "30.0 → – |" in lines[4] and len(lines) == 6
+
+
+def test_dots_darken_a_part_of_the_base_colour() -> None:
+    points = np.random.default_rng(0).uniform(-1, 1, (4000, 3))
+    surface = MATERIALS["matt"].draw(points, np.zeros(4000, np.int64), np.random.default_rng(0))
+    share = two_takes.with_dots(surface, points, 3).base_color / surface.base_color
+    assert set(np.unique(share.round(6))) == {0.3, 1.0} and 0.1 < (share < 0.5).mean() < 0.6
