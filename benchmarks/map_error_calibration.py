@@ -30,7 +30,7 @@ from hir_exporters.conventions import srgb_to_linear
 from hir_exporters.textures.image_files import read_ldr
 from numpy.typing import NDArray
 
-from benchmarks.stored_rows import add_rows, stored_rows
+from benchmarks.stored_rows import add_rows, parsed
 from hir_core.errors import InputError
 from hir_core.metrics import OBJECT_COVERAGE, ChannelScale, unassociate
 from hir_core.plugins.manager import PluginManager
@@ -77,21 +77,25 @@ def main() -> None:
     parser.add_argument("--store", type=Path, default=STORE, help="file of stored lines")
     parser.add_argument("--fit", action="store_true", help="print the constants for these runs, store nothing")
     parser.add_argument("--table", type=Path, metavar="FILE", help="print the table of stored lines, measure nothing")
-    options = parser.parse_args()
-    if options.table:
-        print(table(stored_rows(options.table)))
-        return
+    options = parsed(parser, table)
     if not options.runs:
         parser.error("name finished runs, or --table")
     plugins = PluginManager.discover()
-    runs = (open_finished_run(RunDirectory(path)) for path in options.runs)
-    if options.fit:
-        of_runs = [known_pixels(run, plugins) for run in runs]
-        for name in sorted({name for each in of_runs for name in each}):
-            print(name, fitted_constants([each[name] for each in of_runs if name in each]))
-        return
-    for run in runs:
-        add_rows(options.store, measured(run, plugins))
+    try:
+        runs = [open_finished_run(RunDirectory(path)) for path in options.runs]
+        if options.fit:
+            print_constants([known_pixels(run, plugins) for run in runs])
+            return
+        for run in runs:
+            add_rows(options.store, measured(run, plugins))
+    except InputError as error:
+        parser.error(str(error))
+
+
+def print_constants(of_runs: Sequence[dict[str, MapPixels]]) -> None:
+    """A line for each map."""
+    for name in sorted({name for each in of_runs for name in each}):
+        print(name, fitted_constants([each[name] for each in of_runs if name in each]))
 
 
 def measured(run: FinishedRun, plugins: PluginManager) -> list[dict[str, Any]]:

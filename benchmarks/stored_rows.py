@@ -18,7 +18,7 @@ def study_arguments(
     parser.add_argument("--store", type=Path, default=store, help="file of stored lines")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
     parser.add_argument("--table", type=Path, metavar="FILE", help="print the table of stored lines, measure nothing")
-    options = _parsed(parser, table)
+    options = parsed(parser, table)
     if not options.captures:
         parser.error("name captures, or --table")
     return options
@@ -36,13 +36,14 @@ def run_arguments(
     parser.add_argument("--make-only", action="store_true", help="render captures, run nothing")
     parser.add_argument("--variant", default="llvm_ad_rgb", help="Mitsuba's variant")
     parser.add_argument("--table", type=Path, metavar="FILE", help="print the table of stored lines, measure nothing")
-    options = _parsed(parser, table)
+    options = parsed(parser, table)
     if not options.recipes or options.workspace is None:
         parser.error("name recipes and --workspace, or --table")
     return options
 
 
-def _parsed(parser: argparse.ArgumentParser, table: Callable[[list[dict[str, Any]]], str]) -> argparse.Namespace:
+def parsed(parser: argparse.ArgumentParser, table: Callable[[list[dict[str, Any]]], str]) -> argparse.Namespace:
+    """The arguments; with `--table FILE` prints its table and ends."""
     options = parser.parse_args()
     if options.table is not None:
         if not options.table.is_file():

@@ -40,7 +40,10 @@ def at_measured_scale(
 
 
 def with_brighter_light(parameters: Parameters, gain: Float[Tensor, " 3"]) -> Parameters:
-    """All light brighter by a factor for each channel, and albedos as much darker: a diffuse surface looks the same."""
+    """All light brighter by a factor for each channel, and albedos as much darker.
+
+    A diffuse surface looks the same, but for the light that it reflects onto itself.
+    """
     solved, lamp = parameters.closed_form_diffuse, parameters.lamp
     return replace(
         parameters,

@@ -56,6 +56,14 @@ def test_every_map_gets_its_own_value_and_keeps_the_spread() -> None:
     assert whole.variation["roughness"] == pytest.approx(0.002)
 
 
+def test_blocks_that_no_photograph_determines_stay_as_uncertain_as_before() -> None:
+    before = variation_alone()
+    before.base_color[0, 0], before.maps["specular"][0, 0] = PRIOR_WIDTHS["base_color"], PRIOR_WIDTHS["specular"]
+    whole = with_common_errors(before, material(), PRIOR_WIDTHS)
+    np.testing.assert_allclose(whole.base_color[0, 0], PRIOR_WIDTHS["base_color"], rtol=1e-6)
+    assert whole.maps["specular"][0, 0] == pytest.approx(PRIOR_WIDTHS["specular"])
+
+
 def test_brighter_blocks_are_less_certain() -> None:
     """A wrong light makes an error that is a share of the base colour."""
     fit = material()
