@@ -14,14 +14,13 @@ import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
 from scipy.special import stdtrit
 
+from benchmarks.stored_rows import provenance
 from hir_core.files.json_documents import write_json
-from hir_core.run.machine import describe_machine, source_commit
 from hir_plugins.commands.bench.results.bench_result import Result
 from hir_plugins.commands.bench.results.materials_summary import RELIT, SELECTED, UNSEEN
 
@@ -156,9 +155,7 @@ def study(name: str, workspace: Path, arguments: Sequence[str]) -> dict[str, Any
         "arguments": [argument for argument in arguments if not Path(argument).is_absolute()],
         "runs": runs,
         "gains": gains,
-        "commit": source_commit(),
-        "date": datetime.now(UTC).date().isoformat(),
-        "machine": describe_machine("cpu"),
+        **provenance(),
     }
 
 

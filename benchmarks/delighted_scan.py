@@ -16,7 +16,6 @@ import argparse
 import json
 import shutil
 from collections.abc import Callable, Mapping, Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -28,13 +27,12 @@ from hir_exporters.textures.image_files import write_png
 from numpy.typing import NDArray
 
 from benchmarks.hir_command import hir
-from benchmarks.stored_rows import add_rows, stored_rows
+from benchmarks.stored_rows import add_rows, provenance, stored_rows
 from hir_core.capture import Camera, Capture
 from hir_core.intake.reader_lookup import read_capture
 from hir_core.mesh.ray_casting import MeshQueries
 from hir_core.mesh.texel_rasterization import TexelSurface, dilate, texel_surface
 from hir_core.plugins.manager import PluginManager
-from hir_core.run.machine import describe_machine, source_commit
 from hir_core.scene import Mesh, Topology
 from hir_core.scene.srgb import linear_to_srgb
 from hir_core.stages.atlas import unwrap_mesh
@@ -203,9 +201,7 @@ def measured(source: Path, folder: Path, program: str, seed: int, plugins: Plugi
         "baked": {light: metrics[light]["scan_texture"]["psnr_scaled"] for light in LIGHTS},
         "keeps_triangles": keeps_triangles(scan, next((run / "exports").glob("*.glb"))),
         "command": "hir delight scan.obj photos -o RUN",
-        "commit": source_commit(),
-        "date": datetime.now(UTC).date().isoformat(),
-        "machine": describe_machine("cpu"),
+        **provenance(),
     }
 
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +19,10 @@ import numpy as np
 
 from benchmarks.measured_depths import VIEWS, Case, capture_of
 from benchmarks.shape.shapes import OBJECTS
-from benchmarks.stored_rows import add_rows, stored_rows
+from benchmarks.stored_rows import add_rows, provenance, stored_rows
 from hir_core.capture import Capture, DepthPixels, MeasuredDepth, View
 from hir_core.intake.depth_scale import depth_scale
 from hir_core.mesh.ray_casting import MeshQueries
-from hir_core.run.machine import describe_machine, source_commit
 from hir_core.stages.geometry.measured_depths.depth_term import depth_rays
 from hir_core.testing.captures import StoredPixels
 from hir_plugins.initializers.hull.visual_hull import VisualHull
@@ -150,9 +148,7 @@ def measured(name: str, disturbance: str, seed: int) -> dict[str, Any]:
         "corrected": scale.factor != 1,
         "rays": scale.rays,
         "left_by_hull_median": None if noise else (1 + BIAS) * hull_median(views) - 1,
-        "commit": source_commit(),
-        "date": datetime.now(UTC).date().isoformat(),
-        "machine": describe_machine("cpu"),
+        **provenance(),
     }
 
 

@@ -15,7 +15,6 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.reflectance_task import task_of
+from benchmarks.stored_rows import provenance
 from hir_core.capture import Capture, Pixels, View
 from hir_core.config import ReflectanceSettings
-from hir_core.run.machine import describe_machine, source_commit
 from hir_core.stages.held_out_views import model_selection_folds
 from hir_core.stages.reflectance.selection.exposure_selection import select_exposures
 from hir_core.stages.reflectance.selection.fit_sequence import FitSequence
@@ -74,9 +73,7 @@ def measured(path: Path, stops: float, white_balance: float, seed: int) -> dict[
         "gain_db": None if selection.gain_db is None else round(selection.gain_db, 3),
         "standard_error_db": None if selection.standard_error_db is None else round(selection.standard_error_db, 3),
         "decision_seconds": round(time.process_time() - began, 1),
-        "commit": source_commit(),
-        "date": datetime.now(UTC).date().isoformat(),
-        "machine": describe_machine("cpu"),
+        **provenance(),
     }
 
 

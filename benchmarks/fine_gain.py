@@ -17,7 +17,6 @@ import statistics
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -26,13 +25,12 @@ import numpy as np
 
 from benchmarks.default_values import DEFAULT_VALUES, gain_of
 from benchmarks.mesh_chains import CHAINS
-from benchmarks.stored_rows import add_rows, stored_rows, study_arguments
+from benchmarks.stored_rows import add_rows, provenance, stored_rows, study_arguments
 from hir_core.capture import Capture
 from hir_core.config import load_config
 from hir_core.intake.reader_lookup import read_capture
 from hir_core.metrics.surface_metrics import compare_surfaces
 from hir_core.plugins.manager import PluginManager
-from hir_core.run.machine import describe_machine, source_commit
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import Mesh, Scene
 from hir_core.stages.geometry import geometry_fit, photo_refinement
@@ -123,9 +121,7 @@ def measured(path: Path, seed: int, plugins: PluginManager) -> Iterator[dict[str
                 "noise": fine and fine.noise,
                 "chamfer": round(figures.chamfer, 7),
                 "normals_deg": round(figures.normal_error_deg, 4),
-                "commit": source_commit(),
-                "date": datetime.now(UTC).date().isoformat(),
-                "machine": describe_machine("cpu"),
+                **provenance(),
             }
 
 

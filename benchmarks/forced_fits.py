@@ -19,20 +19,18 @@ import statistics
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from datetime import UTC, datetime
 from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
 from typing import Any, get_args, get_type_hints
 
 from benchmarks.default_values import DEFAULT_VALUES, MEASURES, Value, gain_of
-from benchmarks.stored_rows import add_rows, stored_rows
+from benchmarks.stored_rows import add_rows, provenance, stored_rows
 from hir_core.config import ReflectanceSettings
 from hir_core.errors import ConfigError
 from hir_core.plugins.interfaces import CheckpointLocation
 from hir_core.plugins.manager import PluginManager
 from hir_core.plugins.model_spec import ModelSpec
-from hir_core.run.machine import describe_machine, source_commit
 from hir_plugins.commands.bench.inputs.materials_captures import MaterialsCapture, find_captures
 from hir_plugins.commands.bench.materials_options import HALVES, parse_seeds
 from hir_plugins.commands.bench.suites.forced_hypotheses import forcing_settings
@@ -140,9 +138,7 @@ def measured(
         "constant": name,
         "decibels": decibels,
         "fit": "forced to the true kind and light frame, true mesh",
-        "commit": source_commit(),
-        "date": datetime.now(UTC).date().isoformat(),
-        "machine": describe_machine("cpu"),
+        **provenance(),
     }
 
 

@@ -13,17 +13,15 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.stored_rows import add_rows, stored_rows, study_arguments
+from benchmarks.stored_rows import add_rows, provenance, stored_rows, study_arguments
 from hir_core.intake.reader_lookup import read_capture
 from hir_core.mesh.ray_casting import MeshQueries
 from hir_core.plugins.manager import PluginManager
-from hir_core.run.machine import describe_machine, source_commit
 from hir_plugins.commands.bench.inputs.bench_captures import decode_images, true_mesh
 from hir_plugins.initializers.hollows.hollows import BLUR_VOXELS, SEARCH_VOXELS
 from hir_plugins.initializers.hollows.photo_prediction import blurred_photographs
@@ -65,9 +63,7 @@ def measured(path: Path, seed: int, plugins: PluginManager) -> dict[str, Any]:
         "found": round(float(removed[empty].mean()), 4) if empty.any() else None,
         "wrong": round(float(removed[solid].mean()), 4),
         "cpu_seconds": round(time.process_time() - began, 1),
-        "commit": source_commit(),
-        "date": datetime.now(UTC).date().isoformat(),
-        "machine": describe_machine("cpu"),
+        **provenance(),
     }
 
 

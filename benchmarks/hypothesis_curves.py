@@ -10,8 +10,7 @@ import argparse
 import json
 import time
 from collections import defaultdict
-from collections.abc import Sequence
-from datetime import UTC, datetime
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +18,8 @@ import numpy as np
 import torch
 
 from benchmarks.reflectance_task import task_of
+from benchmarks.stored_rows import provenance
 from hir_core.plugins.model_spec import ModelSpec
-from hir_core.run.machine import describe_machine, source_commit
 from hir_core.stages.held_out_views import model_selection_folds
 from hir_core.stages.reflectance.selection.fit_sequence import FitSequence
 from hir_core.stages.reflectance.selection.folded_fits import FoldedFits
@@ -29,11 +28,13 @@ from hir_core.stages.reflectance.selection.successive_halving import ROUNDS, Suc
 from hir_plugins.reflectance_renderers.transport_ggx.solver import Fit
 
 
-def curves(path: Path, specs: Sequence[ModelSpec], seed: int) -> dict[str, Any]:
+def curves(path: Path, specs: Sequence[ModelSpec], seed: int, options: Mapping[str, Any]) -> dict[str, Any]:
     """Held-out dB of each hypothesis after each round, and what its fit has found."""
     task = task_of(path, downsample=1)
     began = time.process_time()
-    solver = task.plugins.create("reflectance_renderer", "transport_ggx", {}, seed).prepare(task.start, task.train, 1)
+    solver = task.plugins.create("reflectance_renderer", "transport_ggx", dict(options), seed).prepare(
+        task.start, task.train, 1
+    )
     folds = FoldedFits(FitSequence(solver, lambda name, share: None), model_selection_folds(len(task.train.views)))
     rounds = SuccessiveHalving(folds, specs)
     hypotheses = {}
@@ -56,11 +57,10 @@ def curves(path: Path, specs: Sequence[ModelSpec], seed: int) -> dict[str, Any]:
         "capture": path.name,
         "kind": truth["kind"],
         "seed": seed,
+        "options": dict(options),
         "hypotheses": hypotheses,
         "processor_seconds": round(time.process_time() - began),
-        "commit": source_commit(),
-        "date": datetime.now(UTC).date().isoformat(),
-        "machine": describe_machine("cpu"),
+        **provenance(),
     }
 
 
@@ -92,16 +92,20 @@ def main() -> None:
     parser.add_argument("--kinds", default=",".join(KINDS), help="kinds of material, separated by commas")
     parser.add_argument("--frames", default=",".join(FRAMES), help="world, camera or both")
     parser.add_argument("--seeds", default="0")
+    parser.add_argument(
+        "--set", dest="options", nargs="*", default=[], metavar="NAME=NUMBER", help="options of transport_ggx"
+    )
     parser.add_argument("--table", action="store_true", help="print the table of stored lines, fit nothing")
     given = parser.parse_args()
     if given.table:
         table(given.paths)
         return
     torch.set_num_threads(1)
+    options = {name: float(number) for name, number in (each.split("=") for each in given.options)}
     specs = [hypothesis(kind, frame) for frame in given.frames.split(",") for kind in given.kinds.split(",")]
     for path in given.paths:
         for seed in map(int, given.seeds.split(",")):
-            print(json.dumps(curves(path, specs, seed)), flush=True)
+            print(json.dumps(curves(path, specs, seed, options)), flush=True)
 
 
 if __name__ == "__main__":

@@ -7,17 +7,15 @@ rows as lines of JSON, with commit, date and machine.
 from __future__ import annotations
 
 import argparse
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
-from benchmarks.stored_rows import add_rows
+from benchmarks.stored_rows import add_rows, provenance
 from hir_core.capture import Capture
 from hir_core.config import ReflectanceSettings
-from hir_core.run.machine import describe_machine, source_commit
 from hir_core.scene import CameraLamp, EnvironmentMap, Material, Scene
 from hir_core.stages.held_out_views import model_selection_folds
 from hir_core.stages.reflectance.initial_material_and_light import initial_scene
@@ -88,9 +86,7 @@ def row(light: str, material: str, ratio: float) -> dict[str, Any]:
         "held_out_db": {name: round(fit.held_out_db, 2) for name, fit in fits.items()},
         "lead_db": {name: [round(value, 2) for value in gain] for name, gain in gains.items()},
         "takes_part": is_ahead_of(fits["lamp"], [fit for name, fit in fits.items() if name != "lamp"]),
-        "commit": source_commit(),
-        "date": datetime.now(UTC).date().isoformat(),
-        "machine": describe_machine("cpu"),
+        **provenance(),
     }
 
 

@@ -15,7 +15,6 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,7 @@ import torch
 from torch import Tensor
 
 from benchmarks.reflectance_task import Task, task_of
-from hir_core.run.machine import describe_machine, source_commit
+from benchmarks.stored_rows import provenance
 from hir_core.scene.srgb import linear_to_srgb
 from hir_core.stages.held_out_views import held_out_for_model_selection
 from hir_core.stages.reflectance.selection.hypotheses import KINDS, hypothesis
@@ -159,9 +158,7 @@ def main() -> None:
     about = {
         "capture": options.capture.name,
         "kind": options.kind,
-        "commit": source_commit(),
-        "date": datetime.now(UTC).date().isoformat(),
-        "machine": describe_machine("cpu"),
+        **provenance(),
     }
     for alpha in map(float, options.alphas.split(",")):
         lobe = replace(fit, parameters=replace(fit.parameters, width=logit_of_alpha(torch.tensor([[alpha]]))))

@@ -20,7 +20,6 @@ import argparse
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -30,13 +29,12 @@ from hir_exporters.conventions import srgb_to_linear
 from hir_exporters.textures.image_files import read_ldr
 from numpy.typing import NDArray
 
-from benchmarks.stored_rows import add_rows, parsed
+from benchmarks.stored_rows import add_rows, parsed, provenance
 from hir_core.errors import InputError
 from hir_core.metrics import OBJECT_COVERAGE, ChannelScale, unassociate
 from hir_core.plugins.manager import PluginManager
 from hir_core.rendering.unlit_renderer import UnlitRenderer
 from hir_core.run.finished_run import FinishedRun, open_finished_run
-from hir_core.run.machine import describe_machine, source_commit
 from hir_core.run.run_directory import RunDirectory
 from hir_core.scene.map_error_store import load_map_errors
 from hir_core.scene.map_errors import OBSERVED
@@ -105,9 +103,7 @@ def measured(run: FinishedRun, plugins: PluginManager) -> list[dict[str, Any]]:
         "half": _truth(run)["half"],
         "run": run.directory.path.name,
         "model": run.document["stages"]["reflectance"]["report"]["model"],
-        "commit": source_commit(),
-        "date": datetime.now(UTC).date().isoformat(),
-        "machine": describe_machine("cpu"),
+        **provenance(),
     }
     return [
         shared

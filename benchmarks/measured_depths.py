@@ -16,7 +16,6 @@ import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -26,14 +25,13 @@ from numpy.typing import NDArray
 
 from benchmarks.materials.render import FIELD_OF_VIEW, spiral_camera
 from benchmarks.shape.render import true_shape
-from benchmarks.stored_rows import add_rows, stored_rows
+from benchmarks.stored_rows import add_rows, provenance, stored_rows
 from hir_core.capture import Camera, Capture, DepthPixels, MeasuredDepth, View
 from hir_core.config import load_config
 from hir_core.intake.depth_scale import with_depth_scale
 from hir_core.mesh.ray_casting import MeshQueries
 from hir_core.metrics.surface_metrics import compare_surfaces
 from hir_core.plugins.manager import PluginManager
-from hir_core.run.machine import describe_machine, source_commit
 from hir_core.run.stage_context import StageContext
 from hir_core.stages.geometry.geometry_fit import fit_geometry
 from hir_core.testing.captures import StoredPixels
@@ -146,9 +144,7 @@ def measured(case: Case, plugins: PluginManager) -> dict[str, Any]:
         "standard_error": None if scale is None else scale.standard_error,
         "scale_seconds": round(scale_seconds, 2),
         "cpu_seconds": round(time.process_time() - began, 1),
-        "commit": source_commit(),
-        "date": datetime.now(UTC).date().isoformat(),
-        "machine": describe_machine("cpu"),
+        **provenance(),
     }
 
 

@@ -15,21 +15,19 @@ import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
 import numpy as np
 
-from benchmarks.stored_rows import add_rows, stored_rows, study_arguments
+from benchmarks.stored_rows import add_rows, provenance, stored_rows, study_arguments
 from hir_core.capture import Capture
 from hir_core.config import load_config
 from hir_core.intake.reader_lookup import read_capture
 from hir_core.mesh.mesh_validity import inspect_mesh
 from hir_core.metrics.surface_metrics import compare_surfaces
 from hir_core.plugins.manager import PluginManager
-from hir_core.run.machine import describe_machine, source_commit
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import Scene
 from hir_core.stages.geometry.geometry_fit import fit_geometry
@@ -71,9 +69,7 @@ def measured(path: Path, method: str, seed: int, plugins: PluginManager) -> dict
         "triangles": len(arrays[1]),
         "cpu_seconds": round(seconds, 1),
         "reports": reports,
-        "commit": source_commit(),
-        "date": datetime.now(UTC).date().isoformat(),
-        "machine": describe_machine("cpu"),
+        **provenance(),
     }
 
 

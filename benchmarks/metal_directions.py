@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +18,8 @@ import numpy as np
 import torch
 
 from benchmarks.reflectance_task import Task, task_of
+from benchmarks.stored_rows import provenance
 from hir_core.metrics import mean
-from hir_core.run.machine import describe_machine, source_commit
 from hir_core.stages.held_out_views import held_out_for_model_selection
 from hir_core.stages.reflectance.selection.held_out_comparison import mean_decibels
 from hir_core.stages.reflectance.selection.hypotheses import hypothesis
@@ -84,9 +83,7 @@ def main() -> None:
         about = {
             "capture": path.name,
             "kind": truth["kind"],
-            "commit": source_commit(),
-            "date": datetime.now(UTC).date().isoformat(),
-            "machine": describe_machine("cpu"),
+            **provenance(),
         }
         for seed in map(int, options.seeds.split(",")):
             for directions in map(int, options.directions.split(",")):

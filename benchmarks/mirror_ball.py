@@ -17,7 +17,6 @@ import argparse
 import json
 import shutil
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -30,11 +29,10 @@ from PIL import Image
 
 from benchmarks.hir_command import hir
 from benchmarks.materials.render import LATLONG_TO_WORLD, sensor
-from benchmarks.stored_rows import add_rows, stored_rows
+from benchmarks.stored_rows import add_rows, provenance, stored_rows
 from hir_core.capture import Capture
 from hir_core.intake.reader_lookup import read_capture
 from hir_core.plugins.manager import PluginManager
-from hir_core.run.machine import describe_machine, source_commit
 from hir_plugins.initializers.existing_mesh.mesh_loading import load_mesh
 
 VIEWS, SAMPLES = 3, 64
@@ -170,9 +168,7 @@ def measured(source: Path, folder: Path, light_only: bool, plugins: PluginManage
         "capture": source.name,
         "irradiance_error": errors,
         "relit": rows,
-        "commit": source_commit(),
-        "date": datetime.now(UTC).date().isoformat(),
-        "machine": describe_machine("cpu"),
+        **provenance(),
     }
 
 

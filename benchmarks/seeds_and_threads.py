@@ -14,12 +14,12 @@ import statistics
 import subprocess
 import sys
 from collections.abc import Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from benchmarks.stored_rows import provenance
 from hir_core.files.json_documents import read_json, write_json
-from hir_core.run.machine import describe_machine, source_commit
+from hir_core.run.machine import source_commit
 from hir_plugins.commands.bench.materials_options import parse_seeds
 
 RESULT = Path(__file__).resolve().parent / "results" / "seeds_and_threads.json"
@@ -89,9 +89,7 @@ def main() -> None:
                 "capture": options.capture.name,
                 "summary": summary(runs),
                 "runs": runs,
-                "commit": source_commit(),
-                "date": datetime.now(UTC).date().isoformat(),
-                "machine": describe_machine("cpu"),
+                **provenance(),
             }
             write_json(options.output, document)
             print(json.dumps(document["summary"]), flush=True)

@@ -18,7 +18,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from pathlib import Path
 from statistics import mean
 from typing import Any
@@ -29,11 +28,10 @@ from numpy.typing import NDArray
 from benchmarks.default_values import DEFAULT_VALUES, SELECTION, Value
 from benchmarks.forced_fits import changed_constant, table
 from benchmarks.reflectance_task import Task, task_of
-from benchmarks.stored_rows import add_rows, stored_rows
+from benchmarks.stored_rows import add_rows, provenance, stored_rows
 from hir_core.config import ReflectanceSettings, load_config
 from hir_core.plugins.interfaces import CheckpointLocation
 from hir_core.plugins.model_spec import ModelSpec
-from hir_core.run.machine import describe_machine, source_commit
 from hir_core.stages.reflectance.selection import held_out_comparison
 from hir_core.stages.reflectance.selection.exposure_selection import exposures_to_compare
 from hir_core.stages.reflectance.selection.fit_sequence import FitSequence
@@ -194,9 +192,7 @@ def rows_of(capture: Path, half: str, seed: int, names: Sequence[str]) -> list[d
                     "decibels": {value: dict(outcome.errors) for value, outcome in found.items()},
                     "models": {value: outcome.model for value, outcome in found.items()},
                     "seconds": round(time.perf_counter() - began, 1),
-                    "commit": source_commit(),
-                    "date": datetime.now(UTC).date().isoformat(),
-                    "machine": describe_machine("cpu"),
+                    **provenance(),
                 }
             )
     return rows

@@ -5,8 +5,11 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Callable, Iterable, Mapping
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
+
+from hir_core.run.machine import describe_machine, source_commit
 
 
 def study_arguments(
@@ -51,6 +54,15 @@ def parsed(parser: argparse.ArgumentParser, table: Callable[[list[dict[str, Any]
         print(table(stored_rows(options.table)))
         raise SystemExit(0)
     return options
+
+
+def provenance() -> dict[str, Any]:
+    """What every stored figure carries: commit, date and machine."""
+    return {
+        "commit": source_commit(),
+        "date": datetime.now(UTC).date().isoformat(),
+        "machine": describe_machine("cpu"),
+    }
 
 
 def stored_rows(store: Path) -> list[dict[str, Any]]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,7 @@ from benchmarks.materials.lights import LIGHTS
 from benchmarks.materials.recipes import Recipe
 from benchmarks.materials.render import SAMPLES, SIDE, SPLITS, encoded, render_view, scene_parts, spiral_camera
 from benchmarks.materials.shapes import Shape, make_shape
-from hir_core.run.machine import describe_machine, source_commit
+from benchmarks.stored_rows import provenance
 
 OTHER_SEED = 1_000_003
 """Added to the seed of a photograph for a second one of the same view."""
@@ -64,8 +63,7 @@ def print_noise(captures: Path, chosen: Sequence[Recipe], views: int) -> bool:
     """One line of JSON for each capture that is rendered: its ceiling. Whether there is one."""
     import mitsuba as mi
 
-    date = datetime.now(UTC).date().isoformat()
-    about = {"commit": source_commit(), "date": date, "machine": describe_machine("cpu")}
+    about = provenance()
     rendered = [r for r in chosen if (captures / r.half / r.name / "truth.json").exists()]
     for recipe in rendered:
         folder = captures / recipe.half / recipe.name
