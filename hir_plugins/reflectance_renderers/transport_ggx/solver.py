@@ -24,6 +24,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit import joint_optimizati
 from hir_plugins.reflectance_renderers.transport_ggx.fit.exposures import median_exposures, own_exposures
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_checkpoints import FitCheckpoint
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_terms import FitTerms
+from hir_plugins.reflectance_renderers.transport_ggx.fit.gradient_grid import GradientGrid, gradient_grid
 from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.initial_exposures import initial_exposures
 from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.initial_guess import (
     direct_irradiance,
@@ -120,6 +121,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         self._images = ImageCache(capture, downsample)
         self._first_fits: dict[tuple[ModelSpec, tuple[int, ...], float, float], Parameters] = {}
         self._lit_surface: tuple[Parameters, ModelSpec, tuple[int, ...], LitSurface] | None = None
+        self._grids: dict[int, GradientGrid | None] = {}
         self._rotation = _camera_rotations(capture, transport.surface.positions.device)
         self._cameras = _lamp_cameras(capture, transport.surface.positions)
         self._pixels = PhotographPixels(transport, capture, downsample, options, self._rotation, self._cameras)
@@ -236,6 +238,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
             lambda step, _: report((step + 1) / steps),
             file,
             self._fit_terms(spec),
+            self._grid(photographs),
         )
         if file is not None:
             file.finish(fitted)
@@ -522,6 +525,16 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         points = LampPoints.of(photographs.points, self._cameras, self._transport.tracer, self._transport.offset)
         return arriving + lamp_irradiance(points, shown)
 
+    def _grid(self, photographs: ObservedPixels) -> GradientGrid | None:
+        """The grid of a fit to these pixels; the last one is cached."""
+        per_value = self._options.pixels_per_value
+        if not per_value:
+            return None
+        count = round(len(photographs) / per_value)
+        if count not in self._grids:
+            self._grids = {count: gradient_grid(self._transport.surface, count)}
+        return self._grids[count]
+
     def _best_candidate(
         self,
         photographs: ObservedPixels,
@@ -548,6 +561,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
             self._edges,
             lambda _, loss: losses.append(loss),
             terms=self._fit_terms(spec),
+            grid=self._grid(part),
         )
         last = losses[-max(1, len(losses) // 5) :]
         return sum(last) / len(last) if last else math.inf

@@ -23,6 +23,7 @@ from hir_plugins.reflectance_renderers.brdf_torch import Model
 from hir_plugins.reflectance_renderers.transport_ggx.fit.final_albedo import solve_final_albedo
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_checkpoints import FitCheckpoint
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_terms import FitTerms
+from hir_plugins.reflectance_renderers.transport_ggx.fit.gradient_grid import GradientGrid
 from hir_plugins.reflectance_renderers.transport_ggx.fit.mini_batches import MiniBatches
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import MAX_FITTED_F0, Parameters
 from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import (
@@ -90,13 +91,17 @@ def fit(
     on_step: Callable[[int, float], None],
     checkpoint: FitCheckpoint | None = None,
     terms: FitTerms | None = None,
+    grid: GradientGrid | None = None,
 ) -> Parameters:
     """Adam with a cosine schedule over the batches in turn; `on_step(step, loss)` receives the loss of the pixels and
-    of the `terms`, which are regularizers.
+    of the `terms`, which are regularizers. With `grid` the gradients of maps at vertices are smoothed, and their
+    smoothness prior is that of values which are a cell apart.
 
     With `checkpoint` the state is stored there and resumed. A step without a finite gradient is skipped and warned of,
     with its term and views; too many in a row raise `StageError`.
     """
+    if grid is not None:
+        settings = replace(settings, smoothness=replace(settings.smoothness, spacing=grid.spacing))
     prepared = None if terms is None else terms.prepared(start.detached(), settings.model, settings.huber_srgb)
     parameters = _leaves(start.detached(), settings)
 
@@ -141,6 +146,7 @@ def fit(
         return own | regularizers
 
     def freeze(step: int) -> None:
+        smooth_gradients(parameters, grid)
         if parameters.width is not None and (searches_width or step < settings.alpha_frozen_share * settings.steps):
             parameters.width.grad = None  # a uniform width is searched, for the terms, too
         if parameters.log_exposure is not None and step < settings.exposure_frozen_share * settings.steps:
@@ -188,6 +194,16 @@ def fit(
         return fitted
     refiner = None if prepared is None else prepared.albedo_refiner(fitted)
     return solve_final_albedo(transport, resident.all(), fitted, settings.bounces, refiner)
+
+
+def smooth_gradients(parameters: Parameters, grid: GradientGrid | None) -> None:
+    """Smooths the gradients of all maps at vertices."""
+    if grid is None:
+        return
+    maps = (parameters.diffuse, parameters.specular, parameters.width, parameters.metalness, parameters.normal_offset)
+    for value in maps:
+        if value is not None and value.grad is not None and len(value) == grid.vertices:
+            value.grad = grid.smoothed(value.grad)
 
 
 def objective(

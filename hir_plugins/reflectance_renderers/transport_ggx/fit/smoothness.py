@@ -29,6 +29,9 @@ class SmoothnessWeights:
     normals: float = 1e-3
     normal_prior: float = 1e-4
     """On the length of normal offsets."""
+    spacing: float = 1.0
+    """Distance of neighbouring values in edges: where values of vertices change together, differences between vertices
+    are that much smaller than those between values."""
     metalness_prior: float = 1e-3
     """Of 4·m·(1 − m): a surface is metal or it is not."""
 
@@ -60,17 +63,18 @@ def smoothness_energy(
         if parameters.metalness is not None and len(parameters.metalness) > 1:
             metal = METALNESS_IN_LOG_ALBEDO * parameters.metal_share
             change = change + _differences(metal, edges)[:, 0].square()
+        change = weights.spacing**2 * change
         energy = energy + weights.albedo * ((change + LOG_ALBEDO_NOISE**2).sqrt() - LOG_ALBEDO_NOISE).mean()
     for value in (parameters.specular, parameters.width):
         if value is not None and len(value) > 1:
-            energy = energy + weights.maps * _differences(value, edges).square().mean()
+            energy = energy + weights.maps * weights.spacing**2 * _differences(value, edges).square().mean()
     if parameters.metalness is not None and not parameters.is_metal:
         m = parameters.metal_share
         energy = energy + weights.metalness_prior * (4 * m * (1 - m)).mean()
     if parameters.normal_offset is not None:
         offset = parameters.normal_offset
         change = _differences(offset, edges).square().sum(dim=1)
-        energy = energy + weights.normals * change.mean()
+        energy = energy + weights.normals * weights.spacing**2 * change.mean()
         energy = energy + weights.normal_prior * offset.square().sum(dim=1).mean()
     return energy
 
