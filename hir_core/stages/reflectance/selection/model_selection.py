@@ -198,6 +198,10 @@ def select_model(
         finals[rival.spec] = fit.errors
         if refinement.fit is fit:
             winner = rival
+    if winner is not chosen:
+        # it has the refinements that the other one gained from, which may lack one of its own
+        folded.expect(expected_cost(refinement.spec))
+        refinement.refine_vertices()
     refinement.compare_per_texel()
     # an early margin says less than a late one
     margins = [

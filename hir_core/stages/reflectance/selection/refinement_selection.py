@@ -116,11 +116,22 @@ class RefinementSelection(Generic[FitT, RefinementT]):
     def compare_runner_up(self, rival: FoldedFit[FitT], simpler: bool) -> FoldedFit[FitT]:
         """Gives a rival the refinements and the effort of the selected model, and selects it where it is better.
 
-        A `simpler` rival is selected in a tie, too. Returns the fit of the rival.
+        A `simpler` rival is selected in a tie, too. Shading normals are fitted under a light in the world alone, so
+        such a rival of a light on the camera gets them where they gain. Returns the fit of the rival.
         """
         spec = self._fits.supported(with_refinements(rival.spec, self.spec)) or rival.spec
+        relief = replace(spec, normals="map")
+        has_relief = (self.spec.light_frame, spec.light_frame) == ("camera", "world") and self._is_supported(relief)
+        if has_relief:
+            self._fit_control()
         fit = self._fits.fit(spec, rival, self.effort, COMPARISON.pixel_share)
         self._fitted(fit)
+        if has_relief:
+            candidate = self._fits.fit(relief, rival, self.effort, COMPARISON.pixel_share)
+            self._fitted(candidate)
+            gain, standard_error = paired_gain(fit.errors, candidate.errors)
+            if is_significant(gain, standard_error, len(fit.errors), REQUIRED_STANDARD_ERRORS_OF_NORMALS):
+                fit = candidate
         gain, standard_error = paired_gain(self.fit.errors, fit.errors)
         views = len(fit.errors)
         worse, better = differs(-gain, standard_error, views), differs(gain, standard_error, views)
@@ -131,12 +142,13 @@ class RefinementSelection(Generic[FitT, RefinementT]):
         return fit
 
     def compare_per_texel(self) -> None:
-        """Selects the per-texel BRDF where held-out views gain over a per-texel albedo; neither continues the fit.
+        """Selects the per-texel BRDF where held-out views gain over a per-texel albedo, with the lobes and normals of
+        the fit at vertices; neither continues the fit.
 
         It is not selected where it is behind the model that it would replace: both may share a limit of texels, such as
-        the width of the narrowest lobe. Where maps at vertices were accepted, vertices are fine enough for what varies.
+        the width of the narrowest lobe.
         """
-        if self.spec.light_frame != "world" or self.spec.kind == "diffuse" or self.spec.mapped:
+        if self.spec.light_frame != "world" or self.spec.kind == "diffuse":
             return
         if self.fit.held_out_db >= SUFFICIENT_DB or not self._is_supported(replace(self.spec, per_texel="brdf")):
             return
@@ -191,13 +203,18 @@ class RefinementSelection(Generic[FitT, RefinementT]):
 
     def _against_control(self, spec: ModelSpec) -> tuple[FoldedFit[FitT], float, float]:
         """The fit of a candidate, its gain over the control and the standard error of that."""
+        self._fit_control()
+        fit = self._continued(spec)
+        return fit, *paired_gain(self.fit.errors, fit.errors)
+
+    def _fit_control(self) -> None:
+        """Continues the selected fit, unless that was done since it was selected. More steps alone lower the error:
+        without this control every candidate would seem to gain.
+        """
         if not self._has_control:
-            # more steps alone lower the error: without this control every candidate would seem to gain
             self._initial, self._has_control = self.fit, True
             self.fit = self._continued(self.spec)
             self.effort += COMPARISON.effort
-        fit = self._continued(spec)
-        return fit, *paired_gain(self.fit.errors, fit.errors)
 
     def _is_supported(self, spec: ModelSpec) -> bool:
         """Whether the solver fits this very model."""
@@ -247,7 +264,7 @@ def expected_cost(spec: ModelSpec) -> float:
     cost = fitted * fit_cost(spec, effort, share)
     if spec.light_frame == "world":
         cost += fit_cost(replace(spec, normals="map"), effort, share)
-        if spec.kind != "diffuse" and not spec.mapped:
+        if spec.kind != "diffuse":
             cost += 2 * fit_cost(spec, effort)
     return cost
 

@@ -89,7 +89,6 @@ class Priors:
     specular: float = 0.02
     level: float = 0.01
     normal_offset: float = 0.01
-    """Of a zero normal offset."""
     metalness: float = 0.02
     huber_srgb: float = 0.1
     """Residual in sRGB from which the loss is linear."""

@@ -134,8 +134,9 @@ def _with_prior(fit: FitArrays, total: NormalEquations, x: BrdfState, initial: B
     (dd, df, ff), (aa, a1, a2, t11, t12, t22), (de, fe, ae, e1, e2) = total.colors, total.shared, total.errors
     prior = fit.priors
     albedo, specular, level = x.albedo - initial.albedo, x.specular - initial.specular, x.level - initial.level
+    along, across = x.along - initial.along, x.across - initial.across
     penalty = prior.albedo * dr.squared_norm(albedo) + prior.specular * dr.squared_norm(specular)
-    penalty += prior.level * level * level + prior.normal_offset * (x.along * x.along + x.across * x.across)
+    penalty += prior.level * level * level + prior.normal_offset * (along * along + across * across)
     if fit.metallic:
         penalty += prior.metalness * dr.square(x.metalness - initial.metalness)
     return NormalEquations(
@@ -147,8 +148,8 @@ def _with_prior(fit: FitArrays, total: NormalEquations, x: BrdfState, initial: B
             de + prior.albedo * albedo,
             fe + prior.specular * specular,
             ae + prior.level * level,
-            e1 + prior.normal_offset * x.along,
-            e2 + prior.normal_offset * x.across,
+            e1 + prior.normal_offset * along,
+            e2 + prior.normal_offset * across,
         ),
     )
 

@@ -141,7 +141,7 @@ class LitSurface:
         return PointBrdfs(albedo, specular, alpha, glossy.normal_offset, metal)
 
     def _start(self, corners: Tensor, barycentric: Tensor) -> PointBrdfs:
-        """The fit at vertices, with the mesh's normals: no model has both a normal map and per-texel BRDFs."""
+        """The fit at vertices."""
 
         def at(values: Tensor) -> Tensor:
             if len(values) == 1:
@@ -152,7 +152,9 @@ class LitSurface:
             at(self.parameters.diffuse_albedo),
             at(self.parameters.specular_albedo).expand(-1, 3),
             at(self.parameters.alpha),
-            torch.zeros_like(barycentric),
+            torch.zeros_like(barycentric)
+            if self.parameters.normal_offset is None
+            else at(self.parameters.normal_offset),
             torch.zeros_like(barycentric[:, :1])
             if self.parameters.metalness is None
             else at(self.parameters.metal_share),

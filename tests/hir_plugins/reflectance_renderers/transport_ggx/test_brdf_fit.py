@@ -410,17 +410,23 @@ def test_fitted_metallic_points_predict_other_views_and_know_metal() -> None:
     torch.testing.assert_close(found.specular, expected.specular, rtol=0, atol=1e-5)
 
 
-def test_the_base_colour_alone() -> None:
-    """Metalness, α and normals stay; both albedos follow the base colour."""
+@pytest.mark.parametrize("model", ["dielectric", "metallic"])
+def test_the_albedo_alone(model: str) -> None:
+    """Metalness, α and normals stay, and so does ρs of a dielectric; the albedos of a metal follow its base colour."""
     generator = torch.Generator().manual_seed(7)
-    at, values, light = points(generator), metallic_truth(generator), probes()
-    seen = photographs(at, values, light, eyes(generator), "metallic")
-    wrong = metallic(torch.full((COUNT, 3), 0.5), values.metalness, values.alpha, values.normal_offset)
-    found, _ = PointBrdfFit([ObservedPoints(at, seen, ProbeTable(light))], "metallic", Priors.of_base_color()).solve(
-        wrong
-    )
+    metal = model == "metallic"
+    at, values, light = points(generator), metallic_truth(generator) if metal else truth(generator), probes()
+    seen = photographs(at, values, light, eyes(generator), model)
+    flat = torch.full((COUNT, 3), 0.5)
+    priors = Priors.of_base_color() if metal else Priors.of_albedo()
+    wrong = metallic(flat, values.metalness, values.alpha, values.normal_offset)
+    if not metal:
+        wrong = brdfs(flat, values.specular, values.alpha, values.normal_offset)
+    found, _ = PointBrdfFit([ObservedPoints(at, seen, ProbeTable(light))], model, priors).solve(wrong)  # type: ignore[arg-type]
     torch.testing.assert_close(found.metalness, values.metalness, rtol=0, atol=1e-5)
     torch.testing.assert_close(found.alpha, values.alpha, rtol=1e-4, atol=0)
+    turned = offset_normals(at.normal, values.normal_offset)
+    torch.testing.assert_close(offset_normals(at.normal, found.normal_offset), turned, rtol=0, atol=1e-4)
     error, before = (
         (each.albedo + each.specular - values.albedo - values.specular).abs().median() for each in (found, wrong)
     )

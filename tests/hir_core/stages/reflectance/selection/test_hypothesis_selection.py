@@ -135,17 +135,20 @@ def test_gains_that_differ_between_views_are_gains() -> None:
     assert selection.hypothesis.kind == "mixed"
 
 
-def test_a_runner_up_gets_the_refinements_of_the_selected_one() -> None:
+@pytest.mark.parametrize("relief", [False, True], ids=["", "normals that only the runner-up shows"])
+def test_a_runner_up_gets_the_refinements_of_the_selected_one_and_its_own(relief: bool) -> None:
     """Mixed without maps is ahead of a dielectric, whose specular map explains as much."""
 
     def error(spec: ModelSpec) -> float:
         gain = {"diffuse": 0.0, "dielectric": 4.0, "metal": 1.0, "mixed": 4.8}[spec.kind]
-        return level(25 + gain + 0.8 * (spec.specular == "map"))
+        shows_relief = relief and spec.kind == "dielectric" and spec.normals == "map"
+        return level(25 + gain + 0.8 * (spec.specular == "map") + 2.0 * shows_relief)
 
     selection = select(Scripted(error, noise=0.01), ReflectanceSettings(light_frame="world"))
-    assert selection.spec == ModelSpec("dielectric", "map")
+    assert selection.spec == ModelSpec("dielectric", "map", normals="map" if relief else "mesh")
     assert selection.hypothesis.kind == "dielectric"
-    assert [each.spec.kind for each in selection.comparisons].count("dielectric") == 1
+    kinds = [each.spec.kind for each in selection.comparisons]
+    assert kinds[0] == "mixed" and kinds[-1] == "dielectric", "its own refinements come after it was selected"
 
 
 @pytest.mark.parametrize(

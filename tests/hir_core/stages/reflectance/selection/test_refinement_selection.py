@@ -129,6 +129,18 @@ def test_no_normal_map_under_a_light_on_the_camera() -> None:
             forced_spec(ReflectanceSettings(model=model, light_frame="camera"))
 
 
+@pytest.mark.parametrize("gain", [2.0, 0.3])
+def test_a_rival_under_a_light_in_the_world_has_its_normals_before_it_is_compared(gain: float) -> None:
+    """A light on the camera imitates relief, for which it has no normals of its own."""
+
+    def error(spec: ModelSpec) -> float:
+        camera = spec.light_frame == "camera"
+        return level(25 + camera + gain * (spec.normals == "map") - 9 * (spec.kind != "diffuse"))
+
+    expected = ModelSpec(normals="map", bounces=INTERREFLECTIONS) if gain > 1 else ModelSpec(light_frame="camera")
+    assert replace(chosen(error), bounces=expected.bounces) == expected
+
+
 def test_the_map_that_gains_most_is_selected_first() -> None:
     """A specular map imitates a roughness map. It gains, and is compared before; but it is not what is there."""
 
@@ -139,17 +151,22 @@ def test_the_map_that_gains_most_is_selected_first() -> None:
     selection = select(Scripted(error), settings)
     assert (selection.spec.specular, selection.spec.roughness) == ("uniform", "map")
     first, second, again, _ = (
-        each for each in selection.comparisons if "map" in (each.spec.specular, each.spec.roughness)
+        each
+        for each in selection.comparisons
+        if "map" in (each.spec.specular, each.spec.roughness) and each.spec.per_texel == "none"
     )
     assert not first.accepted and second.accepted and not again.accepted
     assert again.spec == replace(selection.spec, specular="map"), "what is left is compared with the new model"
 
 
-def test_no_per_texel_brdf_after_maps_at_vertices() -> None:
+@pytest.mark.parametrize("gains", [True, False])
+def test_after_maps_at_vertices_the_per_texel_brdf_is_compared_with_them(gains: bool) -> None:
     def error(spec: ModelSpec) -> float:
-        return 1e-3 * 0.5 ** sum([spec.brdf == "dielectric", spec.normals == "map", spec.per_texel == "brdf"])
+        better = [spec.brdf == "dielectric", spec.normals == "map", gains and spec.per_texel == "brdf"]
+        return 1e-3 * 0.5 ** sum(better)
 
-    assert chosen(error) == ModelSpec("dielectric", "uniform", normals="map")
+    with_map = ModelSpec("dielectric", "uniform", normals="map")
+    assert chosen(error) == replace(with_map, per_texel="brdf" if gains else "none")
 
 
 def test_a_per_texel_brdf_behind_the_model_that_it_would_replace_is_rejected() -> None:
