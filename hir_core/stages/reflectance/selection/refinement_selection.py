@@ -6,6 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Generic, final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hir_core.plugins.interfaces import FitT, RefinementT
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.stages.reflectance.selection.exposure_selection import (
@@ -18,6 +21,7 @@ from hir_core.stages.reflectance.selection.fit_sequence import fit_cost
 from hir_core.stages.reflectance.selection.folded_fits import FoldedFit, FoldedFits
 from hir_core.stages.reflectance.selection.held_out_comparison import (
     REQUIRED_STANDARD_ERRORS,
+    SMALLEST_ERROR,
     SUFFICIENT_DB,
     differs,
     is_significant,
@@ -150,12 +154,9 @@ class RefinementSelection(Generic[FitT, RefinementT]):
         """
         if self.spec.light_frame != "world" or self.spec.kind == "diffuse":
             return
-        if self.fit.held_out_db >= SUFFICIENT_DB or not self._is_supported(replace(self.spec, per_texel="brdf")):
+        if not self._is_worth_comparing(replace(self.spec, per_texel="brdf")):
             return
-        control, candidate = (
-            self._fits.fit(replace(self.spec, per_texel=each), self.fit, 0.0, cost_effort=COMPARISON.effort)  # type: ignore[arg-type]
-            for each in ("albedo", "brdf")
-        )
+        control, candidate = self._per_texel(self.fit)
         views = len(control.errors)
         gain, standard_error = paired_gain(control.errors, candidate.errors)
         accepted = is_significant(gain, standard_error, views, REQUIRED_STANDARD_ERRORS_OF_NORMALS)
@@ -165,6 +166,33 @@ class RefinementSelection(Generic[FitT, RefinementT]):
         if accepted:
             self.fit = candidate
         self._record(candidate, gain, standard_error, accepted)
+
+    def compare_per_texel_of_rival(self, rival: FoldedFit[FitT]) -> NDArray[np.float64] | None:
+        """Selects the per-texel BRDF of a rival under a light in the world, in place of a light on the camera.
+
+        A light on the camera has no per-texel BRDF, and its fit at vertices is not comparable with values of texels.
+        What the BRDF gains over a per-texel albedo is therefore compared with what the rival lacks at vertices. Returns
+        the errors at vertices, lowered by the gain, where it was selected.
+        """
+        spec = replace(rival.spec, per_texel="brdf")
+        if rival.spec.light_frame != "world" or rival.spec.kind == "diffuse" or not self._is_worth_comparing(spec):
+            return None
+        control, candidate = self._per_texel(rival)
+        errors = rival.errors * candidate.errors / np.maximum(control.errors, SMALLEST_ERROR)
+        gain, standard_error = paired_gain(self.fit.errors, errors)
+        accepted = is_significant(gain, standard_error, len(errors), REQUIRED_STANDARD_ERRORS_OF_NORMALS)
+        if accepted:
+            self.fit = candidate
+        self._record(candidate, gain, standard_error, accepted)
+        return errors if accepted else None
+
+    def _per_texel(self, fit: FoldedFit[FitT]) -> tuple[FoldedFit[FitT], FoldedFit[FitT]]:
+        """A fit at vertices with a per-texel albedo, and with a per-texel BRDF."""
+        albedo, brdf = (
+            self._fits.fit(replace(fit.spec, per_texel=each), fit, 0.0, cost_effort=COMPARISON.effort)  # type: ignore[arg-type]
+            for each in ("albedo", "brdf")
+        )
+        return albedo, brdf
 
     def _compare(
         self, spec: ModelSpec, simpler: bool = False, required_standard_errors: float = REQUIRED_STANDARD_ERRORS

@@ -17,6 +17,7 @@ from hir_core.plugins.progress import MODEL_FITTED, MODELS_COMPARED
 from hir_core.report.convergence import milestones
 from hir_core.run.progress_listener import ProgressListener
 from hir_core.run.stage_context import StageContext
+from hir_core.stages.reflectance.reflectance_report import explanation_report
 from hir_core.stages.reflectance.selection.fit_sequence import FitSequence
 from hir_core.stages.reflectance.selection.hypotheses import INTERREFLECTIONS
 from hir_core.stages.reflectance.selection.model_selection import select_model
@@ -139,6 +140,27 @@ def test_a_rival_under_a_light_in_the_world_has_its_normals_before_it_is_compare
 
     expected = ModelSpec(normals="map", bounces=INTERREFLECTIONS) if gain > 1 else ModelSpec(light_frame="camera")
     assert replace(chosen(error), bounces=expected.bounces) == expected
+
+
+@pytest.mark.parametrize("gain", [3.0, 0.5])
+def test_a_light_on_the_camera_yields_to_a_rival_whose_texels_gain_more_than_it_lacks(gain: float) -> None:
+    """A per-texel albedo alone fits 4 dB better than vertices; that says nothing about the light."""
+
+    def error(spec: ModelSpec) -> float:
+        own = {"none": 0.0, "albedo": 4.0, "brdf": 4.0 + gain}[spec.per_texel]
+        kind = {"diffuse": 0.5, "dielectric": 1.0, "metal": -9.0, "mixed": -9.0}[spec.kind]
+        return level(25 + (spec.light_frame == "camera") + kind + own)
+
+    selection = select(Scripted(error, noise=0.01), ReflectanceSettings())
+    last = selection.comparisons[-1]
+    assert last.spec.per_texel == "brdf" and last.spec.light_frame == "world"
+    assert last.gain_db == pytest.approx(gain - 1, abs=0.05) and last.accepted == (gain > 1)
+    if gain > 1:
+        assert selection.spec == last.spec and selection.hypothesis.light_frame == "world"
+        report = explanation_report(selection)
+        assert report is not None and report.margin_db is not None and report.margin_db > 0
+    else:
+        assert selection.spec.light_frame == "camera" and selection.spec.per_texel == "none"
 
 
 def test_the_map_that_gains_most_is_selected_first() -> None:
