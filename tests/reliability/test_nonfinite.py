@@ -143,7 +143,7 @@ def _sick_photograph(view: View) -> View:
 def test_a_photograph_of_nan_is_named_or_its_pixels_left_out(
     capture: Capture, context: tuple[StageContext, list[str]]
 ) -> None:
-    from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import observe_pixels
+    from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.observed_pixels import observe_pixels
     from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import build_transport
 
     views = list(capture.views)

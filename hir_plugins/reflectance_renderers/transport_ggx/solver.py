@@ -24,6 +24,16 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit import joint_optimizati
 from hir_plugins.reflectance_renderers.transport_ggx.fit.exposures import median_exposures, own_exposures
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_checkpoints import FitCheckpoint
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_terms import FitTerms
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.observed_pixels import (
+    MIN_VIEW_COSINE,
+    ObservedPixels,
+)
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.photograph_pixels import PhotographPixels
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.pixel_batches import (
+    PixelColors,
+    predict,
+    srgb_residual,
+)
 from hir_plugins.reflectance_renderers.transport_ggx.fit.gradient_grid import GradientGrid, gradient_grid
 from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.initial_exposures import initial_exposures
 from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.initial_guess import (
@@ -38,17 +48,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.initial_guess i
 from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.initial_lamp import initial_lamp
 from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.measured_scale import at_measured_scale
 from hir_plugins.reflectance_renderers.transport_ggx.fit.joint_optimization import FitSettings
-from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import (
-    MIN_VIEW_COSINE,
-    ObservedPixels,
-)
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import MAX_RADIANCE, Parameters, mean_of_takes
-from hir_plugins.reflectance_renderers.transport_ggx.fit.photograph_pixels import PhotographPixels
-from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import (
-    PixelColors,
-    predict,
-    srgb_residual,
-)
 from hir_plugins.reflectance_renderers.transport_ggx.fit.smoothness import SmoothnessWeights
 from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_lamp import (
     LampCameras,

@@ -18,8 +18,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.closed_form_albedo impo
     MetalTerm,
     solve_albedo,
 )
-from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
-from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import (
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.pixel_batches import (
     PixelBatch,
     albedo_gain,
     arriving_light,
@@ -27,6 +26,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import (
     diffuse_and_specular,
     predict,
 )
+from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
 from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_radiance import SpecularMatrices
 

@@ -23,10 +23,8 @@ from hir_plugins.reflectance_renderers.brdf_torch import Model
 from hir_plugins.reflectance_renderers.transport_ggx.fit.final_albedo import solve_final_albedo
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_checkpoints import FitCheckpoint
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_terms import FitTerms
-from hir_plugins.reflectance_renderers.transport_ggx.fit.gradient_grid import GradientGrid
-from hir_plugins.reflectance_renderers.transport_ggx.fit.mini_batches import MiniBatches
-from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import MAX_FITTED_F0, Parameters
-from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import (
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.mini_batches import MiniBatches
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.pixel_batches import (
     PixelBatch,
     predict,
     refresh_matrices,
@@ -34,7 +32,9 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import (
     srgb_residual,
     with_exposure,
 )
-from hir_plugins.reflectance_renderers.transport_ggx.fit.resident_batches import ResidentBatches
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.resident_batches import ResidentBatches
+from hir_plugins.reflectance_renderers.transport_ggx.fit.gradient_grid import GradientGrid
+from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import MAX_FITTED_F0, Parameters
 from hir_plugins.reflectance_renderers.transport_ggx.fit.smoothness import SmoothnessWeights, smoothness_energy
 from hir_plugins.reflectance_renderers.transport_ggx.fit.width_search import searched_width
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport

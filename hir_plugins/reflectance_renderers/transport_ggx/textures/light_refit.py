@@ -10,10 +10,10 @@ from torch import Tensor
 
 from hir_core.optimization.optimization_loop import optimize
 from hir_core.optimization.schedules import Schedule
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.observed_pixels import ObservedPixels
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.pixel_batches import PixelColors, srgb_residual
 from hir_plugins.reflectance_renderers.transport_ggx.fit.joint_optimization import ADAM_BETAS
-from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import ObservedPixels
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import MIN_ALPHA
-from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import PixelColors, srgb_residual
 from hir_plugins.reflectance_renderers.transport_ggx.fit.smoothness import light_energy
 from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
 from hir_plugins.reflectance_renderers.transport_ggx.operator.shading_normals import offset_normals

@@ -13,7 +13,10 @@ from torch.nn.functional import normalize
 
 from hir_core.capture import Camera, Capture
 from hir_core.scene.bilinear import AxisNeighbours, bilinear_values
-from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import CLIPPED_LINEAR_LEVEL, interior_mask
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.observed_pixels import (
+    CLIPPED_LINEAR_LEVEL,
+    interior_mask,
+)
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
 
 MIN_OBSERVATION_COSINE = 0.15

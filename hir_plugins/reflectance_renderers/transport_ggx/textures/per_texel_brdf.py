@@ -17,7 +17,7 @@ from torch import Tensor
 from hir_core.mesh.texel_rasterization import TexelSurface
 from hir_core.plugins.model_spec import ModelSpec
 from hir_plugins.reflectance_renderers.brdf_torch import Model
-from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import ObservedPixels
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.observed_pixels import ObservedPixels
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
 from hir_plugins.reflectance_renderers.transport_ggx.operator.probe_lookup import ProbeTable

@@ -13,7 +13,10 @@ from hir_core.mesh.texel_rasterization import TexelSurface, dilate, texel_surfac
 from hir_core.mesh.texture_inpainting import fill_unobserved
 from hir_core.scene import EnvironmentMap, Material, Mesh, Scene
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_terms import FitTerms
-from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import ObservedPixels, observe_pixels
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.observed_pixels import (
+    ObservedPixels,
+    observe_pixels,
+)
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import MIN_ALPHA, Parameters
 from hir_plugins.reflectance_renderers.transport_ggx.operator.shading_normals import offset_normals
 from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import refined_mesh

@@ -19,7 +19,10 @@ from hir_core.scene.bilinear import texture_texels
 from hir_core.scene.srgb import srgb_slope
 from hir_plugins.reflectance_renderers.transport_ggx.fit.final_albedo import SRGB_SLOPE_FLOOR_LINEAR
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_terms import FitTerms, material_at_vertices
-from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import ObservedPixels, observe_pixels
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.observed_pixels import (
+    ObservedPixels,
+    observe_pixels,
+)
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
 from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_lamp import (
     LampCameras,

@@ -19,16 +19,16 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.closed_form_albedo impo
     solve_albedo,
 )
 from hir_plugins.reflectance_renderers.transport_ggx.fit.final_albedo import solve_final_albedo
-from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.initial_metalness import metallic_of_albedos
-from hir_plugins.reflectance_renderers.transport_ggx.fit.mini_batches import MiniBatches
-from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters, logit_of_alpha
-from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import (
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.mini_batches import MiniBatches
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.pixel_batches import (
     PixelBatch,
     predict,
     refresh_matrices,
     specular_matrices,
 )
-from hir_plugins.reflectance_renderers.transport_ggx.fit.resident_batches import ResidentBatches
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.resident_batches import ResidentBatches
+from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.initial_metalness import metallic_of_albedos
+from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters, logit_of_alpha
 from hir_plugins.reflectance_renderers.transport_ggx.fit.smoothness import SmoothnessWeights, smoothness_energy
 from hir_plugins.reflectance_renderers.transport_ggx.operator.diffuse_transport import DiffuseTransport
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport

@@ -16,7 +16,8 @@ from hir_core.plugins.manager import PluginManager
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene import Material, Scene
 from hir_core.stages.atlas import unwrap_mesh
-from hir_plugins.reflectance_renderers.transport_ggx.fit import joint_optimization, photograph_pixels
+from hir_plugins.reflectance_renderers.transport_ggx.fit import joint_optimization
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels import photograph_pixels
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import MAX_FITTED_F0
 from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_light import pixel_irradiance
 from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import ObservedPixels
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.observed_pixels import ObservedPixels
 from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import Surface
 
 DARKEST = 0.005

@@ -12,12 +12,12 @@ from torch import Tensor
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene import Material
 from hir_plugins.reflectance_renderers.transport_ggx.fit.final_albedo import ALBEDO_HIGH, ALBEDO_LOW
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.observed_pixels import ObservedPixels
 from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.initial_metalness import (
     with_metalness,
     without_metalness,
 )
 from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.measured_scale import with_brighter_light
-from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import ObservedPixels
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters, logit_of_alpha
 from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_light import irradiance_of
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport

@@ -6,12 +6,12 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
-from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import (
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.pixel_batches import (
     PixelBatch,
     refresh_matrices,
     specular_matrices,
 )
+from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
 from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_radiance import SpecularMatrices
 
 

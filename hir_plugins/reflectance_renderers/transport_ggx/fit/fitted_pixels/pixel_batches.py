@@ -11,7 +11,7 @@ from torch import Tensor
 
 from hir_core.optimization.clipped_pixels import without_clipped_excess
 from hir_core.scene.srgb import linear_to_srgb
-from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import ObservedPixels
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.observed_pixels import ObservedPixels
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
 from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_lamp import LampPoints, lamp_irradiance, lamp_lobe
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport

@@ -14,14 +14,14 @@ from torch import Tensor
 from hir_core.capture import Capture
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene.srgb import linear_to_srgb
-from hir_plugins.reflectance_renderers.transport_ggx.fit.mini_batches import MiniBatches
-from hir_plugins.reflectance_renderers.transport_ggx.fit.observed_pixels import (
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.mini_batches import MiniBatches
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.observed_pixels import (
     ObservedPixels,
     concatenate,
     observe_pixels,
 )
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.pixel_batches import PixelBatch
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
-from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import PixelBatch
 from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_lamp import LampCameras, LampPoints
 from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_light import pixel_irradiance
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport

@@ -13,15 +13,15 @@ from torch import Tensor
 
 from hir_core.optimization.checkpoints import Arrays
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_checkpoints import parameter_arrays, parameters_from_arrays
-from hir_plugins.reflectance_renderers.transport_ggx.fit.mini_batches import MiniBatches
-from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters, logit_of_alpha
-from hir_plugins.reflectance_renderers.transport_ggx.fit.pixel_batches import (
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.mini_batches import MiniBatches
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.pixel_batches import (
     PixelBatch,
     at_pixels,
     normals_in_lobe_frame,
     refresh_matrices,
     specular_matrices,
 )
+from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters, logit_of_alpha
 from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_radiance import SpecularMatrices
 
 MAX_ALPHA_RATIO = 1.1

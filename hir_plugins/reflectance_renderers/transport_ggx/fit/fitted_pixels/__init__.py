@@ -1,0 +1,1 @@
+"""The pixels that a fit uses, and their batches."""
