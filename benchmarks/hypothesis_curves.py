@@ -85,6 +85,14 @@ def _mean_and_deviation(values: Sequence[float]) -> str:
     return f"{np.mean(values):.2f}" + (f" ± {np.std(values, ddof=1):.2f}" if len(values) > 1 else "")
 
 
+def _option(text: str) -> tuple[str, float]:
+    name, _, number = text.partition("=")
+    try:
+        return name, float(number)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no option; write it as pixels_per_value=2.5") from None
+
+
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -93,7 +101,13 @@ def main() -> None:
     parser.add_argument("--frames", default=",".join(FRAMES), help="world, camera or both")
     parser.add_argument("--seeds", default="0")
     parser.add_argument(
-        "--set", dest="options", nargs="*", default=[], metavar="NAME=NUMBER", help="options of transport_ggx"
+        "--set",
+        dest="options",
+        type=_option,
+        nargs="*",
+        default=[],
+        metavar="NAME=NUMBER",
+        help="options of transport_ggx",
     )
     parser.add_argument("--table", action="store_true", help="print the table of stored lines, fit nothing")
     given = parser.parse_args()
@@ -101,7 +115,7 @@ def main() -> None:
         table(given.paths)
         return
     torch.set_num_threads(1)
-    options = {name: float(number) for name, number in (each.split("=") for each in given.options)}
+    options = dict(given.options)
     specs = [hypothesis(kind, frame) for frame in given.frames.split(",") for kind in given.kinds.split(",")]
     for path in given.paths:
         for seed in map(int, given.seeds.split(",")):

@@ -20,8 +20,8 @@ class TransportGGXOptions:
     """Pixels of all views together that light and model are fitted to."""
     pixels_per_value: Annotated[float, Interval(ge=0, le=1000)] = takes_effect_with(0.0, "solver")
     """Pixels of a fit for each value of a map at vertices, about, at least: where there are fewer, values of
-    neighbouring vertices change together. 0 for a value at each vertex. 2.5 shows more highlights on dense meshes, and
-    confuses metal with a matt surface under a light on the camera (docs/studies/values_of_maps.md)."""
+    neighbouring vertices change together. 0 for a value at each vertex. 2.5 shows highlights on dense meshes, and may
+    take a matt surface under a light on the camera for metal (docs/studies/values_of_maps.md)."""
     samples: int = 16
     """Directions of each pixel's specular lobe."""
     diffuse_samples: int = 96

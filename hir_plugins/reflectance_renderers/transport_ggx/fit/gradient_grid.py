@@ -80,11 +80,12 @@ def _facing_side(normals: Float[Tensor, "V 3"]) -> Int[Tensor, " V"]:
 def _cell_keys(at: Float[Tensor, "V 3"], side: Int[Tensor, " V"]) -> Int[Tensor, " V"]:
     """One number for the cell and the side of each vertex."""
     x, y, z = at.long().unbind(1)
-    return (((x << AXIS_BITS) + y << AXIS_BITS) + z << SIDE_BITS) + side
+    return ((x << AXIS_BITS | y) << AXIS_BITS | z) << SIDE_BITS | side
 
 
 def _corner_keys(cell_keys: Int[Tensor, " N"]) -> Int[Tensor, "N 8"]:
     """The numbers of the corners of cells: those of the cells that start there."""
+    # digits of a place leave room for one more, so the numbers of an offset can be added
     return cell_keys[:, None] + _cell_keys(_offsets(cell_keys.device), torch.zeros_like(cell_keys[:1]))
 
 

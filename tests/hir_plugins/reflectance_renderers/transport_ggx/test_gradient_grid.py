@@ -48,8 +48,8 @@ def test_a_surface_without_extent_has_a_grid_all_the_same() -> None:
     assert grid is not None and bool(torch.isfinite(grid.smoothed(torch.ones(grid.vertices, 3))).all())
 
 
-def test_weights_interpolate_linear_functions_exactly() -> None:
-    """Each vertex has the weights of a trilinear interpolation: they add up to 1, and none is negative."""
+def test_the_weights_of_a_vertex_add_up_to_one() -> None:
+    """None is negative: a gradient that is the same everywhere keeps its sign."""
     grid = gradient_grid(refine(icosphere(3), 10_000), 500)
     assert grid is not None
     weights = grid.interpolation.matrix.to_dense()
