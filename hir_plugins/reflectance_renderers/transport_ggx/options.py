@@ -18,10 +18,10 @@ class TransportGGXOptions:
     """Steps of a full fit of one model; a candidate of model selection takes half."""
     pixels: int = takes_effect_with(240_000, "solver")
     """Pixels of all views together that light and model are fitted to."""
-    pixels_per_value: Annotated[float, Interval(ge=0, le=1000)] = takes_effect_with(0.0, "solver")
+    pixels_per_value: Annotated[float, Interval(ge=0, le=1000)] = takes_effect_with(2.5, "solver")
     """Pixels of a fit for each value of a map at vertices, about, at least: where there are fewer, values of
-    neighbouring vertices change together. 0 for a value at each vertex. 2.5 shows highlights on dense meshes, and may
-    take a matt surface under a light on the camera for metal (docs/studies/values_of_maps.md)."""
+    neighbouring vertices change together, and an albedo cannot show highlights of the few photographs that see it. 0
+    for a value at each vertex (docs/studies/values_of_maps.md)."""
     samples: int = 16
     """Directions of each pixel's specular lobe."""
     diffuse_samples: int = 96

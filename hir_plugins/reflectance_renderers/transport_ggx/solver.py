@@ -71,6 +71,11 @@ is upright."""
 MIN_VIEW_DEGREES = math.degrees(math.asin(MIN_VIEW_COSINE))
 MAX_COMPARED_POINTS = 12_000
 """Surface points of held-out views at which per-texel values are solved to compare them."""
+FIRST_ALBEDO_SHARE = 0.5
+"""Of the albedo's learning rate in a fit from nothing: at the full rate wide variations of the albedo explain shading
+before the light does (docs/studies/values_of_maps.md)."""
+WARM_UP_SHARE = 0.2
+"""Of the steps of a fit that goes on from another one (docs/studies/values_of_maps.md)."""
 METAL_COLOR_FROZEN_SHARE = 0.5
 """Of the first fit of a metal: the light is fitted to its reflections before its base colour varies
 (docs/studies/initial_guess.md)."""
@@ -215,6 +220,10 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
                 metalness_prior=self._options.metalness_prior,
             ),
         )
+        if initial is None:
+            settings = replace(settings, diffuse_rate=FIRST_ALBEDO_SHARE * settings.diffuse_rate)
+        else:
+            settings = replace(settings, warm_up_share=WARM_UP_SHARE)
         if initial is not None and initial.parameters.width is not None:
             settings = replace(settings, alpha_frozen_share=0.0)
         if initial is None and parameters.is_metal and self._has_uniform_guess(spec):

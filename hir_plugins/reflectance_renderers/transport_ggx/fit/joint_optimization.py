@@ -60,6 +60,9 @@ class FitSettings:
     normal_rate: float = 0.03
     metalness_rate: float = 0.15
     lamp_rate: float = 0.08
+    warm_up_share: float = 0.0
+    """Share of the steps in which the rates rise from nothing. Adam's first steps have the length of the rate, however
+    small the gradient is: a fit that goes on from another one would first move away from it."""
     alpha_frozen_share: float = 0.2
     """Share of the steps before α changes where lobes are new: under a light that is still uniform it has no meaning.
     Where a fit with lobes goes on it is 0."""
@@ -93,9 +96,9 @@ def fit(
     terms: FitTerms | None = None,
     grid: GradientGrid | None = None,
 ) -> Parameters:
-    """Adam with a cosine schedule over the batches in turn; `on_step(step, loss)` receives the loss of the pixels and
-    of the `terms`, which are regularizers. With `grid` the gradients of maps at vertices are smoothed, and their
-    smoothness prior is that of values which are a cell apart.
+    """Adam over the batches in turn, with a cosine schedule after the warm-up; `on_step(step, loss)` receives the loss
+    of the pixels and of the `terms`, which are regularizers. With `grid` the gradients of maps at vertices are
+    smoothed, and their smoothness prior is that of values which are a cell apart.
 
     With `checkpoint` the state is stored there and resumed. A step without a finite gradient is skipped and warned of,
     with its term and views; too many in a row raise `StageError`.
@@ -179,7 +182,7 @@ def fit(
     result = optimize(
         loss,
         torch.optim.Adam(_groups(parameters, settings), betas=ADAM_BETAS),
-        Schedule(settings.steps, end=0.0),
+        Schedule(settings.steps, round(settings.warm_up_share * settings.steps), end=0.0),
         stage=f"reflectance, {description}",
         after_backward=freeze,
         after_step=after_step,
