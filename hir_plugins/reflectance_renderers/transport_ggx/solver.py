@@ -75,7 +75,8 @@ FIRST_ALBEDO_SHARE = 0.5
 """Of the albedo's learning rate in a fit from nothing: at the full rate wide variations of the albedo explain shading
 before the light does (docs/studies/values_of_maps.md)."""
 WARM_UP_SHARE = 0.2
-"""Of the steps of a fit that goes on from another one (docs/studies/values_of_maps.md)."""
+"""Of the steps of a fit that goes on from another one with the same lobes. A new lobe or a new map of metalness needs
+all steps (docs/studies/values_of_maps.md)."""
 METAL_COLOR_FROZEN_SHARE = 0.5
 """Of the first fit of a metal: the light is fitted to its reflections before its base colour varies
 (docs/studies/initial_guess.md)."""
@@ -220,18 +221,19 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
                 metalness_prior=self._options.metalness_prior,
             ),
         )
-        if initial is None:
+        before = None if initial is None else initial.parameters
+        if before is not None:
+            if not parameters.has_new_lobe(before):
+                settings = replace(settings, warm_up_share=WARM_UP_SHARE)
+        elif not spec.light_is_known:
             settings = replace(settings, diffuse_rate=FIRST_ALBEDO_SHARE * settings.diffuse_rate)
-        else:
-            settings = replace(settings, warm_up_share=WARM_UP_SHARE)
-        if initial is not None and initial.parameters.width is not None:
+        if before is not None and before.width is not None:
             settings = replace(settings, alpha_frozen_share=0.0)
-        if initial is None and parameters.is_metal and self._has_uniform_guess(spec):
+        if before is None and parameters.is_metal and self._has_uniform_guess(spec):
             settings = replace(settings, color_frozen_share=METAL_COLOR_FROZEN_SHARE)
-        if initial is None or (effort < EXPOSURE_EFFORT and initial.parameters.log_exposure is not None):
+        if before is None or (effort < EXPOSURE_EFFORT and before.log_exposure is not None):
             settings = replace(settings, exposure_frozen_share=1.0)
         resumes = file is not None and file.has_state()
-        before = None if initial is None else initial.parameters
         scale_is_known = spec.light_is_known or (not spec.lamp and bool(measuring_views(self._capture)))
         candidates = initial_candidates(spec, parameters, before, scale_is_known)
         if len(candidates) > 1 and not resumes:

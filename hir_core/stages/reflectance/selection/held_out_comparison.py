@@ -17,6 +17,10 @@ NEAR_TIE_STANDARD_ERRORS = 2.0
 """A smaller margin between the selected hypothesis and the runner-up is a warning."""
 MIN_GAIN_DB = 0.1
 """A smaller gain is not worth a more complex model."""
+MIN_ERROR_REDUCTION = 0.1 / 255
+"""Of the root mean square error in sRGB by a refinement, a tenth of a step of 8 bits: 0.1 dB at 30 dB, 0.6 dB at 45 dB.
+So near to the photographs a map explains what a longer fit of the light would explain, too: on a matt ball normals
+gained 0.3 dB at 46 dB and cost 1.4 dB on unseen views."""
 SUFFICIENT_DB = 48.1
 """A root mean square error of one step of 8 bits: a closer fit needs no further term."""
 SMALLEST_ERROR = 1e-12
@@ -50,6 +54,19 @@ def is_significant(
 ) -> bool:
     """Whether a mean gain over so many views exceeds its error and `MIN_GAIN_DB`."""
     return gain > MIN_GAIN_DB and gain > critical_value(standard_errors, views) * standard_error
+
+
+def is_refined(
+    before: NDArray[np.float64],
+    after: NDArray[np.float64],
+    standard_errors: float = REQUIRED_STANDARD_ERRORS,
+) -> bool:
+    """Whether a refinement lowers the mean squared errors of views: by a significant gain, and by an error that a
+    photograph of 8 bits can show.
+    """
+    reduction = float((np.sqrt(before) - np.sqrt(after)).mean())
+    gain, standard_error = paired_gain(before, after)
+    return reduction > MIN_ERROR_REDUCTION and is_significant(gain, standard_error, len(after), standard_errors)
 
 
 def is_near_tie(margin: float, standard_error: float, views: int) -> bool:

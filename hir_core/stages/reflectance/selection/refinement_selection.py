@@ -20,7 +20,7 @@ from hir_core.stages.reflectance.selection.held_out_comparison import (
     REQUIRED_STANDARD_ERRORS,
     SUFFICIENT_DB,
     differs,
-    is_significant,
+    is_refined,
     paired_gain,
 )
 from hir_core.stages.reflectance.selection.successive_halving import Budget
@@ -146,7 +146,7 @@ class RefinementSelection(Generic[FitT, RefinementT]):
         )
         views = len(control.errors)
         gain, standard_error = paired_gain(control.errors, candidate.errors)
-        accepted = is_significant(gain, standard_error, views, REQUIRED_STANDARD_ERRORS_OF_NORMALS)
+        accepted = is_refined(control.errors, candidate.errors, REQUIRED_STANDARD_ERRORS_OF_NORMALS)
         change, error_of_change = paired_gain(self.fit.errors, candidate.errors)
         if differs(-change, error_of_change, views):
             gain, standard_error, accepted = change, error_of_change, False
@@ -161,11 +161,10 @@ class RefinementSelection(Generic[FitT, RefinementT]):
         if not self._is_worth_comparing(spec, simpler):
             return
         fit, gain, standard_error = self._against_control(spec)
-        views = len(fit.errors)
         if simpler:
-            accepted = not is_significant(-gain, standard_error, views, required_standard_errors)
+            accepted = not is_refined(fit.errors, self.fit.errors, required_standard_errors)
         else:
-            accepted = is_significant(gain, standard_error, views, required_standard_errors)
+            accepted = is_refined(self.fit.errors, fit.errors, required_standard_errors)
         if accepted:
             self.fit, self._has_control = fit, False
         self._record(fit, gain, standard_error, accepted)
@@ -177,7 +176,7 @@ class RefinementSelection(Generic[FitT, RefinementT]):
         selected because its turn comes first.
         """
         compared = [self._against_control(spec) for spec in specs if self._is_worth_comparing(spec)]
-        gaining = [each for each in compared if is_significant(each[1], each[2], len(each[0].errors))]
+        gaining = [each for each in compared if is_refined(self.fit.errors, each[0].errors)]
         best = max(gaining, key=lambda each: each[1], default=None)
         for each in compared:
             self._record(*each, accepted=each is best)

@@ -114,6 +114,12 @@ class Parameters:
         """Is m 1 everywhere, and not optimised?"""
         return self.metalness is not None and len(self.metalness) == 1 and bool(torch.isinf(self.metalness).all())
 
+    def has_new_lobe(self, before: Parameters) -> bool:
+        """Is there a lobe, or a metalness, that an earlier fit did not have?"""
+        if self.width is None or before.width is None:
+            return self.width is not None
+        return self.metalness is not None and (before.metalness is None or before.is_metal != self.is_metal)
+
     @property
     def dielectric_f0(self) -> Float[Tensor, "1 1"]:
         """F0 of the dielectric part of the `metallic` BRDF."""
