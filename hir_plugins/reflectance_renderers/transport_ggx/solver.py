@@ -417,6 +417,8 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
             else:
                 diffuse = self._initial_albedo(photographs, spec, light.exp(), lamp)
             base = Parameters(light, torch.logit(diffuse), None, None, lamp=lamp)
+            if spec.bounces and not self._has_uniform_guess(spec):
+                base = replace(base, diffuse=without_indirect(self._transport, base, spec.bounces))
         else:
             base = self._at_measured_scale(initial)
             lamp = initial_lamp(base.light) if spec.lamp and base.lamp is None else base.lamp
@@ -515,7 +517,8 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         self, photographs: ObservedPixels, spec: ModelSpec, light: Tensor, lamp: Tensor | None
     ) -> Float[Tensor, "V 3"]:
         arriving = self._arriving(photographs, spec, light, lamp)
-        return initial_albedo(self._transport, photographs, arriving, self._has_uniform_guess(spec))
+        uniform = self._has_uniform_guess(spec)
+        return initial_albedo(self._transport, photographs, arriving, uniform, self._grid(photographs))
 
     def _initial_metal(
         self, photographs: ObservedPixels, spec: ModelSpec, light: Tensor, lamp: Tensor | None

@@ -13,6 +13,7 @@ from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene import Material
 from hir_plugins.reflectance_renderers.transport_ggx.fit.final_albedo import ALBEDO_HIGH, ALBEDO_LOW
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.observed_pixels import ObservedPixels
+from hir_plugins.reflectance_renderers.transport_ggx.fit.gradient_grid import GradientGrid
 from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.initial_metalness import (
     with_metalness,
     without_metalness,
@@ -40,9 +41,14 @@ MOSTLY_METAL = 0.75
 
 
 def initial_albedo(
-    transport: Transport, observed: ObservedPixels, arriving: Float[Tensor, "P 3"], uniform: bool
+    transport: Transport,
+    observed: ObservedPixels,
+    arriving: Float[Tensor, "P 3"],
+    uniform: bool,
+    grid: GradientGrid | None = None,
 ) -> Float[Tensor, "V 3"]:
-    """Mean colour over mean irradiance, or that of each vertex, near the mean where few pixels see it.
+    """Mean colour over mean irradiance, or that of each vertex, near the mean where few pixels see it. With the `grid`
+    of the fit, whose gradients do not change what varies inside a cell, vertices of a cell share their pixels.
 
     If the light is unknown, the albedo should be `uniform`: gradient steps do not remove shading from an initial
     albedo. `arriving` is the irradiance of the pixels.
@@ -56,6 +62,8 @@ def initial_albedo(
     vertices = transport.interpolation(observed.points)[0]
     color = vertices.transposed @ observed.color
     white = vertices.transposed @ (arriving / torch.pi)
+    if grid is not None:
+        color, white = grid.smoothed(color), grid.smoothed(white)
     weight = MEAN_WEIGHT * white.mean()
     albedo = (color + weight * mean) / (white + weight).clamp_min(1e-9)
     return albedo.clamp(MIN_INITIAL_ALBEDO, MAX_INITIAL_ALBEDO)
