@@ -18,7 +18,16 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Param
 from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import Surface, refine
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGGX
-from tests.fixtures.made_captures import TEXELS, around, lamps, make_material, photographs
+from tests.fixtures.made_captures import (
+    TEXELS,
+    above,
+    around,
+    bowl,
+    lamps,
+    make_material,
+    photographs,
+    sky,
+)
 from tests.fixtures.scenes import icosphere, square
 
 
@@ -121,6 +130,27 @@ def test_with_few_pixels_views_left_out_gain() -> None:
         alpha[per_value] = float(fit.parameters.alpha)
     assert error[2.5] < 0.8 * error[0.0], error
     assert abs(alpha[2.5] - 0.2) < 0.8 * abs(alpha[0.0] - 0.2), alpha
+
+
+def test_under_a_known_light_few_pixels_start_near_the_albedo_between_walls() -> None:
+    """A bowl of one colour: initial albedos leave out the light between its walls, and have no noise inside cells."""
+    mesh, color = unwrap_mesh(bowl(), TEXELS)[0], torch.tensor([0.6, 0.4, 0.2])
+    truth = Scene(mesh, make_material(color), sky())
+    capture = photographs(truth, above(6, 0.9), depth=5)
+    grey = make_material(torch.full((TEXELS, TEXELS, 3), 0.3), 0.0)
+    deviation = {}
+    for per_value in (0.0, 2.5):
+        options = TransportGGXOptions(vertices=4_000, cache_cells=2_000, pixels_per_value=per_value)
+        solver = TransportGGX(options).prepare(replace(truth, material=grey), capture)
+        pixels = solver._pixels.subsampled(solver._pixels.of(range(6)), 0.2)
+        seen = solver._transport.interpolation(pixels.points)[0].transposed @ torch.ones(len(pixels), 1) > 0.5
+        spec = ModelSpec(bounces=3, light_is_known=True)
+        start = solver._initial_parameters(spec, None, pixels).base_color[seen[:, 0]]
+        torch.testing.assert_close(start.median(dim=0).values, color, rtol=0.05, atol=0)
+        deviation[per_value] = float((start / color).log().std(dim=0).mean())
+        direct = solver._initial_parameters(replace(spec, bounces=0), None, pixels).base_color[seen[:, 0]]
+        assert float(direct[:, 0].median()) > 0.65, "with the light between the walls"
+    assert deviation[2.5] < 0.9 * deviation[0.0], deviation
 
 
 @pytest.mark.parametrize("value", [-1, "many", float("nan")])

@@ -84,6 +84,41 @@ def test_the_base_colour_of_a_metal_moves_after_its_light(
     assert not torch.equal(further.parameters.diffuse, fit.parameters.diffuse), "a fit that goes on moves all"
 
 
+def test_a_fit_that_goes_on_stays_near_the_one_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Adam's first steps are as long as the rate however small the gradient; the warm-up keeps them short."""
+    solver, _ = solver_of()
+    before = solver.fit(ModelSpec(), None, range(6), 2.0, lambda _: None)
+    error = {}
+    for share in (0.0, 0.2):
+        monkeypatch.setattr(solver_module, "WARM_UP_SHARE", share)
+        after = solver.fit(ModelSpec(), before, range(6), 0.1, lambda _: None)
+        error[share] = float(solver.errors(after, range(6)).mean())
+    assert error[0.2] < 0.75 * error[0.0], error
+
+
+def test_a_lobe_that_is_new_has_no_warm_up() -> None:
+    light, width, one = torch.zeros(2, 4, 3), torch.zeros(1, 1), torch.zeros(5, 1)
+    diffuse = Parameters(light, torch.zeros(5, 3), None, None)
+    dielectric = replace(diffuse, specular=width, width=width)
+    metal = replace(dielectric, metalness=torch.full((1, 1), torch.inf))
+    mixed = replace(dielectric, metalness=one)
+    goes_on = [(diffuse, diffuse), (dielectric, dielectric), (metal, metal), (mixed, mixed), (diffuse, mixed)]
+    assert not any(after.has_new_lobe(before) for after, before in goes_on)
+    new = [(dielectric, diffuse), (mixed, metal), (mixed, dielectric), (metal, diffuse), (metal, dielectric)]
+    assert all(after.has_new_lobe(before) for after, before in new)
+
+
+def test_the_albedo_waits_for_an_unknown_light(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At the full rate more of the shading of a grey ball is in its albedo."""
+    deviations = {}
+    for share in (1.0, solver_module.FIRST_ALBEDO_SHARE):
+        monkeypatch.setattr(solver_module, "FIRST_ALBEDO_SHARE", share)
+        solver, middle = solver_of()
+        fit = solver.fit(ModelSpec(), None, range(6), 0.2, lambda _: None)
+        deviations[share] = log_albedo_deviation(fit.parameters, middle)
+    assert deviations[0.5] < deviations[1.0], deviations
+
+
 def test_a_piecewise_constant_albedo_is_preferred() -> None:
     deviations = []
     for weight in (1e-3, 0.0):

@@ -18,6 +18,7 @@ from hir_core.report.convergence import milestones
 from hir_core.run.progress_listener import ProgressListener
 from hir_core.run.stage_context import StageContext
 from hir_core.stages.reflectance.selection.fit_sequence import FitSequence
+from hir_core.stages.reflectance.selection.held_out_comparison import is_refined
 from hir_core.stages.reflectance.selection.hypotheses import INTERREFLECTIONS
 from hir_core.stages.reflectance.selection.model_selection import select_model
 from hir_core.stages.reflectance.selection.requested_model import forced_spec
@@ -33,6 +34,17 @@ def test_more_steps_alone_are_no_gain() -> None:
         ReflectanceSettings(light_frame="world"),
     )
     assert selection.spec == ModelSpec("dielectric", "uniform")
+
+
+@pytest.mark.parametrize(("decibels", "gain", "refined"), [(24, 0.3, True), (40, 0.3, False), (40, 0.6, True)])
+def test_near_the_photographs_a_refinement_must_gain_more(decibels: float, gain: float, refined: bool) -> None:
+    """The same gain in dB is a smaller change of the picture: 0.6, 0.09 and 0.17 steps of 8 bits."""
+    views = 10 ** (-0.01 * np.arange(8))
+    before, after = (views * 10 ** (-value / 10) for value in (decibels, decibels + gain))
+    assert is_refined(before, after) is refined
+    assert not is_refined(after, before)
+    doubtful = before * np.where(np.arange(8) % 2, 10**-0.3, 10**0.2)
+    assert not is_refined(before, doubtful), "a gain on half of the views is not significant"
 
 
 def test_one_control_serves_all_comparisons_until_a_candidate_is_accepted() -> None:
