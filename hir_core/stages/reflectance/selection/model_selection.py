@@ -190,19 +190,26 @@ def select_model(
         fitted_before = shown.exposures == "fitted"
         shown = refinement.compare_exposures_again(shown) if fitted_before else refinement.compare_exposures(shown)
     refinement.refine_vertices()
-    winner, finals = chosen, {chosen.spec: refinement.fit.errors}
+    winner, finals, rival_fits = chosen, {chosen.spec: refinement.fit.errors}, []
     for rival in rivals:
         if refinement.fit.held_out_db >= SUFFICIENT_DB:
             break
         fit = refinement.compare_runner_up(rival.last, simpler=complexity(rival.spec) < complexity(winner.spec))
         finals[rival.spec] = fit.errors
+        rival_fits.append((rival, fit))
         if refinement.fit is fit:
             winner = rival
     if winner is not chosen:
         # it has the refinements that the other one gained from, which may lack one of its own
         folded.expect(expected_cost(refinement.spec))
         refinement.refine_vertices()
-    refinement.compare_per_texel()
+    if refinement.spec.light_frame == "camera":
+        for rival, fit in rival_fits:
+            errors = refinement.compare_per_texel_of_rival(fit) if refinement.spec.per_texel == "none" else None
+            if errors is not None:
+                winner, finals[rival.spec] = rival, errors
+    else:
+        refinement.compare_per_texel()
     # an early margin says less than a late one
     margins = [
         (-len(each.rounds), Margin(each.spec, *_margin(winner, each, (finals, pooled))))

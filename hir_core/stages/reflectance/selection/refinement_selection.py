@@ -6,6 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Generic, final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hir_core.plugins.interfaces import FitT, RefinementT
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.stages.reflectance.selection.exposure_selection import (
@@ -18,6 +21,7 @@ from hir_core.stages.reflectance.selection.fit_sequence import fit_cost
 from hir_core.stages.reflectance.selection.folded_fits import FoldedFit, FoldedFits
 from hir_core.stages.reflectance.selection.held_out_comparison import (
     REQUIRED_STANDARD_ERRORS,
+    SMALLEST_ERROR,
     SUFFICIENT_DB,
     differs,
     is_refined,
@@ -116,11 +120,21 @@ class RefinementSelection(Generic[FitT, RefinementT]):
     def compare_runner_up(self, rival: FoldedFit[FitT], simpler: bool) -> FoldedFit[FitT]:
         """Gives a rival the refinements and the effort of the selected model, and selects it where it is better.
 
-        A `simpler` rival is selected in a tie, too. Returns the fit of the rival.
+        A `simpler` rival is selected in a tie, too. Shading normals are fitted under a light in the world alone, so
+        such a rival of a light on the camera gets them where they gain. Returns the fit of the rival.
         """
         spec = self._fits.supported(with_refinements(rival.spec, self.spec)) or rival.spec
+        relief = replace(spec, normals="map")
+        has_relief = (self.spec.light_frame, spec.light_frame) == ("camera", "world") and self._is_supported(relief)
+        if has_relief:
+            self._fit_control()
         fit = self._fits.fit(spec, rival, self.effort, COMPARISON.pixel_share)
         self._fitted(fit)
+        if has_relief:
+            candidate = self._fits.fit(relief, rival, self.effort, COMPARISON.pixel_share)
+            self._fitted(candidate)
+            if is_refined(fit.errors, candidate.errors, REQUIRED_STANDARD_ERRORS_OF_NORMALS):
+                fit = candidate
         gain, standard_error = paired_gain(self.fit.errors, fit.errors)
         views = len(fit.errors)
         worse, better = differs(-gain, standard_error, views), differs(gain, standard_error, views)
@@ -138,12 +152,9 @@ class RefinementSelection(Generic[FitT, RefinementT]):
         """
         if self.spec.light_frame != "world" or self.spec.kind == "diffuse" or self.spec.mapped:
             return
-        if self.fit.held_out_db >= SUFFICIENT_DB or not self._is_supported(replace(self.spec, per_texel="brdf")):
+        if not self._is_worth_comparing(replace(self.spec, per_texel="brdf")):
             return
-        control, candidate = (
-            self._fits.fit(replace(self.spec, per_texel=each), self.fit, 0.0, cost_effort=COMPARISON.effort)  # type: ignore[arg-type]
-            for each in ("albedo", "brdf")
-        )
+        control, candidate = self._per_texel(self.fit)
         views = len(control.errors)
         gain, standard_error = paired_gain(control.errors, candidate.errors)
         accepted = is_refined(control.errors, candidate.errors, REQUIRED_STANDARD_ERRORS_OF_NORMALS)
@@ -153,6 +164,33 @@ class RefinementSelection(Generic[FitT, RefinementT]):
         if accepted:
             self.fit = candidate
         self._record(candidate, gain, standard_error, accepted)
+
+    def compare_per_texel_of_rival(self, rival: FoldedFit[FitT]) -> NDArray[np.float64] | None:
+        """Selects the per-texel BRDF of a rival under a light in the world, in place of a light on the camera.
+
+        A light on the camera has no per-texel BRDF, and its fit at vertices is not comparable with values of texels.
+        What the BRDF gains over a per-texel albedo is therefore compared with what the rival lacks at vertices. Returns
+        the errors at vertices, lowered by the gain, where it was selected.
+        """
+        spec = replace(rival.spec, per_texel="brdf")
+        if rival.spec.light_frame != "world" or rival.spec.kind == "diffuse" or not self._is_worth_comparing(spec):
+            return None
+        control, candidate = self._per_texel(rival)
+        errors = rival.errors * candidate.errors / np.maximum(control.errors, SMALLEST_ERROR)
+        gain, standard_error = paired_gain(self.fit.errors, errors)
+        accepted = is_refined(self.fit.errors, errors, REQUIRED_STANDARD_ERRORS_OF_NORMALS)
+        if accepted:
+            self.fit = candidate
+        self._record(candidate, gain, standard_error, accepted)
+        return errors if accepted else None
+
+    def _per_texel(self, fit: FoldedFit[FitT]) -> tuple[FoldedFit[FitT], FoldedFit[FitT]]:
+        """A fit at vertices with a per-texel albedo, and with a per-texel BRDF."""
+        albedo, brdf = (
+            self._fits.fit(replace(fit.spec, per_texel=each), fit, 0.0, cost_effort=COMPARISON.effort)  # type: ignore[arg-type]
+            for each in ("albedo", "brdf")
+        )
+        return albedo, brdf
 
     def _compare(
         self, spec: ModelSpec, simpler: bool = False, required_standard_errors: float = REQUIRED_STANDARD_ERRORS
@@ -190,13 +228,18 @@ class RefinementSelection(Generic[FitT, RefinementT]):
 
     def _against_control(self, spec: ModelSpec) -> tuple[FoldedFit[FitT], float, float]:
         """The fit of a candidate, its gain over the control and the standard error of that."""
+        self._fit_control()
+        fit = self._continued(spec)
+        return fit, *paired_gain(self.fit.errors, fit.errors)
+
+    def _fit_control(self) -> None:
+        """Continues the selected fit, unless that was done since it was selected. More steps alone lower the error:
+        without this control every candidate would seem to gain.
+        """
         if not self._has_control:
-            # more steps alone lower the error: without this control every candidate would seem to gain
             self._initial, self._has_control = self.fit, True
             self.fit = self._continued(self.spec)
             self.effort += COMPARISON.effort
-        fit = self._continued(spec)
-        return fit, *paired_gain(self.fit.errors, fit.errors)
 
     def _is_supported(self, spec: ModelSpec) -> bool:
         """Whether the solver fits this very model."""

@@ -17,6 +17,7 @@ from hir_core.plugins.progress import MODEL_FITTED, MODELS_COMPARED
 from hir_core.report.convergence import milestones
 from hir_core.run.progress_listener import ProgressListener
 from hir_core.run.stage_context import StageContext
+from hir_core.stages.reflectance.reflectance_report import explanation_report
 from hir_core.stages.reflectance.selection.fit_sequence import FitSequence
 from hir_core.stages.reflectance.selection.held_out_comparison import is_refined
 from hir_core.stages.reflectance.selection.hypotheses import INTERREFLECTIONS
@@ -141,6 +142,39 @@ def test_no_normal_map_under_a_light_on_the_camera() -> None:
             forced_spec(ReflectanceSettings(model=model, light_frame="camera"))
 
 
+@pytest.mark.parametrize("gain", [2.0, 0.3])
+def test_a_rival_under_a_light_in_the_world_has_its_normals_before_it_is_compared(gain: float) -> None:
+    """A light on the camera imitates relief, for which it has no normals of its own."""
+
+    def error(spec: ModelSpec) -> float:
+        camera = spec.light_frame == "camera"
+        return level(25 + camera + gain * (spec.normals == "map") - 9 * (spec.kind != "diffuse"))
+
+    expected = ModelSpec(normals="map", bounces=INTERREFLECTIONS) if gain > 1 else ModelSpec(light_frame="camera")
+    assert replace(chosen(error), bounces=expected.bounces) == expected
+
+
+@pytest.mark.parametrize("gain", [3.0, 0.5])
+def test_a_light_on_the_camera_yields_to_a_rival_whose_texels_gain_more_than_it_lacks(gain: float) -> None:
+    """A per-texel albedo alone fits 4 dB better than vertices; that says nothing about the light."""
+
+    def error(spec: ModelSpec) -> float:
+        own = {"none": 0.0, "albedo": 4.0, "brdf": 4.0 + gain}[spec.per_texel]
+        kind = {"diffuse": 0.5, "dielectric": 1.0, "metal": -9.0, "mixed": -9.0}[spec.kind]
+        return level(25 + (spec.light_frame == "camera") + kind + own)
+
+    selection = select(Scripted(error, noise=0.01), ReflectanceSettings())
+    last = selection.comparisons[-1]
+    assert last.spec.per_texel == "brdf" and last.spec.light_frame == "world"
+    assert last.gain_db == pytest.approx(gain - 1, abs=0.05) and last.accepted == (gain > 1)
+    if gain > 1:
+        assert selection.spec == last.spec and selection.hypothesis.light_frame == "world"
+        report = explanation_report(selection)
+        assert report is not None and report.margin_db is not None and report.margin_db > 0
+    else:
+        assert selection.spec.light_frame == "camera" and selection.spec.per_texel == "none"
+
+
 def test_the_map_that_gains_most_is_selected_first() -> None:
     """A specular map imitates a roughness map. It gains, and is compared before; but it is not what is there."""
 
@@ -151,7 +185,9 @@ def test_the_map_that_gains_most_is_selected_first() -> None:
     selection = select(Scripted(error), settings)
     assert (selection.spec.specular, selection.spec.roughness) == ("uniform", "map")
     first, second, again, _ = (
-        each for each in selection.comparisons if "map" in (each.spec.specular, each.spec.roughness)
+        each
+        for each in selection.comparisons
+        if "map" in (each.spec.specular, each.spec.roughness) and each.spec.per_texel == "none"
     )
     assert not first.accepted and second.accepted and not again.accepted
     assert again.spec == replace(selection.spec, specular="map"), "what is left is compared with the new model"
