@@ -71,7 +71,7 @@ is upright."""
 MIN_VIEW_DEGREES = math.degrees(math.asin(MIN_VIEW_COSINE))
 MAX_COMPARED_POINTS = 12_000
 """Surface points of held-out views at which per-texel values are solved to compare them."""
-FIRST_ALBEDO_SHARE = 0.5
+FIRST_ALBEDO_SHARE = 1 / 3
 """Of the albedo's learning rate in a fit from nothing: at the full rate wide variations of the albedo explain shading
 before the light does (docs/studies/values_of_maps.md)."""
 WARM_UP_SHARE = 0.2
