@@ -15,7 +15,8 @@ import torch
 from benchmarks.reflectance_task import capture_argument, task_of
 from hir_core.stages.held_out_views import model_selection_folds
 from hir_core.stages.reflectance.selection.hypotheses import hypothesis
-from hir_plugins.reflectance_renderers.transport_ggx.fit.joint_optimization import FitSettings, sample_loss
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_settings import FitSettings
+from hir_plugins.reflectance_renderers.transport_ggx.fit.joint_optimization import sample_loss
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import logit_of_alpha
 from hir_plugins.reflectance_renderers.transport_ggx.solver import Fit, TransportSolver
 

@@ -23,6 +23,7 @@ from hir_core.scene.card_irradiance import measuring_views
 from hir_plugins.reflectance_renderers.transport_ggx.fit import joint_optimization
 from hir_plugins.reflectance_renderers.transport_ggx.fit.exposures import median_exposures, own_exposures
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_checkpoints import FitCheckpoint
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_settings import FitSettings, settings_of_fit
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_terms import FitTerms
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.observed_pixels import (
     MIN_VIEW_COSINE,
@@ -47,9 +48,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.initial_guess i
 )
 from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.initial_lamp import initial_lamp
 from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.measured_scale import at_measured_scale
-from hir_plugins.reflectance_renderers.transport_ggx.fit.joint_optimization import FitSettings
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import MAX_RADIANCE, Parameters, mean_of_takes
-from hir_plugins.reflectance_renderers.transport_ggx.fit.smoothness import SmoothnessWeights
 from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_lamp import (
     LampCameras,
     LampPoints,
@@ -71,18 +70,6 @@ is upright."""
 MIN_VIEW_DEGREES = math.degrees(math.asin(MIN_VIEW_COSINE))
 MAX_COMPARED_POINTS = 12_000
 """Surface points of held-out views at which per-texel values are solved to compare them."""
-FIRST_ALBEDO_SHARE = 1 / 3
-"""Of the albedo's learning rate in a fit from nothing: at the full rate wide variations of the albedo explain shading
-before the light does (docs/studies/values_of_maps.md)."""
-WARM_UP_SHARE = 0.2
-"""Of the steps of a fit that goes on from another one with the same lobes. A new lobe or a new map of metalness needs
-all steps (docs/studies/values_of_maps.md)."""
-METAL_COLOR_FROZEN_SHARE = 0.5
-"""Of the first fit of a metal: the light is fitted to its reflections before its base colour varies
-(docs/studies/initial_guess.md)."""
-EXPOSURE_EFFORT = 1.0
-"""Least effort of a fit that changes exposures which an earlier one had: in shorter ones, of a material that may be
-wrong, they would absorb its errors (docs/studies/exposures.md)."""
 TRIAL_EFFORT = 0.25
 TRIAL_PIXEL_SHARE = 0.4
 """Effort, at most, and share of the pixels of the short fits that choose initial values."""
@@ -207,32 +194,8 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
                 ": mesh, masks and cameras are inconsistent, or all views are grazing; inspect them with: hir check"
             )
         parameters = self._initial_parameters(spec, initial, photographs)
-        steps = max(1, round(self._options.steps * effort))
-        settings = FitSettings(
-            steps,
-            spec.brdf,
-            spec.bounces,
-            known_light=spec.light_is_known,
-            fits_exposures=spec.exposures == "fitted",
-            smoothness=SmoothnessWeights(
-                light=self._options.light_smoothness,
-                light_chroma=self._options.light_whiteness,
-                albedo=self._options.albedo_smoothness,
-                metalness_prior=self._options.metalness_prior,
-            ),
-        )
         before = None if initial is None else initial.parameters
-        if before is not None:
-            if not parameters.has_new_lobe(before):
-                settings = replace(settings, warm_up_share=WARM_UP_SHARE)
-        elif not spec.light_is_known:
-            settings = replace(settings, diffuse_rate=FIRST_ALBEDO_SHARE * settings.diffuse_rate)
-        if before is not None and before.width is not None:
-            settings = replace(settings, alpha_frozen_share=0.0)
-        if before is None and parameters.is_metal and self._has_uniform_guess(spec):
-            settings = replace(settings, color_frozen_share=METAL_COLOR_FROZEN_SHARE)
-        if before is None or (effort < EXPOSURE_EFFORT and before.log_exposure is not None):
-            settings = replace(settings, exposure_frozen_share=1.0)
+        settings = settings_of_fit(self._options, spec, parameters, before, effort, self._has_uniform_guess(spec))
         resumes = file is not None and file.has_state()
         scale_is_known = spec.light_is_known or (not spec.lamp and bool(measuring_views(self._capture)))
         candidates = initial_candidates(spec, parameters, before, scale_is_known)
@@ -246,7 +209,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
             parameters,
             settings,
             self._edges,
-            lambda step, _: report((step + 1) / steps),
+            lambda step, _: report((step + 1) / settings.steps),
             file,
             self._fit_terms(spec),
             self._grid(photographs),
@@ -417,7 +380,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
             else:
                 diffuse = self._initial_albedo(photographs, spec, light.exp(), lamp)
             base = Parameters(light, torch.logit(diffuse), None, None, lamp=lamp)
-            if spec.bounces and not self._has_uniform_guess(spec):
+            if spec.bounces and spec.brdf != "metallic" and not self._has_uniform_guess(spec):
                 base = replace(base, diffuse=without_indirect(self._transport, base, spec.bounces))
         else:
             base = self._at_measured_scale(initial)

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields, replace
-from typing import Any, Literal
+from dataclasses import fields, replace
+from typing import Any
 
 import torch
 from jaxtyping import Float, Int
@@ -19,9 +19,9 @@ from torch import Tensor
 from hir_core.optimization.nonfinite_diagnostics import nonfinite_elements
 from hir_core.optimization.optimization_loop import optimize, warn_of_skipped_steps
 from hir_core.optimization.schedules import Schedule
-from hir_plugins.reflectance_renderers.brdf_torch import Model
 from hir_plugins.reflectance_renderers.transport_ggx.fit.final_albedo import solve_final_albedo
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_checkpoints import FitCheckpoint
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_settings import FitSettings
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_terms import FitTerms
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.mini_batches import MiniBatches
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.pixel_batches import (
@@ -35,7 +35,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.pixel_bat
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.resident_batches import ResidentBatches
 from hir_plugins.reflectance_renderers.transport_ggx.fit.gradient_grid import GradientGrid
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import MAX_FITTED_F0, Parameters
-from hir_plugins.reflectance_renderers.transport_ggx.fit.smoothness import SmoothnessWeights, smoothness_energy
+from hir_plugins.reflectance_renderers.transport_ggx.fit.smoothness import smoothness_energy
 from hir_plugins.reflectance_renderers.transport_ggx.fit.width_search import searched_width
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
 from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_radiance import SpecularMatrices
@@ -43,46 +43,6 @@ from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_radiance 
 ADAM_BETAS = (0.9, 0.99)
 PIXEL_TERM = "pixels"
 ADVICE = "look for broken pixels or triangles with: hir check"
-
-
-@dataclass(frozen=True)
-class FitSettings:
-    """Steps, learning rates and weights of a fit."""
-
-    steps: int
-    model: Model | Literal["diffuse"]
-    bounces: int
-    light_rate: float = 0.08
-    diffuse_rate: float = 0.06
-    specular_rate: float = 0.05
-    width_rate: float = 0.08
-    exposure_rate: float = 0.05
-    normal_rate: float = 0.03
-    metalness_rate: float = 0.15
-    lamp_rate: float = 0.08
-    warm_up_share: float = 0.0
-    """Share of the steps in which the rates rise from nothing. Adam's first steps have the length of the rate, however
-    small the gradient is: a fit that goes on from another one would first move away from it."""
-    alpha_frozen_share: float = 0.2
-    """Share of the steps before α changes where lobes are new: under a light that is still uniform it has no meaning.
-    Where a fit with lobes goes on it is 0."""
-    color_frozen_share: float = 0.0
-    """Share of the steps before the base colour changes. A metal shows its reflections alone: while the light is still
-    uniform, base colours of its vertices would explain them."""
-    exposure_frozen_share: float = 0.0
-    """Share of the steps before exposures change: while light and albedo are wrong, they would absorb their errors."""
-    f0_frozen_share: float = 0.7
-    """Share of the steps before F0 of the dielectric part changes: while metalness is undecided, metal imitates it."""
-    refresh_interval: int = 15
-    """Steps between updates of the specular matrices to the current α."""
-    smoothness: SmoothnessWeights = field(default_factory=SmoothnessWeights)
-    huber_srgb: float = 0.1
-    """Residual in sRGB from which the loss is linear."""
-    known_light: bool = False
-    fits_exposures: bool = False
-    """Exposures are fitted, not recorded; without any in the parameters all are equal."""
-    solve_albedo: bool = True
-    """End with the albedos in closed form."""
 
 
 def fit(

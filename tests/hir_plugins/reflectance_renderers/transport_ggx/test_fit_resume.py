@@ -12,8 +12,8 @@ from hir_core.errors import StageError
 from hir_core.plugins.model_spec import ModelSpec
 from hir_plugins.reflectance_renderers.transport_ggx.fit import joint_optimization
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_checkpoints import FitCheckpoint
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_settings import FitSettings
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.pixel_batches import PixelBatch
-from hir_plugins.reflectance_renderers.transport_ggx.fit.joint_optimization import FitSettings
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
 from tests.hir_plugins.reflectance_renderers.transport_ggx.test_light_and_albedo import solver_of
 

@@ -21,10 +21,10 @@ from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene import EnvironmentMap, Material, Scene
 from hir_core.stages.atlas import unwrap_mesh
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_checkpoints import FitCheckpoint
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_settings import FitSettings
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_terms import FitTerms, material_at_vertices
 from hir_plugins.reflectance_renderers.transport_ggx.fit.joint_optimization import (
     PIXEL_TERM,
-    FitSettings,
     fit,
     objective,
 )

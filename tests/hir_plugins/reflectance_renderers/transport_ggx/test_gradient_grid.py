@@ -150,6 +150,11 @@ def test_under_a_known_light_few_pixels_start_near_the_albedo_between_walls() ->
         deviation[per_value] = float((start / color).log().std(dim=0).mean())
         direct = solver._initial_parameters(replace(spec, bounces=0), None, pixels).base_color[seen[:, 0]]
         assert float(direct[:, 0].median()) > 0.65, "with the light between the walls"
+        metal = replace(spec, brdf="metallic", specular="uniform", metalness="metal")
+        with_bounces, without = (
+            solver._initial_parameters(replace(metal, bounces=bounces), None, pixels).base_color for bounces in (3, 0)
+        )
+        assert torch.equal(with_bounces, without), "irradiance says nothing about a metal's reflections"
     assert deviation[2.5] < 0.9 * deviation[0.0], deviation
 
 

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from hir_core.plugins.model_spec import ModelSpec
-from hir_plugins.reflectance_renderers.transport_ggx import solver as solver_module
+from hir_plugins.reflectance_renderers.transport_ggx.fit import fit_settings
 from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.initial_guess import METAL_REFLECTANCE
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
@@ -75,7 +75,7 @@ def test_a_metal_starts_with_one_bright_base_colour_and_what_the_photographs_sho
 def test_the_base_colour_of_a_metal_moves_after_its_light(
     share: float, moves: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(solver_module, "METAL_COLOR_FROZEN_SHARE", share)
+    monkeypatch.setattr(fit_settings, "METAL_COLOR_FROZEN_SHARE", share)
     solver, _ = solver_of()
     fit = solver.fit(METAL, None, range(6), 0.2, lambda _: None)
     assert (float(fit.parameters.base_color.std(dim=0).max()) > 1e-3) is moves
@@ -90,7 +90,7 @@ def test_a_fit_that_goes_on_stays_near_the_one_before(monkeypatch: pytest.Monkey
     before = solver.fit(ModelSpec(), None, range(6), 2.0, lambda _: None)
     error = {}
     for share in (0.0, 0.2):
-        monkeypatch.setattr(solver_module, "WARM_UP_SHARE", share)
+        monkeypatch.setattr(fit_settings, "WARM_UP_SHARE", share)
         after = solver.fit(ModelSpec(), before, range(6), 0.1, lambda _: None)
         error[share] = float(solver.errors(after, range(6)).mean())
     assert error[0.2] < 0.75 * error[0.0], error
@@ -111,9 +111,9 @@ def test_a_lobe_that_is_new_has_no_warm_up() -> None:
 def test_the_albedo_waits_for_an_unknown_light(monkeypatch: pytest.MonkeyPatch) -> None:
     """At the full rate more of the shading of a grey ball is in its albedo."""
     deviations = {}
-    slow = solver_module.FIRST_ALBEDO_SHARE
+    slow = fit_settings.FIRST_ALBEDO_SHARE
     for share in (1.0, slow):
-        monkeypatch.setattr(solver_module, "FIRST_ALBEDO_SHARE", share)
+        monkeypatch.setattr(fit_settings, "FIRST_ALBEDO_SHARE", share)
         solver, middle = solver_of()
         fit = solver.fit(ModelSpec(), None, range(6), 0.2, lambda _: None)
         deviations[share] = log_albedo_deviation(fit.parameters, middle)
