@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -159,6 +159,9 @@ class ReflectanceSolver(PreparedReflectance, Generic[FitT, RefinementT]):
     The core selects the model with it. `FitT` and `RefinementT` are opaque to the core. A result depends on the
     arguments of its call alone, never on which call came before; a solver may cache what it would compute again.
     """
+
+    concurrent_fits: ClassVar[bool] = False
+    """Whether `fit` and `errors` may run on several threads at the same time."""
 
     def with_terms(self, terms: Sequence[WeightedTerm]) -> ReflectanceSolver[FitT, RefinementT]:
         """The same solver with regularizers: every fit, scene and refinement of it minimises them too.

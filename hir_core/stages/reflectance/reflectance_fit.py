@@ -47,7 +47,7 @@ from hir_core.stages.reflectance.reflectance_report import (
     significant,
 )
 from hir_core.stages.reflectance.selection.exposure_selection import exposures_to_compare
-from hir_core.stages.reflectance.selection.fit_sequence import FitSequence
+from hir_core.stages.reflectance.selection.fit_sequence import FitSequence, fits_at_once
 from hir_core.stages.reflectance.selection.model_selection import select_model
 from hir_core.stages.reflectance.selection.requested_model import default_spec, forced_spec
 from hir_core.stages.reflectance.stage_progress import StageProgress
@@ -165,7 +165,8 @@ def _fit_by_solver(
         return other.with_terms(terms) if terms and takes_terms else other
 
     progress = StageProgress(context)
-    fits = FitSequence(solver, progress.selecting, context.checkpoints, context.checkpoint_seconds)
+    at_once = fits_at_once(solver, terms, context.device)
+    fits = FitSequence(solver, progress.selecting, context.checkpoints, context.checkpoint_seconds, at_once)
     shape = other_solver if other_shape is not None else None
     selection = select_model(
         fits, settings, len(views), progress, shape, exposures, fits_lamp, takes=capture.take_numbers

@@ -6,6 +6,7 @@ import math
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from threading import Lock
 from typing import final
 
 import numpy as np
@@ -94,6 +95,8 @@ class Fit:
 class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
     """One scene's geometry and one capture's cameras, with transport cached; pixels and lit surfaces are cached too."""
 
+    concurrent_fits = True
+
     def __init__(
         self,
         transport: Transport,
@@ -113,6 +116,8 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         self._shading = TransportShading(transport, capture, downsample, options)
         self._images = ImageCache(capture, downsample)
         self._first_fits: dict[tuple[ModelSpec, tuple[int, ...], float, float], Parameters] = {}
+        self._first_locks: dict[tuple[ModelSpec, tuple[int, ...], float, float], Lock] = {}
+        self._grid_lock = Lock()
         self._lit_surface: tuple[Parameters, ModelSpec, tuple[int, ...], LitSurface] | None = None
         self._grids: dict[int, GradientGrid | None] = {}
         self._rotation = _camera_rotations(capture, transport.surface.positions.device)
@@ -168,25 +173,37 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
                 base = self.fit(vertices, initial, views, effort, report, checkpoint, pixel_share)
             report(1.0)
             return Fit(spec, base.parameters, tuple(views))
+        if initial is not None:
+            return Fit(spec, self._fitted(spec, initial, views, effort, report, checkpoint, pixel_share), tuple(views))
+        # a hypothesis and the simpler model that another one starts from are the same fit, also where both run now
         first = spec, tuple(views), effort, pixel_share
-        if initial is None and first in self._first_fits:
-            # a hypothesis and the simpler model that another one starts from are the same fit
+        with self._first_locks.setdefault(first, Lock()):
+            if first not in self._first_fits:
+                simpler = self.simpler(spec)
+                if simpler is not None:
+                    part = checkpoint.part(simpler.kind) if checkpoint is not None else None
+                    initial = self.fit(simpler, None, views, effort, lambda share: None, part, pixel_share)
+                self._first_fits[first] = self._fitted(spec, initial, views, effort, report, checkpoint, pixel_share)
             report(1.0)
             return Fit(spec, self._first_fits[first], tuple(views))
-        from_nothing = initial is None
-        simpler = self.simpler(spec)
-        if initial is None and simpler is not None:
-            part = checkpoint.part(simpler.kind) if checkpoint is not None else None
-            initial = self.fit(simpler, None, views, effort, lambda share: None, part, pixel_share)
+
+    def _fitted(
+        self,
+        spec: ModelSpec,
+        initial: Fit | None,
+        views: Sequence[int],
+        effort: float,
+        report: Callable[[float], None],
+        checkpoint: CheckpointLocation | None,
+        pixel_share: float,
+    ) -> Parameters:
+        """The fit of values at vertices alone, after the simpler model."""
         file = FitCheckpoint(checkpoint.stem, checkpoint.seconds) if checkpoint is not None else None
         device = self._transport.surface.positions.device
         finished = file.result() if file is not None else None
         if finished is not None:
             report(1.0)
-            fitted = finished.to(device)
-            if from_nothing:
-                self._first_fits[first] = fitted
-            return Fit(spec, fitted, tuple(views))
+            return finished.to(device)
         photographs = self._pixels.recent(views, pixel_share)
         if not len(photographs):
             raise StageError(
@@ -216,9 +233,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         )
         if file is not None:
             file.finish(fitted)
-        if from_nothing:
-            self._first_fits[first] = fitted
-        return Fit(spec, fitted, tuple(views))
+        return fitted
 
     def errors(self, fit: Fit, views: Sequence[int]) -> NDArray[np.float64]:
         """Mean squared sRGB error of each view's pixels; no error where a clipped pixel is brighter.
@@ -508,9 +523,10 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         if not per_value:
             return None
         count = round(len(photographs) / per_value)
-        if count not in self._grids:
-            self._grids = {count: gradient_grid(self._transport.surface, count)}
-        return self._grids[count]
+        with self._grid_lock:
+            if count not in self._grids:
+                self._grids = {count: gradient_grid(self._transport.surface, count)}
+            return self._grids[count]
 
     def _best_candidate(
         self,

@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 import hashlib
+import threading
 from collections.abc import Callable, Sequence
+from copy import copy
+from functools import partial
 from pathlib import Path
-from typing import Generic, final
+from typing import Generic, TypeVar, final
 
-from hir_core.plugins.interfaces import CheckpointLocation, FitT, RefinementT, ReflectanceSolver
+import torch
+
+from hir_core.plugins.interfaces import CheckpointLocation, FitT, RefinementT, ReflectanceSolver, WeightedTerm
 from hir_core.plugins.model_spec import ModelSpec
+from hir_core.run.parallel_jobs import StopSignal, run_in_parallel
 
+T = TypeVar("T")
+
+MAX_FITS_AT_ONCE = 4
+"""Each has its own pixels and lobes in memory."""
 MIN_COST_SHARE = 0.2
 """Time of a step on very few pixels, as a share of one on all: the light and the mesh are as large."""
 
@@ -20,9 +30,57 @@ def fit_cost(spec: ModelSpec, effort: float, pixel_share: float = 1.0) -> float:
     return effort * pixels * (1 if spec.brdf == "diffuse" else 2) * (1.5 if spec.normals == "map" else 1)
 
 
+def fits_at_once(solver: ReflectanceSolver[FitT, RefinementT], terms: Sequence[WeightedTerm], device: str) -> int:
+    """How many fits may run at the same time: a thread of torch for each, where the solver allows it.
+
+    One on a GPU, which a single fit uses better, and with regularizers, whose plugins promise nothing about threads.
+    """
+    if not solver.concurrent_fits or terms or device != "cpu":
+        return 1
+    return min(torch.get_num_threads(), MAX_FITS_AT_ONCE)
+
+
+@final
+class SequenceProgress:
+    """The share of all fits that is done, also where several run at the same time."""
+
+    def __init__(self, progress: Callable[[str, float], None]) -> None:
+        """`progress` receives the name of a model and the share of the expected cost that is done; never less."""
+        self._progress = progress
+        self._lock = threading.Lock()
+        self._expected = self._begun = self._done = self._share = 0.0
+        self.signal = StopSignal()
+
+    def expect(self, cost: float) -> None:
+        """The cost of all fits to come; it may be stated again, and a longer sequence is allowed."""
+        self._expected = self._begun + cost
+
+    def alone(self, call: Callable[[], None]) -> None:
+        """Calls a function while no fit reports anything."""
+        with self._lock:
+            call()
+
+    def part(self, spec: ModelSpec, cost: float) -> Callable[[float], None]:
+        """Receives the share of one fit that is done."""
+        reported = 0.0
+        with self._lock:
+            self._begun += cost
+
+        def report(share: float) -> None:
+            nonlocal reported
+            self.signal.check()
+            with self._lock:
+                self._done += cost * max(share - reported, 0.0)
+                reported = max(share, reported)
+                self._share = max(self._share, self._done / max(self._expected, self._begun))
+                self._progress(spec.name, min(self._share, 1.0))
+
+        return report
+
+
 @final
 class FitSequence(Generic[FitT, RefinementT]):
-    """Runs fits one after the other.
+    """Runs fits one after the other, or in branches side by side.
 
     The sequence is a function of settings and capture, so that a resumed stage runs the same fits in the same order and
     finds the checkpoints of those that had finished. Without a folder nothing is stored.
@@ -34,18 +92,44 @@ class FitSequence(Generic[FitT, RefinementT]):
         progress: Callable[[str, float], None],
         folder: Path | None = None,
         seconds: float = 0.0,
+        at_once: int = 1,
     ) -> None:
-        """`progress` receives the name of a model and the share of the expected cost that is done; never less."""
+        """`progress` receives the name of a model and the share of the expected cost that is done; never less.
+        `at_once`: fits that may run at the same time.
+        """
         self.solver = solver
-        self._progress = progress
+        self._progress = SequenceProgress(progress)
         self._folder = folder
         self._seconds = seconds
+        self._at_once = at_once
+        self._prefix = ""
         self._count = 0
-        self._expected = self._started = self._share = 0.0
 
     def expect(self, cost: float) -> None:
         """The cost of all fits to come; it may be stated again, and a longer sequence is allowed."""
-        self._expected = self._started + cost
+        self._progress.expect(cost)
+
+    def in_branches(
+        self, jobs: Sequence[Callable[[FitSequence[FitT, RefinementT]], T]], ended: Callable[[T], None]
+    ) -> list[T]:
+        """The results of jobs that do not depend on each other, in their order. Each runs its fits in a branch of the
+        sequence; as many branches run at the same time as the sequence allows. `ended` receives each result when it is
+        there, one after the other.
+        """
+
+        def run(job: Callable[[FitSequence[FitT, RefinementT]], T], branch: FitSequence[FitT, RefinementT]) -> T:
+            result = job(branch)
+            self._progress.alone(lambda: ended(result))
+            return result
+
+        calls = [partial(run, job, self._branch()) for job in jobs]
+        return run_in_parallel(calls, self._at_once, self._progress.signal)
+
+    def _branch(self) -> FitSequence[FitT, RefinementT]:
+        branch = copy(self)
+        self._count += 1
+        branch._prefix, branch._count, branch._at_once = f"{self._prefix}{self._count}_", 0, 1
+        return branch
 
     def fit(
         self,
@@ -57,9 +141,12 @@ class FitSequence(Generic[FitT, RefinementT]):
         cost_effort: float | None = None,
     ) -> FitT:
         """`ReflectanceSolver.fit` with the next checkpoint; its progress counts as a fit of `cost_effort`."""
-        report = self._part(spec, fit_cost(spec, effort if cost_effort is None else cost_effort, pixel_share))
+        cost = fit_cost(spec, effort if cost_effort is None else cost_effort, pixel_share)
+        report = self._progress.part(spec, cost)
         checkpoint = self.checkpoint(spec, views, effort, pixel_share)
-        return self.solver.fit(spec, initial, views, effort, report, checkpoint, pixel_share)
+        fit = self.solver.fit(spec, initial, views, effort, report, checkpoint, pixel_share)
+        report(1.0)
+        return fit
 
     def checkpoint(
         self, spec: ModelSpec, views: Sequence[int], effort: float, pixel_share: float = 1.0
@@ -70,14 +157,4 @@ class FitSequence(Generic[FitT, RefinementT]):
         self._count += 1
         key = repr((spec, tuple(views), effort, pixel_share))
         digest = hashlib.blake2b(key.encode(), digest_size=8).hexdigest()
-        return CheckpointLocation(self._folder / f"fit_{self._count}_{digest}", self._seconds)
-
-    def _part(self, spec: ModelSpec, cost: float) -> Callable[[float], None]:
-        begin = self._started
-        self._started += cost
-
-        def report(share: float) -> None:
-            self._share = max(self._share, (begin + cost * share) / max(self._expected, self._started))
-            self._progress(spec.name, self._share)
-
-        return report
+        return CheckpointLocation(self._folder / f"fit_{self._prefix}{self._count}_{digest}", self._seconds)

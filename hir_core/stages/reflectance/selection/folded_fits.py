@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Generic, final
+from typing import Generic, TypeVar, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,8 @@ from hir_core.plugins.model_spec import ModelSpec
 from hir_core.stages.held_out_views import Fold, folds_of_a_comparison
 from hir_core.stages.reflectance.selection.fit_sequence import FitSequence
 from hir_core.stages.reflectance.selection.held_out_comparison import mean_decibels
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +62,16 @@ class FoldedFits(Generic[FitT, RefinementT]):
             fits.append(self._fits.fit(spec, before, training, effort, pixel_share, cost_effort))
             errors.append(self._fits.solver.errors(fits[-1], held_out))
         return FoldedFit(spec, tuple(fits), np.concatenate(errors))
+
+    def in_branches(
+        self, jobs: Sequence[Callable[[FoldedFits[FitT, RefinementT]], T]], ended: Callable[[T], None]
+    ) -> list[T]:
+        """The results of jobs that do not depend on each other, in their order: `FitSequence.in_branches`."""
+
+        def with_fits(job: Callable[[FoldedFits[FitT, RefinementT]], T]) -> Callable[..., T]:
+            return lambda fits: job(FoldedFits(fits, self._folds))
+
+        return self._fits.in_branches([with_fits(job) for job in jobs], ended)
 
     def fits_from_nothing(self, spec: ModelSpec) -> int:
         """Number of fits of which a fit without an initial one consists: its own and those of simpler models."""

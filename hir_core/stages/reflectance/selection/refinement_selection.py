@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Generic, final
 
 import numpy as np
@@ -127,7 +128,7 @@ class RefinementSelection(Generic[FitT, RefinementT]):
         relief = replace(spec, normals="map")
         has_relief = (self.spec.light_frame, spec.light_frame) == ("camera", "world") and self._is_supported(relief)
         if has_relief:
-            self._fit_control()
+            self._with_control([])
         fit = self._fits.fit(spec, rival, self.effort, COMPARISON.pixel_share)
         self._fitted(fit)
         if has_relief:
@@ -213,7 +214,7 @@ class RefinementSelection(Generic[FitT, RefinementT]):
         All continue from the same fit. One after the other, a map that imitates what a later one explains would be
         selected because its turn comes first.
         """
-        compared = [self._against_control(spec) for spec in specs if self._is_worth_comparing(spec)]
+        compared = self._all_against_control([spec for spec in specs if self._is_worth_comparing(spec)])
         gaining = [each for each in compared if is_refined(self.fit.errors, each[0].errors)]
         best = max(gaining, key=lambda each: each[1], default=None)
         for each in compared:
@@ -228,27 +229,35 @@ class RefinementSelection(Generic[FitT, RefinementT]):
 
     def _against_control(self, spec: ModelSpec) -> tuple[FoldedFit[FitT], float, float]:
         """The fit of a candidate, its gain over the control and the standard error of that."""
-        self._fit_control()
-        fit = self._continued(spec)
-        return fit, *paired_gain(self.fit.errors, fit.errors)
+        return self._all_against_control([spec])[0]
 
-    def _fit_control(self) -> None:
-        """Continues the selected fit, unless that was done since it was selected. More steps alone lower the error:
-        without this control every candidate would seem to gain.
+    def _all_against_control(self, specs: Sequence[ModelSpec]) -> list[tuple[FoldedFit[FitT], float, float]]:
+        """The same of several candidates, which all continue from the fit that the control continues."""
+        if not specs:
+            return []
+        fits = self._with_control(specs)
+        return [(fit, *paired_gain(self.fit.errors, fit.errors)) for fit in fits]
+
+    def _with_control(self, specs: Sequence[ModelSpec]) -> list[FoldedFit[FitT]]:
+        """Fits of candidates. Where the selected fit was not continued since it was selected, it is continued beside
+        them. More steps alone lower the error: without this control every candidate would seem to gain.
         """
-        if not self._has_control:
+        missing = [] if self._has_control else [self.spec]
+        if missing:
             self._initial, self._has_control = self.fit, True
-            self.fit = self._continued(self.spec)
             self.effort += COMPARISON.effort
+        continued = [partial(self._continued, spec) for spec in (*missing, *specs)]
+        fits = self._fits.in_branches(continued, self._fitted)
+        if missing:
+            self.fit, *fits = fits
+        return fits
 
     def _is_supported(self, spec: ModelSpec) -> bool:
         """Whether the solver fits this very model."""
         return self._fits.supported(spec) == spec
 
-    def _continued(self, spec: ModelSpec) -> FoldedFit[FitT]:
-        fit = self._fits.fit(spec, self._initial, COMPARISON.effort, COMPARISON.pixel_share)
-        self._fitted(fit)
-        return fit
+    def _continued(self, spec: ModelSpec, fits: FoldedFits[FitT, RefinementT]) -> FoldedFit[FitT]:
+        return fits.fit(spec, self._initial, COMPARISON.effort, COMPARISON.pixel_share)
 
     def _record(self, fit: FoldedFit[FitT], gain: float, standard_error: float, accepted: bool) -> None:
         self.comparisons.append(Comparison(fit.spec, fit.held_out_db, gain, standard_error, len(fit.errors), accepted))

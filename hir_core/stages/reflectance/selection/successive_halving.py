@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Generic, final
 
 from hir_core.plugins.interfaces import FitT, RefinementT
@@ -81,29 +82,46 @@ class SuccessiveHalving(Generic[FitT, RefinementT]):
         alive = self.contestants
         for number, budget in enumerate(self._rounds):
             self._fits.expect(self._cost(alive, number) + self._later)
-            for contestant in alive:
-                before = contestant.rounds[-1] if contestant.rounds else None
-                fit = self.fit_round(contestant.spec, before, budget)
+            # a hypothesis waits for the simpler one that it starts from, so those go first; then the slow ones
+            order = sorted(alive, key=lambda each: (self._waits(each), -self._round_cost(each.spec, number)))
+            fits = self._fits.in_branches([partial(self._next_round, each, budget) for each in order], self._fitted)
+            for contestant, fit in zip(order, fits, strict=True):
                 contestant.rounds.append(fit)
-                self._fitted(fit)
             alive = self._survivors(alive, len(self._rounds) - 1 - number)
         return sorted(alive, key=lambda each: -each.last.held_out_db)
 
-    def fit_round(
-        self, spec: ModelSpec, before: FoldedFit[FitT] | None, budget: Budget, folds: range | None = None
+    def _next_round(
+        self, contestant: Contestant[FitT], budget: Budget, fits: FoldedFits[FitT, RefinementT]
     ) -> FoldedFit[FitT]:
-        """The fit of one round. In the first one a hypothesis is fitted again until it has as many steps as those whose
-        solver fits a simpler model first: else these would win by their steps.
+        before = contestant.rounds[-1] if contestant.rounds else None
+        return self.fit_round(contestant.spec, before, budget, fits=fits)
+
+    def fit_round(
+        self,
+        spec: ModelSpec,
+        before: FoldedFit[FitT] | None,
+        budget: Budget,
+        folds: range | None = None,
+        fits: FoldedFits[FitT, RefinementT] | None = None,
+    ) -> FoldedFit[FitT]:
+        """The fit of one round, in a branch of the sequence where `fits` is one. In the first round a hypothesis is
+        fitted again until it has as many steps as those whose solver fits a simpler model first: else these would win
+        by their steps.
         """
+        fits = fits or self._fits
         repeats = 1 if before is not None else self._repeats(spec)
-        fit = self._fits.fit(spec, before, budget.effort, budget.pixel_share, folds=folds)
+        fit = fits.fit(spec, before, budget.effort, budget.pixel_share, folds=folds)
         for _ in range(repeats - 1):
-            fit = self._fits.fit(spec, fit, budget.effort, budget.pixel_share, folds=folds)
+            fit = fits.fit(spec, fit, budget.effort, budget.pixel_share, folds=folds)
         return fit
 
     def cost(self, spec: ModelSpec) -> float:
         """Of all rounds of a hypothesis."""
         return sum(self._round_cost(spec, number) for number in range(len(self._rounds)))
+
+    def _waits(self, contestant: Contestant[FitT]) -> int:
+        """How many simpler models are fitted before its next fit."""
+        return 0 if contestant.rounds else self._fits.fits_from_nothing(contestant.spec) - 1
 
     def _repeats(self, spec: ModelSpec) -> int:
         return 1 + self._most_fits - self._fits.fits_from_nothing(spec)

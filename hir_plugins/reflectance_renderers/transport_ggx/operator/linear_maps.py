@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import final
 
 import numpy as np
@@ -123,6 +123,15 @@ def _transposed(matrix: Tensor) -> Tensor:
 
 def compressed(start: Tensor, columns: Tensor, values: Tensor, size: tuple[int, int]) -> Tensor:
     """A CSR tensor without torch's warning that such tensors are in beta."""
+    _spend_beta_warning()
+    return torch.sparse_csr_tensor(start, columns, values, size, check_invariants=False)
+
+
+@cache
+def _spend_beta_warning() -> None:
+    """Makes the first CSR tensor of the process: torch warns once. Filters are not changed for each tensor, because
+    they belong to the process, and fits run on several threads.
+    """
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message=".*(Sparse CSR|[Ss]parse invariant).*")
-        return torch.sparse_csr_tensor(start, columns, values, size, check_invariants=False)
+        warnings.simplefilter("ignore")
+        torch.sparse_csr_tensor([0, 1], [0], [1.0], (1, 1), check_invariants=False)

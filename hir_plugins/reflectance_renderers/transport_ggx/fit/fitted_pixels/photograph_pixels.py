@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
+from threading import RLock
 from typing import final
 
 import torch
@@ -45,7 +46,9 @@ DRAW_SEEDS = 1 << 24
 
 @final
 class PhotographPixels:
-    """The pixels of one capture's photographs on one surface. Those of each view are drawn once and kept."""
+    """The pixels of one capture's photographs on one surface. Those of each view are drawn once and kept, for all fits
+    that run at the same time.
+    """
 
     def __init__(
         self,
@@ -66,16 +69,18 @@ class PhotographPixels:
         self._observed: dict[int, ObservedPixels] = {}
         self._recent: OrderedDict[tuple[tuple[int, ...], float], ObservedPixels] = OrderedDict()
         self._max_recent_pixels = options.resident_pixels // 2
+        self._lock = RLock()
 
     def of(self, views: Sequence[int]) -> ObservedPixels:
         """All that a fit may use of these views: each has its share of `pixels`."""
         most = max(64, self._options.pixels // max(len(self._capture.views), 1))
-        for view in views:
-            if view not in self._observed:
-                self._observed[view] = observe_pixels(
-                    self._transport, self._capture, view, most, self._downsample, self._options.seed
-                )
-        return concatenate([self._observed[v] for v in views])
+        with self._lock:
+            for view in views:
+                if view not in self._observed:
+                    self._observed[view] = observe_pixels(
+                        self._transport, self._capture, view, most, self._downsample, self._options.seed
+                    )
+            return concatenate([self._observed[v] for v in views])
 
     def compared(self, views: Sequence[int]) -> ObservedPixels:
         """At most `COMPARED_PIXELS` of each view."""
@@ -93,13 +98,14 @@ class PhotographPixels:
 
     def _recently(self, key: tuple[tuple[int, ...], float], make: Callable[[], ObservedPixels]) -> ObservedPixels:
         """The last pixels of fits and comparisons stay in memory with their irradiance matrices."""
-        found = self._recent.pop(key, None)
-        if found is None:
-            found = make()
-        self._recent[key] = found
-        while len(self._recent) > 1 and sum(map(len, self._recent.values())) > self._max_recent_pixels:
-            self._recent.popitem(last=False)
-        return found
+        with self._lock:
+            found = self._recent.pop(key, None)
+            if found is None:
+                found = make()
+            self._recent[key] = found
+            while len(self._recent) > 1 and sum(map(len, self._recent.values())) > self._max_recent_pixels:
+                self._recent.popitem(last=False)
+            return found
 
     def subsampled(self, photographs: ObservedPixels, share: float) -> ObservedPixels:
         """A share of the pixels, drawn at random."""
@@ -138,12 +144,14 @@ class PhotographPixels:
         """The irradiance matrix of a batch; None where the irradiance cache has it."""
         if spec.light_frame != "camera":
             return None
-        found = photographs.irradiance.get(number)
-        if found is None:
-            found = pixel_irradiance(self._transport, part.points, self._options.diffuse_samples, self._rotation, seed)
-            if len(photographs) <= self._max_recent_pixels:
-                photographs.irradiance[number] = found
-        return found
+        with self._lock:
+            found = photographs.irradiance.get(number)
+            if found is None:
+                samples = self._options.diffuse_samples
+                found = pixel_irradiance(self._transport, part.points, samples, self._rotation, seed)
+                if len(photographs) <= self._max_recent_pixels:
+                    photographs.irradiance[number] = found
+            return found
 
     def batch(
         self,
