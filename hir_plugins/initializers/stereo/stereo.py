@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import final
 
@@ -16,6 +17,7 @@ from torch.nn.functional import interpolate
 from hir_core.capture import Array, Capture, OrientedPoints
 from hir_core.errors import CaptureError, MissingExtraError, StageError
 from hir_core.plugins.interfaces import Initializer
+from hir_core.run.parallel_jobs import StopSignal, run_in_parallel
 from hir_core.scene import Scene
 from hir_plugins.initializers.hull.visual_hull import hull_volume
 from hir_plugins.initializers.options import PoissonOptions, StereoOptions, VisualHullOptions
@@ -48,6 +50,9 @@ _REFINEMENT_STEPS = (12, 6)
 
 _VERIFICATION_NEIGHBOURS = 4
 """Additional neighbours that verify the carving; they were not used for the depths."""
+
+_MAX_SWEEPS_AT_ONCE = 4
+"""Each has the correlations of its own depths in memory."""
 
 _MIN_COMPONENT = 0.02
 """Connected components with less than this share of the largest component's area are removed."""
@@ -186,7 +191,7 @@ def measure_depths(
                     views = [replace(v, inverse=_enlarged(d, v)) for v, d in zip(views, dense, strict=True)]
                 steps = _steps(views, near, of_any_take, center)
                 solid = bound if level == options.levels - 1 else None
-                swept = [_sweep_view(views, i, near[i], steps[i], solid, options) for i in range(len(views))]
+                swept = _sweep_all(views, near, steps, solid, options, device)
                 maps = consistent_depths(views, swept, near, steps, options.window, options.min_views)
                 dense = [inverse for inverse, _ in swept] if volume is None else []
             if volume is None:
@@ -209,6 +214,24 @@ def measure_depths(
 
 def _carved_mesh(whole: Volume, carving: Volume) -> Mesh:
     return keep_large_components(*extract_surface(smoothed_carving(whole, carving)), min_share=_MIN_COMPONENT)
+
+
+def _sweep_all(
+    views: list[SweptView],
+    near: list[list[int]],
+    steps: list[float],
+    solid: SweptSurface | None,
+    options: StereoOptions,
+    device: str,
+) -> list[tuple[Tensor, Tensor]]:
+    """`_sweep_view` of every view; on the CPU several at the same time."""
+
+    def swept(view: int) -> tuple[Tensor, Tensor]:
+        with torch.inference_mode():  # a mode belongs to its thread
+            return _sweep_view(views, view, near[view], steps[view], solid, options)
+
+    at_once = min(torch.get_num_threads(), _MAX_SWEEPS_AT_ONCE) if device == "cpu" else 1
+    return run_in_parallel([partial(swept, view) for view in range(len(views))], at_once, StopSignal())
 
 
 def _sweep_view(

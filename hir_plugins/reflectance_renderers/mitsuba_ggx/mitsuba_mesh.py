@@ -21,6 +21,19 @@ _RAY_OFFSET = 2e-5
 """Distance of ray origins from the surface, in radii of the object: a few float32 steps."""
 
 
+@dataclass
+class FirstHit:
+    """What a ray hits first."""
+
+    is_hit: DrJitArray
+    """The ray hit the mesh."""
+    face: DrJitArray
+    u: DrJitArray
+    """Weight of the face's second corner."""
+    v: DrJitArray
+    """Weight of its third corner."""
+
+
 @dataclass(frozen=True)
 class SurfaceHit:
     """Intersections of rays with the surface; only meaningful where `valid`."""
@@ -74,10 +87,20 @@ class Surface:
         self, origin: DrJitArray, direction: DrJitArray, active: DrJitArray, coherent: bool = False
     ) -> SurfaceHit:
         """First hits of rays in the unit sphere."""
+        return self.at(self.first_hit(origin, direction, active, coherent), direction)
+
+    def first_hit(
+        self, origin: DrJitArray, direction: DrJitArray, active: DrJitArray, coherent: bool = False
+    ) -> FirstHit:
+        """First hits of rays in the unit sphere: faces, and positions in them."""
         hit = self.scene.ray_intersect_preliminary(mi.Ray3f(origin, direction), coherent=coherent, active=active)
-        is_hit = hit.is_valid() & active
-        corners = self._corners(self._faces, hit.prim_index, is_hit)
-        b, c = hit.prim_uv.x, hit.prim_uv.y
+        return FirstHit(hit.is_valid() & active, hit.prim_index, hit.prim_uv.x, hit.prim_uv.y)
+
+    def at(self, hit: FirstHit, direction: DrJitArray) -> SurfaceHit:
+        """The surface where rays along `direction` hit it."""
+        is_hit = hit.is_hit
+        corners = self._corners(self._faces, hit.face, is_hit)
+        b, c = hit.u, hit.v
         weights = (1 - b - c, b, c)
         p = [_vector(self._positions, i, is_hit) for i in corners]
         n = [_vector(self._normals, i, is_hit) for i in corners]
@@ -89,14 +112,11 @@ class Surface:
         normal = dr.select(length > 1e-6, normal / dr.maximum(length, 1e-6), geometric)
         u = v = mi.Float(0)
         if self._uvs is not None:
-            uv = [
-                dr.gather(mi.Vector2f, self._uvs, i, is_hit)
-                for i in self._corners(self._uv_faces, hit.prim_index, is_hit)
-            ]
+            uv = [dr.gather(mi.Vector2f, self._uvs, i, is_hit) for i in self._corners(self._uv_faces, hit.face, is_hit)]
             mixed = _mix(uv, weights)
             u, v = mixed.x, mixed.y
         valid = is_hit & (dr.dot(geometric, direction) < 0)
-        return SurfaceHit(valid, is_hit, position, geometric, normal, u, v, hit.prim_index, weights)
+        return SurfaceHit(valid, is_hit, position, geometric, normal, u, v, hit.face, weights)
 
     def occluded(
         self, origin: DrJitArray, direction: DrJitArray, active: DrJitArray, distance: DrJitArray | None = None

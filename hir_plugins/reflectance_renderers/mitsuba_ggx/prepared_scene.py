@@ -125,7 +125,7 @@ class PreparedMitsuba(PreparedReflectance):
         parts = [Traced(torch.zeros(0, 3, device=device), torch.zeros(0, device=device))]
         for _, part in _launches(pixels, samples):
             lane = self._lanes(environment, part, samples, seed)
-            color = self._paths(shading, light, lane)
+            color = self._paths(shading, light, lane, drops_ended=True)
             # evaluated together: each block sum evaluates its argument, which would trace the paths four times
             dr.eval(color, lane.hit)
             total = mi.Color3f(*[dr.block_sum(color[i], samples) for i in range(3)])
@@ -200,7 +200,7 @@ class PreparedMitsuba(PreparedReflectance):
             rotation = _matrix(table, view if each else dr.zeros(mi.UInt32, dr.width(view)))
         return _Lanes(pixel, first, direction, points, dr.select(first.valid, mi.Float(1), 0), rotation, lamp)
 
-    def _paths(self, shading: Shading, light: Light, lane: _Lanes) -> DrJitArray:
+    def _paths(self, shading: Shading, light: Light, lane: _Lanes, drops_ended: bool = False) -> DrJitArray:
         return incoming(
             self._surface,
             shading,
@@ -211,6 +211,7 @@ class PreparedMitsuba(PreparedReflectance):
             lane.points,
             self._max_depth,
             lane.lamp,
+            drops_ended,
         )
 
 

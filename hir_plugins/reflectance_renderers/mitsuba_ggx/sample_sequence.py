@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from copy import copy
+
 import drjit as dr
 import mitsuba as mi
 
@@ -24,6 +26,13 @@ class SampleSequence:
         first, second = mi.sample_tea_32(pixel[0], pixel[1])
         self._key: tuple[DrJitArray, DrJitArray] = mi.sample_tea_32(first ^ seed, second)
         self._drawn = 0
+
+    def gathered(self, lanes: DrJitArray) -> SampleSequence:
+        """The sequence of some of the lanes, which goes on where this one is."""
+        part = copy(self)
+        part._sample = dr.gather(mi.UInt32, self._sample, lanes)
+        part._key = (dr.gather(mi.UInt32, self._key[0], lanes), dr.gather(mi.UInt32, self._key[1], lanes))
+        return part
 
     def next(self) -> DrJitArray:
         """The next Point2f of each lane."""
