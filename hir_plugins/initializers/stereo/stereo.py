@@ -16,8 +16,8 @@ from torch.nn.functional import interpolate
 
 from hir_core.capture import Array, Capture, OrientedPoints
 from hir_core.errors import CaptureError, MissingExtraError, StageError
+from hir_core.optimization.parallel_jobs import StopSignal, run_in_parallel
 from hir_core.plugins.interfaces import Initializer
-from hir_core.run.parallel_jobs import StopSignal, run_in_parallel
 from hir_core.scene import Scene
 from hir_plugins.initializers.hull.visual_hull import hull_volume
 from hir_plugins.initializers.options import PoissonOptions, StereoOptions, VisualHullOptions

@@ -108,7 +108,7 @@ def incoming(
         direction = world
         if drops_ended and bounce < max_depth - 2:  # before a single reflection it costs more than it saves
             dr.eval(total, hit, throughput, direction)
-            going = dr.compress(hit.is_hit)
+            going: DrJitArray = mi.UInt32(dr.compress(hit.is_hit))
             if dr.width(going) == 0:
                 break
             lanes = going if lanes is None else dr.gather(mi.UInt32, lanes, going)

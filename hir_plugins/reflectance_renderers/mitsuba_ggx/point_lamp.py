@@ -41,8 +41,8 @@ class PointLamp:
 
     def gathered(self, lanes: DrJitArray) -> PointLamp:
         """The lamp of some of the lanes."""
-        position, axis = dr.gather(mi.Point3f, self.position, lanes), dr.gather(mi.Vector3f, self.axis, lanes)
-        return PointLamp(position, axis, self.intensity, self.exponent)
+        position = dr.gather(mi.Point3f, mi.Point3f(self.position), lanes)
+        return PointLamp(position, dr.gather(mi.Vector3f, mi.Vector3f(self.axis), lanes), self.intensity, self.exponent)
 
     def toward(self, position: DrJitArray) -> tuple[DrJitArray, DrJitArray, DrJitArray]:
         """Unit direction to the lamp, distance, and irradiance (Color3f) on a surface there that faces it."""

@@ -12,9 +12,9 @@ from typing import Generic, TypeVar, final
 
 import torch
 
+from hir_core.optimization.parallel_jobs import StopSignal, run_in_parallel
 from hir_core.plugins.interfaces import CheckpointLocation, FitT, RefinementT, ReflectanceSolver, WeightedTerm
 from hir_core.plugins.model_spec import ModelSpec
-from hir_core.run.parallel_jobs import StopSignal, run_in_parallel
 
 T = TypeVar("T")
 

@@ -15,7 +15,7 @@ from hir_exporters.materials.brdf_numpy import dielectric_brdf, paper_brdf
 
 from hir_core.capture import Camera, Capture, View
 from hir_core.errors import ConfigError, StageError
-from hir_core.scene import EnvironmentMap, Material, Mesh, Scene, Topology
+from hir_core.scene import CameraLamp, EnvironmentMap, Material, Mesh, Scene, Topology
 from hir_plugins.reflectance_renderers.mitsuba_ggx.options import MitsubaGGXOptions
 from hir_plugins.reflectance_renderers.mitsuba_ggx.renderer import MitsubaGGX
 from tests.fixtures.scenes import bumpy_sphere, icosphere, looking_at, square
@@ -58,6 +58,47 @@ def renderer(**options: int) -> MitsubaGGX:
 
 def center_pixels(views: int, size: int) -> torch.Tensor:
     return torch.tensor([[view, size // 2, size // 2] for view in range(views)])
+
+
+# -- paths that end -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("lamp", [False, True])
+def test_dropping_paths_that_have_ended_changes_no_value(lamp: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two spheres that reflect each other, four reflections: each sample has the value that it has among all."""
+    from hir_plugins.reflectance_renderers.mitsuba_ggx import prepared_scene
+
+    ball = icosphere(4)
+    positions = torch.cat([ball.positions - torch.tensor([1.05, 0, 0]), ball.positions + torch.tensor([1.05, 0, 0])])
+    mesh = Mesh(positions, Topology(torch.cat([ball.faces, ball.faces + len(ball.positions)])))
+    light = uneven()
+    if lamp:
+        light = replace(light, lamp=CameraLamp(torch.full((3,), 9.0), torch.zeros(3), torch.tensor(1.0)))
+    scene = Scene(mesh, material("dielectric", 0.9, 0.3, 0.2), light)
+    camera = looking_at((0, 0.5, 6), 64, 64)
+    prepared = renderer(max_depth=5).prepare(scene, capture_of([camera]))
+    pixels = torch.cartesian_prod(torch.tensor([0]), torch.arange(10, 54), torch.arange(10, 54))
+    assert scene.material is not None
+    dropped = prepared.trace(scene.material, light, pixels, 4, 7)
+    plain = prepared_scene.incoming
+    monkeypatch.setattr(prepared_scene, "incoming", lambda *arguments: plain(*arguments[:-1], False))
+    whole = prepared.trace(scene.material, light, pixels, 4, 7)
+    assert torch.equal(dropped.color, whole.color) and torch.equal(dropped.coverage, whole.coverage)
+    direct = renderer(max_depth=3).prepare(scene, capture_of([camera])).trace(scene.material, light, pixels, 4, 7)
+    assert float((whole.color - direct.color).mean()) > 1e-3, "later reflections matter here"
+
+
+def test_paths_that_all_leave_at_once() -> None:
+    """A square reflects nothing onto itself: no path is left after the first reflection."""
+    scene = Scene(square(), material("dielectric", 0.5, 0.04, 0.3), white())
+    camera = looking_at((0, 3, 0.5), 32, 32)
+    pixels = center_pixels(1, 32)
+    assert scene.material is not None
+    many, two = (
+        renderer(max_depth=depth).prepare(scene, capture_of([camera])).trace(scene.material, white(), pixels, 64, 1)
+        for depth in (5, 2)
+    )
+    assert float(many.color.mean()) > 0.1 and torch.equal(many.color, two.color)
 
 
 # -- value ----------------------------------------------------------------------------------------------------------

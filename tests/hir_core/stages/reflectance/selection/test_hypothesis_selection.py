@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from hir_core.config import ReflectanceSettings
 from hir_core.plugins.model_spec import ModelSpec
@@ -17,9 +20,11 @@ from hir_core.stages.reflectance.reflectance_report import (
     hypothesis_reports,
     near_tie_warning,
 )
+from hir_core.stages.reflectance.selection.fit_sequence import MAX_FITS_AT_ONCE, FitSequence, fits_at_once
 from hir_core.stages.reflectance.selection.hypotheses import contains, hypotheses, hypothesis
+from hir_core.stages.reflectance.selection.model_selection import select_model
 from hir_core.stages.reflectance.selection.successive_halving import ROUNDS
-from tests.hir_core.stages.reflectance.selection.scripted_solver import TOTAL, Scripted, level, select
+from tests.hir_core.stages.reflectance.selection.scripted_solver import TOTAL, Recorder, Scripted, level, select
 
 
 @pytest.mark.parametrize("kind", ["diffuse", "dielectric", "metal", "mixed"])
@@ -212,3 +217,47 @@ def test_run_json_names_every_hypothesis() -> None:
 
 
 # -- refinements ----------------------------------------------------------------------------------------------------
+
+
+# -- several fits at the same time ----------------------------------------------------------------------------------
+
+
+def test_fits_at_the_same_time_select_the_same(tmp_path: Path) -> None:
+    """The same selection, in the same order of its record, with checkpoints of the same names."""
+    settings = ReflectanceSettings()
+
+    class Waiting(Scripted):
+        def fit(self, spec: ModelSpec, *others: Any) -> Any:
+            time.sleep(0.001 * (len(spec.name) % 7))  # ends in another order than it begins
+            return super().fit(spec, *others)
+
+    def error(spec: ModelSpec, effort: float) -> float:
+        return 1e-3 * (1 + 0.01 * len(spec.name)) / (1 + effort)
+
+    found = []
+    for at_once in (1, 3):
+        solver, recorder = Waiting(error), Recorder()
+        fits = FitSequence(solver, recorder.progress, tmp_path, 5.0, at_once)
+        selection = select_model(fits, settings, 48, recorder)
+        assert recorder.shares == sorted(recorder.shares) and recorder.shares[-1] <= 1
+        stems = sorted(each.stem.name for each in solver.checkpoints if each is not None)
+        assert len(stems) == len(set(stems)) == len(solver.fitted), "no two fits share a checkpoint"
+        found.append((selection.spec, selection.margins, selection.comparisons, stems))
+    assert found[0] == found[1]
+
+
+def test_how_many_fits_run_at_the_same_time() -> None:
+    class Concurrent(Scripted):
+        concurrent_fits = True
+
+    solver = Concurrent(lambda spec: 1e-3)
+    threads = torch.get_num_threads()
+    try:
+        torch.set_num_threads(2)
+        assert fits_at_once(solver, [], "cpu") == 2
+        assert fits_at_once(solver, [], "cuda") == 1, "one fit uses a GPU better"
+        assert fits_at_once(Scripted(lambda spec: 1e-3), [], "cpu") == 1, "a solver may not allow it"
+        torch.set_num_threads(64)
+        assert fits_at_once(solver, [], "cpu") == MAX_FITS_AT_ONCE
+    finally:
+        torch.set_num_threads(threads)
