@@ -102,7 +102,8 @@ def incoming(
         if lanes is None:
             total += arriving
         else:
-            dr.scatter_reduce(dr.ReduceOp.Add, total, arriving, lanes)
+            # each lane once; the default mode would compile another kernel for each size of `total`
+            dr.scatter_reduce(dr.ReduceOp.Add, total, arriving, lanes, mode=dr.ReduceMode.NoConflicts)
         if last:
             break
         direction = world

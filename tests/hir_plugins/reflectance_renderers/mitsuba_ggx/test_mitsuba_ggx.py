@@ -88,6 +88,27 @@ def test_dropping_paths_that_have_ended_changes_no_value(lamp: bool, monkeypatch
     assert float((whole.color - direct.color).mean()) > 1e-3, "later reflections matter here"
 
 
+def test_another_number_of_pixels_compiles_no_kernel() -> None:
+    """Views have different numbers of pixels, and a kernel takes seconds."""
+    import drjit as dr
+
+    scene = Scene(bumpy_sphere(3), material("dielectric", 0.9, 0.3, 0.2), white())
+    prepared = renderer(max_depth=5).prepare(scene, capture_of([looking_at((0, 0.5, 4), 64, 64)]))
+    pixels = torch.cartesian_prod(torch.tensor([0]), torch.arange(20, 44), torch.arange(20, 44))
+    assert scene.material is not None
+    threads = dr.thread_count()
+    dr.set_thread_count(2)  # with one there is no such kernel
+    try:
+        prepared.trace(scene.material, white(), pixels, 8, 1)
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+            dr.kernel_history_clear()
+            prepared.trace(scene.material, white(), pixels[:-37], 8, 1)
+            kernels = [each for each in dr.kernel_history() if "cache_hit" in each]
+    finally:
+        dr.set_thread_count(threads)
+    assert kernels and all(each["cache_hit"] for each in kernels)
+
+
 def test_paths_that_all_leave_at_once() -> None:
     """A square reflects nothing onto itself: no path is left after the first reflection."""
     scene = Scene(square(), material("dielectric", 0.5, 0.04, 0.3), white())
