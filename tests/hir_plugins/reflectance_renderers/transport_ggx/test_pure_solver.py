@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import pytest
 import torch
 
 from hir_core.capture import Capture
+from hir_core.optimization.parallel_jobs import StopSignal, run_in_parallel
 from hir_core.plugins.interfaces import CheckpointLocation
 from hir_core.plugins.manager import PluginManager
 from hir_core.plugins.model_spec import ModelSpec
@@ -176,6 +178,42 @@ def test_hypotheses_share_the_irradiance_of_their_pixels(
         again = alone.fit(kind, None, VIEWS[:4], 1.0, silent, None, 0.5)
         assert torch.equal(again.parameters.light, fit.parameters.light)
         assert (alone.errors(again, VIEWS[4:]) == error).all()
+
+
+def test_fits_at_the_same_time_are_those_of_fits_alone(capture: tuple[Scene, Capture]) -> None:
+    """Of all kinds and both frames, with what they share: pixels, their irradiance, grids, and the diffuse fit that a
+    dielectric starts from, which is fitted once.
+    """
+    assert TransportSolver.concurrent_fits
+    options = replace(OPTIONS, steps=6)
+    kinds = [
+        ModelSpec("dielectric", "uniform"),
+        ModelSpec(),
+        ModelSpec("metallic", "uniform", metalness="map"),
+        ModelSpec("dielectric", "uniform", bounces=1),
+        ModelSpec("dielectric", "uniform", light_frame="camera"),
+        ModelSpec(light_frame="camera"),
+    ]
+
+    def fitted(at_once: int) -> list[tuple[torch.Tensor, torch.Tensor, list[float]]]:
+        solver = solver_of(capture, options)
+
+        def job(spec: ModelSpec) -> tuple[torch.Tensor, torch.Tensor, list[float]]:
+            fit = solver.fit(spec, None, VIEWS[:4], 1.0, silent, None, 0.5)
+            return fit.parameters.light, fit.parameters.diffuse, solver.errors(fit, VIEWS[4:]).tolist()
+
+        return run_in_parallel([partial(job, spec) for spec in kinds], at_once, StopSignal())
+
+    threads = torch.get_num_threads()
+    try:
+        torch.set_num_threads(1)
+        alone = fitted(1)
+        torch.set_num_threads(3)
+        together = fitted(3)
+    finally:
+        torch.set_num_threads(threads)
+    for one, other in zip(alone, together, strict=True):
+        assert torch.equal(one[0], other[0]) and torch.equal(one[1], other[1]) and one[2] == other[2]
 
 
 def test_views_are_compared_on_few_pixels_of_each(
