@@ -178,13 +178,14 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         # a hypothesis and the simpler model that another one starts from are the same fit, also where both run now
         first = spec, tuple(views), effort, pixel_share
         with self._first_locks.setdefault(first, Lock()):
-            if first not in self._first_fits:
+            if first in self._first_fits:
+                report(1.0)
+            else:
                 simpler = self.simpler(spec)
                 if simpler is not None:
                     part = checkpoint.part(simpler.kind) if checkpoint is not None else None
                     initial = self.fit(simpler, None, views, effort, lambda share: None, part, pixel_share)
                 self._first_fits[first] = self._fitted(spec, initial, views, effort, report, checkpoint, pixel_share)
-            report(1.0)
             return Fit(spec, self._first_fits[first], tuple(views))
 
     def _fitted(
