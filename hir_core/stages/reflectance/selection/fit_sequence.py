@@ -18,8 +18,9 @@ from hir_core.plugins.model_spec import ModelSpec
 
 T = TypeVar("T")
 
-MAX_FITS_AT_ONCE = 4
-"""Each has its own pixels and lobes in memory."""
+MAX_FITS_AT_ONCE = 3
+"""Each has its own lobes in memory. Those of the model selection use at most 0.3 of the pixels, so that three need less
+than the last fit, which uses all: the estimate of the stage's memory holds."""
 MIN_COST_SHARE = 0.2
 """Time of a step on very few pixels, as a share of one on all: the light and the mesh are as large."""
 

@@ -23,6 +23,7 @@ from hir_core.stages.reflectance.reflectance_report import (
 from hir_core.stages.reflectance.selection.fit_sequence import MAX_FITS_AT_ONCE, FitSequence, fits_at_once
 from hir_core.stages.reflectance.selection.hypotheses import contains, hypotheses, hypothesis
 from hir_core.stages.reflectance.selection.model_selection import select_model
+from hir_core.stages.reflectance.selection.refinement_selection import COMPARISON
 from hir_core.stages.reflectance.selection.successive_halving import ROUNDS
 from tests.hir_core.stages.reflectance.selection.scripted_solver import TOTAL, Recorder, Scripted, level, select
 
@@ -259,5 +260,7 @@ def test_how_many_fits_run_at_the_same_time() -> None:
         assert fits_at_once(Scripted(lambda spec: 1e-3), [], "cpu") == 1, "a solver may not allow it"
         torch.set_num_threads(64)
         assert fits_at_once(solver, [], "cpu") == MAX_FITS_AT_ONCE
+        largest = max(budget.pixel_share for budget in (*ROUNDS, COMPARISON))
+        assert MAX_FITS_AT_ONCE * largest <= 1, "together they have no more pixels than the last fit"
     finally:
         torch.set_num_threads(threads)
