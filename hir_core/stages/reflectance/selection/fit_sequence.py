@@ -15,6 +15,7 @@ import torch
 from hir_core.optimization.parallel_jobs import StopSignal, run_in_parallel
 from hir_core.plugins.interfaces import CheckpointLocation, FitT, RefinementT, ReflectanceSolver, WeightedTerm
 from hir_core.plugins.model_spec import ModelSpec
+from hir_core.run.machine import return_freed_memory
 
 T = TypeVar("T")
 
@@ -124,7 +125,10 @@ class FitSequence(Generic[FitT, RefinementT]):
             return result
 
         calls = [partial(run, job, self._branch()) for job in jobs]
-        return run_in_parallel(calls, self._at_once, self._progress.signal)
+        results = run_in_parallel(calls, self._at_once, self._progress.signal)
+        if self._at_once > 1:
+            return_freed_memory()  # glibc keeps for each thread what it has freed, also when the thread has ended
+        return results
 
     def _branch(self) -> FitSequence[FitT, RefinementT]:
         branch = copy(self)
