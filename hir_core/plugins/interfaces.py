@@ -214,6 +214,14 @@ class ReflectanceSolver(PreparedReflectance, Generic[FitT, RefinementT]):
         that suit it best.
         """
 
+    def errors_between_lights(self, fit: FitT, views: Sequence[int]) -> NDArray[np.float64]:
+        """`errors` for comparisons of models whose lights differ in kind; by default the same.
+
+        A light that moves with the camera imitates what depends on the angle of view alone. A solver that lacks such a
+        property of surfaces, as their brightening towards grazing angles, leaves it out of these errors.
+        """
+        return self.errors(fit, views)
+
     @abstractmethod
     def scene(self, fit: FitT, views: Sequence[int], report: Callable[[float], None]) -> Solved[RefinementT]:
         """The scene of a fit with textures at full resolution, solved from the pixels of `views`."""

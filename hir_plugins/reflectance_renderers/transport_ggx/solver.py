@@ -26,6 +26,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.exposures import median
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_checkpoints import FitCheckpoint
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_settings import FitSettings, settings_of_fit
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_terms import FitTerms
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.grazing_gain import errors_with_grazing_gain
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.observed_pixels import (
     MIN_VIEW_COSINE,
     ObservedPixels,
@@ -245,32 +246,44 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         With the albedo of the gradient steps: a closed-form albedo compensates a wrong light (on the chair the light on
         the camera would win).
         """
-        photographs = self._pixels.compared(views)
-        count = len(self._capture.views)
-        view, residual = self._residuals(fit, photographs, 0)
-        other = residual
-        if fit.spec.brdf != "diffuse" and fit.spec.per_texel == "none":
-            # a mean square would contain the noise of the lobes: 1 to 3 dB of a metal's error, nothing of a matt one's
-            _, other = self._residuals(fit, photographs, 1)
-        total = np.bincount(view, (residual * other).mean(dim=1).cpu().double().numpy(), count)
-        seen = np.bincount(view, minlength=count)
-        found = [v for v in views if seen[v] > 0]
-        return np.maximum(total[found] / seen[found], 0.0)
+        pixels, renderings = self._renderings(fit, views)
+        return self._errors_of_views(fit, pixels, renderings, views).cpu().numpy()
 
-    def _residuals(
-        self, fit: Fit, photographs: ObservedPixels, draw: int
-    ) -> tuple[NDArray[np.int64], Float[Tensor, "P 3"]]:
-        """View and sRGB error of observed pixels."""
-        count = len(self._capture.views)
-        views, residuals = [], []
-        for pixels, radiance in self._predicted(fit, photographs, draw):
+    def errors_between_lights(self, fit: Fit, views: Sequence[int]) -> NDArray[np.float64]:
+        """The same where predictions may brighten towards grazing angles, which a light on the camera imitates."""
+        pixels, renderings = self._renderings(fit, views)
+        found = errors_with_grazing_gain(
+            pixels, renderings, lambda shown: self._errors_of_views(fit, pixels, shown, views)
+        )
+        return found.cpu().numpy()
+
+    def _errors_of_views(
+        self, fit: Fit, pixels: PixelColors, renderings: Sequence[Float[Tensor, "P 3"]], views: Sequence[int]
+    ) -> Float[Tensor, " V"]:
+        """Mean squared sRGB error of each of the views that has pixels."""
+        count, residuals = len(self._capture.views), []
+        for radiance in renderings:
             if fit.spec.exposures == "fitted":
                 radiance = radiance * own_exposures(pixels, radiance, count)[pixels.view]
             elif (exposure := fit.parameters.exposure) is not None:
                 radiance = radiance * exposure[pixels.view]
-            views.append(pixels.view.cpu().numpy())
             residuals.append(srgb_residual(pixels, radiance.clamp(0, 1)))
-        return np.concatenate(views), torch.cat(residuals)
+        squares = (residuals[0] * residuals[-1]).mean(dim=1).double()
+        total = squares.new_zeros(count).index_add_(0, pixels.view, squares)
+        seen = torch.bincount(pixels.view, minlength=count)
+        found = [view for view in views if seen[view] > 0]
+        return (total[found] / seen[found]).clamp_min(0)
+
+    def _renderings(self, fit: Fit, views: Sequence[int]) -> tuple[PixelColors, list[Float[Tensor, "P 3"]]]:
+        """The compared pixels, and their radiance in two independent renderings; in one where no lobe is drawn."""
+        photographs = self._pixels.compared(views)
+        drawn = fit.spec.brdf != "diffuse" and fit.spec.per_texel == "none"
+        renderings = []
+        for draw in range(2 if drawn else 1):
+            # a mean square would contain the noise of the lobes: 1 to 3 dB of a metal's error, nothing of a matt one's
+            parts = list(self._predicted(fit, photographs, draw))
+            renderings.append(torch.cat([radiance for _, radiance in parts]))
+        return PixelColors.concatenated([block for block, _ in parts]), renderings
 
     def _predicted(self, fit: Fit, photographs: ObservedPixels, draw: int = 0) -> Iterator[tuple[PixelColors, Tensor]]:
         """Observed pixels, in parts, with the radiance that a fit predicts for them, by one draw of its lobes."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Generic, TypeVar, final
 
 import numpy as np
@@ -13,7 +14,7 @@ from hir_core.plugins.interfaces import FitT, RefinementT
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.stages.held_out_views import Fold, folds_of_a_comparison
 from hir_core.stages.reflectance.selection.fit_sequence import FitSequence
-from hir_core.stages.reflectance.selection.held_out_comparison import mean_decibels
+from hir_core.stages.reflectance.selection.held_out_comparison import mean_decibels, paired_gain
 
 T = TypeVar("T")
 
@@ -25,11 +26,37 @@ class FoldedFit(Generic[FitT]):
     spec: ModelSpec
     fits: tuple[FitT, ...]
     errors: NDArray[np.float64]
+    judge_between_lights: Callable[[], NDArray[np.float64]]
+    """Computes `errors_between_lights`, which few fits need."""
+
+    @cached_property
+    def errors_between_lights(self) -> NDArray[np.float64]:
+        """`ReflectanceSolver.errors_between_lights` of every held-out view."""
+        return self.judge_between_lights()
+
+    def errors_beside(self, other: ModelSpec) -> NDArray[np.float64]:
+        """The errors for a comparison with another model: those between lights where its light is another."""
+        return self.errors if other.light == self.spec.light else self.errors_between_lights
 
     @property
     def held_out_db(self) -> float:
         """Mean PSNR over held-out views."""
         return mean_decibels(self.errors)
+
+
+def gain_of(fit: FoldedFit[FitT], over: FoldedFit[FitT]) -> tuple[float, float]:
+    """Mean gain in dB of one fit over another on the same held-out views, and its standard error."""
+    return paired_gain(over.errors_beside(fit.spec), fit.errors_beside(over.spec))
+
+
+def on_more_views(fit: FoldedFit[FitT], further: FoldedFit[FitT]) -> FoldedFit[FitT]:
+    """The fits of one model on two sets of folds, as one."""
+    return FoldedFit(
+        fit.spec,
+        fit.fits + further.fits,
+        np.concatenate([fit.errors, further.errors]),
+        lambda: np.concatenate([fit.errors_between_lights, further.errors_between_lights]),
+    )
 
 
 @final
@@ -55,13 +82,19 @@ class FoldedFits(Generic[FitT, RefinementT]):
     ) -> FoldedFit[FitT]:
         """The model fitted on each of the folds, from `initial` (of the same folds) or from its own initial guess."""
         folds = self.first if folds is None else folds
+        solver = self._fits.solver
         fits, errors = [], []
         for position, number in enumerate(folds):
             training, held_out = self._folds[number]
             before = initial.fits[position] if initial is not None else None
             fits.append(self._fits.fit(spec, before, training, effort, pixel_share, cost_effort))
-            errors.append(self._fits.solver.errors(fits[-1], held_out))
-        return FoldedFit(spec, tuple(fits), np.concatenate(errors))
+            errors.append(solver.errors(fits[-1], held_out))
+
+        def between_lights() -> NDArray[np.float64]:
+            views = [self._folds[number][1] for number in folds]
+            return np.concatenate([solver.errors_between_lights(*each) for each in zip(fits, views, strict=True)])
+
+        return FoldedFit(spec, tuple(fits), np.concatenate(errors), between_lights)
 
     def in_branches(
         self, jobs: Sequence[Callable[[FoldedFits[FitT, RefinementT]], T]], ended: Callable[[T], None]

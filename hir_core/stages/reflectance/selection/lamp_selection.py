@@ -15,8 +15,8 @@ from hir_core.plugins.interfaces import FitT, RefinementT
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.stages.reflectance.selection.exposure_selection import BUDGET
 from hir_core.stages.reflectance.selection.fit_sequence import fit_cost
-from hir_core.stages.reflectance.selection.folded_fits import FoldedFit, FoldedFits
-from hir_core.stages.reflectance.selection.held_out_comparison import differs, paired_gain
+from hir_core.stages.reflectance.selection.folded_fits import FoldedFit, FoldedFits, gain_of
+from hir_core.stages.reflectance.selection.held_out_comparison import differs
 from hir_core.stages.reflectance.selection.hypotheses import contains
 
 
@@ -42,7 +42,7 @@ def compare_lamp(fits: FoldedFits[FitT, RefinementT], others: Sequence[ModelSpec
     fits.expect((1 + len(others)) * fit_cost(lamp, BUDGET.effort, BUDGET.pixel_share))
     found, *rest = (fits.fit(spec, None, BUDGET.effort, BUDGET.pixel_share) for spec in (lamp, *others))
     nearest = max(rest, key=lambda fit: fit.held_out_db)
-    gain, standard_error = paired_gain(nearest.errors, found.errors)
+    gain, standard_error = gain_of(found, over=nearest)
     return LampComparison(is_ahead_of(found, rest), nearest.spec, gain, standard_error, len(found.errors))
 
 
@@ -51,7 +51,7 @@ def is_ahead_of(lamp: FoldedFit[FitT], others: Sequence[FoldedFit[FitT]]) -> boo
     noise than one that it contains.
     """
     for other in others:
-        gain, standard_error = paired_gain(other.errors, lamp.errors)
+        gain, standard_error = gain_of(lamp, over=other)
         if gain <= 0 or (contains(lamp.spec, other.spec) and not differs(gain, standard_error, len(other.errors))):
             return False
     return True

@@ -10,12 +10,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Generic, Protocol
-
-import numpy as np
-from numpy.typing import NDArray
 
 from hir_core.capture.photograph_exposures import Exposures
 from hir_core.config import ReflectanceSettings
@@ -29,13 +26,17 @@ from hir_core.stages.reflectance.selection.exposure_selection import (
     simplest_under_each_light,
 )
 from hir_core.stages.reflectance.selection.fit_sequence import FitSequence, fit_cost
-from hir_core.stages.reflectance.selection.folded_fits import FoldedFit, FoldedFits
+from hir_core.stages.reflectance.selection.folded_fits import (
+    FoldedFit,
+    FoldedFits,
+    gain_of,
+    on_more_views,
+)
 from hir_core.stages.reflectance.selection.held_out_comparison import (
     SUFFICIENT_DB,
     differs,
     is_near_tie,
     mean_decibels,
-    paired_gain,
 )
 from hir_core.stages.reflectance.selection.hypotheses import (
     complexity,
@@ -190,12 +191,12 @@ def select_model(
         fitted_before = shown.exposures == "fitted"
         shown = refinement.compare_exposures_again(shown) if fitted_before else refinement.compare_exposures(shown)
     refinement.refine_vertices()
-    winner, finals, rival_fits = chosen, {chosen.spec: refinement.fit.errors}, []
+    winner, finals, rival_fits = chosen, {chosen.spec: refinement.fit}, []
     for rival in rivals:
         if refinement.fit.held_out_db >= SUFFICIENT_DB:
             break
         fit = refinement.compare_runner_up(rival.last, simpler=complexity(rival.spec) < complexity(winner.spec))
-        finals[rival.spec] = fit.errors
+        finals[rival.spec] = fit
         rival_fits.append((rival, fit))
         if refinement.fit is fit:
             winner = rival
@@ -205,9 +206,9 @@ def select_model(
         refinement.refine_vertices()
     if refinement.spec.light_frame == "camera":
         for rival, fit in rival_fits:
-            errors = refinement.compare_per_texel_of_rival(fit) if refinement.spec.per_texel == "none" else None
-            if errors is not None:
-                winner, finals[rival.spec] = rival, errors
+            lowered = refinement.compare_per_texel_of_rival(fit) if refinement.spec.per_texel == "none" else None
+            if lowered is not None:
+                winner, finals[rival.spec] = rival, lowered
     else:
         refinement.compare_per_texel()
     # an early margin says less than a late one
@@ -267,24 +268,19 @@ def _default(fits: FitSequence[FitT, RefinementT], settings: ReflectanceSettings
     return fits.solver.supported(default_spec(settings)) or _supported(fits, hypotheses(settings))[0]
 
 
-Errors = dict[ModelSpec, NDArray[np.float64]]
-"""Mean squared errors of hypotheses on the same held-out views."""
-
-
 def _decide(
     fits: FoldedFits[FitT, RefinementT],
     halving: SuccessiveHalving[FitT, RefinementT],
     finalists: Sequence[Contestant[FitT]],
-) -> tuple[Contestant[FitT], Errors]:
-    """The simplest of the finalists that tie with the best one, and the errors of those on the views of all folds.
+) -> tuple[Contestant[FitT], dict[ModelSpec, FoldedFit[FitT]]]:
+    """The simplest of the finalists that tie with the best one, and the fits of those on the views of all folds.
 
     Near ties are fitted on the other folds, too; but not where the simplest hypothesis is a special case of all that
     tie with it: it is selected in any case, and the others are compared again with the same refinements.
     """
-    errors: Errors = {each.spec: each.last.errors for each in finalists}
-    tied = _tied(finalists, errors)
+    tied = _tied(finalists, {each.spec: each.last for each in finalists})
     simplest = min(tied, key=lambda each: complexity(each.spec))
-    pooled: Errors = {}
+    pooled: dict[ModelSpec, FoldedFit[FitT]] = {}
     rivals = [each for each in tied if each is not simplest and not contains(each.spec, simplest.spec)]
     if rivals and len(fits.further):
         fits.expect(2 * sum(halving.cost(each.spec) for each in tied))
@@ -293,33 +289,39 @@ def _decide(
             for budget in ROUNDS:
                 fit = halving.fit_round(each.spec, fit, budget, fits.further)
             assert fit is not None
-            pooled[each.spec] = np.concatenate([each.last.errors, fit.errors])
+            pooled[each.spec] = on_more_views(each.last, fit)
         tied = _tied(tied, pooled)
     return min(tied, key=lambda each: complexity(each.spec)), pooled
 
 
-def _tied(contestants: Sequence[Contestant[FitT]], errors: Errors) -> list[Contestant[FitT]]:
-    """The best one, those that it does not significantly exceed, and those that need no improvement."""
-    best = max((errors[each.spec] for each in contestants), key=mean_decibels)
+def _tied(contestants: Sequence[Contestant[FitT]], fits: Mapping[ModelSpec, FoldedFit[FitT]]) -> list[Contestant[FitT]]:
+    """The best one under the best light, those that it does not significantly exceed, and those that need no
+    improvement.
+    """
+    lights = {each.spec.light for each in contestants}
+    if len(lights) > 1:
+        nearest = max(contestants, key=lambda each: mean_decibels(fits[each.spec].errors_between_lights))
+        lights = {nearest.spec.light}
+    best = max((fits[each.spec] for each in contestants if each.spec.light in lights), key=lambda fit: fit.held_out_db)
     return [
         each
         for each in contestants
-        if mean_decibels(errors[each.spec]) >= SUFFICIENT_DB
-        or not differs(*paired_gain(errors[each.spec], best), len(best))
+        if fits[each.spec].held_out_db >= SUFFICIENT_DB
+        or not differs(*gain_of(best, over=fits[each.spec]), len(best.errors))
     ]
 
 
 def _margin(
-    winner: Contestant[FitT], other: Contestant[FitT], fairest_first: Sequence[Errors]
+    winner: Contestant[FitT], other: Contestant[FitT], fairest_first: Sequence[Mapping[ModelSpec, FoldedFit[FitT]]]
 ) -> tuple[float, float, int]:
-    """Margin of the winner, its standard error and the number of views, from the last errors that both have."""
-    for errors in fairest_first:
-        if winner.spec in errors and other.spec in errors:
-            before, after = errors[other.spec], errors[winner.spec]
+    """Margin of the winner, its standard error and the number of views, from the last fits that both have."""
+    for fits in fairest_first:
+        if winner.spec in fits and other.spec in fits:
+            before, after = fits[other.spec], fits[winner.spec]
             break
     else:
-        before, after = other.last.errors, winner.rounds[len(other.rounds) - 1].errors
-    return *paired_gain(before, after), len(before)
+        before, after = other.last, winner.rounds[len(other.rounds) - 1]
+    return *gain_of(after, over=before), len(before.errors)
 
 
 def _fit_single_model(fits: FitSequence[FitT, RefinementT], spec: ModelSpec, views: Sequence[int]) -> FitT:

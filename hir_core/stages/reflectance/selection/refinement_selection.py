@@ -8,7 +8,6 @@ from functools import partial
 from typing import Generic, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hir_core.plugins.interfaces import FitT, RefinementT
 from hir_core.plugins.model_spec import ModelSpec
@@ -19,7 +18,7 @@ from hir_core.stages.reflectance.selection.exposure_selection import (
     gains_by_exposures,
 )
 from hir_core.stages.reflectance.selection.fit_sequence import fit_cost
-from hir_core.stages.reflectance.selection.folded_fits import FoldedFit, FoldedFits
+from hir_core.stages.reflectance.selection.folded_fits import FoldedFit, FoldedFits, gain_of
 from hir_core.stages.reflectance.selection.held_out_comparison import (
     REQUIRED_STANDARD_ERRORS,
     SMALLEST_ERROR,
@@ -136,7 +135,7 @@ class RefinementSelection(Generic[FitT, RefinementT]):
             self._fitted(candidate)
             if is_refined(fit.errors, candidate.errors, REQUIRED_STANDARD_ERRORS_OF_NORMALS):
                 fit = candidate
-        gain, standard_error = paired_gain(self.fit.errors, fit.errors)
+        gain, standard_error = gain_of(fit, over=self.fit)
         views = len(fit.errors)
         worse, better = differs(-gain, standard_error, views), differs(gain, standard_error, views)
         accepted = better or (simpler and not worse)
@@ -166,24 +165,27 @@ class RefinementSelection(Generic[FitT, RefinementT]):
             self.fit = candidate
         self._record(candidate, gain, standard_error, accepted)
 
-    def compare_per_texel_of_rival(self, rival: FoldedFit[FitT]) -> NDArray[np.float64] | None:
+    def compare_per_texel_of_rival(self, rival: FoldedFit[FitT]) -> FoldedFit[FitT] | None:
         """Selects the per-texel BRDF of a rival under a light in the world, in place of a light on the camera.
 
         A light on the camera has no per-texel BRDF, and its fit at vertices is not comparable with values of texels.
         What the BRDF gains over a per-texel albedo is therefore compared with what the rival lacks at vertices. Returns
-        the errors at vertices, lowered by the gain, where it was selected.
+        the rival with its errors at vertices lowered by the gain, where it was selected.
         """
         spec = replace(rival.spec, per_texel="brdf")
         if rival.spec.light_frame != "world" or rival.spec.kind == "diffuse" or not self._is_worth_comparing(spec):
             return None
         control, candidate = self._per_texel(rival)
-        errors = rival.errors * candidate.errors / np.maximum(control.errors, SMALLEST_ERROR)
-        gain, standard_error = paired_gain(self.fit.errors, errors)
-        accepted = is_refined(self.fit.errors, errors, REQUIRED_STANDARD_ERRORS_OF_NORMALS)
+        lowered = candidate.errors / np.maximum(control.errors, SMALLEST_ERROR)
+        at_vertices = FoldedFit(
+            rival.spec, rival.fits, rival.errors * lowered, lambda: rival.errors_between_lights * lowered
+        )
+        before, after = self.fit.errors_beside(rival.spec), at_vertices.errors_beside(self.spec)
+        accepted = is_refined(before, after, REQUIRED_STANDARD_ERRORS_OF_NORMALS)
         if accepted:
             self.fit = candidate
-        self._record(candidate, gain, standard_error, accepted)
-        return errors if accepted else None
+        self._record(candidate, *paired_gain(before, after), accepted)
+        return at_vertices if accepted else None
 
     def _per_texel(self, fit: FoldedFit[FitT]) -> tuple[FoldedFit[FitT], FoldedFit[FitT]]:
         """A fit at vertices with a per-texel albedo, and with a per-texel BRDF."""

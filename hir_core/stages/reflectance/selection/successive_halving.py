@@ -15,8 +15,8 @@ from typing import Generic, final
 from hir_core.plugins.interfaces import FitT, RefinementT
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.stages.reflectance.selection.fit_sequence import fit_cost
-from hir_core.stages.reflectance.selection.folded_fits import FoldedFit, FoldedFits
-from hir_core.stages.reflectance.selection.held_out_comparison import SUFFICIENT_DB, critical_value, paired_gain
+from hir_core.stages.reflectance.selection.folded_fits import FoldedFit, FoldedFits, gain_of
+from hir_core.stages.reflectance.selection.held_out_comparison import SUFFICIENT_DB, critical_value
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,7 @@ class SuccessiveHalving(Generic[FitT, RefinementT]):
         best = max(alive, key=lambda each: each.last.held_out_db)
         for contestant in alive:
             contestant.gap_db, contestant.standard_error_db = (
-                paired_gain(contestant.last.errors, best.last.errors) if contestant is not best else (0.0, 0.0)
+                gain_of(best.last, over=contestant.last) if contestant is not best else (0.0, 0.0)
             )
             contestant.dropped = rounds_left > 0 and not can_catch_up(contestant, rounds_left)
         return [contestant for contestant in alive if not contestant.dropped]

@@ -90,6 +90,11 @@ class SurfacePoints:
     def __len__(self) -> int:
         return len(self.face)
 
+    @property
+    def view_cosine(self) -> Float[Tensor, " P"]:
+        """Cosine between the shading normal and the direction to the camera."""
+        return (self.normal * self.to_eye).sum(dim=1)
+
     def take(self, rows: Tensor) -> SurfacePoints:
         """The points of `rows`."""
         return SurfacePoints(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from hir_core.scene import Material, Mesh, Scene
+from hir_core.capture import Capture, View
+from hir_core.scene import EnvironmentMap, Material, Mesh, Scene
 from hir_core.stages.atlas import unwrap_mesh
 from hir_core.stages.reflectance.selection.hypotheses import INTERREFLECTIONS
 from tests.fixtures.made_captures import (
@@ -39,6 +40,29 @@ def half_metal(mesh: Mesh) -> Material:
     metalness = painted(mesh, lambda p: (p[:, :1] > 0).float())[0]
     base = painted(mesh, lambda p: torch.where(p[:, :1] > 0, torch.tensor(GOLD), torch.tensor((0.1, 0.2, 0.5))))[0]
     return Material.metallic(base, metalness, torch.full((1,), 0.2))
+
+
+def overcast() -> EnvironmentMap:
+    """Light from above that is the same from each side."""
+    height = sky().radiance.mean(dim=1, keepdim=True)
+    return EnvironmentMap(height.expand_as(sky().radiance).contiguous())
+
+
+def brightened(capture: Capture, gain: float) -> Capture:
+    """The photographs of the unit ball with the radiance times 1 + `gain` (1 − cos θ)⁵."""
+
+    def view(own: View) -> View:
+        pixels, camera = own.pixels(), own.camera
+        assert camera is not None
+        height, width = pixels.color_linear.shape[:2]
+        x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+        origin, direction = camera.rays(np.stack([x, y], axis=-1).reshape(-1, 2))
+        sine = np.linalg.norm(np.cross(origin, direction), axis=1).clip(0, 1).reshape(height, width, 1)
+        factor = 1 + gain * (1 - np.sqrt(1 - sine**2)) ** 5
+        shown = replace(pixels, color_linear=(pixels.color_linear * factor).astype(np.float32))
+        return replace(own, read=lambda: shown)
+
+    return replace(capture, views=tuple(map(view, capture.views)))
 
 
 GOLD = (0.9, 0.6, 0.25)
@@ -83,6 +107,19 @@ def test_a_varying_width_is_selected(tmp_path: Path) -> None:
     scene, report = fitted(mesh, photographs(truth, around(16)), tmp_path, light=lamps(), brdf="paper")
     assert "roughness map" in report.model
     assert unseen_db(scene, truth) > 30
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("frame", ["world", "camera"])
+def test_a_surface_that_brightens_towards_its_outline(frame: str, tmp_path: Path) -> None:
+    """As matt surfaces do, and as under no model here: a light on the camera would explain it."""
+    mesh = ball()
+    material = make_material(painted(mesh, lambda p: 0.3 + 0.25 * torch.sin(4 * p))[0])
+    truth = Scene(mesh, material, replace(overcast(), frame=frame))
+    capture = brightened(photographs(truth, around(24)), 1.0)
+    _, report = fitted(mesh, capture, tmp_path, light_frame="auto", options={"steps": 100})
+    assert report.explanation is not None
+    assert report.light_frame == frame, report.explanation.sentence
 
 
 @pytest.mark.slow

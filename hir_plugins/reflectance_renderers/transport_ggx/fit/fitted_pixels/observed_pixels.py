@@ -63,7 +63,7 @@ def observe_pixels(
     index = torch.from_numpy(np.stack([np.full(len(rows), view), columns, rows], axis=1))
     cameras = {view: capture.cameras[view].downsampled(downsample)}
     points, visible = visible_points(transport.tracer, transport.surface, cameras, index)
-    visible &= (points.normal * points.to_eye).sum(1) > MIN_VIEW_COSINE
+    visible &= points.view_cosine > MIN_VIEW_COSINE
     rows_kept = visible.nonzero()[:, 0]
     color = torch.from_numpy(pixels.color_linear[rows, columns]).to(device)
     color = color.clamp_min(0) / torch.from_numpy(capture.views[view].gain).to(device)

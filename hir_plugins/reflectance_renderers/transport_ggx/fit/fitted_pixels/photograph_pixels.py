@@ -182,6 +182,7 @@ class PhotographPixels:
             linear_to_srgb(part.color),
             part.saturated,
             part.points.view,
+            part.points.view_cosine,
             lobes,
             vertices,
             cells if irradiance is None else None,

@@ -32,11 +32,20 @@ class PixelColors:
     saturated: Bool[Tensor, "P 3"]
     """Clipped channels."""
     view: Int[Tensor, " P"]
+    view_cosine: Float[Tensor, " P"]
+    """Cosine between the normal of the mesh and the direction to the camera."""
 
     @classmethod
     def of(cls, observed: ObservedPixels) -> PixelColors:
         """The colours of observed pixels."""
-        return PixelColors(linear_to_srgb(observed.color), observed.saturated, observed.points.view)
+        points = observed.points
+        return PixelColors(linear_to_srgb(observed.color), observed.saturated, points.view, points.view_cosine)
+
+    @classmethod
+    def concatenated(cls, parts: Sequence[PixelColors]) -> PixelColors:
+        """The pixels of several batches in one."""
+        names = PixelColors.__dataclass_fields__
+        return PixelColors(*(torch.cat([getattr(part, name) for part in parts]) for name in names))
 
 
 @dataclass(frozen=True, eq=False)

@@ -103,6 +103,31 @@ def test_a_tie_goes_to_the_simpler_hypothesis() -> None:
     assert "--set reflectance.model=diffuse --set reflectance.light_frame=world" in warning
 
 
+@pytest.mark.parametrize(("imitated", "expected"), [(0.0, "camera"), (1.0, "world")])
+def test_lights_are_compared_without_what_a_light_on_the_camera_imitates(imitated: float, expected: str) -> None:
+    """The light on the camera is ahead by 1 dB, of which some is no property of the light; materials are compared by
+    the errors of the photographs.
+    """
+
+    class Imitating(Scripted):
+        def errors_between_lights(self, fit: Fit, views: Sequence[int]) -> np.ndarray:
+            gain = imitated if fit.spec.light_frame == "camera" else -0.1
+            return self.errors(fit, views) * level(-gain)
+
+    def error(spec: ModelSpec) -> float:
+        return level(
+            30
+            + (spec.light_frame == "camera")
+            + 0.5 * (spec.kind == "dielectric")
+            - 3 * (spec.kind in ("metal", "mixed"))
+        )
+
+    selection = select(Imitating(error, noise=0.02), ReflectanceSettings())
+    assert selection.hypothesis == hypothesis("dielectric", expected)  # type: ignore[arg-type]
+    other = next(m for m in selection.margins if m.spec.light_frame != expected and m.spec.kind == "dielectric")
+    assert other.margin_db == pytest.approx(0.9 if expected == "camera" else 0.1, abs=0.05)
+
+
 def test_a_near_tie_is_judged_by_a_second_fold() -> None:
     """Both finalists are fitted again without the second fold's views; a clear case costs nothing more."""
     folds = model_selection_folds(48)
