@@ -23,6 +23,7 @@ from hir_core.plugins.model_spec import ModelSpec
 from hir_core.stages.held_out_views import model_selection_folds
 from hir_core.stages.reflectance.selection.fit_sequence import FitSequence
 from hir_core.stages.reflectance.selection.folded_fits import FoldedFits
+from hir_core.stages.reflectance.selection.held_out_comparison import mean_decibels
 from hir_core.stages.reflectance.selection.hypotheses import FRAMES, KINDS, hypothesis
 from hir_core.stages.reflectance.selection.successive_halving import ROUNDS, SuccessiveHalving
 from hir_plugins.reflectance_renderers.transport_ggx.solver import Fit
@@ -39,16 +40,18 @@ def curves(path: Path, specs: Sequence[ModelSpec], seed: int, options: Mapping[s
     rounds = SuccessiveHalving(folds, specs)
     hypotheses = {}
     for spec in specs:
-        fit, held_out = None, []
+        fit, held_out, between_lights = None, [], []
         for budget in ROUNDS:
             fit = rounds.fit_round(spec, fit, budget)
             held_out.append(round(fit.held_out_db, 2))
+            between_lights.append(round(mean_decibels(fit.errors_between_lights), 2))
         assert fit is not None
         first = fit.fits[0]
         assert isinstance(first, Fit)
         values = first.parameters
         hypotheses[spec.name] = {
             "held_out_db": held_out,
+            "between_lights_db": between_lights,
             "base_color": [round(value, 3) for value in values.base_color.detach().mean(dim=0).tolist()],
             "alpha": round(float(values.alpha.mean()), 3) if values.width is not None else None,
         }
