@@ -28,7 +28,6 @@ from hir_core.scene.map_error_store import load_map_errors
 
 if TYPE_CHECKING:
     from hir_core.capture import Camera, View
-    from hir_core.plugins.interfaces import ReflectanceRenderer
     from hir_core.plugins.manager import PluginManager
     from hir_core.scene import Mesh
 
@@ -40,8 +39,10 @@ ERROR_SIDE = 512
 
 FEW_SAMPLES = 64
 """Paths per pixel of each of two renders. They suffice where their noise is small against the error of the fit."""
+MAX_PAIRS = 2
+"""Pairs of such renders, at most: 256 paths per pixel of the picture."""
 MAX_NOISE_SHARE = 0.15
-"""Share of noise in the squared error up to which `FEW_SAMPLES` suffice."""
+"""Share of noise in the squared error up to which a pair suffices."""
 
 SMALL_SIDE = 192
 """Approximate maximum side of the renders of intermediate stages, which are measured and not shown."""
@@ -123,25 +124,29 @@ def _write_asset_pictures(folder: Path, scene: Path) -> None:
 
 
 class _PathTracer:
-    """Renders the scene of a run with as many samples as its figures need."""
+    """Renders the scene of a run with as many samples as its pictures need."""
 
     def __init__(self, run: FinishedRun, plugins: PluginManager, max_noise_share: float) -> None:
         self._in_take, self._max_noise_share = cache(run.scene.in_take), max_noise_share
-        _, self._quick = reference_renderer(
+        _, self._renderer = reference_renderer(
             plugins, bounces=run.bounces, max_samples=FEW_SAMPLES, light=run.scene.environment
         )
-        _, self._thorough = reference_renderer(plugins, bounces=run.bounces)
 
     def pair(self, camera: Camera, view: View, truth: MaskedPhotograph) -> tuple[Image, Image]:
-        """Two renders (H, W, 4) with independent noise; where that is too large, one render of many samples, twice."""
-        first, second = (self._rendered(self._quick, camera, view, half) for half in (", first", ", second"))
-        if noise_share(first, second, truth) <= self._max_noise_share:
-            return first, second
-        whole = self._rendered(self._thorough, camera, view, "")
-        return whole, whole
+        """Two renders (H, W, 4) with independent noise; where that is too large, means of `MAX_PAIRS` renders each."""
+        first, second = self._rendered(camera, view, ", first"), self._rendered(camera, view, ", second")
+        for done in range(1, MAX_PAIRS):
+            if noise_share(first, second, truth) <= self._max_noise_share:
+                break
+            further = (self._rendered(camera, view, f", {which} of pair {done + 1}") for which in ("first", "second"))
+            first, second = (
+                before + (more - before) / np.float32(done + 1)
+                for before, more in zip((first, second), further, strict=True)
+            )
+        return first, second
 
-    def _rendered(self, renderer: ReflectanceRenderer, camera: Camera, view: View, label: str) -> Image:
-        fit = render_view(renderer, self._in_take(view.take), camera, view.name + label)
+    def _rendered(self, camera: Camera, view: View, label: str) -> Image:
+        fit = render_view(self._renderer, self._in_take(view.take), camera, view.name + label)
         fit[..., :3] *= view.gain
         return fit
 

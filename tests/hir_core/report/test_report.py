@@ -8,6 +8,7 @@ import subprocess
 from dataclasses import replace
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from hir_exporters.textures.image_files import read_ldr
 from hir_core.files.json_documents import read_json, write_json
 from hir_core.pipeline import Run
 from hir_core.plugins.manager import PluginManager
+from hir_core.rendering.reference_renderer import render_view
 from hir_core.rendering.view_selection import evenly_spaced_indices
 from hir_core.report import (
     convergence,
@@ -95,13 +97,23 @@ def test_large_photographs_are_shown_and_measured_reduced(finished: Run, tmp_pat
     assert f"measured at {width}×{height}" in (directory.path / "report.html").read_text(encoding="utf-8")
 
 
-def test_few_samples_give_the_figures_of_many(finished: Run, tmp_path: Path) -> None:
+def test_few_samples_give_the_figures_of_many(finished: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Further renders go on where the first ones ended."""
     shutil.copytree(finished.path, tmp_path / "run")
     directory, plugins = RunDirectory(tmp_path / "run"), PluginManager.discover()
+    labels: list[str] = []
+
+    def rendered(renderer: object, scene: object, camera: object, label: str) -> Any:
+        labels.append(label)
+        return render_view(renderer, scene, camera, label)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(rendered_pictures, "render_view", rendered)
     found = {}
     for name, max_noise_share in (("few", 1.0), ("many", -1.0)):
         pictures = rendered_pictures.write_pictures(directory, plugins, max_noise_share=max_noise_share)
         found[name] = pictures["views"]
+    pairs = 1 + rendered_pictures.MAX_PAIRS
+    assert len(labels) == len(set(labels)) + 2 * len(found["few"]) == 2 * pairs * len(found["few"])
     for few, many in zip(found["few"], found["many"], strict=True):
         assert few["object"] != many["object"], "both are the same renders"
         assert few["object"] == pytest.approx(many["object"], abs=0.15)
