@@ -6,7 +6,6 @@ import json
 import os
 import re
 import subprocess
-import sys
 import venv
 from pathlib import Path
 
@@ -15,39 +14,37 @@ import pytest
 from hir_exporters.asset import Asset, AssetEnvironment, AssetMaterial, AssetMesh
 from hir_exporters.scene_format import load_scene, save_scene
 
+from tests.fixtures.environments import borrow_dependencies, environment_python, message
+
 ROOT = Path(__file__).resolve().parents[2]
 HEAVY = ("torch", "mitsuba", "drjit", "open3d", "pycolmap", "pxr", "scipy")
 
 
-def message(*arguments: object, folder: Path) -> str:
-    """The output of a command outside the checkout; a failure shows its output."""
-    environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
-    done = subprocess.run([str(w) for w in arguments], capture_output=True, text=True, cwd=folder, env=environment)
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
-
-
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The built wheel."""
-    folder = tmp_path_factory.mktemp("wheel")
-    message(sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", folder, ROOT, folder=folder)
-    (built,) = folder.glob("hir-*.whl")
-    return built
+def wheel(wheels: list[Path]) -> Path:
+    """The wheel of hir."""
+    return wheels[0]
 
 
-def installed(wheel: Path, extra: str, folder: Path) -> Path:
-    """The bin folder of a new environment with the wheel, its base dependencies and those of an extra."""
+def installed(source: Path, extra: str, folder: Path) -> Path:
+    """The bin folder of a new environment with hir, its base dependencies and those of an extra, by pip alone."""
     venv.create(folder / "venv", with_pip=True)
     found = folder / "venv" / ("Scripts" if os.name == "nt" else "bin")
-    message(found / "python", "-m", "pip", "install", "--quiet", f"{wheel}{extra}", folder=folder)
+    message(found / "python", "-m", "pip", "install", "--quiet", f"{source}{extra}", folder=folder)
     return found
 
 
-@pytest.fixture(scope="module")
-def programs(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The bin folder of an environment with the base dependencies."""
-    return installed(wheel, "", tmp_path_factory.mktemp("base"))
+@pytest.fixture(scope="module", params=["linked", pytest.param("by pip", marks=pytest.mark.slow)])
+def programs(request: pytest.FixtureRequest, wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The bin folder of an environment with the base dependencies.
+
+    pip takes half a minute to find them; the links to the ones of this environment are made in a second.
+    """
+    if request.param == "by pip":
+        return installed(ROOT, "", tmp_path_factory.mktemp("base"))
+    python = environment_python(tmp_path_factory.mktemp("base") / "venv", wheel)
+    borrow_dependencies(python, "hir")
+    return python.parent
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +67,6 @@ def scene(tmp_path: Path) -> Path:
     return tmp_path / "scene"
 
 
-@pytest.mark.slow
 def test_the_heavy_half_is_not_installed(programs: Path, tmp_path: Path) -> None:
     code = f"import importlib.util as i; print([n for n in {HEAVY!r} if i.find_spec(n)])"
     assert message(programs / "python", "-c", code, folder=tmp_path) == "[]\n"
@@ -103,7 +99,6 @@ def test_a_saved_scene_is_exported(programs: Path, scene: Path, tmp_path: Path) 
     assert (tmp_path / "out" / "flag.glb").read_bytes()[:4] == b"glTF"
 
 
-@pytest.mark.slow
 def test_usd_without_its_library_is_one_sentence_before_any_file(programs: Path, scene: Path, tmp_path: Path) -> None:
     (tmp_path / "other.usda").write_text("#usda 1.0\n")
     for source in (scene, tmp_path / "other.usda"):

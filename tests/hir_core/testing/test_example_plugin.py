@@ -3,44 +3,25 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import site
-import subprocess
-import sys
-import venv
 from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[3]
-EXAMPLE = ROOT / "examples" / "hir-plugin-example"
-
-
-def message(*arguments: object, folder: Path) -> str:
-    """What a command prints; it runs outside the checkout, and one that fails shows what it said."""
-    environment = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "PYTEST"))}
-    done = subprocess.run([str(w) for w in arguments], capture_output=True, text=True, cwd=folder, env=environment)
-    assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-4000:]
-    return done.stdout
+from tests.fixtures.environments import EXAMPLE, ROOT, environment_python, message, packages_of
 
 
 @pytest.fixture(scope="module")
-def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def python(wheels: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The Python of an environment with the wheels of hir and of the example; their dependencies are borrowed from the
     environment that runs the tests, for torch and mitsuba take minutes to install.
     """
-    folder = tmp_path_factory.mktemp("example")
-    shutil.copytree(EXAMPLE, folder / "source")
-    for project in (ROOT, folder / "source"):
-        message(sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--wheel-dir", folder, project, folder=folder)
-    venv.create(folder / "venv", with_pip=True)
-    found = folder / "venv" / ("Scripts" if os.name == "nt" else "bin") / "python"
-    packages = Path(message(found, "-c", "import site; print(site.getsitepackages()[0])", folder=folder).strip())
+    found = environment_python(tmp_path_factory.mktemp("example") / "venv", *wheels)
     borrowed = [path for path in site.getsitepackages() if path.endswith("site-packages")]
     # a line of a .pth that begins with import is run: the borrowed packages come after the environment's own
-    (packages / "borrowed.pth").write_text("".join(f"import sys; sys.path.append({path!r})\n" for path in borrowed))
-    message(found, "-m", "pip", "install", "-q", "--no-deps", "--force-reinstall", *folder.glob("*.whl"), folder=folder)
+    lines = "".join(f"import sys; sys.path.append({path!r})\n" for path in borrowed)
+    (packages_of(found) / "borrowed.pth").write_text(lines)
     return found
 
 
