@@ -87,14 +87,14 @@ def build_options(kind: type[Options], values: Mapping[str, Any], owner: str, be
 
 def options_schema(kind: type) -> dict[str, Any]:
     """JSON schema of a configuration dataclass, with its attribute docstrings as descriptions."""
-    from pydantic import ConfigDict, TypeAdapter, create_model
+    from pydantic import ConfigDict, TypeAdapter
 
     schema = TypeAdapter(_validator(kind)).json_schema()
     # the checked class is a subclass without a body, so it has lost the docstrings of the first level; options that a
     # class inherits, or gives another default, are described where they were first written
     for written in reversed(kind.__mro__[:-1]):
-        holder = create_model("Holder", __config__=ConfigDict(use_attribute_docstrings=True), held=(written, ...))
-        described = holder.model_json_schema()["$defs"][written.__name__]
+        several = TypeAdapter(list[written], config=ConfigDict(use_attribute_docstrings=True))  # type: ignore[valid-type]
+        described = several.json_schema()["$defs"][written.__name__]
         for name, described_option in described.get("properties", {}).items():
             if "description" in described_option:
                 schema["properties"][name]["description"] = described_option["description"]

@@ -96,17 +96,26 @@ def test_a_ball_becomes_the_shape_in_the_masks(capture: Capture, tmp_path: Path)
     assert len(report.views.held_out) == 2
 
 
-@pytest.mark.parametrize(("scale", "shift"), [(1e-3, 0.0), (1e4, 0.0), (1.0, 1e4)])
+SHORT = replace(SETTINGS, iterations=25)
+
+
+@pytest.fixture(scope="module")
+def plain(capture: Capture, tmp_path_factory: pytest.TempPathFactory) -> Mesh:
+    """The fit in a world of radius 1 about its origin."""
+    return _fit(_ball(), capture, SHORT, tmp_path_factory.mktemp("plain"))[0]
+
+
+@pytest.mark.parametrize(
+    ("scale", "shift"), [(1e-3, 0.0), pytest.param(1e4, 0.0, marks=pytest.mark.slow), (1.0, 1e4)]
+)
 def test_scale_and_position_of_the_world_do_not_matter(
-    capture: Capture, tmp_path: Path, scale: float, shift: float
+    capture: Capture, plain: Mesh, tmp_path: Path, scale: float, shift: float
 ) -> None:
-    settings = replace(SETTINGS, iterations=25)
     move = np.diag([scale, scale, scale, 1.0])
     move[:3, 3] = shift * np.array([1.0, -2.0, 0.5])
     start = _ball()
     there = Scene(mesh_of(start.mesh.positions.double().numpy() * scale + move[:3, 3], start.mesh.faces.numpy()))
-    plain, _ = _fit(start, capture, settings, tmp_path / "a")
-    moved, report = _fit(there, capture.transformed(move), settings, tmp_path / "b")
+    moved, report = _fit(there, capture.transformed(move), SHORT, tmp_path)
     back = (moved.positions.double().numpy() - move[:3, 3]) / scale
     # float32 positions ten thousand radii away are known to a thousandth; remeshing may then choose other triangles
     before, after = report.iou_held_out.before, report.iou_held_out.after
@@ -115,10 +124,14 @@ def test_scale_and_position_of_the_world_do_not_matter(
     assert iou > 0.98
 
 
-def test_wrong_masks_are_named_and_do_not_change_the_mesh(capture: Capture, tmp_path: Path) -> None:
-    wrong = {3: "empty", 9: "shifted", 16: "half"}
+WRONG = {3: "empty", 9: "shifted", 16: "half"}
+
+
+@pytest.fixture(scope="module")
+def partly_wrong(capture: Capture) -> Capture:
+    """The capture with three wrong masks."""
     views = list(capture.views)
-    for i, fault in wrong.items():
+    for i, fault in WRONG.items():
         mask = views[i].pixels().mask.copy()
         if fault == "empty":
             mask[:] = 0
@@ -127,12 +140,27 @@ def test_wrong_masks_are_named_and_do_not_change_the_mesh(capture: Capture, tmp_
         else:
             mask[:, :48] = 0
         views[i] = replace(views[i], mask=mask)
+    return replace(capture, views=tuple(views))
+
+
+def assert_wrong_masks_are_named(report: GeometryReport, capture: Capture, warnings: list[str]) -> None:
+    names = [capture.views[i].name for i in WRONG]
+    assert set(report.views.down_weighted) == set(names)
+    assert all(any(name in sentence for sentence in warnings) for name in names)
+
+
+def test_wrong_masks_are_named(partly_wrong: Capture, tmp_path: Path) -> None:
     warnings: list[str] = []
-    broken = replace(capture, views=tuple(views))
-    mesh, report = _fit(_ball(), broken, SETTINGS, tmp_path / "robust", warnings)
-    assert set(report.views.down_weighted) == {views[i].name for i in wrong}
-    assert all(any(views[i].name in sentence for sentence in warnings) for i in wrong)
-    uniform, _ = _fit(_ball(), broken, replace(SETTINGS, robust=False), tmp_path / "uniform")
+    _, report = _fit(_ball(), partly_wrong, SHORT, tmp_path, warnings)
+    assert_wrong_masks_are_named(report, partly_wrong, warnings)
+
+
+@pytest.mark.slow
+def test_wrong_masks_do_not_change_the_mesh(partly_wrong: Capture, tmp_path: Path) -> None:
+    warnings: list[str] = []
+    mesh, report = _fit(_ball(), partly_wrong, SETTINGS, tmp_path / "robust", warnings)
+    assert_wrong_masks_are_named(report, partly_wrong, warnings)
+    uniform, _ = _fit(_ball(), partly_wrong, replace(SETTINGS, robust=False), tmp_path / "uniform")
     (iou, offset), (uniform_iou, _) = _unseen_offset(mesh, PEANUT), _unseen_offset(uniform, PEANUT)
     assert iou > 0.98 and abs(offset) < 0.15
     assert iou > uniform_iou
@@ -141,7 +169,7 @@ def test_wrong_masks_are_named_and_do_not_change_the_mesh(capture: Capture, tmp_
 def test_a_handle_stays_a_handle(tmp_path: Path) -> None:
     ring = torus(64, 32, 0.3)
     start = torus(32, 16, 0.42)
-    mesh, _ = _fit(Scene(mesh_of(*start)), capture_of(*ring, around(20, 96, radius=4.0)), SETTINGS, tmp_path)
+    mesh, _ = _fit(Scene(mesh_of(*start)), capture_of(*ring, around(20, 96, radius=4.0)), replace(SETTINGS, iterations=60), tmp_path)
     assert inspect_mesh(mesh.positions.double().numpy(), mesh.faces.numpy()).genus == 1
     assert _unseen_offset(mesh, ring)[0] > 0.97
 

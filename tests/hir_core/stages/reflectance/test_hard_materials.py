@@ -39,7 +39,8 @@ from tests.fixtures.scenes import square
 # -- material -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("alpha", [1e-3, *(pytest.param(alpha, marks=pytest.mark.slow) for alpha in (0.03, 0.3, 1.0))])
+@pytest.mark.slow
+@pytest.mark.parametrize("alpha", [1e-3, 0.03, 0.3, 1.0])
 def test_lobes_from_a_mirrors_to_a_matt_ones(alpha: float, tmp_path: Path) -> None:
     """A light of 16 rows cannot distinguish lobes below 0.1; a lobe of 1 may be fitted as diffuse."""
     truth = Scene(ball(), make_material((0.3, 0.2, 0.1), 0.5, alpha), lamps())
@@ -56,7 +57,7 @@ def test_lobes_from_a_mirrors_to_a_matt_ones(alpha: float, tmp_path: Path) -> No
     assert unseen_db(scene, truth) > 28
 
 
-@pytest.mark.parametrize("albedo", [0.0, 1.0])
+@pytest.mark.parametrize("albedo", [0.0, pytest.param(1.0, marks=pytest.mark.slow)])
 def test_black_and_white(albedo: float, tmp_path: Path) -> None:
     """Under a known light a black ball is black and a white one white, in every observed texel."""
     truth = Scene(ball(), make_material((albedo,) * 3), sky())
@@ -294,9 +295,8 @@ def test_seams_do_not_show(tmp_path: Path) -> None:
     assert float(steps[0].max()) < 1.5 * float(steps[1].max())
 
 
-@pytest.mark.parametrize(
-    "texels", [64, pytest.param(512, marks=pytest.mark.slow), pytest.param(4096, marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("texels", [64, 512, 4096])
 def test_textures_of_any_size(texels: int, tmp_path: Path) -> None:
     """A texture that is finer than the photographs gets the colours of the vertices between their pixels."""
     mesh = ball(texels)
