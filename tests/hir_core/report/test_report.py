@@ -60,13 +60,8 @@ def test_page_works_in_a_browser(finished: Run, chromium: list[str], tmp_path: P
     assert re.search(r'<iframe id="model"[^>]* src="blob:', document), "the page of the asset was unpacked"
 
 
-@pytest.mark.parametrize(
-    ("theme", "background"),
-    [
-        pytest.param("light", (0xF6, 0xF5, 0xF2), marks=pytest.mark.slow),
-        ("dark", (0x13, 0x14, 0x17)),
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("theme", "background"), [("light", (0xF6, 0xF5, 0xF2)), ("dark", (0x13, 0x14, 0x17))])
 def test_asset_is_drawn_in_either_theme(
     finished: Run, chromium: list[str], tmp_path: Path, theme: str, background: tuple[int, int, int]
 ) -> None:

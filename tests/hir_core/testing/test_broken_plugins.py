@@ -11,6 +11,7 @@ from hir_core.plugins import Component
 from hir_core.plugins.loading import module_from_file
 from hir_core.plugins.manager import PluginManager, Registered
 from hir_core.testing import ContractError, all_checks, check_component, check_whole_plugin, whole_plugin
+from hir_core.testing.checks import every_kind
 from hir_core.testing.checks.reflectance_renderer_checks import _factor
 from hir_core.testing.running import Result, as_registered, plugin_checks
 from tests.hir_core.testing import (
@@ -146,8 +147,14 @@ def hir_register_regularizers():
     ids=["imports_light", "imports_quickly", "requirements_declared"],
 )
 def test_file_breaks_its_contract_and_no_other(
-    check: str, at_the_top: str, inside: str, requires: tuple[str, ...], tmp_path: Path
+    check: str,
+    at_the_top: str,
+    inside: str,
+    requires: tuple[str, ...],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr(every_kind, "TRIES", 1)  # more of them are for a busy machine
     path = tmp_path / f"broken_{check}.py"
     path.write_text(FILE.format(at_the_top=at_the_top, inside=inside, requires=requires, name=path.stem))
     plugins = PluginManager.discover((str(path),))

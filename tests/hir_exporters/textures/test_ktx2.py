@@ -38,7 +38,13 @@ def psnr(a: np.ndarray, b: np.ndarray) -> float:
 
 @pytest.mark.usefixtures("ktx2_encoder")
 @pytest.mark.parametrize(
-    ("kind", "quality", "least"), [("color", 92, 30), ("linear", 0, 40), ("normal", 0, 40), ("linear", 75, 25)]
+    ("kind", "quality", "least"),
+    [
+        ("color", 92, 30),
+        ("normal", 0, 40),
+        pytest.param("linear", 0, 40, marks=pytest.mark.slow),
+        pytest.param("linear", 75, 25, marks=pytest.mark.slow),
+    ],
 )
 def test_an_image_decodes_to_nearly_the_same(kind: ktx2.Kind, quality: int, least: float) -> None:
     pixels = waves(32, 48)

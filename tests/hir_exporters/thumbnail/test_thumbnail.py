@@ -24,10 +24,12 @@ from hir_exporters.reading.validators import validate_omniverse, validate_usd
 from hir_exporters.textures.texture_maps import sample_texels
 from hir_exporters.thumbnail import thumbnail
 from hir_exporters.thumbnail.image_based_shading import ShadedPoints, prefiltered_light, shaded
-from hir_exporters.thumbnail.thumbnail import SIDE, render_thumbnail
+from hir_exporters.thumbnail.thumbnail import render_thumbnail
 from PIL import Image
 from pxr import Usd, UsdMedia
 
+SIDE = 128
+"""Pixels of the pictures here, a quarter of those of an export."""
 PAINTED = {"specular_albedo": [0.0] * 3, "roughness": 1.0}
 
 
@@ -37,15 +39,30 @@ def matte(mesh: AssetMesh, albedo: np.ndarray, light: np.ndarray | None = None) 
     return Asset(mesh, AssetMaterial("paper", albedo, **PAINTED), AssetEnvironment(radiance))
 
 
-def test_a_sphere_fills_nine_tenths(make_sphere: Callable[..., AssetMesh]) -> None:
+@pytest.fixture
+def full_size(monkeypatch: pytest.MonkeyPatch) -> int:
+    """The side of an export's picture, for one of the tests."""
+    monkeypatch.undo()
+    return thumbnail.SIDE
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pictures are small, because a large one takes seconds."""
+    monkeypatch.setattr(thumbnail, "SIDE", SIDE)
+
+
+def test_a_sphere_fills_nine_tenths(make_sphere: Callable[..., AssetMesh], full_size: int) -> None:
     picture = render_thumbnail(matte(make_sphere(64, 128), np.array([0.5, 0.4, 0.3])))
-    assert picture.shape == (SIDE, SIDE, 4) and picture.dtype == np.uint8
+    assert full_size == 512 and picture.shape == (full_size, full_size, 4) and picture.dtype == np.uint8
     alpha = picture[..., 3] / 255
     assert alpha.mean() == pytest.approx(np.pi / 4 * 0.9**2, rel=2e-3)
     filled = np.flatnonzero(alpha.max(axis=0) > 0)
-    assert filled[0] == pytest.approx(0.05 * SIDE, abs=1.5) and filled[-1] == pytest.approx(0.95 * SIDE, abs=1.5)
+    assert filled[0] == pytest.approx(0.05 * full_size, abs=1.5) and filled[-1] == pytest.approx(
+        0.95 * full_size, abs=1.5
+    )
     # uniform light: white is 0.9, so that the albedo is seen as 0.9 times itself
-    middle = picture[SIDE // 2, SIDE // 2, :3] / 255
+    middle = picture[full_size // 2, full_size // 2, :3] / 255
     np.testing.assert_allclose(middle, encoded(0.9 * np.array([0.5, 0.4, 0.3])), atol=0.01)
 
 

@@ -15,6 +15,7 @@ from hir_core.errors import ConfigError, StageError
 from hir_core.mesh.ray_casting import MeshQueries
 from hir_core.plugins.options import build_options
 from hir_core.scene import Scene
+from hir_plugins.initializers.hollows import search
 from hir_plugins.initializers.hollows.hollows import Hollows
 from hir_plugins.initializers.hollows.openings import Opening, find_openings, surface_cells
 from hir_plugins.initializers.hollows.photo_prediction import (
@@ -99,7 +100,10 @@ def height_inside(scene: Scene) -> float:
     return 2.0 - float(queries.first_distances(np.array([[0.0, 2.0, 0.0]]), down)[0])
 
 
-def test_a_cup_is_hollow() -> None:
+@pytest.mark.parametrize("sectors", [4, pytest.param(search.SECTORS, marks=pytest.mark.slow)])
+def test_a_cup_is_hollow(sectors: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An outline that is moved in fewer sectors is refined in a third of the time."""
+    monkeypatch.setattr(search, "SECTORS", sectors)
     capture = photographed(cup(), painted)
     hull = hull_of(capture)
     assert height_inside(hull) > 0.3

@@ -314,7 +314,7 @@ def test_poisson_closes_a_ball_of_any_size() -> None:
     from hir_core.capture import OrientedPoints
 
     rng = np.random.default_rng(0)
-    normals = rng.normal(size=(6000, 3))
+    normals = rng.normal(size=(1500, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     for scale, place in ((1.0, 0.0), (1e-3, 5.0)):
         cloud = OrientedPoints(place + scale * normals, normals)
