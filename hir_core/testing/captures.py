@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -63,14 +65,23 @@ def tiny_capture(folder: Path, views: int = 8, size: int = 64, detail: float = 3
     """Photographs from all around, written to `folder/images`; `detail` is the finest frequency of the colours."""
     made = []
     for i in range(views):
-        angle, height = 2 * np.pi * (i * 0.618034), 1.7 * np.sin(2.4 * i + 0.5)
-        ring = np.sqrt(3.4**2 - height**2)
-        camera = _camera(np.array([ring * np.cos(angle), height, ring * np.sin(angle)]), size)
-        color, mask = _photograph(camera, detail)
+        same, color, mask = _numbered_photograph(i, size, detail)
+        camera, color, mask = deepcopy(same), color.copy(), mask.copy()
         path = folder / "images" / f"{i:02}.png"
         write_png(path, linear_to_srgb(color).astype(np.float32))
         made.append(View(path.stem, camera, StoredPixels(color, mask), path=path))
     return TinyCapture(folder, Capture(folder, tuple(made), points=surface_points()))
+
+
+@lru_cache(maxsize=64)
+def _numbered_photograph(
+    number: int, size: int, detail: float
+) -> tuple[Camera, NDArray[np.float32], NDArray[np.float32]]:
+    """Camera, colour and coverage; most contracts use the same few photographs."""
+    angle, height = 2 * np.pi * (number * 0.618034), 1.7 * np.sin(2.4 * number + 0.5)
+    ring = np.sqrt(3.4**2 - height**2)
+    camera = _camera(np.array([ring * np.cos(angle), height, ring * np.sin(angle)]), size)
+    return camera, *_photograph(camera, detail)
 
 
 def distance_to_surface(points: Array) -> Array:

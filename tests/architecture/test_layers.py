@@ -145,7 +145,7 @@ def test_every_module_of_the_base_install_loads_without_extras(package: str) -> 
         ("check", str(SAMPLE), "-q"),
         ("plugins",),
         ("check-plugin", "colmap_model"),
-        ("check-plugin", "reality_capture"),
+        pytest.param(("check-plugin", "reality_capture"), marks=pytest.mark.slow),
         ("new-plugin", "glow", "--kind", "capture-reader", "-o", "{tmp}"),
         ("export", "{tmp}/ball.obj", "-f", "glb", "-f", "gltf", "-f", "obj", "--lod", "200,100", "-o", "{tmp}/out"),
     ],

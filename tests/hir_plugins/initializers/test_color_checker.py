@@ -108,7 +108,7 @@ def test_known_exposures_are_divided_out(unlit: Capture, tmp_path: Path) -> None
     assert report["relative_deviation"] < 0.01
 
 
-@pytest.mark.parametrize("gamma", [0.8, 1.3])
+@pytest.mark.parametrize("gamma", [0.8, pytest.param(1.3, marks=pytest.mark.slow)])
 def test_another_response_is_said(plain: Capture, tmp_path: Path, gamma: float) -> None:
     """A phone's contrast curve changes the encoded values; the exponent is nearly that of the linear ones."""
     curved = changed(plain, lambda _, color: srgb_to_linear(linear_to_srgb(color) ** gamma))
