@@ -70,7 +70,14 @@ def test_distances_of_a_disk() -> None:
     assert np.abs(error).max() < 0.15 and abs(error.mean()) < 0.03
 
 
-@pytest.mark.parametrize(("scale", "place"), [(1.0, (0, 0, 0)), (1e-4, (3e-3, 0, 1e-3)), (1e5, (4e6, -2e6, 1e6))])
+@pytest.mark.parametrize(
+    ("scale", "place"),
+    [
+        pytest.param(1.0, (0, 0, 0), marks=pytest.mark.slow),
+        (1e-4, (3e-3, 0, 1e-3)),
+        (1e5, (4e6, -2e6, 1e6)),
+    ],
+)
 def test_a_ball_of_any_size_at_any_place(scale: float, place: tuple[float, ...]) -> None:
     center = np.array(place, dtype=float)
     cameras = dome(40, 3 * scale, center, 150.0, 96)

@@ -36,8 +36,15 @@ def run(resident: int, checkpoint: FitCheckpoint | None = None, stop: int = -1, 
     return joint_optimization.fit(solver._transport, batches, start, settings, solver._edges, interrupt, checkpoint)
 
 
-@pytest.mark.parametrize("resident", [1 << 20, 400], ids=["all in memory", "shards"])
-@pytest.mark.parametrize("stop", [3, 12])
+@pytest.mark.parametrize(
+    ("stop", "resident"),
+    [
+        pytest.param(3, 1 << 20, id="3-all in memory", marks=pytest.mark.slow),
+        pytest.param(3, 400, id="3-shards"),
+        pytest.param(12, 1 << 20, id="12-all in memory"),
+        pytest.param(12, 400, id="12-shards"),
+    ],
+)
 def test_an_interrupted_fit_ends_with_the_same_bits(tmp_path: Path, resident: int, stop: int) -> None:
     checkpoint = FitCheckpoint(tmp_path / "fit", -1.0)
     with pytest.raises(KeyboardInterrupt):
@@ -53,7 +60,7 @@ def test_an_interrupted_fit_ends_with_the_same_bits(tmp_path: Path, resident: in
     "spec",
     [
         ModelSpec("metallic", "uniform", metalness="metal"),
-        ModelSpec("metallic", "uniform", metalness="map"),
+        pytest.param(ModelSpec("metallic", "uniform", metalness="map"), marks=pytest.mark.slow),
         ModelSpec("dielectric", "uniform", lamp=True),
     ],
     ids=["metal", "map", "lamp"],
