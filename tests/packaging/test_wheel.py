@@ -38,7 +38,7 @@ def installed(source: Path, extra: str, folder: Path) -> Path:
 def programs(request: pytest.FixtureRequest, wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The bin folder of an environment with the base dependencies.
 
-    pip takes half a minute to find them; the links to the ones of this environment are made in a second.
+    pip takes half a minute to find them; links to the ones of this environment need no search.
     """
     if request.param == "by pip":
         return installed(ROOT, "", tmp_path_factory.mktemp("base"))

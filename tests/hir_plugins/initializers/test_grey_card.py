@@ -48,7 +48,7 @@ def photographs(exposures: Any = 1.0, noise: float = 0.0) -> Capture:
 
 
 def solved(capture: Capture, folder: Path, **options: Any) -> tuple[Capture, dict[str, Any]]:
-    """By the dictionary of the card; to find it takes ten times as long, and has tests of its own."""
+    """By the dictionary of the card; to find it takes most of the time, and has tests of its own."""
     given = {"side": 0.05, "paper_reflectance": PAPER, "dictionary": DICTIONARY} | options
     initializer = FiducialMarkers(FiducialMarkersOptions(**given))
     found = initializer.initialize(capture, None, folder)[0]

@@ -102,7 +102,7 @@ def height_inside(scene: Scene) -> float:
 
 @pytest.mark.parametrize("sectors", [4, pytest.param(search.SECTORS, marks=pytest.mark.slow)])
 def test_a_cup_is_hollow(sectors: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """An outline that is moved in fewer sectors is refined in a third of the time."""
+    """With fewer sectors there are fewer outlines to try, which takes most of the time."""
     monkeypatch.setattr(search, "SECTORS", sectors)
     capture = photographed(cup(), painted)
     hull = hull_of(capture)
