@@ -165,6 +165,18 @@ def test_without_a_specular_part_diffuse_is_selected(tmp_path: Path) -> None:
     assert unseen_db(scene, truth) > 40
 
 
+@pytest.mark.parametrize("frame", [pytest.param("world", marks=pytest.mark.slow), "camera"])
+def test_the_frame_of_the_light_around_a_metal_is_selected(frame: str, tmp_path: Path) -> None:
+    """Two hypotheses, so that it is fast."""
+    truth = Scene(ball(), metal(GOLD, 0.3), replace(lamps(), frame=frame))
+    capture = photographs(truth, around(12))
+    options = {"steps": 50, "cache_cells": 400}
+    settings = {"light_frame": "auto", "brdf": "metallic", "metalness": "metal"}
+    _, report = fitted(truth.mesh, capture, tmp_path, 32, options=options, **settings)
+    assert report.light_frame == frame
+    assert report.explanation is not None and report.explanation.margin_db > 1, report.explanation.sentence
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("frame", ["world", "camera"])
 def test_the_frame_of_the_light_is_selected(frame: str, tmp_path: Path) -> None:
